@@ -1,0 +1,1 @@
+"""The command line, metrics, results and plots; imports scenarios and all below."""

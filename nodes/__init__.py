@@ -1,0 +1,1 @@
+"""One node of the network and what drives it; imports filters and bus."""

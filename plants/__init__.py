@@ -1,0 +1,1 @@
+"""The truth: dynamics, sensors, controllers and recorded data; imports nothing of ours."""

@@ -1,0 +1,1 @@
+"""Named frozen values that join plants, sensors, filters, topology, rule, bus and seed."""

@@ -1,0 +1,1 @@
+"""Who can hear whom: graphs, weights and their analysis; imports nothing of ours."""
