@@ -1,0 +1,42 @@
+"""The command line: `concord run`, `concord list`, `concord agree`."""
+
+import os
+
+# Before anything imports numpy: results must not depend on how many threads share a sum.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import signal
+import sys
+from types import FrameType
+
+import tyro
+
+from experiments.agree_command import agree
+from experiments.list_command import list_all
+from experiments.run_command import run
+
+COMMANDS = {"run": run, "list": list_all, "agree": agree}
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run one command; exit code 2 for a mistake of the user, 1 for a failed run, 130 on Ctrl-C."""
+    # A polite end is an interruption: whatever cleans up after Ctrl-C cleans up then too.
+    signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        tyro.extras.subcommand_cli_from_dict(
+            COMMANDS,
+            prog="concord",
+            description="Distributed consensus sensor networks on a FlexRay bus.",
+            args=arguments,
+        )
+    except KeyboardInterrupt:
+        sys.stderr.write("interrupted\n")
+        sys.exit(130)
+
+
+def _interrupt(_signal: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+if __name__ == "__main__":
+    main()

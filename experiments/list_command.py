@@ -1,0 +1,51 @@
+"""`concord list`: what there is to choose from."""
+
+import sys
+from dataclasses import dataclass
+from typing import Annotated
+
+import msgspec
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from scenarios.build import schedule_names
+from scenarios.catalogue import kinds
+from scenarios.rules import RULE_SUMMARIES, hold_names
+from topology.graphs import graph_names
+from topology.weights import weight_names
+
+
+@dataclass(frozen=True)
+class ListOptions:
+    """How to show it."""
+
+    json: bool = False
+    """Print one JSON object instead of tables."""
+
+
+def list_all(options: Annotated[ListOptions, tyro.conf.arg(name="")]) -> None:
+    """List scenarios, graphs, weights, rules, schedules and hold policies."""
+    names = {
+        "graphs": list(graph_names()),
+        "weights": list(weight_names()),
+        "schedules": list(schedule_names()),
+        "holds": list(hold_names()),
+    }
+    if options.json:
+        scenarios = {name: kind.defaults for name, kind in kinds().items()}
+        everything = {"scenarios": scenarios, "rules": RULE_SUMMARIES, **names}
+        sys.stdout.write(msgspec.json.encode(everything).decode() + "\n")
+        return
+    console = Console()
+    scenarios = Table("scenario", "what it is", "nodes", "graph", "steps")
+    for name, kind in kinds().items():
+        d = kind.defaults
+        scenarios.add_row(name, kind.summary, str(d.nodes), d.graph, str(d.steps))
+    console.print(scenarios)
+    rules = Table("rule", "what it promises")
+    for name, summary in RULE_SUMMARIES.items():
+        rules.add_row(name, summary)
+    console.print(rules)
+    for what, values in names.items():
+        console.print(f"{what}: {', '.join(values)}", highlight=False, soft_wrap=True)

@@ -1,0 +1,72 @@
+"""What a user may say of a scenario on the command line, and the scenario that it means."""
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from scenarios.catalogue import kind_of
+from scenarios.scenario import Scenario
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScenarioOptions:
+    """Options left out take the scenario's own defaults (`concord list` shows them)."""
+
+    scenario: str = "target-tracking"
+    """Which scenario; `concord list` names them."""
+    nodes: int | None = None
+    """Number of sensor nodes."""
+    graph: str | None = None
+    """Who hears whom: ring, path, star, grid, complete, 4-regular, geometric, file:PATH, ..."""
+    weights: str | None = None
+    """Consensus weights: metropolis, maximum-degree, best-constant."""
+    rule: str | None = None
+    """Fusion rule."""
+    rounds: int | None = None
+    """Consensus iterations per step, one communication cycle each."""
+    steps: int | None = None
+    """Sampling instants to simulate."""
+    seed: int | None = None
+    """Seed of everything random."""
+    run: int | None = None
+    """Number of the run in a Monte Carlo under one seed."""
+    schedule: str | None = None
+    """Who may publish in a cycle."""
+    occupancy: float | None = None
+    """Share of the nodes that publish in a cycle, in (0, 1]."""
+    hold: str | None = None
+    """What becomes of a silent neighbour's last share."""
+    decay: float | None = None
+    """Weight factor of a held share per cycle of age, in [0, 1]."""
+    determinant_weights: bool | None = None
+    """Weigh beliefs by the size of their covariance too."""
+    number: str | None = None
+    """float64 or float32 on the wire."""
+    target: int | None = None
+    """The robot to be tracked (mrclam)."""
+    data: Path | None = None
+    """Folder of recorded data (mrclam)."""
+
+    def resolve(self) -> Scenario:
+        """The scenario that these options mean, nothing left open.
+
+        Raises:
+            ValueError: there is no such scenario, or its data cannot be read.
+        """
+        kind = kind_of(self.scenario)
+        asked: dict[str, Any] = {
+            f.name: getattr(self, f.name)
+            for f in fields(self)
+            if f.name != "scenario" and getattr(self, f.name) is not None
+        }
+        if "data" in asked:
+            asked["data"] = str(self.data)
+        # A part of the bus is a wish for a schedule that can give it.
+        if asked.get("occupancy", 1.0) < 1.0:
+            asked.setdefault("schedule", "round-robin")
+        scenario = msgspec.structs.replace(kind.defaults, **asked)
+        if kind.all_steps is not None and self.steps is None:
+            scenario = msgspec.structs.replace(scenario, steps=kind.all_steps(scenario))
+        return scenario

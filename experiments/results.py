@@ -1,0 +1,144 @@
+"""What a run leaves: its folder, with run.json, run.mcap and run.nc."""
+
+import platform
+import secrets
+import subprocess
+import time
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from experiments.metrics import nees
+from experiments.trace import Trace
+from scenarios.catalogue import kind_of
+from scenarios.setup import Setup
+
+RECORDING, ARRAYS, DESCRIPTION = "run.mcap", "run.nc", "run.json"
+_VERSIONED = ("concord", "numpy", "scipy", "networkx", "eclipse-zenoh", "msgspec")
+
+
+class Description(msgspec.Struct, frozen=True):
+    """What was run and with what: enough to run it again."""
+
+    run: str
+    driver: str
+    seed: int
+    setup: Setup
+    versions: dict[str, str]
+    commit: str | None
+
+
+def new_folder(out: Path | None, scenario: str) -> tuple[str, Path]:
+    """A unique name for a run and its folder, which is created.
+
+    Raises:
+        ValueError: `out` exists, or cannot be made.
+    """
+    # Local time to the second reads well in a listing; the suffix makes it unique.
+    run = f"{scenario}-{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(3)}"
+    folder = out if out is not None else Path("runs") / run
+    try:
+        folder.mkdir(parents=True)
+    except FileExistsError:
+        raise ValueError(
+            f"--out {folder}: the folder exists and a run is never written over; "
+            "choose another name or remove it"
+        ) from None
+    except OSError as error:
+        raise ValueError(
+            f"--out {folder}: cannot be made ({error.strerror}); choose another place"
+        ) from None
+    return run, folder
+
+
+def describe(run: str, driver: str, setup: Setup) -> Description:
+    """The description of a run by this version of the program."""
+    versions = {name: version(name) for name in _VERSIONED}
+    versions["python"] = platform.python_version()
+    return Description(run, driver, setup.scenario.seed, setup, versions, _commit())
+
+
+def _commit() -> str | None:
+    """The commit of the program's own checkout, or None for an installed one."""
+    root = Path(__file__).resolve().parent.parent
+    if not (root / ".git").exists():
+        return None
+    asked = subprocess.run(
+        ["git", "-C", str(root), "rev-parse", "HEAD"], capture_output=True, text=True, check=False
+    )
+    return asked.stdout.strip() or None
+
+
+def write_description(folder: Path, description: Description) -> None:
+    """Write run.json."""
+    text = msgspec.json.format(msgspec.json.encode(description), indent=2)
+    (folder / DESCRIPTION).write_bytes(text + b"\n")
+
+
+def read_description(folder: Path) -> Description:
+    """Read run.json.
+
+    Raises:
+        ValueError: there is none, or it is not one of ours.
+    """
+    path = folder / DESCRIPTION
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=Description)
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read ({error.strerror}); name a run folder") from None
+    except msgspec.MsgspecError as error:
+        raise ValueError(f"{path}: not the description of a run ({error})") from None
+
+
+def write_arrays(folder: Path, description: Description, trace: Trace) -> None:
+    """Write run.nc: the trace with named dimensions and units, errors and NEES beside it."""
+    # Loading xarray takes longer than many a run; only who writes a file pays for it.
+    import xarray
+
+    setup = description.setup
+    kind = kind_of(setup.scenario.name)
+    plant = kind.plant(setup.scenario)
+    names = list(plant.state_names)
+    truth = trace.truth[:, None, :]
+    state = ("step", "node", "state")
+    score = list(kind.score.nees_states)
+    errors = trace.mean - truth
+    variables: dict[str, Any] = {
+        "truth": (("step", "state"), trace.truth),
+        "mean": (state, trace.mean),
+        "cov": ((*state, "other_state"), trace.cov),
+        "error": (state, errors),
+        "nees": (
+            ("step", "node"),
+            nees(errors[..., score], trace.cov[..., score, :][..., score]),
+            {"states": [names[i] for i in score]},
+        ),
+        "disagreement": (state, trace.mean - trace.mean.mean(1, keepdims=True)),
+        "readings": (("step", "node", "reading", "channel"), trace.readings),
+        "published": (("step", "round", "node"), trace.published.astype(np.int8)),
+        "ages": (("step", "node", "neighbour"), trace.ages, {"units": "communication cycles"}),
+        "missed": (("node",), np.array([c.get("missed", 0) for c in trace.counters])),
+    }
+    if trace.control is not None:
+        variables["control"] = (("step", "input"), trace.control)
+    dataset = xarray.Dataset(
+        variables,
+        coords={
+            "step": np.arange(trace.steps),
+            "time": ("step", np.arange(trace.steps) * setup.time_step_s, {"units": "s"}),
+            "state": names,
+            "state_unit": ("state", list(plant.state_units)),
+        },
+        attrs={
+            "title": f"concord run {description.run}",
+            "scenario": msgspec.json.encode(setup.scenario).decode(),
+            "driver": description.driver,
+            "seed": setup.scenario.seed,
+            "versions": msgspec.json.encode(description.versions).decode(),
+            "commit": description.commit or "unknown",
+        },
+    )
+    dataset.to_netcdf(folder / ARRAYS, engine="h5netcdf")

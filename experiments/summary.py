@@ -1,0 +1,180 @@
+"""The figures of one run: a value for machines, a table for people."""
+
+import msgspec
+import numpy as np
+from rich.table import Table
+
+from experiments.baselines import centralised, local_only
+from experiments.metrics import anees, disagreement, rmse
+from experiments.trace import Trace
+from filters.gaussian import Gaussian
+from nodes.messages import Array
+from scenarios.catalogue import Score, kind_of
+from scenarios.setup import Setup
+
+
+class NodeFigures(msgspec.Struct, frozen=True):
+    """One node: its error in the network and alone, its consistency, and its traffic in frames."""
+
+    rmse: float
+    rmse_local_only: float
+    anees: float
+    sent: int
+    heard: int
+    missed: int
+    rejected: int
+
+
+class Figures(msgspec.Struct, frozen=True):
+    """What a run amounts to. RMSE, disagreement in `unit`, from step `first_step` on."""
+
+    scenario: str
+    unit: str
+    steps: int
+    first_step: int
+    rmse: float
+    rmse_local_only: float
+    rmse_centralised: float
+    worst_node_to_centralised: float
+    disagreement: float
+    anees: float
+    anees_centralised: float
+    near_s: float | None
+    rmse_near: list[float]
+    rmse_near_local_only: list[float]
+    rmse_near_centralised: float
+    shares_sent: int
+    shares_missed: int
+    nodes: list[NodeFigures]
+    steps_per_second: float | None = None
+    ready_s: float | None = None
+
+
+def summarise(setup: Setup, trace: Trace) -> Figures:
+    """The figures of a trace with at least one complete step."""
+    score = kind_of(setup.scenario.name).score
+    first = _first_scored(score, trace)
+    alone = local_only(setup, trace.readings, trace.control)
+    central = centralised(setup, trace.readings, trace.control)
+    network = Gaussian(trace.mean, trace.cov)
+    of_node = _errors(network.mean, trace.truth, score, first)
+    of_alone = _errors(alone.mean, trace.truth, score, first)
+    of_central = _errors(central.mean, trace.truth, score, first)
+    per_node, per_alone = rmse(of_node, (0,)), rmse(of_alone, (0,))
+    central_rmse = float(rmse(of_central, (0,)))
+    near = _near(score, trace, setup.time_step_s)[first:]
+    consistency = _consistency(network, trace.truth, score, first, (0,))
+    counters = trace.counters
+    return Figures(
+        scenario=setup.scenario.name,
+        unit=score.unit,
+        steps=trace.steps,
+        first_step=first,
+        rmse=float(rmse(of_node, (0, 1))),
+        rmse_local_only=float(rmse(of_alone, (0, 1))),
+        rmse_centralised=central_rmse,
+        worst_node_to_centralised=float(per_node.max() / central_rmse),
+        disagreement=disagreement(network.mean[first:][..., list(score.states)]),
+        anees=float(_consistency(network, trace.truth, score, first, (0, 1))),
+        anees_centralised=float(_consistency(central, trace.truth, score, first, (0,))),
+        near_s=score.near_s,
+        rmse_near=[float(x) for x in rmse(of_node[near], (0,))],
+        rmse_near_local_only=[float(x) for x in rmse(of_alone[near], (0,))],
+        rmse_near_centralised=float(rmse(of_central[near], (0,))),
+        shares_sent=sum(c.get("sent", 0) for c in counters),
+        shares_missed=sum(c.get("missed", 0) for c in counters),
+        nodes=[
+            NodeFigures(
+                rmse=float(per_node[i]),
+                rmse_local_only=float(per_alone[i]),
+                anees=float(consistency[i]),
+                sent=c.get("sent", 0),
+                heard=c.get("heard", 0),
+                missed=c.get("missed", 0),
+                rejected=sum(n for name, n in c.items() if name.startswith("rejected")),
+            )
+            for i, c in enumerate(counters)
+        ],
+    )
+
+
+def _first_scored(score: Score, trace: Trace) -> int:
+    """The step from which errors count: the scenario's, but not before the first reading."""
+    seen = ~np.isnan(trace.readings).all((1, 2, 3))
+    first_seen = int(np.argmax(seen)) if seen.any() else 0
+    return min(max(score.first_step, first_seen), trace.steps - 1)
+
+
+def _near(score: Score, trace: Trace, time_step_s: float) -> np.ndarray:
+    """Which steps (steps,) are at most `near_s` after a reading by any node."""
+    if score.near_s is None:
+        return np.ones(trace.steps, dtype=bool)
+    seen = ~np.isnan(trace.readings).all((1, 2, 3))
+    reach = round(score.near_s / time_step_s)
+    return np.convolve(seen, np.ones(reach + 1))[: trace.steps] > 0.5
+
+
+def _errors(mean: Array, truth: Array, score: Score, first: int) -> Array:
+    """Errors (steps, ..., m) of the scored states of mean (steps, ..., n)."""
+    states = list(score.states)
+    known = truth[first:][:, states]
+    return mean[first:][..., states] - known.reshape(len(known), *(1,) * (mean.ndim - 2), -1)
+
+
+def _consistency(
+    belief: Gaussian, truth: Array, score: Score, first: int, axes: tuple[int, ...]
+) -> Array:
+    states = list(score.nees_states)
+    errors = _errors(belief.mean, truth, score._replace(states=score.nees_states), first)
+    return anees(errors, belief.cov[first:][..., states, :][..., states], axes)
+
+
+def table(figures: Figures, title: str) -> Table:
+    """The figures as a table: one row per node, then the network, then what frames it."""
+    unit = figures.unit
+    grid = Table(title=title, title_justify="left")
+    for heading in ("node", f"RMSE [{unit}]", f"alone [{unit}]", "ANEES"):
+        grid.add_column(heading, justify="right")
+    for heading in ("sent", "heard", "missed", "rejected"):
+        grid.add_column(heading, justify="right")
+    for i, node in enumerate(figures.nodes):
+        traffic = (node.sent, node.heard, node.missed, node.rejected)
+        grid.add_row(
+            str(i), _short(node.rmse), _short(node.rmse_local_only), _short(node.anees),
+            *map(str, traffic),
+        )  # fmt: skip
+    grid.add_section()
+    grid.add_row(
+        "all", _short(figures.rmse), _short(figures.rmse_local_only), _short(figures.anees),
+        str(figures.shares_sent), "", str(figures.shares_missed), "",
+    )  # fmt: skip
+    grid.add_row(
+        "centralised", _short(figures.rmse_centralised), "", _short(figures.anees_centralised)
+    )
+    return grid
+
+
+def lines(figures: Figures) -> list[str]:
+    """What the table has no column for."""
+    ratio, unit = figures.rmse / figures.rmse_centralised, figures.unit
+    text = [
+        f"network {ratio:.2f} x centralised, worst node {figures.worst_node_to_centralised:.2f} x; "
+        f"disagreement {_short(figures.disagreement)} {unit}; "
+        f"scored from step {figures.first_step} of {figures.steps}"
+    ]
+    if figures.near_s is not None:
+        central = figures.rmse_near_centralised
+        text.append(
+            f"within {figures.near_s:g} s after a reading: nodes "
+            f"{', '.join(map(_short, figures.rmse_near))} {unit}, centralised {_short(central)}, "
+            f"worst node {max(figures.rmse_near) / central:.2f} x"
+        )
+    if figures.ready_s is not None:
+        text.append(f"ready after {figures.ready_s:.2f} s")
+    if figures.steps_per_second is not None:
+        text.append(f"{figures.steps_per_second:.1f} steps per second")
+    return text
+
+
+def _short(value: float) -> str:
+    return "-" if np.isnan(value) else f"{value:.4g}"

@@ -1,0 +1,102 @@
+"""A run as arrays: what its recording says, step by step."""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from filters.linalg import unpack_upper
+from nodes.messages import Array, Estimate, Measured, Truth, decode, from_wire
+from nodes.share import read_frame
+from scenarios.setup import Setup
+
+
+class Trace(NamedTuple):
+    """What happened in a run of N nodes, cut to the `steps` that every node completed.
+
+    Attributes:
+        truth: (steps, n), NaN where nobody knows it. readings: (steps, N, r, d), NaN where a node
+        took none. control: (steps, p) that drove the plant into a step, or None for a plant that is
+        not driven. mean, cov: estimates (steps, N, n) and (steps, N, n, n). ages: cycles since what
+        i holds of j was sent: (steps, N, N), -1 never, 0 for itself. published: (steps, rounds, N),
+        which node sent in which communication cycle. counters: per node, totals at its last
+        estimate.
+    """
+
+    truth: Array
+    readings: Array
+    control: Array | None
+    mean: Array
+    cov: Array
+    ages: np.ndarray
+    published: np.ndarray
+    counters: list[dict[str, int]]
+
+    @property
+    def steps(self) -> int:
+        """Number of complete steps."""
+        return len(self.truth)
+
+
+def read_trace(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> Trace:
+    """The trace of recorded (topic, bytes); the order of messages does not matter."""
+    nodes, rounds = setup.scenario.nodes, setup.scenario.rounds
+    truths: dict[int, Truth] = {}
+    measured: dict[tuple[int, int], Measured] = {}
+    estimates: dict[tuple[int, int], Estimate] = {}
+    sent: list[tuple[int, int]] = []
+    for topic, data in messages:
+        kind, _, node = topic.partition("/")
+        if kind == "share":
+            sent.append((read_frame(data, rounds).cycle, int(node)))
+            continue
+        match decode(topic, data):
+            case Truth() as message:
+                truths[message.step] = message
+            case Measured() as message:
+                measured[message.step, message.node] = message
+            case Estimate() as message:
+                estimates[message.step, message.node] = message
+    steps = 0
+    while all((steps, node) in estimates for node in range(nodes)):
+        steps += 1
+    return _assemble(setup, steps, truths, measured, estimates, sent)
+
+
+def _assemble(
+    setup: Setup,
+    steps: int,
+    truths: dict[int, Truth],
+    measured: dict[tuple[int, int], Measured],
+    estimates: dict[tuple[int, int], Estimate],
+    sent: list[tuple[int, int]],
+) -> Trace:
+    nodes, rounds, n = setup.scenario.nodes, setup.scenario.rounds, len(setup.prior_mean)
+    rows = [[estimates[k, i] for i in range(nodes)] for k in range(steps)]
+    mean = np.array([[from_wire(e.mean) for e in row] for row in rows]).reshape(steps, nodes, n)
+    packed = np.array([[from_wire(e.cov) for e in row] for row in rows])
+    published = np.zeros((steps * rounds, nodes), dtype=bool)
+    for cycle, node in sent:
+        if cycle < len(published):
+            published[cycle, node] = True
+    ages = np.full((steps, nodes, nodes), -1)
+    for i, heard in enumerate(setup.neighbours):
+        ages[:, i, i] = 0
+        ages[:, i, heard] = [row[i].ages for row in rows]
+    controls = [measured[k, 0].control for k in range(steps)]
+    control = None
+    if any(u is not None for u in controls):
+        size = max(len(u) for u in controls if u is not None)
+        control = np.array([np.full(size, np.nan) if u is None else u for u in controls])
+    return Trace(
+        truth=np.array([from_wire(truths[k].state) for k in range(steps)]).reshape(steps, -1),
+        readings=np.array(
+            [[from_wire(measured[k, i].readings) for i in range(nodes)] for k in range(steps)]
+        ),
+        control=control,
+        mean=mean,
+        cov=unpack_upper(packed.reshape(steps, nodes, n * (n + 1) // 2)),
+        ages=ages,
+        published=published.reshape(steps, rounds, nodes),
+        counters=[rows[-1][i].counters if rows else {} for i in range(nodes)],
+    )

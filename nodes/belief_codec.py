@@ -1,0 +1,46 @@
+"""A Gaussian as bytes: the mean, then the upper triangle of the covariance row by row."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from filters.gaussian import Gaussian
+from filters.linalg import pack_upper, unpack_upper
+from nodes.estimator import Rejected
+
+
+class BeliefCodec(NamedTuple):
+    """How a belief of `states` dimensions is written; `number` is "<f8" or "<f4"."""
+
+    states: int
+    number: str = "<f8"
+
+    @property
+    def size(self) -> int:
+        """Length in bytes of an encoded belief."""
+        n = self.states
+        return (n + n * (n + 1) // 2) * np.dtype(self.number).itemsize
+
+    def encode(self, belief: Gaussian) -> bytes:
+        """The bytes of mean (n,) and cov (n, n)."""
+        packed = np.concatenate((belief.mean, pack_upper(belief.cov)))
+        return packed.astype(self.number, copy=False).tobytes()
+
+    def decode(self, body: bytes) -> Gaussian:
+        """The belief that `encode` wrote.
+
+        Raises:
+            Rejected: `belief-length`, `belief-not-finite`, or `belief-not-positive-definite`.
+        """
+        # A static slot may pad the body; anything shorter is not a belief of this network.
+        if len(body) < self.size:
+            raise Rejected("belief-length")
+        values = np.frombuffer(body[: self.size], dtype=self.number).astype(np.float64)
+        if not np.isfinite(values).all():
+            raise Rejected("belief-not-finite")
+        cov = unpack_upper(values[self.states :])
+        try:
+            np.linalg.cholesky(cov)
+        except np.linalg.LinAlgError:
+            raise Rejected("belief-not-positive-definite") from None
+        return Gaussian(values[: self.states], cov)

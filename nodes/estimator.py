@@ -1,0 +1,72 @@
+"""What a node computes, apart from when: the face that every fusion rule shows the state machine.
+
+`nodes/state_machine.py` decides when a step begins, who is waited for and when a round is over; an
+`Estimator` decides what is shared and what becomes of what was heard. Its `Content` is a value that
+only the estimator reads.
+"""
+
+from typing import Any, Protocol
+
+from filters.gaussian import Gaussian
+from nodes.messages import Array, Measured
+
+Content = Any
+Share = Any
+
+
+class Rejected(Exception):
+    """A peer's share that cannot be used; `reason` is a short word that is counted."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason)
+        self.reason = reason
+
+
+class Estimator(Protocol):
+    """A fusion rule at one node."""
+
+    @property
+    def share_bytes(self) -> int:
+        """Length of what `compose` returns: fixed, so that a bus can reserve slots for it."""
+        ...
+
+    def start(self) -> Content:
+        """The content before the first step."""
+        ...
+
+    def begin_step(self, content: Content, measured: Measured) -> tuple[Content, tuple[str, ...]]:
+        """Carry everything to this step and take the node's own readings.
+
+        Returns the content and the names of what went wrong, to be counted.
+        """
+        ...
+
+    def bid(self, content: Content) -> int | None:
+        """How urgent a dynamic slot is (None: nothing to send)."""
+        ...
+
+    def compose(self, content: Content) -> tuple[Content, bytes]:
+        """What to share now."""
+        ...
+
+    def accept(self, body: bytes) -> Share:
+        """The share that these bytes mean.
+
+        Raises:
+            Rejected: bytes that no sound peer would send.
+        """
+        ...
+
+    def fuse(
+        self, content: Content, shares: tuple[Share | None, ...]
+    ) -> tuple[Content, tuple[str, ...]]:
+        """End a round: one entry per neighbour in ascending order, None where nothing came."""
+        ...
+
+    def belief(self, content: Content) -> Gaussian:
+        """The node's belief now: mean (n,), cov (n, n)."""
+        ...
+
+    def ages(self, content: Content) -> Array:
+        """Communication cycles since the last share of each neighbour was sent; -1 is never."""
+        ...

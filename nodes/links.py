@@ -1,0 +1,92 @@
+"""Who connects to whom: the zenoh links of one run on one machine, as data."""
+
+import socket
+from collections.abc import Sequence
+from typing import NamedTuple
+
+WORLD, RECORDER, ROUTER = "world", "recorder", "router"
+LOOPBACK = "127.0.0.1"
+# Beyond this many neighbours on average a router moves the same messages with fewer sockets.
+MESH_DEGREE_LIMIT = 8
+
+
+class Links(NamedTuple):
+    """How one process joins: zenoh mode and endpoints such as tcp/127.0.0.1:7447."""
+
+    mode: str
+    listen: tuple[str, ...]
+    connect: tuple[str, ...]
+
+
+def wants_router(neighbours: Sequence[Sequence[int]]) -> bool:
+    """Whether the graph is too dense for one link per edge."""
+    return sum(map(len, neighbours)) > MESH_DEGREE_LIMIT * len(neighbours)
+
+
+def names(neighbours: Sequence[Sequence[int]]) -> list[str]:
+    """The processes that listen, in the order in which they are given ports."""
+    if wants_router(neighbours):
+        return [ROUTER]
+    return [WORLD, RECORDER, *(str(node) for node in range(len(neighbours)))]
+
+
+def plan_links(neighbours: Sequence[Sequence[int]], ports: dict[str, int]) -> dict[str, Links]:
+    """The links of every process of a run, by name.
+
+    Mesh: one link per edge, opened by the higher index; every node links to world and recorder.
+    Router: everybody is its client.
+    """
+    at = {name: f"tcp/{LOOPBACK}:{port}" for name, port in ports.items()}
+    everyone = [WORLD, RECORDER, *(str(node) for node in range(len(neighbours)))]
+    if ROUTER in ports:
+        return {name: Links("client", (), (at[ROUTER],)) for name in everyone}
+    links = {
+        RECORDER: Links("peer", (at[RECORDER],), ()),
+        WORLD: Links("peer", (at[WORLD],), (at[RECORDER],)),
+    }
+    for node, heard in enumerate(neighbours):
+        lower = tuple(at[str(j)] for j in heard if j < node)
+        connect = (at[WORLD], at[RECORDER], *lower)
+        links[str(node)] = Links("peer", (at[str(node)],), connect)
+    return links
+
+
+def free_ports(names: Sequence[str]) -> dict[str, int]:
+    """A free loopback port for each name.
+
+    Somebody else may take one before we listen on it; whoever starts the processes tries again
+    then.
+    """
+    sockets = [socket.socket(socket.AF_INET, socket.SOCK_STREAM) for _ in names]
+    try:
+        for one in sockets:
+            one.bind((LOOPBACK, 0))
+        return {name: one.getsockname()[1] for name, one in zip(names, sockets, strict=True)}
+    finally:
+        for one in sockets:
+            one.close()
+
+
+def ports_from(first: int, names: Sequence[str]) -> dict[str, int]:
+    """Consecutive ports beginning with the user's choice.
+
+    Raises:
+        ValueError: a port is out of range or in use.
+    """
+    last = first + len(names) - 1
+    if first < 1024 or last > 65535:
+        raise ValueError(
+            f"--port {first}: the run needs ports {first} to {last}, which must lie in "
+            "1024..65535; choose another first port or leave --port out"
+        )
+    for port in range(first, last + 1):
+        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((LOOPBACK, port))
+            except OSError as error:
+                raise ValueError(
+                    f"--port {first}: port {port} is in use ({error.strerror}); choose another "
+                    "first port, or leave --port out to have free ones chosen"
+                ) from None
+    return dict(zip(names, range(first, last + 1), strict=True))

@@ -1,0 +1,166 @@
+"""The closed vocabulary of the network: what world and nodes say to each other, and its bytes.
+
+A share is not in this list of encodings: it travels as the bytes of FlexRay frames
+(`nodes/share.py`). Everything else is JSON, which anyone can read in a recording and which carries
+a float64 without loss (shortest representation that reads back to the same bits); a missing value
+is `null`.
+"""
+
+import math
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Measured(msgspec.Struct, frozen=True):
+    """World to node: the heartbeat that opens a step, with what the node's sensors delivered.
+
+    `readings` has shape (readings, d); `control` (p,) is what drove the plant into this step.
+    """
+
+    node: int
+    step: int
+    readings: list[list[float | None]]
+    control: list[float] | None = None
+
+
+class ShareSent(msgspec.Struct, frozen=True):
+    """Node to its neighbours: one FlexRay frame on the bus in communication cycle `cycle`."""
+
+    node: int
+    cycle: int
+    frame: bytes
+
+
+class Bid(msgspec.Struct, frozen=True):
+    """Contender to world: how urgent a slot in the dynamic segment is; None asks for no slot.
+
+    `payload_bytes` has one entry for each frame that the share takes.
+    """
+
+    node: int
+    cycle: int
+    bid: int | None
+    payload_bytes: list[int]
+
+
+class Grant(msgspec.Struct, frozen=True):
+    """World to all: who may send in the dynamic segment of this cycle, in bus order."""
+
+    cycle: int
+    winners: list[int]
+
+
+class Truth(msgspec.Struct, frozen=True):
+    """World to whoever records: the plant's state (n,) at a step, null where nobody knows it."""
+
+    step: int
+    state: list[float | None]
+
+
+class Estimate(msgspec.Struct, frozen=True):
+    """Node to world: its belief after the last round of a step, and what it was made of.
+
+    `mean` (n,), `cov` the upper triangle row by row; `ages` per neighbour in communication cycles
+    (-1: never heard); `counters` are totals since the start.
+    """
+
+    node: int
+    step: int
+    mean: list[float | None]
+    cov: list[float | None]
+    ages: list[int]
+    counters: dict[str, int]
+
+
+class CycleClosed(msgspec.Struct, frozen=True):
+    """Driver to node: the time of this communication cycle is over; go on with what has come."""
+
+    cycle: int
+
+
+class ShareHeard(msgspec.Struct, frozen=True):
+    """Driver to node: a frame arrived on the channel of `sender`."""
+
+    sender: int
+    frame: bytes
+
+
+NodeEvent = Measured | ShareHeard | Grant | CycleClosed
+NodeMessage = ShareSent | Bid | Estimate
+WorldEvent = Bid | Estimate
+WorldMessage = Measured | Grant | Truth
+Message = NodeMessage | WorldMessage
+
+_TYPES: dict[str, type] = {
+    "measured": Measured,
+    "bid": Bid,
+    "grant": Grant,
+    "truth": Truth,
+    "estimate": Estimate,
+}
+_encoder = msgspec.json.Encoder()
+_decoders = {topic: msgspec.json.Decoder(type_) for topic, type_ in _TYPES.items()}
+
+
+def message_types() -> dict[str, type]:
+    """The first part of each topic that carries JSON, and the type of its messages."""
+    return dict(_TYPES)
+
+
+class MalformedMessage(ValueError):
+    """Bytes on a topic that are not a message of that topic."""
+
+
+def topic(message: Message) -> str:
+    """Where a message travels: `share/3`, `grant`, ... (the key below `concord/<run>/`)."""
+    match message:
+        case Grant():
+            return "grant"
+        case Truth():
+            return "truth"
+        case Measured():
+            return f"measured/{message.node}"
+        case ShareSent():
+            return f"share/{message.node}"
+        case Bid():
+            return f"bid/{message.node}"
+        case Estimate():
+            return f"estimate/{message.node}"
+
+
+def encode(message: Message) -> bytes:
+    """The bytes of a message as it travels."""
+    return message.frame if isinstance(message, ShareSent) else _encoder.encode(message)
+
+
+def decode(topic_name: str, data: bytes) -> Any:
+    """The message that `data` on `topic_name` (not a share) means.
+
+    Raises:
+        MalformedMessage: unknown topic, or bytes that do not fit it.
+    """
+    kind = topic_name.partition("/")[0]
+    decoder = _decoders.get(kind)
+    if decoder is None:
+        raise MalformedMessage(f"no message travels on topic {topic_name!r}")
+    try:
+        return decoder.decode(data)
+    except msgspec.MsgspecError as error:
+        raise MalformedMessage(f"topic {topic_name!r} carried {data[:60]!r}: {error}") from None
+
+
+def to_wire(values: Array) -> list[Any]:
+    """Nested lists of floats with None for NaN, as JSON has no NaN."""
+    if values.ndim > 1:
+        return [to_wire(row) for row in values]
+    return [None if math.isnan(value) else value for value in values.tolist()]
+
+
+def from_wire(values: list[Any]) -> Array:
+    """The array that `to_wire` wrote; None becomes NaN."""
+    return np.array(values, dtype=np.float64)

@@ -1,0 +1,150 @@
+"""The log of a run: every message as it travelled, in memory or in an MCAP file.
+
+A file is written message by message, without chunks, so that it can be read up to the last message
+after a crash. Times are the plant's, not the clock's.
+"""
+
+import os
+import struct
+from collections.abc import Iterator
+from io import BufferedReader, BytesIO
+from pathlib import Path
+from typing import Protocol
+
+import msgspec
+from mcap.exceptions import EndOfFile, McapError
+from mcap.records import Channel
+from mcap.records import Message as McapMessage
+from mcap.stream_reader import StreamReader
+from mcap.writer import Writer
+
+from nodes.messages import message_types
+from nodes.share import step_of
+
+_MAGIC_BYTES = 8
+_RECORD_HEADER = struct.Struct("<BQ")
+
+
+class Recorder(Protocol):
+    """Keeps messages as they travelled; closes what it opened."""
+
+    def record(self, topic: str, data: bytes) -> None:
+        """Keep one message."""
+        ...
+
+    def close(self) -> None:
+        """Nothing more will come."""
+        ...
+
+
+class MemoryRecorder:
+    """Keeps messages in a list of (topic, bytes)."""
+
+    def __init__(self) -> None:
+        self.messages: list[tuple[str, bytes]] = []
+
+    def record(self, topic: str, data: bytes) -> None:
+        """Keep one message."""
+        self.messages.append((topic, data))
+
+    def close(self) -> None:
+        """Nothing to do: memory needs no end."""
+
+
+class _Stamp(msgspec.Struct):
+    """The part of any JSON message that says when it was."""
+
+    step: int | None = None
+    cycle: int | None = None
+
+
+_stamp = msgspec.json.Decoder(_Stamp)
+
+
+class McapRecorder:
+    """Keeps messages in an MCAP file; Foxglove opens it."""
+
+    def __init__(self, path: Path, rounds: int, time_step_s: float) -> None:
+        self._rounds = rounds
+        self._step_ns = round(time_step_s * 1e9)
+        self._file = path.open("wb")
+        self._writer = Writer(self._file, use_chunking=False)
+        self._writer.start(profile="", library="concord")
+        self._schemas = {
+            topic: self._writer.register_schema(
+                name=type_.__name__,
+                encoding="jsonschema",
+                data=msgspec.json.encode(msgspec.json.schema(type_)),
+            )
+            for topic, type_ in message_types().items()
+        }
+        self._channels: dict[str, int] = {}
+        self._sequence = 0
+
+    def record(self, topic: str, data: bytes) -> None:
+        """Keep one message."""
+        channel = self._channels.get(topic)
+        if channel is None:
+            channel = self._channels[topic] = self._register(topic)
+        time_ns = self._time_ns(topic, data)
+        self._writer.add_message(channel, time_ns, data, time_ns, self._sequence)
+        # What was recorded survives the death of this process.
+        self._file.flush()
+        self._sequence += 1
+
+    def _register(self, topic: str) -> int:
+        schema = self._schemas.get(topic.partition("/")[0], 0)
+        encoding = "json" if schema else "flexray"
+        return self._writer.register_channel(topic, encoding, schema)
+
+    def _time_ns(self, topic: str, data: bytes) -> int:
+        if topic.startswith("share/"):
+            return step_of(data) * self._step_ns
+        stamp = _stamp.decode(data)
+        step = stamp.step if stamp.step is not None else (stamp.cycle or 0) // self._rounds
+        return step * self._step_ns
+
+    def close(self) -> None:
+        """Write the index and close the file."""
+        self._writer.finish()
+        self._file.close()
+
+
+def read_recording(path: Path) -> Iterator[tuple[str, bytes]]:
+    """The (topic, bytes) of a recording in file order; a torn last record is left out.
+
+    Raises:
+        ValueError: the file is not an MCAP recording.
+    """
+    with path.open("rb") as file:
+        whole = BytesIO(file.read(_whole_bytes(file)))
+    topics: dict[int, str] = {}
+    try:
+        for record in StreamReader(whole).records:
+            if isinstance(record, Channel):
+                topics[record.id] = record.topic
+            elif isinstance(record, McapMessage):
+                yield topics[record.channel_id], record.data
+    except EndOfFile:
+        # The writer died before its closing words; everything before them has been read.
+        pass
+    except McapError as error:
+        raise ValueError(f"{path}: not a recording of concord ({error})") from None
+
+
+def _whole_bytes(file: BufferedReader) -> int:
+    """Length of the file up to its last whole record; the file is left at its beginning.
+
+    Source: MCAP format specification, records: opcode (1 byte), length (8 bytes), content.
+    """
+    size = file.seek(0, os.SEEK_END)
+    end = _MAGIC_BYTES
+    while end + _RECORD_HEADER.size <= size:
+        file.seek(end)
+        _, length = _RECORD_HEADER.unpack(file.read(_RECORD_HEADER.size))
+        if end + _RECORD_HEADER.size + length > size:
+            break
+        end += _RECORD_HEADER.size + length
+    file.seek(0)
+    # A file that was closed in order ends with the magic again, which is no record.
+    return size if size - end == _MAGIC_BYTES else end

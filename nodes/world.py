@@ -1,0 +1,203 @@
+"""The world as a pure state machine: the plant moves, its sensors read, the bus arbiter grants.
+
+The world sends each node its readings (the heartbeat of a step) and hears every node's estimate. It
+runs at most `lead` steps ahead of the slowest estimate: 1 where a controller closes the loop
+through the estimates, more where nothing flows back and the network need not wait for the round
+trip.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
+
+from bus.schedule import Schedule
+from nodes.messages import (
+    Array,
+    Bid,
+    Estimate,
+    Grant,
+    Measured,
+    Truth,
+    WorldEvent,
+    WorldMessage,
+    from_wire,
+    to_wire,
+)
+
+
+class Draws(Protocol):
+    """The randomness of one run: process (steps, q), measurement (steps, nodes, readings, d)."""
+
+    @property
+    def process(self) -> Array: ...
+
+    @property
+    def measurement(self) -> Array: ...
+
+
+class Plant(Protocol):
+    """The truth and what its sensors deliver."""
+
+    def advance(self, state: Array, control: Array | None, noise: Array, step: int) -> Array:
+        """The state (..., n) at `step + 1` from the state at `step`."""
+        ...
+
+    def observe(self, state: Array, noise: Array, step: int) -> Array:
+        """What the sensors deliver (..., nodes, readings, d); NaN where a node sees nothing."""
+        ...
+
+
+class Controller(NamedTuple):
+    """What drives the plant: `law(state (n,), memory, step) -> (control (p,), memory)`.
+
+    `node` is whose estimate it believes; None lets it see the true state.
+    """
+
+    law: Callable[[Array, Any, int], tuple[Array, Any]]
+    memory: Any
+    node: int | None
+
+
+Arbitrate = Callable[[Any, int, tuple[Bid, ...]], tuple[Any, tuple[int, ...]]]
+
+
+@dataclass(frozen=True)
+class WorldConfig:
+    """Everything the world knows before the start.
+
+    `arbitrate(state, cycle, bids) -> (state, winners)` serves the dynamic segment.
+    """
+
+    plant: Plant
+    initial_state: Array
+    draws: Draws
+    nodes: int
+    steps: int
+    rounds: int
+    lead: int
+    schedule: Schedule
+    arbitrate: Arbitrate
+    arbiter_state: Any
+    controller: Controller | None
+
+
+class WorldState(NamedTuple):
+    """The world between two events; `released` steps have been sent, `completed` estimated."""
+
+    released: int
+    completed: int
+    truth: Array
+    memory: Any
+    control: Array | None
+    estimates: dict[int, dict[int, Estimate]]
+    next_cycle: int
+    bids: dict[int, dict[int, Bid]]
+    arbiter: Any
+
+
+def begin(config: WorldConfig) -> tuple[WorldState, list[WorldMessage]]:
+    """The state after the first heartbeats, and those."""
+    memory = config.controller.memory if config.controller else None
+    state = WorldState(0, 0, config.initial_state, memory, None, {}, 0, {}, config.arbiter_state)
+    outbox: list[WorldMessage] = []
+    return _release(config, _skip_quiet_cycles(config, state), outbox), outbox
+
+
+def step(
+    config: WorldConfig, state: WorldState, event: WorldEvent
+) -> tuple[WorldState, list[WorldMessage]]:
+    """Take one event; returns the next state and what to send, in order."""
+    outbox: list[WorldMessage] = []
+    match event:
+        case Estimate():
+            heard = {**state.estimates.get(event.step, {}), event.node: event}
+            state = state._replace(estimates={**state.estimates, event.step: heard})
+            state = _complete(config, state, outbox)
+        case Bid():
+            asked = {**state.bids.get(event.cycle, {}), event.node: event}
+            state = state._replace(bids={**state.bids, event.cycle: asked})
+            state = _grant(config, state, outbox)
+    return state, outbox
+
+
+def finished(config: WorldConfig, state: WorldState) -> bool:
+    """Every node has estimated every step."""
+    return state.completed == config.steps
+
+
+def awaits_bids(config: WorldConfig, state: WorldState) -> bool:
+    """The network cannot go on before the contenders of the next contended cycle have bid.
+
+    Otherwise the world waits for estimates alone.
+    """
+    return state.next_cycle < state.released * config.rounds
+
+
+def _complete(config: WorldConfig, state: WorldState, outbox: list[WorldMessage]) -> WorldState:
+    while len(state.estimates.get(state.completed, ())) == config.nodes:
+        estimates = dict(state.estimates)
+        done = estimates.pop(state.completed)
+        state = state._replace(completed=state.completed + 1, estimates=estimates)
+        state = _release(config, state, outbox, done)
+    return state
+
+
+def _release(
+    config: WorldConfig,
+    state: WorldState,
+    outbox: list[WorldMessage],
+    estimates: dict[int, Estimate] | None = None,
+) -> WorldState:
+    """Move the plant on and send heartbeats, as far as the lead over the estimates allows."""
+    while state.released < min(config.steps, state.completed + config.lead):
+        if state.released > 0:
+            state = _advance(config, state, estimates)
+        number = state.released
+        outbox.append(Truth(number, to_wire(state.truth)))
+        delivered = config.plant.observe(state.truth, config.draws.measurement[number], number)
+        control = None if state.control is None else state.control.tolist()
+        outbox.extend(
+            Measured(node, number, to_wire(readings), control)
+            for node, readings in enumerate(delivered)
+        )
+        state = state._replace(released=number + 1)
+    return state
+
+
+def _advance(
+    config: WorldConfig, state: WorldState, estimates: dict[int, Estimate] | None
+) -> WorldState:
+    last = state.released - 1
+    if config.controller is not None:
+        law, _, node = config.controller
+        seen = state.truth
+        if node is not None:
+            assert estimates is not None, "a loop through the estimates needs lead = 1"
+            seen = from_wire(estimates[node].mean)
+        control, memory = law(seen, state.memory, last)
+        state = state._replace(control=control, memory=memory)
+    noise = config.draws.process[last]
+    return state._replace(truth=config.plant.advance(state.truth, state.control, noise, last))
+
+
+def _skip_quiet_cycles(config: WorldConfig, state: WorldState) -> WorldState:
+    """The next cycle in which somebody may contend."""
+    cycle = state.next_cycle
+    while cycle < config.steps * config.rounds and not config.schedule.contenders(cycle):
+        cycle += 1
+    return state._replace(next_cycle=cycle)
+
+
+def _grant(config: WorldConfig, state: WorldState, outbox: list[WorldMessage]) -> WorldState:
+    cycle = state.next_cycle
+    bids = state.bids.get(cycle, {})
+    contenders = config.schedule.contenders(cycle)
+    if not contenders or any(node not in bids for node in contenders):
+        return state
+    # In node order: who asked first on the wire must not matter.
+    requests = tuple(bids[node] for node in sorted(contenders))
+    arbiter, winners = config.arbitrate(state.arbiter, cycle, requests)
+    outbox.append(Grant(cycle, list(winners)))
+    rest = {c: asked for c, asked in state.bids.items() if c != cycle}
+    state = state._replace(arbiter=arbiter, bids=rest, next_cycle=cycle + 1)
+    return _skip_quiet_cycles(config, state)

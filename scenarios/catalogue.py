@@ -1,0 +1,99 @@
+"""The scenarios by name, each as the functions that make its parts."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from nodes.belief_consensus import Model, Sensor
+from scenarios.scenario import Scenario
+from topology.names import unknown_name
+
+Array = NDArray[np.float64]
+
+
+class ScenarioPlant(Protocol):
+    """A plant as a scenario needs it; see `nodes.world.Plant` for what the world needs."""
+
+    @property
+    def time_step_s(self) -> float: ...
+
+    @property
+    def state_names(self) -> tuple[str, ...]: ...
+
+    @property
+    def state_units(self) -> tuple[str, ...]: ...
+
+    def draw(self, generator_for: Callable[[str, int], np.random.Generator], steps: int) -> Any: ...
+
+    def initial(self, noise: Array) -> tuple[Array, Array, Array]: ...
+
+    def advance(self, state: Array, control: Array | None, noise: Array, step: int) -> Array: ...
+
+    def observe(self, state: Array, noise: Array, step: int) -> Array: ...
+
+    def positions(self, step: int) -> Array | None: ...
+
+
+class Score(NamedTuple):
+    """What errors are measured on: `states` for RMSE (in `unit`), `nees_states` for consistency.
+
+    Scored from `first_step` on, but not before anybody has seen anything; where `near_s` is given,
+    also for the steps at most that long after a reading by any node.
+    """
+
+    states: tuple[int, ...]
+    unit: str
+    nees_states: tuple[int, ...]
+    first_step: int
+    near_s: float | None = None
+
+
+class Kind(NamedTuple):
+    """One named scenario.
+
+    Attributes:
+        summary: one line for `concord list`.
+        defaults: the scenario when nothing is asked for.
+        check: raises ValueError for what this scenario cannot be.
+        plant, model: of a scenario.
+        sensor: of a scenario and a node; None for a blind node.
+        score: how its errors are measured.
+        radio_range_m: reach of a node in the geometric graph, for plants that have positions.
+        all_steps: how many steps recorded data hold; None where any number will do.
+    """
+
+    summary: str
+    defaults: Scenario
+    check: Callable[[Scenario], None]
+    plant: Callable[[Scenario], ScenarioPlant]
+    model: Callable[[Scenario], Model]
+    sensor: Callable[[Scenario, int], Sensor | None]
+    score: Score
+    radio_range_m: float | None = None
+    all_steps: Callable[[Scenario], int] | None = None
+
+
+def kinds() -> dict[str, Kind]:
+    """All scenarios by name."""
+    from scenarios import mrclam, oscillator, target_tracking
+
+    return {
+        "target-tracking": target_tracking.TURNING,
+        "target-crossing": target_tracking.CROSSING,
+        "oscillator": oscillator.KIND,
+        "mrclam": mrclam.KIND,
+    }
+
+
+def kind_of(name: str) -> Kind:
+    """The scenario of that name.
+
+    Raises:
+        ValueError: there is none.
+    """
+    known = kinds()
+    if name not in known:
+        raise unknown_name("scenario", name, known)
+    return known[name]

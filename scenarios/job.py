@@ -1,0 +1,24 @@
+"""What a launcher and the zygote say to each other, one JSON object a line."""
+
+import msgspec
+
+from scenarios.setup import Setup
+
+
+class Job(msgspec.Struct, frozen=True):
+    """What the launcher asks for; `port` is the first of the user's choice, None for free ones."""
+
+    setup: Setup
+    run: str
+    recording: str
+    port: int | None
+
+
+class Happened(msgspec.Struct, frozen=True, omit_defaults=True):
+    """What the launcher is told: started, ready, step, done, refused or failed."""
+
+    what: str
+    step: int = 0
+    seconds: float = 0.0
+    pids: dict[str, int] = {}
+    detail: str = ""

@@ -1,0 +1,76 @@
+"""A scenario: everything that decides the numbers of a run, as one frozen value."""
+
+import msgspec
+
+from topology.names import unknown_name
+
+MAX_ROUNDS = 63
+
+
+class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What is simulated. Equal scenarios give equal numbers in every driver.
+
+    Attributes:
+        name: which plant, sensors and models (`concord list`).
+        nodes: how many sensor nodes.
+        graph: who hears whom, e.g. ring, geometric, 4-regular, file:edges.txt.
+        weights: consensus weights on that graph, e.g. metropolis.
+        rule: how beliefs are fused, e.g. ci, wac.
+        rounds: consensus iterations per step, one communication cycle each.
+        steps: sampling instants of the plant.
+        seed: of everything random; `run` numbers the runs of a Monte Carlo under one seed.
+        schedule: who may publish in a cycle, e.g. full, round-robin.
+        occupancy: share of the nodes that publish in a cycle, in (0, 1].
+        hold: what becomes of the last share of a silent neighbour, e.g. decayed.
+        decay: weight factor of a held share per cycle of age, in [0, 1].
+        determinant_weights: weigh beliefs by the size of their covariance too.
+        number: float64 or float32 on the wire.
+        target: the robot that is tracked (mrclam).
+        data: folder of recorded data (mrclam).
+    """
+
+    name: str
+    nodes: int
+    graph: str
+    weights: str = "metropolis"
+    rule: str = "ci"
+    rounds: int = 3
+    steps: int
+    seed: int = 1
+    run: int = 0
+    schedule: str = "full"
+    occupancy: float = 1.0
+    hold: str = "decayed"
+    decay: float = 0.5
+    determinant_weights: bool = True
+    number: str = "float64"
+    target: int | None = None
+    data: str | None = None
+
+
+def check_ranges(scenario: Scenario) -> None:
+    """Refuse values that no scenario can have.
+
+    Raises:
+        ValueError: naming the field, its value, the rule and the cure.
+    """
+    require(scenario.nodes >= 1, "nodes", scenario.nodes, "at least 1")
+    require(scenario.steps >= 1, "steps", scenario.steps, "at least 1")
+    require(
+        1 <= scenario.rounds <= MAX_ROUNDS,
+        "rounds",
+        scenario.rounds,
+        f"1 to {MAX_ROUNDS}, so that the cycle counter tells them apart",
+    )
+    require(scenario.seed >= 0, "seed", scenario.seed, "0 or more")
+    require(scenario.run >= 0, "run", scenario.run, "0 or more")
+    require(0 < scenario.occupancy <= 1, "occupancy", scenario.occupancy, "in (0, 1]")
+    require(0 <= scenario.decay <= 1, "decay", scenario.decay, "in [0, 1]")
+    if scenario.number not in ("float64", "float32"):
+        raise unknown_name("number", scenario.number, ("float64", "float32"))
+
+
+def require(holds: bool, field: str, value: object, rule: str) -> None:
+    """Raise a ValueError that names the option, its value and the rule unless it `holds`."""
+    if not holds:
+        raise ValueError(f"--{field.replace('_', '-')} {value}: must be {rule}")

@@ -1,0 +1,86 @@
+"""A scenario worked out: the graph, the weights and the prior as plain data.
+
+A `Setup` is all that a process of the network is told. It is data and not objects, so that any
+process anywhere builds the same node from it, and so that its digest tells whether two processes
+agree.
+"""
+
+import hashlib
+from functools import partial
+from importlib.metadata import version
+
+import msgspec
+import numpy as np
+
+from nodes.messages import to_wire
+from scenarios.catalogue import kind_of
+from scenarios.scenario import Scenario, check_ranges
+
+
+class Setup(msgspec.Struct, frozen=True):
+    """Everything about a run but its randomness, which follows from the seed.
+
+    Attributes:
+        scenario: what was asked for, with nothing left open.
+        neighbours: whom each node hears, ascending.
+        weights: per node, its own weight first, then its neighbours'.
+        initial_state, prior_mean (n,), prior_cov (n, n): where truth and filters begin.
+        time_step_s: sampling time of the plant.
+    """
+
+    scenario: Scenario
+    neighbours: list[list[int]]
+    weights: list[list[float]]
+    initial_state: list[float | None]
+    prior_mean: list[float]
+    prior_cov: list[list[float]]
+    time_step_s: float
+
+
+def generator(scenario: Scenario, purpose: str, node: int) -> np.random.Generator:
+    """The random stream of one purpose at one node in one run of a scenario."""
+    # A purpose is a number that does not depend on which purposes exist.
+    code = int.from_bytes(hashlib.sha256(purpose.encode()).digest()[:4], "big")
+    key = (scenario.run, code, node)
+    return np.random.default_rng(np.random.SeedSequence(scenario.seed, spawn_key=key))
+
+
+def prepare(scenario: Scenario) -> Setup:
+    """Check a scenario and work it out.
+
+    Raises:
+        ValueError: anything that cannot run, named with its value, the rule and the cure.
+    """
+    # Only here: a process of the network is handed the graph and need not know how to draw it.
+    from topology.analysis import require_connected
+    from topology.graphs import build_graph
+    from topology.weights import build_weights, check_weights
+
+    check_ranges(scenario)
+    kind = kind_of(scenario.name)
+    kind.check(scenario)
+    plant = kind.plant(scenario)
+    positions = plant.positions(0)
+    radius = kind.radio_range_m if positions is not None else None
+    adjacency = build_graph(scenario.graph, scenario.nodes, scenario.seed, positions, radius)
+    require_connected(adjacency)
+    weights = build_weights(scenario.weights, adjacency)
+    check_weights(weights, adjacency)
+    draws = plant.draw(partial(generator, scenario), scenario.steps)
+    initial_state, prior_mean, prior_cov = plant.initial(draws.initial)
+    neighbours = [np.flatnonzero(row).tolist() for row in adjacency]
+    return Setup(
+        scenario,
+        neighbours,
+        [weights[i, [i, *heard]].tolist() for i, heard in enumerate(neighbours)],
+        to_wire(initial_state),
+        prior_mean.tolist(),
+        prior_cov.tolist(),
+        plant.time_step_s,
+    )
+
+
+def fingerprint(setup: Setup) -> str:
+    """Digest of a setup and of the version that runs it: equal where two processes agree."""
+    data = msgspec.json.encode(setup) + version("concord").encode()
+    return hashlib.sha256(data).hexdigest()
