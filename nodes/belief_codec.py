@@ -30,7 +30,7 @@ class BeliefCodec(NamedTuple):
         """The belief that `encode` wrote.
 
         Raises:
-            Rejected: `belief-length`, `belief-not-finite`, or `belief-not-positive-definite`.
+            Rejected: `belief-length` or `belief-not-finite`.
         """
         # A static slot may pad the body; anything shorter is not a belief of this network.
         if len(body) < self.size:
@@ -38,9 +38,4 @@ class BeliefCodec(NamedTuple):
         values = np.frombuffer(body[: self.size], dtype=self.number).astype(np.float64)
         if not np.isfinite(values).all():
             raise Rejected("belief-not-finite")
-        cov = unpack_upper(values[self.states :])
-        try:
-            np.linalg.cholesky(cov)
-        except np.linalg.LinAlgError:
-            raise Rejected("belief-not-positive-definite") from None
-        return Gaussian(values[: self.states], cov)
+        return Gaussian(values[: self.states], unpack_upper(values[self.states :]))

@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from filters.gaussian import Gaussian
-from filters.linalg import symmetrise
+from filters.linalg import cholesky, symmetrise
 from filters.sigma_points import SigmaPointRule
 from filters.ukf import predict, update
 from nodes.belief_codec import BeliefCodec
@@ -195,9 +195,9 @@ class BeliefConsensus:
         """Average the own pair with the neighbours' pairs, fresh or held, in sender order."""
         ages = np.where(content.ages < 0, -1, content.ages + 1)
         means, covs = content.held.mean.copy(), content.held.cov.copy()
-        for j, share in enumerate(shares):
-            if share is not None:
-                means[j], covs[j], ages[j] = share.mean, share.cov, 0
+        heard, troubles = _usable(shares)
+        for j, share in heard:
+            means[j], covs[j], ages[j] = share.mean, share.cov, 0
         everyone = Gaussian(
             np.concatenate((content.belief.mean[None], means)),
             np.concatenate((content.belief.cov[None], covs)),
@@ -207,8 +207,8 @@ class BeliefConsensus:
         fused = self.average(everyone, weights)
         content = content._replace(held=Gaussian(means, covs), ages=ages, cycles_in_step=cycles + 1)
         if not _finite(fused):
-            return content, ("fuse-failed",)
-        return content._replace(belief=Gaussian(fused.mean, symmetrise(fused.cov))), ()
+            return content, (*troubles, "fuse-failed")
+        return content._replace(belief=Gaussian(fused.mean, symmetrise(fused.cov))), troubles
 
     def belief(self, content: Content) -> Gaussian:
         """The own pair."""
@@ -217,6 +217,20 @@ class BeliefConsensus:
     def ages(self, content: Content) -> Array:
         """Cycles since each neighbour's held pair was sent."""
         return content.ages
+
+
+def _usable(
+    shares: tuple[Gaussian | None, ...],
+) -> tuple[list[tuple[int, Gaussian]], tuple[str, ...]]:
+    """The shares that came, with their places; what is no covariance is dropped and named."""
+    came = [(j, share) for j, share in enumerate(shares) if share is not None]
+    if not came:
+        return [], ()
+    # All in one call: a check for each share as it comes would cost more than the fusion.
+    factors = cholesky(np.stack([share.cov for _, share in came]))
+    sound = np.isfinite(factors[:, -1, -1])
+    usable = [one for one, good in zip(came, sound, strict=True) if good]
+    return usable, ("rejected not-positive-definite",) * (len(came) - len(usable))
 
 
 def _finite_lanes(beliefs: Gaussian) -> np.ndarray:

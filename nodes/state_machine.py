@@ -9,6 +9,7 @@ This file never does I/O, reads a clock or draws a number, and never raises for 
 share that is late, early, repeated, missing or malformed is dropped, kept or counted here.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
@@ -45,13 +46,17 @@ class Phase(Enum):
 
 @dataclass(frozen=True)
 class NodeConfig:
-    """Everything a node knows before the start; `neighbours` ascending, as the weights are."""
+    """Everything a node knows before the start.
+
+    `neighbours` ascend, as the weights do; `frame_ids(node, cycle)` are the slots of a share.
+    """
 
     index: int
     neighbours: tuple[int, ...]
     rounds: int
     steps: int
     schedule: Schedule
+    frame_ids: Callable[[int, int], tuple[int, ...]]
     estimator: Estimator
 
 
@@ -147,7 +152,7 @@ def _open_cycle(config: NodeConfig, state: NodeState, outbox: list[NodeMessage])
 
 def _send(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> NodeState:
     content, body = config.estimator.compose(state.content)
-    frame_ids = config.schedule.frame_ids(config.index, state.cycle)
+    frame_ids = config.frame_ids(config.index, state.cycle)
     frames = to_frames(body, state.step, state.cycle, frame_ids)
     outbox.extend(ShareSent(config.index, state.cycle, frame) for frame in frames)
     return _count(state._replace(content=content), *["sent"] * len(frames))
@@ -205,7 +210,7 @@ def _hear(config: NodeConfig, state: NodeState, event: ShareHeard) -> NodeState:
     schedule = config.schedule
     if event.sender not in schedule.static_senders(cycle) + schedule.contenders(cycle):
         return _count(state, "rejected unscheduled")
-    frame_ids = schedule.frame_ids(event.sender, cycle)
+    frame_ids = config.frame_ids(event.sender, cycle)
     if frame_id not in frame_ids:
         return _count(state, "rejected wrong-slot")
     key = (cycle, event.sender)

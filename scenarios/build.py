@@ -11,6 +11,7 @@ from filters.sigma_points import scaled_unscented
 from nodes.belief_codec import BeliefCodec
 from nodes.belief_consensus import BeliefConsensus
 from nodes.messages import from_wire
+from nodes.share import payload_lengths
 from nodes.state_machine import NodeConfig
 from nodes.world import WorldConfig
 from scenarios.catalogue import kind_of
@@ -67,8 +68,14 @@ def build_node(setup: Setup, node: int) -> NodeConfig:
         scenario.rounds,
         scenario.steps,
         build_schedule(scenario),
+        partial(_frame_ids, len(payload_lengths(estimator.share_bytes))),
         estimator,
     )
+
+
+def _frame_ids(frames: int, node: int, _cycle: int) -> tuple[int, ...]:
+    """Each node its own consecutive frame IDs, whatever the cycle."""
+    return tuple(range(node * frames + 1, (node + 1) * frames + 1))
 
 
 def build_world(setup: Setup) -> WorldConfig:
