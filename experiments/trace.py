@@ -48,7 +48,7 @@ def read_trace(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> Trace:
     for topic, data in messages:
         kind, _, node = topic.partition("/")
         if kind == "share":
-            sent.append((read_frame(data, rounds).cycle, int(node)))
+            sent.append((read_frame(data).cycle, int(node)))
             continue
         match decode(topic, data):
             case Truth() as message:

@@ -39,13 +39,13 @@ class ShareSent(msgspec.Struct, frozen=True):
 class Bid(msgspec.Struct, frozen=True):
     """Contender to world: how urgent a slot in the dynamic segment is; None asks for no slot.
 
-    `payload_bytes` has one entry for each frame that the share takes.
+    `payload_bytes` is the length of all its payloads together.
     """
 
     node: int
     cycle: int
     bid: int | None
-    payload_bytes: list[int]
+    payload_bytes: int
 
 
 class Grant(msgspec.Struct, frozen=True):

@@ -19,7 +19,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 
 from nodes.messages import message_types
-from nodes.share import step_of
+from nodes.share import cycle_of
 
 _MAGIC_BYTES = 8
 _RECORD_HEADER = struct.Struct("<BQ")
@@ -99,7 +99,7 @@ class McapRecorder:
 
     def _time_ns(self, topic: str, data: bytes) -> int:
         if topic.startswith("share/"):
-            return step_of(data) * self._step_ns
+            return cycle_of(data) // self._rounds * self._step_ns
         stamp = _stamp.decode(data)
         step = stamp.step if stamp.step is not None else (stamp.cycle or 0) // self._rounds
         return step * self._step_ns

@@ -1,8 +1,8 @@
 """A share on the bus: the body cut into FlexRay frames, and what a frame says of its share.
 
-The payload of each frame begins with the step, then its fragment of the body (`bus/fragments.py`).
-The frame's own header says whose slot it was and the cycle counter (0..63), and its two checksums
-guard both.
+The payload of each frame begins with the number of its communication cycle since the start (and so
+with the step: a step has a fixed number of cycles), of which the frame's own header repeats the last
+six bits; then comes its fragment of the body (`bus/fragments.py`). Two checksums guard all.
 """
 
 import struct
@@ -13,11 +13,13 @@ from bus.fragments import FragmentError, join, payload_sizes, split
 from bus.frame import MAX_PAYLOAD_BYTES, Frame, FrameError
 from bus.frame import decode as decode_frame
 from bus.frame import encode as encode_frame
+from bus.publication import Slot
 from nodes.estimator import Rejected
 
 CYCLE_COUNTS = 64
-_STEP = struct.Struct("<I")
-_FRAGMENT_LIMIT_BYTES = MAX_PAYLOAD_BYTES - _STEP.size
+HEADER_BYTES = 5
+_CYCLE = struct.Struct("<I")
+PREFIX_BYTES = _CYCLE.size
 
 
 class Fragment(NamedTuple):
@@ -28,26 +30,30 @@ class Fragment(NamedTuple):
     data: bytes
 
 
-def payload_lengths(share_bytes: int) -> tuple[int, ...]:
-    """Payload length of each frame that a share of that many bytes takes."""
-    sizes = payload_sizes(share_bytes, _FRAGMENT_LIMIT_BYTES)
-    return tuple(_STEP.size + size for size in sizes)
+def payload_lengths(share_bytes: int, limit_bytes: int = MAX_PAYLOAD_BYTES) -> tuple[int, ...]:
+    """Payload length of each frame that a share takes where no payload exceeds the limit."""
+    sizes = payload_sizes(share_bytes, limit_bytes - PREFIX_BYTES)
+    return tuple(PREFIX_BYTES + size for size in sizes)
 
 
-def to_frames(body: bytes, step: int, cycle: int, frame_ids: Sequence[int]) -> list[bytes]:
-    """The frames that carry `body`, one for each of `frame_ids`, ready for the bus."""
-    prefix = _STEP.pack(step)
+def to_frames(body: bytes, cycle: int, slots: Sequence[Slot]) -> list[bytes]:
+    """The frames that carry `body`, one for each of `slots`, ready for the bus."""
+    prefix = _CYCLE.pack(cycle)
+    fragments = split(body, slots[0].payload_bytes - PREFIX_BYTES)
     return [
-        encode_frame(Frame(frame_id, cycle % CYCLE_COUNTS, prefix + fragment))
-        for frame_id, fragment in zip(frame_ids, split(body, _FRAGMENT_LIMIT_BYTES), strict=True)
+        encode_frame(
+            Frame(
+                slot.frame_id,
+                cycle % CYCLE_COUNTS,
+                (prefix + fragment).ljust(slot.payload_bytes, b"\0"),
+            )
+        )
+        for slot, fragment in zip(slots, fragments, strict=True)
     ]
 
 
-def read_frame(data: bytes, rounds: int) -> Fragment:
+def read_frame(data: bytes) -> Fragment:
     """What a frame carries.
-
-    The step says in which cycle its rounds begin, the six-bit counter which of them it was (a step
-    has fewer than 64 rounds).
 
     Raises:
         Rejected: with the reason of the check that failed.
@@ -58,13 +64,12 @@ def read_frame(data: bytes, rounds: int) -> Fragment:
         raise Rejected(error.reason) from None
     if frame.null:
         raise Rejected("null-frame")
-    if len(frame.payload) < _STEP.size:
+    if len(frame.payload) < PREFIX_BYTES:
         raise Rejected("too-short")
-    first = _STEP.unpack_from(frame.payload)[0] * rounds
-    number = (frame.cycle_count - first) % CYCLE_COUNTS
-    if number >= rounds:
+    cycle = _CYCLE.unpack_from(frame.payload)[0]
+    if cycle % CYCLE_COUNTS != frame.cycle_count:
         raise Rejected("cycle-count")
-    return Fragment(frame.frame_id, first + number, frame.payload[_STEP.size :])
+    return Fragment(frame.frame_id, cycle, frame.payload[PREFIX_BYTES:])
 
 
 def read_body(fragments: Sequence[bytes]) -> bytes:
@@ -79,7 +84,7 @@ def read_body(fragments: Sequence[bytes]) -> bytes:
         raise Rejected(f"fragment-{error.reason}") from None
 
 
-def step_of(frame: bytes) -> int:
-    """The step that a frame's payload begins with, unchecked; 0 where the frame is too short."""
-    start = 5
-    return _STEP.unpack_from(frame, start)[0] if len(frame) >= start + _STEP.size else 0
+def cycle_of(frame: bytes) -> int:
+    """The cycle that a frame's payload begins with, unchecked; 0 where the frame is too short."""
+    whole = len(frame) >= HEADER_BYTES + PREFIX_BYTES
+    return _CYCLE.unpack_from(frame, HEADER_BYTES)[0] if whole else 0

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
+from bus.publication import Slot
 from bus.schedule import Schedule
 from filters.linalg import pack_upper
 from nodes.estimator import Content, Estimator, Rejected, Share
@@ -29,7 +30,7 @@ from nodes.messages import (
     ShareSent,
     to_wire,
 )
-from nodes.share import payload_lengths, read_body, read_frame, to_frames
+from nodes.share import read_body, read_frame, to_frames
 
 # How far ahead of us a neighbour's share may be and still be kept: bounds the memory of the inbox.
 EARLY_CYCLES = 64
@@ -48,7 +49,7 @@ class Phase(Enum):
 class NodeConfig:
     """Everything a node knows before the start.
 
-    `neighbours` ascend, as the weights do; `frame_ids(node, cycle)` are the slots of a share.
+    `neighbours` ascend, as the weights do; `slots(node, cycle)` are those of a node's share.
     """
 
     index: int
@@ -56,7 +57,7 @@ class NodeConfig:
     rounds: int
     steps: int
     schedule: Schedule
-    frame_ids: Callable[[int, int], tuple[int, ...]]
+    slots: Callable[[int, int], tuple[Slot, ...]]
     estimator: Estimator
 
 
@@ -142,8 +143,9 @@ def _open_cycle(config: NodeConfig, state: NodeState, outbox: list[NodeMessage])
     contenders = config.schedule.contenders(state.cycle)
     if config.index in contenders:
         bid = config.estimator.bid(state.content)
-        lengths = payload_lengths(config.estimator.share_bytes)
-        outbox.append(Bid(config.index, state.cycle, bid, list(lengths)))
+        slots = config.slots(config.index, state.cycle)
+        length = sum(slot.payload_bytes for slot in slots)
+        outbox.append(Bid(config.index, state.cycle, bid, length))
     state = state._replace(phase=Phase.GRANT if contenders else Phase.SHARES)
     if config.index in config.schedule.static_senders(state.cycle):
         state = _send(config, state, outbox)
@@ -152,8 +154,7 @@ def _open_cycle(config: NodeConfig, state: NodeState, outbox: list[NodeMessage])
 
 def _send(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> NodeState:
     content, body = config.estimator.compose(state.content)
-    frame_ids = config.frame_ids(config.index, state.cycle)
-    frames = to_frames(body, state.step, state.cycle, frame_ids)
+    frames = to_frames(body, state.cycle, config.slots(config.index, state.cycle))
     outbox.extend(ShareSent(config.index, state.cycle, frame) for frame in frames)
     return _count(state._replace(content=content), *["sent"] * len(frames))
 
@@ -200,7 +201,7 @@ def _hear(config: NodeConfig, state: NodeState, event: ShareHeard) -> NodeState:
     if event.sender not in config.neighbours:
         return _count(state, "rejected stranger")
     try:
-        frame_id, cycle, data = read_frame(event.frame, config.rounds)
+        frame_id, cycle, data = read_frame(event.frame)
     except Rejected as rejected:
         return _count(state, f"rejected {rejected.reason}")
     if cycle < state.cycle:
@@ -210,7 +211,7 @@ def _hear(config: NodeConfig, state: NodeState, event: ShareHeard) -> NodeState:
     schedule = config.schedule
     if event.sender not in schedule.static_senders(cycle) + schedule.contenders(cycle):
         return _count(state, "rejected unscheduled")
-    frame_ids = config.frame_ids(event.sender, cycle)
+    frame_ids = [slot.frame_id for slot in config.slots(event.sender, cycle)]
     if frame_id not in frame_ids:
         return _count(state, "rejected wrong-slot")
     key = (cycle, event.sender)

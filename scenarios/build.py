@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 
+from bus.publication import Slot
 from bus.schedule import Schedule, full_publish, round_robin
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
@@ -68,14 +69,15 @@ def build_node(setup: Setup, node: int) -> NodeConfig:
         scenario.rounds,
         scenario.steps,
         build_schedule(scenario),
-        partial(_frame_ids, len(payload_lengths(estimator.share_bytes))),
+        partial(_slots, payload_lengths(estimator.share_bytes)),
         estimator,
     )
 
 
-def _frame_ids(frames: int, node: int, _cycle: int) -> tuple[int, ...]:
+def _slots(lengths: tuple[int, ...], node: int, _cycle: int) -> tuple[Slot, ...]:
     """Each node its own consecutive frame IDs, whatever the cycle."""
-    return tuple(range(node * frames + 1, (node + 1) * frames + 1))
+    first = node * len(lengths) + 1
+    return tuple(Slot(first + part, length) for part, length in enumerate(lengths))
 
 
 def build_world(setup: Setup) -> WorldConfig:
