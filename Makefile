@@ -27,6 +27,9 @@ format: .venv/dev.stamp
 bench: .venv/dev.stamp
 	$(BIN)/python -m benchmarks
 
+docs: .venv/run.stamp
+	$(BIN)/python -m docs.picture
+
 lock:
 	uv pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes \
 		--no-emit-index-url --no-header --quiet --group build --output-file requirements.lock

@@ -40,7 +40,7 @@ class Trace(NamedTuple):
 
 def read_trace(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> Trace:
     """The trace of recorded (topic, bytes); the order of messages does not matter."""
-    nodes, rounds = setup.scenario.nodes, setup.scenario.rounds
+    nodes = setup.scenario.nodes
     truths: dict[int, Truth] = {}
     measured: dict[tuple[int, int], Measured] = {}
     estimates: dict[tuple[int, int], Estimate] = {}

@@ -1,8 +1,8 @@
 """A share on the bus: the body cut into FlexRay frames, and what a frame says of its share.
 
-The payload of each frame begins with the number of its communication cycle since the start (and so
-with the step: a step has a fixed number of cycles), of which the frame's own header repeats the last
-six bits; then comes its fragment of the body (`bus/fragments.py`). Two checksums guard all.
+The payload of each frame begins with the number of its communication cycle since the start, and so
+with the step, as a step has a fixed number of cycles; the frame's own header repeats the last six
+bits. Then comes its fragment of the body (`bus/fragments.py`). Two checksums guard all.
 """
 
 import struct
