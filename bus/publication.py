@@ -1,6 +1,10 @@
-"""The slots that one node's share takes in one cycle."""
+"""The slots that one node's share takes in one cycle, looked up fast."""
 
+from collections import defaultdict
 from typing import NamedTuple
+
+from bus.cluster import Cluster
+from bus.slot_table import SlotAssignment, SlotTable
 
 
 class Slot(NamedTuple):
@@ -8,3 +12,35 @@ class Slot(NamedTuple):
 
     frame_id: int
     payload_bytes: int
+
+
+class Publications:
+    """A slot table seen from its nodes; immutable."""
+
+    def __init__(self, table: SlotTable, cluster: Cluster) -> None:
+        self._static: dict[int, list[SlotAssignment]] = defaultdict(list)
+        dynamic: dict[int, list[int]] = defaultdict(list)
+        for slot in table.assignments:
+            if slot.frame_id < table.first_dynamic_id:
+                self._static[slot.node].append(slot)
+            else:
+                dynamic[slot.node].append(slot.frame_id)
+        self._static_payload_bytes = cluster.static_payload_bytes
+        self._dynamic = {
+            node: tuple(
+                Slot(*slot) for slot in zip(sorted(ids), table.dynamic_payloads, strict=True)
+            )
+            for node, ids in dynamic.items()
+        }
+
+    def slots(self, node: int, cycle: int) -> tuple[Slot, ...]:
+        """The slots of one share in this cycle: its static ones, else those it may contend for.
+
+        Every static frame has the cluster's static payload length.
+        """
+        static = tuple(
+            Slot(slot.frame_id, self._static_payload_bytes)
+            for slot in self._static.get(node, ())
+            if slot.sends(cycle)
+        )
+        return static or self._dynamic.get(node, ())

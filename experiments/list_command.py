@@ -9,7 +9,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from scenarios.build import schedule_names
+from scenarios.bus_plan import arbiter_names, cluster_names, schedule_names
 from scenarios.catalogue import kinds
 from scenarios.rules import RULE_SUMMARIES, hold_names
 from topology.graphs import graph_names
@@ -30,6 +30,8 @@ def list_all(options: Annotated[ListOptions, tyro.conf.arg(name="")]) -> None:
         "graphs": list(graph_names()),
         "weights": list(weight_names()),
         "schedules": list(schedule_names()),
+        "clusters": list(cluster_names()),
+        "arbiters": list(arbiter_names()),
         "holds": list(hold_names()),
     }
     if options.json:

@@ -36,6 +36,14 @@ class ScenarioOptions:
     """Who may publish in a cycle."""
     occupancy: float | None = None
     """Share of the nodes that publish in a cycle, in (0, 1]."""
+    cluster: str | None = None
+    """FlexRay cluster: fitted, a preset (audi, bosch, ...), a TOML or FIBEX file, or none."""
+    arbiter: str | None = None
+    """Who wins the dynamic segment: wtod, minislot, round-robin."""
+    trigger: float | None = None
+    """Ask for a dynamic slot only after a change larger than this (squared, in covariances)."""
+    stretch: float | None = None
+    """Stretch the plant's sampling time by this factor to hold the bus cycles."""
     hold: str | None = None
     """What becomes of a silent neighbour's last share."""
     decay: float | None = None
@@ -65,7 +73,7 @@ class ScenarioOptions:
             asked["data"] = str(self.data)
         # A part of the bus is a wish for a schedule that can give it.
         if asked.get("occupancy", 1.0) < 1.0:
-            asked.setdefault("schedule", "round-robin")
+            asked.setdefault("schedule", "hybrid")
         scenario = msgspec.structs.replace(kind.defaults, **asked)
         if kind.all_steps is not None and self.steps is None:
             scenario = msgspec.structs.replace(scenario, steps=kind.all_steps(scenario))

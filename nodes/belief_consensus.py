@@ -89,6 +89,7 @@ class BeliefConsensus:
     hold: HoldPolicy
     weights: Array
     codec: BeliefCodec
+    trigger: float = 0.0
 
     @property
     def share_bytes(self) -> int:
@@ -169,16 +170,18 @@ class BeliefConsensus:
         gated = gate is not None and result.normalised_innovation_squared > gate
         return result.belief, ["gated"] if gated else []
 
-    def bid(self, content: Content) -> int:
+    def bid(self, content: Content) -> int | None:
         """Squared change since the last publication in units of the own covariance, quantised.
 
         An integer, so that arbitration does not hang on the last bit; who has never published asks
-        most urgently (specification of the weighted try-once-discard protocol).
+        most urgently. None where the change does not exceed the trigger.
         """
         if content.published is None:
             return FIRST_BID
         change = content.belief.mean - content.published.mean
         squared = change @ np.linalg.solve(content.belief.cov, change)
+        if squared < self.trigger:
+            return None
         return int(min(max(squared, 0.0) / BID_RESOLUTION, FIRST_BID - 1))
 
     def compose(self, content: Content) -> tuple[Content, bytes]:

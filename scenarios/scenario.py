@@ -19,6 +19,12 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         seed: of everything random; `run` numbers the runs of a Monte Carlo under one seed.
         schedule: who may publish in a cycle, e.g. full, round-robin.
         occupancy: share of the nodes that publish in a cycle, in (0, 1].
+        cluster: the FlexRay cluster: fitted (the shortest cycle that holds the schedule), a preset,
+            a TOML or FIBEX file, or none (slots without time).
+        arbiter: who wins the dynamic segment: wtod, minislot, round-robin.
+        trigger: contenders ask only if their estimate has changed by more than this since they last
+            published, as a squared distance in units of their covariance; 0 asks always.
+        stretch: factor by which the plant's sampling time is stretched to hold the bus cycles.
         hold: what becomes of the last share of a silent neighbour, e.g. decayed.
         decay: weight factor of a held share per cycle of age, in [0, 1].
         determinant_weights: weigh beliefs by the size of their covariance too.
@@ -38,6 +44,10 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     run: int = 0
     schedule: str = "full"
     occupancy: float = 1.0
+    cluster: str = "fitted"
+    arbiter: str = "wtod"
+    trigger: float = 0.0
+    stretch: float = 1.0
     hold: str = "decayed"
     decay: float = 0.5
     determinant_weights: bool = True
@@ -58,6 +68,8 @@ def check_ranges(scenario: Scenario) -> None:
     require(scenario.seed >= 0, "seed", scenario.seed, "0 or more")
     require(scenario.run >= 0, "run", scenario.run, "0 or more")
     require(0 < scenario.occupancy <= 1, "occupancy", scenario.occupancy, "in (0, 1]")
+    require(scenario.trigger >= 0, "trigger", scenario.trigger, "0 or more")
+    require(scenario.stretch >= 1, "stretch", scenario.stretch, "at least 1")
     require(0 <= scenario.decay <= 1, "decay", scenario.decay, "in [0, 1]")
     if scenario.number not in ("float64", "float32"):
         raise unknown_name("number", scenario.number, ("float64", "float32"))

@@ -12,8 +12,11 @@ from importlib.metadata import version
 import msgspec
 import numpy as np
 
+from nodes.belief_codec import BeliefCodec
 from nodes.messages import to_wire
+from scenarios.bus_plan import check_bus, plan_bus
 from scenarios.catalogue import kind_of
+from scenarios.rules import wire_number
 from scenarios.scenario import Scenario, check_ranges
 
 
@@ -69,7 +72,7 @@ def prepare(scenario: Scenario) -> Setup:
     draws = plant.draw(partial(generator, scenario), scenario.steps)
     initial_state, prior_mean, prior_cov = plant.initial(draws.initial)
     neighbours = [np.flatnonzero(row).tolist() for row in adjacency]
-    return Setup(
+    setup = Setup(
         scenario,
         neighbours,
         [weights[i, [i, *heard]].tolist() for i, heard in enumerate(neighbours)],
@@ -78,6 +81,13 @@ def prepare(scenario: Scenario) -> Setup:
         prior_cov.tolist(),
         plant.time_step_s,
     )
+    check_bus(plan_bus(scenario, share_bytes(setup)), scenario, plant.time_step_s)
+    return setup
+
+
+def share_bytes(setup: Setup) -> int:
+    """Length of a share in the network of this setup."""
+    return BeliefCodec(len(setup.prior_mean), wire_number(setup.scenario)).size
 
 
 def fingerprint(setup: Setup) -> str:
