@@ -1,0 +1,97 @@
+"""Symmetric positive definite matrices in batches: a lane that fails is NaN, and fails alone."""
+
+import functools
+import math
+
+import numpy as np
+
+
+def symmetrise(matrix: np.ndarray) -> np.ndarray:
+    """The symmetric part of matrix (..., n, n)."""
+    return 0.5 * (matrix + matrix.mT)
+
+
+def cholesky(matrix: np.ndarray) -> np.ndarray:
+    """Lower triangular factors (..., n, n) of a batch.
+
+    Reads the lower triangle only. A lane that is not positive definite, or not a number, comes back
+    as NaN throughout; it neither raises nor touches the other lanes.
+
+    Raises:
+        numpy.linalg.LinAlgError: the last two axes are not square.
+    """
+    try:
+        factor = np.linalg.cholesky(matrix)
+    except np.linalg.LinAlgError:
+        if matrix.ndim < 2 or matrix.shape[-1] != matrix.shape[-2]:
+            raise
+        factor = _cholesky_by_columns(matrix)
+    return lose_failed(factor)
+
+
+def lose_failed(factor: np.ndarray) -> np.ndarray:
+    """Lower triangular factors (..., n, n), all NaN in the lanes where elimination met a NaN.
+
+    Elimination carries a NaN of any column into every later one, so the last pivot tells.
+    """
+    failed = np.isnan(factor[..., -1:, -1:])
+    return np.where(failed, np.nan, factor) if failed.any() else factor
+
+
+def inverse_spd(matrix: np.ndarray) -> np.ndarray:
+    """Inverse (..., n, n) of symmetric positive definite matrices; NaN in a lane that is not."""
+    whitener = np.linalg.inv(cholesky(matrix))
+    return whitener.mT @ whitener
+
+
+def solve_spd(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solution (..., n, k) of matrix (..., n, n) @ x = right (..., n, k); NaN as inverse_spd."""
+    whitener = np.linalg.inv(cholesky(matrix))
+    return whitener.mT @ (whitener @ right)
+
+
+def multiply(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Matrix (..., m, n) times vector (..., n), lane by lane: (..., m)."""
+    return (matrix @ vector[..., None])[..., 0]
+
+
+def pack_upper(matrix: np.ndarray) -> np.ndarray:
+    """Upper triangle, row by row, of symmetric matrices: (..., n, n) -> (..., n (n + 1) / 2)."""
+    rows, columns = _upper_triangle(matrix.shape[-1])
+    return matrix[..., rows, columns]
+
+
+def unpack_upper(packed: np.ndarray) -> np.ndarray:
+    """Symmetric matrices (..., n, n) of their packed upper triangles; the inverse of pack_upper.
+
+    Raises:
+        ValueError: the last axis is not n (n + 1) / 2 long for any n.
+    """
+    length = packed.shape[-1]
+    n = (math.isqrt(8 * length + 1) - 1) // 2
+    if n * (n + 1) // 2 != length:
+        raise ValueError(
+            f"packed triangle has length {length}, which is not n (n + 1) / 2 for any n: "
+            "pass what pack_upper returned, its last axis uncut"
+        )
+    rows, columns = _upper_triangle(n)
+    matrix = np.empty((*packed.shape[:-1], n, n), packed.dtype)
+    matrix[..., rows, columns] = packed
+    matrix[..., columns, rows] = packed
+    return matrix
+
+
+@functools.cache
+def _upper_triangle(n: int) -> tuple[np.ndarray, np.ndarray]:
+    return np.triu_indices(n)
+
+
+def _cholesky_by_columns(matrix: np.ndarray) -> np.ndarray:
+    """The same factor by vector operations across lanes: LAPACK gives up a batch for one lane."""
+    lower = np.zeros(matrix.shape)
+    with np.errstate(invalid="ignore"):
+        for j in range(matrix.shape[-1]):
+            column = matrix[..., j:, j] - multiply(lower[..., j:, :j], lower[..., j, :j])
+            pivot = np.where(column[..., :1] > 0, column[..., :1], np.nan)
+            lower[..., j:, j] = column / np.sqrt(pivot)
+    return lower

@@ -1,0 +1,61 @@
+"""Weighted moments of what a model returned for the sigma points."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from filters.sigma_points import SigmaPointRule
+
+Model = Callable[[np.ndarray], np.ndarray]  # points (S, ..., n) -> values (S, ..., m)
+Residual = Callable[[np.ndarray, np.ndarray], np.ndarray]  # difference, angles wrapped
+
+
+def evaluate(model: Model, points: np.ndarray, size: int, name: str) -> np.ndarray:
+    """The model's values (S, ..., size) at the points; `name` is what an error calls the model.
+
+    Raises:
+        ValueError: the model returned another first or last axis.
+    """
+    values = np.asarray(model(points))
+    if values.ndim < 2 or values.shape[0] != points.shape[0] or values.shape[-1] != size:
+        raise ValueError(
+            f"{name} returned shape {values.shape} for points of shape {points.shape}, but it must "
+            f"keep the leading axes and return {size} components (the noise covariance and the "
+            "measurement have that size): index components as points[..., i], never points[i]"
+        )
+    return values
+
+
+def moments(
+    values: np.ndarray, rule: SigmaPointRule, residual: Residual
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (..., m) of values (S, ..., m), and their deviations from it, (..., S, m).
+
+    The mean is taken of residuals to the first point, so that angles near the wrap average
+    properly; for a plain difference it is the weighted mean.
+    """
+    first = values[0]
+    mean = first + rule.mean_weights @ points_last(residual(values, first))
+    return mean, points_last(residual(values, mean))
+
+
+def points_last(values: np.ndarray) -> np.ndarray:
+    """Values (S, ..., m) with the sigma axis next to the components: (..., S, m)."""
+    if values.ndim == 2:
+        return values
+    # BLAS takes any row distance but wants unit stride inside a row.
+    values = np.ascontiguousarray(values)
+    return values.transpose(*range(1, values.ndim - 1), 0, values.ndim - 1)
+
+
+def check_noise(noise: np.ndarray, size: int, name: str) -> None:
+    """Refuse a noise matrix that numpy would silently broadcast.
+
+    Raises:
+        ValueError: the last two axes are not (size, size).
+    """
+    if noise.shape[-2:] != (size, size):
+        raise ValueError(
+            f"{name} has shape {noise.shape}, but must end in ({size}, {size}): "
+            "pass a matrix, for independent noises numpy.diag(variances)"
+        )

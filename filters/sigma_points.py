@@ -1,0 +1,120 @@
+"""Sigma-point rules as values, and the points that a rule draws from a belief."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from filters.gaussian import Gaussian
+from filters.linalg import cholesky
+
+
+class SigmaPointRule(NamedTuple):
+    """A quadrature rule for the standard normal distribution of n dimensions.
+
+    The first point is the centre or, without one, as near to it as any: `moments` refers to it.
+    """
+
+    unit_points: np.ndarray  # (S, n), for mean 0 and covariance I
+    mean_weights: np.ndarray  # (S,), sum 1
+    cov_weights: np.ndarray  # (S,)
+
+
+def scaled_unscented(
+    n: int, alpha: float = 1.0, beta: float = 2.0, kappa: float | None = None
+) -> SigmaPointRule:
+    """The scaled unscented rule, S = 2 n + 1; kappa is 3 - n unless given.
+
+    Source: Julier (2002), The scaled unscented transformation; weights as in Wan and Van der Merwe
+    (2001), The unscented Kalman filter, with lambda = alpha^2 (n + kappa) - n.
+
+    Raises:
+        ValueError: n < 1, alpha <= 0, or n + kappa <= 0 (the points would be complex).
+    """
+    _check_dimension(n)
+    kappa = 3.0 - n if kappa is None else kappa
+    if not alpha > 0:
+        raise ValueError(f"alpha is {alpha}, but it scales the spread: choose it in (0, 1]")
+    if not n + kappa > 0:
+        raise ValueError(
+            f"kappa is {kappa} for n = {n}, but n + kappa must be positive: choose kappa > {-n}"
+        )
+    spread = alpha**2 * (n + kappa)  # n + lambda
+    mean_weights = np.full(2 * n + 1, 0.5 / spread)
+    mean_weights[0] = 1 - n / spread
+    cov_weights = mean_weights.copy()
+    cov_weights[0] += 1 - alpha**2 + beta
+    axes = math.sqrt(spread) * np.eye(n)
+    return SigmaPointRule(np.vstack([np.zeros(n), axes, -axes]), mean_weights, cov_weights)
+
+
+def cubature(n: int) -> SigmaPointRule:
+    """The third-degree spherical-radial rule, S = 2 n equal positive weights.
+
+    Source: Arasaratnam and Haykin (2009), Cubature Kalman filters.
+
+    Raises:
+        ValueError: n < 1.
+    """
+    _check_dimension(n)
+    axes = math.sqrt(n) * np.eye(n)
+    weights = np.full(2 * n, 0.5 / n)
+    return SigmaPointRule(np.vstack([axes, -axes]), weights, weights)
+
+
+def gauss_hermite(n: int, order: int) -> SigmaPointRule:
+    """The tensor product of the Gauss-Hermite rule, S = order^n, exact to degree 2 order - 1.
+
+    Source: Ito and Xiong (2000), Gaussian filters for nonlinear filtering problems.
+
+    Raises:
+        ValueError: n < 1, or order < 2 (a single point has no spread).
+    """
+    _check_dimension(n)
+    if order < 2:
+        raise ValueError(f"order is {order}, but one point has no spread: choose order >= 2")
+    nodes, line_weights = np.polynomial.hermite_e.hermegauss(order)
+    index = np.indices((order,) * n).reshape(n, -1).T
+    weights = np.prod(line_weights[index] / math.sqrt(2 * math.pi), axis=-1)
+    heaviest_first = np.argsort(-weights, kind="stable")
+    weights = weights[heaviest_first]
+    return SigmaPointRule(nodes[index[heaviest_first]], weights, weights)
+
+
+def sigma_points(belief: Gaussian, rule: SigmaPointRule) -> np.ndarray:
+    """The points (S, ..., n) of a belief; NaN in a lane whose covariance is not positive definite.
+
+    Raises:
+        ValueError: the rule is for another dimension than the belief.
+    """
+    return spread_points(belief.mean, cholesky(belief.cov), rule)
+
+
+def spread_points(mean: np.ndarray, factor: np.ndarray, rule: SigmaPointRule) -> np.ndarray:
+    """Points mean + factor @ unit_point, (S, ..., n), of mean (..., n) and factor (..., n, n).
+
+    Every component points[..., i] is contiguous, so that a model written component by component
+    runs at memory speed, and its result keeps that order.
+
+    Raises:
+        ValueError: the rule is for another dimension than the mean.
+    """
+    count, n = rule.unit_points.shape
+    if mean.shape[-1] != n:
+        raise ValueError(
+            f"the sigma-point rule is for n = {n}, but the belief has n = {mean.shape[-1]}: "
+            "make the rule with the dimension of the state"
+        )
+    lanes = mean.shape[:-1]
+    if factor.shape[:-2] != lanes:
+        lanes = np.broadcast_shapes(lanes, factor.shape[:-2])
+        factor = np.broadcast_to(factor, (*lanes, n, n))
+    depth = len(lanes)
+    offsets = (factor @ rule.unit_points.T).transpose(depth + 1, *range(depth + 1))
+    points = np.empty((n, count, *lanes)).transpose(*range(1, depth + 2), 0)
+    return np.add(mean, offsets, out=points)
+
+
+def _check_dimension(n: int) -> None:
+    if n < 1:
+        raise ValueError(f"n is {n}, but a state has at least one component")

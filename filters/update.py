@@ -1,0 +1,69 @@
+"""What a measurement did to a belief; entries that were not taken, lanes that keep their belief."""
+
+from typing import Generic, NamedTuple, TypeVar
+
+import numpy as np
+
+from filters.gaussian import Gaussian, SquareRootGaussian
+
+Belief = TypeVar("Belief", Gaussian, SquareRootGaussian)
+
+
+class Update(NamedTuple, Generic[Belief]):
+    """The belief after a measurement, and what the measurement said.
+
+    Attributes:
+        belief: after the update; in lanes with nothing taken, or gated out, the one before.
+        innovation: (..., m), measurement minus prediction; NaN in the entries not taken.
+        innovation_cov: (..., m, m), its covariance; NaN in the rows and columns not taken.
+        normalised_innovation_squared: (...), over the entries taken; 0 where there were none. With
+            a matched filter it is chi-square with as many degrees of freedom as entries taken.
+    """
+
+    belief: Belief
+    innovation: np.ndarray
+    innovation_cov: np.ndarray
+    normalised_innovation_squared: np.ndarray
+
+
+def missing_entries(measurement: np.ndarray) -> np.ndarray | None:
+    """True (..., m) where an entry is NaN, that is, was not taken; None when all were."""
+    missing = np.isnan(measurement)
+    return missing if missing.any() else None
+
+
+def without_rows(cov: np.ndarray, missing: np.ndarray) -> np.ndarray:
+    """Covariance (..., m, m) whose missing rows (..., m) are independent unit variances.
+
+    With zero cross-covariance such a row drops out of the algebra exactly, so lanes with different
+    rows missing stay one batch.
+    """
+    either = missing[..., :, None] | missing[..., None, :]
+    return np.where(either, np.eye(missing.shape[-1]), cov)
+
+
+def settle(
+    before: Belief,
+    after: Belief,
+    innovation: np.ndarray,
+    innovation_cov: np.ndarray,
+    normalised_innovation_squared: np.ndarray,
+    missing: np.ndarray | None,
+    gate: float | None,
+) -> Update[Belief]:
+    """The Update, with the belief before in lanes with nothing taken or beyond the gate."""
+    kept = None
+    if missing is not None:
+        either = missing[..., :, None] | missing[..., None, :]
+        innovation = np.where(missing, np.nan, innovation)
+        innovation_cov = np.where(either, np.nan, innovation_cov)
+        kept = np.asarray(missing.all(axis=-1))
+    if gate is not None:
+        rejected = np.asarray(normalised_innovation_squared > gate)
+        kept = rejected if kept is None else kept | rejected
+    if kept is not None and kept.any():
+        after = type(before)(
+            np.where(kept[..., None], before[0], after[0]),
+            np.where(kept[..., None, None], before[1], after[1]),
+        )
+    return Update(after, innovation, innovation_cov, normalised_innovation_squared)

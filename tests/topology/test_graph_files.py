@@ -1,0 +1,120 @@
+"""Graph files: what is written is read back, and every mistake is named with its line."""
+
+import networkx
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from topology.graph_files import read_graph, write_graph
+from topology.graphs import path, ring
+
+SUFFIXES = (".edges", ".edgelist", ".txt", ".csv", ".graphml")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("graphs")
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@given(nodes=st.integers(1, 14), seed=st.integers(0, 10**6), density=st.floats(0, 1))
+@settings(deadline=None, max_examples=25)
+def test_a_graph_survives_its_file(folder, suffix, nodes, seed, density):
+    """Also with nodes that hear nobody, and more than ten nodes (names sort as numbers)."""
+    upper = np.triu(np.random.default_rng(seed).uniform(size=(nodes, nodes)) < density, 1)
+    adjacency = upper | upper.T
+    write_graph(folder / f"graph{suffix}", adjacency)
+    assert (read_graph(folder / f"graph{suffix}") == adjacency).all()
+    assert (read_graph(folder / f"graph{suffix}", nodes) == adjacency).all()
+
+
+def write(folder, name, text):
+    file = folder / name
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def test_an_edge_list_may_have_comments_qualities_and_blank_lines(folder):
+    text = "# from to probability\n\n0 1 0.9\n1\t2 1e-3  # weak\n2 1 0.5\n0 2 0\n3\n"
+    adjacency = read_graph(write(folder, "qualities.txt", text))
+    assert (adjacency[:3, :3] == path(3)).all()
+    assert not adjacency[3].any()
+
+
+def test_a_matrix_may_hold_qualities_and_begin_with_a_byte_order_mark(folder):
+    file = write(folder, "spreadsheet.csv", "\ufeff0, 0.5,0\r\n0.25,0,1\r\n0,1,0\r\n")
+    assert (read_graph(file) == path(3)).all()
+
+
+def test_graphml_names_are_numbered_in_the_order_of_the_file(folder):
+    graph = networkx.path_graph(["west", "middle", "east"])
+    networkx.write_graphml(graph, folder / "named.graphml")
+    assert (read_graph(folder / "named.graphml") == path(3)).all()
+
+
+def test_graphml_numbers_are_the_numbers_of_the_nodes(folder):
+    graph = networkx.Graph()
+    graph.add_nodes_from(["2", "0", "1"])
+    graph.add_edges_from([("0", "1"), ("2", "1")])
+    networkx.write_graphml(graph, folder / "shuffled.graphml")
+    assert (read_graph(folder / "shuffled.graphml") == path(3)).all()
+
+
+def test_a_directed_graphml_with_both_directions_is_a_graph(folder):
+    networkx.write_graphml(networkx.DiGraph(networkx.cycle_graph(5)), folder / "both.graphml")
+    assert (read_graph(folder / "both.graphml") == ring(5)).all()
+
+
+GRAPHML = (
+    '<graphml xmlns="http://graphml.graphdrawing.org/xmlns">'
+    '<graph edgedefault="{}">{}</graph></graphml>'
+)
+TWO = '<node id="a"/><node id="b"/><edge source="a" target="{}"/>'
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("loop.edges", "0 1\n1 1\n", r"loop\.edges:2: node 1 is linked to itself; remove"),
+        ("wide.edges", "0 1\n0 1 2 3\n", r"wide\.edges:2: 4 columns; give two"),
+        ("word.edges", "# x\n0 one\n", r"word\.edges:2: 'one' is not a node; number"),
+        ("minus.edges", "0 -1\n", r"minus\.edges:1: '-1' is not a node"),
+        ("quality.edges", "0 1 good\n", r"quality\.edges:1: 'good' is not a finite number"),
+        ("lost.edges", "0 1 inf\n", r"lost\.edges:1: 'inf' is not a finite number"),
+        ("from_one.edges", "1 2\n2 3\n", "node 0 is missing below node 3; number .* from 0"),
+        ("huge.edges", "0 1\n1 99999999999\n", "node 2 is missing below node 99999999999"),
+        ("empty.edges", "# nothing\n", "no nodes; give at least one"),
+        ("empty.csv", "", "no nodes; give at least one"),
+        ("ragged.csv", "0,1,0\n1,0\n0,1,0\n", r"ragged\.csv:2: 2 entries in a matrix of 3 rows"),
+        ("flat.csv", "0,1,0\n1,0,1\n", r"flat\.csv:1: 3 entries in a matrix of 2 rows; .*square"),
+        ("word.csv", "0,1\nyes,0\n", r"word\.csv:2: 'yes' is not a finite number of 0 or more"),
+        ("gap.csv", "0,\n1,0\n", r"gap\.csv:1: '' is not a finite number"),
+        ("minus.csv", "0,-1\n-1,0\n", r"minus\.csv:1: '-1' is not a finite number of 0 or more"),
+        ("loop.csv", "0,1\n1,2\n", r"loop\.csv:2: node 1 is linked to itself; put 0"),
+        ("one_way.csv", "0,1\n0,0\n", r"one_way\.csv:1: 0 is linked to 1, but 1 not to 0; give"),
+        ("broken.graphml", "<graphml>", "not GraphML .*export"),
+        ("not.graphml", "0 1\n", "not GraphML"),
+        ("loop.graphml", GRAPHML.format("undirected", TWO.format("a")), "node a is linked to its"),
+        ("one_way.graphml", GRAPHML.format("directed", TWO.format("b")), "a is linked to b, but b"),
+        ("graph.dot", "graph {}", r"unknown kind of graph file '\.dot'; rename .*\.graphml"),
+    ],
+)
+def test_a_mistake_in_a_file_is_named_with_its_place_and_cure(folder, name, text, message):
+    with pytest.raises(ValueError, match=message):
+        read_graph(write(folder, name, text))
+
+
+def test_a_missing_file_and_a_wrong_number_of_nodes_are_named(folder):
+    with pytest.raises(ValueError, match=r"absent\.edges: no such file"):
+        read_graph(folder / "absent.edges")
+    file = write(folder, "three.edges", "0 1\n1 2\n")
+    for asked in (2, 4):
+        with pytest.raises(ValueError, match=f"3 nodes, but {asked} were asked for; ask for 3"):
+            read_graph(file, asked)
+
+
+def test_an_unknown_suffix_is_not_written(folder):
+    with pytest.raises(ValueError, match=r"unknown kind of graph file '\.png'"):
+        write_graph(folder / "graph.png", ring(4))
+    assert not (folder / "graph.png").exists()

@@ -1,0 +1,149 @@
+"""Weights: doubly stochastic, within the graph, and as good as theory says."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from topology.analysis import second_eigenvalue_modulus
+from topology.graphs import build_graph, complete, path, ring, star
+from topology.weights import (
+    best_constant,
+    build_weights,
+    check_weights,
+    maximum_degree,
+    metropolis,
+    weight_names,
+)
+
+CONNECTED = st.builds(
+    build_graph,
+    name=st.sampled_from(["ring", "path", "star", "complete", "erdos-renyi", "geometric"]),
+    nodes=st.integers(2, 16),
+    seed=st.integers(0, 10**6),
+)
+
+
+@given(adjacency=CONNECTED)
+@settings(deadline=None)
+def test_every_rule_is_doubly_stochastic_and_stays_on_the_graph(adjacency):
+    allowed = adjacency | np.eye(len(adjacency), dtype=bool)
+    for name in weight_names():
+        weights = build_weights(name, adjacency)
+        np.testing.assert_allclose(weights.sum(axis=0), 1, atol=1e-12)
+        np.testing.assert_allclose(weights.sum(axis=1), 1, atol=1e-12)
+        assert not weights[~allowed].any()
+        assert (weights[adjacency] > 0).all()
+
+
+@given(adjacency=CONNECTED)
+@settings(deadline=None)
+def test_local_rules_are_positive_and_primitive(adjacency):
+    """Some power without a zero is primitivity by its definition (Wielandt bounds the power)."""
+    nodes = len(adjacency)
+    for rule in (metropolis, maximum_degree):
+        weights = rule(adjacency)
+        assert (weights.diagonal() > 0).all()
+        assert (np.linalg.matrix_power(weights, (nodes - 1) ** 2 + 1) > 0).all()
+        check_weights(weights, adjacency)
+
+
+def test_metropolis_follows_its_definition_entry_by_entry():
+    adjacency = build_graph("erdos-renyi", 9, 4)
+    degree = [sum(row) for row in adjacency.tolist()]
+    weights = metropolis(adjacency)
+    for i, j in itertools.product(range(9), repeat=2):
+        if adjacency[i, j]:
+            assert weights[i, j] == pytest.approx(1 / (1 + max(degree[i], degree[j])))
+    # Different degrees meet here, so that the maximum matters.
+    assert len(set(degree)) > 2
+
+
+@given(adjacency=CONNECTED)
+@settings(deadline=None)
+def test_the_best_constant_is_the_best_constant(adjacency):
+    best = second_eigenvalue_modulus(best_constant(adjacency))
+    assert best <= second_eigenvalue_modulus(maximum_degree(adjacency)) + 1e-9
+    laplacian = np.diag(adjacency.sum(axis=1)) - adjacency
+    for weight in np.linspace(0, 2 / len(adjacency), 50):
+        other = np.eye(len(adjacency)) - weight * laplacian
+        assert best <= second_eigenvalue_modulus(other) + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("adjacency", "modulus"),
+    [(ring(8), 0.805), (path(8), 0.949), (complete(8), 0.0)],
+)
+def test_metropolis_on_eight_nodes_has_the_published_second_eigenvalue(adjacency, modulus):
+    """../shared/spec/consensus.md section 3.1; the ring is also (1 + 2 cos(pi / 4)) / 3."""
+    assert second_eigenvalue_modulus(metropolis(adjacency)) == pytest.approx(modulus, abs=5e-4)
+
+
+def test_a_complete_graph_agrees_in_one_round_by_every_rule():
+    for name in weight_names():
+        np.testing.assert_allclose(build_weights(name, complete(7)), 1 / 7, atol=1e-12)
+
+
+def test_the_hub_of_a_star_gets_a_negative_best_constant_which_is_refused():
+    """lambda_2 = 1 and lambda_n = n, so the hub keeps 1 - 2 (n - 1) / (n + 1) of its own."""
+    weights = best_constant(star(6))
+    assert weights[0, 0] == pytest.approx(1 - 2 * 5 / 7)
+    with pytest.raises(ValueError, match=r"entry \(0, 0\) is -0\.429.*below 0.*use metropolis"):
+        check_weights(weights, star(6))
+
+
+def test_one_node_keeps_all_its_weight():
+    for name in weight_names():
+        assert build_weights(name, ring(1)).tolist() == [[1.0]]
+        check_weights(build_weights(name, ring(1)), ring(1))
+
+
+def test_best_constant_needs_a_connected_graph():
+    with pytest.raises(ValueError, match="2 pieces"):
+        best_constant(np.zeros((2, 2), dtype=bool))
+
+
+def test_an_unknown_rule_offers_the_nearest():
+    with pytest.raises(ValueError, match=r"did you mean 'metropolis'.*best-constant"):
+        build_weights("metropolys", ring(4))
+
+
+def moved(weights, changes):
+    """A copy with `changes` added at (row, column)."""
+    copy = weights.copy()
+    for place, change in changes.items():
+        copy[place] += change
+    return copy
+
+
+FAIR = metropolis(ring(4))
+TWO_PAIRS = np.kron(np.eye(2), np.full((2, 2), 0.5))
+
+
+@pytest.mark.parametrize(
+    ("weights", "message"),
+    [
+        (FAIR[:3], r"shape \(3, 4\) for 4 nodes"),
+        (moved(FAIR, {(0, 0): np.nan}), "finite"),
+        (moved(FAIR, {(0, 1): -0.5, (0, 0): 0.5}), r"entry \(0, 1\).*below 0"),
+        (moved(FAIR, {(1, 1): 0.1}), "row 1 sums to 1.1"),
+        (moved(FAIR, {(1, 1): 0.1, (1, 0): -0.1}), "column 0 sums to 0.9"),
+        (
+            moved(FAIR, {(0, 2): 0.1, (2, 0): 0.1, (0, 0): -0.1, (2, 2): -0.1}),
+            r"entry \(0, 2\).*node 0 does not hear node 2",
+        ),
+        (TWO_PAIRS, "not primitive"),
+        (np.roll(np.eye(4), 1, axis=1), "not primitive"),
+        (ring(4) / 2, "not primitive"),
+    ],
+)
+def test_each_broken_rule_is_named(weights, message):
+    with pytest.raises(ValueError, match=message):
+        check_weights(weights, ring(4))
+
+
+def test_an_odd_ring_is_primitive_without_own_weights():
+    """Aperiodic by its odd cycle: the check must not ask for a positive diagonal."""
+    check_weights(ring(5) / 2, ring(5))

@@ -1,0 +1,172 @@
+"""Graphs in files: edge lists, GraphML and adjacency matrices, told apart by the file's suffix.
+
+| suffix | content |
+|---|---|
+| .edges .edgelist .txt | two nodes per line, and a number if you like (no link if it is 0); |
+|                       | a node without links stands alone on its line; `#` begins a comment |
+| .csv                  | the matrix itself: one row per line, 0 or a positive number per entry |
+| .graphml              | GraphML; a directed one must have each link both ways |
+
+Nodes are numbered from 0. In GraphML other names are numbered in their order in the file.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree
+
+import networkx
+import numpy as np
+
+from topology.adjacency import Adjacency
+
+_SUFFIXES = (".edges", ".edgelist", ".txt", ".csv", ".graphml")
+
+
+def read_graph(file: str | Path, nodes: int | None = None) -> Adjacency:
+    """The graph of a file as a boolean symmetric (n, n) with zero diagonal.
+
+    Raises:
+        ValueError: if the file is missing, malformed, or has another number of nodes than asked;
+            the message names the file, the line where there is one, and the cure.
+    """
+    file = Path(file)
+    suffix = _known_suffix(file)
+    if not file.is_file():
+        raise ValueError(f"{file}: no such file; check the path")
+    if suffix == ".graphml":
+        adjacency = _read_graphml(file)
+    elif suffix == ".csv":
+        adjacency = _read_matrix(file)
+    else:
+        adjacency = _read_edge_list(file)
+    if not len(adjacency):
+        raise ValueError(f"{file}: no nodes; give at least one")
+    if nodes is not None and len(adjacency) != nodes:
+        raise ValueError(
+            f"{file}: {len(adjacency)} nodes, but {nodes} were asked for; "
+            f"ask for {len(adjacency)} nodes or change the file"
+        )
+    return adjacency
+
+
+def write_graph(file: str | Path, adjacency: Adjacency) -> None:
+    """Writes a graph (n, n) so that `read_graph` returns it. Raises ValueError for the suffix."""
+    file = Path(file)
+    suffix = _known_suffix(file)
+    if suffix == ".graphml":
+        networkx.write_graphml(networkx.from_numpy_array(adjacency.astype(int)), file)
+    elif suffix == ".csv":
+        np.savetxt(file, adjacency, fmt="%d", delimiter=",")
+    else:
+        links = [f"{one} {other}\n" for one, other in np.argwhere(np.triu(adjacency))]
+        alone = [f"{node}\n" for node in np.flatnonzero(~adjacency.any(axis=1))]
+        file.write_text("".join(links + alone))
+
+
+def _known_suffix(file: Path) -> str:
+    suffix = file.suffix.lower()
+    if suffix not in _SUFFIXES:
+        raise ValueError(
+            f"{file}: unknown kind of graph file {suffix!r}; rename it to end in one of "
+            f"{', '.join(_SUFFIXES)}"
+        )
+    return suffix
+
+
+def _lines(file: Path, separator: str | None) -> Iterator[tuple[str, list[str]]]:
+    """`file:line` and the fields of each line that has any; a comment ends a line."""
+    text = file.read_text(encoding="utf-8-sig", errors="replace")  # spreadsheets write a mark first
+    for number, line in enumerate(text.splitlines(), start=1):
+        if content := line.partition("#")[0].strip():
+            yield f"{file}:{number}", content.split(separator)
+
+
+def _read_edge_list(file: Path) -> Adjacency:
+    links: list[list[int]] = []
+    named: set[int] = set()
+    for where, fields in _lines(file, None):
+        if len(fields) > 3:
+            raise ValueError(
+                f"{where}: {len(fields)} columns; give two nodes and at most one number"
+            )
+        ends = [_node(field, where) for field in fields[:2]]
+        named.update(ends)
+        if len(ends) == 2:
+            if ends[0] == ends[1]:
+                raise ValueError(f"{where}: node {ends[0]} is linked to itself; remove the line")
+            if len(fields) == 2 or _quality(fields[2], where) > 0:
+                links.append(ends)
+    missing = next(node for node in range(len(named) + 1) if node not in named)
+    if missing < len(named):
+        raise ValueError(
+            f"{file}: node {missing} is missing below node {max(named)}; number the nodes from 0, "
+            "and give a node without links a line of its own"
+        )
+    adjacency = np.zeros((len(named), len(named)), dtype=bool)
+    for one, other in links:
+        adjacency[one, other] = adjacency[other, one] = True
+    return adjacency
+
+
+def _read_matrix(file: Path) -> Adjacency:
+    rows = [
+        (where, [_quality(field, where) for field in fields]) for where, fields in _lines(file, ",")
+    ]
+    for where, row in rows:
+        if len(row) != len(rows):
+            raise ValueError(
+                f"{where}: {len(row)} entries in a matrix of {len(rows)} rows; "
+                "give a square matrix with one row per node"
+            )
+    adjacency = np.array([row for _, row in rows]).reshape(len(rows), len(rows)) > 0
+    for node in np.flatnonzero(adjacency.diagonal()):
+        raise ValueError(f"{rows[node][0]}: node {node} is linked to itself; put 0 on the diagonal")
+    for one, other in np.argwhere(adjacency & ~adjacency.T):
+        raise ValueError(_one_way(rows[one][0], one, other))
+    return adjacency
+
+
+def _read_graphml(file: Path) -> Adjacency:
+    try:
+        graph = networkx.read_graphml(file)
+    except (ElementTree.ParseError, networkx.NetworkXError, ValueError, KeyError) as error:
+        raise ValueError(f"{file}: not GraphML ({error}); export the graph again") from error
+    names = list(graph)
+    if set(names) == {str(number) for number in range(len(names))}:
+        names.sort(key=int)
+    index = {name: number for number, name in enumerate(names)}
+    adjacency = np.zeros((len(names), len(names)), dtype=bool)
+    for one, other in graph.edges():
+        adjacency[index[one], index[other]] = True
+    if not graph.is_directed():
+        adjacency |= adjacency.T
+    for node in np.flatnonzero(adjacency.diagonal()):
+        raise ValueError(f"{file}: node {names[node]} is linked to itself; remove that edge")
+    for one, other in np.argwhere(adjacency & ~adjacency.T):
+        raise ValueError(_one_way(file, names[one], names[other]))
+    return adjacency
+
+
+def _node(field: str, where: str) -> int:
+    if not field.isdecimal():
+        raise ValueError(f"{where}: {field!r} is not a node; number the nodes 0, 1, 2, ...")
+    return int(field)
+
+
+def _quality(field: str, where: str) -> float:
+    try:
+        quality = float(field)
+    except ValueError:
+        quality = np.nan
+    if not 0 <= quality < np.inf:
+        raise ValueError(
+            f"{where}: {field.strip()!r} is not a finite number of 0 or more; give 0 for no link"
+        )
+    return quality
+
+
+def _one_way(where: str | Path, one: object, other: object) -> str:
+    return (
+        f"{where}: {one} is linked to {other}, but {other} not to {one}; "
+        "give each link both ways (links here have no direction)"
+    )

@@ -1,0 +1,130 @@
+"""Graphs of fixed shape, and every graph by its name.
+
+A graph is a symmetric boolean matrix `(n, n)` with a zero diagonal: entry (i, j) says that the
+nodes i and j hear each other.
+"""
+
+import math
+import re
+from collections.abc import Callable
+
+import networkx
+import numpy as np
+from numpy.typing import NDArray
+
+from topology.adjacency import Adjacency, adjacency_of, require_nodes
+from topology.geometric_graphs import connecting_radius, geometric, scatter
+from topology.graph_files import read_graph
+from topology.names import unknown_name
+from topology.random_graphs import (
+    connecting_probability,
+    erdos_renyi,
+    regular,
+    scale_free,
+    small_world,
+)
+
+
+def ring(nodes: int) -> Adjacency:
+    """Every node hears its two neighbours on a circle. Raises ValueError for no nodes."""
+    require_nodes(nodes, "ring")
+    return adjacency_of(networkx.cycle_graph(nodes))
+
+
+def path(nodes: int) -> Adjacency:
+    """A ring that is cut once. Raises ValueError for no nodes."""
+    require_nodes(nodes, "path")
+    return adjacency_of(networkx.path_graph(nodes))
+
+
+def star(nodes: int) -> Adjacency:
+    """Node 0 hears everyone, everyone else hears node 0. Raises ValueError for no nodes."""
+    require_nodes(nodes, "star")
+    return adjacency_of(networkx.star_graph(nodes - 1))
+
+
+def complete(nodes: int) -> Adjacency:
+    """Everyone hears everyone. Raises ValueError for no nodes."""
+    require_nodes(nodes, "complete graph")
+    return adjacency_of(networkx.complete_graph(nodes))
+
+
+def grid(rows: int, columns: int) -> Adjacency:
+    """A rectangular lattice numbered row by row. Raises ValueError for an empty side."""
+    require_nodes(min(rows, columns), f"grid of {rows} x {columns}: a side")
+    return adjacency_of(networkx.grid_2d_graph(rows, columns))
+
+
+def near_square(nodes: int) -> tuple[int, int]:
+    """The rows and columns nearest to a square that hold exactly `nodes` nodes.
+
+    Raises:
+        ValueError: for a prime number, whose only grid is a path.
+    """
+    require_nodes(nodes, "grid")
+    rows = next(side for side in range(math.isqrt(nodes), 0, -1) if nodes % side == 0)
+    if rows == 1 < nodes:
+        raise ValueError(
+            f"grid of {nodes} nodes: they only fill one row; "
+            "choose a number with two factors above 1, or ask for path"
+        )
+    return rows, nodes // rows
+
+
+_BUILDERS: dict[str, Callable[[int, int], Adjacency]] = {
+    "ring": lambda nodes, seed: ring(nodes),
+    "path": lambda nodes, seed: path(nodes),
+    "star": lambda nodes, seed: star(nodes),
+    "grid": lambda nodes, seed: grid(*near_square(nodes)),
+    "complete": lambda nodes, seed: complete(nodes),
+    "erdos-renyi": lambda nodes, seed: erdos_renyi(nodes, connecting_probability(nodes), seed),
+    "small-world": lambda nodes, seed: small_world(nodes, 4, 0.1, seed),
+    "scale-free": lambda nodes, seed: scale_free(nodes, 2, seed),
+}
+
+
+def graph_names() -> tuple[str, ...]:
+    """What `build_graph` knows: K stands for a number, PATH for a file of `graph_files`."""
+    return (*_BUILDERS, "K-regular", "geometric", "file:PATH")
+
+
+def build_graph(
+    name: str,
+    nodes: int,
+    seed: int,
+    positions: NDArray[np.float64] | None = None,
+    radius: float | None = None,
+) -> Adjacency:
+    """The graph of that name: boolean (nodes, nodes).
+
+    `geometric` takes `positions` (nodes, 2) and a `radius` in their unit; without positions it
+    draws them by `scatter`. The other names use neither. `erdos-renyi` has a mean degree of about
+    2 ln n, `small-world` degree 4 and rewiring 0.1, `scale-free` two links per new node.
+
+    Raises:
+        ValueError: for an unknown name or impossible numbers.
+    """
+    if name == "geometric":
+        return _geometric(nodes, seed, positions, radius)
+    if name.startswith("file:"):
+        return read_graph(name.removeprefix("file:"), nodes)
+    if match := re.fullmatch(r"([0-9]+)-regular", name):
+        return regular(nodes, int(match[1]), seed)
+    if name in _BUILDERS:
+        return _BUILDERS[name](nodes, seed)
+    raise unknown_name("graph", name, graph_names())
+
+
+def _geometric(
+    nodes: int, seed: int, positions: NDArray[np.float64] | None, radius: float | None
+) -> Adjacency:
+    if positions is None:
+        reach = connecting_radius(nodes) if radius is None else radius
+        return geometric(scatter(nodes, seed, reach), reach)
+    if radius is None:
+        raise ValueError("geometric graph: positions without a radius; give the radio range too")
+    if len(positions) != nodes:
+        raise ValueError(
+            f"geometric graph: {len(positions)} positions for {nodes} nodes; give one per node"
+        )
+    return geometric(positions, radius)
