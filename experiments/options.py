@@ -52,6 +52,10 @@ class ScenarioOptions:
     """Weigh beliefs by the size of their covariance too."""
     number: str | None = None
     """float64 or float32 on the wire."""
+    control: str | None = None
+    """Whose knowledge closes the loop of a controlled plant: a node's number, truth, or open."""
+    noise: str | None = None
+    """matched (physical) or paper (as printed), for the plants of the paper."""
     target: int | None = None
     """The robot to be tracked (mrclam)."""
     data: Path | None = None

@@ -11,10 +11,12 @@ from nodes.belief_codec import BeliefCodec
 from nodes.belief_consensus import BeliefConsensus
 from nodes.messages import from_wire
 from nodes.state_machine import NodeConfig
-from nodes.world import WorldConfig
+from nodes.world import Controller, WorldConfig
 from scenarios.bus_plan import BusPlan, arbitrate, plan_bus
 from scenarios.catalogue import kind_of
+from scenarios.control import control_node
 from scenarios.rules import average_of, hold_policy, wire_number
+from scenarios.scenario import Scenario
 from scenarios.setup import Setup, generator, share_bytes
 
 # Steps by which an undriven world may run ahead of the slowest estimate.
@@ -59,6 +61,7 @@ def build_world(setup: Setup) -> WorldConfig:
     scenario = setup.scenario
     plan = build_plan(setup)
     plant = kind_of(scenario.name).plant(scenario)
+    controller = _controller(scenario)
     return WorldConfig(
         plant=plant,
         initial_state=from_wire(setup.initial_state),
@@ -66,9 +69,16 @@ def build_world(setup: Setup) -> WorldConfig:
         nodes=scenario.nodes,
         steps=scenario.steps,
         rounds=scenario.rounds,
-        lead=OPEN_LOOP_LEAD,
+        lead=OPEN_LOOP_LEAD if controller is None or controller.node is None else 1,
         schedule=plan.schedule,
         arbitrate=arbitrate(scenario, plan),
         arbiter_state=ArbiterState(),
-        controller=None,
+        controller=controller,
     )
+
+
+def _controller(scenario: Scenario) -> Controller | None:
+    law = kind_of(scenario.name).controller(scenario)
+    if law is None:
+        return None
+    return Controller(law.control, law.initial_memory, control_node(scenario))

@@ -36,6 +36,15 @@ class ScenarioPlant(Protocol):
     def positions(self, step: int) -> Array | None: ...
 
 
+class ControlLaw(Protocol):
+    """A controller: `control(state_estimate (n,), memory, step) -> (control (p,), memory)`."""
+
+    @property
+    def initial_memory(self) -> Array: ...
+
+    def control(self, state_estimate: Array, memory: Array, step: int) -> tuple[Array, Array]: ...
+
+
 class Score(NamedTuple):
     """What errors are measured on: `states` for RMSE (in `unit`), `nees_states` for consistency.
 
@@ -60,6 +69,7 @@ class Kind(NamedTuple):
         plant, model: of a scenario.
         sensor: of a scenario and a node; None for a blind node.
         score: how its errors are measured.
+        controller: of a scenario, None where nothing drives the plant.
         radio_range_m: reach of a node in the geometric graph, for plants that have positions.
         all_steps: how many steps recorded data hold; None where any number will do.
     """
@@ -71,19 +81,21 @@ class Kind(NamedTuple):
     model: Callable[[Scenario], Model]
     sensor: Callable[[Scenario, int], Sensor | None]
     score: Score
+    controller: Callable[[Scenario], ControlLaw | None] = lambda _: None
     radio_range_m: float | None = None
     all_steps: Callable[[Scenario], int] | None = None
 
 
 def kinds() -> dict[str, Kind]:
     """All scenarios by name."""
-    from scenarios import mrclam, oscillator, target_tracking
+    from scenarios import control, mrclam, oscillator, target_tracking
 
     return {
         "target-tracking": target_tracking.TURNING,
         "target-crossing": target_tracking.CROSSING,
         "oscillator": oscillator.KIND,
         "mrclam": mrclam.KIND,
+        **control.KINDS,
     }
 
 

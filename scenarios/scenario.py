@@ -29,6 +29,8 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         decay: weight factor of a held share per cycle of age, in [0, 1].
         determinant_weights: weigh beliefs by the size of their covariance too.
         number: float64 or float32 on the wire.
+        control: whose knowledge closes the loop of a plant: a node's number, truth, or open.
+        noise: matched or paper, for plants that have both.
         target: the robot that is tracked (mrclam).
         data: folder of recorded data (mrclam).
     """
@@ -52,6 +54,8 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     decay: float = 0.5
     determinant_weights: bool = True
     number: str = "float64"
+    control: str = "open"
+    noise: str = "matched"
     target: int | None = None
     data: str | None = None
 

@@ -21,7 +21,6 @@ from nodes.process import run_node, run_recorder, run_world
 from nodes.recording import McapRecorder
 from nodes.state_machine import NodeConfig
 from nodes.supervisor import TRY_AGAIN, Supervisor
-from nodes.world import WorldConfig
 from nodes.zenoh_transport import LinkError, start_router
 from scenarios.build import build_node, build_world
 from scenarios.job import Happened, Job
@@ -65,7 +64,6 @@ def _serve(job: Job, ports: dict[str, int]) -> End:
     """Run the network once."""
     links = plan_links(job.setup.neighbours, ports)
     # Built before the fork, so that the children share the pages.
-    world = build_world(job.setup)
     nodes = [build_node(job.setup, node) for node in range(job.setup.scenario.nodes)]
     supervisor = Supervisor()
     started = time.monotonic()
@@ -74,7 +72,7 @@ def _serve(job: Job, ports: dict[str, int]) -> End:
         if ROUTER in ports:
             supervisor.start(ROUTER, partial(_route, f"tcp/127.0.0.1:{ports[ROUTER]}"))
         supervisor.start(RECORDER, partial(_record, job, links[RECORDER]))
-        supervisor.start(WORLD, partial(_be_world, job, links[WORLD], world, started))
+        supervisor.start(WORLD, partial(_be_world, job, links[WORLD], started))
         for config in nodes:
             name = str(config.index)
             supervisor.start(name, partial(_be_node, job, links[name], config))
@@ -123,7 +121,7 @@ def _record(job: Job, links: Links) -> None:
     _joining(partial(run_recorder, job.run, links, recorder, estimates))
 
 
-def _be_world(job: Job, links: Links, config: WorldConfig, started: float) -> None:
+def _be_world(job: Job, links: Links, started: float) -> None:
     told = 0.0
 
     def on_step(step: int) -> None:
@@ -135,6 +133,8 @@ def _be_world(job: Job, links: Links, config: WorldConfig, started: float) -> No
             told = now
             tell(Happened("step", step=step, seconds=now - started))
 
+    # Built here: the design of a controller loads much that no node needs.
+    config = build_world(job.setup)
     _joining(partial(run_world, job.run, links, config, fingerprint(job.setup), on_step))
 
 
