@@ -84,18 +84,23 @@ def _lines(file: Path, separator: str | None) -> Iterator[tuple[str, list[str]]]
 def _read_edge_list(file: Path) -> Adjacency:
     links: list[list[int]] = []
     named: set[int] = set()
+    columns = None
     for where, fields in _lines(file, None):
         if len(fields) > 3:
             raise ValueError(
                 f"{where}: {len(fields)} columns; give two nodes and at most one number"
             )
+        if len(fields) > 1 and len(fields) != (columns := columns or len(fields)):
+            raise ValueError(
+                f"{where}: {len(fields)} columns, but {columns} on the lines before (cut off?); "
+                "give every link a number or none"
+            )
         ends = [_node(field, where) for field in fields[:2]]
         named.update(ends)
-        if len(ends) == 2:
+        if len(ends) == 2 and (len(fields) == 2 or _quality(fields[2], where) > 0):
             if ends[0] == ends[1]:
                 raise ValueError(f"{where}: node {ends[0]} is linked to itself; remove the line")
-            if len(fields) == 2 or _quality(fields[2], where) > 0:
-                links.append(ends)
+            links.append(ends)
     missing = next(node for node in range(len(named) + 1) if node not in named)
     if missing < len(named):
         raise ValueError(

@@ -1,5 +1,7 @@
 """Graph files: what is written is read back, and every mistake is named with its line."""
 
+from pathlib import Path
+
 import networkx
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from hypothesis import strategies as st
 from topology.graph_files import read_graph, write_graph
 from topology.graphs import path, ring
 
+INTEL_LAB = Path(__file__).resolve().parents[3] / "shared/data/intel_lab/connectivity.txt"
 SUFFIXES = (".edges", ".edgelist", ".txt", ".csv", ".graphml")
 
 
@@ -36,7 +39,7 @@ def write(folder, name, text):
 
 
 def test_an_edge_list_may_have_comments_qualities_and_blank_lines(folder):
-    text = "# from to probability\n\n0 1 0.9\n1\t2 1e-3  # weak\n2 1 0.5\n0 2 0\n3\n"
+    text = "# from to probability\n\n0 1 0.9\n1\t2 1e-3  # weak\n2 1 0.5\n0 2 0\n1 1 0.0\n3\n"
     adjacency = read_graph(write(folder, "qualities.txt", text))
     assert (adjacency[:3, :3] == path(3)).all()
     assert not adjacency[3].any()
@@ -78,6 +81,8 @@ TWO = '<node id="a"/><node id="b"/><edge source="a" target="{}"/>'
     [
         ("loop.edges", "0 1\n1 1\n", r"loop\.edges:2: node 1 is linked to itself; remove"),
         ("wide.edges", "0 1\n0 1 2 3\n", r"wide\.edges:2: 4 columns; give two"),
+        ("cut.edges", "0 1 0.5\n2\n0 2\n", r"cut\.edges:3: 2 columns, but 3 .*give every link"),
+        ("mixed.edges", "0 1\n0 2 0.5\n", r"mixed\.edges:2: 3 columns, but 2 on"),
         ("word.edges", "# x\n0 one\n", r"word\.edges:2: 'one' is not a node; number"),
         ("minus.edges", "0 -1\n", r"minus\.edges:1: '-1' is not a node"),
         ("quality.edges", "0 1 good\n", r"quality\.edges:1: 'good' is not a finite number"),
@@ -103,6 +108,18 @@ TWO = '<node id="a"/><node id="b"/><edge source="a" target="{}"/>'
 def test_a_mistake_in_a_file_is_named_with_its_place_and_cure(folder, name, text, message):
     with pytest.raises(ValueError, match=message):
         read_graph(write(folder, name, text))
+
+
+@pytest.mark.skipif(not INTEL_LAB.is_file(), reason="no ../shared/data/intel_lab to read")
+def test_the_bad_line_of_the_intel_lab_is_found():
+    """A real list of link qualities: its first line without a quality is its only bad one."""
+    bad = next(
+        number
+        for number, line in enumerate(INTEL_LAB.read_text().splitlines(), start=1)
+        if len(line.split()) != 3
+    )
+    with pytest.raises(ValueError, match=rf"connectivity\.txt:{bad}: 2 columns, but 3"):
+        read_graph(INTEL_LAB)
 
 
 def test_a_missing_file_and_a_wrong_number_of_nodes_are_named(folder):

@@ -1,0 +1,46 @@
+"""The standard-normal numbers that a plant consumes, drawn before it runs."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+GeneratorFor = Callable[[str, int], np.random.Generator]
+"""The stream of a purpose ("initial", "process", "measurement") and a node."""
+
+
+class Draws(NamedTuple):
+    """One run's noise in units of its standard deviation."""
+
+    initial: Array  # (p,)
+    process: Array  # (steps, q)
+    measurement: Array  # (steps, nodes, readings, d)
+
+
+def standard_draws(
+    generator_for: GeneratorFor,
+    initial: int,
+    process: int,
+    measurement: tuple[int, int, int],
+    steps: int,
+) -> Draws:
+    """Draws of the sizes p, q and (nodes, readings, d).
+
+    Every node has a stream of its own and steps come one after the other, so a node's noise depends
+    neither on the number of nodes nor on the number of steps.
+    """
+    nodes, readings, d = measurement
+    return Draws(
+        initial=generator_for("initial", 0).standard_normal(initial),
+        process=generator_for("process", 0).standard_normal((steps, process)),
+        measurement=np.stack(
+            [
+                generator_for("measurement", node).standard_normal((steps, readings, d))
+                for node in range(nodes)
+            ],
+            axis=1,
+        ),
+    )

@@ -1,0 +1,70 @@
+"""A sensor that measures distance and direction to a target from a known place."""
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plants.angles import wrapped
+from plants.checks import require_positive
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class RangeBearing:
+    """Range in m and bearing in rad, anticlockwise from the x axis, of a state [x, vx, y, vy, ...].
+
+    `position_m` is (2,) for one node, or (nodes, 2) for all: then the states' last leading axis is
+    the nodes' (or 1).
+
+    Raises:
+        ValueError: for positions of another shape or deviations that are not positive.
+    """
+
+    position_m: Array
+    range_std_m: float = 10.0
+    bearing_std_rad: float = math.radians(2)
+    gate: float | None = None  # greatest normalised innovation squared that a filter accepts
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.position_m)
+        if len(shape) not in (1, 2) or shape[-1] != 2 or not np.isfinite(self.position_m).all():
+            raise ValueError(
+                f"position_m has shape {shape}, but must be finite with shape (2,) or (nodes, 2)"
+            )
+        require_positive(range_std_m=self.range_std_m, bearing_std_rad=self.bearing_std_rad)
+
+    def for_node(self, node: int) -> "RangeBearing":
+        """The sensor of one of the nodes."""
+        return replace(self, position_m=self.position_m[node])
+
+    def measure(self, state: Array, step: int) -> Array:
+        """Range and bearing (..., 2) of states (..., n), without noise."""
+        dx = state[..., 0] - self.position_m[..., 0]
+        dy = state[..., 2] - self.position_m[..., 1]
+        value = np.empty_like(state, shape=(*dx.shape, 2))
+        value[..., 0] = np.sqrt(dx * dx + dy * dy)
+        value[..., 1] = np.arctan2(dy, dx)
+        return value
+
+    def residual(self, a: Array, b: Array) -> Array:
+        """a - b (..., 2), its bearing within (-pi, pi]."""
+        difference = a - b
+        difference[..., 1] = wrapped(difference[..., 1])
+        return difference
+
+    def interpret(self, delivered: Array) -> tuple[Array, Array]:
+        """The delivered (..., 2) as it is, and its noise covariance (..., 2, 2)."""
+        return delivered, np.broadcast_to(self._noise_cov, (*delivered.shape, 2))
+
+    @property
+    def noise_std(self) -> Array:
+        """Standard deviations (2,) in m and rad."""
+        return np.array([self.range_std_m, self.bearing_std_rad])
+
+    @cached_property
+    def _noise_cov(self) -> Array:
+        return np.diag(self.noise_std**2)

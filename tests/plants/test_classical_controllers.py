@@ -1,0 +1,242 @@
+"""Classical controllers: their recursion against other simulations, and their loops' figures."""
+
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import signal
+
+from plants import cruise, motor, pitch, suspension
+from plants.closed_loop import closed_loop, quiet, step_figures
+from plants.controllers import IntegralFeedback, OutputFeedback, StateFeedback
+from plants.references import constant
+from plants.root_loci import figure_7
+from plants.transfer_functions import (
+    Rational,
+    lag,
+    lead,
+    output_feedback,
+    pid,
+    proportional,
+    proportional_derivative,
+    proportional_integral,
+    root_locus,
+    sampled_compensator,
+    series,
+)
+
+TIME_STEP_S = 0.01
+
+
+def commanded(controller: Rational, errors: np.ndarray) -> np.ndarray:
+    """Controls (steps,) of the memory recursion when the error is errors (steps,)."""
+    compensator = sampled_compensator(controller, TIME_STEP_S)
+    feedback = OutputFeedback(compensator, np.array([[-1.0]]), constant(0.0))
+    memory, controls = feedback.initial_memory, []
+    for step, error in enumerate(errors):
+        value, memory = feedback.control(np.array([error]), memory, step)
+        controls.append(value[0])
+    return np.array(controls)
+
+
+@pytest.mark.parametrize("controller", [cruise.LAG, pitch.LEAD, motor.SPEED_LAG])
+def test_lag_and_lead_equal_scipys_tustin_simulation(controller: Rational):
+    errors = np.random.default_rng(2).standard_normal(200)
+    system: Any = signal.lti(*controller)
+    simulated = signal.dlsim(system.to_discrete(TIME_STEP_S, method="bilinear"), errors)
+    assert commanded(controller, errors) == pytest.approx(simulated[1][:, 0], rel=1e-9, abs=1e-9)
+
+
+def test_pid_equals_its_sums_and_differences():
+    errors = np.random.default_rng(4).standard_normal(200)
+    before = np.concatenate([[0.0], errors[:-1]])
+    trapezoids = np.cumsum((errors + before) / 2) * TIME_STEP_S
+    expected = 100 * errors + 200 * trapezoids + 10 * (errors - before) / TIME_STEP_S
+    assert commanded(motor.SPEED_PID, errors) == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "controller", [cruise.LAG, pitch.LEAD, motor.SPEED_PID, proportional_integral(2.0, 3.0)]
+)
+def test_recursion_follows_the_continuous_controller(controller: Rational):
+    # A smooth error from rest; the state form of s k_d needs its derivative, known here.
+    times = TIME_STEP_S * np.arange(600)
+    errors = 1 - np.cos(0.8 * times)
+    quotient, rest = np.polydiv(controller.numerator, controller.denominator)
+    _, proper, _ = signal.lsim((rest, controller.denominator), errors, times)
+    derivative = 0.8 * np.sin(0.8 * times)
+    rate = quotient[0] if len(quotient) == 2 else 0.0
+    expected = proper + quotient[-1] * errors + rate * derivative
+    error = np.abs(commanded(controller, errors) - expected).max()
+    assert error < 5e-3 * np.abs(expected).max()
+
+
+def test_proportional_controller_has_no_memory():
+    compensator = sampled_compensator(proportional(7.0), TIME_STEP_S)
+    assert compensator.state_matrix.shape == (0, 0)
+    assert commanded(proportional(7.0), np.array([2.0, -1.0])) == pytest.approx([14, -7])
+
+
+def test_controllers_are_equation_23():
+    s = 0.3 + 2j
+    assert proportional(3.0)(s) == pytest.approx(3)
+    assert proportional_derivative(3.0, 5.0)(s) == pytest.approx(3 + 5 * s)
+    assert proportional_integral(3.0, 2.0)(s) == pytest.approx(3 + 2 / s)
+    assert pid(3.0, 2.0, 5.0)(s) == pytest.approx(3 + 2 / s + 5 * s)
+    assert lag(2.0, 0.3, 0.03)(0) == pytest.approx(20)
+    assert lead(2.0, 0.9, 20.0)(1e9) == pytest.approx(2)
+    assert series(lag(2.0, 0.3, 0.03), pid(3.0, 2.0, 5.0))(s) == pytest.approx(
+        2 * (s + 0.3) / (s + 0.03) * (3 + 2 / s + 5 * s)
+    )
+
+
+@pytest.mark.parametrize(("make", "zero", "pole"), [(lag, 0.03, 0.3), (lead, 20.0, 0.9)])
+def test_lag_and_lead_are_not_exchanged(make, zero: float, pole: float):
+    with pytest.raises(ValueError, match=f"{make.__name__} compensator .* it needs 0 <= "):
+        make(1.0, zero=zero, pole=pole)
+
+
+def test_second_derivative_is_refused():
+    with pytest.raises(ValueError, match="differentiates twice"):
+        sampled_compensator(Rational((1.0, 0.0, 0.0), (1.0,)), TIME_STEP_S)
+
+
+CLASSICAL = [
+    pytest.param(cruise.transfer_function(), cruise.PROPORTIONAL, 0.923, None, None, id="cruise P"),
+    pytest.param(cruise.transfer_function(), cruise.LAG, 0.9962, 8.3, None, id="cruise lag"),
+    pytest.param(pitch.transfer_function(), pitch.LEAD, 1.0, 10.4, 8.2, id="pitch lead"),
+    pytest.param(motor.speed_transfer_function(), motor.SPEED_PID, 1.0, 0.26, None, id="speed PID"),
+    pytest.param(
+        motor.speed_transfer_function(), motor.SPEED_LAG, None, 1.32, 13.7, id="speed lag"
+    ),
+]
+
+
+@pytest.mark.parametrize(("plant", "controller", "rest", "settling", "overshoot"), CLASSICAL)
+def test_continuous_loops_have_the_printed_figures(
+    plant: Rational, controller: Rational, rest, settling, overshoot
+):
+    loop: Any = control.feedback(control.tf(*series(controller, plant)), 1)
+    final = float(np.real(loop.dcgain()))
+    times = np.linspace(0, 60, 60_001)
+    figures = step_figures(control.step_response(loop, times).outputs, 1e-3, final)
+    if rest is not None:
+        assert final == pytest.approx(rest, abs=5e-4)
+    if settling is not None:
+        assert figures.settling_time_s == pytest.approx(settling, abs=0.05)
+    if overshoot is not None:
+        assert figures.overshoot_percent == pytest.approx(overshoot, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("plant", "dynamics", "controller", "settling"),
+    [
+        pytest.param(cruise.cruise(), cruise.dynamics(), cruise.LAG, 8.3, id="cruise lag"),
+        pytest.param(pitch.pitch(), pitch.dynamics(), pitch.LEAD, 10.4, id="pitch lead"),
+        pytest.param(
+            motor.motor_speed(), motor.speed_dynamics(), motor.SPEED_PID, 0.26, id="speed PID"
+        ),
+        pytest.param(
+            motor.motor_speed(), motor.speed_dynamics(), motor.SPEED_LAG, 1.32, id="speed lag"
+        ),
+    ],
+)
+def test_sampled_loops_settle_as_the_continuous_ones(plant, dynamics, controller, settling):
+    feedback = output_feedback(dynamics, TIME_STEP_S, controller, constant(1.0))
+    output = closed_loop(plant, feedback, quiet(plant, 6000)).states @ dynamics.output_row[0]
+    figures = step_figures(output, TIME_STEP_S, output[-1])
+    assert figures.settling_time_s == pytest.approx(settling, abs=0.05)
+
+
+def test_bus_pid_holds_the_travel():
+    # Continuous: the road through P / (1 + P C); figures 5.05 mm, within 5 mm after .065 s.
+    parts: Any = [control.tf(*part) for part in suspension.transfer_functions()]
+    from_force, from_road = parts
+    loop: Any = control.minreal(
+        from_road / (1 + from_force * control.tf(*suspension.PID)), verbose=False
+    )
+    times = np.linspace(0, 5, 100_001)
+    travel = 0.1 * np.abs(control.step_response(loop, times).outputs)
+    assert 1e3 * travel.max() == pytest.approx(5.05, abs=5e-3)
+    assert times[np.flatnonzero(travel > 5e-3)[-1]] == pytest.approx(0.065, abs=5e-4)
+
+    plant = suspension.suspension(road=suspension.ROAD_STEP)
+    feedback = output_feedback(
+        suspension.dynamics(), plant.time_step_s, suspension.PID, constant(0.0)
+    )
+    sampled = np.abs(closed_loop(plant, feedback, quiet(plant, 4000)).states[:, 2])
+    assert 1e3 * sampled.max() == pytest.approx(5.05, abs=0.01)
+
+
+@pytest.mark.parametrize("name", ["POSITION_PROPORTIONAL", "POSITION_PROPORTIONAL_INTEGRAL"])
+def test_position_loops_of_this_project_arrive(name: str):
+    feedback = output_feedback(
+        motor.position_dynamics(), TIME_STEP_S, getattr(motor, name), constant(1.0)
+    )
+    plant = motor.motor_position()
+    states = closed_loop(plant, feedback, quiet(plant, 8000)).states
+    assert states[-1, 0] == pytest.approx(1.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("panel", figure_7().values(), ids=figure_7().keys())
+def test_root_loci_solve_the_characteristic_equation(panel):
+    poles = panel.poles()
+    assert poles.shape == (len(panel.gains), len(panel.loop.denominator) - 1)
+    for gain, row in zip(panel.gains[::50], poles[::50], strict=True):
+        polynomial = np.polyadd(panel.loop.denominator, gain * np.array(panel.loop.numerator))
+        size = np.polyval(np.abs(polynomial), np.abs(row))
+        assert np.all(np.abs(np.polyval(polynomial, row)) <= 1e-6 * size)
+        # The sum of the poles is the polynomial's: no root counted twice, none missed.
+        assert row.sum() == pytest.approx(-polynomial[1] / polynomial[0], rel=1e-6)
+
+
+def test_root_loci_start_at_the_poles_and_end_at_the_zeros():
+    panel = figure_7()["h"]
+    open_loop = np.concatenate([[-20], np.roots(pitch.transfer_function().denominator)])
+    assert np.sort_complex(panel.poles()[0]) == pytest.approx(np.sort_complex(open_loop), abs=1e-6)
+    far = root_locus(panel.loop, np.array([0.0, 1e7]))[-1]
+    for zero in (-0.9, -0.17742 / 1.15101):
+        assert np.abs(far - zero).min() < 1e-3
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(0.1, 1e3), st.integers(0, 2**31))
+def test_no_controller_exceeds_its_limit(limit: float, seed: int):
+    generator = np.random.default_rng(seed)
+    states = 10 * generator.standard_normal((5, 2, 3))
+    gain, row = generator.standard_normal((1, 3)) * 1e3, np.eye(3)[:1]
+    compensator = sampled_compensator(pid(100.0, 200.0, 10.0), TIME_STEP_S)
+    one = constant(1.0)
+    for controller in (
+        StateFeedback(gain, np.ones((1, 1)), one, limit),
+        IntegralFeedback(gain, np.ones((1, 1)), row, TIME_STEP_S, one, limit),
+        OutputFeedback(compensator, row, one, limit),
+    ):
+        free = type(controller)(**{**vars(controller), "limit": np.inf})
+        value, memory = controller.control(states, controller.initial_memory, 0)
+        wanted, _ = free.control(states, controller.initial_memory, 0)
+        assert value.shape == (5, 2, 1)
+        assert np.abs(value).max() <= limit
+        inside = np.abs(wanted) <= limit
+        assert np.array_equal(value[inside], wanted[inside])
+        assert np.array_equal(np.sign(value), np.sign(wanted))
+        for index in np.ndindex(5, 2):
+            alone, remembered = controller.control(states[index], controller.initial_memory, 0)
+            assert alone == pytest.approx(value[index])
+            assert remembered == pytest.approx(
+                np.broadcast_to(memory, (5, 2, memory.shape[-1]))[index]
+            )
+
+
+def test_integral_memory_is_the_sum_of_the_error():
+    controller = IntegralFeedback(
+        np.zeros((1, 2)), np.array([[4.0]]), np.eye(2)[:1], 0.5, constant(2.0)
+    )
+    memory = controller.initial_memory
+    first, memory = controller.control(np.array([5.0, 0.0]), memory, 0)
+    second, memory = controller.control(np.array([1.0, 9.0]), memory, 1)
+    assert (first[0], second[0]) == (0.0, -4.0 * 0.5 * 3.0)
+    assert memory == pytest.approx([0.5 * (3.0 - 1.0)])

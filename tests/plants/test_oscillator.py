@@ -1,0 +1,176 @@
+"""The oscillator: exact discretisation, stationary law, and a Kalman filter that is consistent."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import expm
+from scipy.stats import chi2
+
+from plants.damped_oscillation import oscillation_transition
+from plants.oscillator import POSITION, VELOCITY, Oscillation, Oscillator, Output
+
+
+@given(
+    frequency=st.floats(0.1, 5),
+    ratio=st.floats(0.01, 0.98),
+    std=st.floats(0.1, 10),
+    dt=st.floats(0.02, 3),
+)
+@settings(deadline=None)
+def test_the_discretisation_is_exact(frequency, ratio, std, dt):
+    """Against a matrix exponential of motion and noise together (Van Loan 1978)."""
+    damping = 2 * ratio * frequency
+    model = Oscillation(dt, frequency, damping, std)
+    drift = np.array([[0, 1], [-(frequency**2), -damping]])
+    density = np.diag([0, 2 * damping * std**2])
+    transition = expm(drift * dt)
+    np.testing.assert_allclose(model.transition_matrix, transition, rtol=1e-9, atol=1e-12)
+    # The integral of exp(A t) L L' exp(A' t), by quadrature: no inverse, no difference.
+    nodes, weights = np.polynomial.legendre.leggauss(60)
+    times = (nodes + 1) * dt / 2
+    integrand = [expm(drift * t) @ density @ expm(drift * t).T for t in times]
+    noise = np.tensordot(weights * dt / 2, integrand, axes=1)
+    np.testing.assert_allclose(model.process_noise_cov(0), noise, rtol=1e-5, atol=1e-10 * std**2)
+
+
+def test_an_undamped_limit_turns_in_phase_space():
+    matrix = oscillation_transition(2.0, 1e-12, 0.3)
+    angle = 0.6
+    expected = [
+        [math.cos(angle), math.sin(angle) / 2],
+        [-2 * math.sin(angle), math.cos(angle)],
+    ]
+    np.testing.assert_allclose(matrix, expected, rtol=1e-11)
+
+
+def test_energy_falls_at_the_rate_of_the_damping():
+    """After one whole period of ringing the state is itself times exp(-g T / 2)."""
+    ringing = math.sqrt(4.0 - 0.15**2)
+    matrix = oscillation_transition(2.0, 0.3, 2 * math.pi / ringing)
+    expected = math.exp(-0.15 * 2 * math.pi / ringing) * np.eye(2)
+    np.testing.assert_allclose(matrix, expected, atol=1e-12)
+
+
+def streams(purpose, node):
+    number = ("initial", "process", "measurement").index(purpose)
+    return np.random.default_rng([number, node])
+
+
+def test_nodes_see_position_velocity_position_nothing_in_turn():
+    plant = Oscillator(nodes=8)
+    delivered = plant.observe(np.array([3.0, -7.0]), np.zeros((8, 1, 1)), 0)
+    nan = math.nan
+    np.testing.assert_array_equal(delivered[:, 0, 0], [3, -7, 3, nan, 3, -7, 3, nan])
+
+
+def test_outputs_are_dealt_as_asked():
+    plant = Oscillator(nodes=3, outputs=(None, Output((2.0, 1.0), 0.1)))
+    noise = np.full((3, 1, 1), 10.0)
+    delivered = plant.observe(np.array([3.0, -7.0]), noise, 0)
+    np.testing.assert_allclose(delivered[:, 0, 0], [math.nan, -1.0 + 10 * 0.1, math.nan])
+    value, noise_cov = plant.sensors.interpret(delivered[:, 0])
+    np.testing.assert_array_equal(value, delivered[:, 0])
+    assert noise_cov.shape == (3, 1, 1) and np.isfinite(noise_cov).all()
+    assert noise_cov[1, 0, 0] == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("batch", [(), (6,), (5, 2)])
+def test_all_nodes_at_once_are_each_node_alone(batch):
+    plant = Oscillator(nodes=4)
+    state = np.random.default_rng(1).normal(size=(*batch, 4, 2))
+    everyone = plant.sensors.measure(state, 0)
+    _, noise_cov = plant.sensors.interpret(everyone)
+    assert everyone.shape == (*batch, 4, 1) and noise_cov.shape == (*batch, 4, 1, 1)
+    for node in range(4):
+        alone = plant.sensor(node)
+        value = alone.measure(state[..., node, :], 0)
+        np.testing.assert_array_equal(everyone[..., node, :], value)
+        np.testing.assert_array_equal(noise_cov[..., node, :, :], alone.interpret(value)[1])
+        assert (alone.residual(value, value) == 0).all()
+
+
+def test_draws_belong_to_their_node():
+    few, many = Oscillator(nodes=3).draw(streams, 5), Oscillator(nodes=8).draw(streams, 9)
+    assert many.measurement.shape == (9, 8, 1, 1)
+    np.testing.assert_array_equal(few.measurement, many.measurement[:5, :3])
+    np.testing.assert_array_equal(few.process, many.process[:5])
+
+
+def assert_covariance(errors, cov):
+    """Whitened by `cov`, each entry of the sample covariance is within 5 standard deviations."""
+    count = len(errors)
+    white = np.linalg.solve(np.linalg.cholesky(cov), errors.T)
+    bound = 5 * np.sqrt((1 + np.eye(2)) / count)
+    assert (np.abs(white @ white.T / count - np.eye(2)) < bound).all()
+
+
+def test_the_truth_moves_with_the_noise_of_the_model():
+    plant, rng = Oscillator(), np.random.default_rng(5)
+    start = np.tile([2.0, -1.0], (4000, 1))
+    after = plant.advance(start, None, rng.standard_normal((4000, 2)), 0)
+    assert_covariance(
+        after - plant.model.transition(start, None, 0), plant.model.process_noise_cov(0)
+    )
+
+
+def test_the_truth_keeps_its_stationary_law():
+    plant, rng = Oscillator(), np.random.default_rng(2)
+    state, mean, cov = plant.initial(rng.standard_normal((4000, 2)))
+    assert not mean.any()
+    np.testing.assert_allclose(cov, np.eye(2))
+    for step in range(40):
+        assert_covariance(state, cov)
+        state = plant.advance(state, None, rng.standard_normal((4000, 2)), step)
+
+
+def test_a_kalman_filter_of_all_nodes_is_consistent_on_it():
+    """What plant, model and sensors say about each other is one story: NEES is chi-square."""
+    plant, runs, steps = Oscillator(nodes=4), 500, 30
+    rng = np.random.default_rng(3)
+    state, mean, cov = plant.initial(rng.standard_normal((runs, 2)))
+    matrix, noise_cov = plant.model.transition_matrix, plant.model.process_noise_cov(0)
+    seeing = [0, 1, 2]
+    rows = plant.sensors.row[seeing]
+    _, R = plant.sensors.interpret(np.zeros((4, 1)))
+    R = np.diag(R[seeing, 0, 0])
+    for step in range(steps):
+        delivered = plant.observe(state, rng.standard_normal((runs, 4, 1, 1)), step)
+        gain = cov @ rows.T @ np.linalg.inv(rows @ cov @ rows.T + R)
+        mean = mean + (delivered[:, seeing, 0, 0] - mean @ rows.T) @ gain.T
+        cov = cov - gain @ rows @ cov
+        if step < steps - 1:
+            state = plant.advance(state, None, rng.standard_normal((runs, 2)), step)
+            mean, cov = mean @ matrix.T, matrix @ cov @ matrix.T + noise_cov
+    error = state - mean
+    nees = np.einsum("ri,ij,rj->", error, np.linalg.inv(cov), error)
+    low, high = chi2.ppf([1e-5, 1 - 1e-5], 2 * runs)
+    assert low < nees < high
+
+
+@pytest.mark.parametrize("batch", [(), (6,), (3, 4)])
+def test_a_model_keeps_lanes_and_layout(batch):
+    model = Oscillation()
+    state = np.moveaxis(np.random.default_rng(4).normal(size=(2, *batch)), 0, -1)
+    after = model.transition(state, None, 0)
+    assert after.strides == state.strides
+    np.testing.assert_allclose(after, state @ model.transition_matrix.T, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: Oscillator(nodes=0), "0 nodes and 4 outputs: give at least one"),
+        (lambda: Oscillator(outputs=()), "8 nodes and 0 outputs"),
+        (lambda: Oscillator(outputs=(VELOCITY._replace(noise_std=0.0),)), "noise_std is 0.0"),
+        (lambda: Oscillator(outputs=(POSITION._replace(noise_std=math.nan),)), "noise_std is nan"),
+        (lambda: Oscillation(damping_1_s=2.0), "damping_1_s is 2, .*lower the damping"),
+        (lambda: Oscillation(frequency_rad_s=0.0), "frequency_rad_s is 0.0"),
+        (lambda: Oscillation(velocity_std_m_s=0.0), "velocity_std_m_s is 0.0"),
+    ],
+)
+def test_impossible_oscillators_are_refused(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()

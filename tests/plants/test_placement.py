@@ -1,0 +1,42 @@
+"""Placement: the rule of the TRACK scenario, followed to the letter."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from plants.placement import place_sensors
+from topology.analysis import components
+from topology.geometric_graphs import geometric
+
+
+@given(nodes=st.integers(1, 25))
+@settings(deadline=None, max_examples=25)
+def test_positions_are_those_of_the_first_seed_whose_network_is_connected(nodes):
+    seed = 0
+    while True:
+        positions = np.random.default_rng(seed).uniform(0, 1000, (nodes, 2))
+        if len(components(geometric(positions, 330.0))) == 1:
+            break
+        seed += 1
+    np.testing.assert_array_equal(place_sensors(nodes), positions)
+
+
+def test_area_and_range_scale_together():
+    np.testing.assert_allclose(place_sensors(20, 100.0, 33.0), place_sensors(20) / 10)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((0,), "at least 1"),
+        ((3, 1000.0, 5.0), "first 10000 seeds is connected; raise the range, shrink the area"),
+        ((3, -1.0), "area_side_m is -1.0"),
+        ((3, 10.0, math.nan), "radio_range_m is nan"),
+    ],
+)
+def test_impossible_placements_are_refused_with_a_cure(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        place_sensors(*arguments)
