@@ -32,9 +32,11 @@ docs: .venv/run.stamp
 
 lock:
 	uv pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes \
-		--no-emit-index-url --no-header --quiet --group build --output-file requirements.lock
+		--no-emit-index-url --no-header --quiet --group build \
+		--output-file requirements.lock
 	uv pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes \
-		--no-emit-index-url --no-header --quiet --group dev --output-file requirements-dev.lock
+		--no-emit-index-url --no-header --quiet --all-extras --group dev \
+		--output-file requirements-dev.lock
 
 clean:
 	rm -rf .venv runs

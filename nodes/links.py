@@ -23,6 +23,11 @@ def wants_router(neighbours: Sequence[Sequence[int]]) -> bool:
     return sum(map(len, neighbours)) > MESH_DEGREE_LIMIT * len(neighbours)
 
 
+def peers_of(node: int, neighbours: Sequence[Sequence[int]]) -> list[int]:
+    """Whom a node hears or is heard by, ascending: a link carries frames both ways."""
+    return [j for j, heard in enumerate(neighbours) if j in neighbours[node] or node in heard]
+
+
 def names(neighbours: Sequence[Sequence[int]]) -> list[str]:
     """The processes that listen, in the order in which they are given ports."""
     if wants_router(neighbours):
@@ -44,8 +49,8 @@ def plan_links(neighbours: Sequence[Sequence[int]], ports: dict[str, int]) -> di
         RECORDER: Links("peer", (at[RECORDER],), ()),
         WORLD: Links("peer", (at[WORLD],), (at[RECORDER],)),
     }
-    for node, heard in enumerate(neighbours):
-        lower = tuple(at[str(j)] for j in heard if j < node)
+    for node in range(len(neighbours)):
+        lower = tuple(at[str(j)] for j in peers_of(node, neighbours) if j < node)
         connect = (at[WORLD], at[RECORDER], *lower)
         links[str(node)] = Links("peer", (at[str(node)],), connect)
     return links

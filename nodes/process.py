@@ -5,7 +5,7 @@ grant, the share of one neighbour) and waits for that one alone. Nobody coordina
 timed.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 from nodes import state_machine, world
 from nodes.links import RECORDER, WORLD, Links
@@ -18,8 +18,12 @@ from nodes.zenoh_transport import Transport
 NODE_QUEUE, WORLD_QUEUE, RECORDER_QUEUE = 1024, 16_384, 65_536
 
 
-def run_node(run: str, links: Links, config: NodeConfig, fingerprint: str) -> None:
+def run_node(
+    run: str, links: Links, config: NodeConfig, peers: Collection[int], fingerprint: str
+) -> None:
     """Be one node until the recorder says that the run is over.
+
+    `peers` are those whom it hears or who hear it: all must be there before the first share.
 
     Raises:
         LinkError: the network cannot be joined.
@@ -27,8 +31,7 @@ def run_node(run: str, links: Links, config: NodeConfig, fingerprint: str) -> No
     heartbeat, grant = f"measured/{config.index}", "grant"
     shares = {j: f"share/{j}" for j in config.neighbours}
     transport = Transport(run, links, [heartbeat, grant, "end", *shares.values()], NODE_QUEUE)
-    awaited = {WORLD, RECORDER, *(str(j) for j in config.neighbours)}
-    transport.join(str(config.index), awaited)
+    transport.join(str(config.index), {WORLD, RECORDER, *map(str, peers)})
     transport.send(f"hello/{config.index}", fingerprint.encode())
     state = state_machine.initial_state(config)
     while state.phase is not Phase.FINISHED:

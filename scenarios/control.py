@@ -1,7 +1,7 @@
 """The plants of the weighted-average-consensus paper, each in a network and under its controller.
 
 `control` says whose knowledge closes the loop: a node's estimate (its number), `truth`, or `open`
-for no controller. `noise` is `matched` (physical, and what filters believe) or `paper` (as printed).
+for no controller. `noise` is `matched` (physical, what filters believe) or `paper` (as printed).
 """
 
 from collections.abc import Callable

@@ -16,7 +16,17 @@ from pathlib import Path
 
 import msgspec
 
-from nodes.links import RECORDER, ROUTER, WORLD, Links, free_ports, names, plan_links, ports_from
+from nodes.links import (
+    RECORDER,
+    ROUTER,
+    WORLD,
+    Links,
+    free_ports,
+    names,
+    peers_of,
+    plan_links,
+    ports_from,
+)
 from nodes.process import run_node, run_recorder, run_world
 from nodes.recording import McapRecorder
 from nodes.state_machine import NodeConfig
@@ -139,7 +149,8 @@ def _be_world(job: Job, links: Links, started: float) -> None:
 
 
 def _be_node(job: Job, links: Links, config: NodeConfig) -> None:
-    _joining(partial(run_node, job.run, links, config, fingerprint(job.setup)))
+    peers = peers_of(config.index, job.setup.neighbours)
+    _joining(partial(run_node, job.run, links, config, peers, fingerprint(job.setup)))
 
 
 def _joining(work: Callable[[], None]) -> None:

@@ -75,17 +75,19 @@ def require_connected(adjacency: Adjacency) -> None:
 
 
 def second_eigenvalue_modulus(weights: Array) -> float:
-    """Second largest modulus among the eigenvalues of doubly stochastic weights (n, n).
+    """Second largest modulus among the eigenvalues of row-stochastic weights (n, n).
 
     By this factor disagreement falls per round in the long run (Xiao, Boyd 2004, the asymptotic
     convergence factor); 0 for one node.
     """
-    eigenvalues = np.linalg.eigvals(_without_average(weights))
-    return min(float(np.abs(eigenvalues).max()), 1.0)
+    eigenvalues = np.linalg.eigvals(weights)
+    # All rows sum to 1, so one eigenvalue is 1; the one nearest to it is that one.
+    others = np.delete(eigenvalues, np.argmin(np.abs(eigenvalues - 1)))
+    return min(float(np.abs(others).max(initial=0.0)), 1.0)
 
 
 def contraction_per_round(weights: Array) -> float:
-    """The largest part of a disagreement that one round with weights (n, n) can leave.
+    """The largest part of a disagreement that one round of doubly stochastic weights (n, n) leaves.
 
     Xiao, Boyd 2004, the per-step convergence factor. Symmetric weights have it equal to the second
     eigenvalue modulus.

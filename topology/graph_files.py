@@ -7,6 +7,9 @@
 | .csv                  | the matrix itself: one row per line, 0 or a positive number per entry |
 | .graphml              | GraphML; a directed one must have each link both ways |
 
+`read_directed_graph` takes matrices and GraphML whose links go one way: entry (i, j) of the matrix,
+or the edge from j to i, says that i hears j.
+
 Nodes are numbered from 0. In GraphML other names are numbered in their order in the file.
 """
 
@@ -26,19 +29,36 @@ def read_graph(file: str | Path, nodes: int | None = None) -> Adjacency:
     """The graph of a file as a boolean symmetric (n, n) with zero diagonal.
 
     Raises:
-        ValueError: if the file is missing, malformed, or has another number of nodes than asked;
-            the message names the file, the line where there is one, and the cure.
+        ValueError: if the file is missing, malformed, has one-way links, or has another number of
+            nodes than asked; the message names the file, the line where there is one, and the cure.
     """
     file = Path(file)
+    adjacency, names = _read(file, nodes)
+    for one, other in np.argwhere(adjacency & ~adjacency.T):
+        raise ValueError(_one_way(file, names[one], names[other]))
+    return adjacency
+
+
+def read_directed_graph(file: str | Path, nodes: int | None = None) -> Adjacency:
+    """The directed graph of a file as a boolean (n, n) with zero diagonal: (i, j) is "i hears j".
+
+    Raises:
+        ValueError: as `read_graph`, but for one-way links.
+    """
+    adjacency, _ = _read(Path(file), nodes)
+    return adjacency
+
+
+def _read(file: Path, nodes: int | None) -> tuple[Adjacency, list[str]]:
+    """The links of a file, one way or both, and what the file calls its nodes."""
     suffix = _known_suffix(file)
     if not file.is_file():
         raise ValueError(f"{file}: no such file; check the path")
     if suffix == ".graphml":
-        adjacency = _read_graphml(file)
-    elif suffix == ".csv":
-        adjacency = _read_matrix(file)
+        adjacency, names = _read_graphml(file)
     else:
-        adjacency = _read_edge_list(file)
+        adjacency = _read_matrix(file) if suffix == ".csv" else _read_edge_list(file)
+        names = [str(node) for node in range(len(adjacency))]
     if not len(adjacency):
         raise ValueError(f"{file}: no nodes; give at least one")
     if nodes is not None and len(adjacency) != nodes:
@@ -46,7 +66,7 @@ def read_graph(file: str | Path, nodes: int | None = None) -> Adjacency:
             f"{file}: {len(adjacency)} nodes, but {nodes} were asked for; "
             f"ask for {len(adjacency)} nodes or change the file"
         )
-    return adjacency
+    return adjacency, names
 
 
 def write_graph(file: str | Path, adjacency: Adjacency) -> None:
@@ -126,12 +146,10 @@ def _read_matrix(file: Path) -> Adjacency:
     adjacency = np.array([row for _, row in rows]).reshape(len(rows), len(rows)) > 0
     for node in np.flatnonzero(adjacency.diagonal()):
         raise ValueError(f"{rows[node][0]}: node {node} is linked to itself; put 0 on the diagonal")
-    for one, other in np.argwhere(adjacency & ~adjacency.T):
-        raise ValueError(_one_way(rows[one][0], one, other))
     return adjacency
 
 
-def _read_graphml(file: Path) -> Adjacency:
+def _read_graphml(file: Path) -> tuple[Adjacency, list[str]]:
     try:
         graph = networkx.read_graphml(file)
     except (ElementTree.ParseError, networkx.NetworkXError, ValueError, KeyError) as error:
@@ -142,14 +160,13 @@ def _read_graphml(file: Path) -> Adjacency:
     index = {name: number for number, name in enumerate(names)}
     adjacency = np.zeros((len(names), len(names)), dtype=bool)
     for one, other in graph.edges():
-        adjacency[index[one], index[other]] = True
+        # What `one` sends along the edge, `other` hears.
+        adjacency[index[other], index[one]] = True
     if not graph.is_directed():
         adjacency |= adjacency.T
     for node in np.flatnonzero(adjacency.diagonal()):
         raise ValueError(f"{file}: node {names[node]} is linked to itself; remove that edge")
-    for one, other in np.argwhere(adjacency & ~adjacency.T):
-        raise ValueError(_one_way(file, names[one], names[other]))
-    return adjacency
+    return adjacency, names
 
 
 def _node(field: str, where: str) -> int:
@@ -170,8 +187,8 @@ def _quality(field: str, where: str) -> float:
     return quality
 
 
-def _one_way(where: str | Path, one: object, other: object) -> str:
+def _one_way(where: Path, one: str, other: str) -> str:
     return (
-        f"{where}: {one} is linked to {other}, but {other} not to {one}; "
-        "give each link both ways (links here have no direction)"
+        f"{where}: {one} hears {other}, but {other} does not hear {one}; give each link both ways, "
+        "or ask for a directed graph"
     )

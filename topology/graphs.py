@@ -1,7 +1,7 @@
 """Graphs of fixed shape, and every graph by its name.
 
-A graph is a symmetric boolean matrix `(n, n)` with a zero diagonal: entry (i, j) says that the
-nodes i and j hear each other.
+A graph is a boolean matrix `(n, n)` with a zero diagonal: entry (i, j) says that node i hears node
+j. It is symmetric but where a directed graph is asked for.
 """
 
 import math
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from topology.adjacency import Adjacency, adjacency_of, require_nodes
 from topology.geometric_graphs import connecting_radius, geometric, scatter
-from topology.graph_files import read_graph
+from topology.graph_files import read_directed_graph, read_graph
 from topology.names import unknown_name
 from topology.random_graphs import (
     connecting_probability,
@@ -85,7 +85,7 @@ _BUILDERS: dict[str, Callable[[int, int], Adjacency]] = {
 
 def graph_names() -> tuple[str, ...]:
     """What `build_graph` knows: K stands for a number, PATH for a file of `graph_files`."""
-    return (*_BUILDERS, "K-regular", "geometric", "file:PATH")
+    return (*_BUILDERS, "K-regular", "geometric", "file:PATH", "directed:PATH")
 
 
 def build_graph(
@@ -99,7 +99,8 @@ def build_graph(
 
     `geometric` takes `positions` (nodes, 2) and a `radius` in their unit; without positions it
     draws them by `scatter`. The other names use neither. `erdos-renyi` has a mean degree of about
-    2 ln n, `small-world` degree 4 and rewiring 0.1, `scale-free` two links per new node.
+    2 ln n, `small-world` degree 4 and rewiring 0.1, `scale-free` two links per new node. All but
+    `directed:PATH` are symmetric; there (i, j) says that i hears j.
 
     Raises:
         ValueError: for an unknown name or impossible numbers.
@@ -108,6 +109,8 @@ def build_graph(
         return _geometric(nodes, seed, positions, radius)
     if name.startswith("file:"):
         return read_graph(name.removeprefix("file:"), nodes)
+    if name.startswith("directed:"):
+        return read_directed_graph(name.removeprefix("directed:"), nodes)
     if match := re.fullmatch(r"([0-9]+)-regular", name):
         return regular(nodes, int(match[1]), seed)
     if name in _BUILDERS:

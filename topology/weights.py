@@ -1,7 +1,8 @@
-"""Consensus weights: doubly stochastic matrices that average over a graph.
+"""Consensus weights: stochastic matrices that average over a graph.
 
-Repeated multiplication with such a matrix W carries every node's value to the network's average
-(Xiao, Boyd: Fast linear iterations for distributed averaging, 2004).
+Repeated multiplication with a doubly stochastic W carries every node's value to the network's
+average (Xiao, Boyd: Fast linear iterations for distributed averaging, 2004). A W that is only
+row-stochastic, as a directed graph allows, carries them to a weighted average.
 """
 
 from collections.abc import Callable
@@ -54,13 +55,73 @@ def best_constant(adjacency: Adjacency) -> Array:
     return _completed(adjacency * (2 / (eigenvalues[1] + eigenvalues[-1])))
 
 
+def fastest_mixing(adjacency: Adjacency) -> Array:
+    """The symmetric weights without negative entries that converge fastest: they minimise the
+    contraction factor |W - 11'/n|, a semidefinite program (Xiao, Boyd 2004, section 4 with the
+    entries bounded below by 0 as in Boyd, Diaconis, Xiao 2004); (n, n) -> (n, n).
+
+    Raises:
+        ValueError: the graph is not connected, the solver is not installed, or it fails.
+    """
+    require_connected(adjacency)
+    try:
+        import cvxpy
+    except ImportError:
+        raise ValueError(
+            "weights fastest-mixing need a convex solver: install concord with the extra 'convex'"
+        ) from None
+    n = len(adjacency)
+    weights = cvxpy.Variable((n, n), symmetric=True)
+    factor = cvxpy.Variable()
+    links = adjacency | np.eye(n, dtype=bool)
+    constraints = [
+        weights[~links] == 0,
+        weights[links] >= 0,
+        cvxpy.sum(weights, axis=1) == 1,
+        factor * np.eye(n) + (weights - 1 / n) >> 0,
+        factor * np.eye(n) - (weights - 1 / n) >> 0,
+    ]
+    problem = cvxpy.Problem(cvxpy.Minimize(factor), constraints)
+    problem.solve(solver=cvxpy.CLARABEL)
+    if weights.value is None:
+        raise ValueError(f"weights fastest-mixing: the solver found none ({problem.status})")
+    # The solver is right to eight digits; the rest is put right where it cannot do harm.
+    solved = np.where(adjacency, np.maximum(weights.value, 0.0), 0.0)
+    return _completed((solved + solved.T) / 2)
+
+
+def equal_neighbour(adjacency: Adjacency) -> Array:
+    """W_ij = 1 / (1 + number of nodes that i hears) for itself and each of them; (n, n) -> (n, n).
+
+    Row-stochastic on any graph, directed ones included (Vicsek et al. 1995; Jadbabaie, Lin, Morse
+    2003). On a graph of unequal degrees the limit is not the average: well-heard nodes count more.
+    """
+    heard = adjacency | np.eye(len(adjacency), dtype=bool)
+    return heard / heard.sum(axis=1, keepdims=True)
+
+
+def check_doubly_stochastic(weights: Array) -> None:
+    """Whether weights (n, n) that pass `check_weights` keep the average.
+
+    Raises:
+        ValueError: a column does not sum to 1.
+    """
+    sums = weights.sum(axis=0)
+    for i in np.flatnonzero(np.abs(sums - 1) > TOLERANCE):
+        raise ValueError(
+            f"weights: column {i} sums to {sums[i]:.12g}, but each must sum to 1 (doubly "
+            "stochastic), or the network does not come to the average; use metropolis on a graph "
+            "whose links go both ways"
+        )
+
+
 def check_weights(weights: Array, adjacency: Adjacency) -> None:
     """Whether fusion may use these weights (n, n) on this graph (n, n).
 
     Raises:
         ValueError: naming the first rule that is broken: finite with one row per node, no entry
-            below 0, rows that sum to 1, columns that sum to 1, nothing outside graph and diagonal,
-            primitivity (some power has no zero, so that all nodes come to agree).
+            below 0, rows that sum to 1, nothing outside graph and diagonal, primitivity (some
+            power has no zero, so that all nodes come to agree).
     """
     if weights.shape != adjacency.shape or not np.isfinite(weights).all():
         raise ValueError(
@@ -72,13 +133,12 @@ def check_weights(weights: Array, adjacency: Adjacency) -> None:
             f"weights: entry ({i}, {j}) is {weights[i, j]:.3g}, but none may be below 0 (fusion "
             "would subtract a covariance); use metropolis"
         )
-    for axis, line in ((1, "row"), (0, "column")):
-        sums = weights.sum(axis=axis)
-        for i in np.flatnonzero(np.abs(sums - 1) > TOLERANCE):
-            raise ValueError(
-                f"weights: {line} {i} sums to {sums[i]:.12g}, but each must sum to 1 "
-                f"(doubly stochastic); put the difference on the diagonal"
-            )
+    sums = weights.sum(axis=1)
+    for i in np.flatnonzero(np.abs(sums - 1) > TOLERANCE):
+        raise ValueError(
+            f"weights: row {i} sums to {sums[i]:.12g}, but each must sum to 1; put the difference "
+            "on the diagonal"
+        )
     for i, j in np.argwhere((weights != 0) & ~(adjacency | np.eye(len(adjacency), dtype=bool))):
         raise ValueError(
             f"weights: entry ({i}, {j}) is {weights[i, j]:.3g}, but node {i} does not hear "
@@ -96,6 +156,8 @@ _RULES: dict[str, Callable[[Adjacency], Array]] = {
     "metropolis": metropolis,
     "maximum-degree": maximum_degree,
     "best-constant": best_constant,
+    "fastest-mixing": fastest_mixing,
+    "equal-neighbour": equal_neighbour,
 }
 
 

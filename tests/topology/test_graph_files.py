@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from topology.graph_files import read_graph, write_graph
+from topology.graph_files import read_directed_graph, read_graph, write_graph
 from topology.graphs import path, ring
 
 INTEL_LAB = Path(__file__).resolve().parents[3] / "shared/data/intel_lab/connectivity.txt"
@@ -97,11 +97,15 @@ TWO = '<node id="a"/><node id="b"/><edge source="a" target="{}"/>'
         ("gap.csv", "0,\n1,0\n", r"gap\.csv:1: '' is not a finite number"),
         ("minus.csv", "0,-1\n-1,0\n", r"minus\.csv:1: '-1' is not a finite number of 0 or more"),
         ("loop.csv", "0,1\n1,2\n", r"loop\.csv:2: node 1 is linked to itself; put 0"),
-        ("one_way.csv", "0,1\n0,0\n", r"one_way\.csv:1: 0 is linked to 1, but 1 not to 0; give"),
+        ("one_way.csv", "0,1\n0,0\n", r"one_way\.csv: 0 hears 1, but 1 does not hear 0; give"),
         ("broken.graphml", "<graphml>", "not GraphML .*export"),
         ("not.graphml", "0 1\n", "not GraphML"),
         ("loop.graphml", GRAPHML.format("undirected", TWO.format("a")), "node a is linked to its"),
-        ("one_way.graphml", GRAPHML.format("directed", TWO.format("b")), "a is linked to b, but b"),
+        (
+            "one_way.graphml",
+            GRAPHML.format("directed", TWO.format("b")),
+            "b hears a, but a does not",
+        ),
         ("graph.dot", "graph {}", r"unknown kind of graph file '\.dot'; rename .*\.graphml"),
     ],
 )
@@ -135,3 +139,13 @@ def test_an_unknown_suffix_is_not_written(folder):
     with pytest.raises(ValueError, match=r"unknown kind of graph file '\.png'"):
         write_graph(folder / "graph.png", ring(4))
     assert not (folder / "graph.png").exists()
+
+
+def test_a_directed_file_says_who_hears_whom(folder):
+    """Row 0 of the matrix hears nodes 1 and 2; in GraphML an edge's target hears its source."""
+    matrix = write(folder, "one_way.csv", "0,1,1\n0,0,1\n1,0,0\n")
+    expected = [[False, True, True], [False, False, True], [True, False, False]]
+    assert read_directed_graph(matrix).tolist() == expected
+    graph = networkx.DiGraph([(1, 0), (2, 0), (2, 1), (0, 2)])
+    networkx.write_graphml(graph, folder / "one_way.graphml")
+    assert read_directed_graph(folder / "one_way.graphml").tolist() == expected

@@ -162,8 +162,13 @@ def test_random_families_have_the_number_of_links_of_their_definition():
 
 
 def test_every_name_builds_its_graph(tmp_path):
-    concrete = {"K-regular": "4-regular", "file:PATH": f"file:{tmp_path / 'ring.edges'}"}
-    (tmp_path / "ring.edges").write_text("0 1\n1 2\n2 3\n3 4\n4 5\n5 0\n")
+    file = tmp_path / "ring.edges"
+    concrete = {
+        "K-regular": "4-regular",
+        "file:PATH": f"file:{file}",
+        "directed:PATH": f"directed:{file}",
+    }
+    file.write_text("0 1\n1 2\n2 3\n3 4\n4 5\n5 0\n")
     for name in graph_names():
         assert_graph(build_graph(concrete.get(name, name), 6, seed=0), 6)
     assert (build_graph(concrete["file:PATH"], 6, seed=0) == ring(6)).all()

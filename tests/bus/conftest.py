@@ -1,0 +1,33 @@
+"""Recorded data of the bus; tests that want it skip where it is not beside the checkout."""
+
+from pathlib import Path
+
+import pytest
+
+from bus.decoder import Decoding, decode_waveform
+from bus.waveform import Waveform, read_waveform
+
+
+def _file(shared_data: Path, name: str) -> Path:
+    path = shared_data / name
+    if not path.exists():
+        pytest.skip(f"needs ../shared/data/{name}")
+    return path
+
+
+@pytest.fixture(scope="session")
+def capture(shared_data: Path) -> Waveform:
+    """Eight cycles of a real car's bus."""
+    return read_waveform(_file(shared_data, "flexray_capture/audi_cycles_28_35.csv")).waveform
+
+
+@pytest.fixture(scope="session")
+def audi(capture: Waveform) -> Decoding:
+    """The frames in them."""
+    return decode_waveform(capture)
+
+
+@pytest.fixture(scope="session")
+def sample_fibex(shared_data: Path) -> str:
+    """A published FIBEX cluster description."""
+    return _file(shared_data, "fibex/fibextest2.xml").read_text(encoding="utf-8")

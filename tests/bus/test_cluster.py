@@ -1,0 +1,182 @@
+"""Clusters: the published ones add up, and every broken rule is refused by name."""
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bus.cluster import Cluster, ClusterError
+from bus.constraints import PARAMETERS
+from bus.presets import AUDI, BOSCH, DEMO, FLEXRAY_ADAPTER, PRESETS, preset
+from tests.bus.support import clusters, quick
+
+
+def broken(cluster: Cluster, **fields: object) -> str:
+    with pytest.raises(ClusterError) as refused:
+        msgspec.structs.replace(cluster, **fields)
+    return str(refused.value)
+
+
+def test_audi_has_the_grid_of_the_recording():
+    assert (AUDI.static_slots, AUDI.static_payload_bytes) == (51, 34)
+    assert AUDI.static_slot_us == pytest.approx(52.2, abs=0.005)
+    assert AUDI.minislot_us == pytest.approx(9.0, abs=0.001)
+    assert AUDI.macrotick_us == pytest.approx(1.8, abs=0.0002)
+    assert AUDI.cycle_time_s == pytest.approx(5e-3)
+
+
+def test_published_clusters_have_their_published_figures():
+    adapter, bosch = FLEXRAY_ADAPTER, BOSCH
+    assert (adapter.static_slots, adapter.static_slot_macroticks) == (60, 65)
+    assert (adapter.minislots, adapter.minislot_macroticks) == (163, 6)
+    assert (adapter.symbol_window_macroticks, adapter.network_idle_time_macroticks) == (19, 103)
+    assert (adapter.latest_transmission_minislot, adapter.microticks_per_cycle) == (157, 200000)
+    assert (bosch.static_slots, bosch.static_slot_macroticks) == (38, 55)
+    assert (bosch.minislots, bosch.minislot_macroticks) == (211, 6)
+    assert (bosch.macroticks_per_cycle, bosch.cycle_us) == (3361, 5000.0)
+
+
+def test_published_latest_transmission_follows_from_the_dynamic_slot_length():
+    # A real configuration says 157 for 8 words in 163 minislots; nothing of it is fitted to that.
+    longest = FLEXRAY_ADAPTER.dynamic_slot_minislots(FLEXRAY_ADAPTER.dynamic_payload_bytes)
+    assert FLEXRAY_ADAPTER.minislots - longest + 1 == 157
+
+
+def test_demo_holds_six_states_in_float64_for_twenty_nodes():
+    state_and_triangle_bytes = 8 * (6 + 6 * 7 // 2)
+    for payload in (DEMO.static_payload_bytes, DEMO.dynamic_payload_bytes):
+        assert payload >= state_and_triangle_bytes + 16
+    assert DEMO.static_slots >= 20
+    assert DEMO.number_of_cycles == 64
+
+
+def test_presets_are_found_by_name_and_a_typo_lists_them():
+    assert all(preset(name).name == name for name in PRESETS)
+    with pytest.raises(ValueError, match="audi, bosch, demo, flexray-adapter"):
+        preset("bmw")
+
+
+def test_frame_length_of_the_recorded_static_frames():
+    # 9 bits TSS, FSS, ten bits for each of 5 + 34 + 3 bytes, FES: 43.2 us at 10 Mbit/s.
+    assert AUDI.frame_bits(34) == 432
+    assert AUDI.frame_us(34) == pytest.approx(43.2)
+
+
+@pytest.mark.parametrize("field", PARAMETERS)
+def test_each_range_is_kept_at_both_ends(field: str):
+    parameter = PARAMETERS[field]
+    for outside in (parameter.low - 1, parameter.high + 1):
+        message = broken(DEMO, **{field: outside})
+        assert field in message
+        assert parameter.standard_name in message
+        assert f"is {outside}" in message
+        assert f"{parameter.low} to {parameter.high}" in message
+    for nonsense in (float("nan"), "7", None, True):
+        assert field in broken(DEMO, **{field: nonsense})
+
+
+def test_odd_number_of_cycles_is_refused():
+    assert "set 64" in broken(DEMO, number_of_cycles=63)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("channels", "C"),
+        ("bit_rate_mbps", 8.0),
+        ("microtick_us", 0.1),
+        ("name", ""),
+        ("name", " a"),
+        ("name", "a\nb"),
+    ],
+)
+def test_choices_are_named(field: str, value: object):
+    message = broken(DEMO, **{field: value})
+    assert field in message
+    assert repr(value) in message
+
+
+def test_constraint_17_names_both_sides_and_the_cure():
+    message = broken(DEMO, macrotick_us=1.01)
+    assert "constraint 17" in message
+    assert "10000" in message
+    assert "10100" in message
+    cured = msgspec.structs.replace(DEMO, macrotick_us=10000 / 10000)
+    assert cured == DEMO
+
+
+def test_constraint_17_accepts_a_macrotick_rounded_to_less_than_a_microtick():
+    msgspec.structs.replace(BOSCH, macrotick_us=1.487653)
+    assert "constraint 17" in broken(BOSCH, macrotick_us=1.4877)
+
+
+def test_constraint_18_names_both_sides_and_its_cure_works():
+    message = broken(DEMO, network_idle_time_macroticks=170)
+    assert "constraint 18" in message
+    assert "is 10000" in message
+    assert "271 x 20 + 0 + 8 x 550 + 0 + 170 = 9990" in message
+    assert "set network_idle_time_macroticks to 180" in message
+    msgspec.structs.replace(DEMO, network_idle_time_macroticks=180)
+
+
+def test_constraint_18_counts_the_action_point_difference():
+    message = broken(DEMO, minislot_action_point_macroticks=1)
+    assert "271 x 20 + 2 + 8 x 550" in message
+
+
+def test_constraint_19_names_both_sides_and_the_cure():
+    message = broken(DEMO, microticks_per_cycle=399999)
+    assert "constraint 19" in message
+    assert "is 399999" in message
+    assert "= 400000" in message
+
+
+def test_static_slot_too_short_for_its_frame_is_refused():
+    # 2 x 3 + (9 + 1 + 10 x 262 + 2 + 11) x 0.1 us rounded up to macroticks of 1 us = 271.
+    message = broken(DEMO, static_slot_macroticks=270, network_idle_time_macroticks=200)
+    assert "needs 271 macroticks" in message
+
+
+def test_latest_transmission_that_lets_a_frame_overrun_the_segment_is_refused():
+    message = broken(DEMO, latest_transmission_minislot=518)
+    assert "pLatestTx" in message
+    assert "to 517" in message
+
+
+def test_several_broken_rules_are_all_reported():
+    message = broken(DEMO, network_idle_time_macroticks=170, microticks_per_cycle=1000)
+    assert "constraint 18" in message
+    assert "constraint 19" in message
+
+
+def test_a_slot_that_does_not_exist_is_refused():
+    with pytest.raises(ValueError, match=r"no static slot 21.*1\.\.20"):
+        DEMO.slot_start_us(21)
+
+
+@quick
+@given(clusters())
+def test_segments_of_a_random_cluster_fill_its_cycle(cluster: Cluster):
+    end_of_static = cluster.slot_start_us(cluster.static_slots) + cluster.static_slot_us
+    end_of_dynamic = cluster.minislot_start_us(cluster.minislots + 1)
+    rest = cluster.symbol_window_macroticks + cluster.network_idle_time_macroticks
+    assert cluster.dynamic_segment_start_us >= end_of_static - 1e-9
+    assert end_of_dynamic + rest * cluster.macrotick_us == pytest.approx(cluster.cycle_us)
+
+
+@quick
+@given(clusters(), st.integers(0, 127))
+def test_a_static_frame_that_fits_leaves_its_slot_in_time(cluster: Cluster, words: int):
+    idle_us = 11 * cluster.bit_us
+    end_us = cluster.action_point_us + cluster.frame_us(2 * words) + idle_us
+    in_time = end_us + cluster.action_point_us <= cluster.static_slot_us + 1e-9
+    assert cluster.fits_static_slot(2 * words) == in_time
+
+
+@quick
+@given(clusters(min_minislots=1), st.integers(0, 127))
+def test_a_dynamic_slot_is_the_frame_and_less_than_two_minislots_more(cluster: Cluster, words: int):
+    minislots = cluster.dynamic_slot_minislots(2 * words)
+    spare = minislots - cluster.dynamic_slot_idle_phase_minislots
+    frame = cluster.frame_us(2 * words) / cluster.minislot_us
+    assert frame + 1 <= spare + 1e-9 < frame + 2 + 1e-9

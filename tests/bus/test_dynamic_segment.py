@@ -1,0 +1,100 @@
+"""The walk through the dynamic segment against a counter that goes minislot by minislot."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bus.cluster import Cluster
+from bus.dynamic_segment import Request, frame_payloads, walk
+from bus.presets import DEMO, FLEXRAY_ADAPTER
+from tests.bus.support import clusters, quick
+
+
+@st.composite
+def segments(draw: st.DrawFn) -> tuple[Cluster, list[Request]]:
+    """A cluster, and requests for distinct dynamic slots, of one frame each."""
+    cluster = draw(clusters(min_minislots=1))
+    places = draw(st.sets(st.integers(0, 60), max_size=12))
+    requests = [
+        Request(
+            node=place,
+            frame_id=cluster.first_dynamic_id + place,
+            bid=draw(st.integers(0, 5)),
+            payload_bytes=2 * draw(st.integers(0, cluster.dynamic_payload_words)),
+        )
+        for place in sorted(places)
+    ]
+    return cluster, draw(st.permutations(requests))
+
+
+def minislot_by_minislot(cluster: Cluster, requests: list[Request]) -> dict[int, int]:
+    """First minislot of each frame ID that is sent: FlexRay's slot and minislot counters."""
+    pending = {request.frame_id: request for request in requests}
+    sent: dict[int, int] = {}
+    slot, minislot = cluster.static_slots + 1, 1
+    while minislot <= cluster.minislots and slot <= 2047:
+        request = pending.get(slot)
+        length = 1
+        if request is not None and minislot <= cluster.latest_transmission_minislot:
+            bits = cluster.transmission_start_bits + 3 + 10 * (8 + request.payload_bytes)
+            frame = math.ceil(
+                bits / cluster.bit_rate_mbps / cluster.minislot_macroticks / cluster.macrotick_us
+                - 1e-9
+            )
+            length = frame + 1 + cluster.dynamic_slot_idle_phase_minislots
+            sent[slot] = minislot
+        minislot += length
+        slot += 1
+    return sent
+
+
+@quick
+@given(segments())
+def test_the_walk_is_that_of_the_counters(segment: tuple[Cluster, list[Request]]):
+    cluster, requests = segment
+    placed, waiting = walk(cluster, requests)
+    assert {frame.frame_id: frame.minislot for frame in placed} == minislot_by_minislot(
+        cluster, requests
+    )
+    ids = {frame.frame_id for frame in placed} | {request.frame_id for request in waiting}
+    assert ids == {request.frame_id for request in requests}
+
+
+@quick
+@given(segments())
+def test_nothing_begins_late_overlaps_or_overruns(segment: tuple[Cluster, list[Request]]):
+    cluster, requests = segment
+    free = 1
+    for frame in walk(cluster, requests).placed:
+        assert free <= frame.minislot <= cluster.latest_transmission_minislot
+        free = frame.minislot + frame.minislots
+        assert free - 1 <= cluster.minislots
+
+
+def test_a_request_longer_than_one_frame_is_sent_whole_or_not_at_all():
+    # 16-byte frames last 7 of 163 minislots, none may begin after minislot 157.
+    adapter = FLEXRAY_ADAPTER
+    long = Request(3, 61, 0, 40)
+    assert frame_payloads(adapter, 40) == (16, 16, 8)
+    placed, waiting = walk(adapter, [long])
+    assert [(frame.frame_id, frame.minislot) for frame in placed] == [(61, 1), (62, 8), (63, 15)]
+    assert not waiting
+    late = Request(3, 61 + 146, 0, 40)
+    assert walk(adapter, [late]).waiting == (late,)
+    assert not walk(adapter, [late]).placed
+    assert walk(adapter, [late._replace(payload_bytes=16)]).placed[0].minislot == 147
+
+
+def test_slots_with_two_senders_are_refused_by_name():
+    with pytest.raises(ValueError, match="nodes 1 and 2 both send in dynamic slot 30"):
+        walk(DEMO, [Request(1, 30, 0, 8), Request(2, 30, 0, 8)])
+    with pytest.raises(ValueError, match="nodes 1 and 2 both send in dynamic slot 30"):
+        walk(DEMO, [Request(1, 29, 0, 300), Request(2, 30, 0, 8)])
+
+
+@pytest.mark.parametrize("frame_id", [20, 2048])
+def test_ids_outside_of_the_segment_are_refused(frame_id: int):
+    with pytest.raises(ValueError, match=f"frame ID {frame_id}"):
+        walk(DEMO, [Request(1, frame_id, 0, 8)])
