@@ -12,6 +12,7 @@ from xml.sax.saxutils import escape
 import msgspec
 
 from bus.cluster import Cluster, ClusterError
+from bus.constraints import MICROTICKS_US
 
 Element = ElementTree.Element
 
@@ -222,9 +223,10 @@ def _controller_fields(controllers: Sequence[Element]) -> dict[str, Any]:
 def _with_usual_values(fields: dict[str, Any]) -> Cluster:
     """A cluster of these fields; those of the controllers are filled in where they are missing."""
     microtick_us = fields.get("microtick_us", 0.025)
-    counted = microtick_us > 0 and 0 < fields["cycle_us"] < 1e6  # else the cluster's ranges refuse
+    # Another microtick than FlexRay's is refused by the cluster, whatever is counted of it.
+    known = microtick_us in MICROTICKS_US
     counts: dict[str, Any] = {
-        "microticks_per_cycle": round(fields["cycle_us"] / microtick_us) if counted else 0
+        "microticks_per_cycle": round(fields["cycle_us"] / microtick_us) if known else 0
     }
     silent = {"dynamic_payload_words": 0, "latest_transmission_minislot": 0}
     probe = Cluster(**{**counts, **fields, **silent})

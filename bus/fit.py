@@ -20,8 +20,8 @@ START_TOLERANCE_US = 0.5
 
 
 class Multiplex(NamedTuple):
-    """When a frame ID carried data: the cycles seen, and the coarsest `cycle % repetition == base`
-    that says exactly these; both None if none does (the frame is sent on events)."""
+    """When a frame ID carried data: the cycles seen, and base and smallest repetition for which
+    `cycle % repetition == base` says exactly these; None if none does (it is sent on events)."""
 
     frame_id: int
     segment: Segment

@@ -1,4 +1,4 @@
-"""What the tests of the bus share: random clusters, checksums the long way."""
+"""What the tests of the bus share: random clusters, requests and frames, checksums the long way."""
 
 import math
 
@@ -6,6 +6,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 
 from bus.cluster import Cluster
+from bus.dynamic_segment import Request
+from bus.frame import Frame
 
 quick = settings(max_examples=60)
 
@@ -72,4 +74,35 @@ def clusters(draw: st.DrawFn, min_minislots: int = 0) -> Cluster:
         symbol_window_macroticks=window,
         network_idle_time_macroticks=idle,
         transmission_start_bits=start_bits,
+    )
+
+
+@st.composite
+def dynamic_segments(draw: st.DrawFn) -> tuple[Cluster, list[Request]]:
+    """A cluster, and requests for distinct dynamic slots, of one frame each."""
+    cluster = draw(clusters(min_minislots=1))
+    places = draw(st.sets(st.integers(0, 60), max_size=12))
+    requests = [
+        Request(
+            node=place,
+            frame_id=cluster.first_dynamic_id + place,
+            bid=draw(st.integers(0, 5)),
+            payload_bytes=2 * draw(st.integers(0, cluster.dynamic_payload_words)),
+        )
+        for place in sorted(places)
+    ]
+    return cluster, draw(st.permutations(requests))
+
+
+@st.composite
+def frames(draw: st.DrawFn) -> Frame:
+    sync = draw(st.booleans())
+    return Frame(
+        frame_id=draw(st.integers(1, 2047)),
+        cycle_count=draw(st.integers(0, 63)),
+        payload=draw(st.binary(max_size=127).map(lambda half: half + half)),
+        payload_preamble=draw(st.booleans()),
+        null=draw(st.booleans()),
+        sync=sync,
+        startup=sync and draw(st.booleans()),
     )

@@ -18,8 +18,7 @@ from bus.arbitration import (
 )
 from bus.dynamic_segment import Request, walk
 from bus.presets import DEMO, FLEXRAY_ADAPTER
-from tests.bus.support import quick
-from tests.bus.test_dynamic_segment import segments
+from tests.bus.support import dynamic_segments, quick
 
 ARBITERS = pytest.mark.parametrize("arbiter", [minislot, wtod, round_robin])
 states = st.builds(ArbiterState, last_frame_id=st.integers(0, 80), waits=st.just(()))
@@ -36,7 +35,7 @@ def nodes(requests: tuple[Request, ...]) -> list[int]:
 
 @ARBITERS
 @quick
-@given(segment=segments(), state=states, slots=st.integers(0, 6), random=st.randoms())
+@given(segment=dynamic_segments(), state=states, slots=st.integers(0, 6), random=st.randoms())
 def test_winners_fit_are_few_enough_and_do_not_depend_on_order(
     arbiter: Arbiter, segment, state, slots, random
 ):
@@ -54,7 +53,7 @@ def test_winners_fit_are_few_enough_and_do_not_depend_on_order(
 
 @ARBITERS
 @quick
-@given(segment=segments(), slots=st.integers(1, 6))
+@given(segment=dynamic_segments(), slots=st.integers(1, 6))
 def test_the_bus_is_not_left_idle(arbiter: Arbiter, segment, slots):
     cluster, requests = segment
     _, winners = arbiter(ArbiterState(), requests, cluster=cluster, slots=slots)
@@ -63,7 +62,7 @@ def test_the_bus_is_not_left_idle(arbiter: Arbiter, segment, slots):
 
 
 @quick
-@given(segment=segments())
+@given(segment=dynamic_segments())
 def test_minislot_winners_are_those_of_the_walk(segment):
     cluster, requests = segment
     _, winners = minislot(ArbiterState(), requests, cluster=cluster, slots=99)
@@ -110,13 +109,25 @@ def test_round_robin_serves_all_in_turn():
 
 @quick
 @given(
-    st.integers(1, 30), st.integers(1, 5), st.lists(st.integers(0, 254), min_size=30, max_size=30)
+    st.integers(1, 30), st.integers(1, 30), st.lists(st.integers(0, 254), min_size=30, max_size=30)
 )
 def test_round_robin_never_starves_whatever_the_lengths(count: int, slots: int, sizes: list[int]):
     requests = [Request(place, 21 + place, 0, sizes[place] // 2 * 2) for place in range(count)]
     # The first in turn always fits alone, so everybody is served within as many cycles as nodes.
     served = serve(round_robin, requests, count, slots)
     assert {node for winners in served for node in winners} == set(range(count))
+
+
+def test_round_robin_lets_nobody_overtake():
+    """15 long frames after the pointer; slot 21 would push the last beyond pLatestTx, the short
+    frame of slot 22 would not, but must not go before 21."""
+    long = [Request(frame_id, frame_id, 0, 254) for frame_id in (21, *range(37, 52))]
+    requests = [*long, Request(22, 22, 0, 0)]
+    state = ArbiterState(last_frame_id=36)
+    state, winners = round_robin(state, requests, cluster=DEMO, slots=99)
+    assert nodes(winners) == list(range(37, 52))
+    state, winners = round_robin(state, requests, cluster=DEMO, slots=99)
+    assert nodes(winners)[:2] == [21, 22]
 
 
 def test_minislot_starves_high_ids_and_says_so():

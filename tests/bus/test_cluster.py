@@ -62,6 +62,28 @@ def test_frame_length_of_the_recorded_static_frames():
     assert AUDI.frame_us(34) == pytest.approx(43.2)
 
 
+def test_ranges_are_those_of_the_specification():
+    """FlexRay 3.0.1, appendix B, as the validators of open projects cite it."""
+    ranges = {parameter.standard_name: parameter[1:] for parameter in PARAMETERS.values()}
+    assert {
+        "gMacroPerCycle": (8, 16000),
+        "gdMacrotick": (1, 6),
+        "gNumberOfStaticSlots": (2, 1023),
+        "gdStaticSlot": (3, 664),
+        "gdActionPointOffset": (1, 63),
+        "gPayloadLengthStatic": (0, 127),
+        "gNumberOfMinislots": (0, 7988),
+        "gdMinislot": (2, 63),
+        "gdMinislotActionPointOffset": (1, 31),
+        "gdDynamicSlotIdlePhase": (0, 2),
+        "pLatestTx": (0, 7988),
+        "gdSymbolWindow": (0, 162),
+        "gdTSSTransmitter": (1, 15),
+        "gdNIT": (2, 15978),
+        "gCycleCountMax + 1": (8, 64),
+    }.items() <= ranges.items()
+
+
 @pytest.mark.parametrize("field", PARAMETERS)
 def test_each_range_is_kept_at_both_ends(field: str):
     parameter = PARAMETERS[field]

@@ -4,29 +4,11 @@ import math
 
 import pytest
 from hypothesis import given
-from hypothesis import strategies as st
 
 from bus.cluster import Cluster
 from bus.dynamic_segment import Request, frame_payloads, walk
 from bus.presets import DEMO, FLEXRAY_ADAPTER
-from tests.bus.support import clusters, quick
-
-
-@st.composite
-def segments(draw: st.DrawFn) -> tuple[Cluster, list[Request]]:
-    """A cluster, and requests for distinct dynamic slots, of one frame each."""
-    cluster = draw(clusters(min_minislots=1))
-    places = draw(st.sets(st.integers(0, 60), max_size=12))
-    requests = [
-        Request(
-            node=place,
-            frame_id=cluster.first_dynamic_id + place,
-            bid=draw(st.integers(0, 5)),
-            payload_bytes=2 * draw(st.integers(0, cluster.dynamic_payload_words)),
-        )
-        for place in sorted(places)
-    ]
-    return cluster, draw(st.permutations(requests))
+from tests.bus.support import dynamic_segments, quick
 
 
 def minislot_by_minislot(cluster: Cluster, requests: list[Request]) -> dict[int, int]:
@@ -51,7 +33,7 @@ def minislot_by_minislot(cluster: Cluster, requests: list[Request]) -> dict[int,
 
 
 @quick
-@given(segments())
+@given(dynamic_segments())
 def test_the_walk_is_that_of_the_counters(segment: tuple[Cluster, list[Request]]):
     cluster, requests = segment
     placed, waiting = walk(cluster, requests)
@@ -63,7 +45,7 @@ def test_the_walk_is_that_of_the_counters(segment: tuple[Cluster, list[Request]]
 
 
 @quick
-@given(segments())
+@given(dynamic_segments())
 def test_nothing_begins_late_overlaps_or_overruns(segment: tuple[Cluster, list[Request]]):
     cluster, requests = segment
     free = 1
@@ -85,6 +67,10 @@ def test_a_request_longer_than_one_frame_is_sent_whole_or_not_at_all():
     assert walk(adapter, [late]).waiting == (late,)
     assert not walk(adapter, [late]).placed
     assert walk(adapter, [late._replace(payload_bytes=16)]).placed[0].minislot == 147
+    # Its three slots stay silent for a minislot each, and the next node gets its turn.
+    placed, waiting = walk(adapter, [late, Request(4, late.frame_id + 3, 0, 16)])
+    assert waiting == (late,)
+    assert [(frame.node, frame.minislot) for frame in placed] == [(4, 150)]
 
 
 def test_slots_with_two_senders_are_refused_by_name():

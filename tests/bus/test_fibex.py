@@ -56,6 +56,7 @@ def test_any_cluster_survives_the_round_trip(cluster: Cluster):
         ("<flexray:CYCLE>10000.0<", "<flexray:CYCLE>inf<", "CYCLE"),
         ("<flexray:MICROTICK>0.025<", "<flexray:MICROTICK>0<", "pdMicrotick"),
         ("<flexray:BIT>0.1<", "<flexray:BIT>0.2<", "SPEED.*BIT"),
+        ("<flexray:BIT>0.1<", "<flexray:BIT>nan<", "BIT"),
         ("<flexray:N-I-T>180<", "<flexray:N-I-T>9</flexray:N-I-T><flexray:N-I-T>180<", "N-I-T"),
         ("<fx:CHANNEL-REF ID-REF=", "<fx:CHANNEL-REF ID-FER=", "CHANNEL-REF"),
         ("NEL-NAME>A<", "NEL-NAME>C<", "FLEXRAY-CHANNEL-NAME"),

@@ -122,6 +122,20 @@ def test_a_simulated_cluster_gives_itself_back(cluster: Cluster, seed: int):
         )
 
 
+def test_null_frames_are_no_data_of_their_slot():
+    sent = [
+        (
+            2e4 + 5e6 * cycle + 6e4 * frame_id,
+            encode_bits(encode(Frame(frame_id, cycle, bytes(4), null=cycle % frame_id > 0)), 9),
+        )
+        for cycle in range(8)
+        for frame_id in (1, 2, 4)
+    ]
+    found = fit(decode_waveform(from_bits(sent, 100.0))).multiplexing
+    assert [(entry.base_cycle, entry.repetition) for entry in found] == [(0, 1), (0, 2), (0, 4)]
+    assert found[2].cycles == (0, 4)
+
+
 def test_a_recording_that_tells_little_is_not_overread():
     frames = [(20e3, encode_bits(encode(Frame(3, 0, b"ab")), 9))]
     found = fit(decode_waveform(from_bits(frames, 100.0)))

@@ -7,23 +7,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from bus.frame import Frame, FrameError, decode, encode, inspect
-from tests.bus.support import binary, long_division, quick
+from tests.bus.support import binary, frames, long_division, quick
 
 INITIAL = {"A": 0xFEDCBA, "B": 0xABCDEF}
-
-
-@st.composite
-def frames(draw: st.DrawFn) -> Frame:
-    sync = draw(st.booleans())
-    return Frame(
-        frame_id=draw(st.integers(1, 2047)),
-        cycle_count=draw(st.integers(0, 63)),
-        payload=draw(st.binary(max_size=127).map(lambda half: half + half)),
-        payload_preamble=draw(st.booleans()),
-        null=draw(st.booleans()),
-        sync=sync,
-        startup=sync and draw(st.booleans()),
-    )
 
 
 @quick
@@ -94,6 +80,30 @@ def test_a_truncated_or_lengthened_frame_is_rejected(frame: Frame, data: st.Data
     with pytest.raises(FrameError) as long:
         decode(good + data.draw(st.binary(min_size=1, max_size=9)))
     assert long.value.reason == "length"
+
+
+@pytest.mark.parametrize(
+    ("bit", "reason"),
+    [
+        (3, "header-crc"),
+        (4, "header-crc"),
+        (15, "header-crc"),
+        (22, "header-crc"),
+        (33, "header-crc"),
+        (0, "frame-crc"),
+        (2, "frame-crc"),
+        (39, "frame-crc"),
+        (40, "frame-crc"),
+        (100, "frame-crc"),
+    ],
+)
+def test_each_checksum_guards_its_bits(bit: int, reason: str):
+    """The header CRC guards sync, startup, ID, length and itself; the frame CRC everything."""
+    good = encode(Frame(7, 3, bytes(range(8))))
+    damaged = int.from_bytes(good, "big") ^ 1 << 8 * len(good) - 1 - bit
+    with pytest.raises(FrameError) as refused:
+        decode(damaged.to_bytes(len(good), "big"))
+    assert refused.value.reason == reason
 
 
 def test_the_other_channel_is_rejected():

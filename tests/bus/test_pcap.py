@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from bus.decoder import Decoding
 from bus.frame import Channel, Frame, encode
 from bus.pcap import Captured, file_header, packet, write_pcap
-from tests.bus.support import quick
-from tests.bus.test_frame import frames
+from tests.bus.support import frames, quick
 
 needs_tshark = pytest.mark.skipif(
     shutil.which("tshark") is None, reason="tshark is not installed (apt-get install tshark)"

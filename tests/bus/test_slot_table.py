@@ -76,6 +76,11 @@ def test_a_share_of_a_power_of_two_needs_one_entry_for_each_slot_and_node():
     assert deviations(table.assignments, DEMO) == ()
 
 
+def test_a_table_longer_than_its_period_is_multiplexed_as_the_short_one():
+    table = allocate(Schedule(2, ((0,), (1,)) * 8), DEMO, (254,), ())
+    assert table.assignments == (SlotAssignment(1, 0, "A", 0, 2), SlotAssignment(1, 1, "A", 1, 2))
+
+
 def test_other_periods_are_told():
     table = allocate(round_robin(12, 1), DEMO, (254,), ())
     (sentence,) = deviations(table.assignments, DEMO)

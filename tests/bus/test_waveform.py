@@ -74,6 +74,13 @@ def test_time_that_goes_backwards_is_refused():
 
 
 @pytest.mark.parametrize(
+    "line", ["inf,1", "1e999,0", "nan,1", "9223372036854775808,1", "1,inf", "1"]
+)
+def test_numbers_that_are_no_time_or_level_are_counted(line: str):
+    assert parse_waveform(f"0,1\n20,0\n{line}\n").unreadable_lines == 1
+
+
+@pytest.mark.parametrize(
     "text", ["\x7fELF\x02\n\x00\x01", "hello\nworld\n", "1,2.5\n2,1.3\n", "9\n"]
 )
 def test_other_files_are_refused(text: str):
