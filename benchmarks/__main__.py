@@ -6,9 +6,9 @@ import sys
 
 import msgspec
 
-from benchmarks import launch, lockstep
+from benchmarks import launch, lockstep, occupancy
 
-BENCHMARKS = {"launch": launch.main, "lockstep": lockstep.main}
+BENCHMARKS = {"launch": launch.main, "lockstep": lockstep.main, "occupancy": occupancy.main}
 
 
 def main() -> None:

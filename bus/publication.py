@@ -8,10 +8,15 @@ from bus.slot_table import SlotAssignment, SlotTable
 
 
 class Slot(NamedTuple):
-    """One frame: its ID and its payload length in bytes, padding included."""
+    """One frame: its ID and payload length in bytes.
+
+    A `fixed` one is padded to that length, as every static frame of a cluster is; another is as
+    short as what it carries.
+    """
 
     frame_id: int
     payload_bytes: int
+    fixed: bool = True
 
 
 class Publications:
@@ -28,7 +33,8 @@ class Publications:
         self._static_payload_bytes = cluster.static_payload_bytes
         self._dynamic = {
             node: tuple(
-                Slot(*slot) for slot in zip(sorted(ids), table.dynamic_payloads, strict=True)
+                Slot(frame_id, payload_bytes, fixed=False)
+                for frame_id, payload_bytes in zip(sorted(ids), table.dynamic_payloads, strict=True)
             )
             for node, ids in dynamic.items()
         }

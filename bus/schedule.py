@@ -6,21 +6,33 @@ it without a cluster; `bus.slot_table` gives it frame IDs, channels and cycle mu
 
 from collections.abc import Sequence
 from math import gcd, lcm
+from typing import NamedTuple
 
 import msgspec
+
+
+class Group(NamedTuple):
+    """Frames of one cycle that are composed at once: static senders in slot order, and up to
+    `dynamic_slots` winners of the dynamic segment."""
+
+    senders: tuple[int, ...]
+    dynamic_slots: int
 
 
 class Schedule(msgspec.Struct, frozen=True):
     """Three tables, one row per cycle, each repeated for ever (row `cycle % len(table)`).
 
-    Cycles are counted from the beginning of a run and do not wrap at 64. Raises ValueError for
-    tables that are empty, name a node outside of 0..nodes-1, or name one twice in a row.
+    Cycles are counted from the beginning of a run and do not wrap at 64. With `relay` a node
+    latches its frame at its own slot, so that it carries what earlier slots of the cycle brought.
+    Raises ValueError for tables that are empty, name a node outside of 0..nodes-1, or name one
+    twice in a row.
     """
 
     nodes: int
     static_table: tuple[tuple[int, ...], ...]
     contender_table: tuple[tuple[int, ...], ...] = ((),)
     dynamic_slot_table: tuple[int, ...] = (0,)
+    relay: bool = False
 
     def __post_init__(self) -> None:
         if self.nodes < 1:
@@ -49,6 +61,14 @@ class Schedule(msgspec.Struct, frozen=True):
     def dynamic_slots(self, cycle: int) -> int:
         """At most so many contenders win in this cycle."""
         return self.dynamic_slot_table[cycle % len(self.dynamic_slot_table)]
+
+    def groups(self, cycle: int) -> tuple[Group, ...]:
+        """What is composed at once, in order of time: the whole cycle; with `relay` each slot."""
+        static = self.static_senders(cycle)
+        dynamic = self.dynamic_slots(cycle) if self.contenders(cycle) else 0
+        if not self.relay or not (static or dynamic):
+            return (Group(static, dynamic),)
+        return tuple(Group((node,), 0) for node in static) + (Group((), 1),) * dynamic
 
     @property
     def period(self) -> int:

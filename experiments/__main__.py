@@ -1,4 +1,4 @@
-"""The command line: `concord run`, `concord list`, `concord agree`."""
+"""The command line: `concord run`, `list`, `agree`, and `flexray` with commands of its own."""
 
 import os
 
@@ -9,9 +9,10 @@ import signal
 import sys
 from types import FrameType
 
-import tyro
+from tyro.extras import SubcommandApp
 
 from experiments.agree_command import agree
+from experiments.flexray_command import SUMMARY, flexray_commands
 from experiments.list_command import list_all
 from experiments.run_command import run
 
@@ -22,9 +23,12 @@ def main(arguments: list[str] | None = None) -> None:
     """Run one command; exit code 2 for a mistake of the user, 1 for a failed run, 130 on Ctrl-C."""
     # A polite end is an interruption: whatever cleans up after Ctrl-C cleans up then too.
     signal.signal(signal.SIGTERM, _interrupt)
+    commands = SubcommandApp()
+    for name, command in COMMANDS.items():
+        commands.command(command, name=name)
+    commands.command(flexray_commands(), name="flexray", help=SUMMARY)
     try:
-        tyro.extras.subcommand_cli_from_dict(
-            COMMANDS,
+        commands.cli(
             prog="concord",
             description="Distributed consensus sensor networks on a FlexRay bus.",
             args=arguments,

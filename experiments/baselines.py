@@ -34,6 +34,8 @@ def local_only(setup: Setup, readings: Array, control: Array | None) -> Gaussian
 
 def _filter(setup: Setup, nodes: list[int], readings: Array, control: Array | None) -> Gaussian:
     kind = kind_of(setup.scenario.name)
+    if kind.listen is not None:
+        return kind.listen(setup, nodes, readings)
     model = kind.model(setup.scenario)
     points = scaled_unscented(len(setup.prior_mean))
     belief = Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov))

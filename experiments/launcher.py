@@ -60,6 +60,7 @@ def run_processes(
         _follow(zygote.stdout, on_event)
     finally:
         zygote.stdin.close()
+        zygote.stdout.close()
         try:
             zygote.wait(_STOP_TIMEOUT_S)
         except subprocess.TimeoutExpired:

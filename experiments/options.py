@@ -40,6 +40,8 @@ class ScenarioOptions:
     """FlexRay cluster: fitted, a preset (audi, bosch, ...), a TOML or FIBEX file, or none."""
     arbiter: str | None = None
     """Who wins the dynamic segment: wtod, minislot, round-robin."""
+    static_slots: int | None = None
+    """Sensors with a static slot of their own on a measurement bus (meng2025)."""
     trigger: float | None = None
     """Ask for a dynamic slot only after a change larger than this (squared, in covariances)."""
     stretch: float | None = None

@@ -1,4 +1,4 @@
-"""What a run leaves: its folder, with run.json, run.mcap and run.nc."""
+"""What a run leaves: its folder, with run.json, run.mcap, run.nc and bus.pcap."""
 
 import platform
 import secrets
@@ -11,12 +11,13 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from experiments.bus_report import times_of
 from experiments.metrics import nees
 from experiments.trace import Trace
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup
 
-RECORDING, ARRAYS, DESCRIPTION = "run.mcap", "run.nc", "run.json"
+RECORDING, ARRAYS, DESCRIPTION, CAPTURE = "run.mcap", "run.nc", "run.json", "bus.pcap"
 _VERSIONED = ("concord", "numpy", "scipy", "networkx", "eclipse-zenoh", "msgspec")
 
 
@@ -124,6 +125,7 @@ def write_arrays(folder: Path, description: Description, trace: Trace) -> None:
     }
     if trace.control is not None:
         variables["control"] = (("step", "input"), trace.control)
+    variables |= _bus_variables(setup, trace)
     dataset = xarray.Dataset(
         variables,
         coords={
@@ -142,3 +144,19 @@ def write_arrays(folder: Path, description: Description, trace: Trace) -> None:
         },
     )
     dataset.to_netcdf(folder / ARRAYS, engine="h5netcdf")
+
+
+def _bus_variables(setup: Setup, trace: Trace) -> dict[str, Any]:
+    """Times on the bus as variables; none where the bus has no time."""
+    times = times_of(setup, trace)
+    if times is None:
+        return {}
+    per_share = ("step", "round", "node")
+    in_cycle = {"units": "us", "origin": "beginning of the communication cycle"}
+    return {
+        "asked": (per_share, trace.asked.astype(np.int8)),
+        "bus_load": (("step", "round"), times.load, {"units": "1"}),
+        "delay_us": (("step",), times.delay_us, {"units": "us"}),
+        "share_start_us": (per_share, times.share_start_us, in_cycle),
+        "share_end_us": (per_share, times.share_end_us, in_cycle),
+    }

@@ -9,11 +9,14 @@ import msgspec
 import tyro
 from rich.console import Console
 
+from bus.pcap import write_pcap
+from experiments.bus_report import capture
 from experiments.drivers import DRIVERS, Pace
 from experiments.launcher import NetworkFailed
 from experiments.options import ScenarioOptions
 from experiments.progress import progress
 from experiments.results import (
+    CAPTURE,
     RECORDING,
     Description,
     describe,
@@ -77,6 +80,9 @@ def _finish(folder: Path, description: Description, pace: Pace) -> Figures | Non
     if trace is None:
         return None
     write_arrays(folder, description, trace)
+    frames = capture(description.setup, trace, read_recording(folder / RECORDING))
+    if frames is not None:
+        write_pcap(folder / CAPTURE, frames)
     figures = summarise(description.setup, trace)
     return msgspec.structs.replace(
         figures, steps_per_second=pace.steps_per_second, ready_s=pace.ready_s

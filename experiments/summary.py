@@ -2,9 +2,12 @@
 
 import msgspec
 import numpy as np
+from rich.markup import escape
 from rich.table import Table
 
+from experiments import bus_report
 from experiments.baselines import centralised, local_only
+from experiments.bus_report import BusFigures
 from experiments.metrics import anees, disagreement, rmse
 from experiments.trace import Trace
 from filters.gaussian import Gaussian
@@ -26,7 +29,8 @@ class NodeFigures(msgspec.Struct, frozen=True):
 
 
 class Figures(msgspec.Struct, frozen=True):
-    """What a run amounts to. RMSE, disagreement in `unit`, from step `first_step` on."""
+    """What a run amounts to. RMSE, disagreement in `unit`, from step `first_step` on; `bus` is None
+    on a bus without time."""
 
     scenario: str
     unit: str
@@ -45,6 +49,7 @@ class Figures(msgspec.Struct, frozen=True):
     rmse_near_centralised: float
     shares_sent: int
     shares_missed: int
+    bus: BusFigures | None
     nodes: list[NodeFigures]
     steps_per_second: float | None = None
     ready_s: float | None = None
@@ -61,6 +66,9 @@ def summarise(setup: Setup, trace: Trace) -> Figures:
     of_alone = _errors(alone.mean, trace.truth, score, first)
     of_central = _errors(central.mean, trace.truth, score, first)
     per_node, per_alone = rmse(of_node, (0,)), rmse(of_alone, (0,))
+    # The sensors of a measurement bus believe nothing, and do not count among those that estimate.
+    believers = ~np.isnan(network.mean).all(axis=(0, 2))
+    who = slice(None) if believers.all() else np.flatnonzero(believers)
     central_rmse = float(rmse(of_central, (0,)))
     near = _near(score, trace, setup.time_step_s)[first:]
     consistency = _consistency(network, trace.truth, score, first, (0,))
@@ -71,10 +79,10 @@ def summarise(setup: Setup, trace: Trace) -> Figures:
         steps=trace.steps,
         first_step=first,
         rmse=float(rmse(of_node, (0, 1))),
-        rmse_local_only=float(rmse(of_alone, (0, 1))),
+        rmse_local_only=float(rmse(of_alone[:, who], (0, 1))),
         rmse_centralised=central_rmse,
-        worst_node_to_centralised=float(per_node.max() / central_rmse),
-        disagreement=disagreement(network.mean[first:][..., list(score.states)]),
+        worst_node_to_centralised=float(per_node[who].max() / central_rmse),
+        disagreement=disagreement(network.mean[first:, who][..., list(score.states)]),
         anees=float(_consistency(network, trace.truth, score, first, (0, 1))),
         anees_centralised=float(_consistency(central, trace.truth, score, first, (0,))),
         near_s=score.near_s,
@@ -83,6 +91,7 @@ def summarise(setup: Setup, trace: Trace) -> Figures:
         rmse_near_centralised=float(rmse(of_central[near], (0,))),
         shares_sent=sum(c.get("sent", 0) for c in counters),
         shares_missed=sum(c.get("missed", 0) for c in counters),
+        bus=bus_report.figures_of(setup, trace),
         nodes=[
             NodeFigures(
                 rmse=float(per_node[i]),
@@ -131,9 +140,10 @@ def _consistency(
 
 def table(figures: Figures, title: str) -> Table:
     """The figures as a table: one row per node, then the network, then what frames it."""
-    unit = figures.unit
+    # Rich would take [m] for a style.
+    unit = escape(f"[{figures.unit}]")
     grid = Table(title=title, title_justify="left")
-    for heading in ("node", f"RMSE [{unit}]", f"alone [{unit}]", "ANEES"):
+    for heading in ("node", f"RMSE {unit}", f"alone {unit}", "ANEES"):
         grid.add_column(heading, justify="right")
     for heading in ("sent", "heard", "missed", "rejected"):
         grid.add_column(heading, justify="right")
@@ -169,6 +179,8 @@ def lines(figures: Figures) -> list[str]:
             f"{', '.join(map(_short, figures.rmse_near))} {unit}, centralised {_short(central)}, "
             f"worst node {max(figures.rmse_near) / central:.2f} x"
         )
+    if figures.bus is not None:
+        text += bus_report.lines(figures.bus)
     if figures.ready_s is not None:
         text.append(f"ready after {figures.ready_s:.2f} s")
     if figures.steps_per_second is not None:

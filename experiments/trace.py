@@ -5,8 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bus.frame import OVERHEAD_BYTES
 from filters.linalg import unpack_upper
-from nodes.messages import Array, Estimate, Measured, Truth, decode, from_wire
+from nodes.messages import Array, Bid, Estimate, Measured, Truth, decode, from_wire
 from nodes.share import read_frame
 from scenarios.setup import Setup
 
@@ -18,9 +19,10 @@ class Trace(NamedTuple):
         truth: (steps, n), NaN where nobody knows it. readings: (steps, N, r, d), NaN where a node
         took none. control: (steps, p) that drove the plant into a step, or None for a plant that is
         not driven. mean, cov: estimates (steps, N, n) and (steps, N, n, n). ages: cycles since what
-        i holds of j was sent: (steps, N, N), -1 never, 0 for itself. published: (steps, rounds, N),
-        which node sent in which communication cycle. counters: per node, totals at its last
-        estimate.
+        i holds of j was sent: (steps, N, N), -1 never, 0 for itself. payload_bytes: (steps, rounds,
+        N), what a node sent in a communication cycle, all its frames together; 0 where it was
+        silent. asked: (steps, rounds, N), which node asked for the dynamic segment. counters: per
+        node, totals at its last estimate.
     """
 
     truth: Array
@@ -29,13 +31,19 @@ class Trace(NamedTuple):
     mean: Array
     cov: Array
     ages: np.ndarray
-    published: np.ndarray
+    payload_bytes: np.ndarray
+    asked: np.ndarray
     counters: list[dict[str, int]]
 
     @property
     def steps(self) -> int:
         """Number of complete steps."""
         return len(self.truth)
+
+    @property
+    def published(self) -> np.ndarray:
+        """Which node sent in which communication cycle (steps, rounds, N)."""
+        return self.payload_bytes > 0
 
 
 def read_trace(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> Trace:
@@ -44,23 +52,28 @@ def read_trace(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> Trace:
     truths: dict[int, Truth] = {}
     measured: dict[tuple[int, int], Measured] = {}
     estimates: dict[tuple[int, int], Estimate] = {}
-    sent: list[tuple[int, int]] = []
+    sent: list[tuple[int, int, int]] = []
+    asked: list[tuple[int, int, int]] = []
     for topic, data in messages:
         kind, _, node = topic.partition("/")
         if kind == "share":
-            sent.append((read_frame(data).cycle, int(node)))
+            sent.append((read_frame(data).cycle, int(node), len(data) - OVERHEAD_BYTES))
             continue
         match decode(topic, data):
             case Truth() as message:
                 truths[message.step] = message
+            case Bid() as message if message.bid is not None:
+                asked.append((message.cycle, message.node, 1))
             case Measured() as message:
                 measured[message.step, message.node] = message
             case Estimate() as message:
                 estimates[message.step, message.node] = message
     steps = 0
-    while all((steps, node) in estimates for node in range(nodes)):
+    while steps in truths and all(
+        (steps, node) in kept for kept in (measured, estimates) for node in range(nodes)
+    ):
         steps += 1
-    return _assemble(setup, steps, truths, measured, estimates, sent)
+    return _assemble(setup, steps, truths, measured, estimates, sent, asked)
 
 
 def _assemble(
@@ -69,27 +82,25 @@ def _assemble(
     truths: dict[int, Truth],
     measured: dict[tuple[int, int], Measured],
     estimates: dict[tuple[int, int], Estimate],
-    sent: list[tuple[int, int]],
+    sent: list[tuple[int, int, int]],
+    asked: list[tuple[int, int, int]],
 ) -> Trace:
     nodes, rounds, n = setup.scenario.nodes, setup.scenario.rounds, len(setup.prior_mean)
     rows = [[estimates[k, i] for i in range(nodes)] for k in range(steps)]
     mean = np.array([[from_wire(e.mean) for e in row] for row in rows]).reshape(steps, nodes, n)
     packed = np.array([[from_wire(e.cov) for e in row] for row in rows])
-    published = np.zeros((steps * rounds, nodes), dtype=bool)
-    for cycle, node in sent:
-        if cycle < len(published):
-            published[cycle, node] = True
     ages = np.full((steps, nodes, nodes), -1)
     for i, heard in enumerate(setup.neighbours):
         ages[:, i, i] = 0
-        ages[:, i, heard] = [row[i].ages for row in rows]
+        ages[:, i, heard] = np.reshape([row[i].ages for row in rows], (steps, len(heard)))
     controls = [measured[k, 0].control for k in range(steps)]
     control = None
     if any(u is not None for u in controls):
         size = max(len(u) for u in controls if u is not None)
         control = np.array([np.full(size, np.nan) if u is None else u for u in controls])
+    truth = np.array([from_wire(truths[k].state) for k in range(steps)])
     return Trace(
-        truth=np.array([from_wire(truths[k].state) for k in range(steps)]).reshape(steps, -1),
+        truth=truth.reshape(steps, len(setup.initial_state)),
         readings=np.array(
             [[from_wire(measured[k, i].readings) for i in range(nodes)] for k in range(steps)]
         ),
@@ -97,6 +108,16 @@ def _assemble(
         mean=mean,
         cov=unpack_upper(packed.reshape(steps, nodes, n * (n + 1) // 2)),
         ages=ages,
-        published=published.reshape(steps, rounds, nodes),
+        payload_bytes=_summed(sent, steps, rounds, nodes),
+        asked=_summed(asked, steps, rounds, nodes) > 0,
         counters=[rows[-1][i].counters if rows else {} for i in range(nodes)],
     )
+
+
+def _summed(counted: list[tuple[int, int, int]], steps: int, rounds: int, nodes: int) -> np.ndarray:
+    """Counts (steps, rounds, N) of (cycle, node, count) in complete steps, added up."""
+    total = np.zeros((steps * rounds, nodes), dtype=np.int64)
+    for cycle, node, count in counted:
+        if cycle < len(total):
+            total[cycle, node] += count
+    return total.reshape(steps, rounds, nodes)

@@ -6,53 +6,17 @@ policy says whether a held share is carried through the plant and what it still 
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from filters.gaussian import Gaussian
 from filters.linalg import cholesky, symmetrise
 from filters.sigma_points import SigmaPointRule
-from filters.ukf import predict, update
 from nodes.belief_codec import BeliefCodec
-from nodes.messages import Array, Measured, from_wire
-
-FIRST_BID = 2**31 - 1
-BID_RESOLUTION = 1 / 1024
-
-
-class Model(Protocol):
-    """What a filter believes of the plant."""
-
-    def transition(self, state: Array, control: Array | None, step: int) -> Array:
-        """State (..., n) at `step + 1` from the state at `step`."""
-        ...
-
-    def process_noise_cov(self, step: int) -> Array:
-        """Covariance (n, n) of what the transition from `step` does not know."""
-        ...
-
-
-class Sensor(Protocol):
-    """What a node believes of its own readings."""
-
-    @property
-    def gate(self) -> float | None:
-        """Chi-square threshold beyond which a reading is refused; None takes every reading."""
-        ...
-
-    def measure(self, state: Array, step: int) -> Array:
-        """The reading (..., m) that a state (..., n) gives."""
-        ...
-
-    def residual(self, value: Array, predicted: Array, /) -> Array:
-        """The difference of two readings (..., m), angles wrapped."""
-        ...
-
-    def interpret(self, delivered: Array) -> tuple[Array, Array]:
-        """Value (m,) and noise covariance (m, m) of a delivered reading (d,)."""
-        ...
+from nodes.bids import FIRST_BID, bid_for_change
+from nodes.local_filter import Model, Sensor, carry, finite, take_readings
+from nodes.messages import Array, Measured
 
 
 class HoldPolicy(NamedTuple):
@@ -109,33 +73,22 @@ class BeliefConsensus:
         """Predict everything that is carried, then take the own readings one by one."""
         troubles: list[str] = []
         if measured.step > 0:
-            control = None if measured.control is None else np.array(measured.control)
-            content, troubles = self._carry(content, control, measured.step - 1)
-        belief = content.belief
-        for delivered in from_wire(measured.readings):
-            belief, trouble = self._take(belief, delivered, measured.step)
-            troubles += trouble
-        return content._replace(belief=belief, cycles_in_step=0), tuple(troubles)
+            content, troubles = self._carry(content, measured)
+        belief, troubled = take_readings(content.belief, measured, self.sensor, self.points)
+        content = content._replace(belief=belief, cycles_in_step=0)
+        return content, (*troubles, *troubled)
 
-    def _carry(
-        self, content: Content, control: Array | None, step: int
-    ) -> tuple[Content, list[str]]:
-        carried = [content.belief]
+    def _carry(self, content: Content, measured: Measured) -> tuple[Content, list[str]]:
+        beliefs = [content.belief]
         if self.hold.carried:
-            carried += [Gaussian(*pair) for pair in zip(*content.held, strict=True)]
+            beliefs += [Gaussian(*pair) for pair in zip(*content.held, strict=True)]
         if self.hold.carried and content.published is not None:
-            carried.append(content.published)
-        # One call for all of them: the plant's functions cost more to enter than to evaluate.
-        moved = predict(
-            Gaussian(np.stack([b.mean for b in carried]), np.stack([b.cov for b in carried])),
-            partial(self.model.transition, control=control, step=step),
-            self.model.process_noise_cov(step),
-            self.points,
-        )
-        sound = _finite_lanes(moved)
+            beliefs.append(content.published)
+        carried = carry(beliefs, measured, self.model, self.points)
+        moved, sound = carried
         troubles = [] if sound[0] else ["predict-failed"]
         if sound[0]:
-            content = content._replace(belief=Gaussian(moved.mean[0], moved.cov[0]))
+            content = content._replace(belief=carried.at(0))
         if not self.hold.carried:
             return content, troubles
         last = 1 + len(content.ages)
@@ -147,42 +100,14 @@ class BeliefConsensus:
         )
         content = content._replace(held=held, ages=ages)
         if content.published is not None:
-            published = Gaussian(moved.mean[last], moved.cov[last]) if sound[last] else None
-            content = content._replace(published=published)
+            content = content._replace(published=carried.at(last) if sound[last] else None)
         return content, troubles
 
-    def _take(self, belief: Gaussian, delivered: Array, step: int) -> tuple[Gaussian, list[str]]:
-        if self.sensor is None or np.isnan(delivered).all():
-            return belief, []
-        value, noise_cov = self.sensor.interpret(delivered)
-        result = update(
-            belief,
-            value,
-            partial(self.sensor.measure, step=step),
-            noise_cov,
-            self.points,
-            residual=self.sensor.residual,
-            gate=self.sensor.gate,
-        )
-        if not _finite(result.belief):
-            return belief, ["update-failed"]
-        gate = self.sensor.gate
-        gated = gate is not None and result.normalised_innovation_squared > gate
-        return result.belief, ["gated"] if gated else []
-
     def bid(self, content: Content) -> int | None:
-        """Squared change since the last publication in units of the own covariance, quantised.
-
-        An integer, so that arbitration does not hang on the last bit; who has never published asks
-        most urgently. None where the change does not exceed the trigger.
-        """
+        """How far the belief has moved since it was last published (`bids.bid_for_change`)."""
         if content.published is None:
             return FIRST_BID
-        change = content.belief.mean - content.published.mean
-        squared = change @ np.linalg.solve(content.belief.cov, change)
-        if squared < self.trigger:
-            return None
-        return int(min(max(squared, 0.0) / BID_RESOLUTION, FIRST_BID - 1))
+        return bid_for_change(content.belief, content.published, self.trigger)
 
     def compose(self, content: Content) -> tuple[Content, bytes]:
         """The pair before the iteration; the node remembers what its neighbours now hold of it."""
@@ -209,7 +134,7 @@ class BeliefConsensus:
         weights = self.hold.weigh(self.weights, np.concatenate(([0], ages)), everyone.cov, cycles)
         fused = self.average(everyone, weights)
         content = content._replace(held=Gaussian(means, covs), ages=ages, cycles_in_step=cycles + 1)
-        if not _finite(fused):
+        if not finite(fused):
             return content, (*troubles, "fuse-failed")
         return content._replace(belief=Gaussian(fused.mean, symmetrise(fused.cov))), troubles
 
@@ -234,12 +159,3 @@ def _usable(
     sound = np.isfinite(factors[:, -1, -1])
     usable = [one for one, good in zip(came, sound, strict=True) if good]
     return usable, ("rejected not-positive-definite",) * (len(came) - len(usable))
-
-
-def _finite_lanes(beliefs: Gaussian) -> np.ndarray:
-    finite_mean = np.isfinite(beliefs.mean).all(axis=-1)
-    return np.logical_and(finite_mean, np.isfinite(beliefs.cov).all(axis=(-1, -2)))
-
-
-def _finite(belief: Gaussian) -> bool:
-    return bool(_finite_lanes(belief))

@@ -104,7 +104,11 @@ def _deliveries(
 
 def _close_oldest_cycle(states: list[NodeState]) -> list[tuple[int, NodeEvent | WorldEvent]]:
     """Nothing is under way and somebody still waits: the time of the oldest open cycle is over."""
-    waiting = [(s.cycle, i) for i, s in enumerate(states) if s.phase in (Phase.GRANT, Phase.SHARES)]
+    waiting = [
+        (s.cycle, s.group, i)
+        for i, s in enumerate(states)
+        if s.phase in (Phase.GRANT, Phase.SHARES)
+    ]
     assert waiting, "the network stands still although no node waits for a share"
-    oldest, _ = min(waiting)
-    return [(node, CycleClosed(cycle)) for cycle, node in waiting if cycle == oldest]
+    oldest = min(waiting)[:2]
+    return [(node, CycleClosed(*part)) for *part, node in waiting if tuple(part) == oldest]

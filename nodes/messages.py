@@ -39,20 +39,23 @@ class ShareSent(msgspec.Struct, frozen=True):
 class Bid(msgspec.Struct, frozen=True):
     """Contender to world: how urgent a slot in the dynamic segment is; None asks for no slot.
 
-    `payload_bytes` is the length of all its payloads together.
+    `payload_bytes` is the length of all its payloads together; `group` the part of the cycle that
+    is composed at once (`bus.schedule.Schedule.groups`).
     """
 
     node: int
     cycle: int
     bid: int | None
     payload_bytes: int
+    group: int = 0
 
 
 class Grant(msgspec.Struct, frozen=True):
-    """World to all: who may send in the dynamic segment of this cycle, in bus order."""
+    """World to all: who may send in the dynamic slots of this part of the cycle, in bus order."""
 
     cycle: int
     winners: list[int]
+    group: int = 0
 
 
 class Truth(msgspec.Struct, frozen=True):
@@ -78,9 +81,10 @@ class Estimate(msgspec.Struct, frozen=True):
 
 
 class CycleClosed(msgspec.Struct, frozen=True):
-    """Driver to node: the time of this communication cycle is over; go on with what has come."""
+    """Driver to node: the time of this part of the cycle is over; go on with what has come."""
 
     cycle: int
+    group: int = 0
 
 
 class ShareHeard(msgspec.Struct, frozen=True):

@@ -16,12 +16,11 @@ from mcap.exceptions import EndOfFile, McapError
 from mcap.records import Channel
 from mcap.records import Message as McapMessage
 from mcap.stream_reader import StreamReader
-from mcap.writer import Writer
+from mcap.writer import MCAP0_MAGIC, Writer
 
 from nodes.messages import message_types
 from nodes.share import cycle_of
 
-_MAGIC_BYTES = 8
 _RECORD_HEADER = struct.Struct("<BQ")
 
 
@@ -80,9 +79,14 @@ class McapRecorder:
         }
         self._channels: dict[str, int] = {}
         self._sequence = 0
+        self._file.flush()
+        self._whole_bytes = self._file.tell()
+        self._is_whole = True
 
     def record(self, topic: str, data: bytes) -> None:
         """Keep one message."""
+        # Ctrl-C may strike between any two of these lines: what it leaves is not whole.
+        self._is_whole = False
         channel = self._channels.get(topic)
         if channel is None:
             channel = self._channels[topic] = self._register(topic)
@@ -91,6 +95,8 @@ class McapRecorder:
         # What was recorded survives the death of this process.
         self._file.flush()
         self._sequence += 1
+        self._whole_bytes = self._file.tell()
+        self._is_whole = True
 
     def _register(self, topic: str) -> int:
         schema = self._schemas.get(topic.partition("/")[0], 0)
@@ -105,8 +111,12 @@ class McapRecorder:
         return step * self._step_ns
 
     def close(self) -> None:
-        """Write the index and close the file."""
-        self._writer.finish()
+        """Write the index and close the file; a record that was interrupted is cut off instead."""
+        if self._is_whole:
+            self._writer.finish()
+        else:
+            self._file.flush()
+            self._file.truncate(self._whole_bytes)
         self._file.close()
 
 
@@ -117,7 +127,14 @@ def read_recording(path: Path) -> Iterator[tuple[str, bytes]]:
         ValueError: the file is not an MCAP recording.
     """
     with path.open("rb") as file:
+        start = file.read(len(MCAP0_MAGIC))
+        if not MCAP0_MAGIC.startswith(start):
+            raise ValueError(
+                f"{path}: not a recording of concord; name the run.mcap of a run folder"
+            )
         whole = BytesIO(file.read(_whole_bytes(file)))
+    if len(start) < len(MCAP0_MAGIC):
+        return
     topics: dict[int, str] = {}
     try:
         for record in StreamReader(whole).records:
@@ -138,13 +155,15 @@ def _whole_bytes(file: BufferedReader) -> int:
     Source: MCAP format specification, records: opcode (1 byte), length (8 bytes), content.
     """
     size = file.seek(0, os.SEEK_END)
-    end = _MAGIC_BYTES
+    end = len(MCAP0_MAGIC)
     while end + _RECORD_HEADER.size <= size:
         file.seek(end)
         _, length = _RECORD_HEADER.unpack(file.read(_RECORD_HEADER.size))
         if end + _RECORD_HEADER.size + length > size:
             break
         end += _RECORD_HEADER.size + length
-    file.seek(0)
     # A file that was closed in order ends with the magic again, which is no record.
-    return size if size - end == _MAGIC_BYTES else end
+    file.seek(end)
+    closed = file.read() == MCAP0_MAGIC
+    file.seek(0)
+    return end + len(MCAP0_MAGIC) if closed else end

@@ -9,7 +9,7 @@ import struct
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from bus.fragments import FragmentError, join, payload_sizes, split
+from bus.fragments import FragmentError, fragment_count, join, payload_sizes, split
 from bus.frame import MAX_PAYLOAD_BYTES, Frame, FrameError
 from bus.frame import decode as decode_frame
 from bus.frame import encode as encode_frame
@@ -37,19 +37,34 @@ def payload_lengths(share_bytes: int, limit_bytes: int = MAX_PAYLOAD_BYTES) -> t
 
 
 def to_frames(body: bytes, cycle: int, slots: Sequence[Slot]) -> list[bytes]:
-    """The frames that carry `body`, one for each of `slots`, ready for the bus."""
+    """The frames that carry `body` in the first of `slots`, as many as it takes.
+
+    Raises:
+        ValueError: the body is longer than the slots are.
+    """
     prefix = _CYCLE.pack(cycle)
     fragments = split(body, slots[0].payload_bytes - PREFIX_BYTES)
+    if len(fragments) > len(slots):
+        raise ValueError(f"a share of {len(body)} bytes does not fit into {len(slots)} frames")
     return [
         encode_frame(
             Frame(
                 slot.frame_id,
                 cycle % CYCLE_COUNTS,
-                (prefix + fragment).ljust(slot.payload_bytes, b"\0"),
+                (prefix + fragment).ljust(slot.payload_bytes if slot.fixed else 0, b"\0"),
             )
         )
-        for slot, fragment in zip(slots, fragments, strict=True)
+        for slot, fragment in zip(slots, fragments, strict=False)
     ]
+
+
+def payload_bytes(body: bytes, slots: Sequence[Slot]) -> int:
+    """Length of all payloads together that `to_frames` makes of a body in these slots."""
+    sizes = payload_sizes(len(body), slots[0].payload_bytes - PREFIX_BYTES)
+    return sum(
+        max(PREFIX_BYTES + size, slot.payload_bytes if slot.fixed else 0)
+        for slot, size in zip(slots, sizes, strict=False)
+    )
 
 
 def read_frame(data: bytes) -> Fragment:
@@ -70,6 +85,18 @@ def read_frame(data: bytes) -> Fragment:
     if cycle % CYCLE_COUNTS != frame.cycle_count:
         raise Rejected("cycle-count")
     return Fragment(frame.frame_id, cycle, frame.payload[PREFIX_BYTES:])
+
+
+def fragments_of(data: bytes) -> int:
+    """How many frames the share takes that a fragment belongs to.
+
+    Raises:
+        Rejected: the fragment is too short to say.
+    """
+    try:
+        return fragment_count(data)
+    except FragmentError as error:
+        raise Rejected(f"fragment-{error.reason}") from None
 
 
 def read_body(fragments: Sequence[bytes]) -> bytes:

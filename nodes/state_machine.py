@@ -30,10 +30,11 @@ from nodes.messages import (
     ShareSent,
     to_wire,
 )
-from nodes.share import read_body, read_frame, to_frames
+from nodes.share import fragments_of, payload_bytes, read_body, read_frame, to_frames
 
-# How far ahead of us a neighbour's share may be and still be kept: bounds the memory of the inbox.
-EARLY_CYCLES = 64
+# How many steps a neighbour's share may be ahead of us and still be kept: bounds the inbox. The
+# world lets nobody run further ahead than its lead.
+EARLY_STEPS = 8
 
 
 class Phase(Enum):
@@ -62,20 +63,27 @@ class NodeConfig:
 
 
 class Inbox(NamedTuple):
-    """What has come before its time: heartbeats by step, grants and shares by cycle."""
+    """What has come before its time: heartbeats by step, grants by (cycle, group), shares and their
+    parts by (cycle, sender)."""
 
     measured: dict[int, Measured]
-    grants: dict[int, tuple[int, ...]]
+    grants: dict[tuple[int, int], tuple[int, ...]]
     parts: dict[tuple[int, int], dict[int, bytes]]
     shares: dict[tuple[int, int], Share | None]
 
 
 class NodeState(NamedTuple):
-    """A node between two events; `step` is the last begun, `cycle` the one that is open or next."""
+    """A node between two events.
+
+    `step` is the last begun, `cycle` the one that is open or next, `group` its open part; `won` are
+    the nodes that have had a dynamic slot in earlier parts of it.
+    """
 
     phase: Phase
     step: int
     cycle: int
+    group: int
+    won: tuple[int, ...]
     content: Content
     inbox: Inbox
     counters: dict[str, int]
@@ -84,7 +92,7 @@ class NodeState(NamedTuple):
 def initial_state(config: NodeConfig) -> NodeState:
     """The state before the first heartbeat."""
     content = config.estimator.start()
-    return NodeState(Phase.MEASUREMENT, -1, 0, content, Inbox({}, {}, {}, {}), {})
+    return NodeState(Phase.MEASUREMENT, -1, 0, 0, (), content, Inbox({}, {}, {}, {}), {})
 
 
 def step(
@@ -100,8 +108,9 @@ def step(
         case Grant():
             state = _keep_grant(state, event)
         case CycleClosed():
-            if state.phase in (Phase.GRANT, Phase.SHARES) and event.cycle == state.cycle:
-                state = _close_cycle(config, state, outbox)
+            is_open = state.phase in (Phase.GRANT, Phase.SHARES)
+            if is_open and (event.cycle, event.group) == (state.cycle, state.group):
+                state = _close_group(config, state, outbox)
     return _advance(config, state, outbox), outbox
 
 
@@ -118,13 +127,14 @@ def _advance(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) ->
     while True:
         if state.phase is Phase.MEASUREMENT and state.step + 1 in state.inbox.measured:
             state = _begin_step(config, state)
-            state = _open_cycle(config, state, outbox)
-        elif state.phase is Phase.GRANT and state.cycle in state.inbox.grants:
-            state = state._replace(phase=Phase.SHARES)
-            if config.index in state.inbox.grants[state.cycle]:
+            state = _open_group(config, state, outbox)
+        elif state.phase is Phase.GRANT and (state.cycle, state.group) in state.inbox.grants:
+            winners = state.inbox.grants[state.cycle, state.group]
+            state = state._replace(phase=Phase.SHARES, won=state.won + winners)
+            if config.index in winners:
                 state = _send(config, state, outbox)
         elif state.phase is Phase.SHARES and awaited_neighbour(config, state) is None:
-            state = _close_cycle(config, state, outbox)
+            state = _close_group(config, state, outbox)
         else:
             return state
 
@@ -139,17 +149,31 @@ def _begin_step(config: NodeConfig, state: NodeState) -> NodeState:
     return _count(state, *troubles)
 
 
-def _open_cycle(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> NodeState:
-    contenders = config.schedule.contenders(state.cycle)
-    if config.index in contenders:
-        bid = config.estimator.bid(state.content)
-        slots = config.slots(config.index, state.cycle)
-        length = sum(slot.payload_bytes for slot in slots)
-        outbox.append(Bid(config.index, state.cycle, bid, length))
-    state = state._replace(phase=Phase.GRANT if contenders else Phase.SHARES)
-    if config.index in config.schedule.static_senders(state.cycle):
+def _open_group(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> NodeState:
+    """Begin a part of a cycle: bid where there are slots to win, send where a slot is owned."""
+    group = config.schedule.groups(state.cycle)[state.group]
+    contenders = contenders_left(config.schedule, state.cycle, state.won)
+    contest = group.dynamic_slots > 0 and bool(contenders)
+    if contest and config.index in contenders:
+        outbox.append(_bid(config, state))
+    state = state._replace(phase=Phase.GRANT if contest else Phase.SHARES)
+    if config.index in group.senders:
         state = _send(config, state, outbox)
     return state
+
+
+def contenders_left(schedule: Schedule, cycle: int, won: tuple[int, ...]) -> tuple[int, ...]:
+    """Who may still ask for a dynamic slot in this cycle: nobody sends twice."""
+    served = won + schedule.static_senders(cycle)
+    return tuple(node for node in schedule.contenders(cycle) if node not in served)
+
+
+def _bid(config: NodeConfig, state: NodeState) -> Bid:
+    slots = config.slots(config.index, state.cycle)
+    # Composing changes nothing here: it says how long the share would be.
+    _, body = config.estimator.compose(state.content)
+    bid = config.estimator.bid(state.content)
+    return Bid(config.index, state.cycle, bid, payload_bytes(body, slots), state.group)
 
 
 def _send(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> NodeState:
@@ -160,13 +184,13 @@ def _send(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> No
 
 
 def _due(config: NodeConfig, state: NodeState) -> tuple[int, ...]:
-    """Neighbours that send in the open cycle, as far as the node knows."""
-    senders = config.schedule.static_senders(state.cycle)
-    senders += state.inbox.grants.get(state.cycle, ())
+    """Neighbours that send in the open part of the cycle, as far as the node knows."""
+    senders = config.schedule.groups(state.cycle)[state.group].senders
+    senders += state.inbox.grants.get((state.cycle, state.group), ())
     return tuple(j for j in config.neighbours if j in senders)
 
 
-def _close_cycle(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> NodeState:
+def _close_group(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> NodeState:
     due = _due(config, state)
     # Without a grant nobody knows who won: what came from a contender then stands as sent.
     usable = due if state.phase is Phase.SHARES else config.neighbours
@@ -175,9 +199,17 @@ def _close_cycle(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]
     missed = sum(came.get((state.cycle, j)) is None for j in due)
     content, troubles = config.estimator.fuse(state.content, shares)
     state = _count(state._replace(content=content), *troubles, *["missed"] * missed)
-    state = state._replace(cycle=state.cycle + 1, inbox=_forget_before(state, state.cycle + 1))
+    if state.group + 1 < len(config.schedule.groups(state.cycle)):
+        return _open_group(config, state._replace(group=state.group + 1), outbox)
+    return _close_cycle(config, state, outbox)
+
+
+def _close_cycle(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> NodeState:
+    following = state.cycle + 1
+    inbox = _forget_before(state, following)
+    state = state._replace(cycle=following, group=0, won=(), inbox=inbox)
     if state.cycle % config.rounds:
-        return _open_cycle(config, state, outbox)
+        return _open_group(config, state, outbox)
     outbox.append(_estimate(config, state))
     finished = state.step + 1 == config.steps
     return state._replace(phase=Phase.FINISHED if finished else Phase.MEASUREMENT)
@@ -202,25 +234,27 @@ def _hear(config: NodeConfig, state: NodeState, event: ShareHeard) -> NodeState:
         return _count(state, "rejected stranger")
     try:
         frame_id, cycle, data = read_frame(event.frame)
+        count = fragments_of(data)
     except Rejected as rejected:
         return _count(state, f"rejected {rejected.reason}")
     if cycle < state.cycle:
         return _count(state, "late")
-    if cycle > state.cycle + EARLY_CYCLES:
+    if cycle > state.cycle + EARLY_STEPS * config.rounds:
         return _count(state, "rejected future")
     schedule = config.schedule
     if event.sender not in schedule.static_senders(cycle) + schedule.contenders(cycle):
         return _count(state, "rejected unscheduled")
     frame_ids = [slot.frame_id for slot in config.slots(event.sender, cycle)]
-    if frame_id not in frame_ids:
+    # A share takes the first of its sender's slots, as many as it needs.
+    if frame_id not in frame_ids[:count]:
         return _count(state, "rejected wrong-slot")
     key = (cycle, event.sender)
     parts = state.inbox.parts.get(key, {})
     if key in state.inbox.shares or frame_id in parts:
         return _count(state, "repeated")
     parts = {**parts, frame_id: data}
-    if len(parts) == len(frame_ids):
-        return _complete(config, state, key, [parts[number] for number in frame_ids])
+    if len(parts) == count:
+        return _complete(config, state, key, list(parts.values()))
     return state._replace(inbox=state.inbox._replace(parts={**state.inbox.parts, key: parts}))
 
 
@@ -247,16 +281,17 @@ def _keep_measured(state: NodeState, event: Measured) -> NodeState:
 
 
 def _keep_grant(state: NodeState, event: Grant) -> NodeState:
-    if event.cycle < state.cycle or event.cycle in state.inbox.grants:
+    key = (event.cycle, event.group)
+    if key < (state.cycle, state.group) or key in state.inbox.grants:
         return _count(state, "repeated grant")
-    grants = {**state.inbox.grants, event.cycle: tuple(event.winners)}
+    grants = {**state.inbox.grants, key: tuple(event.winners)}
     return state._replace(inbox=state.inbox._replace(grants=grants))
 
 
 def _forget_before(state: NodeState, cycle: int) -> Inbox:
     inbox = state.inbox
     return inbox._replace(
-        grants={c: winners for c, winners in inbox.grants.items() if c >= cycle},
+        grants={key: winners for key, winners in inbox.grants.items() if key[0] >= cycle},
         parts={key: parts for key, parts in inbox.parts.items() if key[0] >= cycle},
         shares={key: share for key, share in inbox.shares.items() if key[0] >= cycle},
     )

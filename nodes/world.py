@@ -23,6 +23,7 @@ from nodes.messages import (
     from_wire,
     to_wire,
 )
+from nodes.state_machine import contenders_left
 
 
 class Draws(Protocol):
@@ -58,6 +59,16 @@ class Controller(NamedTuple):
     node: int | None
 
 
+class Delivery(NamedTuple):
+    """What lies between sensors and their nodes, such as a measurement bus at each node.
+
+    `transmit(memory, readings (nodes, r, d), step) -> (memory, delivered (nodes, r, d))`.
+    """
+
+    transmit: Callable[[Any, Array, int], tuple[Any, Array]]
+    memory: Any
+
+
 Arbitrate = Callable[[Any, int, tuple[Bid, ...]], tuple[Any, tuple[int, ...]]]
 
 
@@ -79,6 +90,7 @@ class WorldConfig:
     arbitrate: Arbitrate
     arbiter_state: Any
     controller: Controller | None
+    delivery: Delivery | None = None
 
 
 class WorldState(NamedTuple):
@@ -91,14 +103,20 @@ class WorldState(NamedTuple):
     control: Array | None
     estimates: dict[int, dict[int, Estimate]]
     next_cycle: int
-    bids: dict[int, dict[int, Bid]]
+    next_group: int
+    won: tuple[int, ...]
+    bids: dict[tuple[int, int], dict[int, Bid]]
     arbiter: Any
+    delivery: Any
 
 
 def begin(config: WorldConfig) -> tuple[WorldState, list[WorldMessage]]:
     """The state after the first heartbeats, and those."""
     memory = config.controller.memory if config.controller else None
-    state = WorldState(0, 0, config.initial_state, memory, None, {}, 0, {}, config.arbiter_state)
+    delivery = config.delivery.memory if config.delivery else None
+    state = WorldState(
+        0, 0, config.initial_state, memory, None, {}, 0, 0, (), {}, config.arbiter_state, delivery
+    )
     outbox: list[WorldMessage] = []
     return _release(config, _skip_quiet_cycles(config, state), outbox), outbox
 
@@ -114,8 +132,9 @@ def step(
             state = state._replace(estimates={**state.estimates, event.step: heard})
             state = _complete(config, state, outbox)
         case Bid():
-            asked = {**state.bids.get(event.cycle, {}), event.node: event}
-            state = state._replace(bids={**state.bids, event.cycle: asked})
+            contest = (event.cycle, event.group)
+            asked = {**state.bids.get(contest, {}), event.node: event}
+            state = state._replace(bids={**state.bids, contest: asked})
             state = _grant(config, state, outbox)
     return state, outbox
 
@@ -155,6 +174,9 @@ def _release(
         number = state.released
         outbox.append(Truth(number, to_wire(state.truth)))
         delivered = config.plant.observe(state.truth, config.draws.measurement[number], number)
+        if config.delivery is not None:
+            delivery, delivered = config.delivery.transmit(state.delivery, delivered, number)
+            state = state._replace(delivery=delivery)
         control = None if state.control is None else state.control.tolist()
         outbox.extend(
             Measured(node, number, to_wire(readings), control)
@@ -181,23 +203,36 @@ def _advance(
 
 
 def _skip_quiet_cycles(config: WorldConfig, state: WorldState) -> WorldState:
-    """The next cycle in which somebody may contend."""
-    cycle = state.next_cycle
-    while cycle < config.steps * config.rounds and not config.schedule.contenders(cycle):
-        cycle += 1
-    return state._replace(next_cycle=cycle)
+    """Go on to the next part of a cycle in which somebody may contend."""
+    cycle, group, won = state.next_cycle, state.next_group, state.won
+    while cycle < config.steps * config.rounds:
+        groups = config.schedule.groups(cycle)
+        contested = (
+            number
+            for number in range(group, len(groups))
+            if groups[number].dynamic_slots and contenders_left(config.schedule, cycle, won)
+        )
+        group = next(contested, -1)
+        if group >= 0:
+            break
+        cycle, group, won = cycle + 1, 0, ()
+    return state._replace(next_cycle=cycle, next_group=max(group, 0), won=won)
 
 
 def _grant(config: WorldConfig, state: WorldState, outbox: list[WorldMessage]) -> WorldState:
-    cycle = state.next_cycle
-    bids = state.bids.get(cycle, {})
-    contenders = config.schedule.contenders(cycle)
-    if not contenders or any(node not in bids for node in contenders):
-        return state
-    # In node order: who asked first on the wire must not matter.
-    requests = tuple(bids[node] for node in sorted(contenders))
-    arbiter, winners = config.arbitrate(state.arbiter, cycle, requests)
-    outbox.append(Grant(cycle, list(winners)))
-    rest = {c: asked for c, asked in state.bids.items() if c != cycle}
-    state = state._replace(arbiter=arbiter, bids=rest, next_cycle=cycle + 1)
-    return _skip_quiet_cycles(config, state)
+    """Serve every contest whose bids are complete, in order."""
+    while True:
+        contest = (state.next_cycle, state.next_group)
+        bids = state.bids.get(contest, {})
+        contenders = contenders_left(config.schedule, state.next_cycle, state.won)
+        if not bids or any(node not in bids for node in contenders):
+            return state
+        # In node order: who asked first on the wire must not matter.
+        requests = tuple(bids[node] for node in sorted(contenders))
+        arbiter, winners = config.arbitrate(state.arbiter, state.next_cycle, requests)
+        outbox.append(Grant(state.next_cycle, list(winners), state.next_group))
+        rest = {key: asked for key, asked in state.bids.items() if key != contest}
+        state = state._replace(
+            arbiter=arbiter, bids=rest, next_group=state.next_group + 1, won=state.won + winners
+        )
+        state = _skip_quiet_cycles(config, state)

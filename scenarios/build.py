@@ -7,15 +7,15 @@ import numpy as np
 from bus.arbitration import ArbiterState
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
-from nodes.belief_codec import BeliefCodec
-from nodes.belief_consensus import BeliefConsensus
+from nodes.estimator import Estimator
 from nodes.messages import from_wire
 from nodes.state_machine import NodeConfig
 from nodes.world import Controller, WorldConfig
 from scenarios.bus_plan import BusPlan, arbitrate, plan_bus
 from scenarios.catalogue import kind_of
 from scenarios.control import control_node
-from scenarios.rules import average_of, hold_policy, wire_number
+from scenarios.estimators import Seat
+from scenarios.rules import build_estimator, hold_policy, wire_number
 from scenarios.scenario import Scenario
 from scenarios.setup import Setup, generator, share_bytes
 
@@ -31,20 +31,7 @@ def build_plan(setup: Setup) -> BusPlan:
 def build_node(setup: Setup, node: int) -> NodeConfig:
     """The configuration of one node."""
     scenario = setup.scenario
-    kind = kind_of(scenario.name)
-    states = len(setup.prior_mean)
     plan = build_plan(setup)
-    estimator = BeliefConsensus(
-        model=kind.model(scenario),
-        sensor=kind.sensor(scenario, node),
-        prior=Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov)),
-        points=scaled_unscented(states),
-        average=average_of(scenario),
-        hold=hold_policy(scenario),
-        weights=np.array(setup.weights[node]),
-        codec=BeliefCodec(states, wire_number(scenario)),
-        trigger=scenario.trigger,
-    )
     return NodeConfig(
         node,
         tuple(setup.neighbours[node]),
@@ -52,15 +39,36 @@ def build_node(setup: Setup, node: int) -> NodeConfig:
         scenario.steps,
         plan.schedule,
         plan.slots,
-        estimator,
+        _estimator(setup, node),
     )
+
+
+def _estimator(setup: Setup, node: int) -> Estimator:
+    scenario = setup.scenario
+    kind = kind_of(scenario.name)
+    if kind.wiring is not None:
+        return kind.wiring.estimator(setup, node)
+    seat = Seat(
+        node,
+        setup.neighbours,
+        weights=np.array(setup.weights[node]),
+        model=kind.model(scenario),
+        sensor=kind.sensor(scenario, node),
+        prior=Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov)),
+        points=kind.points(scenario) if kind.points else scaled_unscented(len(setup.prior_mean)),
+        hold=hold_policy(scenario),
+        trigger=scenario.trigger,
+        number=wire_number(scenario),
+    )
+    return build_estimator(scenario, seat)
 
 
 def build_world(setup: Setup) -> WorldConfig:
     """The configuration of the world, with all its randomness drawn."""
     scenario = setup.scenario
     plan = build_plan(setup)
-    plant = kind_of(scenario.name).plant(scenario)
+    kind = kind_of(scenario.name)
+    plant = kind.plant(scenario)
     controller = _controller(scenario)
     return WorldConfig(
         plant=plant,
@@ -74,6 +82,7 @@ def build_world(setup: Setup) -> WorldConfig:
         arbitrate=arbitrate(scenario, plan),
         arbiter_state=ArbiterState(),
         controller=controller,
+        delivery=kind.delivery(scenario) if kind.delivery else None,
     )
 
 

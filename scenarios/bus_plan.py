@@ -26,6 +26,7 @@ from bus.slot_table import SlotTable, allocate
 from bus.timing import check_timing
 from nodes.messages import Bid
 from nodes.share import payload_lengths
+from scenarios.catalogue import kind_of
 from scenarios.scenario import Scenario
 from topology.names import unknown_name
 
@@ -76,6 +77,9 @@ def build_schedule(scenario: Scenario) -> Schedule:
     Raises:
         ValueError: there is no such schedule, or an occupancy below one with a full schedule.
     """
+    wiring = kind_of(scenario.name).wiring
+    if wiring is not None:
+        return wiring.schedule(scenario)
     if scenario.schedule not in _SCHEDULES:
         raise unknown_name("schedule", scenario.schedule, _SCHEDULES)
     if scenario.schedule == "full" and scenario.occupancy < 1:
@@ -98,7 +102,10 @@ def plan_bus(scenario: Scenario, share_bytes: int) -> BusPlan:
     if scenario.cluster == NO_CLUSTER:
         return _timeless(schedule, share_bytes)
     cluster = _cluster(scenario, schedule, share_bytes)
-    static = payload_lengths(share_bytes, cluster.static_payload_bytes)
+    # A cluster fitted to a schedule without static slots has no room for a share in them.
+    static: tuple[int, ...] = ()
+    if any(schedule.static_table):
+        static = payload_lengths(share_bytes, cluster.static_payload_bytes)
     dynamic = payload_lengths(share_bytes, cluster.dynamic_payload_bytes)
     table = allocate(schedule, cluster, static, dynamic)
     return BusPlan(schedule, cluster, table, Publications(table, cluster).slots)

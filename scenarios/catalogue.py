@@ -1,7 +1,7 @@
 """The scenarios by name, each as the functions that make its parts."""
 
-from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +9,14 @@ from numpy.typing import NDArray
 from nodes.belief_consensus import Model, Sensor
 from scenarios.scenario import Scenario
 from topology.names import unknown_name
+
+if TYPE_CHECKING:
+    from bus.schedule import Schedule
+    from filters.gaussian import Gaussian
+    from filters.sigma_points import SigmaPointRule
+    from nodes.estimator import Estimator
+    from nodes.world import Delivery
+    from scenarios.setup import Setup
 
 Array = NDArray[np.float64]
 
@@ -59,6 +67,22 @@ class Score(NamedTuple):
     near_s: float | None = None
 
 
+class Wiring(NamedTuple):
+    """What a network is made of in which not every node filters and fuses.
+
+    Attributes:
+        schedule: who may publish in which cycle.
+        share_bytes: length of a share.
+        estimator: that of a node; `rule` and `hold` mean what it makes of them.
+        warnings: what a user must be told before trusting it.
+    """
+
+    schedule: "Callable[[Scenario], Schedule]"
+    share_bytes: Callable[[Scenario], int]
+    estimator: "Callable[[Setup, int], Estimator]"
+    warnings: Callable[[Scenario], tuple[str, ...]]
+
+
 class Kind(NamedTuple):
     """One named scenario.
 
@@ -72,6 +96,11 @@ class Kind(NamedTuple):
         controller: of a scenario, None where nothing drives the plant.
         radio_range_m: reach of a node in the geometric graph, for plants that have positions.
         all_steps: how many steps recorded data hold; None where any number will do.
+        points: the sigma-point rule of the filters, None for that of the house.
+        wiring: of a network in which not every node filters and fuses.
+        delivery: what lies between sensors and their nodes, None where readings arrive as taken.
+        listen: (setup, nodes, readings (steps, N, r, d)) -> beliefs (steps,) of one filter that
+            takes the readings of these nodes; None for the one that model and sensors give.
     """
 
     summary: str
@@ -84,11 +113,22 @@ class Kind(NamedTuple):
     controller: Callable[[Scenario], ControlLaw | None] = lambda _: None
     radio_range_m: float | None = None
     all_steps: Callable[[Scenario], int] | None = None
+    points: "Callable[[Scenario], SigmaPointRule] | None" = None
+    wiring: Wiring | None = None
+    delivery: "Callable[[Scenario], Delivery] | None" = None
+    listen: "Callable[[Setup, Sequence[int], Array], Gaussian] | None" = None
 
 
 def kinds() -> dict[str, Kind]:
     """All scenarios by name."""
-    from scenarios import control, mrclam, oscillator, target_tracking
+    from scenarios import (
+        control,
+        meng2025,
+        meng2025_network,
+        mrclam,
+        oscillator,
+        target_tracking,
+    )
 
     return {
         "target-tracking": target_tracking.TURNING,
@@ -96,6 +136,8 @@ def kinds() -> dict[str, Kind]:
         "oscillator": oscillator.KIND,
         "mrclam": mrclam.KIND,
         **control.KINDS,
+        "meng2025": meng2025.KIND,
+        "meng2025-network": meng2025_network.KIND,
     }
 
 

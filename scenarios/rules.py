@@ -1,48 +1,110 @@
 """Fusion rules and hold policies by name, as the values that a node is built from."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from filters import hold
 from filters.fusion import covariance_intersection, weighted_average
-from filters.gaussian import Gaussian
+from filters.hybrid_consensus import classical_gain, safe_gain
+from filters.local import keep_own
+from filters.packed import packed_length
 from nodes.belief_consensus import HoldPolicy
+from nodes.estimator import Estimator
+from nodes.messages import Array
+from scenarios.estimators import (
+    Seat,
+    averaging,
+    diffused,
+    hybrid,
+    pulled,
+    weighted_information,
+)
 from scenarios.scenario import Scenario
 from topology.names import unknown_name
 
-RULES: dict[str, Callable[[Gaussian, np.ndarray], Gaussian]] = {
-    "ci": covariance_intersection,
-    "wac": weighted_average,
-}
-RULE_SUMMARIES = {
-    "ci": "covariance intersection: consistent for any correlation, never less tight than wac",
-    "wac": "weighted average of means and covariances (the paper's): no inverse, may diverge",
-}
 _NUMBERS = {"float64": "<f8", "float32": "<f4"}
+_DEFAULT_HOLD = "decayed"
 
 
-def average_of(scenario: Scenario) -> Callable[[Gaussian, np.ndarray], Gaussian]:
-    """The function (beliefs, weights) -> belief of the scenario's rule.
+class Rule(NamedTuple):
+    """A fusion rule of the network.
+
+    Attributes:
+        summary: what it promises, one line for `concord list`.
+        share_numbers: how many numbers are in a share, for so many states and nodes.
+        estimator: builds that of one node.
+        holds: whether shares of silent neighbours are held, as --hold says.
+        check: refuses scenario, neighbours of each node and weights (N, N) that it cannot do with.
+    """
+
+    summary: str
+    share_numbers: Callable[[int, int], int]
+    estimator: Callable[[Seat], Estimator]
+    holds: bool = False
+    check: Callable[[Scenario, Sequence[Sequence[int]], Array], None] | None = None
+
+
+def rule_names() -> tuple[str, ...]:
+    """The fusion rules there are."""
+    return tuple(_RULES)
+
+
+def rule_of(scenario: Scenario) -> Rule:
+    """The scenario's rule.
 
     Raises:
         ValueError: there is no such rule.
     """
-    if scenario.rule not in RULES:
-        raise unknown_name("rule", scenario.rule, RULES)
-    return RULES[scenario.rule]
+    if scenario.rule not in _RULES:
+        raise unknown_name("rule", scenario.rule, _RULES)
+    return _RULES[scenario.rule]
+
+
+def check_rule(scenario: Scenario, neighbours: Sequence[Sequence[int]], weights: Array) -> None:
+    """Refuse a rule on a network that it cannot run on, or with a hold policy that it cannot use.
+
+    Raises:
+        ValueError: naming the rule, what is in its way, and the cure.
+    """
+    rule = rule_of(scenario)
+    hold_policy(scenario)
+    # The default of a scenario is that of the rules that hold, and nobody's wish for the others.
+    if not rule.holds and scenario.hold not in (_DEFAULT_HOLD, "renormalise"):
+        raise ValueError(
+            f"--hold {scenario.hold}: rule {scenario.rule} fuses fresh shares alone and holds "
+            "none; leave --hold out, or choose rule ci or wac"
+        )
+    if rule.check is not None:
+        rule.check(scenario, neighbours, weights)
+
+
+def build_estimator(scenario: Scenario, seat: Seat) -> Estimator:
+    """The estimator at one node.
+
+    Raises:
+        ValueError: there is no such rule.
+    """
+    return rule_of(scenario).estimator(seat)
+
+
+def share_size(scenario: Scenario, states: int) -> int:
+    """Length in bytes of every share in a network whose plant has so many states."""
+    numbers = rule_of(scenario).share_numbers(states, scenario.nodes)
+    return numbers * np.dtype(wire_number(scenario)).itemsize
 
 
 def hold_policy(scenario: Scenario) -> HoldPolicy:
-    """The scenario's hold policy.
+    """The scenario's hold policy; `renormalise` for a rule that holds nothing.
 
     Raises:
-        ValueError: there is no such policy.
+        ValueError: there is no such policy or rule.
     """
     if scenario.hold not in _HOLDS:
         raise unknown_name("hold", scenario.hold, _HOLDS)
-    return _HOLDS[scenario.hold](scenario)
+    return _HOLDS[scenario.hold if rule_of(scenario).holds else "renormalise"](scenario)
 
 
 def hold_names() -> tuple[str, ...]:
@@ -53,6 +115,9 @@ def hold_names() -> tuple[str, ...]:
 def wire_number(scenario: Scenario) -> str:
     """The numpy type code of numbers in a share."""
     return _NUMBERS[scenario.number]
+
+
+# --- hold policies -------------------------------------------------------------------------------
 
 
 def _decayed(
@@ -92,3 +157,99 @@ _HOLDS: dict[str, Callable[[Scenario], HoldPolicy]] = {
     "renormalise": lambda _: HoldPolicy(partial(_by_age, hold.renormalise), carried=False),
     "in-step": lambda _: HoldPolicy(_in_step, carried=False),
 }
+
+
+# --- the rules -----------------------------------------------------------------------------------
+
+
+def _require_the_average(
+    scenario: Scenario, neighbours: Sequence[Sequence[int]], weights: Array
+) -> None:
+    # Only here: whoever checks a scenario may be slow to start, a node of the network may not.
+    from topology.weights import check_doubly_stochastic
+
+    try:
+        check_doubly_stochastic(weights)
+    except ValueError as error:
+        raise ValueError(
+            f"rule {scenario.rule} multiplies the network's average by the number of nodes, and "
+            f"needs weights that lead there: {error}; or choose rule hcmci, which takes any"
+        ) from None
+
+
+def _require_all_at_once(
+    scenario: Scenario, neighbours: Sequence[Sequence[int]], weights: Array
+) -> None:
+    everybody = len(neighbours) - 1
+    deaf = [node for node, heard in enumerate(neighbours) if len(heard) < everybody]
+    if deaf:
+        raise ValueError(
+            f"rule centralised on graph {scenario.graph}: node {deaf[0]} hears "
+            f"{len(neighbours[deaf[0]])} of {everybody} others, and must hear all; use --graph "
+            "complete, or rule hcmci, which comes near the centralised filter on any graph"
+        )
+    if scenario.schedule != "full":
+        raise ValueError(
+            f"rule centralised with --schedule {scenario.schedule}: every node must publish in "
+            "every cycle; use --schedule full, or rule hcmci or ci, which do with less"
+        )
+    if scenario.rounds != 1:
+        raise ValueError(
+            f"rule centralised with --rounds {scenario.rounds}: one round tells everybody all, "
+            "and a second would tell it twice; use --rounds 1"
+        )
+
+
+_RULES: dict[str, Rule] = {
+    "ci": Rule(
+        "covariance intersection: consistent for any correlation, never less tight than wac",
+        lambda n, _: packed_length(n),
+        partial(averaging, covariance_intersection),
+        holds=True,
+    ),
+    "wac": Rule(
+        "weighted average of means and covariances (the paper's): no inverse, may diverge",
+        lambda n, _: packed_length(n),
+        partial(averaging, weighted_average),
+        holds=True,
+    ),
+    "hcmci": Rule(
+        "consensus on prior and novelty, safe gain: consistent, near centralised with more rounds",
+        lambda n, nodes: 2 * packed_length(n) + nodes,
+        partial(hybrid, safe_gain),
+    ),
+    "hcmci-classical": Rule(
+        "as hcmci with the number of nodes as gain: overconfident before the rounds converge",
+        lambda n, nodes: 2 * packed_length(n) + nodes,
+        partial(hybrid, classical_gain),
+        check=_require_the_average,
+    ),
+    "icf": Rule(
+        "information-weighted consensus: hcmci-classical in the bytes of ci, as overconfident",
+        lambda n, _: packed_length(n),
+        weighted_information,
+        check=_require_the_average,
+    ),
+    "diffusion": Rule(
+        "readings of the neighbours, then averaged means; covariance not fused: not consistent",
+        lambda n, _: packed_length(n),
+        diffused,
+    ),
+    "kcf": Rule(
+        "readings of the neighbours, then a pull to their means: not consistent, takes no weights",
+        lambda n, _: packed_length(n) + n,
+        pulled,
+    ),
+    "local": Rule(
+        "every node alone: publishes, but fuses nothing",
+        lambda n, _: packed_length(n),
+        partial(averaging, keep_own),
+    ),
+    "centralised": Rule(
+        "all readings at every node: the optimum; complete graph, full schedule, one round",
+        lambda n, _: packed_length(n),
+        diffused,
+        check=_require_all_at_once,
+    ),
+}
+RULE_SUMMARIES = {name: rule.summary for name, rule in _RULES.items()}

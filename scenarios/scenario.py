@@ -22,6 +22,8 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         cluster: the FlexRay cluster: fitted (the shortest cycle that holds the schedule), a preset,
             a TOML or FIBEX file, or none (slots without time).
         arbiter: who wins the dynamic segment: wtod, minislot, round-robin.
+        static_slots: sensors 1 to that on a measurement bus own a slot each, the others contend for
+            one (meng2025).
         trigger: contenders ask only if their estimate has changed by more than this since they last
             published, as a squared distance in units of their covariance; 0 asks always.
         stretch: factor by which the plant's sampling time is stretched to hold the bus cycles.
@@ -48,6 +50,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     occupancy: float = 1.0
     cluster: str = "fitted"
     arbiter: str = "wtod"
+    static_slots: int = 4
     trigger: float = 0.0
     stretch: float = 1.0
     hold: str = "decayed"

@@ -12,11 +12,10 @@ from importlib.metadata import version
 import msgspec
 import numpy as np
 
-from nodes.belief_codec import BeliefCodec
 from nodes.messages import to_wire
 from scenarios.bus_plan import check_bus, plan_bus
 from scenarios.catalogue import kind_of
-from scenarios.rules import wire_number
+from scenarios.rules import check_rule, share_size
 from scenarios.scenario import Scenario, check_ranges
 
 
@@ -81,13 +80,18 @@ def prepare(scenario: Scenario) -> Setup:
         prior_cov.tolist(),
         plant.time_step_s,
     )
+    if kind.wiring is None:
+        check_rule(scenario, neighbours, weights)
     check_bus(plan_bus(scenario, share_bytes(setup)), scenario, plant.time_step_s)
     return setup
 
 
 def share_bytes(setup: Setup) -> int:
     """Length of a share in the network of this setup."""
-    return BeliefCodec(len(setup.prior_mean), wire_number(setup.scenario)).size
+    wiring = kind_of(setup.scenario.name).wiring
+    if wiring is not None:
+        return wiring.share_bytes(setup.scenario)
+    return share_size(setup.scenario, len(setup.prior_mean))
 
 
 def fingerprint(setup: Setup) -> str:

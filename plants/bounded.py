@@ -1,0 +1,65 @@
+"""Linear time-varying plants whose noise is unknown but bounded.
+
+    x[k+1] = A[k] x[k] + B[k] w[k],   y[k] = C[k] x[k] + D[k] w[k],   w[k]' W[k]^-1 w[k] <= 1
+
+One noise drives the state and disturbs the sensors. Everywhere else it is written w = F v with
+F F' = W and |v| <= 1: noise in units of its bound.
+
+Source: Liu, Wang, Wang, Wei (2021), Recursive set-membership state estimation over a FlexRay
+network, equations (1) and (2).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from plants.draws import Array
+
+MatrixAt = Callable[[int], Array]
+
+
+@dataclass(frozen=True, eq=False)
+class BoundedSystem:
+    """The matrices of a step: A (n, n), B (n, q), C (m, n), D (m, q), W (q, q)."""
+
+    transition: MatrixAt
+    noise_input: MatrixAt
+    output: MatrixAt
+    feedthrough: MatrixAt
+    noise_shape: MatrixAt
+
+    def scaled_noise_input(self, step: int) -> Array:
+        """B F (n, q): what noise in units of its bound does to the state."""
+        return self.noise_input(step) @ self.noise_factor(step)
+
+    def scaled_feedthrough(self, step: int) -> Array:
+        """D F (m, q): what it does to the outputs."""
+        return self.feedthrough(step) @ self.noise_factor(step)
+
+    def noise_factor(self, step: int) -> Array:
+        """F (q, q), lower triangular, with F F' = W."""
+        return np.linalg.cholesky(self.noise_shape(step))
+
+    def advance(self, state: Array, noise: Array, step: int) -> Array:
+        """States (..., n) one step later, under noise (..., q) in units of its bound."""
+        moved = state @ self.transition(step).T
+        return moved + noise @ self.scaled_noise_input(step).T
+
+    def observe(self, state: Array, noise: Array, step: int) -> Array:
+        """Outputs (..., m) of states (..., n), disturbed by the same noise (..., q)."""
+        return state @ self.output(step).T + noise @ self.scaled_feedthrough(step).T
+
+    def simulate(self, initial_state: Array, noise: Array) -> tuple[Array, Array]:
+        """States (..., steps + 1, n) from (..., n) on and outputs (..., steps, m).
+
+        Args:
+            initial_state: (..., n).
+            noise: (..., steps, q), in units of its bound.
+        """
+        states, outputs = [initial_state], []
+        for step in range(noise.shape[-2]):
+            now = noise[..., step, :]
+            outputs.append(self.observe(states[-1], now, step))
+            states.append(self.advance(states[-1], now, step))
+        return np.stack(states, axis=-2), np.stack(outputs, axis=-2)

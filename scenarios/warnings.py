@@ -1,0 +1,151 @@
+"""What is known to go wrong with a rule on a network, said before the run."""
+
+from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
+
+from nodes.messages import Array, from_wire
+from scenarios.catalogue import kind_of
+from scenarios.rules import rule_of
+from scenarios.setup import Setup, generator
+from topology.analysis import rounds_to, second_eigenvalue_modulus
+
+# Numerical derivatives put an eigenvalue of 1 a little beside it.
+_MARGIN = 1e-6
+_DISAGREEMENT = 0.01
+
+
+def known_failures(setup: Setup) -> tuple[str, ...]:
+    """A sentence for every known failure of the setup's rule on its network; empty if none.
+
+    Each names the rule, the condition with its numbers, and what to use instead. Sources are given
+    where the conditions are: the functions of `filters/`.
+    """
+    wiring = kind_of(setup.scenario.name).wiring
+    if wiring is not None:
+        return wiring.warnings(setup.scenario)
+    return (
+        *_diverging_average(setup),
+        *_too_few_rounds(setup),
+        *_raw_hold(setup),
+        *_inconsistent(setup),
+    )
+
+
+def _diverging_average(setup: Setup) -> Iterator[str]:
+    """wac on an unstable plant: the spectral condition of `fusion.weighted_average`."""
+    scenario = setup.scenario
+    if scenario.rule != "wac":
+        return
+    growth = _spectral_radius(_transition_matrix(setup))
+    blind = _blind(setup)
+    votes = np.linalg.matrix_power(_weights(setup), scenario.rounds) * blind
+    vote = _spectral_radius(votes)
+    if growth**2 * vote <= 1 + _MARGIN:
+        return
+    mean = growth * vote > 1 + _MARGIN
+    what, condition, value = (
+        ("estimates and covariances", "rho(F) rho(W^L D)", growth * vote)
+        if mean
+        else ("covariances", "rho(F)^2 rho(W^L D)", growth**2 * vote)
+    )
+    yield (
+        f"rule wac: {what} diverge, for {condition} is {value:.3g} and must be below 1: the plant "
+        f"grows by rho(F) = {growth:.4g} per step, and after {scenario.rounds} rounds the "
+        f"{int(blind.sum())} of {scenario.nodes} nodes that see nothing at the start still have a "
+        f"vote of rho(W^L D) = {vote:.3g}; use --rule ci, in which they lose it"
+    )
+
+
+def _too_few_rounds(setup: Setup) -> Iterator[str]:
+    """icf and hcmci-classical count on the average: enough rounds, and nobody silent."""
+    scenario = setup.scenario
+    if scenario.rule not in ("icf", "hcmci-classical"):
+        return
+    modulus = second_eigenvalue_modulus(_weights(setup))
+    needed = rounds_to(_DISAGREEMENT, modulus)
+    if needed is not None and scenario.rounds < needed:
+        yield (
+            f"rule {scenario.rule} is overconfident after {scenario.rounds} rounds: these weights "
+            f"leave {modulus:.3g} of a disagreement per round and need {needed} rounds to leave "
+            f"{_DISAGREEMENT:.0%}; use --rounds {needed}, or --rule hcmci, which is consistent "
+            "after any number"
+        )
+    if silent := _who_is_silent(setup):
+        yield (
+            f"rule {scenario.rule} is overconfident with {silent}: what is not published is not "
+            "averaged, and multiplied by the number of nodes all the same; use --schedule full, or "
+            "--rule hcmci"
+        )
+
+
+def _raw_hold(setup: Setup) -> Iterator[str]:
+    """A held pair that is not carried on is an estimate of an older state."""
+    scenario = setup.scenario
+    silent = _who_is_silent(setup)
+    if rule_of(scenario).holds and scenario.hold == "raw" and silent:
+        yield (
+            f"--hold raw with {silent}: rule {scenario.rule} takes shares of former steps for "
+            "estimates of the present one and is overconfident without bound; use --hold decayed"
+        )
+
+
+def _inconsistent(setup: Setup) -> Iterator[str]:
+    """Rules that do not fuse covariances."""
+    scenario = setup.scenario
+    if scenario.rule not in ("kcf", "diffusion"):
+        return
+    yield (
+        f"rule {scenario.rule} is not consistent: it averages means and not covariances, so what "
+        "it reports need not bound its errors; use --rule hcmci or ci where that matters"
+    )
+    if scenario.rounds == 1:
+        yield (
+            f"rule {scenario.rule} with --rounds 1: the only round exchanges readings, and means "
+            "are not averaged afterwards; use --rounds 2 or more"
+        )
+
+
+def _who_is_silent(setup: Setup) -> str:
+    """Why not everybody publishes in every cycle, in the words of the options; "" if all do."""
+    scenario = setup.scenario
+    if scenario.occupancy < 1:
+        return f"--occupancy {scenario.occupancy:g}"
+    if scenario.trigger > 0 and scenario.schedule in ("hybrid", "dynamic"):
+        return f"--trigger {scenario.trigger:g}"
+    return ""
+
+
+def _weights(setup: Setup) -> Array:
+    """The weight matrix (N, N) of a setup."""
+    weights = np.zeros((len(setup.neighbours), len(setup.neighbours)))
+    for i, heard in enumerate(setup.neighbours):
+        weights[i, [i, *heard]] = setup.weights[i]
+    return weights
+
+
+def _blind(setup: Setup) -> Array:
+    """1.0 (N,) for each node to which the first step delivers nothing, 0.0 for those that see."""
+    plant = kind_of(setup.scenario.name).plant(setup.scenario)
+    noise = plant.draw(partial(generator, setup.scenario), 1).measurement[0]
+    delivered = plant.observe(from_wire(setup.initial_state), np.zeros_like(noise), 0)
+    return np.isnan(delivered).all(axis=(-1, -2)).astype(float)
+
+
+def _transition_matrix(setup: Setup) -> Array:
+    """Jacobian (n, n) of the undriven model at the prior mean, by central differences.
+
+    The steps are a thousandth of the prior standard deviations, the scale on which a belief looks
+    at its model.
+    """
+    model = kind_of(setup.scenario.name).model(setup.scenario)
+    mean = np.array(setup.prior_mean)
+    step = 1e-3 * np.sqrt(np.diag(setup.prior_cov))
+    ahead = model.transition(mean + np.diag(step), None, 0)
+    behind = model.transition(mean - np.diag(step), None, 0)
+    return ((ahead - behind) / (2 * step)[:, None]).T
+
+
+def _spectral_radius(matrix: Array) -> float:
+    return float(np.abs(np.linalg.eigvals(matrix)).max())

@@ -1,0 +1,36 @@
+"""What all tests share: one BLAS thread, the hypothesis profile, the folder of real data."""
+
+import os
+
+# Before anything imports numpy: results must not depend on how many threads share a sum.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+ROOT = Path(__file__).resolve().parent.parent
+
+# A busy machine is no failure; a build server tries the same examples every time.
+settings.register_profile("concord", deadline=None, print_blob=True)
+settings.register_profile("ci", settings.get_profile("concord"), derandomize=True)
+settings.load_profile("ci" if os.environ.get("CI") else "concord")
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of recorded data beside the checkout."""
+    folder = ROOT.parent / "shared" / "data"
+    if not folder.is_dir():
+        pytest.skip("needs recorded data in ../shared/data, which is no part of the checkout")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def mrclam_folder(shared_data: Path) -> Path:
+    """UTIAS MRCLAM, data set 6."""
+    folder = shared_data / "mrclam6"
+    if not folder.is_dir():
+        pytest.skip("needs UTIAS MRCLAM data set 6 in ../shared/data/mrclam6")
+    return folder

@@ -1,0 +1,97 @@
+"""The filters that frame a network, on a linear plant where the Kalman filter is the oracle."""
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from experiments.baselines import centralised, local_only
+from experiments.drivers import in_memory
+from experiments.metrics import nees
+from experiments.trace import Trace, read_trace
+from filters.gaussian import Gaussian
+from plants.oscillator import Oscillation, Oscillator
+from scenarios.setup import Setup
+from tests.experiments.support import small
+
+SETUP = small(steps=40, nodes=5)
+TRACE = read_trace(SETUP, in_memory(SETUP))
+MODEL = Oscillation()
+
+
+def kalman(setup: Setup, trace: Trace, nodes: list[int]) -> Gaussian:
+    """The textbook filter with the readings of some nodes, one after the other."""
+    plant = Oscillator(setup.scenario.nodes)
+    mean, cov = np.array(setup.prior_mean), np.array(setup.prior_cov)
+    F, Q = MODEL.transition_matrix, MODEL.process_noise_cov(0)
+    means, covs = [], []
+    for step in range(trace.steps):
+        if step:
+            mean, cov = F @ mean, F @ cov @ F.T + Q
+        for node in nodes:
+            reading = trace.readings[step, node, 0, 0]
+            if np.isnan(reading):
+                continue
+            sensor = plant.sensor(node)
+            H, R = sensor.row[None], float(sensor.noise_std) ** 2
+            gain = cov @ H.T / (H @ cov @ H.T + R)
+            mean = mean + gain[:, 0] * (reading - H[0] @ mean)
+            cov = (np.eye(2) - gain @ H) @ cov
+        means.append(mean)
+        covs.append(cov)
+    return Gaussian(np.array(means), np.array(covs))
+
+
+def assert_close(found: Gaussian, expected: Gaussian) -> None:
+    np.testing.assert_allclose(found.mean, expected.mean, rtol=1e-9, atol=1e-11)
+    np.testing.assert_allclose(found.cov, expected.cov, rtol=1e-9, atol=1e-11)
+
+
+def test_the_centralised_filter_is_the_kalman_filter_of_all_readings():
+    found = centralised(SETUP, TRACE.readings, TRACE.control)
+    assert_close(found, kalman(SETUP, TRACE, list(range(5))))
+
+
+def test_a_node_alone_is_the_kalman_filter_of_its_own_readings():
+    found = local_only(SETUP, TRACE.readings, TRACE.control)
+    for node in range(5):
+        alone = Gaussian(found.mean[:, node], found.cov[:, node])
+        assert_close(alone, kalman(SETUP, TRACE, [node]))
+
+
+def test_a_network_of_one_node_is_that_node_alone_and_the_centralised_filter():
+    setup = small(steps=40, nodes=1, graph="complete")
+    trace = read_trace(setup, in_memory(setup))
+    network = Gaussian(trace.mean[:, 0], trace.cov[:, 0])
+    assert_close(network, kalman(setup, trace, [0]))
+    assert_close(centralised(setup, trace.readings, trace.control), network)
+
+
+def test_hearing_more_is_never_worse_on_average():
+    """Covariances of linear filters do not depend on the data: more readings, less of it."""
+    central = centralised(SETUP, TRACE.readings, None).cov
+    alone = local_only(SETUP, TRACE.readings, None).cov
+    margin = np.linalg.eigvalsh(alone - central[:, None]).min()
+    assert margin >= -1e-12
+
+
+def test_the_centralised_filter_of_a_matched_model_is_consistent():
+    """NEES of the last step over 60 runs is chi-square with 120 degrees of freedom."""
+    values = []
+    for run in range(60):
+        setup = small(steps=15, run=run, rounds=1)
+        trace = read_trace(setup, in_memory(setup))
+        found = centralised(setup, trace.readings, None)
+        values.append(nees(trace.truth[-1] - found.mean[-1], found.cov[-1]))
+    low, high = chi2.ppf([1e-5, 1 - 1e-5], 120)
+    assert low < sum(values) < high
+
+
+@pytest.mark.parametrize("rule", ["ci", "wac"])
+def test_a_network_on_a_matched_model_is_not_overconfident(rule: str):
+    """Fusion rules that promise consistency: NEES below the upper end of the band."""
+    values = []
+    for run in range(30):
+        setup = small(steps=15, run=run, rule=rule, rounds=2)
+        trace = read_trace(setup, in_memory(setup))
+        values.append(nees(trace.truth[-1] - trace.mean[-1, 0], trace.cov[-1, 0]))
+    assert sum(values) < chi2.ppf(1 - 1e-5, 60)

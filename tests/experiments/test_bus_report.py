@@ -1,0 +1,421 @@
+"""Times, load and delay of the bus: against sums by hand, recordings, and Wireshark."""
+
+import struct
+import subprocess
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+import pytest
+import xarray
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from bus.cluster import Cluster
+from bus.cluster_files import cluster_to_toml
+from bus.presets import AUDI, DEMO
+from bus.publication import Publications
+from bus.schedule import Schedule
+from bus.slot_table import allocate
+from experiments.bus_rehearsal import rehearse
+from experiments.bus_report import (
+    bus_figures,
+    bus_times,
+    capture,
+    figures_of,
+    lines,
+    longest_waits,
+    timetable,
+)
+from experiments.drivers import in_memory
+from experiments.options import ScenarioOptions
+from experiments.trace import Trace, read_trace
+from nodes.recording import read_recording
+from nodes.share import read_frame
+from scenarios.build import build_plan
+from scenarios.bus_plan import BusPlan
+from scenarios.setup import Setup, prepare
+from tests.experiments.flexray_support import concord, dissect, needs_tshark
+from tests.processes import CONCORD
+
+# --- by hand -----------------------------------------------------------------------------------
+
+SMALL = Cluster(
+    name="small",
+    cycle_us=400.0,
+    macroticks_per_cycle=400,
+    macrotick_us=1.0,
+    microticks_per_cycle=16000,
+    static_slots=2,
+    static_slot_macroticks=60,
+    action_point_macroticks=5,
+    static_payload_words=10,
+    minislots=20,
+    minislot_macroticks=10,
+    minislot_action_point_macroticks=5,
+    dynamic_payload_words=10,
+    latest_transmission_minislot=17,
+    network_idle_time_macroticks=80,
+)
+# 9 bits TSS, FSS, ten bits for each of 5 + 20 + 3 bytes, two bits FES: 292 bits at 10 Mbit/s.
+FRAME_US = 29.2
+SENDERS = [(0, 2), (1, 2), (0, 2), (1, 3)]
+ASKERS = [(2, 3), (2, 3), (2, 3), (3,)]
+
+
+def small_plan() -> BusPlan:
+    """Nodes 0 and 1 share static slot 1, nodes 2 and 3 contend for one dynamic frame a cycle."""
+    schedule = Schedule(4, ((0,), (1,)), ((2, 3),), (1,))
+    table = allocate(schedule, SMALL, (20,), (20,))
+    return BusPlan(schedule, SMALL, table, Publications(table, SMALL).slots)
+
+
+def marked(rows: list[tuple[int, ...]]) -> np.ndarray:
+    """(2 steps, 2 rounds, 4 nodes)."""
+    return np.array([[node in row for node in range(4)] for row in rows]).reshape(2, 2, 4)
+
+
+def sizes(rows: list[tuple[int, ...]]) -> np.ndarray:
+    """Who sends, sends 20 bytes."""
+    return 20 * marked(rows)
+
+
+def test_a_small_bus_by_hand():
+    figures = bus_figures(small_plan(), sizes(SENDERS), marked(ASKERS), np.array([0, 0, 1, 3, -1]))
+    assert (figures.cluster, figures.cycle_us) == ("small", 400.0)
+    assert figures.frames == 8
+    assert (figures.frames_per_cycle_mean, figures.frames_per_cycle_max) == (2.0, 2)
+    assert figures.load_mean == pytest.approx(2 * FRAME_US / 400)
+    assert figures.load_max == pytest.approx(2 * FRAME_US / 400)
+    # The dynamic segment begins after two slots of 60 us; node 2 sends in its first minislot, and
+    # node 3 one minislot of 10 us later; the action point is 5 us into the minislot.
+    last_us = (400 + 125 + FRAME_US, 400 + 135 + FRAME_US)
+    assert figures.delay_us_mean == pytest.approx(sum(last_us) / 2)
+    assert figures.delay_us_max == pytest.approx(last_us[1])
+    assert (figures.contenders, figures.starved) == (2, [])
+    assert (figures.longest_wait_cycles, figures.longest_wait_node) == (3, 3)
+    assert (figures.share_ages, figures.never_heard) == ([2, 1, 0, 1], 1)
+
+
+def test_times_of_a_small_bus_by_hand():
+    times = bus_times(small_plan(), sizes(SENDERS))
+    nan = np.nan
+    begins = [[[5, nan, 125, nan], [nan, 5, 125, nan]], [[5, nan, 125, nan], [nan, 5, nan, 135]]]
+    np.testing.assert_allclose(times.share_start_us, begins)
+    np.testing.assert_allclose(times.share_end_us, np.array(begins) + FRAME_US)
+    np.testing.assert_allclose(times.load, np.full((2, 2), 2 * FRAME_US / 400))
+    np.testing.assert_allclose(times.delay_us, [400 + 125 + FRAME_US, 400 + 135 + FRAME_US])
+
+
+def test_shares_take_as_much_of_the_bus_as_they_have_bytes():
+    schedule = Schedule(4, ((0,),), ((2, 3),), (2,))
+    table = allocate(schedule, SMALL, (20, 20), (20,))
+    plan = BusPlan(schedule, SMALL, table, Publications(table, SMALL).slots)
+    # Static frames of 20 bytes: one, then two of them. Dynamic frames of 8 and 20 bytes.
+    sizes = np.array([[20, 0, 8, 20], [40, 0, 20, 0]])
+    first, second = timetable(plan, sizes)
+    assert [(f.node, f.frame_id, f.payload_bytes) for f in first] == [
+        (0, 1, 20), (2, 3, 8), (3, 4, 20),
+    ]  # fmt: skip
+    # 9 + 1 + 10 (5 + 8 + 3) + 2 bits are 17.2 us: two minislots of 10 us, and one of silence.
+    assert first[1].end_us == pytest.approx(125 + 17.2)
+    assert first[2].start_us == pytest.approx(125 + 30)
+    assert [(f.node, f.frame_id, f.payload_bytes) for f in second] == [
+        (0, 1, 20), (0, 2, 20), (2, 3, 20),
+    ]  # fmt: skip
+
+
+def test_who_never_wins_starves_and_is_named():
+    sent = marked([(0, 2), (1, 2), (0, 2), (1, 2)])
+    asked = marked([(2, 3)] * 4)
+    figures = bus_figures(small_plan(), 20 * sent, asked, np.array([], dtype=int))
+    assert figures.starved == [3]
+    assert (figures.longest_wait_cycles, figures.longest_wait_node) == (4, 3)
+    text = "\n".join(lines(figures))
+    assert "longest wait 4 cycles (node 3)" in text and "starved (never sent): nodes 3" in text
+
+
+def test_silence_on_the_bus_is_no_load():
+    nobody = marked([()] * 4)
+    figures = bus_figures(small_plan(), 0 * nobody, nobody, np.array([-1]))
+    assert (figures.frames, figures.load_max, figures.contenders) == (0, 0.0, 0)
+    assert figures.longest_wait_node is None
+    assert figures.delay_us_max == pytest.approx(400.0)
+
+
+def test_waits_are_counted_over_contended_cycles_in_a_row():
+    asked = np.array([[1, 1], [0, 0], [1, 0], [1, 1], [1, 1]], dtype=bool)
+    sent = np.array([[0, 1], [0, 0], [0, 0], [1, 0], [0, 1]], dtype=bool)
+    # Node 0 waits in cycles 0 and 2 (nobody asks in 1), then in 4; node 1 once, in cycle 3.
+    assert longest_waits(asked, sent).tolist() == [2, 1]
+
+
+# --- any run -----------------------------------------------------------------------------------
+
+
+class Run(NamedTuple):
+    setup: Setup
+    trace: Trace
+    messages: list[tuple[str, bytes]]
+
+    @property
+    def plan(self) -> BusPlan:
+        return build_plan(self.setup)
+
+
+def run(**options) -> Run:
+    options = {"scenario": "oscillator", "graph": "ring", "nodes": 5, "steps": 3, **options}
+    setup = prepare(ScenarioOptions(**options).resolve())
+    messages = in_memory(setup)
+    return Run(setup, read_trace(setup, messages), messages)
+
+
+choices = st.fixed_dictionaries(
+    {
+        "nodes": st.integers(3, 9),
+        "rounds": st.integers(1, 3),
+        "cluster": st.sampled_from(["fitted", "audi", "bosch", "flexray-adapter", "demo"]),
+        "schedule": st.sampled_from(["round-robin", "hybrid", "dynamic"]),
+        "arbiter": st.sampled_from(["wtod", "minislot", "round-robin"]),
+        "occupancy": st.floats(0.05, 1.0),
+        "number": st.sampled_from(["float64", "float32"]),
+        "trigger": st.sampled_from([0.0, 0.5]),
+    }
+)
+
+
+def prepared(options: dict) -> Setup:
+    options = {"scenario": "oscillator", "graph": "ring", "steps": 2, **options}
+    try:
+        return prepare(ScenarioOptions(**options).resolve())
+    except ValueError:
+        assume(False)
+        raise
+
+
+def assert_orderly(plan: BusPlan, payload_bytes: np.ndarray) -> None:
+    """One frame at a time, each in its segment, none begun after pLatestTx."""
+    cluster = plan.cluster
+    assert cluster is not None
+    static_us = cluster.static_slots * cluster.static_slot_us
+    latest_us = cluster.minislot_start_us(cluster.latest_transmission_minislot + 1)
+    segment_us = cluster.minislot_start_us(cluster.minislots + 1)
+    for cycle in timetable(plan, payload_bytes):
+        for earlier, later in pairwise(cycle):
+            assert earlier.end_us < later.start_us
+            assert earlier.frame_id < later.frame_id
+        for frame in cycle:
+            if frame.segment == "static":
+                assert frame.end_us < static_us
+            else:
+                assert static_us < frame.start_us < latest_us
+                assert frame.end_us < segment_us
+
+
+@settings(max_examples=15)
+@given(choices)
+def test_no_two_frames_of_a_run_overlap_and_all_were_recorded(options: dict):
+    setup = prepared(options)
+    messages = in_memory(setup)
+    trace, plan = read_trace(setup, messages), build_plan(setup)
+    assert_orderly(plan, trace.payload_bytes)
+    planned = {
+        (number, frame.node, frame.frame_id, frame.payload_bytes)
+        for number, cycle in enumerate(timetable(plan, trace.payload_bytes))
+        for frame in cycle
+    }
+    shares = [(int(topic[6:]), data) for topic, data in messages if topic.startswith("share/")]
+    # A frame is 5 bytes of header, the payload, 3 bytes of checksum.
+    recorded = {
+        (read_frame(data).cycle, node, read_frame(data).frame_id, len(data) - 8)
+        for node, data in shares
+    }
+    assert planned == recorded and len(recorded) == len(shares)
+
+
+@settings(max_examples=60)
+@given(choices, st.integers(10, 40))
+def test_no_two_frames_of_a_larger_network_overlap(options: dict, nodes: int):
+    setup = prepared({**options, "nodes": nodes})
+    plan = build_plan(setup)
+    rehearsal = rehearse(setup, plan, 6)
+    assert_orderly(plan, rehearsal.payload_bytes)
+    table = plan.table
+    assert table is not None
+    for node in range(nodes):
+        if any(node in row for row in plan.schedule.static_table):
+            turns = rehearsal.published[..., node].ravel()
+            owned = [any(s.node == node for s in table.static_slots(c)) for c in range(len(turns))]
+            assert turns.tolist() == owned, "a static node never starves"
+
+
+@settings(max_examples=10)
+@given(choices)
+def test_ages_are_cycles_since_the_sender_last_had_the_bus(options: dict):
+    setup = prepared(options)
+    trace = read_trace(setup, in_memory(setup))
+    rounds = setup.scenario.rounds
+    sent = trace.published.reshape(-1, setup.scenario.nodes)
+    for step in range(trace.steps):
+        now = (step + 1) * rounds - 1
+        for node, neighbours in enumerate(setup.neighbours):
+            for j in neighbours:
+                past = np.flatnonzero(sent[: now + 1, j])
+                assert trace.ages[step, node, j] == (now - past[-1] if len(past) else -1)
+    figures = figures_of(setup, trace)
+    assert figures is not None
+    pairs = trace.steps * sum(map(len, setup.neighbours))
+    assert sum(figures.share_ages) + figures.never_heard == pairs
+
+
+def test_a_bus_without_time_has_no_report():
+    silent = run(cluster="none")
+    assert figures_of(silent.setup, silent.trace) is None
+    assert capture(silent.setup, silent.trace, silent.messages) is None
+
+
+# --- what a run leaves -------------------------------------------------------------------------
+
+
+def packets(path: Path) -> list[tuple[int, bytes]]:
+    """(time in ns, packet) of a capture file."""
+    data = path.read_bytes()
+    found, at = [], 24
+    while at < len(data):
+        seconds, nanoseconds, size, _ = struct.unpack_from("<IIII", data, at)
+        found.append((seconds * 1_000_000_000 + nanoseconds, data[at + 16 : at + 16 + size]))
+        at += 16 + size
+    return found
+
+
+@pytest.fixture
+def tracking(tmp_path: Path, capsys) -> Path:
+    """A run of the tracking scenario on the car's cluster, half static and half dynamic."""
+    folder = tmp_path / "run"
+    said = concord(
+        capsys, "run", "--scenario", "target-tracking", "--nodes", 20, "--occupancy", 0.25,
+        "--cluster", "audi", "--steps", 4, "--out", folder, "--json",
+    )  # fmt: skip
+    figures = said.json()["bus"]
+    assert figures["cluster"] == "audi" and figures["contenders"] == 10
+    return folder
+
+
+def recorded_shares(folder: Path) -> list[bytes]:
+    messages = read_recording(folder / "run.mcap")
+    return [data for topic, data in messages if topic.startswith("share/")]
+
+
+def test_the_capture_has_every_recorded_frame_in_the_order_of_the_bus(tracking: Path):
+    frames = [(read_frame(data), data) for data in recorded_shares(tracking)]
+    # Slots are numbered in order of time, so cycle and frame ID say the order of the bus.
+    frames.sort(key=lambda frame: (frame[0].cycle, frame[0].frame_id))
+    found = packets(tracking / "bus.pcap")
+    assert [packet[2:] for _, packet in found] == [data[:-3] for _, data in frames]
+    times_ns = np.array([time_ns for time_ns, _ in found])
+    assert (np.diff(times_ns) > 0).all()
+    for (fragment, _), time_ns in zip(frames, times_ns, strict=True):
+        step, number = divmod(fragment.cycle, 3)
+        in_cycle_us = time_ns / 1e3 - step * 1e6 - number * AUDI.cycle_us
+        assert 0 < in_cycle_us < AUDI.cycle_us
+        if fragment.frame_id <= AUDI.static_slots:
+            slot_us = AUDI.slot_start_us(fragment.frame_id) + AUDI.action_point_us
+            assert in_cycle_us == pytest.approx(slot_us, abs=0.01)
+
+
+@needs_tshark
+def test_wireshark_opens_the_capture_of_a_run(tracking: Path):
+    rows = dissect(
+        tracking / "bus.pcap", "flexray.fid", "flexray.cc", "flexray.eff", "_ws.malformed",
+        "_ws.expert",
+    )  # fmt: skip
+    sent = sorted(
+        (fragment.cycle, fragment.frame_id)
+        for fragment in map(read_frame, recorded_shares(tracking))
+    )
+    assert [(int(row[1]), int(row[0])) for row in rows] == [(c % 64, i) for c, i in sent]
+    assert all(int(row[2], 16) == 0 and row[3:] == ["", ""] for row in rows)
+
+
+def test_the_arrays_tell_the_times_of_the_bus(tracking: Path):
+    data = xarray.load_dataset(tracking / "run.nc")
+    assert data["bus_load"].dims == ("step", "round") and data["bus_load"].shape == (4, 3)
+    assert data["delay_us"].dims == ("step",) and data["delay_us"].attrs["units"] == "us"
+    start, end = data["share_start_us"], data["share_end_us"]
+    assert start.dims == end.dims == data["published"].dims
+    np.testing.assert_array_equal(np.isfinite(start), data["published"] == 1)
+    span = (end - start).where(data["published"] == 1)
+    # In the static segment a share of 160 bytes takes seven slots, in the dynamic one frame.
+    seven_us = 6 * AUDI.static_slot_us + AUDI.frame_us(34)
+    for nodes, length_us in ((slice(0, 10), seven_us), (slice(10, 20), AUDI.frame_us(168))):
+        found = span[..., nodes].values
+        np.testing.assert_allclose(found[np.isfinite(found)], length_us)
+    np.testing.assert_allclose(data["delay_us"], 2 * AUDI.cycle_us + end[:, 2].max("node"))
+    assert not np.logical_and(data["asked"] == 1, data["published"].node < 10).any()
+
+
+def test_a_stretched_step_moves_the_capture(tmp_path: Path, capsys):
+    folder = tmp_path / "run"
+    concord(
+        capsys, "run", "--scenario", "oscillator", "--nodes", 4, "--graph", "ring", "--steps", 3,
+        "--cluster", "demo", "--stretch", 2.5, "--out", folder,
+    )  # fmt: skip
+    found = packets(folder / "bus.pcap")
+    assert len(found) == 3 * 3 * 4
+    # Steps of 100 ms become 250 ms; cycles and slots stay as they are.
+    first_ns = [found[12 * step][0] for step in range(3)]
+    assert np.diff(first_ns) == pytest.approx(250e6, abs=1)
+    assert found[4][0] - found[0][0] == pytest.approx(DEMO.cycle_us * 1e3, abs=1)
+
+
+def test_two_channels_carry_every_frame_with_their_own_checksum(tmp_path: Path):
+    path = tmp_path / "both.toml"
+    path.write_text(cluster_to_toml(msgspec.structs.replace(DEMO, channels="AB")))
+    both = run(cluster=str(path), occupancy=0.5)
+    captured = capture(both.setup, both.trace, both.messages)
+    assert captured is not None
+    assert [one.channel for one in captured] == ["A", "B"] * (len(captured) // 2)
+    for on_a, on_b in zip(captured[::2], captured[1::2], strict=True):
+        assert on_a.time_us == on_b.time_us
+        assert on_a.data[:-3] == on_b.data[:-3] and on_a.data[-3:] != on_b.data[-3:]
+    figures = figures_of(both.setup, both.trace)
+    single = run(cluster="demo", occupancy=0.5)
+    alone = figures_of(single.setup, single.trace)
+    assert figures is not None and alone is not None
+    assert figures.load_mean == pytest.approx(alone.load_mean)
+
+
+def test_a_torn_recording_gives_the_frames_that_are_left():
+    whole = run(cluster="audi", nodes=4, occupancy=0.5)
+    before = capture(whole.setup, whole.trace, whole.messages)
+    shares = [i for i, (topic, _) in enumerate(whole.messages) if topic.startswith("share/")]
+    torn = [message for i, message in enumerate(whole.messages) if i not in shares[::3]]
+    after = capture(whole.setup, read_trace(whole.setup, torn), torn)
+    assert before is not None and after is not None
+    assert len(before) == len(shares)
+    assert 0 < len(after) <= len(torn)
+    assert {one.data for one in after} <= {one.data for one in before}
+
+
+def test_a_run_without_bus_time_leaves_no_capture(tmp_path: Path, capsys):
+    folder = tmp_path / "run"
+    said = concord(
+        capsys, "run", "--scenario", "oscillator", "--nodes", 3, "--steps", 2, "--cluster", "none",
+        "--out", folder, "--json",
+    )  # fmt: skip
+    assert said.json()["bus"] is None
+    assert not (folder / "bus.pcap").exists()
+    assert "bus_load" not in xarray.load_dataset(folder / "run.nc")
+
+
+@pytest.mark.zenoh
+def test_both_drivers_leave_the_same_capture(tmp_path: Path):
+    arguments = ["--scenario", "target-tracking", "--nodes", "8", "--occupancy", "0.25"]
+    for driver in ("in-process", "processes"):
+        command = [*CONCORD, "run", *arguments, "--steps", "12", "--driver", driver]
+        subprocess.run([*command, "--out", tmp_path / driver], check=True, capture_output=True)
+    ours, theirs = (tmp_path / driver / "bus.pcap" for driver in ("in-process", "processes"))
+    assert len(packets(ours)) > 0
+    assert ours.read_bytes() == theirs.read_bytes()

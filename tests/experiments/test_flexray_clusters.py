@@ -1,0 +1,125 @@
+"""`concord flexray validate` and `convert`: good clusters, broken ones, there and back."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from bus.cluster_files import cluster_to_toml
+from bus.fibex import cluster_to_fibex
+from bus.presets import DEMO, PRESETS
+from experiments.flexray_clusters import derived, read_cluster
+from tests.experiments.flexray_support import concord, refused
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_presets_are_valid_and_their_segments_fill_the_cycle(name: str, capsys):
+    said = concord(capsys, "flexray", "validate", name, "--json")
+    answer = said.json()
+    lengths = [part["end_us"] - part["start_us"] for part in answer["segments"]]
+    assert sum(lengths) == pytest.approx(answer["cycle_us"], abs=1e-6)
+    cluster = PRESETS[name]
+    # Frame: TSS, FSS, ten bits for each byte of 5 + payload + 3, FES, at 10 Mbit/s.
+    bits = cluster.transmission_start_bits + 1 + 10 * (8 + cluster.static_payload_bytes) + 2
+    assert answer["static_frame_us"] == pytest.approx(bits / 10)
+    assert answer["static_frame_us"] < answer["static_slot_us"]
+    text = concord(capsys, "flexray", "validate", name).out
+    assert f"cluster {name}: valid" in text and "static slot" in text
+
+
+def test_the_audi_cluster_has_the_times_of_the_recording():
+    times = derived(read_cluster("audi"))
+    assert times.static_slot_us == pytest.approx(52.2, abs=0.01)
+    assert times.minislot_us == pytest.approx(9.0, abs=0.01)
+    assert times.cycles_repeat_ms == pytest.approx(320.0)
+
+
+def with_field(field: str, value: object) -> str:
+    text, count = re.subn(rf"(?m)^{field} = \S+", f"{field} = {value}", cluster_to_toml(DEMO))
+    assert count == 1
+    return text
+
+
+def test_every_broken_rule_is_named_with_its_numbers(tmp_path: Path, capsys):
+    path = tmp_path / "broken.toml"
+    text = with_field("static_slots", 21)
+    path.write_text(text.replace("microticks_per_cycle = 400000", "microticks_per_cycle = 400001"))
+    sentence = refused(concord(capsys, "flexray", "validate", path))
+    assert "constraint 18" in sentence and "271 x 21" in sentence and "set " in sentence
+    assert "constraint 19" in sentence and "400001" in sentence
+    assert str(path) in sentence
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "says"),
+    [
+        ("a.toml", "static_slots = ", "not TOML"),
+        ("a.toml", "name = 'x'", "missing"),
+        ("a.toml", cluster_to_toml(DEMO) + "colour = 1\n", "colour"),
+        ("a.toml", with_field("static_slots", 1), "gNumberOfStaticSlots"),
+        ("a.xml", "<fx", "not well-formed"),
+        ("a.xml", "<fibex/>", "no <CLUSTER>"),
+        ("a.xml", cluster_to_fibex(DEMO).replace("N-I-T", "N-I-X"), "N-I-T"),
+        ("a.xml", cluster_to_fibex(DEMO).replace("<flexray:BIT>0.1", "<flexray:BIT>0.2"), "BIT"),
+    ],
+)
+def test_broken_files_are_refused_with_their_name(file, text, says, tmp_path: Path, capsys):
+    path = tmp_path / file
+    path.write_text(text)
+    sentence = refused(concord(capsys, "flexray", "validate", path))
+    assert says in sentence and str(path) in sentence
+
+
+def test_what_is_no_cluster_is_refused(tmp_path: Path, capsys):
+    assert "audi" in refused(concord(capsys, "flexray", "validate", "volkswagen"))
+    missing = tmp_path / "none.toml"
+    assert "No such file" in refused(concord(capsys, "flexray", "validate", missing))
+    folder = tmp_path / "folder.xml"
+    folder.mkdir()
+    assert "directory" in refused(concord(capsys, "flexray", "validate", folder))
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_cluster_survives_both_formats(name: str, tmp_path: Path, capsys):
+    toml, fibex, again = tmp_path / "a.toml", tmp_path / "a.xml", tmp_path / "b.toml"
+    for source, target in ((name, toml), (toml, fibex), (fibex, again)):
+        assert concord(capsys, "flexray", "convert", source, target).code == 0
+        assert read_cluster(str(target)) == PRESETS[name]
+    assert toml.read_bytes() == again.read_bytes()
+
+
+def test_a_published_fibex_file_becomes_toml(shared_data: Path, tmp_path: Path, capsys):
+    source = shared_data / "fibex" / "fibextest2.xml"
+    if not source.exists():
+        pytest.skip("needs ../shared/data/fibex")
+    target = tmp_path / "cluster.toml"
+    said = concord(capsys, "flexray", "convert", source, target, "--json")
+    cluster = read_cluster(str(target))
+    assert said.json()["cluster"]["static_slots"] == cluster.static_slots == 62
+    assert cluster == read_cluster(str(source))
+    # 62 x 65 + 10 x 62 + 139 + 208 = 4997; the action points differ by the other 3 macroticks.
+    assert cluster.action_point_difference_macroticks == 3
+
+
+def test_nothing_is_written_over_or_written_wrong(tmp_path: Path, capsys):
+    target = tmp_path / "mine.toml"
+    target.write_text("precious")
+    assert "never written over" in refused(concord(capsys, "flexray", "convert", "demo", target))
+    assert target.read_text() == "precious"
+    odd = tmp_path / "mine.yaml"
+    assert "*.toml" in refused(concord(capsys, "flexray", "convert", "demo", odd))
+    assert not odd.exists()
+    nowhere = tmp_path / "no" / "mine.xml"
+    assert "cannot be written" in refused(concord(capsys, "flexray", "convert", "demo", nowhere))
+
+
+def test_one_of_several_clusters_is_chosen_by_name(tmp_path: Path, capsys):
+    document = cluster_to_fibex(DEMO)
+    start = document.index("      <fx:CLUSTER ")
+    end = document.index("    </fx:CLUSTERS>")
+    second = document[start:end].replace(">demo<", ">spare<").replace('ID="cluster"', 'ID="other"')
+    path = tmp_path / "two.xml"
+    path.write_text(document[:end] + second + document[end:])
+    assert "'demo', 'spare'" in refused(concord(capsys, "flexray", "validate", path))
+    said = concord(capsys, "flexray", "validate", path, "--name", "spare", "--json")
+    assert said.json()["cluster"]["name"] == "spare"

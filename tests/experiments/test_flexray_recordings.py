@@ -1,0 +1,149 @@
+"""`concord flexray decode` and `fit`: a real car's bus, a made one, and files that are neither."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bus.bitstream import encode_bits
+from bus.frame import Frame, encode
+from bus.waveform import Waveform, format_waveform, from_bits
+from experiments.flexray_recordings import read_recorded
+from tests.experiments.flexray_support import concord, refused
+
+BIT_NS, SLOT_NS = 100.0, 60_000.0
+MADE = [
+    Frame(1, 5, bytes(8), sync=True, startup=True),
+    Frame(2, 5, b"\x01\x02\x03\x04"),
+    Frame(4, 5, bytes(6), null=True),
+]
+
+
+def waveform(frames: list[Frame], damaged: frozenset[int] = frozenset()) -> Waveform:
+    """Frames in slots of 60 us after an idle bus; those at `damaged` places have a wrong byte."""
+    transmissions = []
+    for place, frame in enumerate(frames):
+        data = encode(frame)
+        if place in damaged:
+            data = data[:5] + bytes((data[5] ^ 0x10,)) + data[6:]
+        transmissions.append((10_000.0 + SLOT_NS * place, encode_bits(data, 9)))
+    return from_bits(transmissions, BIT_NS)
+
+
+@pytest.fixture
+def made(tmp_path: Path) -> Path:
+    path = tmp_path / "made.csv"
+    path.write_text(format_waveform(waveform(MADE)))
+    return path
+
+
+@pytest.fixture(scope="session")
+def car(shared_data: Path) -> Path:
+    path = shared_data / "flexray_capture" / "audi_cycles_28_35.csv"
+    if not path.exists():
+        pytest.skip("needs ../shared/data/flexray_capture")
+    return path
+
+
+# The figures of the car are those of specification page `flexray.md`, counted by others.
+
+
+def test_every_frame_of_the_car_decodes(car: Path, capsys):
+    answer = concord(capsys, "flexray", "decode", car, "--json").json()
+    counts = {key: value for key, value in answer.items() if isinstance(value, int)}
+    assert counts["frame_count"] == len(answer["frames"]) == 314
+    assert counts["header_crc_ok"] == counts["frame_crc_ok"] == counts["reencoded"] == 314
+    assert (counts["static"], counts["dynamic"], counts["null"]) == (272, 42, 86)
+    assert answer["rejected"] == {} and not answer["inverted"]
+
+
+def test_people_read_the_same_counts(car: Path, capsys):
+    text = concord(capsys, "flexray", "decode", car).out
+    assert "314 frames" in text and "272 static" in text and "42 dynamic" in text
+    assert "86 null frames" in text and "314 of 314 frames give back their bits" in text
+    assert text.count(" static ") + text.count(" dynamic ") >= 314
+
+
+def test_the_cluster_of_the_car_is_found(car: Path, capsys):
+    answer = concord(capsys, "flexray", "fit", car, "--json").json()
+    assert answer["static_slots"] == 51
+    assert answer["static_slot_us"] == pytest.approx(52.2, abs=0.05)
+    assert answer["minislot_us"] == pytest.approx(9.0, abs=0.05)
+    assert answer["macrotick"]["static_slot_macroticks"] == 29
+    assert answer["sync_ids"] == answer["startup_ids"] == [8, 24, 45]
+    assert answer["dynamic_pairs"] == answer["dynamic_pairs_explained"] == 34
+    bases = {m["frame_id"]: (m["base_cycle"], m["repetition"]) for m in answer["multiplexing"]}
+    assert bases[67] == (0, 2) and bases[103] == (1, 2) and bases[83] == (6, 8)
+    text = concord(capsys, "flexray", "fit", car).out
+    assert "52.20 us" in text and "right for 34 of 34" in text and "8, 24, 45" in text
+
+
+def test_a_made_recording_gives_back_its_frames(made: Path, capsys):
+    answer = concord(capsys, "flexray", "decode", made, "--json").json()
+    rows = answer["frames"]
+    assert [(row["frame_id"], row["cycle"]) for row in rows] == [(1, 5), (2, 5), (4, 5)]
+    assert [bytes.fromhex(row["payload"]) for row in rows] == [f.payload for f in MADE]
+    assert [row["sync"] for row in rows] == [True, False, False]
+    assert [row["null"] for row in rows] == [False, False, True]
+    assert rows[1]["start_us"] - rows[0]["start_us"] == pytest.approx(60.0)
+    assert answer["reencoded"] == 3 and answer["unreadable_lines"] == 0
+
+
+def test_an_inverted_recording_is_decoded_and_said_to_be(tmp_path: Path, capsys):
+    path = tmp_path / "inverted.csv"
+    path.write_text(format_waveform(waveform(MADE).inverted()))
+    answer = concord(capsys, "flexray", "decode", path, "--json").json()
+    assert answer["inverted"] and answer["frame_count"] == 3
+    assert "inverted" in concord(capsys, "flexray", "decode", path).out
+
+
+def test_a_wrong_byte_is_a_wrong_checksum_and_a_cut_file_a_rejection(tmp_path: Path, capsys):
+    text = format_waveform(waveform(MADE, damaged=frozenset({1})))
+    path = tmp_path / "bad.csv"
+    path.write_text("\n".join(text.splitlines()[:-20]) + "\n12,")
+    answer = concord(capsys, "flexray", "decode", path, "--json").json()
+    assert [row["frame_crc_ok"] for row in answer["frames"]] == [True, False]
+    assert answer["header_crc_ok"] == 2
+    assert answer["frame_crc_ok"] == answer["reencoded"] == 1
+    assert answer["rejected"] == {"truncated": 1} and answer["unreadable_lines"] == 1
+    text = concord(capsys, "flexray", "decode", path).out
+    assert "frame CRC: 1 correct, 1 wrong" in text and "1 truncated" in text
+
+
+@pytest.mark.parametrize("command", ["decode", "fit"])
+def test_what_is_no_recording_is_refused_in_one_sentence(command: str, tmp_path: Path, capsys):
+    prose = tmp_path / "prose.csv"
+    prose.write_text("not a waveform\nat all\n")
+    square = tmp_path / "square.csv"
+    square.write_text("time_ns,level\n" + "".join(f"{700 * k},{k % 2}\n" for k in range(200)))
+    empty = tmp_path / "empty.csv"
+    empty.write_text("")
+    for path, says in (
+        (tmp_path / "missing.csv", "No such file"),
+        (tmp_path, "directory"),
+        (prose, "time_ns,level"),
+        (square, "no FlexRay frame"),
+        (empty, "empty.csv"),
+    ):
+        sentence = refused(concord(capsys, "flexray", command, path))
+        assert says in sentence and str(path) in sentence
+
+
+@settings(max_examples=60)
+@given(
+    st.binary(max_size=400)
+    | st.lists(st.integers(0, 5000), max_size=80).map(
+        lambda steps: format_waveform(
+            Waveform(np.cumsum([1, *steps]), np.arange(len(steps) + 1, dtype=np.uint8) % 2)
+        ).encode()
+    )
+)
+def test_no_file_is_a_crash(tmp_path_factory, data: bytes):
+    path = tmp_path_factory.mktemp("fuzz") / "any.csv"
+    path.write_bytes(data)
+    try:
+        read_recorded(path)
+    except ValueError as error:
+        assert str(path) in str(error)

@@ -1,0 +1,174 @@
+"""Ctrl-C, a polite end or a sudden death of the command, at any moment.
+
+Nobody is left behind, and what was recorded can be read.
+"""
+
+import os
+import random
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from experiments.results import ARRAYS, DESCRIPTION, RECORDING, read_description
+from experiments.trace import read_trace
+from nodes.recording import read_recording
+from tests.processes import CONCORD, PROC, Family, family
+
+pytestmark = [
+    pytest.mark.zenoh,
+    pytest.mark.skipif(not PROC.is_dir(), reason="finds processes in /proc, which is not there"),
+]
+
+EXIT_S = 3.0
+INTERRUPTED = 130
+# What the command says on standard error at each moment, and the steps it was asked for.
+MOMENTS = {
+    "before ready": ("seed", 700),
+    "in the middle": ("oscillator: ", 700),
+    "near the end": ("oscillator: 60 of 60", 60),
+}
+
+
+def run_command(driver: str, steps: int) -> list[str]:
+    options = f"--scenario oscillator --nodes 4 --steps {steps} --driver {driver} --out run"
+    return [*CONCORD, "run", *options.split()]
+
+
+def check_folder(folder: Path) -> int:
+    """The number of complete steps in what a run has left; whatever is there can be read."""
+    description = read_description(folder)
+    steps = 0
+    if (folder / RECORDING).exists():
+        steps = read_trace(description.setup, read_recording(folder / RECORDING)).steps
+    if (folder / ARRAYS).exists():
+        import xarray
+
+        with xarray.open_dataset(folder / ARRAYS, engine="h5netcdf") as dataset:
+            assert dataset.sizes["step"] == steps
+    return steps
+
+
+def interrupted(run: Family, signal_number: int) -> str:
+    """Standard error after the signal; checks the end."""
+    if signal_number == signal.SIGINT:
+        run.send_to_group(signal_number)  # as Ctrl-C does
+    else:
+        run.send(signal_number)
+    before = time.monotonic()
+    code, _, err = run.end(EXIT_S)
+    assert time.monotonic() - before < EXIT_S
+    assert code == INTERRUPTED, err
+    assert "Traceback" not in err
+    assert run.gone_within(0.5)
+    return err
+
+
+@pytest.mark.parametrize(
+    ("how", "moment"),
+    [
+        (signal.SIGINT, "before ready"),
+        (signal.SIGINT, "in the middle"),
+        (signal.SIGTERM, "in the middle"),
+        (signal.SIGTERM, "near the end"),
+    ],
+)
+def test_an_interrupted_network_ends_at_once_and_leaves_its_folder(
+    tmp_path: Path, how: signal.Signals, moment: str
+):
+    line, steps = MOMENTS[moment]
+    with family(run_command("processes", steps), tmp_path) as run:
+        run.await_line(line)
+        if moment == "in the middle":
+            assert len(run.descendants()) == 1 + 2 + 4  # zygote, world and recorder, nodes
+        interrupted(run, how)
+    done = check_folder(tmp_path / "run")
+    if moment == "in the middle":
+        assert 0 < done < steps
+    if moment == "near the end":
+        assert done == steps
+
+
+def test_an_interrupted_run_in_one_process_leaves_its_folder(tmp_path: Path):
+    with family(run_command("in-process", 1000), tmp_path) as run:
+        run.await_line("oscillator: ")
+        interrupted(run, signal.SIGINT)
+    assert 0 < check_folder(tmp_path / "run") < 1000
+    assert (tmp_path / "run" / ARRAYS).exists()
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_an_interruption_while_the_program_loads_is_as_quiet(tmp_path: Path, how: signal.Signals):
+    """Loading takes longer than many a run, and is when people think better of it."""
+    command = run_command("processes", 700)
+    command.insert(1, "-Ximporttime")  # says on standard error what has been loaded
+    with family(command, tmp_path) as run:
+        run.await_line(" numpy\n")
+        interrupted(run, how)
+
+
+def test_a_second_ctrl_c_does_no_harm(tmp_path: Path):
+    with family(run_command("processes", 700), tmp_path) as run:
+        run.await_line("oscillator: ")
+        run.send(signal.SIGINT)
+        time.sleep(0.05)
+        run.send(signal.SIGINT)
+        code, _, _ = run.end(EXIT_S)
+        assert code == INTERRUPTED
+        assert run.gone_within(EXIT_S)
+    check_folder(tmp_path / "run")
+
+
+@pytest.mark.parametrize("moment", ["before ready", "in the middle"])
+def test_a_killed_command_takes_its_network_with_it(tmp_path: Path, moment: str):
+    line, steps = MOMENTS[moment]
+    with family(run_command("processes", steps), tmp_path) as run:
+        run.await_line(line)
+        run.send(signal.SIGKILL)
+        run.process.wait(1)
+        assert run.gone_within(EXIT_S)
+    check_folder(tmp_path / "run")
+
+
+def test_a_run_that_fails_says_where_its_remains_are(tmp_path: Path):
+    """A node is killed: exit code 1, its name, and figures of nothing."""
+    with family(run_command("processes", 700), tmp_path) as run:
+        run.await_line("oscillator: ")
+        victim = run.descendants()[-1]
+        os.kill(victim, signal.SIGKILL)
+        code, out, err = run.end(EXIT_S)
+        assert code == 1
+        assert "ended with signal 9" in err
+        assert "is in run" in err
+        assert out == ""
+        assert run.gone_within(0.5)
+    assert check_folder(tmp_path / "run") > 0
+
+
+@pytest.mark.slow
+def test_an_interruption_late_in_a_long_run_is_as_quick(tmp_path: Path):
+    """Nobody who has lost patience waits for figures."""
+    options = "--scenario target-tracking --nodes 20 --steps 1500 --out run"
+    with family([*CONCORD, "run", *options.split()], tmp_path) as run:
+        run.await_line("1200 of 1500", 90)
+        interrupted(run, signal.SIGINT)
+    assert check_folder(tmp_path / "run") >= 1200
+
+
+@pytest.mark.slow
+def test_twenty_launches_with_an_interruption_at_a_random_moment(tmp_path: Path):
+    generator = random.Random(20)
+    for attempt in range(20):
+        folder = tmp_path / str(attempt)
+        folder.mkdir()
+        how = generator.choice([signal.SIGINT, signal.SIGTERM])
+        with family(run_command("processes", 150), folder) as run:
+            time.sleep(generator.uniform(0.0, 2.5))
+            if run.process.poll() is None:
+                run.send(how)
+            code, _, err = run.end(EXIT_S)
+            assert code in (0, INTERRUPTED), err
+            assert run.gone_within(0.5)
+        if (folder / "run" / DESCRIPTION).exists():
+            check_folder(folder / "run")

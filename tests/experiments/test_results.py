@@ -1,0 +1,124 @@
+"""What a run leaves: run.json says it all again, run.nc holds what the recording holds."""
+
+import json
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+import xarray
+
+from experiments.drivers import in_memory
+from experiments.metrics import nees
+from experiments.results import (
+    ARRAYS,
+    DESCRIPTION,
+    describe,
+    new_folder,
+    read_description,
+    write_arrays,
+    write_description,
+)
+from experiments.trace import read_trace
+from scenarios.scenario import Scenario
+from tests.experiments.support import small
+
+SETUP = small(steps=6, nodes=3, graph="path", schedule="round-robin", occupancy=0.4)
+TRACE = read_trace(SETUP, in_memory(SETUP))
+
+
+@pytest.fixture
+def dataset(tmp_path: Path):
+    write_arrays(tmp_path, describe("test", "in-process", SETUP), TRACE)
+    with xarray.open_dataset(tmp_path / ARRAYS, engine="h5netcdf") as opened:
+        yield opened.load()
+
+
+@pytest.mark.parametrize("quantity", ["truth", "mean", "cov", "readings", "ages"])
+def test_arrays_keep_their_bits(dataset, quantity: str):
+    stored = dataset[quantity].to_numpy()
+    expected = getattr(TRACE, quantity)
+    assert stored.dtype == expected.dtype
+    assert stored.tobytes() == expected.tobytes()
+
+
+def test_what_is_derived_agrees_with_what_it_is_derived_from(dataset):
+    np.testing.assert_array_equal(dataset["published"].to_numpy() == 1, TRACE.published)
+    xarray.testing.assert_allclose(
+        dataset["error"], (dataset["mean"] - dataset["truth"]).transpose(*dataset["error"].dims)
+    )
+    np.testing.assert_allclose(
+        dataset["nees"], nees(TRACE.mean - TRACE.truth[:, None], TRACE.cov), rtol=1e-12
+    )
+    np.testing.assert_allclose(dataset["disagreement"].sum("node"), 0, atol=1e-12)
+    assert dataset["missed"].to_numpy().tolist() == [0, 0, 0]
+
+
+def test_dimensions_and_units_have_names(dataset):
+    assert dataset["mean"].dims == ("step", "node", "state")
+    assert dataset["published"].dims == ("step", "round", "node")
+    assert dataset["state"].to_numpy().tolist() == ["x", "vx"]
+    assert dataset["state_unit"].to_numpy().tolist() == ["m", "m/s"]
+    np.testing.assert_allclose(dataset["time"], np.arange(6) * SETUP.time_step_s)
+    assert dataset["time"].attrs["units"] == "s"
+    assert dataset.attrs["seed"] == SETUP.scenario.seed
+    assert msgspec.json.decode(dataset.attrs["scenario"], type=Scenario) == SETUP.scenario
+    assert dataset["mean"].sel(state="x").shape == (6, 3)
+
+
+def test_every_documented_variable_is_there(dataset):
+    """docs/results.md names them in the first column of its table."""
+    page = Path(__file__).parents[2] / "docs" / "results.md"
+    section = page.read_text(encoding="utf-8").partition("## run.nc")[2].partition("Coordinates")[0]
+    rows = [line.split("|")[1] for line in section.splitlines() if line.startswith("| `")]
+    named = {name.strip(" `") for row in rows for name in row.split(",")}
+    assert {"truth", "mean", "cov", "ages"} <= named
+    assert named - set(dataset.variables) <= {"control"}, "this plant is not controlled"
+    unnamed = set(dataset.data_vars) - named
+    assert all("bus" in name or dataset[name].attrs or name == "asked" for name in unnamed)
+
+
+def test_the_description_comes_back_whole(tmp_path: Path):
+    description = describe("a run", "processes", SETUP)
+    write_description(tmp_path, description)
+    assert read_description(tmp_path) == description
+    assert description.setup == SETUP
+    assert {"concord", "python", "numpy", "eclipse-zenoh"} <= set(description.versions)
+    text = (tmp_path / DESCRIPTION).read_text()
+    assert json.loads(text)["seed"] == 1
+    assert len(text.splitlines()) > 20
+
+
+def test_a_run_can_be_repeated_from_its_description(tmp_path: Path):
+    write_description(tmp_path, describe("a run", "in-process", SETUP))
+    assert in_memory(read_description(tmp_path).setup) == in_memory(SETUP)
+
+
+@pytest.mark.parametrize("content", [None, b"", b"{}", b'{"run": 3}', b"no json"])
+def test_a_folder_without_a_run_is_refused_by_name(tmp_path: Path, content: bytes | None):
+    if content is not None:
+        (tmp_path / DESCRIPTION).write_bytes(content)
+    with pytest.raises(ValueError, match=rf"{DESCRIPTION}: (cannot be read|not the description)"):
+        read_description(tmp_path)
+
+
+def test_folders_have_names_of_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    made = [new_folder(None, "oscillator") for _ in range(20)]
+    assert len({run for run, _ in made}) == len({folder for _, folder in made}) == 20
+    assert all(folder.parent == Path("runs") and folder.is_dir() for _, folder in made)
+
+
+def test_a_run_that_is_interrupted_while_it_writes_leaves_no_broken_arrays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Ctrl-C between the first and the last byte of run.nc: a whole file, or none."""
+
+    def half(self, path, **options):
+        Path(path).write_bytes(b"\x89HDF\r\n\x1a\n and no more")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(xarray.Dataset, "to_netcdf", half)
+    with pytest.raises(KeyboardInterrupt):
+        write_arrays(tmp_path, describe("test", "in-process", SETUP), TRACE)
+    assert not (tmp_path / ARRAYS).exists()

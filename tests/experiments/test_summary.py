@@ -1,0 +1,196 @@
+"""The figures of a run against loops over its trace, and what people and machines are shown."""
+
+import json
+from io import StringIO
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+import xarray
+from rich.console import Console
+
+from experiments.__main__ import main
+from experiments.drivers import in_memory
+from experiments.summary import Figures, lines, summarise, table
+from experiments.trace import read_trace
+from nodes.recording import read_recording
+from scenarios.setup import prepare
+from tests.experiments.support import scenario, small
+
+SETUP = small(steps=30, nodes=4)
+TRACE = read_trace(SETUP, in_memory(SETUP))
+FIGURES = summarise(SETUP, TRACE)
+FIRST = 20  # where the oscillator begins to be scored
+
+
+def position_rmse(errors) -> float:
+    values = list(errors)
+    return float(np.sqrt(sum(e * e for e in values) / len(values)))
+
+
+def test_errors_are_those_of_the_position_from_the_first_scored_step():
+    for node, figures in enumerate(FIGURES.nodes):
+        expected = position_rmse(
+            TRACE.mean[k, node, 0] - TRACE.truth[k, 0] for k in range(FIRST, 30)
+        )
+        assert figures.rmse == pytest.approx(expected, rel=1e-12)
+    every = position_rmse(
+        TRACE.mean[k, i, 0] - TRACE.truth[k, 0] for k in range(FIRST, 30) for i in range(4)
+    )
+    assert FIGURES.rmse == pytest.approx(every, rel=1e-12)
+    assert (FIGURES.first_step, FIGURES.steps, FIGURES.unit) == (FIRST, 30, "m")
+
+
+def test_consistency_is_of_the_whole_state():
+    total = 0.0
+    for k in range(FIRST, 30):
+        for i in range(4):
+            error = TRACE.mean[k, i] - TRACE.truth[k]
+            total += error @ np.linalg.solve(TRACE.cov[k, i], error) / 2
+    assert FIGURES.anees == pytest.approx(total / 40, rel=1e-9)
+
+
+def test_traffic_is_that_of_the_last_estimates():
+    assert [node.sent for node in FIGURES.nodes] == [90] * 4
+    assert [node.heard for node in FIGURES.nodes] == [180] * 4
+    assert FIGURES.shares_sent == 360
+    assert FIGURES.shares_missed == 0
+
+
+def test_the_worst_node_is_named_against_the_centralised_filter():
+    worst = max(node.rmse for node in FIGURES.nodes)
+    assert FIGURES.worst_node_to_centralised == pytest.approx(worst / FIGURES.rmse_centralised)
+
+
+def test_nothing_is_scored_before_anybody_has_seen_anything():
+    blind = TRACE.readings.copy()
+    blind[:25] = np.nan
+    assert summarise(SETUP, TRACE._replace(readings=blind)).first_step == 25
+    blind[:] = np.nan
+    assert summarise(SETUP, TRACE._replace(readings=blind)).first_step == FIRST
+
+
+@pytest.mark.parametrize("steps", [1, 2, 21])
+def test_a_run_of_a_few_steps_has_figures_too(steps: int):
+    setup = small(steps=steps)
+    figures = summarise(setup, read_trace(setup, in_memory(setup)))
+    assert figures.first_step == min(FIRST, steps - 1)
+    assert np.isfinite(figures.rmse)
+
+
+def test_truth_that_nobody_knows_is_left_out():
+    truth = TRACE.truth.copy()
+    truth[22:26] = np.nan
+    figures = summarise(SETUP, TRACE._replace(truth=truth))
+    known = [k for k in range(FIRST, 30) if not 22 <= k < 26]
+    expected = position_rmse(TRACE.mean[k, 0, 0] - TRACE.truth[k, 0] for k in known)
+    assert figures.nodes[0].rmse == pytest.approx(expected, rel=1e-12)
+
+
+def test_errors_near_a_sighting_count_the_steps_after_it(mrclam_folder: Path):
+    """Within 2 s, 10 steps, of a reading by any node."""
+    asked = scenario("mrclam", data=str(mrclam_folder), target=4, steps=400)
+    setup = prepare(asked)
+    trace = read_trace(setup, in_memory(setup))
+    figures = summarise(setup, trace)
+    seen = [k for k in range(400) if not np.isnan(trace.readings[k]).all()]
+    near = [k for k in range(400) if any(k - 10 <= s <= k for s in seen) and k >= seen[0]]
+    assert 0 < len(near) < 400
+    for node in range(4):
+        squares = ((trace.mean[near, node, :2] - trace.truth[near, :2]) ** 2).sum(1)
+        expected = np.sqrt(squares[~np.isnan(squares)].mean())
+        assert figures.rmse_near[node] == pytest.approx(expected, rel=1e-12)
+
+
+# --- what is shown -------------------------------------------------------------------------------
+
+
+def shown(figures: Figures) -> str:
+    console = Console(width=100, record=True, file=StringIO())
+    console.print(table(figures, "a title"))
+    return console.export_text() + "\n".join(lines(figures))
+
+
+def test_the_table_has_a_row_for_each_node_and_frames_the_network():
+    text = shown(FIGURES)
+    for heading in ("node", "RMSE [m]", "alone [m]", "ANEES", "sent", "heard", "missed"):
+        assert heading in text
+    for figures in FIGURES.nodes:
+        assert f"{figures.rmse:.4g}" in text
+    assert f"{FIGURES.rmse_centralised:.4g}" in text
+    assert "scored from step 20 of 30" in text
+
+
+def test_what_is_not_known_is_a_dash_in_the_table():
+    unknown = TRACE._replace(truth=np.full_like(TRACE.truth, np.nan))
+    assert " - " in shown(summarise(SETUP, unknown))
+
+
+@pytest.fixture
+def run_json(tmp_path: Path, monkeypatch, capsys: pytest.CaptureFixture[str]):
+    """`concord run --json` and what it wrote: standard output, standard error, folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(options: str) -> tuple[str, str, Path]:
+        main(["run", *options.split(), "--json", "--out", "run"])
+        captured = capsys.readouterr()
+        return captured.out, captured.err, tmp_path / "run"
+
+    return run
+
+
+SMALL_RUN = "--scenario oscillator --nodes 3 --graph path --steps 25 --seed 5"
+
+
+def test_json_is_one_object_on_standard_output_and_notes_go_elsewhere(run_json):
+    out, err, folder = run_json(SMALL_RUN)
+    assert out.count("\n") == 1
+    figures = msgspec.json.decode(out, type=Figures)
+    assert (figures.steps, len(figures.nodes)) == (25, 3)
+    assert err.startswith("seed 5; results in run\n")
+    assert "oscillator: 25 of 25" in err
+    assert {entry.name for entry in folder.iterdir()} >= {"run.json", "run.mcap", "run.nc"}
+
+
+def test_what_is_said_follows_from_what_is_recorded(run_json):
+    out, _, folder = run_json(SMALL_RUN)
+    setup = small(nodes=3, graph="path", steps=25, seed=5)
+    trace = read_trace(setup, read_recording(folder / "run.mcap"))
+    expected = msgspec.to_builtins(summarise(setup, trace))
+    said = json.loads(out)
+    for name in ("steps_per_second", "ready_s"):
+        del expected[name]
+        said.pop(name, None)
+    assert said == expected
+    with xarray.open_dataset(folder / "run.nc", engine="h5netcdf") as dataset:
+        error = dataset["error"].sel(state="x").isel(step=slice(20, None))
+        rmse = np.sqrt((error**2).mean("step"))
+        np.testing.assert_allclose(rmse, [n["rmse"] for n in said["nodes"]], rtol=1e-12)
+
+
+def test_what_is_not_known_is_null_in_json(run_json, mrclam_folder: Path):
+    """Nobody has seen the target in the first steps, and JSON has no NaN."""
+    out, _, _ = run_json(f"--scenario mrclam --data {mrclam_folder} --target 4 --steps 3")
+    json.loads(out, parse_constant=lambda name: pytest.fail(f"{name} in JSON"))
+
+
+def test_without_json_people_get_a_table(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.chdir(tmp_path)
+    main(["run", *SMALL_RUN.split()])
+    captured = capsys.readouterr()
+    assert "centralised" in captured.out
+    assert "RMSE" in captured.out
+    assert "seed 5; results in runs/oscillator-" in captured.err
+    assert len(list((tmp_path / "runs").iterdir())) == 1
+
+
+def test_listing_for_machines_and_people_names_the_same(capsys: pytest.CaptureFixture[str]):
+    main(["list", "--json"])
+    everything = json.loads(capsys.readouterr().out)
+    main(["list"])
+    shown_to_people = capsys.readouterr().out
+    for name in (*everything["scenarios"], *everything["rules"], *everything["graphs"]):
+        assert name in shown_to_people

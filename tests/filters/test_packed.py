@@ -1,0 +1,79 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from filters.gaussian import Information
+from filters.packed import average, pack, packed_length, unpack
+from tests.filters.support import BATCHES, random_spd
+
+SEEDS = st.integers(0, 2**16)
+LANES = st.sampled_from(BATCHES)
+
+
+def doubly_stochastic(generator: np.random.Generator, count: int) -> np.ndarray:
+    """A random mixture of permutations (Birkhoff): every doubly stochastic matrix is one."""
+    permutations = np.stack([np.eye(count)[generator.permutation(count)] for _ in range(4)])
+    return np.tensordot(generator.dirichlet(np.ones(4)), permutations, 1)
+
+
+@given(lanes=LANES, n=st.integers(1, 6), seed=SEEDS)
+def test_what_is_packed_is_unpacked(lanes, n, seed):
+    generator = np.random.default_rng(seed)
+    pair = Information(generator.standard_normal((*lanes, n)), random_spd(generator, lanes, n))
+    numbers = pack(pair)
+    assert numbers.shape == (*lanes, packed_length(n))
+    again = unpack(numbers)
+    np.testing.assert_array_equal(again.vector, pair.vector)
+    np.testing.assert_array_equal(again.matrix, pair.matrix)
+
+
+def test_a_cut_vector_is_refused():
+    with pytest.raises(ValueError, match=r"length 4, .*its last axis uncut"):
+        unpack(np.zeros((2, 4)))
+
+
+@given(lanes=LANES, count=st.integers(1, 5), seed=SEEDS)
+def test_the_average_is_the_sum_over_those_heard(lanes, count, seed):
+    generator = np.random.default_rng(seed)
+    numbers = generator.standard_normal((*lanes, count, 3))
+    weights = generator.dirichlet(np.ones(count), lanes)
+    silent = generator.random((*lanes, count)) < 0.5
+    silent[..., 0] = False
+    garbled = numbers.copy()
+    garbled[silent, generator.integers(3)] = np.nan
+    mixed = average(garbled, weights)
+    for lane in np.ndindex(lanes):
+        heard = [j for j in range(count) if not silent[lane][j]]
+        total = sum(weights[lane][j] for j in heard)
+        expected = sum(weights[lane][j] / total * numbers[lane][j] for j in heard)
+        np.testing.assert_allclose(mixed[lane], expected, rtol=1e-12, atol=1e-13)
+
+
+@given(count=st.integers(2, 7), rounds=st.integers(1, 6), seed=SEEDS)
+def test_rounds_are_a_power_of_the_weights_and_keep_the_mean(count, rounds, seed):
+    generator = np.random.default_rng(seed)
+    weights = doubly_stochastic(generator, count)
+    start = generator.standard_normal((count, 5))
+    numbers = start
+    for _ in range(rounds):
+        numbers = np.stack(
+            [average(np.roll(numbers, -i, 0), np.roll(weights[i], -i)) for i in range(count)]
+        )
+    power = np.linalg.matrix_power(weights, rounds)
+    np.testing.assert_allclose(numbers, power @ start, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(numbers.mean(axis=0), start.mean(axis=0), rtol=0, atol=1e-12)
+
+
+def test_who_knows_nothing_itself_is_a_failed_lane_and_no_other():
+    numbers = np.ones((2, 3, 2))
+    numbers[0, 0, 1] = np.nan
+    mixed = average(numbers, np.full(3, 1 / 3))
+    assert np.isnan(mixed[0, 1])
+    np.testing.assert_allclose(mixed[1], 1.0)
+
+
+@pytest.mark.parametrize("weights", [[0.6, 0.6], [1.5, -0.5]])
+def test_weights_that_do_not_average_are_refused(weights):
+    with pytest.raises(ValueError, match="sum to 1"):
+        average(np.ones((2, 2)), np.array(weights))

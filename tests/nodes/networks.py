@@ -1,0 +1,263 @@
+"""Small networks for the tests of nodes/: a linear plant, chosen priors, links that lose frames."""
+
+import zlib
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from hypothesis import strategies as st
+
+from bus.publication import Slot
+from bus.schedule import Schedule, full_publish
+from filters import hold
+from filters.fusion import weighted_average
+from filters.gaussian import Gaussian
+from filters.linalg import unpack_upper
+from filters.sigma_points import scaled_unscented
+from nodes import in_process
+from nodes.belief_codec import BeliefCodec
+from nodes.belief_consensus import BeliefConsensus, HoldPolicy
+from nodes.messages import Array, Bid, Estimate, decode, from_wire
+from nodes.recording import MemoryRecorder
+from nodes.share import payload_lengths
+from nodes.state_machine import NodeConfig, NodeState
+from nodes.world import Controller, WorldConfig
+from topology.adjacency import Adjacency
+from topology.weights import metropolis
+
+DROP = HoldPolicy(lambda base, ages, covs, cycles: hold.drop(base, ages), carried=False)
+PREDICT = HoldPolicy(lambda base, ages, covs, cycles: hold.full(base, ages), carried=True)
+DECAYED = HoldPolicy(
+    lambda base, ages, covs, cycles: hold.held_weights(base, ages, covs, 0.5, True), carried=True
+)
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Plant and model at once: x -> F x + u + noise. Some nodes read the whole state."""
+
+    matrix: Array
+    noise_cov: Array
+    seeing: tuple[int, ...] = ()
+    nodes: int = 1
+
+    def transition(self, state: Array, control: Array | None, step: int) -> Array:
+        moved = state @ self.matrix.T
+        return moved if control is None else moved + control
+
+    def process_noise_cov(self, step: int) -> Array:
+        return self.noise_cov
+
+    def advance(self, state: Array, control: Array | None, noise: Array, step: int) -> Array:
+        return self.transition(state, control, step) + noise
+
+    def observe(self, state: Array, noise: Array, step: int) -> Array:
+        delivered = np.full((self.nodes, 1, len(state)), np.nan)
+        for node in self.seeing:
+            delivered[node, 0] = state + noise[node, 0]
+        return delivered
+
+
+class WholeState(NamedTuple):
+    """A sensor that reads the state."""
+
+    noise_cov: Array
+    gate: float | None = None
+
+    def measure(self, state: Array, step: int) -> Array:
+        return state
+
+    def residual(self, value: Array, predicted: Array, /) -> Array:
+        return value - predicted
+
+    def interpret(self, delivered: Array) -> tuple[Array, Array]:
+        return delivered, self.noise_cov
+
+
+class Draws(NamedTuple):
+    process: Array
+    measurement: Array
+
+
+class Network(NamedTuple):
+    """What the in-process driver runs."""
+
+    world: WorldConfig
+    nodes: list[NodeConfig]
+
+
+def consecutive_slots(lengths: tuple[int, ...], node: int, cycle: int) -> tuple[Slot, ...]:
+    """Each node its own frame IDs, whatever the cycle."""
+    first = node * len(lengths) + 1
+    return tuple(Slot(first + part, length) for part, length in enumerate(lengths))
+
+
+def keenest(slots: int, state: Any, cycle: int, bids: Sequence[Bid]) -> tuple[Any, tuple[int, ...]]:
+    """An arbiter: the largest bids win."""
+    asking = [bid for bid in bids if bid.bid is not None]
+    asking.sort(key=lambda bid: (-(bid.bid or 0), bid.node))
+    return state, tuple(sorted(bid.node for bid in asking[:slots]))
+
+
+def network(
+    adjacency: Adjacency,
+    priors: Sequence[Gaussian],
+    *,
+    steps: int,
+    rounds: int,
+    matrix: Array | None = None,
+    process_noise_cov: Array | None = None,
+    average: Callable[[Gaussian, Array], Gaussian] = weighted_average,
+    hold_policy: HoldPolicy = DROP,
+    schedule: Schedule | None = None,
+    number: str = "<f8",
+    seeing: Sequence[int] = (),
+    lead: int = 4,
+    controller: Controller | None = None,
+    seed: int = 0,
+) -> Network:
+    """Nodes with these priors on this graph (N, N), Metropolis weights, a linear plant."""
+    count, n = len(adjacency), len(priors[0].mean)
+    plant = Linear(
+        np.eye(n) if matrix is None else matrix,
+        np.zeros((n, n)) if process_noise_cov is None else process_noise_cov,
+        tuple(seeing),
+        count,
+    )
+    weights = metropolis(adjacency)
+    schedule = full_publish(count) if schedule is None else schedule
+    codec = BeliefCodec(n, number)
+    generator = np.random.default_rng(seed)
+    nodes = []
+    for i in range(count):
+        heard = np.flatnonzero(adjacency[i]).tolist()
+        estimator = BeliefConsensus(
+            model=plant,
+            sensor=WholeState(0.5 * np.eye(n)) if i in seeing else None,
+            prior=priors[i],
+            points=scaled_unscented(n),
+            average=average,
+            hold=hold_policy,
+            weights=weights[i, [i, *heard]],
+            codec=codec,
+        )
+        slots = partial(consecutive_slots, payload_lengths(codec.size))
+        nodes.append(NodeConfig(i, tuple(heard), rounds, steps, schedule, slots, estimator))
+    world = WorldConfig(
+        plant=plant,
+        initial_state=np.ones(n),
+        draws=Draws(
+            0.1 * generator.standard_normal((steps, n)),
+            0.5 * generator.standard_normal((steps, count, 1, n)),
+        ),
+        nodes=count,
+        steps=steps,
+        rounds=rounds,
+        lead=lead,
+        schedule=schedule,
+        arbitrate=partial(keenest, max(schedule.dynamic_slot_table)),
+        arbiter_state=None,
+        controller=controller,
+    )
+    return Network(world, nodes)
+
+
+class Outcome(NamedTuple):
+    """What a run left: mean (steps, N, n), cov (steps, N, n, n), all messages, final states."""
+
+    mean: Array
+    cov: Array
+    estimates: list[Estimate]
+    messages: list[tuple[str, bytes]]
+    states: list[NodeState]
+
+    def same_bits(self, other: "Outcome") -> bool:
+        ours, theirs = ((o.mean.tobytes(), o.cov.tobytes()) for o in (self, other))
+        return ours == theirs
+
+    def counted(self, name: str) -> int:
+        """A counter, summed over the nodes."""
+        return sum(state.counters.get(name, 0) for state in self.states)
+
+
+def run(
+    net: Network,
+    link: in_process.Link = in_process.lossless,
+    pick: in_process.Pick = in_process.first_come,
+) -> Outcome:
+    """Run a network in this process."""
+    recorder = MemoryRecorder()
+    states = in_process.run(net.world, net.nodes, recorder, link=link, pick=pick)
+    return outcome(recorder.messages, states)
+
+
+def outcome(messages: list[tuple[str, bytes]], states: list[NodeState]) -> Outcome:
+    """Arrays from messages."""
+    found = [decode(t, data) for t, data in messages if t.startswith("estimate/")]
+    found.sort(key=lambda e: (e.step, e.node))
+    count = len(states)
+    mean = np.array([from_wire(e.mean) for e in found])
+    cov = unpack_upper(np.array([from_wire(e.cov) for e in found]))
+    n = mean.shape[-1]
+    shape = (-1, count, n)
+    return Outcome(mean.reshape(shape), cov.reshape(*shape, n), found, messages, states)
+
+
+def losing(seed: int, probability: float) -> in_process.Link:
+    """A link that loses frames, each at random but the same whenever it is sent."""
+
+    def link(sender: int, receiver: int, frame: bytes) -> Iterable[bytes]:
+        fate = np.random.default_rng([seed, sender, receiver, zlib.crc32(frame)]).random()
+        return () if fate < probability else (frame,)
+
+    return link
+
+
+def shuffled(seed: int) -> in_process.Pick:
+    """Deliver any waiting message next."""
+    generator = np.random.default_rng(seed)
+    return lambda waiting: int(generator.integers(waiting))
+
+
+def last_come(waiting: int) -> int:
+    """Deliver the newest message first: the most unfair order that there is."""
+    return waiting - 1
+
+
+def random_cov(generator: np.random.Generator, n: int) -> Array:
+    """A covariance (n, n) with a condition number of some tens."""
+    root = generator.standard_normal((n, n + 2))
+    return root @ root.T + 0.2 * np.eye(n)
+
+
+def random_priors(generator: np.random.Generator, count: int, n: int) -> list[Gaussian]:
+    """A belief for each node."""
+    return [Gaussian(generator.standard_normal(n), random_cov(generator, n)) for _ in range(count)]
+
+
+@st.composite
+def graphs(draw: st.DrawFn, least: int = 1, most: int = 6) -> Adjacency:
+    """Connected graphs (N, N): a random tree and some links more."""
+    count = draw(st.integers(least, most))
+    adjacency = np.zeros((count, count), dtype=bool)
+    for node in range(1, count):
+        parent = draw(st.integers(0, node - 1))
+        adjacency[node, parent] = adjacency[parent, node] = True
+    pairs = [(i, j) for i in range(count) for j in range(i)]
+    for i, j in draw(st.lists(st.sampled_from(pairs), max_size=6)) if pairs else ():
+        adjacency[i, j] = adjacency[j, i] = True
+    return adjacency
+
+
+def path(count: int) -> Adjacency:
+    """The path graph (N, N)."""
+    return np.eye(count, k=1, dtype=bool) | np.eye(count, k=-1, dtype=bool)
+
+
+def ring(count: int) -> Adjacency:
+    """The ring graph (N, N)."""
+    adjacency = path(count)
+    adjacency[0, -1] = adjacency[-1, 0] = True
+    return adjacency

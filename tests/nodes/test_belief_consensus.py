@@ -1,0 +1,182 @@
+"""What a node makes of its readings and of what it hears, without the machine around it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from filters.fusion import covariance_intersection
+from filters.gaussian import Gaussian
+from filters.sigma_points import scaled_unscented
+from nodes.belief_codec import BeliefCodec
+from nodes.belief_consensus import FIRST_BID, BeliefConsensus, HoldPolicy
+from nodes.messages import Array, Measured
+from tests.nodes.networks import DECAYED, DROP, PREDICT, Linear, WholeState, random_priors
+
+SEEDS = st.integers(0, 2**32 - 1)
+F = np.array([[1.0, 0.5], [0.0, 0.9]])
+Q = np.array([[0.3, 0.1], [0.1, 0.2]])
+R = 0.5 * np.eye(2)
+PRIOR, LEFT, RIGHT = random_priors(np.random.default_rng(1), 3, 2)
+BLIND: list[list[float | None]] = [[None, None]]
+
+
+def estimator(hold: HoldPolicy = PREDICT, sees: bool = False, gate: float | None = None):
+    return BeliefConsensus(
+        model=Linear(F, Q),
+        sensor=WholeState(R, gate) if sees else None,
+        prior=PRIOR,
+        points=scaled_unscented(2),
+        average=covariance_intersection,
+        hold=hold,
+        weights=np.array([0.4, 0.3, 0.3]),
+        codec=BeliefCodec(2),
+    )
+
+
+def kalman(belief: Gaussian, value: Array) -> Gaussian:
+    gain = belief.cov @ np.linalg.inv(belief.cov + R)
+    return Gaussian(belief.mean + gain @ (value - belief.mean), (np.eye(2) - gain) @ belief.cov)
+
+
+def assert_close(belief: Gaussian, expected: Gaussian) -> None:
+    np.testing.assert_allclose(belief.mean, expected.mean, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(belief.cov, expected.cov, rtol=1e-12, atol=1e-12)
+
+
+@given(st.lists(st.tuples(st.floats(-9, 9), st.floats(-9, 9)), max_size=3), st.integers(0, 1))
+def test_a_step_is_predict_and_one_update_for_each_reading(readings: list, first: int):
+    rule = estimator(sees=True)
+    number = 1 - first
+    content, troubles = rule.begin_step(
+        rule.start(), Measured(0, number, [list(reading) for reading in readings])
+    )
+    expected = PRIOR if first else Gaussian(F @ PRIOR.mean, F @ PRIOR.cov @ F.T + Q)
+    for reading in readings:
+        expected = kalman(expected, np.array(reading))
+    assert_close(rule.belief(content), expected)
+    assert troubles == ()
+
+
+def test_the_control_that_drove_the_plant_drives_the_prediction():
+    rule = estimator()
+    content, _ = rule.begin_step(rule.start(), Measured(0, 1, BLIND, [1.0, -2.0]))
+    np.testing.assert_allclose(rule.belief(content).mean, F @ PRIOR.mean + [1, -2], rtol=1e-12)
+
+
+def test_a_reading_beyond_the_gate_is_refused_and_named():
+    rule = estimator(sees=True, gate=9.0)
+    content, troubles = rule.begin_step(rule.start(), Measured(0, 0, [[1e3, 0.0]]))
+    assert troubles == ("gated",)
+    assert_close(rule.belief(content), PRIOR)
+
+
+def test_an_update_that_fails_is_named_and_leaves_the_belief():
+    rule = replace(estimator(sees=True), sensor=WholeState(-10 * R))
+    content, troubles = rule.begin_step(rule.start(), Measured(0, 0, [[1.0, 2.0]]))
+    assert troubles == ("update-failed",)
+    assert_close(rule.belief(content), PRIOR)
+
+
+def test_a_prediction_that_fails_is_named_and_leaves_the_belief():
+    rule = replace(estimator(), model=Linear(np.full((2, 2), np.nan), Q))
+    content, troubles = rule.begin_step(rule.start(), Measured(0, 1, BLIND))
+    assert "predict-failed" in troubles
+    assert_close(rule.belief(content), PRIOR)
+
+
+@pytest.mark.parametrize("hold", [PREDICT, DECAYED, DROP])
+def test_ages_count_the_cycles_since_a_share_was_sent(hold: HoldPolicy):
+    rule = estimator(hold)
+    content = rule.start()
+    heard = {0: (None, None), 1: (LEFT, None), 2: (None, None), 3: (None, RIGHT), 4: (LEFT, None)}
+    expected = {0: [-1, -1], 1: [0, -1], 2: [1, -1], 3: [2, 0], 4: [0, 1]}
+    for cycle, shares in heard.items():
+        content, _ = rule.fuse(content, shares)
+        assert rule.ages(content).tolist() == expected[cycle]
+    # A step of the plant is no cycle of the bus.
+    content, _ = rule.begin_step(content, Measured(0, 1, BLIND))
+    assert rule.ages(content).tolist() == [0, 1]
+
+
+def test_who_was_never_heard_has_no_weight():
+    rule = estimator(PREDICT)
+    content, _ = rule.fuse(rule.start(), (None, None))
+    assert_close(rule.belief(content), PRIOR)
+
+
+@pytest.mark.parametrize(("hold", "carried"), [(PREDICT, True), (DROP, False)])
+def test_a_held_pair_is_carried_through_the_plant_if_the_policy_says_so(
+    hold: HoldPolicy, carried: bool
+):
+    rule = estimator(hold)
+    content, _ = rule.fuse(rule.start(), (LEFT, None))
+    content, _ = rule.begin_step(content, Measured(0, 1, BLIND))
+    kept = Gaussian(content.held.mean[0], content.held.cov[0])
+    assert_close(kept, Gaussian(F @ LEFT.mean, F @ LEFT.cov @ F.T + Q) if carried else LEFT)
+
+
+def test_a_share_that_is_no_covariance_is_dropped_and_named():
+    rule = estimator(PREDICT)
+    broken = Gaussian(LEFT.mean, np.array([[1.0, 2.0], [2.0, 1.0]]))
+    content, troubles = rule.fuse(rule.start(), (broken, RIGHT))
+    assert troubles == ("rejected not-positive-definite",)
+    alone, _ = rule.fuse(rule.start(), (None, RIGHT))
+    assert_close(rule.belief(content), rule.belief(alone))
+    assert rule.ages(content).tolist() == [-1, 0]
+
+
+# --- bids ----------------------------------------------------------------------------------------
+
+
+def moved_by(rule: BeliefConsensus, change: Array):
+    """A content that has published its prior and then moved on by `change`."""
+    content, _ = rule.compose(rule.start())
+    return content._replace(belief=Gaussian(PRIOR.mean + change, PRIOR.cov))
+
+
+def test_who_has_never_published_bids_highest():
+    rule = estimator()
+    assert rule.bid(rule.start()) == FIRST_BID
+    far = moved_by(rule, np.array([1e9, 1e9]))
+    assert FIRST_BID > (rule.bid(far) or 0) > 0
+
+
+@given(st.floats(-50, 50), st.floats(-50, 50))
+def test_a_bid_is_the_squared_change_in_units_of_the_covariance(a: float, b: float):
+    rule = estimator()
+    change = np.array([a, b])
+    squared = float(change @ np.linalg.inv(PRIOR.cov) @ change)
+    bid = rule.bid(moved_by(rule, change))
+    assert isinstance(bid, int)
+    assert bid == pytest.approx(1024 * squared, abs=1 + 1e-9 * squared)
+
+
+def test_below_its_trigger_a_node_asks_for_nothing():
+    rule = replace(estimator(), trigger=4.0)
+    step = np.linalg.cholesky(PRIOR.cov) @ np.array([1.0, 0.0])
+    assert rule.bid(moved_by(rule, 1.9 * step)) is None
+    assert rule.bid(moved_by(rule, 2.1 * step)) == pytest.approx(1024 * 4.41, abs=1)
+    assert rule.bid(rule.start()) == FIRST_BID
+
+
+def test_what_was_published_is_carried_on_too():
+    """A belief that only follows the plant model is no news."""
+    rule = estimator(PREDICT)
+    content, _ = rule.compose(rule.start())
+    content, _ = rule.begin_step(content, Measured(0, 1, BLIND))
+    assert rule.bid(content) == 0
+
+
+@given(SEEDS)
+def test_what_is_composed_is_what_is_accepted(seed: int):
+    (belief,) = random_priors(np.random.default_rng(seed), 1, 2)
+    rule = estimator()
+    content, body = rule.compose(rule.start()._replace(belief=belief))
+    assert len(body) == rule.share_bytes
+    accepted = rule.accept(body)
+    np.testing.assert_array_equal(accepted.mean, belief.mean)
+    np.testing.assert_array_equal(accepted.cov, (belief.cov + belief.cov.T) / 2)
+    assert content.published == belief

@@ -1,0 +1,244 @@
+"""One node before whatever may come: it never raises, counts what it refuses, keeps its head."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bus.schedule import Schedule, dynamic_only, round_robin
+from nodes.messages import (
+    Bid,
+    CycleClosed,
+    Estimate,
+    Grant,
+    NodeEvent,
+    ShareHeard,
+    ShareSent,
+)
+from nodes.share import to_frames
+from nodes.state_machine import (
+    NodeConfig,
+    Phase,
+    awaited_neighbour,
+    initial_state,
+    step,
+)
+from tests.nodes.one_node import (
+    PRIORS,
+    ROUNDS,
+    SCHEDULES,
+    STEPS,
+    STRANGER,
+    clean_events,
+    estimates,
+    feed,
+    heartbeat,
+    middle_node,
+    share,
+)
+
+
+@pytest.mark.parametrize("name", SCHEDULES)
+def test_a_clean_run_ends_with_an_estimate_of_every_step(name: str):
+    config = middle_node(SCHEDULES[name])
+    state, sent = feed(config, clean_events(config))
+    assert state.phase is Phase.FINISHED
+    assert [m.step for m in sent if isinstance(m, Estimate)] == list(range(STEPS))
+    assert set(state.counters) <= {"sent", "heard"}
+
+
+def test_the_order_of_messages_in_a_step():
+    """A contender bids, is granted, sends; in the next cycle again; then it says its estimate."""
+    config = middle_node(dynamic_only(3, 0.7))
+    _, sent = feed(config, clean_events(config)[:5])
+    assert [type(m) for m in sent] == [Bid, ShareSent, Bid, ShareSent, Estimate]
+    assert [m.cycle for m in sent if isinstance(m, Bid | ShareSent)] == [0, 0, 1, 1]
+
+
+def test_a_node_waits_for_exactly_those_who_are_due():
+    """Turns of one: node 0 sends in cycle 0, node 1 itself in cycle 1, node 2 in cycle 2."""
+    config = middle_node(round_robin(3, 1))
+    state, sent = feed(config, [heartbeat(0)])
+    assert (state.phase, awaited_neighbour(config, state)) == (Phase.SHARES, 0)
+    assert sent == []
+    state, sent = step(config, state, ShareHeard(0, share(config, 0, 0)))
+    assert [type(m) for m in sent] == [ShareSent, Estimate]
+    assert state.phase is Phase.MEASUREMENT
+    state, sent = step(config, state, heartbeat(1))
+    assert (state.cycle, awaited_neighbour(config, state)) == (2, 2)
+
+
+def test_what_comes_early_is_kept_and_used():
+    """All shares, grants and heartbeats before the first heartbeat, the latest first."""
+    for schedule in SCHEDULES.values():
+        config = middle_node(schedule)
+        events = clean_events(config)
+        _, expected = feed(config, events)
+        state, sent = feed(config, events[:0:-1])
+        assert sent == []
+        assert state.phase is Phase.MEASUREMENT
+        _, sent = step(config, state, events[0])
+        assert estimates(sent) == estimates(expected)
+
+
+@given(st.sampled_from(sorted(SCHEDULES)), st.randoms(use_true_random=False))
+@settings(max_examples=100)
+def test_any_order_of_events_gives_the_same_estimates(name: str, random):
+    config = middle_node(SCHEDULES[name])
+    events = clean_events(config)
+    state, expected = feed(config, events)
+    random.shuffle(events)
+    shuffled_state, sent = feed(config, events)
+    assert estimates(sent) == estimates(expected)
+    assert shuffled_state.counters == state.counters
+
+
+# --- what is no use ------------------------------------------------------------------------------
+
+
+def _nuisances(config: NodeConfig, cycle: int) -> dict[str, NodeEvent]:
+    """Each kind of useless event while `cycle` is open, by the counter that it must raise."""
+    sound = share(config, 0, cycle)
+    wrong_slot = to_frames(
+        config.estimator.codec.encode(PRIORS[0]),  # type: ignore[attr-defined]
+        cycle,
+        config.slots(2, cycle),
+    )[0]
+    flipped = bytes([*sound[:-1], sound[-1] ^ 1])
+    unscheduled = {0: 0, 1: 2, 2: 0}[cycle % 3]
+    kinds: dict[str, NodeEvent] = {
+        "rejected stranger": ShareHeard(STRANGER, sound),
+        "rejected too-short": ShareHeard(0, b"\x00\x01"),
+        "rejected frame-crc": ShareHeard(0, flipped),
+        "rejected header-crc": ShareHeard(0, bytes([sound[0] ^ 1, *sound[1:]])),
+        "rejected wrong-slot": ShareHeard(0, wrong_slot),
+        "rejected future": ShareHeard(0, share(config, 0, 3_000_000_000)),
+        "repeated measured": heartbeat(0),
+    }
+    if cycle:
+        kinds["late"] = ShareHeard(0, share(config, 0, cycle - 1))
+    if len(config.schedule.static_senders(cycle)) == 1:
+        del kinds["rejected wrong-slot"]
+        sender = 2 - unscheduled
+        frame = share(config, sender, cycle)
+        kinds["rejected unscheduled"] = ShareHeard(sender, frame)
+    return kinds
+
+
+def _open_at(config: NodeConfig, cycle: int) -> int:
+    """How many of the clean events come before the last that closes `cycle`."""
+    state = initial_state(config)
+    for place, event in enumerate(clean_events(config)):
+        state, _ = step(config, state, event)
+        if state.cycle > cycle:
+            return place
+    raise AssertionError("the clean run does not reach that cycle")
+
+
+@pytest.mark.parametrize("cycle", [0, 2, 3])
+def test_each_useless_event_is_counted_by_name_and_changes_nothing(cycle: int):
+    config = middle_node()
+    events = clean_events(config)
+    _, expected = feed(config, events)
+    place = _open_at(config, cycle)
+    for name, nuisance in _nuisances(config, cycle).items():
+        state, sent = feed(config, [*events[:place], nuisance, *events[place:]])
+        assert state.counters.get(name) == 1, name
+        assert estimates(sent) == estimates(expected), name
+
+
+def test_a_share_that_was_not_scheduled_is_not_used():
+    config = middle_node(round_robin(3, 1))
+    events = clean_events(config)
+    _, expected = feed(config, events)
+    # Cycle 2 belongs to node 2.
+    intruder = ShareHeard(0, share(config, 0, 2))
+    place = _open_at(config, 2)
+    state, sent = feed(config, [*events[:place], intruder, *events[place:]])
+    assert state.counters["rejected unscheduled"] == 1
+    assert estimates(sent) == estimates(expected)
+
+
+def test_a_share_is_used_once():
+    """Of two shares of one sender in one cycle the first counts, whatever the second says."""
+    config = middle_node()
+    events = clean_events(config)
+    _, expected = feed(config, events)
+    other = ShareHeard(0, share(config, 0, 0, PRIORS[2]))
+    state, sent = feed(config, [*events[:2], other, *events[2:]])
+    assert state.counters["repeated"] == 1
+    assert estimates(sent) == estimates(expected)
+
+
+@given(
+    st.sampled_from(["full", "round robin"]),
+    st.lists(st.tuples(st.integers(0, 30), st.integers(0, 20)), max_size=12),
+)
+@settings(max_examples=150)
+def test_useless_events_anywhere_leave_the_estimates_alone(
+    name: str, planted: list[tuple[int, int]]
+):
+    config = middle_node(SCHEDULES[name])
+    events = clean_events(config)
+    clean_state, expected = feed(config, events)
+    harmless = [
+        ShareHeard(STRANGER, share(config, 0, 0)),
+        ShareHeard(0, b""),
+        ShareHeard(2, share(config, 2, 1)[:-1] + b"\xff"),
+        ShareHeard(2, share(config, 2, 10**9)),
+        heartbeat(0),
+        *(e for e in events if isinstance(e, ShareHeard)),
+    ]
+    dirty = list(events)
+    for place, which in planted:
+        # Copies of a share come after the share itself: a copy that comes first is the share.
+        nuisance = harmless[which % len(harmless)]
+        first = dirty.index(nuisance) + 1 if nuisance in dirty else 0
+        first = max(first, 1)
+        dirty.insert(first + place % (len(dirty) + 1 - first), nuisance)
+    state, sent = feed(config, dirty)
+    assert estimates(sent) == estimates(expected)
+    noted = sum(state.counters.values()) - sum(clean_state.counters.values())
+    assert noted == len(planted)
+
+
+def test_a_closed_cycle_goes_on_with_what_has_come():
+    config = middle_node()
+    state, _ = feed(config, [heartbeat(0), ShareHeard(2, share(config, 2, 0))])
+    assert awaited_neighbour(config, state) == 0
+    state, sent = step(config, state, CycleClosed(0))
+    assert state.counters["missed"] == 1
+    assert state.cycle == 1
+    # The end of a cycle that is over, or not begun, says nothing.
+    for cycle in (0, 2):
+        unmoved, sent = step(config, state, CycleClosed(cycle))
+        assert (unmoved.cycle, sent) == (1, [])
+
+
+def test_without_a_grant_what_a_contender_sent_still_counts():
+    """Node 2 contends; it won and sent, but the world's word to us came too late."""
+    config = middle_node(Schedule(3, ((0, 1),), ((2,),), (1,)))
+    came = [heartbeat(0), *(ShareHeard(j, share(config, j, 0)) for j in (0, 2))]
+    state, _ = feed(config, came)
+    assert state.phase is Phase.GRANT
+    closed, _ = step(config, state, CycleClosed(0))
+    granted, _ = step(config, state, Grant(0, [2]))
+    assert closed.cycle == granted.cycle == 1
+    np.testing.assert_array_equal(closed.content.belief.mean, granted.content.belief.mean)
+    late, _ = step(config, closed, Grant(0, [2]))
+    assert late.counters["repeated grant"] == 1
+
+
+def test_an_inbox_does_not_grow_with_time():
+    config = replace(middle_node(), steps=200)
+    state = initial_state(config)
+    sizes = []
+    for number in range(200):
+        state, _ = step(config, state, heartbeat(number))
+        for cycle in range(number * ROUNDS, (number + 1) * ROUNDS):
+            for j in config.neighbours:
+                state, _ = step(config, state, ShareHeard(j, share(config, j, cycle)))
+        sizes.append(len(state.inbox.shares) + len(state.inbox.parts) + len(state.inbox.measured))
+    assert max(sizes) == 0

@@ -1,0 +1,124 @@
+"""Sessions, barrier and refusal, in fresh processes: a session does not survive a fork."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.processes import PROC, family
+
+pytestmark = [
+    pytest.mark.zenoh,
+    pytest.mark.skipif(not PROC.is_dir(), reason="finds processes in /proc, which is not there"),
+]
+
+BEGINNING = """
+import os, sys, time
+from functools import partial
+from nodes.links import *
+from nodes.supervisor import Supervisor
+def say(*words):
+    os.write(1, (" ".join(map(str, words)) + "\\n").encode())
+quiet, _hold = os.pipe()
+supervisor = Supervisor()
+"""
+
+
+def said_by(text: str, folder: Path) -> list[str]:
+    with family([sys.executable, "-c", BEGINNING + text], folder) as run:
+        code, out, err = run.end(30)
+        assert code == 0, err
+        assert run.gone_within(1)
+    return out.splitlines()
+
+
+# Everyone joins and at once publishes a number; everyone waits for those of its neighbours.
+BARRIER = """
+from nodes.zenoh_transport import Transport
+neighbours = {neighbours}
+links = plan_links(neighbours, free_ports(names(neighbours)))
+def meet(me):
+    heard = [str(j) for j in neighbours[me]]
+    transport = Transport("barrier", links[str(me)], [f"n/{{j}}" for j in heard], 64)
+    transport.join(str(me), heard)
+    transport.send(f"n/{{me}}", str(me * 11).encode())
+    came = [transport.receive(f"n/{{j}}") for j in heard]
+    assert came == [(f"n/{{j}}", str(int(j) * 11).encode()) for j in heard], came
+    say(me, "met", len(came))
+    # Leaving closes the links: nobody leaves before all have heard.
+    time.sleep(0.5)
+def stand_in(name):
+    transport = Transport("nobody", links[name], [], 8)
+    time.sleep(20)
+"""
+MESH = """
+supervisor.start(RECORDER, partial(stand_in, RECORDER))
+supervisor.start(WORLD, partial(stand_in, WORLD))
+for me in range(len(neighbours)):
+    supervisor.start(str(me), partial(meet, me))
+ends = [supervisor.wait(quiet) for _ in neighbours]
+say("ended", *sorted(f"{end.name}:{end.code}" for end in ends))
+supervisor.stop()
+"""
+
+
+def test_behind_the_barrier_no_first_message_is_lost(tmp_path: Path):
+    """A ring with a chord: all publish in the moment in which they are ready."""
+    neighbours = [[1, 3], [0, 2, 4], [1, 3], [0, 2, 4], [1, 3]]
+    text = BARRIER.format(neighbours=neighbours) + MESH
+    said = said_by(text, tmp_path)
+    assert sorted(said[:5]) == [f"{i} met {len(heard)}" for i, heard in enumerate(neighbours)]
+    assert said[5] == "ended 0:0 1:0 2:0 3:0 4:0"
+
+
+def test_a_taken_port_is_a_link_error(tmp_path: Path):
+    text = """
+import socket
+from nodes.zenoh_transport import LinkError, Transport, start_router
+taken = socket.socket()
+taken.bind(("127.0.0.1", 0))
+taken.listen()
+endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
+for attempt in (
+    lambda: Transport("x", Links("peer", (endpoint,), ()), [], 8),
+    lambda: start_router(endpoint),
+):
+    try:
+        attempt()
+    except LinkError as error:
+        say(endpoint in str(error))
+os._exit(0)
+"""
+    assert said_by(text, tmp_path) == ["True", "True"]
+
+
+def test_the_world_refuses_a_node_with_another_configuration(tmp_path: Path):
+    text = """
+import signal
+from pathlib import Path
+from nodes.process import run_node, run_recorder, run_world
+from nodes.recording import McapRecorder
+from scenarios.build import build_node, build_world
+from scenarios.catalogue import kind_of
+from scenarios.setup import prepare
+import msgspec
+defaults = kind_of("oscillator").defaults
+setup = prepare(msgspec.structs.replace(defaults, nodes=2, graph="path", steps=3))
+links = plan_links(setup.neighbours, free_ports(names(setup.neighbours)))
+def record():
+    recorder = McapRecorder(Path("run.mcap"), 3, 0.1)
+    run_recorder("refuse", links[RECORDER], recorder, 6)
+def node(i, mark):
+    run_node("refuse", links[str(i)], build_node(setup, i), setup.neighbours[i], mark)
+supervisor.start(RECORDER, record)
+supervisor.start("0", partial(node, 0, "same"))
+supervisor.start("1", partial(node, 1, "other"))
+world = partial(run_world, "refuse", links[WORLD], build_world(setup), "same", lambda step: None)
+supervisor.start(WORLD, world)
+say(*supervisor.wait(quiet))
+supervisor.stop()
+"""
+    with family([sys.executable, "-c", BEGINNING + text], tmp_path) as run:
+        code, out, err = run.end(30)
+    assert (code, out) == (0, "world 1\n")
+    assert "hello/1 runs configuration b'other', the world 'same'" in err

@@ -1,0 +1,124 @@
+"""Processes under test: start a command, find all that came of it, see them gone."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+MARK = "CONCORD_TEST_MARK"
+PROC = Path("/proc")
+CONCORD = (sys.executable, "-m", "experiments")
+
+
+class Family:
+    """A command and everything that it started, told by a mark that children inherit."""
+
+    def __init__(self, command: Sequence[str], folder: Path, interactive: bool) -> None:
+        self.mark = uuid.uuid4().hex
+        self.process = subprocess.Popen(
+            command,
+            cwd=folder,
+            env={**os.environ, MARK: self.mark},
+            stdin=subprocess.PIPE if interactive else subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+
+    def alive(self) -> list[int]:
+        """Process numbers of all that live (a zombie does not)."""
+        sign = f"{MARK}={self.mark}".encode()
+        return [pid for pid in _processes() if sign in _read(pid, "environ")]
+
+    def descendants(self) -> list[int]:
+        """All that live but the command itself."""
+        return [pid for pid in self.alive() if pid != self.process.pid]
+
+    def gone_within(self, seconds: float) -> bool:
+        """Wait until nobody is left."""
+        return holds_within(seconds, lambda: not self.alive())
+
+    def send(self, signal_number: int) -> None:
+        """A signal to the command alone."""
+        os.kill(self.process.pid, signal_number)
+
+    def send_to_group(self, signal_number: int) -> None:
+        """A signal to all that a terminal would send it to."""
+        os.killpg(self.process.pid, signal_number)
+
+    def await_line(self, part: str, seconds: float = 20.0) -> str:
+        """Read standard error up to a line that has this in it."""
+        deadline = time.monotonic() + seconds
+        stream = self.process.stderr
+        assert stream is not None
+        said = []
+        while time.monotonic() < deadline and (line := stream.readline()):
+            said.append(line)
+            if part in line:
+                return line
+        raise AssertionError(f"no line with {part!r}, but {said}")
+
+    def end(self, seconds: float = 3.0) -> tuple[int, str, str]:
+        """Wait for the command: exit code, standard output and standard error."""
+        out, err = self.process.communicate(timeout=seconds)
+        return self.process.returncode, out, err
+
+    def kill_all(self) -> None:
+        """Whatever a failing test has left behind."""
+        while pids := self.alive():
+            for pid in pids:
+                _kill(pid)
+            time.sleep(0.02)
+
+
+@contextmanager
+def family(command: Sequence[str], folder: Path, interactive: bool = False) -> Iterator[Family]:
+    """A command, with a standard input if `interactive`; nothing of it outlives the block."""
+    started = Family(command, folder, interactive)
+    try:
+        yield started
+    finally:
+        started.kill_all()
+        started.process.wait()
+        for stream in (started.process.stdin, started.process.stdout, started.process.stderr):
+            if stream is not None:
+                stream.close()
+
+
+def holds_within(seconds: float, holds: Callable[[], bool]) -> bool:
+    """Whether something becomes true in time."""
+    deadline = time.monotonic() + seconds
+    while not holds():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.01)
+    return True
+
+
+def lives(pid: int) -> bool:
+    """Whether a process is there and not merely waiting to be reaped."""
+    # The command's name is in brackets and may hold anything; the state follows it.
+    status = _read(pid, "stat").rpartition(b")")[2].split()
+    return bool(status) and status[0] not in (b"Z", b"X")
+
+
+def _processes() -> list[int]:
+    return [int(entry.name) for entry in PROC.iterdir() if entry.name.isdecimal()]
+
+
+def _read(pid: int, name: str) -> bytes:
+    try:
+        return (PROC / str(pid) / name).read_bytes()
+    except OSError:  # it has ended, or is not ours
+        return b""
+
+
+def _kill(pid: int) -> None:
+    with suppress(ProcessLookupError):
+        os.kill(pid, signal.SIGKILL)

@@ -1,0 +1,254 @@
+"""What a user can get wrong: one sentence that helps, exit code 2, and nothing left behind."""
+
+import shutil
+import socket
+from pathlib import Path
+
+import pytest
+
+from experiments.__main__ import main
+
+UNKNOWN_NAMES = [
+    ("--scenario target-traking", "scenario 'target-traking'", "'target-tracking'"),
+    ("--graph rnig", "graph 'rnig'", "'ring'"),
+    ("--weights metropolys", "weights 'metropolys'", "'metropolis'"),
+    ("--rule wacc", "rule 'wacc'", "'wac'"),
+    ("--schedule round-robbin", "schedule 'round-robbin'", "'round-robin'"),
+    ("--hold decade", "hold 'decade'", "'decayed'"),
+    ("--number float46", "number 'float46'", "'float64'"),
+    ("--arbiter wtdo", "arbiter 'wtdo'", "'wtod'"),
+    ("--cluster fited", "cluster 'fited'", "'fitted'"),
+]
+NUMBERS = [
+    ("--nodes 0", "at least 1"),
+    ("--nodes -3", "at least 1"),
+    ("--steps 0", "at least 1"),
+    ("--steps -1", "at least 1"),
+    ("--rounds 0", "at least 1"),
+    ("--rounds -2", "at least 1"),
+    ("--seed -1", "0 or more"),
+    ("--run -1", "0 or more"),
+    ("--occupancy 0", "(0, 1]"),
+    ("--occupancy -0.5", "(0, 1]"),
+    ("--occupancy 1.5", "(0, 1]"),
+    ("--occupancy nan", "(0, 1]"),
+    ("--decay -0.1", "[0, 1]"),
+    ("--decay 1.1", "[0, 1]"),
+    ("--decay nan", "[0, 1]"),
+    ("--trigger -1", "0 or more"),
+    ("--trigger nan", "0 or more"),
+    ("--stretch 0.5", "at least 1"),
+]
+GRAPH_FILES = {
+    "two.edges": "0 1\n2 3\n",
+    "three.edges": "0 1\n1 2\n",
+    "letters.edges": "0 one\n",
+    "one_way.csv": "0,1,0,0\n0,0,1,0\n0,1,0,1\n0,0,1,0\n",
+    "graph.dot": "graph {}\n",
+}
+GRAPHS = [
+    ("two.edges", "2 pieces that cannot hear each other"),
+    ("three.edges", "3 nodes, but 4 were asked for"),
+    ("letters.edges", "letters.edges:1"),
+    ("one_way.csv", "both ways"),
+    ("graph.dot", "rename it to end in one of"),
+    ("missing.edges", "no such file"),
+]
+
+
+@pytest.fixture
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder to run in."""
+    folder = tmp_path / "home"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    monkeypatch.delenv("CONCORD_MRCLAM", raising=False)
+    return folder
+
+
+@pytest.fixture
+def complaint(home: Path, capsys: pytest.CaptureFixture[str]):
+    """What a refused command says; checks how it is refused."""
+
+    def said(arguments: str, keeps: tuple[str, ...] = (), command: str = "run") -> str:
+        with pytest.raises(SystemExit) as left:
+            main([command, *arguments.split()])
+        captured = capsys.readouterr()
+        assert left.value.code == 2, captured.err
+        assert captured.out == ""
+        assert sorted(entry.name for entry in home.iterdir()) == sorted(keeps)
+        message = captured.err.strip()
+        assert message.startswith("concord: ")
+        assert "\n" not in message
+        return message
+
+    return said
+
+
+@pytest.mark.parametrize("command", ["run", "agree"])
+@pytest.mark.parametrize(("option", "named", "nearest"), UNKNOWN_NAMES)
+def test_an_unknown_name_is_answered_with_the_nearest(
+    complaint, option: str, named: str, nearest: str, command: str
+):
+    base = "" if "--scenario" in option else "--scenario oscillator --nodes 4 --steps 5 "
+    message = complaint(base + option, command=command)
+    assert f"unknown {named}" in message
+    assert f"did you mean {nearest}?" in message
+    assert "Valid names are" in message
+
+
+@pytest.mark.parametrize(("option", "rule"), NUMBERS)
+def test_an_impossible_number_is_named_with_its_rule(complaint, option: str, rule: str):
+    message = complaint(f"--scenario oscillator {option}")
+    name, value = option.split()
+    assert f"{name} {value}" in message
+    assert rule in message
+
+
+@pytest.mark.parametrize(("file", "says"), GRAPHS)
+def test_a_graph_that_cannot_be_used_is_refused(complaint, home: Path, file: str, says: str):
+    if file in GRAPH_FILES:
+        (home / file).write_text(GRAPH_FILES[file])
+    keeps = (file,) if file in GRAPH_FILES else ()
+    message = complaint(f"--scenario oscillator --nodes 4 --graph file:{file}", keeps)
+    assert says in message
+
+
+def test_weights_that_would_subtract_a_covariance_are_refused(complaint):
+    message = complaint("--scenario oscillator --nodes 8 --graph star --weights best-constant")
+    assert "none may be below 0" in message
+    assert "use metropolis" in message
+
+
+def test_a_number_that_is_none_is_refused_by_the_command_line(
+    home: Path, capsys: pytest.CaptureFixture[str]
+):
+    with pytest.raises(SystemExit) as left:
+        main(["run", "--nodes", "many"])
+    assert left.value.code == 2
+    assert "--nodes" in capsys.readouterr().err
+    assert list(home.iterdir()) == []
+
+
+# --- where results go ----------------------------------------------------------------------------
+
+
+def test_a_folder_that_exists_is_never_written_over(complaint, home: Path):
+    (home / "run").mkdir()
+    (home / "run" / "mine.txt").write_text("mine")
+    message = complaint("--scenario oscillator --out run", keeps=("run",))
+    assert "--out run: the folder exists" in message
+    assert "choose another name" in message
+    assert (home / "run" / "mine.txt").read_text() == "mine"
+    assert len(list((home / "run").iterdir())) == 1
+
+
+def test_a_folder_below_a_file_cannot_be_made(complaint, home: Path):
+    (home / "file").write_text("")
+    message = complaint("--scenario oscillator --out file/run", keeps=("file",))
+    assert "--out file/run: cannot be made" in message
+
+
+# --- ports ---------------------------------------------------------------------------------------
+
+PROCESSES = "--scenario oscillator --nodes 3 --graph path --steps 3 --driver processes --out run"
+
+
+@pytest.mark.zenoh
+def test_a_port_in_use_is_named_and_leaves_nothing(complaint):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        message = complaint(f"{PROCESSES} --port {port}")
+    assert f"port {port} is in use" in message
+    assert "leave --port out" in message
+
+
+@pytest.mark.zenoh
+@pytest.mark.parametrize("port", [0, 80, 65534, -5])
+def test_a_port_out_of_range_is_refused(complaint, port: int):
+    message = complaint(f"{PROCESSES} --port {port}")
+    assert f"--port {port}" in message
+    assert "1024..65535" in message
+
+
+# --- recorded data -------------------------------------------------------------------------------
+
+
+def test_recorded_data_must_be_named(complaint):
+    message = complaint("--scenario mrclam --target 4")
+    assert "--data" in message
+    assert "CONCORD_MRCLAM" in message
+
+
+def test_a_folder_of_data_must_be_there(complaint):
+    assert "nowhere: no such folder" in complaint("--scenario mrclam --data nowhere --target 4")
+
+
+def test_a_folder_of_data_must_hold_a_recording(complaint, home: Path):
+    (home / "empty").mkdir()
+    message = complaint("--scenario mrclam --data empty --target 4", keeps=("empty",))
+    assert "Robot1_Groundtruth.dat" in message
+
+
+@pytest.fixture
+def damaged(mrclam_folder: Path, home: Path):
+    """A copy of the recording in which one file is changed, or gone."""
+
+    def copy(file: str, change) -> str:
+        folder = home / "data"
+        folder.mkdir()
+        for original in mrclam_folder.iterdir():
+            if original.name != file:
+                (folder / original.name).symlink_to(original)
+        content = change((mrclam_folder / file).read_bytes())
+        if content is not None:
+            (folder / file).write_bytes(content)
+        return "--scenario mrclam --data data --target 4"
+
+    return copy
+
+
+@pytest.mark.parametrize(
+    "file", ["Barcodes.dat", "Robot3_Measurement.dat", "Robot5_Groundtruth.dat"]
+)
+def test_a_truncated_file_is_named_with_its_line(complaint, damaged, file: str):
+    arguments = damaged(file, lambda content: content[: content.rstrip().rfind(b"\n") + 4])
+    message = complaint(arguments, keeps=("data",))
+    assert f"data/{file}:" in message
+    assert "cut off?" in message
+
+
+def test_a_missing_file_is_named(complaint, damaged):
+    arguments = damaged("Robot2_Odometry.dat", lambda content: None)
+    message = complaint(arguments, keeps=("data",))
+    assert "data/Robot2_Odometry.dat: no such file" in message
+
+
+def test_a_file_of_something_else_is_named_with_its_line(complaint, damaged):
+    arguments = damaged("Robot1_Measurement.dat", lambda content: b"1 2 three 4\n" + content)
+    message = complaint(arguments, keeps=("data",))
+    assert "Robot1_Measurement.dat:1: 'three' is not a finite number" in message
+
+
+@pytest.mark.parametrize(
+    ("option", "says"),
+    [
+        ("--target 9", "no robot 9"),
+        ("--target 4 --nodes 7", "--nodes 7"),
+        ("--target 4 --steps 99999", "--steps 99999"),
+    ],
+)
+def test_what_a_recording_does_not_hold_cannot_be_asked_for(
+    complaint, mrclam_folder: Path, option: str, says: str
+):
+    assert says in complaint(f"--scenario mrclam --data {mrclam_folder} {option}")
+
+
+def test_the_copy_of_the_recording_is_sound(damaged, home: Path, mrclam_folder: Path):
+    """Otherwise the complaints above would be about the copy."""
+    arguments = damaged("Barcodes.dat", lambda content: content)
+    main(["run", *arguments.split(), "--steps", "3", "--out", "run"])
+    assert (home / "run" / "run.json").is_file()
+    shutil.rmtree(home / "run")

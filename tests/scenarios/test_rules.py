@@ -1,0 +1,137 @@
+"""Every fusion rule from its name to a running network, and what each of them refuses."""
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from experiments.agree_command import first_difference
+from experiments.baselines import centralised
+from experiments.drivers import DRIVERS, in_memory
+from experiments.trace import Trace, read_trace
+from nodes.recording import read_recording
+from nodes.share import payload_lengths
+from scenarios.build import build_node
+from scenarios.catalogue import kind_of
+from scenarios.rules import RULE_SUMMARIES, hold_policy, rule_names
+from scenarios.scenario import Scenario
+from scenarios.setup import Setup, prepare, share_bytes
+
+NEEDS: dict[str, dict] = {"centralised": {"graph": "complete", "rounds": 1}}
+FRESH = ("hcmci", "hcmci-classical", "icf", "diffusion", "kcf", "centralised")
+EACH = pytest.mark.parametrize("rule", rule_names())
+
+
+def scenario(rule: str, **changes) -> Scenario:
+    """A short run of the oscillator under a rule."""
+    return msgspec.structs.replace(
+        kind_of("oscillator").defaults, rule=rule, steps=6, **{**NEEDS.get(rule, {}), **changes}
+    )
+
+
+def trace(setup: Setup) -> Trace:
+    return read_trace(setup, in_memory(setup))
+
+
+@EACH
+@pytest.mark.parametrize("number", ["float64", "float32"])
+def test_every_share_has_the_length_that_the_bus_was_told(rule: str, number: str):
+    setup = prepare(scenario(rule, number=number))
+    node = build_node(setup, 0)
+    content = node.estimator.start()
+    lengths = {node.estimator.share_bytes, len(node.estimator.compose(content)[1])}
+    assert lengths == {share_bytes(setup)}
+    assert len(node.slots(0, 0)) == len(payload_lengths(share_bytes(setup)))
+
+
+def test_shares_are_as_long_as_their_formulas_say():
+    """n = 2 states, N = 8 nodes, 8 bytes a number; a pair is n + n (n + 1) / 2 numbers."""
+    expected = {
+        "hcmci": 8 * (2 * 5 + 8),
+        "hcmci-classical": 8 * (2 * 5 + 8),
+        "kcf": 8 * (5 + 2),
+    }
+    for rule in rule_names():
+        assert share_bytes(prepare(scenario(rule))) == expected.get(rule, 8 * 5)
+
+
+@EACH
+def test_every_rule_runs_and_says_something_of_the_state(rule: str):
+    found = trace(prepare(scenario(rule)))
+    assert found.steps == 6
+    assert (np.linalg.eigvalsh(found.cov) > 0).all()
+    assert not any("failed" in name for counts in found.counters for name in counts)
+    assert 20 < len(RULE_SUMMARIES[rule]) < 100
+
+
+def test_the_centralised_rule_is_the_centralised_baseline():
+    setup = prepare(scenario("centralised", steps=60))
+    found = trace(setup)
+    best = centralised(setup, found.readings, found.control)
+    for node in range(8):
+        np.testing.assert_allclose(found.mean[:, node], best.mean, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(found.cov[:, node], best.cov, rtol=0, atol=1e-12)
+
+
+def test_rules_without_held_shares_do_not_care_for_the_hold_policy():
+    by_default, asked = (
+        trace(prepare(scenario("hcmci", schedule="hybrid", occupancy=0.5, **hold)))
+        for hold in ({}, {"hold": "renormalise"})
+    )
+    np.testing.assert_array_equal(by_default.mean, asked.mean)
+    assert not hold_policy(scenario("local")).carried
+
+
+# --- refusals ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rule", [*FRESH, "local"])
+@pytest.mark.parametrize("hold", ["raw", "predict", "drop", "in-step"])
+def test_a_hold_policy_that_a_rule_cannot_use_is_refused(rule: str, hold: str):
+    with pytest.raises(ValueError, match=f"--hold {hold}: rule {rule} .* leave --hold out"):
+        prepare(scenario(rule, hold=hold))
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"graph": "ring"}, "graph ring: node 0 hears 2 of 7 others.*--graph complete"),
+        ({"schedule": "round-robin", "occupancy": 0.5}, "schedule round-robin.*--schedule full"),
+        ({"rounds": 2}, "rounds 2.*--rounds 1"),
+    ],
+)
+def test_the_centralised_rule_needs_everybody_at_once(changes: dict, says: str):
+    with pytest.raises(ValueError, match=f"rule centralised .*{says}"):
+        prepare(scenario("centralised", **changes))
+
+
+@pytest.mark.parametrize("rule", ["icf", "hcmci-classical"])
+def test_weights_that_miss_the_average_are_refused_where_it_is_multiplied(rule: str):
+    with pytest.raises(ValueError, match=f"rule {rule} .*column 0 sums to .*rule hcmci"):
+        prepare(scenario(rule, graph="star", weights="equal-neighbour"))
+    prepare(scenario("hcmci", graph="star", weights="equal-neighbour"))
+
+
+@EACH
+def test_a_network_of_one_is_the_filter_alone(rule: str):
+    found = trace(prepare(scenario(rule, nodes=1)))
+    alone = trace(prepare(scenario("local", nodes=1)))
+    np.testing.assert_allclose(found.mean, alone.mean, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.cov, alone.cov, rtol=0, atol=1e-12)
+
+
+# --- drivers -------------------------------------------------------------------------------------
+
+
+@pytest.mark.zenoh
+@EACH
+def test_processes_give_the_bits_of_one_process(rule: str, tmp_path: Path):
+    silent = {} if rule == "centralised" else {"schedule": "hybrid", "occupancy": 0.7}
+    setup = prepare(scenario(rule, nodes=3, graph="complete", **silent))
+    traces = []
+    for name, driver in DRIVERS.items():
+        recording = tmp_path / f"{name}.mcap"
+        driver(setup, f"rules-{rule}-{name}", recording, None, lambda step: None)
+        traces.append(read_trace(setup, read_recording(recording)))
+    assert first_difference(traces[0], traces[1], "processes") is None

@@ -1,0 +1,81 @@
+"""A setup is plain data from which any process builds the same network."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from experiments.drivers import in_memory
+from scenarios.catalogue import kinds
+from scenarios.scenario import Scenario
+from scenarios.setup import Setup, fingerprint, prepare
+from tests.experiments.support import scenario, small
+
+# Another value for every field of a scenario that changes what is computed.
+OTHER = {
+    "nodes": 5,
+    "graph": "complete",
+    "weights": "maximum-degree",
+    "rule": "wac",
+    "rounds": 2,
+    "steps": 13,
+    "seed": 2,
+    "run": 1,
+    "number": "float32",
+    "decay": 0.25,
+    "hold": "drop",
+    "determinant_weights": False,
+}
+
+
+def through_json(setup: Setup) -> Setup:
+    return msgspec.json.decode(msgspec.json.encode(setup), type=Setup)
+
+
+@pytest.mark.parametrize("changes", [{}, {"graph": "star"}, {"number": "float32"}])
+def test_a_setup_that_travelled_builds_the_same_network(changes: dict):
+    setup = small(**changes)
+    travelled = through_json(setup)
+    assert travelled == setup
+    assert fingerprint(travelled) == fingerprint(setup)
+    assert in_memory(travelled) == in_memory(setup)
+
+
+@pytest.mark.parametrize("field", OTHER)
+def test_the_fingerprint_tells_any_difference(field: str):
+    plain = small(graph="path")
+    assert fingerprint(plain) == fingerprint(small(graph="path"))
+    assert fingerprint(small(**{"graph": "path", field: OTHER[field]})) != fingerprint(plain)
+
+
+@pytest.mark.parametrize("graph", ["ring", "star", "complete", "path"])
+def test_weights_come_with_their_neighbours(graph: str):
+    setup = small(nodes=6, graph=graph)
+    matrix = np.zeros((6, 6))
+    for i, (heard, weights) in enumerate(zip(setup.neighbours, setup.weights, strict=True)):
+        assert heard == sorted(heard)
+        assert i not in heard
+        matrix[i, [i, *heard]] = weights
+        assert all(i in setup.neighbours[j] for j in heard)
+    np.testing.assert_allclose(matrix.sum(axis=0), 1, atol=1e-12)
+    np.testing.assert_allclose(matrix.sum(axis=1), 1, atol=1e-12)
+    np.testing.assert_array_equal(matrix, matrix.T)
+
+
+def test_a_misspelt_field_is_refused():
+    data = msgspec.json.encode(msgspec.to_builtins(scenario()) | {"seeed": 3})
+    with pytest.raises(msgspec.ValidationError, match="seeed"):
+        msgspec.json.decode(data, type=Scenario)
+
+
+def test_every_scenario_says_what_it_is():
+    for name, kind in kinds().items():
+        assert kind.defaults.name == name
+        assert 10 < len(kind.summary) < 100
+        assert kind.summary[0].islower()
+
+
+@pytest.mark.parametrize("name", [n for n, kind in kinds().items() if kind.all_steps is None])
+def test_every_scenario_runs_as_it_comes(name: str):
+    setup = prepare(msgspec.structs.replace(kinds()[name].defaults, steps=2))
+    assert len(setup.neighbours) == setup.scenario.nodes
+    assert any(topic.startswith("estimate/") for topic, _ in in_memory(setup))

@@ -1,0 +1,169 @@
+"""A warning is right if what it warns of happens, and does not happen without it."""
+
+from collections.abc import Callable
+
+import msgspec
+import numpy as np
+import pytest
+
+from experiments.drivers import in_memory
+from experiments.trace import read_trace
+from plants.linear import LinearModel, LinearPlant, LinearSensor
+from scenarios import catalogue
+from scenarios.catalogue import Kind, Score, kind_of
+from scenarios.scenario import Scenario
+from scenarios.setup import Setup, prepare
+from scenarios.warnings import known_failures
+
+
+def setup_of(**changes) -> Setup:
+    return prepare(msgspec.structs.replace(kind_of("oscillator").defaults, steps=5, **changes))
+
+
+def quiet(**changes) -> bool:
+    return known_failures(setup_of(**changes)) == ()
+
+
+# --- the average of a network with blind nodes, on a plant that grows ------------------------------
+
+
+@pytest.fixture
+def growing(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Setup]:
+    """Setups of a scalar plant x -> F x + noise on a ring of eight, one of which sees it."""
+    noise_std = np.full((8, 1), np.nan)
+    noise_std[0] = 1e-3
+
+    def make(growth: float, **changes) -> Setup:
+        model = LinearModel(np.array([[growth]]), np.zeros((1, 0)), np.array([[0.01]]))
+        plant = LinearPlant(
+            name="growing",
+            time_step_s=0.1,
+            state_names=("x",),
+            state_units=("1",),
+            model=model,
+            noise_factor=np.array([[0.1]]),
+            sensors=LinearSensor(np.ones((8, 1, 1)), noise_std),
+            initial_state=np.zeros(1),
+            prior_cov=np.eye(1),
+        )
+        defaults = Scenario(name="growing", nodes=8, graph="ring", steps=400, rule="wac")
+        kind = Kind(
+            summary="",
+            defaults=defaults,
+            check=lambda _: None,
+            plant=lambda _: plant,
+            model=lambda _: model,
+            sensor=lambda _, node: plant.sensor(node),
+            score=Score((0,), "1", (0,), 0),
+        )
+        monkeypatch.setattr(catalogue, "kinds", lambda: {"growing": kind})
+        return prepare(msgspec.structs.replace(defaults, **changes))
+
+    return make
+
+
+def outcome(setup: Setup) -> tuple[float, float]:
+    """Root mean square error and largest variance over the nodes in the last fifty steps."""
+    found = read_trace(setup, in_memory(setup))
+    errors = (found.mean - found.truth[:, None])[-50:]
+    return float(np.sqrt(np.mean(errors**2))), float(found.cov[-50:].max())
+
+
+# What the consensus study found for this network (spectral facts of its section 3, item e).
+@pytest.mark.parametrize(
+    ("growth", "rounds", "what"),
+    [
+        (1.1, 1, "estimates and covariances"),
+        (1.1, 5, "covariances"),
+        (1.1, 20, "covariances"),
+        (1.2, 5, "estimates and covariances"),
+        (1.2, 20, "estimates and covariances"),
+        (1.02, 20, None),
+    ],
+)
+def test_the_average_diverges_just_where_the_condition_says(
+    growing, growth: float, rounds: int, what: str | None
+):
+    # The true state must not outgrow the digits of a float64.
+    steps = 120 if growth == 1.2 else 200
+    setup = growing(growth, rounds=rounds, steps=steps)
+    said = known_failures(setup)
+    error, variance = outcome(setup)
+    if what is None:
+        assert said == ()
+        assert variance < 10
+        return
+    (sentence,) = said
+    assert sentence.startswith(f"rule wac: {what} diverge")
+    assert "the 7 of 8 nodes" in sentence
+    assert "use --rule ci" in sentence
+    # Alone the prediction grows by its square per step; what diverges is far beyond any bound.
+    assert variance > 1e3
+    if what == "covariances":
+        assert error < 3
+
+
+def test_the_rule_that_is_recommended_instead_stays_bounded(growing):
+    for growth, rounds in ((1.1, 1), (1.2, 5)):
+        setup = growing(growth, rounds=rounds, rule="ci", steps=120)
+        assert known_failures(setup) == ()
+        error, variance = outcome(setup)
+        assert error < 2
+        assert variance < 10
+
+
+def test_a_stable_plant_needs_no_warning():
+    assert quiet(rule="wac")
+    assert quiet(rule="wac", rounds=1, graph="path")
+
+
+# --- the average times the number of nodes ---------------------------------------------------------
+
+
+@pytest.mark.parametrize("rule", ["icf", "hcmci-classical"])
+def test_rounds_must_suffice_for_one_per_cent_of_a_disagreement(rule: str):
+    """A ring of eight with Metropolis weights leaves (1 + 2 cos 45 deg) / 3 = .805 per round."""
+    modulus = (1 + 2 * np.cos(np.pi / 4)) / 3
+    needed = int(np.ceil(np.log(0.01) / np.log(modulus)))
+    (sentence,) = known_failures(setup_of(rule=rule, rounds=needed - 1))
+    assert f"rule {rule} is overconfident after {needed - 1} rounds" in sentence
+    assert "leave 0.805" in sentence
+    assert f"--rounds {needed}" in sentence
+    assert "--rule hcmci" in sentence
+    assert quiet(rule=rule, rounds=needed)
+    assert quiet(rule=rule, rounds=1, graph="complete")
+
+
+@pytest.mark.parametrize("rule", ["icf", "hcmci-classical"])
+def test_everybody_must_publish(rule: str):
+    common = {"rule": rule, "rounds": 1, "graph": "complete"}
+    (sentence,) = known_failures(setup_of(**common, schedule="round-robin", occupancy=0.5))
+    assert "--occupancy 0.5" in sentence
+    (sentence,) = known_failures(setup_of(**common, schedule="hybrid", trigger=0.1))
+    assert "--trigger 0.1" in sentence
+    assert quiet(**common, trigger=0.1)
+
+
+def test_the_safe_gain_needs_no_warning():
+    assert quiet(rule="hcmci", rounds=1, graph="path")
+    assert quiet(rule="hcmci", schedule="hybrid", occupancy=0.5)
+
+
+# --- held shares, and rules that are not consistent ------------------------------------------------
+
+
+@pytest.mark.parametrize("rule", ["ci", "wac"])
+def test_raw_shares_are_a_failure_only_where_somebody_is_silent(rule: str):
+    silent = {"schedule": "hybrid", "occupancy": 0.5}
+    (sentence,) = known_failures(setup_of(rule=rule, hold="raw", **silent))
+    assert f"--hold raw with --occupancy 0.5: rule {rule}" in sentence
+    assert "use --hold decayed" in sentence
+    assert quiet(rule=rule, hold="raw")
+    assert quiet(rule=rule, hold="predict", **silent)
+
+
+@pytest.mark.parametrize("rule", ["kcf", "diffusion"])
+def test_rules_that_do_not_fuse_covariances_say_so(rule: str):
+    (sentence,) = known_failures(setup_of(rule=rule))
+    assert f"rule {rule} is not consistent" in sentence
+    assert len(known_failures(setup_of(rule=rule, rounds=1))) == 2

@@ -1,0 +1,387 @@
+"""The house rules of ARCHITECTURE.md and CONTRIBUTING.md as tests.
+
+Each rule is a function from one parsed file to complaints that say what to do instead. Each is also
+tried on a small planted violation below, because a rule that cannot fail guards nothing.
+"""
+
+import ast
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path, PurePosixPath
+from typing import NamedTuple
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+MAX_FILE_LINES, MAX_FUNCTION_LINES = 400, 70
+
+FOUNDATION = {"filters", "topology", "bus", "plants"}
+SPINE = FOUNDATION | {"nodes", "scenarios"}
+MAY_IMPORT: dict[str, set[str]] = {
+    "filters": set(),
+    "topology": set(),
+    "bus": set(),
+    "plants": set(),
+    "nodes": {"filters", "bus"},
+    "scenarios": FOUNDATION | {"nodes"},
+    "experiments": SPINE,
+    "dashboard": SPINE,
+    "benchmarks": SPINE | {"experiments", "launch_local"},
+    "launch_local": {"experiments"},
+}
+# What may be imported where: libraries with one wall around each.
+WALLS = {"zenoh": "nodes/zenoh_transport.py", "viser": "dashboard/"}
+SERIALISERS = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib"}
+CLOCKS_AND_CHANCE = {"time", "datetime", "random", "secrets", "uuid"}
+PURE = (
+    "filters/", "topology/", "bus/", "plants/", "nodes/state_machine.py", "nodes/world.py",
+    "nodes/belief_", "nodes/messages.py", "nodes/share.py", "nodes/in_process.py",
+)  # fmt: skip
+SEEDED = {"Generator", "SeedSequence", "BitGenerator", "PCG64", "Philox", "default_rng"}
+SPEAKERS = ("experiments/", "benchmarks/", "scenarios/zygote.py")
+MARKERS = re.compile("|".join((r"\bTO" + "DO\\b", r"\bFIX" + "ME\\b", r"\bX" + "XX\\b")))
+
+
+class Source(NamedTuple):
+    """One file: its path below the root, its text, and what ast makes of it."""
+
+    path: PurePosixPath
+    text: str
+    tree: ast.Module
+
+    @property
+    def room(self) -> str:
+        return self.path.parts[0].removesuffix(".py")
+
+
+def source(path: str, text: str) -> Source:
+    return Source(PurePosixPath(path), text, ast.parse(text))
+
+
+def _python_files() -> Iterator[Path]:
+    for entry in sorted(ROOT.iterdir()):
+        if entry.suffix == ".py":
+            yield entry
+        elif (entry / "__init__.py").is_file():
+            yield from sorted(entry.rglob("*.py"))
+
+
+SOURCES = [
+    source(str(file.relative_to(ROOT)), file.read_text(encoding="utf-8"))
+    for file in _python_files()
+]
+PRODUCT = [s for s in SOURCES if s.room != "tests"]
+
+
+# --- the rules ---------------------------------------------------------------------------------
+
+
+def imported(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    """Line and full name of everything imported, inside functions too."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, alias.name) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            origin = "." * node.level + (node.module or "")
+            yield from ((node.lineno, f"{origin}.{alias.name}") for alias in node.names)
+        elif isinstance(node, ast.Call) and _called(node) in ("__import__", "import_module"):
+            argument = node.args[0] if node.args else None
+            if isinstance(argument, ast.Constant):
+                yield node.lineno, str(argument.value)
+
+
+def _called(call: ast.Call) -> str:
+    match call.func:
+        case ast.Name(id=name) | ast.Attribute(attr=name):
+            return name
+    return ""
+
+
+def imports_point_one_way(file: Source) -> Iterator[str]:
+    allowed = MAY_IMPORT.get(file.room, set()) | {file.room}
+    for line, name in imported(file.tree):
+        top = name.partition(".")[0]
+        if top in ("", "tests"):
+            yield f"{line}: imports {name}; name our rooms in full, and nothing of the tests"
+        elif top in MAY_IMPORT and top not in allowed:
+            yield (
+                f"{line}: {file.room}/ imports {top}/, but may import only "
+                f"{', '.join(sorted(allowed - {file.room})) or 'nothing of ours'}; pass the value "
+                "in as an argument, or move the code to a room that may know both"
+            )
+
+
+def libraries_stay_behind_their_walls(file: Source) -> Iterator[str]:
+    for line, name in imported(file.tree):
+        wall = WALLS.get(name.partition(".")[0])
+        if wall and not str(file.path).startswith(wall):
+            yield f"{line}: imports {name}; only {wall} may, so call what that offers"
+
+
+def private_names_stay_in_their_file(file: Source) -> Iterator[str]:
+    for line, name in imported(file.tree):
+        last = name.rpartition(".")[2]
+        if name.partition(".")[0] in MAY_IMPORT and re.match(r"_(?!_)", last):
+            yield f"{line}: imports {name}; make it public with a docstring, or do without it"
+
+
+def files_are_short(file: Source) -> Iterator[str]:
+    lines = file.text.count("\n")
+    if lines > MAX_FILE_LINES:
+        yield f"1: {lines} lines, at most {MAX_FILE_LINES}; a file is about one noun: split it"
+
+
+def functions_are_short(file: Source) -> Iterator[str]:
+    for node in ast.walk(file.tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            lines = (node.end_lineno or node.lineno) - node.lineno + 1
+            if lines > MAX_FUNCTION_LINES:
+                yield (
+                    f"{node.lineno}: {node.name} has {lines} lines, at most {MAX_FUNCTION_LINES}; "
+                    "give each of its ideas a function of its own"
+                )
+
+
+def nothing_prints_but_the_command_line(file: Source) -> Iterator[str]:
+    speaks = str(file.path).startswith(SPEAKERS)
+    for node in ast.walk(file.tree):
+        if (
+            isinstance(node, ast.Call)
+            and isinstance(node.func, ast.Name)
+            and _called(node) == "print"
+        ):
+            yield f"{node.lineno}: print; return the text, and let experiments/ write it"
+        elif isinstance(node, ast.Attribute) and node.attr == "stdout" and not speaks:
+            yield f"{node.lineno}: standard output; return the text, and let experiments/ write it"
+
+
+def nothing_is_pickled(file: Source) -> Iterator[str]:
+    for line, name in imported(file.tree):
+        if name.partition(".")[0] in SERIALISERS:
+            yield f"{line}: imports {name}; write JSON with msgspec, arrays with xarray"
+    for node in ast.walk(file.tree):
+        if isinstance(node, ast.keyword) and node.arg == "allow_pickle":
+            yield f"{node.value.lineno}: allow_pickle; store plain arrays"
+
+
+def pure_rooms_know_no_clock_and_no_chance(file: Source) -> Iterator[str]:
+    if not str(file.path).startswith(PURE):
+        return
+    for line, name in imported(file.tree):
+        if name.partition(".")[0] in CLOCKS_AND_CHANCE:
+            yield f"{line}: imports {name}; take time and randomness as arguments"
+
+
+def randomness_is_seeded(file: Source) -> Iterator[str]:
+    for node in ast.walk(file.tree):
+        if isinstance(node, ast.Attribute) and ast.unparse(node.value) in (
+            "np.random",
+            "numpy.random",
+        ):
+            if node.attr not in SEEDED:
+                yield f"{node.lineno}: np.random.{node.attr} is global; take a numpy Generator"
+        elif isinstance(node, ast.Call) and _called(node) == "default_rng" and not node.args:
+            yield f"{node.lineno}: a generator without a seed; take the seed as an argument"
+
+
+def no_work_is_left_lying(file: Source) -> Iterator[str]:
+    for number, line in enumerate(file.text.splitlines(), start=1):
+        if MARKERS.search(line):
+            yield f"{number}: {line.strip()!r}; do it now, or open an issue and say its number"
+
+
+def modules_say_what_they_are_for(file: Source) -> Iterator[str]:
+    if not ast.get_docstring(file.tree):
+        yield "1: no module docstring; begin with one sentence that says what the file is for"
+
+
+def public_things_have_docstrings(file: Source) -> Iterator[str]:
+    for node in file.tree.body:
+        if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            continue
+        if not node.name.startswith("_") and not ast.get_docstring(node):
+            yield f"{node.lineno}: {node.name} has no docstring; say shapes, units, errors raised"
+
+
+Rule = Callable[[Source], Iterator[str]]
+EVERYWHERE: list[Rule] = [
+    files_are_short,
+    functions_are_short,
+    libraries_stay_behind_their_walls,
+    no_work_is_left_lying,
+    nothing_is_pickled,
+]
+IN_THE_PRODUCT: list[Rule] = [
+    imports_point_one_way,
+    modules_say_what_they_are_for,
+    nothing_prints_but_the_command_line,
+    private_names_stay_in_their_file,
+    public_things_have_docstrings,
+    pure_rooms_know_no_clock_and_no_chance,
+    randomness_is_seeded,
+]
+
+
+def _require(rule: Rule, sources: list[Source]) -> None:
+    found = [f"{file.path}:{complaint}" for file in sources for complaint in rule(file)]
+    if found:
+        pytest.fail("\n".join(found), pytrace=False)
+
+
+@pytest.mark.parametrize("rule", EVERYWHERE, ids=lambda rule: rule.__name__)
+def test_everywhere(rule: Rule):
+    _require(rule, SOURCES)
+
+
+@pytest.mark.parametrize("rule", IN_THE_PRODUCT, ids=lambda rule: rule.__name__)
+def test_in_the_product(rule: Rule):
+    _require(rule, PRODUCT)
+
+
+# --- the rules themselves ----------------------------------------------------------------------
+
+LONG_FUNCTION = "def f():\n" + "    x = 1\n" * MAX_FUNCTION_LINES
+LONG_METHOD = "class C:\n    async " + LONG_FUNCTION.replace("\n", "\n    ")
+LAZY = "def f():\n    from scenarios import build"
+HIDDEN = "import importlib\nimportlib.import_module('bus.frame')"
+VIOLATIONS: list[tuple[Rule, str, str, str]] = [
+    (imports_point_one_way, "filters/a.py", "import plants", "pass the value in"),
+    (imports_point_one_way, "bus/a.py", "from nodes.share import to_frames", "nothing of ours"),
+    (imports_point_one_way, "nodes/a.py", LAZY, "2: nodes/ imports scenarios/"),
+    (imports_point_one_way, "nodes/a.py", "from . import share", "in full"),
+    (imports_point_one_way, "plants/a.py", HIDDEN, "plants/ imports bus/"),
+    (imports_point_one_way, "launch_local.py", "import nodes.world", "only experiments"),
+    (imports_point_one_way, "experiments/a.py", "import tests.conftest", "nothing of the tests"),
+    (libraries_stay_behind_their_walls, "nodes/process.py", "import zenoh", "zenoh_transport.py"),
+    (libraries_stay_behind_their_walls, "experiments/a.py", "from viser import X", "dashboard/"),
+    (private_names_stay_in_their_file, "nodes/a.py", "from nodes.b import _f", "make it public"),
+    (files_are_short, "filters/a.py", "x = 1\n" * (MAX_FILE_LINES + 1), "split it"),
+    (functions_are_short, "filters/a.py", LONG_FUNCTION, "71 lines"),
+    (functions_are_short, "filters/a.py", LONG_METHOD, "2: f has 71"),
+    (nothing_prints_but_the_command_line, "nodes/a.py", "print(1)", "let experiments/"),
+    (nothing_prints_but_the_command_line, "experiments/a.py", "print(1)", "let experiments/"),
+    (nothing_prints_but_the_command_line, "nodes/a.py", "sys.stdout.write('')", "1: standard"),
+    (nothing_is_pickled, "nodes/a.py", "def f():\n    import pickle", "msgspec"),
+    (nothing_is_pickled, "plants/a.py", "np.load(f, allow_pickle=True)", "plain arrays"),
+    (pure_rooms_know_no_clock_and_no_chance, "nodes/world.py", "import time", "as arguments"),
+    (pure_rooms_know_no_clock_and_no_chance, "bus/a.py", "from random import x", "as arguments"),
+    (randomness_is_seeded, "plants/a.py", "np.random.normal()", "Generator"),
+    (randomness_is_seeded, "plants/a.py", "rng = np.random.default_rng()", "without a seed"),
+    (no_work_is_left_lying, "bus/a.py", "x = 1  # TO" + "DO: more", "open an issue"),
+    (modules_say_what_they_are_for, "bus/a.py", "x = 1", "one sentence"),
+    (public_things_have_docstrings, "bus/a.py", "def f(): pass", "f has no docstring"),
+    (public_things_have_docstrings, "bus/a.py", "class C:\n    x = 1", "C has no docstring"),
+]
+DOWNWARDS = "import filters.ukf\nfrom nodes import share\nimport numpy"
+HARMLESS: list[tuple[Rule, str, str]] = [
+    (imports_point_one_way, "nodes/a.py", DOWNWARDS),
+    (libraries_stay_behind_their_walls, "nodes/zenoh_transport.py", "import zenoh"),
+    (private_names_stay_in_their_file, "nodes/a.py", "from nodes import __version__, b"),
+    (files_are_short, "filters/a.py", "x = 1\n" * MAX_FILE_LINES),
+    (functions_are_short, "filters/a.py", LONG_FUNCTION.removesuffix("    x = 1\n")),
+    (nothing_prints_but_the_command_line, "experiments/a.py", "sys.stdout.write('')"),
+    (pure_rooms_know_no_clock_and_no_chance, "nodes/supervisor.py", "import time"),
+    (randomness_is_seeded, "plants/a.py", "np.random.default_rng(seed)"),
+    (public_things_have_docstrings, "bus/a.py", "def _f(): pass"),
+]
+
+
+@pytest.mark.parametrize(("rule", "path", "text", "says"), VIOLATIONS)
+def test_a_planted_violation_is_found(rule: Rule, path: str, text: str, says: str):
+    found = list(rule(source(path, text)))
+    assert len(found) == 1
+    assert says in found[0]
+
+
+@pytest.mark.parametrize(("rule", "path", "text"), HARMLESS)
+def test_what_is_allowed_passes(rule: Rule, path: str, text: str):
+    assert not list(rule(source(path, text)))
+
+
+def test_every_rule_has_a_planted_violation():
+    assert {rule for rule, *_ in VIOLATIONS} == {*EVERYWHERE, *IN_THE_PRODUCT}
+
+
+def test_the_files_are_found():
+    rooms = {file.room for file in SOURCES}
+    assert {"filters", "nodes", "experiments", "tests", "launch_local"} <= rooms
+
+
+# --- the page ----------------------------------------------------------------------------------
+
+
+def _table_of_rooms() -> dict[str, str]:
+    """Room and what it may import, in the words of ARCHITECTURE.md."""
+    page = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)(?:/|\.py)` \|[^|]*\|([^|]*)\|$", page, re.MULTILINE)
+    return {room: cell.strip() for room, cell in rows}
+
+
+def test_the_page_names_every_room():
+    missing = {file.room for file in PRODUCT} - set(_table_of_rooms())
+    assert not missing, f"add a row for {sorted(missing)} to the table of ARCHITECTURE.md"
+
+
+def test_the_page_and_the_rule_agree():
+    for room, cell in _table_of_rooms().items():
+        named = set(re.findall(r"`(\w+)`", cell))
+        if room != "benchmarks":  # "everything but ..."
+            assert named <= MAY_IMPORT[room], f"{room}/: the page allows {named}"
+        if "all" not in cell and "four" not in cell and "everything" not in cell:
+            assert named == MAY_IMPORT[room], f"{room}/: the page says {cell!r}"
+
+
+# --- what a process loads ----------------------------------------------------------------------
+
+HEAVY = {"scipy", "networkx", "xarray", "viser", "matplotlib", "h5py", "h5netcdf", "rich", "tyro"}
+LOADED = """
+import sys
+import msgspec
+from scenarios.setup import Setup
+{imports}
+{work}
+sys.stdout.write(" ".join(sorted({{name.partition(".")[0] for name in sys.modules}})))
+"""
+# A node process is handed a worked-out setup, builds its node and computes.
+NODE_WORK = """
+from nodes import in_process
+from nodes.recording import MemoryRecorder
+from scenarios.build import build_node, build_world
+setup = msgspec.json.decode({setup!r}, type=Setup)
+nodes = [build_node(setup, node) for node in range(setup.scenario.nodes)]
+in_process.run(build_world(setup), nodes, MemoryRecorder())
+"""
+
+
+def loaded(imports: str, work: str = "") -> set[str]:
+    """Top-level modules in a fresh interpreter after these lines."""
+    done = subprocess.run(
+        [sys.executable, "-c", LOADED.format(imports=imports, work=work)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return set(done.stdout.split())
+
+
+@pytest.mark.parametrize("name", ["oscillator", "target-tracking", "target-crossing"])
+def test_a_node_process_stays_light(name: str):
+    from msgspec import json, structs
+
+    from scenarios.catalogue import kind_of
+    from scenarios.setup import prepare
+
+    defaults = structs.replace(kind_of(name).defaults, nodes=6, steps=2)
+    work = NODE_WORK.format(setup=json.encode(prepare(defaults)))
+    heavy = loaded("import nodes.process, scenarios.zygote", work) & HEAVY
+    assert not heavy, (
+        f"a node process of {name} loads {sorted(heavy)}: every process of a network pays for it "
+        "in memory and start-up time; import it inside the function that needs it"
+    )
+
+
+def test_the_measure_of_loading_sees_what_is_loaded():
+    assert "networkx" in loaded("import topology.graphs")
