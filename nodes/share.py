@@ -23,10 +23,12 @@ PREFIX_BYTES = _CYCLE.size
 
 
 class Fragment(NamedTuple):
-    """What one frame carries of a share, and in which cycle since the start it was sent."""
+    """What one frame carries of a share, in which cycle since the start it was sent, and what the
+    counter in its header says."""
 
     frame_id: int
     cycle: int
+    cycle_count: int
     data: bytes
 
 
@@ -36,8 +38,11 @@ def payload_lengths(share_bytes: int, limit_bytes: int = MAX_PAYLOAD_BYTES) -> t
     return tuple(PREFIX_BYTES + size for size in sizes)
 
 
-def to_frames(body: bytes, cycle: int, slots: Sequence[Slot]) -> list[bytes]:
-    """The frames that carry `body` in the first of `slots`, as many as it takes.
+def to_frames(
+    body: bytes, cycle: int, slots: Sequence[Slot], cycle_counts: int = CYCLE_COUNTS
+) -> list[bytes]:
+    """The frames that carry `body` in the first of `slots`, as many as it takes; the cluster's
+    cycle counter wraps at `cycle_counts`.
 
     Raises:
         ValueError: the body is longer than the slots are.
@@ -50,7 +55,7 @@ def to_frames(body: bytes, cycle: int, slots: Sequence[Slot]) -> list[bytes]:
         encode_frame(
             Frame(
                 slot.frame_id,
-                cycle % CYCLE_COUNTS,
+                cycle % cycle_counts,
                 (prefix + fragment).ljust(slot.payload_bytes if slot.fixed else 0, b"\0"),
             )
         )
@@ -82,9 +87,7 @@ def read_frame(data: bytes) -> Fragment:
     if len(frame.payload) < PREFIX_BYTES:
         raise Rejected("too-short")
     cycle = _CYCLE.unpack_from(frame.payload)[0]
-    if cycle % CYCLE_COUNTS != frame.cycle_count:
-        raise Rejected("cycle-count")
-    return Fragment(frame.frame_id, cycle, frame.payload[PREFIX_BYTES:])
+    return Fragment(frame.frame_id, cycle, frame.cycle_count, frame.payload[PREFIX_BYTES:])
 
 
 def fragments_of(data: bytes) -> int:

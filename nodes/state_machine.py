@@ -30,7 +30,14 @@ from nodes.messages import (
     ShareSent,
     to_wire,
 )
-from nodes.share import fragments_of, payload_bytes, read_body, read_frame, to_frames
+from nodes.share import (
+    CYCLE_COUNTS,
+    fragments_of,
+    payload_bytes,
+    read_body,
+    read_frame,
+    to_frames,
+)
 
 # How many steps a neighbour's share may be ahead of us and still be kept: bounds the inbox. The
 # world lets nobody run further ahead than its lead.
@@ -50,7 +57,8 @@ class Phase(Enum):
 class NodeConfig:
     """Everything a node knows before the start.
 
-    `neighbours` ascend, as the weights do; `slots(node, cycle)` are those of a node's share.
+    `neighbours` ascend, as the weights do; `slots(node, cycle)` are those of a node's share;
+    the cluster's cycle counter wraps at `cycle_counts`.
     """
 
     index: int
@@ -60,6 +68,7 @@ class NodeConfig:
     schedule: Schedule
     slots: Callable[[int, int], tuple[Slot, ...]]
     estimator: Estimator
+    cycle_counts: int = CYCLE_COUNTS
 
 
 class Inbox(NamedTuple):
@@ -178,7 +187,8 @@ def _bid(config: NodeConfig, state: NodeState) -> Bid:
 
 def _send(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> NodeState:
     content, body = config.estimator.compose(state.content)
-    frames = to_frames(body, state.cycle, config.slots(config.index, state.cycle))
+    slots = config.slots(config.index, state.cycle)
+    frames = to_frames(body, state.cycle, slots, config.cycle_counts)
     outbox.extend(ShareSent(config.index, state.cycle, frame) for frame in frames)
     return _count(state._replace(content=content), *["sent"] * len(frames))
 
@@ -233,10 +243,12 @@ def _hear(config: NodeConfig, state: NodeState, event: ShareHeard) -> NodeState:
     if event.sender not in config.neighbours:
         return _count(state, "rejected stranger")
     try:
-        frame_id, cycle, data = read_frame(event.frame)
+        frame_id, cycle, cycle_count, data = read_frame(event.frame)
         count = fragments_of(data)
     except Rejected as rejected:
         return _count(state, f"rejected {rejected.reason}")
+    if cycle % config.cycle_counts != cycle_count:
+        return _count(state, "rejected cycle-count")
     if cycle < state.cycle:
         return _count(state, "late")
     if cycle > state.cycle + EARLY_STEPS * config.rounds:

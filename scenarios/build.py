@@ -40,6 +40,7 @@ def build_node(setup: Setup, node: int) -> NodeConfig:
         plan.schedule,
         plan.slots,
         _estimator(setup, node),
+        plan.cycle_counts,
     )
 
 

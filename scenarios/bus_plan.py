@@ -25,7 +25,7 @@ from bus.schedule import (
 from bus.slot_table import SlotTable, allocate
 from bus.timing import check_timing
 from nodes.messages import Bid
-from nodes.share import payload_lengths
+from nodes.share import CYCLE_COUNTS, payload_lengths
 from scenarios.catalogue import kind_of
 from scenarios.scenario import Scenario
 from topology.names import unknown_name
@@ -54,6 +54,11 @@ class BusPlan(NamedTuple):
     cluster: Cluster | None
     table: SlotTable | None
     slots: Callable[[int, int], tuple[Slot, ...]]
+
+    @property
+    def cycle_counts(self) -> int:
+        """Where the cycle counter in a frame's header wraps."""
+        return CYCLE_COUNTS if self.cluster is None else self.cluster.number_of_cycles
 
 
 def schedule_names() -> tuple[str, ...]:

@@ -107,6 +107,12 @@ def _nuisances(config: NodeConfig, cycle: int) -> dict[str, NodeEvent]:
         config.slots(2, cycle),
     )[0]
     flipped = bytes([*sound[:-1], sound[-1] ^ 1])
+    miscounted = to_frames(
+        config.estimator.codec.encode(PRIORS[0]),  # type: ignore[attr-defined]
+        cycle + 8,
+        config.slots(0, cycle),
+        8,
+    )[0]
     unscheduled = {0: 0, 1: 2, 2: 0}[cycle % 3]
     kinds: dict[str, NodeEvent] = {
         "rejected stranger": ShareHeard(STRANGER, sound),
@@ -114,6 +120,7 @@ def _nuisances(config: NodeConfig, cycle: int) -> dict[str, NodeEvent]:
         "rejected frame-crc": ShareHeard(0, flipped),
         "rejected header-crc": ShareHeard(0, bytes([sound[0] ^ 1, *sound[1:]])),
         "rejected wrong-slot": ShareHeard(0, wrong_slot),
+        "rejected cycle-count": ShareHeard(0, miscounted),
         "rejected future": ShareHeard(0, share(config, 0, 3_000_000_000)),
         "repeated measured": heartbeat(0),
     }
