@@ -1,45 +1,19 @@
-"""The command line: `concord run`, `list`, `agree`, and `flexray` with commands of its own."""
+"""Where `concord` begins: what must be settled before anything is loaded."""
 
 import os
-
-# Before anything imports numpy: results must not depend on how many threads share a sum.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import signal
-import sys
-from types import FrameType
-
-from tyro.extras import SubcommandApp
-
-from experiments.agree_command import agree
-from experiments.flexray_command import SUMMARY, flexray_commands
-from experiments.list_command import list_all
-from experiments.run_command import run
-
-COMMANDS = {"run": run, "list": list_all, "agree": agree}
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run one command; exit code 2 for a mistake of the user, 1 for a failed run, 130 on Ctrl-C."""
-    # A polite end is an interruption: whatever cleans up after Ctrl-C cleans up then too.
-    signal.signal(signal.SIGTERM, _interrupt)
-    commands = SubcommandApp()
-    for name, command in COMMANDS.items():
-        commands.command(command, name=name)
-    commands.command(flexray_commands(), name="flexray", help=SUMMARY)
-    try:
-        commands.cli(
-            prog="concord",
-            description="Distributed consensus sensor networks on a FlexRay bus.",
-            args=arguments,
-        )
-    except KeyboardInterrupt:
-        sys.stderr.write("interrupted\n")
-        sys.exit(130)
+    """Load the command line and run it."""
+    # Before anything imports numpy: results must not depend on how many threads share a sum.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # While we load there is nothing to clean up, and a traceback would tell nobody anything.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from experiments.command_line import main as run_command_line
 
-
-def _interrupt(_signal: int, _frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    run_command_line(arguments)
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from experiments.bus_report import times_of
 from experiments.metrics import nees
 from experiments.trace import Trace
 from scenarios.catalogue import kind_of
+from scenarios.rules import is_certain
 from scenarios.setup import Setup
 
 RECORDING, ARRAYS, DESCRIPTION, CAPTURE = "run.mcap", "run.nc", "run.json", "bus.pcap"
@@ -32,14 +33,28 @@ class Description(msgspec.Struct, frozen=True):
     commit: str | None
 
 
+def new_name(scenario: str) -> str:
+    """A unique name for a run."""
+    # Local time to the second reads well in a listing; the suffix makes it unique.
+    return f"{scenario}-{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(3)}"
+
+
 def new_folder(out: Path | None, scenario: str) -> tuple[str, Path]:
-    """A unique name for a run and its folder, which is created.
+    """A unique name for a run and its folder, which is made: `out`, or one below runs/.
 
     Raises:
         ValueError: `out` exists, or cannot be made.
     """
-    # Local time to the second reads well in a listing; the suffix makes it unique.
-    run = f"{scenario}-{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(3)}"
+    run = new_name(scenario)
+    return run, make_folder(out, run)
+
+
+def make_folder(out: Path | None, run: str) -> Path:
+    """Make the folder of a run: `out`, or one of its name below runs/.
+
+    Raises:
+        ValueError: `out` exists, or cannot be made.
+    """
     folder = out if out is not None else Path("runs") / run
     try:
         folder.mkdir(parents=True)
@@ -52,7 +67,7 @@ def new_folder(out: Path | None, scenario: str) -> tuple[str, Path]:
         raise ValueError(
             f"--out {folder}: cannot be made ({error.strerror}); choose another place"
         ) from None
-    return run, folder
+    return folder
 
 
 def describe(run: str, driver: str, setup: Setup) -> Description:
@@ -115,7 +130,7 @@ def write_arrays(folder: Path, description: Description, trace: Trace) -> None:
         "nees": (
             ("step", "node"),
             nees(errors[..., score], trace.cov[..., score, :][..., score]),
-            {"states": [names[i] for i in score]},
+            {"states": [names[i] for i in score], **_meaning(setup)},
         ),
         "disagreement": (state, trace.mean - trace.mean.mean(1, keepdims=True)),
         "readings": (("step", "node", "reading", "channel"), trace.readings),
@@ -144,6 +159,13 @@ def write_arrays(folder: Path, description: Description, trace: Trace) -> None:
         },
     )
     dataset.to_netcdf(folder / ARRAYS, engine="h5netcdf")
+
+
+def _meaning(setup: Setup) -> dict[str, str]:
+    """What cov and nees are where estimates are sets."""
+    if not is_certain(setup.scenario):
+        return {}
+    return {"meaning": "cov is the shape matrix P of a set e' P^-1 e <= 1 that holds the truth"}
 
 
 def _bus_variables(setup: Setup, trace: Trace) -> dict[str, Any]:

@@ -20,7 +20,8 @@ from experiments.results import (
     RECORDING,
     Description,
     describe,
-    new_folder,
+    make_folder,
+    new_name,
     write_arrays,
     write_description,
 )
@@ -52,12 +53,13 @@ def run(
     """Run a scenario once and print how well its nodes did."""
     with user_errors():
         setup = prepare(scenario.resolve())
-        name, folder = new_folder(options.out, setup.scenario.name)
+        name = new_name(setup.scenario.name)
+        description = describe(name, options.driver, setup)
+        # Described first: a folder is never without its description.
+        folder = make_folder(options.out, name)
+        write_description(folder, description)
     sys.stderr.write(f"seed {setup.scenario.seed}; results in {folder}\n")
-    description = describe(name, options.driver, setup)
-    write_description(folder, description)
     pace = Pace(None, None)
-    interrupted = False
     try:
         with progress(f"{setup.scenario.name}", setup.scenario.steps) as on_step, user_errors():
             driver = DRIVERS[options.driver]
@@ -66,16 +68,21 @@ def run(
         sys.stderr.write(f"concord: {error}; what was done until then is in {folder}\n")
         sys.exit(1)
     except KeyboardInterrupt:
-        interrupted = True
-    figures = _finish(folder, description, pace)
-    if figures is not None:
-        _show(figures, description, options.json)
-    if interrupted:
-        raise KeyboardInterrupt
+        # Who is in a hurry gets the arrays; the filters to compare with would take their time.
+        _keep(folder, description)
+        raise
+    trace = _keep(folder, description)
+    assert trace is not None, "a run that ended well has at least one step"
+    figures = msgspec.structs.replace(
+        summarise(description.setup, trace),
+        steps_per_second=pace.steps_per_second,
+        ready_s=pace.ready_s,
+    )
+    _show(figures, description, options.json)
 
 
-def _finish(folder: Path, description: Description, pace: Pace) -> Figures | None:
-    """Turn the recording into arrays and figures; None when no step was completed."""
+def _keep(folder: Path, description: Description) -> Trace | None:
+    """Turn the recording into arrays and a capture; None when no step was completed."""
     trace = _trace(folder, description)
     if trace is None:
         return None
@@ -83,10 +90,7 @@ def _finish(folder: Path, description: Description, pace: Pace) -> Figures | Non
     frames = capture(description.setup, trace, read_recording(folder / RECORDING))
     if frames is not None:
         write_pcap(folder / CAPTURE, frames)
-    figures = summarise(description.setup, trace)
-    return msgspec.structs.replace(
-        figures, steps_per_second=pace.steps_per_second, ready_s=pace.ready_s
-    )
+    return trace
 
 
 def _trace(folder: Path, description: Description) -> Trace | None:

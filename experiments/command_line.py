@@ -1,0 +1,38 @@
+"""The command line: `concord run`, `list`, `agree`, `reproduce`, and `flexray` with its own."""
+
+import signal
+import sys
+from types import FrameType
+
+from tyro.extras import SubcommandApp
+
+from experiments.agree_command import agree
+from experiments.flexray_command import SUMMARY, flexray_commands
+from experiments.list_command import list_all
+from experiments.reproduce_command import reproduce
+from experiments.run_command import run
+
+COMMANDS = {"run": run, "list": list_all, "agree": agree, "reproduce": reproduce}
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run one command; exit code 2 for a mistake of the user, 1 for a failed run, 130 on Ctrl-C."""
+    commands = SubcommandApp()
+    for name, command in COMMANDS.items():
+        commands.command(command, name=name)
+    commands.command(flexray_commands(), name="flexray", help=SUMMARY)
+    try:
+        # A polite end is an interruption: whatever cleans up after Ctrl-C cleans up then too.
+        signal.signal(signal.SIGTERM, _interrupt)
+        commands.cli(
+            prog="concord",
+            description="Distributed consensus sensor networks on a FlexRay bus.",
+            args=arguments,
+        )
+    except KeyboardInterrupt:
+        sys.stderr.write("interrupted\n")
+        sys.exit(130)
+
+
+def _interrupt(_signal: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
