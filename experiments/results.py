@@ -158,7 +158,13 @@ def write_arrays(folder: Path, description: Description, trace: Trace) -> None:
             "commit": description.commit or "unknown",
         },
     )
-    dataset.to_netcdf(folder / ARRAYS, engine="h5netcdf")
+    part = folder / f"{ARRAYS}.part"
+    try:
+        dataset.to_netcdf(part, engine="h5netcdf")
+        part.rename(folder / ARRAYS)
+    finally:
+        # Interrupted: no arrays are better than broken ones.
+        part.unlink(missing_ok=True)
 
 
 def _meaning(setup: Setup) -> dict[str, str]:
