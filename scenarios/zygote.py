@@ -50,7 +50,11 @@ def tell(happened: Happened) -> None:
 
 def main() -> None:
     """Serve one job."""
-    job = msgspec.json.decode(sys.stdin.buffer.readline(), type=Job)
+    line = sys.stdin.buffer.readline()
+    if not line:
+        # The launcher is gone before it said what to do.
+        return
+    job = msgspec.json.decode(line, type=Job)
     try:
         for _ in range(_LAUNCH_TRIES):
             wanted = names(job.setup.neighbours)
