@@ -32,6 +32,8 @@ def fitted_cluster(schedule: Schedule, payloads: Sequence[int]) -> Cluster:
     lengths = [DEMO.dynamic_slot_minislots(size) for size in payloads]
     # The worst case: the winners have the last IDs, and every slot before them counts by empty.
     minislots = (contenders - winners) * len(payloads) + winners * sum(lengths)
+    # A short last frame that begins where a long one could not any more begins too late.
+    minislots += (max(lengths) - lengths[-1]) if minislots else 0
     macroticks = (
         static_slots * slot_macroticks + minislots * DEMO.minislot_macroticks + _IDLE_MACROTICKS
     )

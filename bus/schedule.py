@@ -96,19 +96,21 @@ def round_robin(nodes: int, slots_per_cycle: int) -> Schedule:
     return Schedule(nodes, _turns(range(nodes), (slots_per_cycle,)))
 
 
-def hybrid(nodes: int, occupancy: float) -> Schedule:
+def hybrid(nodes: int, occupancy: float, order: Sequence[int] | None = None) -> Schedule:
     """Half of the slots static, half dynamic: S = max(1, round(occupancy N)) publish per cycle.
 
-    Nodes 0..ceil(N/2)-1 share S // 2 static slots in turn, one more in even cycles if S is odd; the
-    others contend for what is left of S. Slots that the contenders are too few for are static.
+    The first ceil(N/2) nodes of `order` (0, 1, 2, ... if there is none) share S // 2 static slots
+    in turn, one more in even cycles if S is odd; the others contend for what is left of S. Slots
+    that the contenders are too few for are static.
     """
+    order = range(nodes) if order is None else order
     slots = publishers_per_cycle(nodes, occupancy)
     static_nodes = (nodes + 1) // 2
-    contenders = tuple(range(static_nodes, nodes))
+    contenders = tuple(sorted(order[static_nodes:]))
     even = min(slots // 2, len(contenders))
     odd = min(slots - slots // 2, len(contenders))
     dynamic = (even, odd) if even != odd else (even,)
-    turns = _turns(range(static_nodes), [slots - count for count in dynamic])
+    turns = _turns(sorted(order[:static_nodes]), [slots - count for count in dynamic])
     return Schedule(nodes, turns, (contenders,), dynamic)
 
 

@@ -14,6 +14,7 @@ from filters.ukf import predict, update
 from nodes.belief_consensus import Sensor
 from nodes.messages import Array
 from scenarios.catalogue import kind_of
+from scenarios.rules import rule_of
 from scenarios.setup import Setup
 
 
@@ -36,6 +37,9 @@ def _filter(setup: Setup, nodes: list[int], readings: Array, control: Array | No
     kind = kind_of(setup.scenario.name)
     if kind.listen is not None:
         return kind.listen(setup, nodes, readings)
+    rule_listens = rule_of(setup.scenario).listen
+    if rule_listens is not None:
+        return rule_listens(setup, nodes, readings, control)
     model = kind.model(setup.scenario)
     points = scaled_unscented(len(setup.prior_mean))
     belief = Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov))

@@ -1,4 +1,4 @@
-"""The command line: `concord run`, `list`, `agree`, `reproduce`, and `flexray` with its own."""
+"""The command line: every `concord` command by its name, `flexray` with its own."""
 
 import signal
 import sys
@@ -7,12 +7,21 @@ from types import FrameType
 from tyro.extras import SubcommandApp
 
 from experiments.agree_command import agree
+from experiments.collect_command import collect
 from experiments.flexray_command import SUMMARY, flexray_commands
+from experiments.identify_command import identify_tyres
 from experiments.list_command import list_all
 from experiments.reproduce_command import reproduce
 from experiments.run_command import run
 
-COMMANDS = {"run": run, "list": list_all, "agree": agree, "reproduce": reproduce}
+COMMANDS = {
+    "run": run,
+    "collect": collect,
+    "list": list_all,
+    "agree": agree,
+    "reproduce": reproduce,
+    "identify": identify_tyres,
+}
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -99,10 +99,10 @@ def propagate(
     F, Q, information, prior_cov = network
     nodes, n = information.shape[:2]
     every = np.kron(np.eye(nodes), F)
-    common = np.kron(np.ones((nodes, nodes)), Q)
+    common = np.tile(Q, (nodes, nodes))
     reported = np.broadcast_to(prior_cov, (*averaging.shape[:-1], n, n))
     # All nodes start from one prior mean, so they share its error.
-    errors = np.kron(np.ones((nodes, nodes)), prior_cov)
+    errors = np.tile(prior_cov, (nodes, nodes))
     central = prior_cov
     for _ in range(steps):
         fusion = rule(reported, averaging, information)

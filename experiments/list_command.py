@@ -34,9 +34,10 @@ def list_all(options: Annotated[ListOptions, tyro.conf.arg(name="")]) -> None:
         "arbiters": list(arbiter_names()),
         "holds": list(hold_names()),
     }
+    own = {name: kind.wiring.names for name, kind in kinds().items() if kind.wiring}
     if options.json:
         scenarios = {name: kind.defaults for name, kind in kinds().items()}
-        everything = {"scenarios": scenarios, "rules": RULE_SUMMARIES, **names}
+        everything = {"scenarios": scenarios, "rules": RULE_SUMMARIES, **names, "own": own}
         sys.stdout.write(msgspec.json.encode(everything).decode() + "\n")
         return
     console = Console()
@@ -51,3 +52,6 @@ def list_all(options: Annotated[ListOptions, tyro.conf.arg(name="")]) -> None:
     console.print(rules)
     for what, values in names.items():
         console.print(f"{what}: {', '.join(values)}", highlight=False, soft_wrap=True)
+    for name, of_option in own.items():
+        values = "; ".join(f"--{option} {', '.join(of)}" for option, of in of_option.items())
+        console.print(f"{name} has its own: {values}", highlight=False, soft_wrap=True)

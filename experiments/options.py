@@ -54,14 +54,31 @@ class ScenarioOptions:
     """Weigh beliefs by the size of their covariance too."""
     number: str | None = None
     """float64 or float32 on the wire."""
+    relay: bool | None = None
+    """Compose each share at its slot, with what earlier slots of the cycle brought (labelled)."""
+    latch_delay_us: float | None = None
+    """What a host needs for --relay, from the last bit of a frame to the first of its own."""
+    window_steps: int | None = None
+    """How many steps late a record may come (labelled); the schedule's latency when left out."""
+    digest_steps: int | None = None
+    """Say in each share what is held of so many steps, for buses that lose frames (labelled)."""
+    record_number: str | None = None
+    """int16, int8, float32 or float64 for readings on the wire (labelled)."""
+    payload_bytes: int | None = None
+    """Longest payload of a frame, 254 at most (labelled)."""
     control: str | None = None
     """Whose knowledge closes the loop of a controlled plant: a node's number, truth, or open."""
     noise: str | None = None
-    """matched (physical) or paper (as printed), for the plants of the paper."""
+    """What the sensors really do: matched (as the filters believe), paper (as printed), or for
+    vehicle-network also growing, small, outliers, biased."""
+    manoeuvre: str | None = None
+    """What the driver does (vehicle-network): double-lane-change, serpentine, ramp-steer, ..."""
+    adaptive: bool | None = None
+    """Let nodes learn the noise of their own sensors (vehicle-network)."""
     target: int | None = None
     """The robot to be tracked (mrclam)."""
     data: Path | None = None
-    """Folder of recorded data (mrclam)."""
+    """Folder of recorded data (mrclam, vehicle-network)."""
 
     def resolve(self) -> Scenario:
         """The scenario that these options mean, nothing left open.

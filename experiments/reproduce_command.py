@@ -32,9 +32,25 @@ def _meng2025(runs: int | None) -> Reproduction:
     return reproduction(runs)
 
 
+def _adlukf(runs: int | None) -> Reproduction:
+    # Only here: it draws pictures and simulates cars.
+    from experiments.reproduce_adlukf import SEEDS, reproduction
+
+    return reproduction(SEEDS if runs is None else runs)
+
+
+def _liu2021(runs: int | None) -> Reproduction:
+    # Only here: it draws pictures.
+    from experiments.reproduce_liu2021 import SEQUENCES, reproduction
+
+    return reproduction(SEQUENCES if runs is None else runs)
+
+
 REPRODUCTIONS: dict[str, Callable[[int | None], Reproduction]] = {
     "wac": _wac,
     "meng2025": _meng2025,
+    "adlukf": _adlukf,
+    "liu2021": _liu2021,
 }
 
 
@@ -44,11 +60,12 @@ class ReproduceOptions:
 
     paper: Annotated[str, tyro.conf.Positional]
     """wac: the weighted-average-consensus UKF of Widjiantoro et al.; meng2025: the UKF under the
-    FlexRay protocol of Meng et al."""
+    FlexRay protocol of Meng et al.; adlukf: the adaptive dual-layer UKF of Wang et al.; liu2021: set
+    membership over a FlexRay network of Liu et al."""
     out: Path
     """Folder for the report and the pictures. It must not exist."""
-    runs: int | None = None
-    """Runs of a Monte Carlo, for papers that have one; as many as in the paper's study if left out."""
+    runs: Annotated[int | None, tyro.conf.arg(aliases=["--seeds", "--sequences"])] = None
+    """Runs of a Monte Carlo, for papers that have one; as many as in the paper if left out."""
     json: bool = False
     """Print one JSON object instead of a summary."""
 

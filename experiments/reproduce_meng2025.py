@@ -1,4 +1,4 @@
-"""`concord reproduce meng2025`: the UKF under the FlexRay protocol, Figures 2 to 5 and the claims."""
+"""`concord reproduce meng2025`: the UKF under the FlexRay protocol, its figures and its claims."""
 
 from collections.abc import Iterator
 from functools import partial
@@ -85,10 +85,10 @@ def _figures(folder: Path, batch: Batch, outcomes: dict[str, Outcome]) -> Sectio
 # --- the comparison ------------------------------------------------------------------------------
 
 _EXPLAINED = """\
-{runs} runs of {steps} steps, all rows on the same noise. RMSE, ANEES (2 is consistent) and the share
-of errors inside the 95 % ellipse with 95 % intervals over runs; runs that diverged (an error above
-1000) would be left out and are counted. The last column is the mean square error minus that of the
-first row, run by run: an interval without 0 is a significant difference.
+{runs} runs of {steps} steps, all rows on the same noise, with 95 % intervals over runs. ANEES is 2
+for a consistent filter, coverage the share of errors inside the 95 % ellipse. Runs that diverged
+(an error above 1000) are counted and left out. The last column is the mean square error minus that
+of the first row, run by run: an interval without 0 is a significant difference.
 """
 
 

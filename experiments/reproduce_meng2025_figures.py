@@ -39,7 +39,11 @@ def _states(batch: Batch, recommended: Outcome, printed: Outcome, state: int) ->
     axes.fill_between(steps, mean - half, mean + half, color=OURS, alpha=0.15, lw=0)
     for values, label, style in (
         (batch.truth[:, 0, state], "state", {"color": TRUE, "lw": 1.6, "zorder": 3}),
-        (mean, "estimate, recommended (± 2σ)", {"color": OURS, "lw": 1.6, "ls": "--", "zorder": 4}),
+        (
+            mean,
+            "estimate, recommended (± 2 sigma)",
+            {"color": OURS, "lw": 1.6, "ls": "--", "zorder": 4},
+        ),
         (printed.mean[:, 0, state], "estimate, paper-literal", {"color": PRINTED, "lw": 1}),
     ):
         axes.plot(steps, values, label=label, **style)

@@ -3,11 +3,11 @@
 import numpy as np
 from msgspec.structs import replace
 
+from bus.schedule import Schedule
 from experiments.reproduce_meng2025_runs import Batch, Outcome, transmit
 from filters.particle import Particles, cov, mean, resample
 from nodes.messages import Array
 from plants import meng2025
-from bus.schedule import Schedule
 from scenarios.meng2025 import KIND, SYSTEM
 from scenarios.setup import generator
 

@@ -20,14 +20,13 @@ from bus.measurement_bus import (
 )
 from bus.schedule import Schedule
 from filters.gaussian import Gaussian
-from filters.stochastic_ukf import (
+from filters.stochastic_ukf import RECOMMENDED, MeasurementFilter, Received
+from filters.stochastic_ukf_printed import (
     PAPER_LITERAL,
     PAPER_LITERAL_R,
-    RECOMMENDED,
-    MeasurementFilter,
-    literal_update,
     on_fresh_rows,
     pseudo_inverse,
+    update,
 )
 from nodes.messages import Array
 from plants import meng2025
@@ -143,7 +142,8 @@ def carry_out(batch: Batch, method: Method) -> Outcome:
     slots = transmit(batch, method.schedule)
     points = paper_points(method.alpha)
     estimator = Estimator(method.system, method.filter, points, prior_of(batch.runs))
-    return Outcome(*estimate(estimator, slots), slots.sent)
+    beliefs = estimate(estimator, Received(slots.received, slots.fresh))
+    return Outcome(*beliefs, slots.sent)
 
 
 def ranks_of_printed_cov(batch: Batch) -> np.ndarray:
@@ -154,6 +154,6 @@ def ranks_of_printed_cov(batch: Batch) -> np.ndarray:
         ranks.append(np.linalg.matrix_rank(matrix, hermitian=True, rtol=1e-10))
         return pseudo_inverse(matrix)
 
-    watched = PAPER_LITERAL._replace(update=partial(literal_update, watch, on_fresh_rows))
+    watched = PAPER_LITERAL._replace(update=partial(update, watch, on_fresh_rows))
     carry_out(batch, methods()["paper-literal"]._replace(filter=watched))
     return np.stack(ranks)

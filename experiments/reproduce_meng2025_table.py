@@ -100,7 +100,7 @@ def _difference(batch: Batch, outcome: Outcome, reference: Outcome) -> Interval:
 
 def _diverged(errors: Array) -> np.ndarray:
     """Which runs (R,) of errors (S, R, n) went astray."""
-    return ~(np.abs(errors) <= DIVERGED).all(axis=(0, 2))
+    return np.logical_not((np.abs(errors) <= DIVERGED).all(axis=(0, 2)))
 
 
 def _root(square: Interval) -> Interval:

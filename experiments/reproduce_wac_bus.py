@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from experiments.reproduce_report import Check, Section, above, at_most, below, markdown_table, near
+from experiments.reproduce_wac_bench import Cell, Study
 from experiments.reproduce_wac_occupancy import (
     FULL,
     HELD,
@@ -11,9 +12,7 @@ from experiments.reproduce_wac_occupancy import (
     ONE_ROUND,
     PLAIN,
     SHARP,
-    Cell,
     Occupancy,
-    Study,
     Table,
     Variant,
 )

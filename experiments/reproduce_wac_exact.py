@@ -152,7 +152,9 @@ PRINTED_ALONE = {"cruise": 22.6, "bus": 216.0, "pitch": 232.0, "speed": 2.15, "p
 
 RING_FIGURES = (0, 1, 2)
 GRAPH_FIGURES = (0, 2, 3)
-HALF_DIGIT = 0.005 + 1e-4  # of a figure with two decimals
+HALF_DIGIT = 0.005 + 1e-5  # of a figure with two decimals
+# The study prints one disagreement as .335 and as .34: it rounds twice.
+TWICE_ROUNDED = HALF_DIGIT + 5e-4
 
 
 def printed(line: str) -> Array:
@@ -196,7 +198,7 @@ def _digit_checks(exact: Exact) -> list[Check]:
     for graph in ("ring", "path", "complete"):
         gap = float(np.abs(graph_row(exact, graph) - printed(PRINTED_GRAPHS[graph])).max())
         name = f"exact, position, {graph}, 1 round: furthest of 12 cells from its printed digits"
-        checks.append(at_most(name, gap, HALF_DIGIT))
+        checks.append(at_most(name, gap, TWICE_ROUNDED))
     for graph, modulus in PRINTED_SLEM.items():
         checks.append(near(f"second eigenvalue modulus, {graph}", exact.slem[graph], modulus, 5e-4))
     fading = exact.after["position"]["ci"][0, :, 3]

@@ -15,7 +15,7 @@ from bus.schedule import Schedule
 from experiments.reproduce_wac_runs import Runs
 from filters import hybrid_consensus, information_weighted
 from filters.gaussian import Gaussian, Information, to_gaussian, to_information
-from filters.linalg import multiply, symmetrise
+from filters.linalg import symmetrise
 from filters.packed import pack, unpack
 from filters.sigma_points import scaled_unscented
 from filters.ukf import predict, update
@@ -132,9 +132,9 @@ def centralised(runs: Runs) -> Gaussian:
     together = _block_diagonal(noise_cov)
 
     def residual(value: Array, predicted: Array) -> Array:
-        split = [array.reshape(*array.shape[:-1], nodes, d) for array in (value, predicted)]
-        return runs.sensors.residual(*split).reshape(*np.broadcast_shapes(*(
-            array.shape for array in (value, predicted))))  # fmt: skip
+        left, right = (array.reshape(*array.shape[:-1], nodes, d) for array in (value, predicted))
+        difference = runs.sensors.residual(left, right)
+        return difference.reshape(*difference.shape[:-2], nodes * d)
 
     means, covs = [], []
     for step in range(steps):
@@ -242,8 +242,8 @@ def _fuse(state: _State, wiring: Wiring, averaging: Averaging, turn: int) -> _St
     weights = wiring.policy.weigh(wiring.weights, ages, covs, turn)
     others = np.zeros((*state.ages.shape, state.ages.shape[1]))
     # Filled-up places have weight zero and point at the node itself, whose entry is not used.
-    np.put_along_axis(others, np.broadcast_to(wiring.heard[:, 1:], weights[..., 1:].shape),
-                      weights[..., 1:], axis=-1)  # fmt: skip
+    places = np.broadcast_to(wiring.heard, weights.shape)[..., 1:]
+    np.put_along_axis(others, places, weights[..., 1:], axis=-1)
     numbers = weights[..., :1] * state.numbers + others @ state.held
     belief = averaging.conclude(numbers)
     sound = _finite(belief)
@@ -266,7 +266,8 @@ def _kept(before: Gaussian, after: Gaussian) -> Gaussian:
 
 
 def _finite(belief: Gaussian) -> np.ndarray:
-    return np.isfinite(belief.mean).all(axis=-1) & np.isfinite(belief.cov).all(axis=(-1, -2))
+    mean = np.isfinite(belief.mean).all(axis=-1)
+    return np.logical_and(mean, np.isfinite(belief.cov).all(axis=(-1, -2)))
 
 
 def _block_diagonal(blocks: Array) -> Array:

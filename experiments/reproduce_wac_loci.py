@@ -63,12 +63,12 @@ def _locus(axes: Axes, panel: Panel, *, designed: bool) -> None:
     if designed:
         poles = root_locus(panel.loop, np.array([0.0, 1.0]))[1]
         _marks(axes, poles, "D", ORANGE, "gain 1: the controller as designed")
-    axes.axvline(0, color=GREY, linewidth=0.8)
-    axes.axhline(0, color=GREY, linewidth=0.8)
+    axes.axvline(0, color=GREY, linewidth=0.8, zorder=0)
+    axes.axhline(0, color=GREY, linewidth=0.8, zorder=0)
 
 
 def _marks(axes: Axes, points: np.ndarray, marker: str, colour: str, label: str) -> None:
     axes.plot(
-        points.real, points.imag, marker, color=colour, markersize=7, markerfacecolor="none",
-        markeredgewidth=1.6, label=label,
+        np.real(points), np.imag(points), marker, color=colour, markersize=7,
+        markerfacecolor="none", markeredgewidth=1.6, label=label,
     )  # fmt: skip

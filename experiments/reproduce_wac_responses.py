@@ -170,7 +170,7 @@ def _trials(
     central = centralised(runs)
     return {
         title: Trial(
-            times_s=plant.time_step_s * np.arange(steps),
+            times_s=plant.time_step_s * np.arange(steps, dtype=np.float64),
             reference=response.references[:, 0] if loop.follows else None,
             truth=response.states,
             measured=response.delivered[:, MEASURING_NODE, 0, 0],

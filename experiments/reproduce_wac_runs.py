@@ -45,7 +45,7 @@ def simulate(scenario: Scenario, numbers: Sequence[int]) -> Runs:
     watching = np.stack([one.measurement for one in draws], axis=1)
     state, prior_mean, prior_cov = plant.initial(np.stack([one.initial for one in draws]))
     law = kind.controller(scenario)
-    memory = None if law is None else law.initial_memory
+    memory = np.zeros(0) if law is None else law.initial_memory
     truth, readings, controls = [], [], []
     for step in range(scenario.steps):
         truth.append(state)

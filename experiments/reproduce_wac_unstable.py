@@ -1,7 +1,7 @@
 """Where the weighted average fails: an unstable plant that most nodes do not see.
 
-A scalar plant F, a ring of eight, m nodes that see and 8 - m that are blind. With D = diag(0 where a
-node sees, 1 where it is blind) the mean diverges if |F| rho(Pi^L D) > 1, the covariance if
+A scalar plant F, a ring of eight, m nodes that see and 8 - m that are blind. With D = diag(0 where
+a node sees, 1 where it is blind) the mean diverges if |F| rho(Pi^L D) > 1, the covariance if
 F^2 rho(Pi^L D) > 1. Both are tried here against the exact propagation of 400 steps.
 """
 
@@ -76,7 +76,8 @@ def checks_of(outcomes: list[Outcome]) -> list[Check]:
 def section(place: int, outcomes: list[Outcome]) -> Section:
     """The table of the twelve."""
     head = (
-        "F", "seeing", "L", "\\|F\\|ρ(Π^L D)", "F²ρ(Π^L D)", "WAC RMSE", "WAC largest P", "CI RMSE",
+        "F", "seeing", "L", "|F| rho(Π^L D)", "F² rho(Π^L D)", "WAC RMSE", "WAC largest P",
+        "CI RMSE",
     )  # fmt: skip
     rows = [
         (

@@ -5,19 +5,25 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-from experiments import bus_report
+from experiments import bus_report, record_spread
 from experiments.baselines import centralised, local_only
 from experiments.bus_report import BusFigures
+from experiments.containment import Containment, containment
 from experiments.metrics import anees, disagreement, rmse
+from experiments.record_spread import SpreadFigures
 from experiments.trace import Trace
 from filters.gaussian import Gaussian
 from nodes.messages import Array
 from scenarios.catalogue import Score, kind_of
+from scenarios.rules import is_certain
 from scenarios.setup import Setup
 
 
 class NodeFigures(msgspec.Struct, frozen=True):
-    """One node: its error in the network and alone, its consistency, and its traffic in frames."""
+    """One node: its error in the network and alone, its consistency, and its traffic in frames.
+
+    Where estimates are sets, `containment` stands in place of `anees`, which is NaN.
+    """
 
     rmse: float
     rmse_local_only: float
@@ -26,6 +32,7 @@ class NodeFigures(msgspec.Struct, frozen=True):
     heard: int
     missed: int
     rejected: int
+    containment: Containment | None = None
 
 
 class Figures(msgspec.Struct, frozen=True):
@@ -51,6 +58,9 @@ class Figures(msgspec.Struct, frozen=True):
     shares_missed: int
     bus: BusFigures | None
     nodes: list[NodeFigures]
+    containment: Containment | None = None
+    containment_centralised: Containment | None = None
+    spread: SpreadFigures | None = None
     steps_per_second: float | None = None
     ready_s: float | None = None
 
@@ -73,6 +83,9 @@ def summarise(setup: Setup, trace: Trace) -> Figures:
     near = _near(score, trace, setup.time_step_s)[first:]
     consistency = _consistency(network, trace.truth, score, first, (0,))
     counters = trace.counters
+    certain = is_certain(setup.scenario)
+    if certain:
+        consistency = np.full_like(consistency, np.nan)
     return Figures(
         scenario=setup.scenario.name,
         unit=score.unit,
@@ -83,8 +96,8 @@ def summarise(setup: Setup, trace: Trace) -> Figures:
         rmse_centralised=central_rmse,
         worst_node_to_centralised=float(per_node[who].max() / central_rmse),
         disagreement=disagreement(network.mean[first:, who][..., list(score.states)]),
-        anees=float(_consistency(network, trace.truth, score, first, (0, 1))),
-        anees_centralised=float(_consistency(central, trace.truth, score, first, (0,))),
+        anees=_unless(certain, _consistency(network, trace.truth, score, first, (0, 1))),
+        anees_centralised=_unless(certain, _consistency(central, trace.truth, score, first, (0,))),
         near_s=score.near_s,
         rmse_near=[float(x) for x in rmse(of_node[near], (0,))],
         rmse_near_local_only=[float(x) for x in rmse(of_alone[near], (0,))],
@@ -101,10 +114,26 @@ def summarise(setup: Setup, trace: Trace) -> Figures:
                 heard=c.get("heard", 0),
                 missed=c.get("missed", 0),
                 rejected=sum(n for name, n in c.items() if name.startswith("rejected")),
+                containment=_contained(certain, _of_node(network, i), trace.truth),
             )
             for i, c in enumerate(counters)
         ],
+        containment=_contained(certain, network, trace.truth),
+        containment_centralised=_contained(certain, central, trace.truth),
+        spread=None if trace.spread is None else record_spread.figures_of(trace.spread),
     )
+
+
+def _unless(certain: bool, anees_: Array) -> float:
+    return float("nan") if certain else float(anees_)
+
+
+def _contained(certain: bool, bounds: Gaussian, truth: Array) -> Containment | None:
+    return containment(bounds, truth) if certain else None
+
+
+def _of_node(network: Gaussian, node: int) -> Gaussian:
+    return Gaussian(network.mean[:, node], network.cov[:, node])
 
 
 def _first_scored(score: Score, trace: Trace) -> int:
@@ -143,25 +172,38 @@ def table(figures: Figures, title: str) -> Table:
     # Rich would take [m] for a style.
     unit = escape(f"[{figures.unit}]")
     grid = Table(title=title, title_justify="left")
-    for heading in ("node", f"RMSE {unit}", f"alone {unit}", "ANEES"):
+    certain = figures.containment is not None
+    shown = ("out", "largest", "√tr P") if certain else (f"alone {unit}", "ANEES")
+    for heading in ("node", f"RMSE {unit}", *shown):
         grid.add_column(heading, justify="right")
     for heading in ("sent", "heard", "missed", "rejected"):
         grid.add_column(heading, justify="right")
     for i, node in enumerate(figures.nodes):
         traffic = (node.sent, node.heard, node.missed, node.rejected)
         grid.add_row(
-            str(i), _short(node.rmse), _short(node.rmse_local_only), _short(node.anees),
-            *map(str, traffic),
+            str(i), _short(node.rmse),
+            *_consistent(node.rmse_local_only, node.anees, node.containment), *map(str, traffic),
         )  # fmt: skip
     grid.add_section()
     grid.add_row(
-        "all", _short(figures.rmse), _short(figures.rmse_local_only), _short(figures.anees),
+        "all", _short(figures.rmse),
+        *_consistent(figures.rmse_local_only, figures.anees, figures.containment),
         str(figures.shares_sent), "", str(figures.shares_missed), "",
     )  # fmt: skip
     grid.add_row(
-        "centralised", _short(figures.rmse_centralised), "", _short(figures.anees_centralised)
-    )
+        "centralised", _short(figures.rmse_centralised),
+        *_consistent(None, figures.anees_centralised, figures.containment_centralised),
+    )  # fmt: skip
     return grid
+
+
+def _consistent(
+    alone: float | None, anees_: float, contained: Containment | None
+) -> tuple[str, ...]:
+    """The columns between error and traffic: for sets whether they hold, and how large they are."""
+    if contained is None:
+        return ("" if alone is None else _short(alone), _short(anees_))
+    return (str(contained.violations), _short(contained.largest), _short(contained.half_width))
 
 
 def lines(figures: Figures) -> list[str]:
@@ -172,6 +214,14 @@ def lines(figures: Figures) -> list[str]:
         f"disagreement {_short(figures.disagreement)} {unit}; "
         f"scored from step {figures.first_step} of {figures.steps}"
     ]
+    if figures.containment is not None:
+        held = figures.containment
+        text.append(
+            f"sets: {held.violations} of {figures.steps * len(figures.nodes)} do not hold the "
+            f"truth; e' P^-1 e is at most {held.largest:.12g}, and 1 is the edge; half-width "
+            f"√tr P in the mean {_short(held.half_width)}; nodes alone: RMSE "
+            f"{_short(figures.rmse_local_only)} {unit}"
+        )
     if figures.near_s is not None:
         central = figures.rmse_near_centralised
         text.append(
@@ -181,6 +231,8 @@ def lines(figures: Figures) -> list[str]:
         )
     if figures.bus is not None:
         text += bus_report.lines(figures.bus)
+    if figures.spread is not None:
+        text += record_spread.lines(figures.spread)
     if figures.ready_s is not None:
         text.append(f"ready after {figures.ready_s:.2f} s")
     if figures.steps_per_second is not None:

@@ -6,9 +6,10 @@ from typing import NamedTuple
 import numpy as np
 
 from bus.frame import OVERHEAD_BYTES
+from experiments.record_spread import RecordSpread, record_spread
 from filters.linalg import unpack_upper
 from nodes.messages import Array, Bid, Estimate, Measured, Truth, decode, from_wire
-from nodes.share import read_frame
+from nodes.share import Fragment, read_frame
 from scenarios.setup import Setup
 
 
@@ -22,7 +23,7 @@ class Trace(NamedTuple):
         i holds of j was sent: (steps, N, N), -1 never, 0 for itself. payload_bytes: (steps, rounds,
         N), what a node sent in a communication cycle, all its frames together; 0 where it was
         silent. asked: (steps, rounds, N), which node asked for the dynamic segment. counters: per
-        node, totals at its last estimate.
+        node, totals at its last estimate. spread: of labelled records; None for rules without.
     """
 
     truth: Array
@@ -34,6 +35,7 @@ class Trace(NamedTuple):
     payload_bytes: np.ndarray
     asked: np.ndarray
     counters: list[dict[str, int]]
+    spread: RecordSpread | None = None
 
     @property
     def steps(self) -> int:
@@ -52,12 +54,12 @@ def read_trace(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> Trace:
     truths: dict[int, Truth] = {}
     measured: dict[tuple[int, int], Measured] = {}
     estimates: dict[tuple[int, int], Estimate] = {}
-    sent: list[tuple[int, int, int]] = []
+    sent: list[tuple[int, Fragment, int]] = []
     asked: list[tuple[int, int, int]] = []
     for topic, data in messages:
         kind, _, node = topic.partition("/")
         if kind == "share":
-            sent.append((read_frame(data).cycle, int(node), len(data) - OVERHEAD_BYTES))
+            sent.append((int(node), read_frame(data), len(data) - OVERHEAD_BYTES))
             continue
         match decode(topic, data):
             case Truth() as message:
@@ -82,7 +84,7 @@ def _assemble(
     truths: dict[int, Truth],
     measured: dict[tuple[int, int], Measured],
     estimates: dict[tuple[int, int], Estimate],
-    sent: list[tuple[int, int, int]],
+    sent: list[tuple[int, Fragment, int]],
     asked: list[tuple[int, int, int]],
 ) -> Trace:
     nodes, rounds, n = setup.scenario.nodes, setup.scenario.rounds, len(setup.prior_mean)
@@ -99,18 +101,22 @@ def _assemble(
         size = max(len(u) for u in controls if u is not None)
         control = np.array([np.full(size, np.nan) if u is None else u for u in controls])
     truth = np.array([from_wire(truths[k].state) for k in range(steps)])
+    readings = np.array(
+        [[from_wire(measured[k, i].readings) for i in range(nodes)] for k in range(steps)]
+    )
+    lengths = [(fragment.cycle, node, size) for node, fragment, size in sent]
+    fragments = [(node, fragment) for node, fragment, _ in sent]
     return Trace(
         truth=truth.reshape(steps, len(setup.initial_state)),
-        readings=np.array(
-            [[from_wire(measured[k, i].readings) for i in range(nodes)] for k in range(steps)]
-        ),
+        readings=readings,
         control=control,
         mean=mean,
         cov=unpack_upper(packed.reshape(steps, nodes, n * (n + 1) // 2)),
         ages=ages,
-        payload_bytes=_summed(sent, steps, rounds, nodes),
+        payload_bytes=_summed(lengths, steps, rounds, nodes),
         asked=_summed(asked, steps, rounds, nodes) > 0,
         counters=[rows[-1][i].counters if rows else {} for i in range(nodes)],
+        spread=record_spread(setup, fragments, readings) if steps else None,
     )
 
 

@@ -49,13 +49,42 @@ def squared_radius(ellipsoid: Ellipsoid, point: np.ndarray) -> np.ndarray:
     At most 1 inside. A direction in which the ellipsoid is exactly flat admits no deviation, not
     even one of rounding: infinite there.
     """
-    left, singular, _ = np.linalg.svd(ellipsoid.factor, full_matrices=True)
+    lost = is_lost(ellipsoid)
+    factor = np.where(lost[..., None, None], 0.0, ellipsoid.factor)
+    left, singular, _ = np.linalg.svd(factor, full_matrices=True)
     along = multiply(left.mT, point - ellipsoid.centre)
     flat = np.zeros(along.shape)
     flat[..., : singular.shape[-1]] = singular
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         ratio = np.where((flat == 0.0) & (along == 0.0), 0.0, along / flat)
-        return (ratio**2).sum(-1)
+        return np.where(lost, np.nan, (ratio**2).sum(-1))
+
+
+def is_lost(ellipsoid: Ellipsoid) -> np.ndarray:
+    """Lanes (...) in which an ellipsoid is not a number."""
+    finite_centre = np.isfinite(ellipsoid.centre).all(-1)
+    return ~(finite_centre & np.isfinite(ellipsoid.factor).all((-1, -2)))
+
+
+def replace_lost(ellipsoid: Ellipsoid, value: float) -> Ellipsoid:
+    """With lanes that are not a number all of this value, so that they do not spoil the others."""
+    lost = is_lost(ellipsoid)
+    if not lost.any():
+        return ellipsoid
+    return Ellipsoid(
+        np.where(lost[..., None], value, ellipsoid.centre),
+        np.where(lost[..., None, None], value, ellipsoid.factor),
+    )
+
+
+def lose(ellipsoid: Ellipsoid, lanes: np.ndarray) -> Ellipsoid:
+    """With NaN throughout in these lanes (...)."""
+    if not lanes.any():
+        return ellipsoid
+    return Ellipsoid(
+        np.where(lanes[..., None], np.nan, ellipsoid.centre),
+        np.where(lanes[..., None, None], np.nan, ellipsoid.factor),
+    )
 
 
 def image(ellipsoid: Ellipsoid, matrix: np.ndarray) -> Ellipsoid:
@@ -69,13 +98,31 @@ def sum_factor(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     Of the ellipsoids (1 + b) P1 + (1 + 1/b) P2, all of which hold the sum, b^2 = tr P2 / tr P1 has
     the smallest trace (Kurzhanski and Valyi (1997), Ellipsoidal calculus, section 2.2).
     """
-    size = np.sqrt((first**2).sum((-1, -2)))[..., None, None]
-    other = np.sqrt((second**2).sum((-1, -2)))[..., None, None]
-    total = size + other
+    sizes = [np.sqrt((factor**2).sum((-1, -2)))[..., None, None] for factor in (first, second)]
+    total = sizes[0] + sizes[1]
     # A point has size zero and takes no share.
-    share = np.sqrt(np.divide(total, size, out=np.zeros_like(size), where=size > 0))
-    other_share = np.sqrt(np.divide(total, other, out=np.zeros_like(other), where=other > 0))
-    return join_columns(share * first, other_share * second)
+    shares = [
+        np.sqrt(np.divide(total, size, out=np.zeros_like(total), where=size > 0)) for size in sizes
+    ]
+    return join_columns(shares[0] * first, shares[1] * second)
+
+
+def moved(
+    ellipsoid: Ellipsoid, centre: np.ndarray, transition: np.ndarray, noise: np.ndarray
+) -> Ellipsoid:
+    """The ellipsoid of least trace around where x' = A x + B v takes it, |v| <= 1.
+
+    Args:
+        ellipsoid: of x, factor (..., n, n).
+        centre: (..., n), where the plant takes the centre, known inputs included.
+        transition: A (n, n). noise: B (n, q), scaled to the bound of the noise.
+    """
+    spread = transition @ ellipsoid.factor
+    reach = np.abs(ellipsoid.centre) + half_widths(ellipsoid)
+    largest = multiply(np.abs(transition), reach) + np.sqrt((noise**2).sum(-1)) + np.abs(centre)
+    rounding = rounding_bound(spread.shape[-1] + noise.shape[-1])
+    margin = np.broadcast_to(rounding * largest.max(-1, keepdims=True), centre.shape)
+    return grow(Ellipsoid(centre, sum_factor(spread, noise)), margin)
 
 
 def grow(ellipsoid: Ellipsoid, margin: np.ndarray) -> Ellipsoid:

@@ -1,5 +1,7 @@
 """Joining arrays whose leading axes, the lanes, differ: they are broadcast against each other."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 
@@ -23,7 +25,10 @@ def join_stacks(*stacks: np.ndarray) -> np.ndarray:
     return np.concatenate(_alike(stacks, 3), axis=-3)
 
 
-def _alike(parts: tuple[np.ndarray, ...], own: int) -> list[np.ndarray]:
+def _alike(parts: tuple[np.ndarray, ...], own: int) -> Sequence[np.ndarray]:
     """With equal leading axes; the last `own` axes are a part's own."""
-    lanes = np.broadcast_shapes(*(part.shape[:-own] for part in parts))
+    shapes = {part.shape[:-own] for part in parts}
+    if len(shapes) == 1:
+        return parts
+    lanes = np.broadcast_shapes(*shapes)
     return [np.broadcast_to(part, (*lanes, *part.shape[-own:])) for part in parts]

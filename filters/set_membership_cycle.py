@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from filters.ellipsoid import Ellipsoid, grow, half_widths, rounding_bound
+from filters.ellipsoid import Ellipsoid, grow, half_widths, is_lost, lose, rounding_bound
 from filters.lanes import join_columns
 from filters.linalg import multiply
 
@@ -57,31 +57,45 @@ class Step(NamedTuple):
 
 
 class Unknowns(NamedTuple):
-    """Next state and received values as linear maps (..., N, d), (..., m, d) of theta = (1, u, v).
+    """Next state and received values as linear maps (..., N, d), (..., m, d) of theta = (1, u, v)."""
 
-    position: (..., N, r), of which u (r,) the state at the beginning is a map.
-    """
-
-    position: np.ndarray
     image: np.ndarray
     known: np.ndarray
 
 
-def unknowns(before: Ellipsoid, cycle: Cycle) -> Unknowns:
-    """Errors of the state and of the received values as they come from theta; no constant part."""
-    position = _turned(before.factor, cycle)
+def unknowns(position: np.ndarray, cycle: Cycle) -> Unknowns:
+    """Errors of the state and of the received values as they come from theta; no constant part.
+
+    position: (..., N, r), a factor of the ellipsoid before, `turned` or as it is.
+    """
     noise, output_noise = flat(cycle.noise), flat(cycle.output_noise)
     image = join_columns(cycle.transition @ position, noise)
     known = join_columns(cycle.output @ position, output_noise)
-    return Unknowns(position, _without_constant(image), _without_constant(known))
+    return Unknowns(_without_constant(image), _without_constant(known))
 
 
-def follow(before: Ellipsoid, cycle: Cycle, received: np.ndarray, factor: np.ndarray, gain) -> Step:
+def turned(factor: np.ndarray, cycle: Cycle) -> np.ndarray:
+    """The factor with u turned so that as few entries as possible are seen; the others left out.
+
+    The cycle sees but some coordinates of the state (the last block and the held values): with
+    those rows made triangular, the columns beyond reach nothing, and the worst u has zeros there.
+    """
+    parts = (cycle.transition, cycle.output, cycle.candidates)
+    used = np.any([(part != 0).any(tuple(range(part.ndim - 1))) for part in parts], axis=0)
+    seen = np.linalg.qr(factor[..., used, :].mT, mode="r").mT
+    position = np.zeros((*factor.shape[:-1], seen.shape[-1]))
+    position[..., used, :] = seen
+    return position
+
+
+def follow(
+    before: Ellipsoid, cycle: Cycle, received: np.ndarray, factor: np.ndarray, gain: np.ndarray
+) -> Step:
     """(17) and the shape that was found, grown by the rounding of the whole step."""
     innovation = received - multiply(cycle.output, before.centre)
     centre = multiply(cycle.transition, before.centre) + multiply(gain, innovation)
     after = grow(Ellipsoid(centre, factor), _rounding(before, cycle, received, gain))
-    return Step(after, gain)
+    return Step(lose(after, is_lost(after)), gain)
 
 
 def flat(noise: np.ndarray) -> np.ndarray:
@@ -95,20 +109,6 @@ def ball(first: int, count: int, size: int, radius: float) -> np.ndarray:
     diagonal[first : first + count] = 1.0
     diagonal[0] = -radius
     return np.diag(diagonal)
-
-
-def _turned(factor: np.ndarray, cycle: Cycle) -> np.ndarray:
-    """The factor with u turned so that as few entries as possible are seen; the others left out.
-
-    The cycle sees but some coordinates of the state (the last block and the held values): with
-    those rows made triangular, the columns beyond reach nothing, and the worst u has zeros there.
-    """
-    parts = (cycle.transition, cycle.output, cycle.candidates)
-    used = np.any([(part != 0).any(tuple(range(part.ndim - 1))) for part in parts], axis=0)
-    seen = np.linalg.qr(factor[..., used, :].mT, mode="r").mT
-    turned = np.zeros((*factor.shape[:-1], seen.shape[-1]))
-    turned[..., used, :] = seen
-    return turned
 
 
 def _without_constant(matrix: np.ndarray) -> np.ndarray:

@@ -21,7 +21,8 @@ class Motion(NamedTuple):
 class Readings(NamedTuple):
     """What is known: |values - state x - noise v| <= half_widths, row by row; 0 is an equation.
 
-    state (..., m, n), noise (..., m, g, q), values and half_widths (..., m).
+    state (..., m, n), noise (..., m, g, q), values and half_widths (..., m). A value that is NaN
+    was not taken.
     """
 
     state: np.ndarray
@@ -73,8 +74,25 @@ def bus_evidence(
 
 def no_readings(like: Readings) -> Readings:
     """None, with the other sizes of `like`."""
-    return Readings(*(part[..., :0, :] for part in like[:1]), like.noise[..., :0, :, :],
-                    like.values[..., :0], like.half_widths[..., :0])
+    return Readings(
+        like.state[..., :0, :],
+        like.noise[..., :0, :, :],
+        like.values[..., :0],
+        like.half_widths[..., :0],
+    )
+
+
+def taken(readings: Readings) -> Readings:
+    """With rows that say nothing, |0| <= 1, where no value was taken."""
+    missing = np.isnan(readings.values)
+    if not missing.any():
+        return readings
+    return Readings(
+        np.where(missing[..., None], 0.0, readings.state),
+        np.where(missing[..., None, None], 0.0, readings.noise),
+        np.where(missing, 0.0, readings.values),
+        np.where(missing, 1.0, readings.half_widths),
+    )
 
 
 def magnitudes(state: np.ndarray, noise: np.ndarray, reach: np.ndarray) -> np.ndarray:

@@ -9,17 +9,19 @@ Source: Liu et al. (2021), theorem 1 with rho_j = 0; a sum of two ellipsoids aft
 
 import numpy as np
 
-from filters.ellipsoid import Ellipsoid, rounding_bound
-from filters.set_membership_cycle import Cycle, Step, follow, unknowns
+from filters.ellipsoid import Ellipsoid, replace_lost, rounding_bound
+from filters.set_membership_cycle import Cycle, Step, follow, turned, unknowns
 
 _ITERATIONS = 60
+_EDGE = 1e-12
 _RANK_TOLERANCE = 1e-9
 
 
 def closed_form_step(before: Ellipsoid, cycle: Cycle, received: np.ndarray) -> Step:
     """The ellipsoid after a cycle in which `received` (..., m) came."""
-    of = unknowns(before, cycle)
-    samples, seen = cycle.noise.shape[-2], of.position.shape[-1]
+    position = turned(replace_lost(before, 0.0).factor, cycle)
+    of = unknowns(position, cycle)
+    samples, seen = cycle.noise.shape[-2], position.shape[-1]
     size = of.image.shape[-1] - 1
     # All noise together lies in a ball of radius sqrt(g); a hair more for what is rounded out.
     radius = np.where(np.arange(size) < seen, 1.0, np.sqrt(samples))
@@ -46,21 +48,24 @@ def _best_share(image: np.ndarray, known: np.ndarray, seen: int) -> np.ndarray:
 
 
 def _least_sum(sizes: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """argmin (...) over a of sum sizes / (a values + (1 - a)(1 - values)), convex; bisected Newton."""
+    """argmin (...) over a in (0, 1) of sum sizes / (a values + (1 - a)(1 - values)), convex.
+
+    Newton's method, halving the interval where it would leave it.
+    """
     low, high = np.zeros(sizes.shape[:-1]), np.ones(sizes.shape[:-1])
     slope = 2.0 * values - 1.0
     share = np.full(low.shape, 0.5)
     for _ in range(_ITERATIONS):
-        at = 1.0 - values + share[..., None] * slope
-        first = -(sizes * slope / at**2).sum(-1)
-        second = 2.0 * (sizes * slope**2 / at**3).sum(-1)
+        ratio = slope / (1.0 - values + share[..., None] * slope)
+        parts = sizes * ratio / (1.0 - values + share[..., None] * slope)
+        first, second = -parts.sum(-1), 2.0 * (parts * ratio).sum(-1)
         low, high = np.where(first < 0, share, low), np.where(first > 0, share, high)
-        newton = share - np.divide(first, second, out=np.zeros_like(first), where=second > 0)
-        inside = (newton > low) & (newton < high)
-        following = np.where(inside, newton, 0.5 * (low + high))
-        done = np.abs(following - share) <= 1e-10 * share * (1.0 - share)
-        share = np.clip(following, 1e-12, 1.0 - 1e-12)
-        if done.all():
+        following = share - first / np.maximum(second, np.finfo(float).tiny)
+        inside = (following > low) & (following < high)
+        following = np.where(inside, following, 0.5 * (low + high))
+        change, share = np.abs(following - share), np.clip(following, _EDGE, 1.0 - _EDGE)
+        # The trace is flat there: its error is the square of this.
+        if (change <= 1e-6 * share * (1.0 - share)).all():
             break
     return share
 

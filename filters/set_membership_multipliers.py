@@ -22,7 +22,7 @@ from filters.ellipsoid import rounding_bound
 from filters.linalg import cholesky, multiply
 
 # The path to the optimum: weights of the barrier relative to the trace, and Newton's steps on each.
-_BARRIERS = 10.0 ** -np.arange(0.5, 7.0, 1.25)
+_BARRIERS = 10.0 ** -np.arange(0.5, 7.0, 1.0)
 _NEWTON_STEPS, _HALVINGS = 30, 20
 # Squared Newton decrement at which a barrier is done, and the last one; times the barrier it is
 # twice the error.
@@ -206,53 +206,53 @@ def _evaluate(problem: Problem, multipliers: np.ndarray) -> _Point:
 
 def _centre(problem: Problem, point: _Point, weight: np.ndarray, enough: float) -> _Point:
     """Newton's method on trace / weight + log barrier; lanes that are done are left alone."""
-    everyone = np.arange(len(weight))
+    waiting = np.arange(len(weight))
     for _ in range(_NEWTON_STEPS):
-        here = _of(point, everyone)
-        gradient = here.gradient / weight[everyone, None] + here.barrier_gradient
-        hessian = here.hessian / weight[everyone, None, None] + here.barrier_hessian
+        here, at = _some(point, waiting), weight[waiting]
+        gradient = here.gradient / at[:, None] + here.barrier_gradient
+        hessian = here.hessian / at[:, None, None] + here.barrier_hessian
         step = _newton_step(hessian, gradient)
         decrement = -(gradient * step).sum(-1)
         active = decrement > enough
         if not active.any():
-            return point
-        everyone = everyone[active]
-        better, moved = _search(
-            _some(problem, everyone), _of(here, active), step[active], decrement[active],
-            weight[everyone],
-        )  # fmt: skip
-        for whole, part in zip(point, better, strict=True):
-            whole[everyone] = part
-        everyone = everyone[moved]
+            break
+        waiting = waiting[active]
+        moved = _search(problem, point, waiting, step[active], decrement[active], weight)
+        waiting = waiting[moved]
     return point
 
 
 def _search(
-    problem: Problem, point: _Point, step: np.ndarray, decrement: np.ndarray, weight: np.ndarray
-) -> tuple[_Point, np.ndarray]:
-    """Go along the step as far as it stays inside and pays (Armijo), halving lane by lane.
+    problem: Problem,
+    point: _Point,
+    lanes: np.ndarray,
+    step: np.ndarray,
+    decrement: np.ndarray,
+    weight: np.ndarray,
+) -> np.ndarray:
+    """Move the point in some lanes along their steps, as far as it stays inside and pays (Armijo).
 
-    Returns the points and which of the lanes have moved.
+    Returns which of them (bool) have moved: the others' gain is lost in rounding.
     """
-    height = point.trace / weight + point.log_barrier
-    # A gain too small to be seen through rounding counts as one.
-    unseen = 1e-14 * np.abs(point.trace / weight)
-    length = np.minimum(1.0, 0.9 * _way_to_the_edge(point, step))
-    waiting = np.arange(len(height))
+    here, at = _some(point, lanes), weight[lanes]
+    height = here.trace / at + here.log_barrier
+    unseen = 1e-14 * here.trace / at
+    length = np.minimum(1.0, 0.9 * _way_to_the_edge(here, step))
+    waiting = np.arange(len(lanes))
     for _ in range(_HALVINGS):
-        reach = length[waiting, None] * step[waiting]
-        trial = _evaluate(_some(problem, waiting), point.multipliers[waiting] + reach)
-        drop = height[waiting] - (trial.trace / weight[waiting] + trial.log_barrier)
+        target = here.multipliers[waiting] + length[waiting, None] * step[waiting]
+        trial = _evaluate(_part(problem, lanes[waiting]), target)
+        drop = height[waiting] - (trial.trace / at[waiting] + trial.log_barrier)
         good = drop >= 0.1 * length[waiting] * decrement[waiting] - unseen[waiting]
         for whole, part in zip(point, trial, strict=True):
-            whole[waiting[good]] = part[good]
+            whole[lanes[waiting[good]]] = part[good]
         waiting = waiting[~good]
         if not len(waiting):
             break
         length[waiting] *= 0.5
-    moved = np.ones(len(height), dtype=bool)
+    moved = np.ones(len(lanes), dtype=bool)
     moved[waiting] = False
-    return point, moved
+    return moved
 
 
 def _way_to_the_edge(point: _Point, step: np.ndarray) -> np.ndarray:
@@ -262,26 +262,32 @@ def _way_to_the_edge(point: _Point, step: np.ndarray) -> np.ndarray:
     return 1.0 / np.maximum(fall, np.finfo(float).tiny)
 
 
-def _of(point: _Point, lanes: np.ndarray) -> _Point:
+def _some(point: _Point, lanes: np.ndarray) -> _Point:
+    if len(lanes) == len(point.trace):
+        return point
     return _Point(*(part[lanes] for part in point))
 
 
-def _some(problem: Problem, lanes: np.ndarray) -> Problem:
-    return Problem(
-        problem.terms[lanes], problem.balls, problem.image[lanes], problem.known[lanes]
+def _part(problem: Problem, lanes: np.ndarray) -> Problem:
+    if len(lanes) == len(problem.terms):
+        return problem
+    return problem._replace(
+        terms=problem.terms[lanes], image=problem.image[lanes], known=problem.known[lanes]
     )
 
 
 def _newton_step(hessian: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-    """-hessian^-1 gradient, scaled to unit diagonal first; 0 in lanes that are not a number."""
+    """-hessian^-1 gradient (lanes, c), with unit diagonal first; 0 in lanes without one."""
     scale = 1.0 / np.sqrt(np.diagonal(hessian, axis1=-2, axis2=-1))
-    balanced = hessian * scale[..., :, None] * scale[..., None, :]
-    sound = np.isfinite(balanced).all((-1, -2)) & np.isfinite(gradient).all(-1)
-    balanced = np.where(sound[..., None, None], balanced, np.eye(scale.shape[-1]))
-    right = np.where(sound[..., None], gradient * scale, 0.0)
-    whitener = np.linalg.inv(cholesky(balanced))
-    step = -multiply(whitener.mT, multiply(whitener, right)) * scale
-    return np.where(np.isfinite(step).all(-1, keepdims=True), step, 0.0)
+    balanced = hessian * scale[:, :, None] * scale[:, None, :]
+    right = gradient * scale
+    sound = np.isfinite(balanced).all((-1, -2)) & np.isfinite(right).all(-1)
+    if not sound.all():
+        balanced, right = balanced * sound[:, None, None], right * sound[:, None]
+    # Next to nothing on the diagonal: no lane may be singular, or all would fail.
+    size = balanced.shape[-1]
+    balanced.reshape(-1, size * size)[:, :: size + 1] += 1e-14
+    return -np.linalg.solve(balanced, right[..., None])[..., 0] * scale
 
 
 def _orthonormal_rows(matrix: np.ndarray) -> np.ndarray:

@@ -12,10 +12,18 @@ before the cycle.
 
 import numpy as np
 
-from filters.ellipsoid import Ellipsoid, half_widths, rounding_bound
+from filters.ellipsoid import Ellipsoid, half_widths, replace_lost, rounding_bound
 from filters.lanes import join_columns, join_stacks
 from filters.linalg import multiply
-from filters.set_membership_cycle import Cycle, Step, Unknowns, ball, flat, follow, unknowns
+from filters.set_membership_cycle import (
+    Cycle,
+    Step,
+    ball,
+    flat,
+    follow,
+    turned,
+    unknowns,
+)
 from filters.set_membership_multipliers import Problem, smallest_bound
 
 
@@ -24,21 +32,26 @@ def optimal_step(before: Ellipsoid, cycle: Cycle, received: np.ndarray) -> Step:
 
     NaN in lanes in which no theta meets the terms: the bounds are wrong.
     """
-    of = unknowns(before, cycle)
-    bound = smallest_bound(problem(before, cycle, of))
+    sound = replace_lost(before, 0.0)
+    bound = smallest_bound(problem(sound, cycle, turned(sound.factor, cycle)))
     return follow(before, cycle, received, bound.factor, bound.gain)
 
 
-def problem(before: Ellipsoid, cycle: Cycle, of: Unknowns) -> Problem:
-    """The matrix inequality (20) as terms: -Omega + Xi = M(tau), Gamma = image - L known."""
-    size, seen = of.image.shape[-1], of.position.shape[-1]
+def problem(before: Ellipsoid, cycle: Cycle, position: np.ndarray) -> Problem:
+    """The matrix inequality (20) as terms: -Omega + Xi = M(tau), Gamma = image - L known.
+
+    position: R (..., N, r); the factor of `before` for (20) as printed, or that `turned`, which
+    gives the same P with fewer unknowns.
+    """
+    of = unknowns(position, cycle)
+    size, seen = of.image.shape[-1], position.shape[-1]
     samples = cycle.noise.shape[-2]
     # A hair more than the bounds: what is on them in exact arithmetic may be rounded out.
     hair = 1.0 + rounding_bound(size)
     balls = np.stack(
         [ball(1, seen, size, hair), ball(1 + seen, size - 1 - seen, size, samples * hair)]
     )
-    terms = join_stacks(balls, _losers(before, cycle, of.position))
+    terms = join_stacks(balls, _losers(before, cycle, position))
     return Problem(terms, len(balls), of.image, of.known)
 
 

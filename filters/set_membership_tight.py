@@ -17,7 +17,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from filters.ellipsoid import Ellipsoid, grow, half_widths, rounding_bound
+from filters.ellipsoid import (
+    Ellipsoid,
+    grow,
+    half_widths,
+    is_lost,
+    lose,
+    replace_lost,
+    rounding_bound,
+)
 from filters.lanes import join_columns, join_stacks
 from filters.linalg import multiply
 from filters.set_membership_cycle import flat
@@ -26,6 +34,7 @@ from filters.set_membership_evidence import (
     Motion,
     Readings,
     magnitudes,
+    taken,
 )
 from filters.set_membership_multipliers import Problem, smallest_bound
 
@@ -38,7 +47,8 @@ def conditioned_step(before: Ellipsoid, evidence: Evidence) -> Ellipsoid:
     Of those that the multipliers prove it has the least trace. NaN in lanes in which the readings
     contradict the bounds.
     """
-    motion, exact, bounded = evidence
+    motion, exact, bounded = evidence.motion, taken(evidence.exact), taken(evidence.bounded)
+    lost, before = is_lost(before), replace_lost(before, 0.0)
     rank = before.factor.shape[-1]
     image = _joined(before, motion.state, motion.noise)
     cut, slack = _cut(before, exact)
@@ -49,8 +59,9 @@ def conditioned_step(before: Ellipsoid, evidence: Evidence) -> Ellipsoid:
     known = np.broadcast_to(np.eye(size)[:1], (*reached.shape[:-2], 1, size))
     bound = smallest_bound(Problem(terms, balls.shape[-3], reached, known))
     centre = multiply(motion.state, before.centre) + bound.gain[..., 0]
-    margin = _rounding(before, motion, exact, image)
-    return grow(Ellipsoid(centre, bound.factor), margin)
+    after = Ellipsoid(centre, bound.factor)
+    grown = grow(after, _rounding(before, motion, exact, image))
+    return lose(grown, lost | is_lost(after))
 
 
 def step_by_step(before: Ellipsoid, steps: Sequence[Evidence]) -> list[Ellipsoid]:

@@ -10,7 +10,7 @@ from filters.ellipsoid import rounding_bound
 from filters.lanes import join_columns, join_entries, join_rows
 from filters.linalg import multiply
 from filters.set_membership_cycle import flat
-from filters.set_membership_evidence import Evidence, Motion, Readings, magnitudes
+from filters.set_membership_evidence import Evidence, Motion, Readings, magnitudes, taken
 from filters.zonotope import Zonotope, half_widths, reduced
 
 GENERATORS = 30
@@ -27,7 +27,7 @@ def zonotope_step(before: Zonotope, evidence: Evidence, generators: int = GENERA
     motion = evidence.motion
     image = _columns(motion, before)
     reach = np.abs(before.centre) + half_widths(before)
-    readings = evidence.exact, evidence.bounded
+    readings = taken(evidence.exact), taken(evidence.bounded)
     seen = join_rows(*(_columns(part, before) for part in readings))
     offset = join_entries(
         *(part.values - multiply(part.state, before.centre) for part in readings)

@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.ellipsoid import Ellipsoid
+from filters.ellipsoid import Ellipsoid, rounding_bound
+from filters.lanes import join_columns
 from filters.linalg import multiply
 
 
@@ -29,6 +30,23 @@ def around(ellipsoid: Ellipsoid) -> Zonotope:
     return Zonotope(ellipsoid.centre, ellipsoid.factor)
 
 
+def grown(zonotope: Zonotope, margin: np.ndarray) -> Zonotope:
+    """The sum with the box of half-widths `margin` (..., n): n more generators."""
+    box = margin[..., None] * np.eye(margin.shape[-1])
+    return Zonotope(zonotope.centre, join_columns(zonotope.generators, box))
+
+
+def moved(
+    zonotope: Zonotope, centre: np.ndarray, transition: np.ndarray, noise: np.ndarray
+) -> Zonotope:
+    """Where x' = A x + B v takes it, |v| <= 1; arguments as `ellipsoid.moved`."""
+    spread = transition @ zonotope.generators
+    reach = np.abs(zonotope.centre) + half_widths(zonotope)
+    largest = multiply(np.abs(transition), reach) + np.abs(noise).sum(-1) + np.abs(centre)
+    rounding = rounding_bound(spread.shape[-1] + noise.shape[-1])
+    return grown(Zonotope(centre, join_columns(spread, noise)), rounding * largest)
+
+
 def reduced(zonotope: Zonotope, generators: int) -> Zonotope:
     """A zonotope around it with at most so many generators, not less than n.
 
@@ -41,8 +59,8 @@ def reduced(zonotope: Zonotope, generators: int) -> Zonotope:
     order = np.argsort(-(zonotope.generators**2).sum(-2), axis=-1, kind="stable")
     sorted_ = np.take_along_axis(zonotope.generators, order[..., None, :], -1)
     kept, boxed = sorted_[..., : generators - n], sorted_[..., generators - n :]
-    box = np.abs(boxed).sum(-1)[..., None] * np.eye(n)
-    return Zonotope(zonotope.centre, np.concatenate([kept, box], axis=-1))
+    box = np.abs(boxed).sum(-1) * (1.0 + rounding_bound(count))
+    return grown(Zonotope(zonotope.centre, kept), box)
 
 
 def parallelotope(zonotope: Zonotope) -> Zonotope:
@@ -50,6 +68,9 @@ def parallelotope(zonotope: Zonotope) -> Zonotope:
     whichever is narrower in the sum of its half-widths."""
     _, axes = np.linalg.eigh(zonotope.generators @ zonotope.generators.mT)
     lengths = np.abs(axes.mT @ zonotope.generators).sum(-1)
+    # The axes are orthogonal but for rounding, which shows where a box is thin.
+    rounding = rounding_bound(zonotope.generators.shape[-1])
+    lengths = lengths + rounding * lengths.sum(-1, keepdims=True)
     turned = axes * lengths[..., None, :]
     straight = half_widths(zonotope)[..., None] * np.eye(axes.shape[-1])
     narrower = np.abs(turned).sum((-1, -2)) < np.abs(straight).sum((-1, -2))
@@ -78,15 +99,36 @@ def intersection(own: Zonotope, other: Zonotope) -> Zonotope:
     second = other.generators @ other.generators.mT
     weight = second @ np.linalg.pinv(first + second, hermitian=True)
     rest = np.eye(weight.shape[-1]) - weight
-    centre = multiply(weight, own.centre) + multiply(rest, other.centre)
-    generators = np.concatenate([weight @ own.generators, rest @ other.generators], axis=-1)
-    wider = np.abs(generators).sum((-1, -2)) >= np.abs(own.generators).sum((-1, -2))
-    padding = np.zeros(other.generators.shape)
-    stay = np.concatenate([own.generators, padding], axis=-1)
-    return Zonotope(
-        np.where(wider[..., None], own.centre, centre),
-        np.where(wider[..., None, None], stay, generators),
-    )
+    # The difference of the centres, not the centres: those may be large and nearly equal.
+    centre = own.centre + multiply(rest, other.centre - own.centre)
+    both = join_columns(weight @ own.generators, rest @ other.generators)
+    largest = np.abs(own.centre) + np.abs(other.centre) + half_widths(Zonotope(centre, both))
+    largest = largest + multiply(np.abs(weight), half_widths(own))
+    largest = largest + multiply(np.abs(rest), half_widths(other))
+    narrower = grown(Zonotope(centre, both), rounding_bound(both.shape[-1]) * largest)
+    return _narrower(own, narrower)
+
+
+def strip_intersection(
+    own: Zonotope, row: np.ndarray, value: np.ndarray, half_width: np.ndarray
+) -> Zonotope:
+    """The same for own and the strip |value - row x| <= half_width; row (..., n), value (...).
+
+    Source: Bravo, Alamo, Camacho (2006), Bounded error identification of systems with time-varying
+    parameters, with the weight that makes the generators' squares least.
+    """
+    seen = (row[..., None, :] @ own.generators)[..., 0, :]
+    reach = np.abs(own.centre) + half_widths(own)
+    rounding = rounding_bound(seen.shape[-1])
+    width = half_width + rounding * ((np.abs(row) * reach).sum(-1) + np.abs(value))
+    power = (seen**2).sum(-1) + width**2
+    shared = multiply(own.generators, seen)
+    gain = np.divide(shared, power[..., None], out=np.zeros_like(shared), where=power[..., None] > 0)
+    centre = own.centre + gain * (value - (row * own.centre).sum(-1))[..., None]
+    left = own.generators - gain[..., None] * seen[..., None, :]
+    both = Zonotope(centre, join_columns(left, (gain * width[..., None])[..., None]))
+    largest = reach + np.abs(gain) * ((np.abs(row) * reach).sum(-1) + np.abs(value))[..., None]
+    return _narrower(own, grown(both, rounding * largest))
 
 
 def gauge(zonotope: Zonotope, point: np.ndarray) -> float:
@@ -101,8 +143,27 @@ def gauge(zonotope: Zonotope, point: np.ndarray) -> float:
     cost[-1] = 1.0
     one = np.ones((count, 1))
     limits = np.block([[np.eye(count), -one], [-np.eye(count), -one]])
-    equations = np.hstack([zonotope.generators, np.zeros((n, 1))])
+    widths = half_widths(zonotope)
+    # The solver's tolerance is absolute: in units of the half-widths it means something.
+    units = 1.0 / np.where(widths > 0, widths, 1.0)
     found = linprog(
-        cost, limits, np.zeros(2 * count), equations, point - zonotope.centre, bounds=(None, None)
+        cost,
+        limits,
+        np.zeros(2 * count),
+        units[:, None] * np.hstack([zonotope.generators, np.zeros((n, 1))]),
+        units * (point - zonotope.centre),
+        bounds=(None, None),
+        options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
     )
     return float(found.fun) if found.success else float("inf")
+
+
+def _narrower(own: Zonotope, other: Zonotope) -> Zonotope:
+    """The one with the smaller sum of half-widths, lane by lane; `other` has more generators."""
+    more = other.generators.shape[-1] - own.generators.shape[-1]
+    stay = join_columns(own.generators, np.zeros((*other.centre.shape, more)))
+    wider = half_widths(other).sum(-1) >= half_widths(own).sum(-1)
+    return Zonotope(
+        np.where(wider[..., None], own.centre, other.centre),
+        np.where(wider[..., None, None], stay, other.generators),
+    )

@@ -12,7 +12,7 @@ def bid_for_change(belief: Gaussian, published: Gaussian, trigger: float) -> int
     """Squared change since the last publication in units of the own covariance, quantised.
 
     An integer, so that arbitration does not hang on the last bit; below `FIRST_BID`, with which
-    asks who has never published. None where the change does not exceed the trigger.
+    asks who has never published. None where the change is below the trigger.
     """
     change = belief.mean - published.mean
     squared = change @ np.linalg.solve(belief.cov, change)

@@ -72,9 +72,7 @@ def carry(
     step = measured.step - 1
     # One call for all of them: the plant's functions cost more to enter than to evaluate.
     stacked = Gaussian(np.stack([b.mean for b in beliefs]), np.stack([b.cov for b in beliefs]))
-    noise_cov = model.process_noise_cov(step)
-    if isinstance(model, StateNoise):
-        noise_cov = noise_cov + model.state_noise_cov(stacked, step)
+    noise_cov = _with_state_noise(model.process_noise_cov(step), model, stacked, step)
     moved = predict(
         stacked, partial(model.transition, control=control, step=step), noise_cov, points
     )
@@ -90,8 +88,7 @@ def take_readings(
         if sensor is None or np.isnan(delivered).all():
             continue
         value, noise_cov = sensor.interpret(delivered)
-        if isinstance(sensor, StateNoise):
-            noise_cov = noise_cov + sensor.state_noise_cov(belief, measured.step)
+        noise_cov = _with_state_noise(noise_cov, sensor, belief, measured.step)
         result = update(
             belief,
             value,
@@ -119,3 +116,10 @@ def finite_lanes(beliefs: Gaussian) -> np.ndarray:
 def finite(belief: Gaussian) -> bool:
     """Whether every number of one belief is finite."""
     return bool(finite_lanes(belief))
+
+
+def _with_state_noise(noise_cov: Array, owner: object, belief: Gaussian, step: int) -> Array:
+    """Noise covariance of a model or a sensor, with what comes to it at a belief."""
+    if isinstance(owner, StateNoise):
+        return noise_cov + owner.state_noise_cov(belief, step)
+    return noise_cov

@@ -1,7 +1,7 @@
 """The nodes of a measurement bus: sensors that share what they measure, a receiver that estimates.
 
-A step is one slot, so one communication cycle. At step 0 nothing has been measured and the belief is
-the prior. The sensors know what the receiver holds of them, because they know what they sent.
+A step is one slot, so one communication cycle. At step 0 nothing has been measured and the belief
+is the prior. The sensors know what the receiver holds of them, because they know what they sent.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from filters.stochastic_ukf import (
     Received,
     SecondMoment,
 )
-from nodes.estimator import Rejected
+from nodes.measurement_codec import MeasurementCodec
 from nodes.messages import Array, Measured, from_wire
 
 
@@ -63,41 +63,6 @@ def observation(system: System, step: int) -> Observation:
         system.measurement_noise_cov(step),
         system.measurement_moment(step),
     )
-
-
-class MeasurementCodec(NamedTuple):
-    """A measurement of at most `entries` numbers as bytes; `number` is "<f8" or "<f4".
-
-    What a sensor does not have is NaN, at the end of a short measurement or throughout: a static
-    slot comes round even when there is nothing to send.
-    """
-
-    entries: int
-    number: str = "<f8"
-
-    @property
-    def size(self) -> int:
-        """Length in bytes of an encoded measurement."""
-        return self.entries * np.dtype(self.number).itemsize
-
-    def encode(self, measurement: Array) -> bytes:
-        """The bytes of a measurement (size of the sensor,)."""
-        padded = np.full(self.entries, np.nan)
-        padded[: len(measurement)] = measurement
-        return padded.astype(self.number).tobytes()
-
-    def decode(self, body: bytes) -> Array:
-        """The measurement (entries,) that `encode` wrote.
-
-        Raises:
-            Rejected: `measurement-length` or `measurement-infinite`.
-        """
-        if len(body) < self.size:
-            raise Rejected("measurement-length")
-        values = np.frombuffer(body[: self.size], dtype=self.number).astype(np.float64)
-        if np.isinf(values).any():
-            raise Rejected("measurement-infinite")
-        return values
 
 
 class SensorContent(NamedTuple):
@@ -236,10 +201,11 @@ class ReceiverNode:
         """Update with what came in this slot, one entry per sensor."""
         if content.step == 0:
             return content, ()
-        fresh_values = self._stacked(shares)
-        fresh = ~np.isnan(fresh_values)
-        received = np.where(fresh, fresh_values, self.silent(content.received))
-        heard = np.array([share is not None and not np.isnan(share[0]) for share in shares])
+        came = [_whole(share, size) for share, size in zip(shares, self.system.sizes, strict=True)]
+        values = np.concatenate(came)
+        fresh = ~np.isnan(values)
+        received = np.where(fresh, values, self.silent(content.received))
+        heard = ~np.isnan([measurement[0] for measurement in came])
         state = self.filter.update(
             content.state,
             Received(received, fresh),
@@ -250,14 +216,6 @@ class ReceiverNode:
         troubles = _trouble(content.state, state, "update-failed")
         return content._replace(state=state, received=received, ages=ages), troubles
 
-    def _stacked(self, shares: tuple[Array | None, ...]) -> Array:
-        """What came (m,), NaN where nothing did. A sensor's measurement counts as a whole."""
-        parts = []
-        for share, size in zip(shares, self.system.sizes, strict=True):
-            part = np.full(size, np.nan) if share is None else share[:size]
-            parts.append(np.full(size, np.nan) if np.isnan(part).any() else part)
-        return np.concatenate(parts)
-
     def belief(self, content: ReceiverContent) -> Gaussian:
         """What the filter believes."""
         return content.state.belief
@@ -265,6 +223,13 @@ class ReceiverNode:
     def ages(self, content: ReceiverContent) -> Array:
         """Slots since each sensor was heard; -1 never."""
         return content.ages
+
+
+def _whole(share: Array | None, size: int) -> Array:
+    """A sensor's measurement (size,) if it came complete, otherwise NaN."""
+    if share is None or np.isnan(share[:size]).any():
+        return np.full(size, np.nan)
+    return share[:size]
 
 
 def _trouble(before: Any, after: Any, name: str) -> tuple[str, ...]:

@@ -27,7 +27,7 @@ from nodes.state_machine import contenders_left
 
 
 class Draws(Protocol):
-    """The randomness of one run: process (steps, q), measurement (steps, nodes, readings, d)."""
+    """The randomness of one run: process (steps, q) and measurement (steps, ...), for `Plant`."""
 
     @property
     def process(self) -> Array: ...

@@ -34,6 +34,7 @@ UNITS = {
 }
 """What one of a unit is in SI."""
 
+_WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 _UNEVEN = 0.01  # of a sample: logs are stamped with a little jitter
 _LONGEST_GAP = 5.0  # samples that may be interpolated
 
@@ -85,13 +86,23 @@ def read_folder(folder: str | Path) -> LoggedDrive:
         ValueError: naming file and cure, for what is missing or cannot be read.
     """
     folder = Path(folder)
+    car = read_car(folder)
+    columns = columns_from_toml(_text(folder / COLUMNS))
+    return LoggedDrive(read_drive(folder / DRIVE, columns, car.steering_ratio), car)
+
+
+def read_car(folder: str | Path) -> Car:
+    """The car of such a folder.
+
+    Raises:
+        ValueError: as `read_folder`.
+    """
+    folder = Path(folder)
     if not folder.is_dir():
         raise ValueError(
             f"{folder}: no such folder; give one that holds {DRIVE}, {COLUMNS} and {CAR}"
         )
-    car = car_from_toml(_text(folder / CAR))
-    columns = columns_from_toml(_text(folder / COLUMNS))
-    return LoggedDrive(read_drive(folder / DRIVE, columns, car.steering_ratio), car)
+    return car_from_toml(_text(folder / CAR))
 
 
 def columns_from_toml(text: str) -> ColumnMap:
@@ -148,10 +159,7 @@ def read_drive(file: str | Path, columns: ColumnMap, steering_ratio: float = 1.0
     even = {name: _evenly(times, values, time_step_s) for name, values in read.items()}
     unknown = np.full(len(_grid(times, time_step_s)), np.nan)
     wheels = np.stack(
-        [
-            even.get(f"{wheel}_wheel", unknown)
-            for wheel in ("front_left", "front_right", "rear_left", "rear_right")
-        ],
+        [even.get(f"{wheel}_wheel", unknown) for wheel in _WHEELS],
         axis=-1,
     )
     steering = even.get("steering")
@@ -235,8 +243,10 @@ def write_drive(folder: Path, drive: Drive, car: Car) -> None:
         "steering": ("rad", drive.steering_rad),
         "yaw_rate": ("rad/s", drive.yaw_rate_rad_s),
         "speed": ("m/s", drive.speed_m_s),
-        "rear_left_wheel": ("m/s", drive.wheel_speed_m_s[:, REAR_LEFT]),
-        "rear_right_wheel": ("m/s", drive.wheel_speed_m_s[:, REAR_RIGHT]),
+        **{
+            f"{wheel}_wheel": ("m/s", speed)
+            for wheel, speed in zip(_WHEELS, drive.wheel_speed_m_s.T, strict=True)
+        },
         "lateral_acceleration": ("m/s2", drive.lateral_acceleration_m_s2),
         "longitudinal_acceleration": ("m/s2", drive.longitudinal_acceleration_m_s2),
         "side_slip": ("rad", drive.side_slip_rad),

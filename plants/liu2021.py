@@ -5,9 +5,12 @@ other two contend. The printed bound W = 10 on the noise is a hundred times as l
 printed noise 0.3 sin(-T) needs; |w| may be up to 3.16.
 """
 
+from functools import partial
+
 import numpy as np
 
 from plants.bounded import BoundedSystem
+from plants.bounded_network import BoundedModel, BoundedNetwork, on_the_bound
 from plants.draws import Array
 
 STATES, OUTPUTS, STATIC_OUTPUTS = 4, 4, 2
@@ -61,3 +64,44 @@ SYSTEM = BoundedSystem(
     feedthrough=feedthrough,
     noise_shape=lambda _: np.array([[10.0]]),
 )
+
+# Where a known control enters in the network, which the paper does not have: the unstable state.
+CONTROL_MATRIX = np.eye(STATES)[:, :1]
+_FEEDBACK = np.array([[0.7, 0.0, 0.0, 0.0]])
+
+
+class Stabiliser:
+    """u = -0.7 x1: keeps the first state bounded, on its own between 0.29 and 0.69 per step."""
+
+    initial_memory = np.zeros(0)
+
+    def control(self, state_estimate: Array, memory: Array, step: int) -> tuple[Array, Array]:
+        """The control (1,) for an estimate (4,); nothing is remembered."""
+        return -_FEEDBACK @ state_estimate, memory
+
+
+def network(nodes: int, noise: str) -> BoundedNetwork:
+    """The example with its outputs dealt out to nodes.
+
+    Args:
+        nodes: how many.
+        noise: "paper" for state and noise as printed; "matched" for an initial state and noise on
+            their bounds, as large as the filters must expect.
+    """
+    printed = noise == "paper"
+    return BoundedNetwork(
+        system=SYSTEM,
+        model=BoundedModel(SYSTEM, CONTROL_MATRIX),
+        nodes=nodes,
+        noise_bounds=NOISE_BOUND * np.array([0.12, 0.44, 0.2, 0.2]),
+        prior_shape=np.eye(STATES),
+        noise=(lambda _, steps: printed_noise(steps)) if printed else partial(on_the_bound, size=1),
+        start=(lambda _: INITIAL_STATE) if printed else _inside,
+        state_names=("x1", "x2", "x3", "x4"),
+        state_units=("1",) * STATES,
+    )
+
+
+def _inside(direction: Array) -> Array:
+    """The direction, as long as the unit ball allows."""
+    return direction / np.linalg.norm(direction)

@@ -1,7 +1,7 @@
-"""A system with stochastic nonlinearities as a plant: sensors on one bus, or a cluster at each node.
+"""A system with stochastic nonlinearities as a plant: its sensors on one bus, or at every node.
 
-Truth starts in the prior, at step 0; sensors measure from step 1 on. Every sensor's noise comes from
-a stream of its own; the numbers of b, which the sensors of a system share, come from another.
+Truth starts in the prior, at step 0; sensors measure from step 1 on. Every sensor's noise comes
+from a stream of its own; the numbers of b, which the sensors of a system share, from another.
 """
 
 from collections.abc import Callable
@@ -23,8 +23,8 @@ class Placement(NamedTuple):
     Attributes:
         nodes: how many nodes there are.
         draw: (system, generator_for, steps) -> noise (steps, ...) of all measurements.
-        observe: (system, states (..., n), noise of one step (..., ...), step) -> what the nodes read,
-            (..., nodes, 1, d), filled up with NaN.
+        observe: (system, states (..., n), noise of one step, step) -> what the nodes read, (...,
+            nodes, 1, d), filled up with NaN.
     """
 
     nodes: int

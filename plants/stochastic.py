@@ -1,6 +1,7 @@
 """Systems with stochastic nonlinearities, seen by sensors that may measure vectors.
 
-    x[s+1] = f(x[s], u[s], s) + g(x[s], eta[s]) + w[s],   y[s] = h(x[s], s) + b(x[s], zeta[s]) + v[s]
+    x[s+1] = f(x[s], u[s], s) + g(x[s], eta[s]) + w[s]
+    y[s] = h(x[s], s) + b(x[s], zeta[s]) + v[s]
 
 g and b are sums of terms A Z B x with a matrix Z of independent standard normal numbers, so that
 E{g | x} = 0 and E{g g' | x} = sum_t Pi_t x' Gamma_t x with Pi = A A', Gamma = B' B: any second
@@ -9,7 +10,7 @@ stochastic nonlinearities under FlexRay protocol, equation (1).
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -141,3 +142,25 @@ class StochasticSystem:
             + self.measurement(step).value(state, noise[..., m:])
             + noise[..., :m] @ factor.T
         )
+
+
+def replicated(system: StochasticSystem, copies: int) -> StochasticSystem:
+    """A system whose sensors are there several times over, each set with noise of its own."""
+    identity: Array = np.eye(copies)
+
+    def measurement(step: int) -> StochasticNonlinearity:
+        once = system.measurement(step)
+        terms = (
+            Term(np.kron(identity[:, [copy]], term.outer).astype(np.float64), term.inner)
+            for copy in range(copies)
+            for term in once.terms
+        )
+        return StochasticNonlinearity(copies * once.size, once.states, tuple(terms))
+
+    return replace(
+        system,
+        measure=lambda state, step: np.concatenate([system.measure(state, step)] * copies, -1),
+        sizes=system.sizes * copies,
+        measurement_noise_cov=lambda step: np.kron(identity, system.measurement_noise_cov(step)),
+        measurement=measurement,
+    )

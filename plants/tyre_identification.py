@@ -25,6 +25,8 @@ MODEL_STEP_S = 0.005
 _SCALES = (0.01, 0.2, 0.002)
 """Of the residuals: yaw rate rad/s, lateral acceleration m/s^2, side slip rad."""
 
+_LEAST_CORNERING_M_S2 = 1.5
+
 _STEP = 1e-4  # of the finite differences, in the logarithm of a parameter or in units of a scale
 
 
@@ -55,7 +57,7 @@ def identify(
     tyre: Tyre = tanh_tyre,
     *,
     seek_friction: bool = False,
-    min_speed_m_s: float = 3.0,
+    min_speed_m_s: float = 5.0,
 ) -> Identified:
     """The tyres of a car that fit a drive best, starting from the car's own.
 
@@ -64,7 +66,8 @@ def identify(
         car: mass, geometry, and the tyres to start from.
         tyre: law of the lateral force.
         seek_friction: whether the friction is sought too; only a drive near the limit tells it.
-        min_speed_m_s: slower parts are driven through and not compared.
+        min_speed_m_s: slower parts are driven through and not compared; there wheels roll where
+            they point, whatever their stiffness.
 
     Raises:
         ValueError: a drive that is too short or too straight to tell, or never fast enough.
@@ -186,8 +189,10 @@ def _require_told(drive: Drive, driven: Drive, compared: np.ndarray, min_speed_m
             f"the drive has {int(compared[:, 0].sum())} yaw rates at {min_speed_m_s:g} m/s or more "
             f"in {drive.steps} samples; give at least half a second of them"
         )
-    if np.std(driven.steering_rad) < 1e-3:
+    cornering = np.abs(driven.yaw_rate_rad_s * driven.speed_m_s)[compared[:, 0]].max()
+    if cornering < _LEAST_CORNERING_M_S2:
         raise ValueError(
-            f"the steering varies by {np.std(driven.steering_rad):.2g} rad only, which tells "
-            "nothing of the tyres; give a drive with curves"
+            f"from {min_speed_m_s:g} m/s on the car corners with {cornering:.1f} m/s^2 at most, "
+            "which tells nothing of the tyres; give a drive with fast curves of "
+            f"{_LEAST_CORNERING_M_S2:g} m/s^2 or more"
         )

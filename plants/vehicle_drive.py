@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-REAR_LEFT, REAR_RIGHT = 2, 3
-"""Columns of `wheel_speed_m_s`: front left, front right, rear left, rear right."""
+FRONT_LEFT, FRONT_RIGHT, REAR_LEFT, REAR_RIGHT = range(4)
+"""Columns of `wheel_speed_m_s`."""
 
 
 class Drive(NamedTuple):

@@ -142,10 +142,10 @@ MANOEUVRES = {
         ),
         Manoeuvre(
             "serpentine",
-            "sinusoidal steering of .05 rad at .35 Hz while the car gains speed from 16 to 18.9 m/s",
+            "sinusoidal steering of .05 rad at .35 Hz while the car gains speed, 16 to 19.6 m/s",
             12.0,
             OpenLoop(Sine(0.05, 0.35)),
-            Program((0.0, 12.0), (16.0, 19.25)),
+            Program((0.0, 12.0), (16.0, 20.0)),
         ),
         Manoeuvre(
             "step-steer",

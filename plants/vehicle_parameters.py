@@ -3,6 +3,7 @@
 import json
 import math
 import tomllib
+from typing import Literal
 
 import msgspec
 
@@ -23,7 +24,8 @@ class Car(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
         front_stiffness_n_rad, rear_stiffness_n_rad: cornering stiffness of an axle, positive; the
             paper's k1 and k2 are these with a minus sign.
         friction: of tyre and road; where a tyre saturates.
-        rear_track_m: between the rear wheels.
+        front_track_m, rear_track_m: between the wheels of an axle.
+        driven_axle: front or rear; the wheels of the other tell the speed better.
         steering_ratio: steering-wheel angle over road-wheel angle.
 
     Raises CarError for a value that is not positive.
@@ -37,12 +39,14 @@ class Car(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     front_stiffness_n_rad: float
     rear_stiffness_n_rad: float
     friction: float = 1.0
+    front_track_m: float = 1.5
     rear_track_m: float = 1.5
+    driven_axle: Literal["front", "rear"] = "front"
     steering_ratio: float = 1.0
 
     def __post_init__(self) -> None:
         for field, value in msgspec.structs.asdict(self).items():
-            if field != "name" and not 0 < value < math.inf:
+            if isinstance(value, float | int) and not 0 < value < math.inf:
                 raise CarError(
                     f"car {self.name!r}: {field} is {value}, but must be above 0 and finite"
                 )
@@ -80,7 +84,7 @@ def car_to_toml(car: Car) -> str:
     """The TOML text of a car."""
     lines = [
         # A JSON string without escapes of its own is a TOML string; names are printable text.
-        f"{field} = {json.dumps(value, ensure_ascii=False) if field == 'name' else repr(value)}"
+        f"{field} = {json.dumps(value, ensure_ascii=False) if isinstance(value, str) else value}"
         for field, value in msgspec.structs.asdict(car).items()
     ]
     return "\n".join(lines) + "\n"
@@ -96,6 +100,18 @@ BMW_320I = Car(
     front_stiffness_n_rad=129697.0,
     rear_stiffness_n_rad=105400.0,
     friction=1.0489,
+    front_track_m=1.38684,
     rear_track_m=1.36398,
+    driven_axle="rear",
 )
 """Vehicle 2 of the CommonRoad vehicle models (Althoff and Wuersching, 2020, tables 6 and 7)."""
+
+BMW_320I_FITTED = msgspec.structs.replace(
+    BMW_320I,
+    name="BMW 320i, tyres fitted",
+    front_stiffness_n_rad=146.2e3,
+    rear_stiffness_n_rad=116.7e3,
+    friction=1.01,
+)
+"""The same with the saturating tyres that `tyre_identification` finds in a simulated ramp-steer
+drive: what the car's compliance leaves of the data sheet's stiffness, which it does not contain."""

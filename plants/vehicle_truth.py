@@ -16,6 +16,7 @@ import numpy as np
 
 from plants.vehicle_drive import Array, Drive
 from plants.vehicle_manoeuvres import Manoeuvre, Motion
+from plants.vehicle_parameters import GRAVITY_M_S2, Car
 
 INTEGRATION_STEP_S = 1e-3
 SPEED_GAIN_1_S = 1.0
@@ -157,6 +158,29 @@ def single_track_drift() -> Body:
         vehicle_dynamics_std,
         lambda x: Motion(x[0], x[1], x[4], x[3] * math.cos(x[6]), x[3] * math.sin(x[6])),
         sample,
+    )
+
+
+def data_sheet(car: TrueCar) -> Car:
+    """What the library's parameters say of a car; stiffness is the slope of its tyres at no slip.
+
+    Raises:
+        ValueError: the library is not installed.
+    """
+    p = _parameters(car)
+    load_n = p.m * GRAVITY_M_S2 / (p.a + p.b)
+    return Car(
+        name=car.name,
+        mass_kg=p.m,
+        yaw_inertia_kg_m2=p.I_z,
+        front_axle_m=p.a,
+        rear_axle_m=p.b,
+        front_stiffness_n_rad=-p.tire.p_ky1 * load_n * p.b,
+        rear_stiffness_n_rad=-p.tire.p_ky1 * load_n * p.a,
+        friction=p.tire.p_dy1,
+        front_track_m=p.T_f,
+        rear_track_m=p.T_r,
+        driven_axle="front" if p.T_se > 0.5 else "rear",
     )
 
 

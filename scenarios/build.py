@@ -5,6 +5,7 @@ from functools import partial
 import numpy as np
 
 from bus.arbitration import ArbiterState
+from bus.schedule import Schedule
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
 from nodes.estimator import Estimator
@@ -15,6 +16,7 @@ from scenarios.bus_plan import BusPlan, arbitrate, plan_bus
 from scenarios.catalogue import kind_of
 from scenarios.control import control_node
 from scenarios.estimators import Seat
+from scenarios.labelled import Everybody
 from scenarios.rules import build_estimator, hold_policy, wire_number
 from scenarios.scenario import Scenario
 from scenarios.setup import Setup, generator, share_bytes
@@ -25,7 +27,7 @@ OPEN_LOOP_LEAD = 4
 
 def build_plan(setup: Setup) -> BusPlan:
     """The bus of a setup."""
-    return plan_bus(setup.scenario, share_bytes(setup))
+    return plan_bus(setup.scenario, share_bytes(setup), setup.neighbours)
 
 
 def build_node(setup: Setup, node: int) -> NodeConfig:
@@ -39,12 +41,12 @@ def build_node(setup: Setup, node: int) -> NodeConfig:
         scenario.steps,
         plan.schedule,
         plan.slots,
-        _estimator(setup, node),
+        _estimator(setup, node, plan.schedule),
         plan.cycle_counts,
     )
 
 
-def _estimator(setup: Setup, node: int) -> Estimator:
+def _estimator(setup: Setup, node: int, schedule: Schedule) -> Estimator:
     scenario = setup.scenario
     kind = kind_of(scenario.name)
     if kind.wiring is not None:
@@ -60,8 +62,21 @@ def _estimator(setup: Setup, node: int) -> Estimator:
         hold=hold_policy(scenario),
         trigger=scenario.trigger,
         number=wire_number(scenario),
+        everybody=partial(_everybody, setup, schedule),
     )
-    return build_estimator(scenario, seat)
+    rule = build_estimator(scenario, seat)
+    return kind.around(scenario, seat, rule) if kind.around else rule
+
+
+def _everybody(setup: Setup, schedule: Schedule) -> Everybody:
+    """What every node knows of all nodes."""
+    scenario = setup.scenario
+    kind = kind_of(scenario.name)
+    plant = kind.plant(scenario)
+    noise = plant.draw(partial(generator, scenario), 1).measurement[0]
+    _, readings, channels = plant.observe(from_wire(setup.initial_state), noise, 0).shape
+    sensors = tuple(kind.sensor(scenario, node) for node in range(scenario.nodes))
+    return Everybody(scenario, schedule, sensors, (readings, channels))
 
 
 def build_world(setup: Setup) -> WorldConfig:

@@ -1,9 +1,11 @@
 """The bus of a scenario: cluster, schedule, slots and arbiter, checked against each other."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
+
+import msgspec
 
 from bus import arbitration
 from bus.arbitration import Arbiter, ArbiterState
@@ -14,6 +16,7 @@ from bus.fibex import cluster_from_fibex
 from bus.fitted import fitted_cluster
 from bus.presets import PRESETS, preset
 from bus.publication import Publications, Slot
+from bus.relay import check_relay
 from bus.schedule import (
     Schedule,
     dynamic_only,
@@ -32,13 +35,25 @@ from topology.names import unknown_name
 
 NO_CLUSTER, FITTED = "none", "fitted"
 
-_SCHEDULES: dict[str, Callable[[int, float], Schedule]] = {
-    "full": lambda nodes, _: full_publish(nodes),
-    "round-robin": lambda nodes, occupancy: round_robin(
+Neighbours = Sequence[Sequence[int]]
+
+
+def _leaves_first(nodes: int, neighbours: Neighbours) -> list[int]:
+    """Nodes by how many they hear; by number where nobody knows the graph."""
+    degrees = [len(heard) for heard in neighbours] or [0] * nodes
+    return sorted(range(nodes), key=lambda node: (degrees[node], node))
+
+
+_SCHEDULES: dict[str, Callable[[int, float, Neighbours], Schedule]] = {
+    "full": lambda nodes, _occupancy, _neighbours: full_publish(nodes),
+    "round-robin": lambda nodes, occupancy, _neighbours: round_robin(
         nodes, publishers_per_cycle(nodes, occupancy)
     ),
-    "hybrid": hybrid,
-    "dynamic": dynamic_only,
+    "hybrid": lambda nodes, occupancy, _neighbours: hybrid(nodes, occupancy),
+    "hybrid-leaves": lambda nodes, occupancy, neighbours: hybrid(
+        nodes, occupancy, _leaves_first(nodes, neighbours)
+    ),
+    "dynamic": lambda nodes, occupancy, _neighbours: dynamic_only(nodes, occupancy),
 }
 _ARBITERS: dict[str, Arbiter] = {
     "wtod": arbitration.wtod,
@@ -76,8 +91,8 @@ def cluster_names() -> tuple[str, ...]:
     return (FITTED, *PRESETS, NO_CLUSTER)
 
 
-def build_schedule(scenario: Scenario) -> Schedule:
-    """Who may publish in which cycle.
+def build_schedule(scenario: Scenario, neighbours: Neighbours = ()) -> Schedule:
+    """Who may publish in which cycle, on a graph that says whom each node hears.
 
     Raises:
         ValueError: there is no such schedule, or an occupancy below one with a full schedule.
@@ -92,19 +107,25 @@ def build_schedule(scenario: Scenario) -> Schedule:
             f"--schedule full --occupancy {scenario.occupancy:g}: in a full schedule every node "
             "publishes in every cycle; leave --occupancy out, or choose another schedule"
         )
-    return _SCHEDULES[scenario.schedule](scenario.nodes, scenario.occupancy)
+    schedule = _SCHEDULES[scenario.schedule](scenario.nodes, scenario.occupancy, neighbours)
+    return msgspec.structs.replace(schedule, relay=scenario.relay)
 
 
-def plan_bus(scenario: Scenario, share_bytes: int) -> BusPlan:
-    """The bus of a scenario whose shares have that many bytes.
+def plan_bus(scenario: Scenario, share_bytes: int, neighbours: Neighbours = ()) -> BusPlan:
+    """The bus of a scenario whose shares have at most that many bytes.
 
     Raises:
         ValueError: unknown names, unreadable files, or a cluster that does not hold the schedule.
     """
-    schedule = build_schedule(scenario)
+    schedule = build_schedule(scenario, neighbours)
     if scenario.arbiter not in _ARBITERS:
         raise unknown_name("arbiter", scenario.arbiter, _ARBITERS)
     if scenario.cluster == NO_CLUSTER:
+        if schedule.relay:
+            raise ValueError(
+                "--relay --cluster none: whether a host can latch a frame at its slot depends on "
+                "the time between frames; choose a cluster, or leave --relay out"
+            )
         return _timeless(schedule, share_bytes)
     cluster = _cluster(scenario, schedule, share_bytes)
     # A cluster fitted to a schedule without static slots has no room for a share in them.
@@ -113,6 +134,8 @@ def plan_bus(scenario: Scenario, share_bytes: int) -> BusPlan:
         static = payload_lengths(share_bytes, cluster.static_payload_bytes)
     dynamic = payload_lengths(share_bytes, cluster.dynamic_payload_bytes)
     table = allocate(schedule, cluster, static, dynamic)
+    if schedule.relay:
+        check_relay(schedule, cluster, table, scenario.latch_delay_us)
     return BusPlan(schedule, cluster, table, Publications(table, cluster).slots)
 
 
@@ -142,7 +165,7 @@ def _arbitrate(
         for bid in bids
         if bid.bid is not None
     ]
-    slots = plan.schedule.dynamic_slots(cycle)
+    slots = plan.schedule.groups(cycle)[bids[0].group].dynamic_slots
     state, winners = arbiter(state, requests, cluster=plan.cluster, slots=slots)
     return state, tuple(winner.node for winner in winners)
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from filters.sigma_points import SigmaPointRule
     from nodes.estimator import Estimator
     from nodes.world import Delivery
+    from scenarios.estimators import Seat
     from scenarios.setup import Setup
 
 Array = NDArray[np.float64]
@@ -73,13 +74,15 @@ class Wiring(NamedTuple):
     Attributes:
         schedule: who may publish in which cycle.
         share_bytes: length of a share.
-        estimator: that of a node; `rule` and `hold` mean what it makes of them.
+        estimator: that of a node.
+        names: what the options rule, schedule and hold may be here.
         warnings: what a user must be told before trusting it.
     """
 
     schedule: "Callable[[Scenario], Schedule]"
     share_bytes: Callable[[Scenario], int]
     estimator: "Callable[[Setup, int], Estimator]"
+    names: dict[str, tuple[str, ...]]
     warnings: Callable[[Scenario], tuple[str, ...]]
 
 
@@ -94,6 +97,7 @@ class Kind(NamedTuple):
         sensor: of a scenario and a node; None for a blind node.
         score: how its errors are measured.
         controller: of a scenario, None where nothing drives the plant.
+        warnings: what a user must be told of the plant before a run.
         radio_range_m: reach of a node in the geometric graph, for plants that have positions.
         all_steps: how many steps recorded data hold; None where any number will do.
         points: the sigma-point rule of the filters, None for that of the house.
@@ -101,6 +105,7 @@ class Kind(NamedTuple):
         delivery: what lies between sensors and their nodes, None where readings arrive as taken.
         listen: (setup, nodes, readings (steps, N, r, d)) -> beliefs (steps,) of one filter that
             takes the readings of these nodes; None for the one that model and sensors give.
+        around: what a node puts around its rule's estimator, None for nothing.
     """
 
     summary: str
@@ -111,23 +116,27 @@ class Kind(NamedTuple):
     sensor: Callable[[Scenario, int], Sensor | None]
     score: Score
     controller: Callable[[Scenario], ControlLaw | None] = lambda _: None
+    warnings: Callable[[Scenario], tuple[str, ...]] = lambda _: ()
     radio_range_m: float | None = None
     all_steps: Callable[[Scenario], int] | None = None
     points: "Callable[[Scenario], SigmaPointRule] | None" = None
     wiring: Wiring | None = None
     delivery: "Callable[[Scenario], Delivery] | None" = None
     listen: "Callable[[Setup, Sequence[int], Array], Gaussian] | None" = None
+    around: "Callable[[Scenario, Seat, Estimator], Estimator] | None" = None
 
 
 def kinds() -> dict[str, Kind]:
     """All scenarios by name."""
     from scenarios import (
         control,
+        liu2021_network,
         meng2025,
         meng2025_network,
         mrclam,
         oscillator,
         target_tracking,
+        vehicle_network,
     )
 
     return {
@@ -138,6 +147,8 @@ def kinds() -> dict[str, Kind]:
         **control.KINDS,
         "meng2025": meng2025.KIND,
         "meng2025-network": meng2025_network.KIND,
+        "liu2021-network": liu2021_network.KIND,
+        "vehicle-network": vehicle_network.KIND,
     }
 
 

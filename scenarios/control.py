@@ -89,7 +89,12 @@ def control_node(scenario: Scenario) -> int | None:
     return int(scenario.control) if scenario.control.isdigit() else None
 
 
-def _check(scenario: Scenario) -> None:
+def check_control(scenario: Scenario) -> None:
+    """Refuse a --noise or a --control that there is not.
+
+    Raises:
+        ValueError: naming the option, its value, and what there is.
+    """
     if scenario.noise not in _PRESETS:
         raise unknown_name("noise", scenario.noise, _PRESETS)
     node = control_node(scenario)
@@ -111,6 +116,11 @@ def _sensor(scenario: Scenario, node: int) -> LinearSensor:
     return plant_of(scenario).sensor(node)
 
 
+def _warnings(scenario: Scenario) -> tuple[str, ...]:
+    warning = plant_of(scenario).warning
+    return (warning,) if warning else ()
+
+
 def _kind(name: str, plant: _Plant) -> Kind:
     def controller(scenario: Scenario) -> Any:
         return None if scenario.control == OPEN else plant.controller()
@@ -120,7 +130,7 @@ def _kind(name: str, plant: _Plant) -> Kind:
         defaults=Scenario(
             name=name, nodes=8, graph="ring", steps=300, control="0", stretch=plant.stretch
         ),
-        check=_check,
+        check=check_control,
         plant=plant_of,
         model=_model,
         sensor=_sensor,
@@ -131,6 +141,7 @@ def _kind(name: str, plant: _Plant) -> Kind:
             first_step=60,
         ),
         controller=controller,
+        warnings=_warnings,
     )
 
 

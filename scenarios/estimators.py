@@ -14,17 +14,21 @@ from nodes.belief_consensus import BeliefConsensus, HoldPolicy
 from nodes.estimator import Estimator
 from nodes.fresh_consensus import FreshConsensus, FreshRule
 from nodes.information_rounds import InformationRounds
+from nodes.labelled import LabelledFlooding
 from nodes.local_filter import Model, Sensor
 from nodes.messages import Array
 from nodes.novelty_rounds import NoveltyRounds
 from nodes.vector_codec import VectorCodec
+from nodes.window_filter import WindowFilter
+from scenarios.labelled import Everybody, frame_codec
 
 
 class Seat(NamedTuple):
     """A node's place in the network: all that its estimator is built from.
 
     `neighbours` are whom each node of the network hears; `weights` (1 + J,) the node's own weight
-    first, then those of its neighbours; `number` is "<f8" or "<f4".
+    first, then those of its neighbours; `number` is "<f8" or "<f4"; `everybody` tells what rules
+    need to know that use the readings of others.
     """
 
     node: int
@@ -37,6 +41,7 @@ class Seat(NamedTuple):
     hold: HoldPolicy
     trigger: float
     number: str
+    everybody: Callable[[], Everybody] | None = None
 
 
 def averaging(average: Callable[[Gaussian, Array], Gaussian], seat: Seat) -> Estimator:
@@ -95,6 +100,22 @@ def pulled(seat: Seat) -> Estimator:
         partial(kalman_consensus.average, rate=rate),
     )
     return _fresh(rule, seat)
+
+
+def flooding(seat: Seat) -> Estimator:
+    """For labelled measurements."""
+    assert seat.everybody is not None, "whoever seats a node of this rule knows all nodes"
+    everybody = seat.everybody()
+    frames = frame_codec(everybody, seat.neighbours, len(seat.prior.mean))
+    return LabelledFlooding(
+        node=seat.node,
+        neighbours=seat.neighbours,
+        prior=seat.prior,
+        filter=WindowFilter(seat.model, everybody.sensors, frames.codecs, seat.points),
+        frames=frames,
+        schedule=everybody.schedule,
+        rounds=everybody.scenario.rounds,
+    )
 
 
 def _fresh(rule: FreshRule, seat: Seat) -> Estimator:

@@ -46,14 +46,15 @@ def slots_of(bus: MeasurementBus, measurement: Array, received: Array) -> Slot:
     return Slot(*(np.stack(parts) for parts in zip(*slots, strict=True)))
 
 
-def estimate(estimator: Estimator, slots: Slot) -> Gaussian:
-    """Beliefs at steps 0..S, mean (S + 1, ..., n) and cov (S + 1, ..., n, n)."""
+def estimate(estimator: Estimator, received: Received) -> Gaussian:
+    """Beliefs at steps 0..S, mean (S + 1, ..., n) and cov (S + 1, ..., n, n), of what was received
+    in slots 1..S, values and fresh (S, ..., m)."""
     system, method, points, prior = estimator
     state = method.start(prior, observation(system, 0), points)
     beliefs = [state.belief]
-    for step, (fresh, received) in enumerate(zip(slots.fresh, slots.received, strict=True), 1):
+    for step, slot in enumerate(zip(*received, strict=True), start=1):
         state = method.predict(state, dynamics(system, None, step - 1), points)
-        state = method.update(state, Received(received, fresh), observation(system, step), points)
+        state = method.update(state, Received(*slot), observation(system, step), points)
         beliefs.append(state.belief)
     return Gaussian(
         np.stack([belief.mean for belief in beliefs]), np.stack([belief.cov for belief in beliefs])

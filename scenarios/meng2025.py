@@ -1,8 +1,8 @@
 """`meng2025`: six sensors and one estimator on a FlexRay measurement bus, one slot per step.
 
-`--rule` names the filter of the estimator (node 0), `--schedule` who gets the slot, `--static-slots`
-is l, `--hold` says what a silent sensor is taken to measure. Step s is the paper's s: step 0 is the
-prior, slot 1 belongs to step 1, and node j is the paper's sensor j.
+`--rule` names the filter of the estimator (node 0), `--schedule` who gets the slot,
+`--static-slots` is l, `--hold` says what a silent sensor is taken to measure. Step s is the paper's
+s: step 0 is the prior, slot 1 belongs to step 1, and node j is the paper's sensor j.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from bus.measurement_bus import (
     RECEIVER,
     MeasurementBus,
-    Slot,
     all_at_once,
     flexray,
     nobody,
@@ -27,9 +26,11 @@ from bus.measurement_bus import (
 from bus.schedule import Schedule
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule, scaled_unscented
-from filters.stochastic_ukf import FILTERS, RECOMMENDED
+from filters.stochastic_ukf import RECOMMENDED, MeasurementFilter, Received
+from filters.stochastic_ukf_printed import PAPER_LITERAL, PAPER_LITERAL_R
 from nodes.estimator import Estimator
-from nodes.measurement_bus import MeasurementCodec, ReceiverNode, SensorNode
+from nodes.measurement_bus import ReceiverNode, SensorNode
+from nodes.measurement_codec import MeasurementCodec
 from plants import meng2025
 from plants.sensed import SensedPlant, sensors_on_a_bus
 from scenarios import measurement_runs
@@ -46,6 +47,11 @@ Array = NDArray[np.float64]
 
 SYSTEM, SENSORS = meng2025.SYSTEM, meng2025.SENSORS
 ZERO_ORDER, ZERO_INPUT = "zero-order", "zero-input"
+FILTERS: dict[str, MeasurementFilter] = {
+    "recommended": RECOMMENDED,
+    "paper-literal": PAPER_LITERAL,
+    "paper-literal-R": PAPER_LITERAL_R,
+}
 
 _SILENT = {ZERO_ORDER: zero_order_hold, ZERO_INPUT: zero_input}
 _EVERYBODY = range(1, SENSORS + 1)
@@ -73,7 +79,8 @@ def _schedule(scenario: Scenario) -> Schedule:
     return _SCHEDULES[scenario.schedule](scenario.static_slots)
 
 
-def _bus(scenario: Scenario) -> MeasurementBus:
+def bus_of(scenario: Scenario) -> MeasurementBus:
+    """The measurement bus of a scenario."""
     return MeasurementBus(SYSTEM.sizes, _schedule(scenario), silent=_SILENT[scenario.hold])
 
 
@@ -82,14 +89,14 @@ def _codec(scenario: Scenario) -> MeasurementCodec:
 
 
 def _sensor(scenario: Scenario, node: int) -> SystemSensor | None:
-    return None if node == RECEIVER else SystemSensor(SYSTEM, _bus(scenario).rows(node))
+    return None if node == RECEIVER else SystemSensor(SYSTEM, bus_of(scenario).rows(node))
 
 
 def _estimator(setup: "Setup", node: int) -> Estimator:
     scenario = setup.scenario
     prior = Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov))
     held = first_received(SYSTEM, prior.mean)
-    bus, codec = _bus(scenario), _codec(scenario)
+    bus, codec = bus_of(scenario), _codec(scenario)
     if node == RECEIVER:
         method = FILTERS[scenario.rule]
         return ReceiverNode(SYSTEM, method, prior, paper_points(), held, bus.silent, codec)
@@ -106,13 +113,14 @@ def _estimator(setup: "Setup", node: int) -> Estimator:
 
 def _listen(setup: "Setup", nodes: Sequence[int], readings: Array) -> Gaussian:
     """The recommended filter with all readings (steps, N, 1, d) of some sensors at every step."""
-    sent = np.zeros((len(readings) - 1, SENSORS), dtype=bool)
-    sent[:, [node - 1 for node in nodes if node != RECEIVER]] = True
-    values = [readings[1:, 1 + j, 0, :size] for j, size in enumerate(SYSTEM.sizes)]
-    slots = Slot(sent, np.repeat(sent, SYSTEM.sizes, axis=-1), np.concatenate(values, axis=-1))
+    values = np.full((len(readings) - 1, SYSTEM.entries), np.nan)
+    bus = bus_of(setup.scenario)
+    for node in nodes:
+        if node != RECEIVER:
+            values[:, bus.rows(node)] = readings[1:, node, 0, : SYSTEM.sizes[node - 1]]
     prior = Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov))
     estimator = measurement_runs.Estimator(SYSTEM, RECOMMENDED, paper_points(), prior)
-    return measurement_runs.estimate(estimator, slots)
+    return measurement_runs.estimate(estimator, Received(values, ~np.isnan(values)))
 
 
 def _check(scenario: Scenario) -> None:
@@ -126,11 +134,8 @@ def _check(scenario: Scenario) -> None:
         scenario.static_slots,
         f"in 0..{SENSORS - 1}: at least one of {SENSORS} sensors contends for the dynamic slot",
     )
-    for option, value, known in (
-        ("rule", scenario.rule, FILTERS),
-        ("schedule", scenario.schedule, _SCHEDULES),
-        ("hold", scenario.hold, _SILENT),
-    ):
+    for option, known in _NAMES.items():
+        value = getattr(scenario, option)
         if value not in known:
             raise unknown_name(f"{option} for a measurement bus", value, known)
 
@@ -140,6 +145,7 @@ def _warnings(scenario: Scenario) -> tuple[str, ...]:
     return (warning,) if warning else ()
 
 
+_NAMES = {"rule": tuple(FILTERS), "schedule": tuple(_SCHEDULES), "hold": tuple(_SILENT)}
 _WHO = f"node 0 estimates and hears the sensors, nodes 1 to {SENSORS}"
 
 KIND = Kind(
@@ -163,6 +169,7 @@ KIND = Kind(
         schedule=_schedule,
         share_bytes=lambda scenario: _codec(scenario).size,
         estimator=_estimator,
+        names=_NAMES,
         warnings=_warnings,
     ),
     listen=_listen,

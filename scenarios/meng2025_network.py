@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from bus.measurement_bus import MeasurementBus, flexray
 from filters.gaussian import Gaussian
 from filters.stochastic_ukf import RECOMMENDED, Received
-from nodes.measurement_bus import dynamics, observation
 from nodes.world import Delivery
 from plants import meng2025
 from plants.sensed import SensedPlant, clusters
+from plants.stochastic import replicated
 from scenarios.catalogue import Kind, Score
-from scenarios.measurement_runs import first_received
+from scenarios.measurement_runs import Estimator, estimate, first_received
 from scenarios.meng2025 import SENSORS, SYSTEM, paper_points
 from scenarios.scenario import Scenario, require
 from scenarios.stochastic_models import SystemModel, SystemSensor
@@ -61,21 +61,13 @@ def _delivery(scenario: Scenario) -> Delivery:
 def _listen(setup: "Setup", nodes: Sequence[int], readings: Array) -> Gaussian:
     """The recommended filter with what the buses of some nodes delivered (steps, N, 1, m).
 
-    It takes the nodes one by one: given the state, their measurements are independent.
+    All of it at once: how one filter took them one by one would hang on their order.
     """
-    rule = paper_points()
+    values = readings[1:, nodes, 0].reshape(len(readings) - 1, -1)
     prior = Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov))
-    state = RECOMMENDED.start(prior, observation(SYSTEM, 0), rule)
-    beliefs = [state.belief]
-    for step, delivered in enumerate(readings[1:, nodes, 0], start=1):
-        state = RECOMMENDED.predict(state, dynamics(SYSTEM, None, step - 1), rule)
-        for values in delivered:
-            received = Received(values, ~np.isnan(values))
-            state = RECOMMENDED.update(state, received, observation(SYSTEM, step), rule)
-        beliefs.append(state.belief)
-    return Gaussian(
-        np.stack([belief.mean for belief in beliefs]), np.stack([belief.cov for belief in beliefs])
-    )
+    everything = replicated(SYSTEM, len(nodes))
+    estimator = Estimator(everything, RECOMMENDED, paper_points(), prior)
+    return estimate(estimator, Received(values, ~np.isnan(values)))
 
 
 def _check(scenario: Scenario) -> None:

@@ -2,28 +2,36 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from filters import hold
 from filters.fusion import covariance_intersection, weighted_average
+from filters.gaussian import Gaussian
 from filters.hybrid_consensus import classical_gain, safe_gain
 from filters.local import keep_own
 from filters.packed import packed_length
 from nodes.belief_consensus import HoldPolicy
 from nodes.estimator import Estimator
 from nodes.messages import Array
+from nodes.set_shapes import Ellipsoids, Zonotopes
+from scenarios import set_rules
 from scenarios.estimators import (
     Seat,
     averaging,
     diffused,
+    flooding,
     hybrid,
     pulled,
     weighted_information,
 )
+from scenarios.labelled import check_labelled, largest_share
 from scenarios.scenario import Scenario
 from topology.names import unknown_name
+
+if TYPE_CHECKING:
+    from scenarios.setup import Setup
 
 _NUMBERS = {"float64": "<f8", "float32": "<f4"}
 _DEFAULT_HOLD = "decayed"
@@ -34,17 +42,26 @@ class Rule(NamedTuple):
 
     Attributes:
         summary: what it promises, one line for `concord list`.
-        share_numbers: how many numbers are in a share, for so many states and nodes.
+        share_numbers: how many numbers are in a share, for so many states and nodes; None for
+            shares of any length up to `scenario.payload_bytes`.
         estimator: builds that of one node.
         holds: whether shares of silent neighbours are held, as --hold says.
+        relays: whether a node can send on what it has heard in the same cycle.
         check: refuses scenario, neighbours of each node and weights (N, N) that it cannot do with.
+        certain: covariances are shape matrices of ellipsoids that hold the truth for certain.
+        listen: (setup, nodes, readings (steps, N, r, d), control (steps, p) or None) -> beliefs
+            (steps,) of one filter that takes the readings of these nodes; None for the Gaussian
+            filter of the scenario.
     """
 
     summary: str
-    share_numbers: Callable[[int, int], int]
+    share_numbers: Callable[[int, int], int] | None
     estimator: Callable[[Seat], Estimator]
     holds: bool = False
+    relays: bool = False
     check: Callable[[Scenario, Sequence[Sequence[int]], Array], None] | None = None
+    certain: bool = False
+    listen: "Callable[[Setup, Sequence[int], Array, Array | None], Gaussian] | None" = None
 
 
 def rule_names() -> tuple[str, ...]:
@@ -63,6 +80,12 @@ def rule_of(scenario: Scenario) -> Rule:
     return _RULES[scenario.rule]
 
 
+def is_certain(scenario: Scenario) -> bool:
+    """Whether its estimates are sets that hold the truth for certain."""
+    rule = _RULES.get(scenario.rule)
+    return rule is not None and rule.certain
+
+
 def check_rule(scenario: Scenario, neighbours: Sequence[Sequence[int]], weights: Array) -> None:
     """Refuse a rule on a network that it cannot run on, or with a hold policy that it cannot use.
 
@@ -76,6 +99,11 @@ def check_rule(scenario: Scenario, neighbours: Sequence[Sequence[int]], weights:
         raise ValueError(
             f"--hold {scenario.hold}: rule {scenario.rule} fuses fresh shares alone and holds "
             "none; leave --hold out, or choose rule ci or wac"
+        )
+    if scenario.relay and not rule.relays:
+        raise ValueError(
+            f"--relay with rule {scenario.rule}: averaging what was averaged in the same cycle "
+            "gives other weights than the network's; leave --relay out, or choose rule labelled"
         )
     if rule.check is not None:
         rule.check(scenario, neighbours, weights)
@@ -91,8 +119,11 @@ def build_estimator(scenario: Scenario, seat: Seat) -> Estimator:
 
 
 def share_size(scenario: Scenario, states: int) -> int:
-    """Length in bytes of every share in a network whose plant has so many states."""
-    numbers = rule_of(scenario).share_numbers(states, scenario.nodes)
+    """Length in bytes of the longest share in a network whose plant has so many states."""
+    share_numbers = rule_of(scenario).share_numbers
+    if share_numbers is None:
+        return largest_share(scenario, states)
+    numbers = share_numbers(states, scenario.nodes)
     return numbers * np.dtype(wire_number(scenario)).itemsize
 
 
@@ -240,6 +271,13 @@ _RULES: dict[str, Rule] = {
         lambda n, _: packed_length(n) + n,
         pulled,
     ),
+    "labelled": Rule(
+        "measurements with labels, each counted once: near centralised in a fraction of the bytes",
+        None,
+        flooding,
+        relays=True,
+        check=check_labelled,
+    ),
     "local": Rule(
         "every node alone: publishes, but fuses nothing",
         lambda n, _: packed_length(n),
@@ -250,6 +288,24 @@ _RULES: dict[str, Rule] = {
         lambda n, _: packed_length(n),
         diffused,
         check=_require_all_at_once,
+    ),
+    "ellipsoid": Rule(
+        "sets that hold the truth for certain: ellipsoids around intersections; needs bounded noise",
+        lambda n, _: packed_length(n),
+        set_rules.ellipsoids,
+        holds=True,
+        check=set_rules.check_bounded,
+        certain=True,
+        listen=partial(set_rules.listen, Ellipsoids),
+    ),
+    "zonotope": Rule(
+        "the same with zonotopes: tighter prediction, wider shares; needs bounded noise",
+        lambda n, _: n + n**2,
+        set_rules.zonotopes,
+        holds=True,
+        check=set_rules.check_bounded,
+        certain=True,
+        listen=partial(set_rules.listen, Zonotopes),
     ),
 }
 RULE_SUMMARIES = {name: rule.summary for name, rule in _RULES.items()}

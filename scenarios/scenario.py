@@ -31,10 +31,19 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         decay: weight factor of a held share per cycle of age, in [0, 1].
         determinant_weights: weigh beliefs by the size of their covariance too.
         number: float64 or float32 on the wire.
+        relay: a node composes its share at its own slot, with what earlier slots of the cycle
+            brought; `latch_delay_us` is what its host needs for that, from the last bit of a frame.
+        window_steps: rule labelled: how late a record may come; None takes the schedule's latency.
+        digest_steps: rule labelled: steps of which a share says what its sender holds, so that what
+            a lossy bus lost is sent again; 0 for a bus without loss.
+        record_number: rule labelled: int16, int8, float32 or float64 for readings on the wire.
+        payload_bytes: rule labelled: the longest payload of a frame.
         control: whose knowledge closes the loop of a plant: a node's number, truth, or open.
-        noise: matched or paper, for plants that have both.
+        noise: what the sensors really do, for plants that have a choice: matched, paper, ...
+        manoeuvre: what the driver does (vehicle-network).
+        adaptive: nodes learn the noise of their own sensors (vehicle-network).
         target: the robot that is tracked (mrclam).
-        data: folder of recorded data (mrclam).
+        data: folder of recorded data (mrclam, vehicle-network).
     """
 
     name: str
@@ -57,8 +66,16 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     decay: float = 0.5
     determinant_weights: bool = True
     number: str = "float64"
+    relay: bool = False
+    latch_delay_us: float = 5.0
+    window_steps: int | None = None
+    digest_steps: int = 0
+    record_number: str = "int16"
+    payload_bytes: int = 254
     control: str = "open"
     noise: str = "matched"
+    manoeuvre: str = "double-lane-change"
+    adaptive: bool = False
     target: int | None = None
     data: str | None = None
 
@@ -78,6 +95,10 @@ def check_ranges(scenario: Scenario) -> None:
     require(scenario.trigger >= 0, "trigger", scenario.trigger, "0 or more")
     require(scenario.stretch >= 1, "stretch", scenario.stretch, "at least 1")
     require(0 <= scenario.decay <= 1, "decay", scenario.decay, "in [0, 1]")
+    require(scenario.latch_delay_us >= 0, "latch-delay-us", scenario.latch_delay_us, "0 or more")
+    require(scenario.digest_steps >= 0, "digest-steps", scenario.digest_steps, "0 or more")
+    payload = scenario.payload_bytes
+    require(payload % 2 == 0 and 16 <= payload <= 254, "payload-bytes", payload, "even, 16 to 254")
     if scenario.number not in ("float64", "float32"):
         raise unknown_name("number", scenario.number, ("float64", "float32"))
 

@@ -82,12 +82,13 @@ def prepare(scenario: Scenario) -> Setup:
     )
     if kind.wiring is None:
         check_rule(scenario, neighbours, weights)
-    check_bus(plan_bus(scenario, share_bytes(setup)), scenario, plant.time_step_s)
+    plan = plan_bus(scenario, share_bytes(setup), neighbours)
+    check_bus(plan, scenario, plant.time_step_s)
     return setup
 
 
 def share_bytes(setup: Setup) -> int:
-    """Length of a share in the network of this setup."""
+    """Length of the longest share in the network of this setup."""
     wiring = kind_of(setup.scenario.name).wiring
     if wiring is not None:
         return wiring.share_bytes(setup.scenario)

@@ -1,4 +1,4 @@
-"""What a node believes of a system with stochastic nonlinearities: `nodes.local_filter.StateNoise`."""
+"""What a node believes of a system with stochastic nonlinearities: noise that grows with it."""
 
 from dataclasses import dataclass
 

@@ -51,7 +51,7 @@ def tell(happened: Happened) -> None:
 def main() -> None:
     """Serve one job."""
     line = sys.stdin.buffer.readline()
-    if not line:
+    if not line.endswith(b"\n"):
         # The launcher is gone before it said what to do.
         return
     job = msgspec.json.decode(line, type=Job)

@@ -1,5 +1,6 @@
 """Every fusion rule from its name to a running network, and what each of them refuses."""
 
+import re
 from pathlib import Path
 
 import msgspec
@@ -12,22 +13,24 @@ from experiments.drivers import DRIVERS, in_memory
 from experiments.trace import Trace, read_trace
 from nodes.recording import read_recording
 from nodes.share import payload_lengths
+from scenarios import rules
 from scenarios.build import build_node
 from scenarios.catalogue import kind_of
-from scenarios.rules import RULE_SUMMARIES, hold_policy, rule_names
+from scenarios.rules import RULE_SUMMARIES, hold_policy
 from scenarios.scenario import Scenario
 from scenarios.setup import Setup, prepare, share_bytes
 
 NEEDS: dict[str, dict] = {"centralised": {"graph": "complete", "rounds": 1}}
 FRESH = ("hcmci", "hcmci-classical", "icf", "diffusion", "kcf", "centralised")
-EACH = pytest.mark.parametrize("rule", rule_names())
+# Those that fuse beliefs or information; rules of other kinds have tests of their own.
+FUSING = ("ci", "wac", "local", *FRESH)
+EACH = pytest.mark.parametrize("rule", FUSING)
 
 
 def scenario(rule: str, **changes) -> Scenario:
     """A short run of the oscillator under a rule."""
-    return msgspec.structs.replace(
-        kind_of("oscillator").defaults, rule=rule, steps=6, **{**NEEDS.get(rule, {}), **changes}
-    )
+    settings = {"rule": rule, "steps": 6, **NEEDS.get(rule, {}), **changes}
+    return msgspec.structs.replace(kind_of("oscillator").defaults, **settings)
 
 
 def trace(setup: Setup) -> Trace:
@@ -52,7 +55,7 @@ def test_shares_are_as_long_as_their_formulas_say():
         "hcmci-classical": 8 * (2 * 5 + 8),
         "kcf": 8 * (5 + 2),
     }
-    for rule in rule_names():
+    for rule in FUSING:
         assert share_bytes(prepare(scenario(rule))) == expected.get(rule, 8 * 5)
 
 
@@ -135,3 +138,20 @@ def test_processes_give_the_bits_of_one_process(rule: str, tmp_path: Path):
         driver(setup, f"rules-{rule}-{name}", recording, None, lambda step: None)
         traces.append(read_trace(setup, read_recording(recording)))
     assert first_difference(traces[0], traces[1], "processes") is None
+
+
+# --- the page that says how to add one -----------------------------------------------------------
+
+
+def test_the_example_of_the_page_runs(monkeypatch: pytest.MonkeyPatch):
+    page = (Path(__file__).parents[2] / "docs" / "adding_a_filter.md").read_text()
+    function, entry = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    names = {**vars(rules)}
+    exec(function, names)
+    monkeypatch.setitem(rules._RULES, "sharpest", eval(f"{{{entry}}}", names)["sharpest"])
+    found = trace(prepare(scenario("sharpest", graph="complete", rounds=1, steps=40)))
+    # Where everybody hears everybody, all are as sharp as the sharpest.
+    size = np.linalg.det(found.cov)
+    np.testing.assert_allclose(size, size[:, :1].repeat(8, axis=1), rtol=1e-12)
+    alone = trace(prepare(scenario("local", steps=40)))
+    assert size[0, 0] == pytest.approx(np.linalg.det(alone.cov[0]).min(), rel=1e-12)

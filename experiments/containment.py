@@ -1,0 +1,37 @@
+"""Whether sets hold the truth, and how large they are: what certainty is worth, in place of ANEES."""
+
+import msgspec
+import numpy as np
+
+from experiments.metrics import nees
+from filters.gaussian import Gaussian
+from nodes.messages import Array
+
+
+class Containment(msgspec.Struct, frozen=True):
+    """Ellipsoids e' P^-1 e <= 1 against the truth, over all steps in which it is known.
+
+    Attributes:
+        violations: how many do not hold the truth.
+        largest: the largest e' P^-1 e; at most 1 where there is no violation.
+        half_width: mean over steps of the half-widths' root sum of squares, sqrt(tr P).
+    """
+
+    violations: int
+    largest: float
+    half_width: float
+
+
+def containment(bounds: Gaussian, truth: Array) -> Containment:
+    """Of bounds mean (steps, ..., n), cov (steps, ..., n, n) and truth (steps, n)."""
+    spread = truth.reshape(len(truth), *(1,) * (bounds.mean.ndim - 2), -1)
+    values = nees(bounds.mean - spread, bounds.cov)
+    known = np.broadcast_to(~np.isnan(spread).any(-1), values.shape)
+    # Not "above 1": what cannot be computed is no proof.
+    outside = known & ~(values <= 1.0)
+    sizes = np.sqrt(np.trace(bounds.cov, axis1=-2, axis2=-1))
+    return Containment(
+        violations=int(outside.sum()),
+        largest=float(values[known].max()) if known.any() else float("nan"),
+        half_width=float(sizes.mean()),
+    )

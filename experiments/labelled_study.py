@@ -1,0 +1,202 @@
+"""Labelled measurements beside consensus on beliefs, on TRACK: the jobs, and what becomes of them.
+
+Every form hears the same noise in the same run, so that ratios are of pairs.
+"""
+
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from bus.frame import OVERHEAD_BYTES
+from experiments.baselines import centralised
+from experiments.bus_report import times_of
+from experiments.drivers import in_memory
+from experiments.metrics import nees
+from experiments.options import ScenarioOptions
+from experiments.record_spread import figures_of
+from experiments.trace import Trace, read_trace
+from filters.gaussian import Gaussian
+from nodes.messages import Array
+from nodes.share import read_body, read_frame
+from scenarios.catalogue import kind_of
+from scenarios.setup import Setup, prepare
+
+SEED = 1
+OCCUPANCIES = (1.0, 0.5, 0.25, 0.1)
+WORKERS, CONFIDENCE = 2, 0.95
+
+
+class Form(NamedTuple):
+    """A rule with its options, by the name it has in a table."""
+
+    name: str
+    options: dict[str, Any]
+
+    @property
+    def labelled(self) -> bool:
+        """Whether measurements travel."""
+        return self.options["rule"] == "labelled"
+
+
+_NEAR = {"rule": "labelled"}
+FORMS = (
+    Form("labelled, hybrid", {**_NEAR, "schedule": "hybrid"}),
+    Form("labelled, hybrid-leaves", {**_NEAR, "schedule": "hybrid-leaves"}),
+    Form("labelled, dynamic", {**_NEAR, "schedule": "dynamic"}),
+    Form("labelled relay, hybrid", {**_NEAR, "schedule": "hybrid", "relay": True}),
+    Form("labelled relay, dynamic", {**_NEAR, "schedule": "dynamic", "relay": True}),
+    Form("ci", {"rule": "ci", "schedule": "hybrid", "number": "float32"}),
+    Form("hcmci", {"rule": "hcmci", "schedule": "hybrid", "number": "float32"}),
+    Form("wac", {"rule": "wac", "schedule": "hybrid", "number": "float32"}),
+)
+
+
+class Job(NamedTuple):
+    """One run of one cell of the table."""
+
+    form: Form
+    occupancy: float
+    run: int
+
+
+class Outcome(NamedTuple):
+    """What came of a run.
+
+    Mean squared errors of network and centralised filter, mean NEES over dimension of each node
+    (N,) and of the centralised filter; per step: bytes said, bytes of all frames with headers and
+    padding, microseconds of all frames; the last two for labelled shares alone.
+    """
+
+    squared: float
+    squared_centralised: float
+    consistency: Array
+    consistency_centralised: float
+    said_bytes: float
+    wire_bytes: float
+    wire_us: float
+    coverage: float
+    checkpoint_share: float
+
+
+class Cell(NamedTuple):
+    """A form at an occupancy, over all runs.
+
+    `ratio` is the RMSE over that of the centralised filter, `half_width` that of its interval; so
+    are `excess` and `excess_half_width` of the worst node's ANEES minus the centralised one.
+    """
+
+    ratio: float
+    half_width: float
+    anees: float
+    excess: float
+    excess_half_width: float
+    said_bytes: float
+    wire_bytes: float
+    wire_us: float
+    coverage: float
+    checkpoint_share: float
+
+
+def outcome(job: Job) -> Outcome:
+    """One run."""
+    options = ScenarioOptions(
+        scenario="target-tracking", nodes=20, seed=SEED, run=job.run, occupancy=job.occupancy,
+        **job.form.options,
+    )  # fmt: skip
+    setup = prepare(options.resolve())
+    messages = in_memory(setup)
+    trace = read_trace(setup, messages)
+    central = centralised(setup, trace.readings, trace.control)
+    squared, consistency = _scored(setup, trace, Gaussian(trace.mean, trace.cov))
+    squared_central, consistency_central = _scored(
+        setup, trace, Gaussian(central.mean[:, None], central.cov[:, None])
+    )
+    frames = np.count_nonzero(trace.payload_bytes)
+    times = times_of(setup, trace)
+    spread = None if trace.spread is None else figures_of(trace.spread)
+    return Outcome(
+        squared.mean(),
+        squared_central.mean(),
+        consistency,
+        consistency_central.mean(),
+        _said_bytes(messages) / trace.steps,
+        (trace.payload_bytes.sum() + OVERHEAD_BYTES * frames) / trace.steps,
+        np.nan
+        if times is None
+        else float(np.nansum(times.share_end_us - times.share_start_us)) / trace.steps,
+        np.nan if spread is None else spread.coverage,
+        np.nan if spread is None else spread.checkpoint_share,
+    )
+
+
+def cells(forms: Sequence[Form], runs: int) -> Iterator[tuple[Form, float, Cell]]:
+    """All cells of the table, one after the other, as they get ready."""
+    jobs = [Job(form, part, run) for form in forms for part in OCCUPANCIES for run in range(runs)]
+    with ProcessPoolExecutor(WORKERS, mp_context=get_context("spawn")) as pool:
+        found = pool.map(outcome, jobs)
+        for form in forms:
+            for part in OCCUPANCIES:
+                yield form, part, cell([next(found) for _ in range(runs)])
+
+
+def cell(outcomes: Sequence[Outcome]) -> Cell:
+    """From the runs of a cell, at least two."""
+    squared = np.array([[o.squared, o.squared_centralised] for o in outcomes])
+    consistency = np.array([o.consistency - o.consistency_centralised for o in outcomes])
+    worst = int(consistency.mean(axis=0).argmax())
+    ratio, half_width = _jackknife(squared)
+    spread = consistency[:, worst].std(ddof=1) / np.sqrt(len(outcomes))
+    return Cell(
+        ratio,
+        half_width,
+        float(np.mean([o.consistency for o in outcomes])),
+        float(consistency[:, worst].mean()),
+        float(_quantile(len(outcomes)) * spread),
+        *(
+            float(np.mean([getattr(o, name) for o in outcomes]))
+            for name in ("said_bytes", "wire_bytes", "wire_us", "coverage", "checkpoint_share")
+        ),
+    )
+
+
+def _scored(setup: Setup, trace: Trace, belief: Gaussian) -> tuple[Array, Array]:
+    """Mean squared error and mean NEES over dimension of each node (N,) of a belief."""
+    score = kind_of(setup.scenario.name).score
+    first = score.first_step
+    errors = belief.mean[first:] - trace.truth[first:, None]
+    states = list(score.nees_states)
+    squared = (errors[..., list(score.states)] ** 2).sum(-1)
+    values = nees(errors[..., states], belief.cov[first:][..., states, :][..., states])
+    return squared.mean(0), values.mean(0) / len(states)
+
+
+def _said_bytes(messages: Sequence[tuple[str, bytes]]) -> int:
+    """Bytes of all shares, before they are numbered, framed and padded."""
+    parts: dict[tuple[str, int], list[bytes]] = {}
+    for topic, data in messages:
+        if topic.startswith("share/"):
+            fragment = read_frame(data)
+            parts.setdefault((topic, fragment.cycle), []).append(fragment.data)
+    return sum(len(read_body(data)) for data in parts.values())
+
+
+def _jackknife(squared: Array) -> tuple[float, float]:
+    """Ratio of the RMSE over runs (R, 2), and half the width of its interval.
+
+    Source: Efron (1982), The jackknife, the bootstrap and other resampling plans, chapter 3.
+    """
+    runs = len(squared)
+    total = squared.sum(axis=0)
+    ratio = np.sqrt(total[0] / total[1])
+    left = total - squared
+    without = np.sqrt(left[:, 0] / left[:, 1])
+    error = np.sqrt((runs - 1) / runs * ((without - without.mean()) ** 2).sum())
+    return float(ratio), float(_quantile(runs) * error)
+
+
+def _quantile(runs: int) -> float:
+    return float(stats.t.ppf(0.5 + CONFIDENCE / 2, runs - 1))

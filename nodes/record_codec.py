@@ -1,0 +1,120 @@
+"""A node's readings of one step as the bytes of a record: quantised, the same for every reader.
+
+All that use a record use these bytes, the source too: what rounding took from it is counted as
+noise by everybody alike.
+"""
+
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+
+from nodes.local_filter import Sensor
+from nodes.messages import Array
+
+# Steps of quantisation in a standard deviation of the noise.
+_STEPS_PER_DEVIATION = 16
+
+
+@runtime_checkable
+class Calibrated(Protocol):
+    """A sensor whose reading is the measurement itself, with noise known before it is taken."""
+
+    @property
+    def noise_std(self) -> Array:
+        """Standard deviation (d,) or () of each entry."""
+        ...
+
+
+class RecordCodec(NamedTuple):
+    """How the readings (r, d) of a node at a step are written.
+
+    `number` is a numpy type code; with an integer one an entry is a multiple of its `resolution`
+    (d,), and the least integer stands for NaN.
+    """
+
+    readings: int
+    channels: int
+    number: str
+    resolution: Array | None
+
+    @property
+    def size_max(self) -> int:
+        """Length in bytes of a record of which no reading is missing."""
+        return self._mask_bytes + self.readings * self._reading_bytes
+
+    @property
+    def rounding_cov(self) -> Array | None:
+        """Covariance (d, d) of what rounding does: uniform errors, step^2 / 12; None for none."""
+        return None if self.resolution is None else np.diag(self.resolution**2 / 12)
+
+    def encode(self, delivered: Array) -> bytes | None:
+        """The record of readings (r, d); None where nothing was taken, or nothing can be said.
+
+        An entry beyond the range of an integer is left out, as if it had not been taken.
+        """
+        entries = delivered
+        if self.resolution is not None:
+            most = np.iinfo(self.number).max
+            codes = np.round(delivered / self.resolution)
+            entries = np.where(np.abs(codes) <= most, codes, -most - 1)
+            taken = (entries >= -most).any(axis=-1)
+        else:
+            taken = ~np.isnan(delivered).all(axis=-1)
+        if not taken.any():
+            return None
+        mask = b"" if self.readings == 1 else np.packbits(taken, bitorder="little").tobytes()
+        return mask + entries[taken].astype(self.number).tobytes()
+
+    def decode(self, record: bytes) -> Array:
+        """The readings (r, d) that a whole record means."""
+        taken = self._taken(record)
+        data = np.frombuffer(record, self.number, offset=self._mask_bytes)
+        values = data.astype(np.float64).reshape(-1, self.channels)
+        if self.resolution is not None:
+            values = np.where(
+                data.reshape(values.shape) == np.iinfo(self.number).min, np.nan, values
+            )
+            values = values * self.resolution
+        delivered = np.full((self.readings, self.channels), np.nan)
+        delivered[taken] = values
+        return delivered
+
+    def length(self, data: bytes) -> int:
+        """Length of the record that `data` begins with; more than that of `data` if it is cut."""
+        if len(data) < self._mask_bytes:
+            return self._mask_bytes
+        return self._mask_bytes + int(self._taken(data).sum()) * self._reading_bytes
+
+    @property
+    def _mask_bytes(self) -> int:
+        return 0 if self.readings == 1 else -(-self.readings // 8)
+
+    @property
+    def _reading_bytes(self) -> int:
+        return self.channels * np.dtype(self.number).itemsize
+
+    def _taken(self, record: bytes) -> np.ndarray:
+        """Which of the readings (r,) a record has."""
+        if self.readings == 1:
+            return np.ones(1, dtype=bool)
+        mask = np.frombuffer(record[: self._mask_bytes], np.uint8)
+        return np.unpackbits(mask, count=self.readings, bitorder="little").astype(bool)
+
+
+def record_codec(sensor: Sensor | None, shape: tuple[int, int], number: str) -> RecordCodec | None:
+    """How the readings (r, d) = `shape` of a node with this sensor are written; None without one.
+
+    Readings of a sensor that is not `Calibrated` mean what they mean together (a sighting from a
+    moving robot): they go as float32 where an integer is asked for.
+    """
+    if sensor is None:
+        return None
+    readings, channels = shape
+    if np.dtype(number).kind != "i":
+        return RecordCodec(readings, channels, number, None)
+    if not isinstance(sensor, Calibrated):
+        return RecordCodec(readings, channels, "<f4", None)
+    deviation = np.broadcast_to(np.asarray(sensor.noise_std, dtype=float), (channels,))
+    # An entry that there is nothing to measure with is NaN in every reading, whatever its step.
+    deviation = np.where(np.isnan(deviation), 1.0, deviation)
+    return RecordCodec(readings, channels, number, deviation / _STEPS_PER_DEVIATION)

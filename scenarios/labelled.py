@@ -1,0 +1,140 @@
+"""The rule `labelled` in a scenario: what everybody must know of everybody, and what it refuses."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from bus.fragments import PREFIX_BYTES as FRAGMENT_BYTES
+from bus.schedule import Schedule, publishers_per_cycle
+from nodes.belief_codec import BeliefCodec
+from nodes.labelled_frame import (
+    MAX_SOURCES,
+    MAX_WINDOW_STEPS,
+    LabelledFrameCodec,
+    check_limit,
+)
+from nodes.local_filter import Sensor
+from nodes.messages import Array
+from nodes.record_codec import record_codec
+from nodes.share import PREFIX_BYTES as CYCLE_BYTES
+from scenarios.scenario import Scenario
+from topology.names import unknown_name
+
+RECORD_NUMBERS = {"int8": "<i1", "int16": "<i2", "float32": "<f4", "float64": "<f8"}
+_CHECKPOINT_NUMBER = "<f4"
+# A window costs neither bytes nor time of the bus, so it is longer than most networks need.
+_LEAST_WINDOW_STEPS = 32
+
+
+class Everybody(NamedTuple):
+    """What all nodes know of all nodes.
+
+    `sensors` has one entry per node; readings of each are of shape `readings_shape` (r, d).
+    """
+
+    scenario: Scenario
+    schedule: Schedule
+    sensors: tuple[Sensor | None, ...]
+    readings_shape: tuple[int, int]
+
+
+def frame_codec(
+    everybody: Everybody, neighbours: Sequence[Sequence[int]], states: int
+) -> LabelledFrameCodec:
+    """How the shares of this network are written.
+
+    Raises:
+        ValueError: a share cannot hold what it must.
+    """
+    scenario = everybody.scenario
+    number = RECORD_NUMBERS[scenario.record_number]
+    return LabelledFrameCodec(
+        [record_codec(sensor, everybody.readings_shape, number) for sensor in everybody.sensors],
+        BeliefCodec(states, _CHECKPOINT_NUMBER),
+        window_of(scenario, neighbours),
+        scenario.digest_steps,
+        largest_share(scenario, states),
+    )
+
+
+def largest_share(scenario: Scenario, states: int) -> int:
+    """Length in bytes of the longest share: what one frame holds beside its numbers.
+
+    Raises:
+        ValueError: it does not hold a checkpoint of so many states.
+    """
+    limit = scenario.payload_bytes - CYCLE_BYTES - FRAGMENT_BYTES
+    checkpoint = BeliefCodec(states, _CHECKPOINT_NUMBER).size
+    check_limit(limit, scenario.nodes, scenario.digest_steps, checkpoint)
+    return limit
+
+
+def window_of(scenario: Scenario, neighbours: Sequence[Sequence[int]]) -> int:
+    """Steps in the window: what was asked for, else the latency, but 32 at least."""
+    if scenario.window_steps is not None:
+        return scenario.window_steps
+    latency = latency_steps(scenario, neighbours)
+    return min(max(latency, _LEAST_WINDOW_STEPS), MAX_WINDOW_STEPS)
+
+
+def latency_steps(scenario: Scenario, neighbours: Sequence[Sequence[int]]) -> int:
+    """Steps in which a record crosses the graph if every node must wait for a turn of all others:
+    diameter times nodes over shares per step."""
+    shares = scenario.rounds * publishers_per_cycle(scenario.nodes, scenario.occupancy)
+    return -(-_diameter(neighbours) * scenario.nodes // shares)
+
+
+def check_labelled(
+    scenario: Scenario, neighbours: Sequence[Sequence[int]], _weights: Array
+) -> None:
+    """Refuse what the rule cannot do.
+
+    Raises:
+        ValueError: naming the option, its value, the rule and the cure.
+    """
+    if scenario.record_number not in RECORD_NUMBERS:
+        raise unknown_name("record number", scenario.record_number, RECORD_NUMBERS)
+    if scenario.nodes > MAX_SOURCES:
+        raise ValueError(
+            f"rule labelled with --nodes {scenario.nodes}: a label names its source in one byte, "
+            f"for {MAX_SOURCES} nodes at most; use rule ci or hcmci"
+        )
+    window = scenario.window_steps
+    if window is not None and not 1 <= window <= MAX_WINDOW_STEPS:
+        raise ValueError(
+            f"--window-steps {window}: must be 1 to {MAX_WINDOW_STEPS}, as a label says the age of "
+            "a record in one byte; leave it out for the latency of the schedule"
+        )
+    if scenario.digest_steps > window_of(scenario, neighbours):
+        raise ValueError(
+            f"--digest-steps {scenario.digest_steps}: nothing older than the window of "
+            f"{window_of(scenario, neighbours)} steps is held; lower it, or raise --window-steps"
+        )
+    if scenario.trigger > 0:
+        raise ValueError(
+            f"--trigger {scenario.trigger:g}: rule labelled asks for a slot when a neighbour lacks "
+            "a record, and not when its estimate has changed; leave --trigger out"
+        )
+    for node, heard in enumerate(neighbours):
+        for other in heard:
+            if node not in neighbours[other]:
+                raise ValueError(
+                    f"rule labelled on graph {scenario.graph}: node {node} hears node {other}, "
+                    "which does not hear it; a node must hear those it passes records to: use an "
+                    "undirected graph, or rule ci"
+                )
+
+
+def _diameter(neighbours: Sequence[Sequence[int]]) -> int:
+    """Most hops between two nodes of a connected graph."""
+    nodes = len(neighbours)
+    reach = np.eye(nodes, dtype=bool)
+    hears = reach.copy()
+    for node, heard in enumerate(neighbours):
+        hears[node, list(heard)] = True
+    hops = 0
+    while not reach.all() and hops < nodes:
+        reach = hears @ reach
+        hops += 1
+    return hops

@@ -1,0 +1,58 @@
+"""How records spread, against what the nodes themselves hold at the end."""
+
+import numpy as np
+
+from experiments.drivers import drive
+from experiments.options import ScenarioOptions
+from experiments.record_spread import NEVER, RecordSpread, figures_of
+from experiments.summary import lines, summarise
+from experiments.trace import read_trace
+from nodes import in_process
+from nodes.recording import MemoryRecorder
+from scenarios.build import build_node, build_world
+from scenarios.setup import Setup, prepare
+
+
+def setup_of(**options) -> Setup:
+    chosen = {"scenario": "oscillator", "nodes": 6, "steps": 20, **options}
+    return prepare(ScenarioOptions(**chosen).resolve())
+
+
+def test_arrivals_are_what_the_nodes_hold():
+    setup = setup_of(rule="labelled", occupancy=0.4, window_steps=6)
+    recorder = MemoryRecorder()
+    nodes = [build_node(setup, node) for node in range(6)]
+    states = in_process.run(build_world(setup), nodes, recorder)
+    spread = read_trace(setup, recorder.messages).spread
+    assert spread is not None
+    last = setup.scenario.steps - 1
+    for node, state in enumerate(states):
+        window = state.content.window
+        for place, records in enumerate(window.records):
+            came = spread.arrival_steps[node, window.base_step + 1 + place]
+            assert set(np.flatnonzero((came != NEVER) & (came <= last)).tolist()) == set(records)
+
+
+def test_figures_of_a_spread_that_is_known():
+    """Two nodes, four steps; the second hears of step 0 at once, of 1 a step late, of 2 never."""
+    taken = np.array([[True, False], [True, False], [True, False], [False, False]])
+    arrival = np.full((2, 4, 2), NEVER)
+    arrival[0, [0, 1, 2], 0] = [0, 1, 2]
+    arrival[1, [0, 1], 0] = [0, 2]
+    spread = RecordSpread(taken, arrival, 2, np.array([10, 20, 30, 40]), 8, 2, 4)
+    figures = figures_of(spread)
+    assert figures.coverage == 2 / 3
+    # Node 1 is behind by 0, 1 (step 0 of 1), 1 (1 of 2), 1 steps.
+    assert figures.lag_steps_mean == 0.75 and figures.lag_steps_max == 1
+    assert (figures.checkpoint_share, figures.records_per_share) == (0.25, 0.5)
+    assert figures.body_bytes_per_step == 25.0
+
+
+def test_a_summary_tells_of_records_where_there_are_some():
+    for rule, told in (("labelled", True), ("ci", False)):
+        setup = setup_of(rule=rule)
+        recorder = MemoryRecorder()
+        drive(setup, recorder, lambda _: None)
+        figures = summarise(setup, read_trace(setup, recorder.messages))
+        assert (figures.spread is not None) == told
+        assert any(line.startswith("records:") for line in lines(figures)) == told

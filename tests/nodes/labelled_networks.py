@@ -1,0 +1,225 @@
+"""Networks of the rule `labelled` for tests: small linear plants, and an independent search."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from bus.publication import Slot
+from bus.schedule import Schedule
+from filters.gaussian import Gaussian
+from nodes.belief_codec import BeliefCodec
+from nodes.in_process import Link
+from nodes.labelled import Content, LabelledFlooding
+from nodes.labelled_frame import LabelledFrameCodec
+from nodes.messages import Array, Bid, Grant, Measured, decode, from_wire
+from nodes.record_codec import RecordCodec
+from nodes.share import read_body, read_frame
+from nodes.window_filter import WindowFilter
+from tests.nodes.networks import Network, Outcome, WholeState, keenest, network
+from tests.nodes.rule_networks import F, Q, noise_cov
+from topology.adjacency import Adjacency
+
+PRIOR = Gaussian(np.array([1.0, -1.0]), np.diag([4.0, 2.0]))
+
+
+def labelled(
+    adjacency: Adjacency,
+    *,
+    steps: int,
+    rounds: int,
+    seeing: Sequence[int],
+    schedule: Schedule,
+    window_steps: int = 8,
+    digest_steps: int = 0,
+    gates: dict[int, float] | None = None,
+    matrix: Array = F,
+    process_noise_cov: Array = Q,
+    limit_bytes: int = 246,
+    seed: int = 0,
+) -> Network:
+    """Nodes on this graph (N, N) that pass records of float64 on; each sees something else well."""
+    count = len(adjacency)
+    net = network(
+        adjacency,
+        [PRIOR] * count,
+        steps=steps,
+        rounds=rounds,
+        matrix=matrix,
+        process_noise_cov=process_noise_cov,
+        schedule=schedule,
+        seeing=seeing,
+        seed=seed,
+    )
+    gates = gates or {}
+    sensors = [
+        WholeState(noise_cov(node), gates.get(node)) if node in seeing else None
+        for node in range(count)
+    ]
+    codecs = [None if sensor is None else RecordCodec(1, 2, "<f8", None) for sensor in sensors]
+    frames = LabelledFrameCodec(
+        codecs, BeliefCodec(2, "<f4"), window_steps, digest_steps, limit_bytes
+    )
+    neighbours = [node.neighbours for node in net.nodes]
+    nodes = []
+    for config in net.nodes:
+        plain: Any = config.estimator
+        estimator = LabelledFlooding(
+            node=config.index,
+            neighbours=neighbours,
+            prior=PRIOR,
+            filter=WindowFilter(plain.model, sensors, codecs, plain.points),
+            frames=frames,
+            schedule=schedule,
+            rounds=rounds,
+        )
+        nodes.append(replace(config, estimator=estimator, slots=_slots))
+    world = replace(net.world, arbitrate=partial(_by_group, schedule))
+    return Network(world, nodes)
+
+
+_FRAMES = 16
+
+
+def _slots(node: int, cycle: int) -> tuple[Slot, ...]:
+    first = _FRAMES * node + 1
+    return tuple(Slot(first + part, 254, fixed=False) for part in range(_FRAMES))
+
+
+def _by_group(
+    schedule: Schedule, state: Any, cycle: int, bids: Sequence[Bid]
+) -> tuple[Any, tuple[int, ...]]:
+    slots = schedule.groups(cycle)[bids[0].group].dynamic_slots
+    return keenest(slots, state, cycle, bids)
+
+
+# --- what should be held, found without the rule -------------------------------------------------
+
+Held = list[set[tuple[int, int]]]  # per node the (step, source) of its window
+
+
+def taken(outcome: Outcome) -> dict[tuple[int, int], Array]:
+    """Every reading (d,) by (step, source), from what the world said."""
+    found = {}
+    for topic, data in outcome.messages:
+        if topic.startswith("measured/"):
+            message: Measured = decode(topic, data)
+            reading = from_wire(message.readings)[0]
+            if not np.isnan(reading).any():
+                found[message.step, message.node] = reading
+    return found
+
+
+def reachable(
+    net: Network, outcome: Outcome, arrives: Callable[[int, int, int], bool]
+) -> list[Held]:
+    """What each node can hold after each step if everybody who sends says all that it holds.
+
+    `arrives(sender, receiver, cycle)` says whether a share came through.
+    """
+    schedule, rounds, steps = net.nodes[0].schedule, net.nodes[0].rounds, net.nodes[0].steps
+    window = net.nodes[0].estimator.frames.window_steps  # type: ignore[attr-defined]
+    grants: dict[tuple[int, int], list[int]] = {}
+    for topic, data in outcome.messages:
+        if topic == "grant":
+            grant: Grant = decode(topic, data)
+            grants[grant.cycle, grant.group] = grant.winners
+    readings = taken(outcome)
+    held: Held = [set() for _ in net.nodes]
+    history = []
+    for cycle in range(steps * rounds):
+        step = cycle // rounds
+        if cycle % rounds == 0:
+            for i in range(len(held)):
+                held[i] = {label for label in held[i] if label[0] > step - window}
+                held[i] |= {(step, i)} & readings.keys()
+        for number, group in enumerate(schedule.groups(cycle)):
+            before = [set(some) for some in held]
+            for sender in (*group.senders, *grants.get((cycle, number), ())):
+                for config in net.nodes:
+                    if sender in config.neighbours and arrives(sender, config.index, cycle):
+                        held[config.index] |= before[sender]
+        if (cycle + 1) % rounds == 0:
+            history.append([set(some) for some in held])
+    return history
+
+
+def carried(net: Network, outcome: Outcome, arrives: Callable[[int, int, int], bool]) -> list[Held]:
+    """What each node holds after each step if it keeps what the frames that came through say."""
+    rounds, steps = net.nodes[0].rounds, net.nodes[0].steps
+    frames: LabelledFrameCodec = net.nodes[0].estimator.frames  # type: ignore[attr-defined]
+    readings = taken(outcome)
+    held: Held = [{(t, j) for t, j in readings if j == i} for i in range(len(net.nodes))]
+    came: dict[tuple[int, int, int], int] = {}
+    for (cycle, sender), body in _shares(outcome).items():
+        step = cycle // rounds
+        for source, age, _ in frames.decode(body).records:
+            for config in net.nodes:
+                if sender in config.neighbours and arrives(sender, config.index, cycle):
+                    key = (config.index, step - age, source)
+                    came[key] = min(came.get(key, step), step)
+    history = []
+    for step in range(steps):
+        now: Held = []
+        for i in range(len(held)):
+            own = {(t, j) for t, j in held[i] if t <= step}
+            heard = {(t, j) for (node, t, j), at in came.items() if node == i and at <= step}
+            now.append({label for label in own | heard if label[0] > step - frames.window_steps})
+        history.append(now)
+    return history
+
+
+def _shares(outcome: Outcome) -> dict[tuple[int, int], bytes]:
+    """Every share by cycle and sender."""
+    parts: dict[tuple[int, int], list[bytes]] = {}
+    for topic, data in outcome.messages:
+        if topic.startswith("share/"):
+            fragment = read_frame(data)
+            parts.setdefault((fragment.cycle, int(topic[6:])), []).append(fragment.data)
+    return {key: read_body(data) for key, data in parts.items()}
+
+
+def held_by(states: Iterable[Any]) -> Held:
+    """What the nodes hold at the end of a run."""
+    found: Held = []
+    for state in states:
+        content: Content = state.content
+        first = content.window.base_step + 1
+        found.append(
+            {(first + place, j) for place, some in enumerate(content.window.records) for j in some}
+        )
+    return found
+
+
+def kalman(net: Network, readings: dict[tuple[int, int], Array], labels: Iterable) -> Gaussian:
+    """The belief at the last step given these readings: a plain Kalman filter, in matrices."""
+    plant = net.world.plant
+    matrix, noise = plant.matrix, plant.noise_cov  # type: ignore[attr-defined]
+    mean, cov = PRIOR
+    used = set(labels)
+    for step in range(net.world.steps):
+        if step:
+            mean, cov = matrix @ mean, matrix @ cov @ matrix.T + noise
+        information, vector = np.linalg.inv(cov), np.linalg.inv(cov) @ mean
+        for source in sorted(j for t, j in used if t == step):
+            weight = np.linalg.inv(noise_cov(source))
+            information = information + weight
+            vector = vector + weight @ readings[step, source]
+        cov = np.linalg.inv(information)
+        mean = cov @ vector
+    return Gaussian(mean, cov)
+
+
+def fate(seed: int, probability: float) -> tuple[Link, Callable[[int, int, int], bool]]:
+    """A link that loses frames, and the same as a predicate (sender, receiver, cycle)."""
+
+    def arrives(sender: int, receiver: int, cycle: int) -> bool:
+        draw = np.random.default_rng([seed, sender, receiver, cycle]).random()
+        return bool(draw >= probability)
+
+    def link(sender: int, receiver: int, frame: bytes) -> Iterable[bytes]:
+        return (frame,) if arrives(sender, receiver, read_frame(frame).cycle) else ()
+
+    return link, arrives

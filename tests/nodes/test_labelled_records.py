@@ -1,0 +1,178 @@
+"""Records and the frames that carry them: what goes in comes out, and garbage is refused."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from filters.gaussian import Gaussian
+from nodes.belief_codec import BeliefCodec
+from nodes.estimator import Rejected
+from nodes.labelled_frame import Labelled, LabelledFrameCodec, LabelledShare
+from nodes.record_codec import RecordCodec, record_codec
+from nodes.record_sets import lacked, need, sources_of, union
+from plants.range_bearing import RangeBearing
+from plants.sighting import Sighting
+from tests.nodes.networks import random_cov
+
+NUMBERS = ("<i1", "<i2", "<f4", "<f8")
+SENSOR = RangeBearing(np.zeros(2))
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def codec_for(number: str, readings: int = 1) -> RecordCodec:
+    codec = record_codec(SENSOR, (readings, 2), number)
+    assert codec is not None
+    return codec
+
+
+# --- records -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+@pytest.mark.parametrize("readings", [1, 3, 9])
+@given(seed=SEEDS)
+def test_a_record_says_its_readings_to_half_a_step(number: str, readings: int, seed: int):
+    generator = np.random.default_rng(seed)
+    codec = codec_for(number, readings)
+    delivered = SENSOR.noise_std * generator.uniform(-7, 7, (readings, 2))
+    delivered[generator.random((readings, 2)) < 0.3] = np.nan
+    record = codec.encode(delivered)
+    if np.isnan(delivered).all():
+        assert record is None
+        return
+    assert record is not None and len(record) == codec.length(record) <= codec.size_max
+    found = codec.decode(record)
+    step = SENSOR.noise_std / 16 if number.startswith("<i") else np.full(2, 1e-4)
+    assert np.array_equal(np.isnan(found), np.isnan(delivered))
+    assert (np.abs(np.nan_to_num(found - delivered)) <= step / 2 + 1e-12).all()
+    # What was decoded is what everybody uses: writing it again changes no bit.
+    assert codec.encode(found) == record
+
+
+def test_rounding_has_the_variance_that_everybody_adds():
+    codec = codec_for("<i2")
+    values = SENSOR.noise_std * np.random.default_rng(1).normal(30, 50, (4000, 1, 2))
+    errors = np.array([codec.decode(codec.encode(v) or b"")[0] - v[0] for v in values])
+    expected = np.diag(codec.rounding_cov)  # type: ignore[arg-type]
+    # Of n uniform errors the sum of squares over the variance has mean n, variance 0.8 n.
+    deviation = stats.norm.ppf(1 - 1e-6) * np.sqrt(0.8 / len(values))
+    assert (np.abs((errors**2).mean(0) / expected - 1) < deviation).all()
+
+
+def test_an_entry_beyond_the_integer_is_not_taken():
+    codec = codec_for("<i2")
+    most = 32767 * SENSOR.noise_std[0] / 16
+    record = codec.encode(np.array([[most * 1.01, 0.1]]))
+    assert record is not None
+    assert np.isnan(codec.decode(record)[0, 0]) and codec.decode(record)[0, 1] == pytest.approx(
+        0.1, abs=SENSOR.noise_std[1] / 32
+    )
+    assert codec.encode(np.array([[most * 1.01, np.nan]])) is None
+
+
+def test_readings_that_mean_something_together_are_not_quantised():
+    codec = record_codec(Sighting(), (1, 5), "<i2")
+    assert codec is not None and codec.number == "<f4" and codec.rounding_cov is None
+    assert record_codec(None, (1, 5), "<i2") is None
+
+
+# --- frames --------------------------------------------------------------------------------------
+
+
+def frames(digest_steps: int, limit_bytes: int = 246) -> LabelledFrameCodec:
+    """Five nodes, of which node 3 is blind; node 4 has two readings."""
+    codecs = [codec_for("<i2"), codec_for("<i1"), codec_for("<f8"), None, codec_for("<i2", 2)]
+    return LabelledFrameCodec(codecs, BeliefCodec(2, "<f4"), 10, digest_steps, limit_bytes)
+
+
+@st.composite
+def shares(draw: st.DrawFn, digest_steps: int) -> LabelledShare:
+    generator = np.random.default_rng(draw(SEEDS))
+    codec = frames(digest_steps)
+    records = []
+    for source in draw(st.lists(st.sampled_from([0, 1, 2, 4]), max_size=8)):
+        of_source = codec.codecs[source]
+        assert of_source is not None
+        readings = SENSOR.noise_std * generator.uniform(-5, 5, (of_source.readings, 2))
+        record = of_source.encode(readings)
+        assert record is not None
+        records.append(Labelled(source, draw(st.integers(0, 9)), record))
+    checkpoint = None
+    if draw(st.booleans()):
+        mean, cov = generator.standard_normal(2), random_cov(generator, 2)
+        checkpoint = Gaussian(mean.astype("f4").astype(float), cov.astype("f4").astype(float))
+    digest = tuple(draw(st.integers(0, 31)) for _ in range(digest_steps))
+    return LabelledShare(draw(st.booleans()), checkpoint, digest, tuple(records))
+
+
+@pytest.mark.parametrize("digest_steps", [0, 1, 8])
+@given(data=st.data())
+def test_a_share_comes_back(digest_steps: int, data: st.DataObject):
+    share, codec = data.draw(shares(digest_steps)), frames(digest_steps)
+    body = codec.encode(share)
+    found = codec.decode(body)
+    assert found._replace(checkpoint=None) == share._replace(checkpoint=None)
+    assert (found.checkpoint is None) == (share.checkpoint is None)
+    if share.checkpoint is not None and found.checkpoint is not None:
+        assert np.array_equal(found.checkpoint.mean, share.checkpoint.mean)
+        assert np.array_equal(found.checkpoint.cov, share.checkpoint.cov)
+    cost = sum(codec.cost(record) for _, _, record in share.records)
+    room = codec.room(share.checkpoint is not None)
+    assert len(body) == codec.limit_bytes - room + cost
+
+
+@given(st.data(), st.integers(0, 300))
+def test_a_share_that_is_cut_is_refused(data: st.DataObject, length: int):
+    share, codec = data.draw(shares(1)), frames(1)
+    body = codec.encode(share)
+    if length < len(body):
+        with pytest.raises(Rejected):
+            codec.decode(body[:length])
+
+
+@given(st.binary(max_size=80))
+def test_garbage_is_a_share_or_refused(body: bytes):
+    codec = frames(3)
+    try:
+        share = codec.decode(body)
+    except Rejected:
+        return
+    for source, age, record in share.records:
+        of_source = codec.codecs[source]
+        assert of_source is not None and age < 10
+        assert of_source.decode(record).shape == (of_source.readings, 2)
+
+
+@pytest.mark.parametrize("source, age", [(3, 0), (5, 0), (0, 10)])
+def test_labels_that_nobody_writes_are_refused(source: int, age: int):
+    body = bytes((0, 1, source, age)) + bytes(40)
+    with pytest.raises(Rejected, match="labelled-label"):
+        frames(0).decode(body)
+
+
+def test_a_frame_that_cannot_hold_a_checkpoint_is_refused_before_the_start():
+    with pytest.raises(ValueError, match="--payload-bytes by 18 or more"):
+        frames(0, limit_bytes=19)
+
+
+# --- sets ----------------------------------------------------------------------------------------
+
+
+@given(
+    st.dictionaries(st.integers(0, 4), st.integers(1, 31)),
+    st.lists(st.dictionaries(st.integers(0, 4), st.integers(0, 31)), max_size=3),
+)
+def test_needs_are_those_of_plain_sets(held: dict[int, int], known: list[dict[int, int]]):
+    def plain(records: dict[int, int]) -> set[tuple[int, int]]:
+        return {(t, j) for t, bits in records.items() for j in range(5) if bits >> j & 1}
+
+    absent = [plain(held) - plain(theirs) for theirs in known]
+    assert plain(lacked(held, known)) == set().union(*absent)
+    urgencies = {t: 10 + t for t in held}
+    assert need(held, known, urgencies) == sum(10 + t for some in absent for t, _ in some)
+    for theirs in known:
+        assert plain(dict(union(held, theirs))) == plain(held) | plain(theirs)
+    for bits in held.values():
+        assert list(sources_of(bits)) == [j for j in range(5) if bits >> j & 1]

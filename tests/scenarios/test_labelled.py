@@ -1,0 +1,172 @@
+"""The rule `labelled` from the command line's options to a run, and what it refuses."""
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from experiments.agree_command import first_difference
+from experiments.baselines import centralised
+from experiments.drivers import DRIVERS, in_memory
+from experiments.options import ScenarioOptions
+from experiments.trace import Trace, read_trace
+from nodes.labelled import LabelledFlooding
+from nodes.record_codec import Calibrated
+from nodes.recording import read_recording
+from scenarios.build import build_node
+from scenarios.bus_plan import build_schedule
+from scenarios.catalogue import kind_of
+from scenarios.labelled import check_labelled, latency_steps, window_of
+from scenarios.scenario import Scenario
+from scenarios.setup import Setup, prepare
+
+
+def setup_of(**options) -> Setup:
+    chosen = {"scenario": "oscillator", "rule": "labelled", "steps": 12, **options}
+    return prepare(ScenarioOptions(**chosen).resolve())
+
+
+def trace_of(setup: Setup) -> Trace:
+    return read_trace(setup, in_memory(setup))
+
+
+# --- exactness -----------------------------------------------------------------------------------
+
+ALL_TOLD = [
+    {"scenario": "target-tracking", "nodes": 8, "graph": "complete", "rounds": 1},
+    {"scenario": "target-tracking", "nodes": 8, "graph": "path", "rounds": 7},
+    {"scenario": "target-tracking", "nodes": 8, "graph": "ring", "rounds": 4, "relay": True},
+    {"scenario": "oscillator", "nodes": 5, "graph": "star", "rounds": 2},
+    {"scenario": "dc-motor-position", "graph": "complete", "rounds": 1, "stretch": 2.0},
+]
+
+
+@pytest.mark.parametrize("options", ALL_TOLD, ids=lambda o: f"{o['scenario']} {o['graph']}")
+def test_with_all_records_in_time_every_node_is_the_centralised_filter(options: dict):
+    setup = setup_of(**options, steps=40, record_number="float64")
+    trace = trace_of(setup)
+    best = centralised(setup, trace.readings, trace.control)
+    scale = np.abs(best.mean).max(axis=0)
+    for node in range(setup.scenario.nodes):
+        assert (np.abs(trace.mean[:, node] - best.mean) <= 1e-9 * scale).all()
+        # Relative to the standard deviations that a covariance is made of.
+        deviation = np.sqrt(np.einsum("kii->ki", best.cov))
+        error = np.abs(trace.cov[:, node] - best.cov)
+        assert (error <= 1e-9 * deviation[:, :, None] * deviation[:, None, :]).all()
+
+
+def test_quantised_records_are_the_centralised_filter_that_knows_of_the_rounding():
+    """The same with readings rounded, and R larger by a twelfth of the squared step."""
+    setup = setup_of(scenario="target-tracking", nodes=6, graph="complete", rounds=1, steps=30)
+    trace = trace_of(setup)
+    codec = build_node(setup, 0).estimator.filter.codecs[0]  # type: ignore[attr-defined]
+    rounded = codec.resolution * np.round(trace.readings / codec.resolution)
+    sensor = kind_of("target-tracking").sensor(setup.scenario, 0)
+    assert isinstance(sensor, Calibrated)
+    best = centralised(setup, rounded, None)
+    exact = centralised(setup, trace.readings, None)
+    ours = np.einsum("kii->ki", trace.cov[:, 0])
+    # R grows by (1/16)^2/12 of itself, so P grows by that much at most, and by something.
+    assert (ours <= np.einsum("kii->ki", exact.cov) * 1.05).all()
+    assert np.abs(trace.mean[:, 0] - best.mean).max() < np.abs(trace.mean[:, 0] - exact.mean).max()
+
+
+# --- every plant ---------------------------------------------------------------------------------
+
+PLANTS = {
+    "target-tracking": {"occupancy": 0.25},
+    "target-crossing": {"occupancy": 0.25, "schedule": "dynamic", "relay": True},
+    "oscillator": {"occupancy": 0.5, "schedule": "hybrid-leaves"},
+    "cruise-control": {"stretch": 2.0},
+    "suspension": {"stretch": 30.0},
+    "aircraft-pitch": {"stretch": 2.0, "record_number": "int8"},
+    "dc-motor-speed": {"stretch": 2.0, "control": "truth"},
+    "dc-motor-position": {"stretch": 2.0, "occupancy": 0.5, "relay": True},
+}
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_every_plant_runs_and_no_record_is_lost(name: str):
+    trace = trace_of(setup_of(scenario=name, steps=15, digest_steps=2, **PLANTS[name]))
+    assert trace.steps == 15
+    assert (np.linalg.eigvalsh(trace.cov) > 0).all()
+    assert not any("failed" in event or "rej" in event for c in trace.counters for event in c)
+
+
+@pytest.mark.zenoh
+@pytest.mark.parametrize("relay", [False, True])
+def test_processes_give_the_bits_of_one_process(relay: bool, tmp_path: Path):
+    setup = setup_of(occupancy=0.5, steps=5, nodes=4, window_steps=3, relay=relay, digest_steps=2)
+    traces = []
+    for name, driver in DRIVERS.items():
+        recording = tmp_path / f"{name}.mcap"
+        driver(setup, f"labelled-{relay}-{name}", recording, None, lambda step: None)
+        traces.append(read_trace(setup, read_recording(recording)))
+    assert first_difference(traces[0], traces[1], "processes") is None
+
+
+# --- options -------------------------------------------------------------------------------------
+
+REFUSED = [
+    ({"relay": True, "rule": "ci"}, "choose rule labelled"),
+    ({"relay": True, "cluster": "none"}, "--relay --cluster none"),
+    ({"relay": True, "latch_delay_us": 50.0}, "leaves 7.8 us"),
+    ({"window_steps": 0}, "must be 1 to 255"),
+    ({"window_steps": 256}, "must be 1 to 255"),
+    ({"window_steps": 4, "digest_steps": 5}, "--digest-steps 5"),
+    ({"digest_steps": -1}, "0 or more"),
+    ({"trigger": 0.5, "schedule": "dynamic"}, "leave --trigger out"),
+    ({"record_number": "int61"}, "'int16'"),
+    ({"payload_bytes": 15}, "even, 16 to 254"),
+    ({"payload_bytes": 256}, "even, 16 to 254"),
+    ({"hold": "raw"}, "leave --hold out"),
+    ({"latch_delay_us": -1.0}, "0 or more"),
+]
+
+
+@pytest.mark.parametrize("options, words", REFUSED)
+def test_what_cannot_be_is_refused_with_the_cure(options: dict, words: str):
+    with pytest.raises(ValueError) as refused:
+        setup_of(**options)
+    assert words in str(refused.value)
+
+
+def test_a_frame_too_short_for_a_checkpoint_is_refused_before_anything_starts():
+    with pytest.raises(ValueError, match="raise --payload-bytes"):
+        setup_of(payload_bytes=16)
+
+
+def test_a_directed_graph_is_refused():
+    scenario = setup_of().scenario
+    with pytest.raises(ValueError, match="which does not hear it"):
+        check_labelled(scenario, [[1], [0, 2], []], np.eye(3))
+
+
+def test_the_window_is_the_latency_and_32_steps_at_least():
+    path = [[1], *([i - 1, i + 1] for i in range(1, 19)), [18]]
+    scenario = Scenario(name="target-tracking", nodes=20, graph="path", steps=1, occupancy=0.1)
+    # 19 hops, each of at most 20 nodes' turns, 2 a cycle and 3 cycles a step.
+    assert latency_steps(scenario, path) == window_of(scenario, path) == -(-19 * 20 // 6)
+    assert window_of(msgspec.structs.replace(scenario, occupancy=1.0), path) == 32
+    assert window_of(msgspec.structs.replace(scenario, window_steps=5), path) == 5
+
+
+def test_leaves_own_the_static_slots():
+    star = [[1, 2, 3, 4], [0], [0], [0], [0]]
+    scenario = Scenario(
+        name="oscillator", nodes=5, graph="star", steps=1, schedule="hybrid-leaves", occupancy=0.8
+    )
+    schedule = build_schedule(scenario, star)
+    assert {node for row in schedule.static_table for node in row} == {1, 2, 3}
+    assert schedule.contender_table == ((0, 4),)
+    plain = build_schedule(msgspec.structs.replace(scenario, schedule="hybrid"), star)
+    assert build_schedule(scenario) == plain
+
+
+def test_shares_stay_within_the_payload_that_was_asked_for():
+    setup = setup_of(payload_bytes=40, steps=20, occupancy=0.25, nodes=8)
+    trace = trace_of(setup)
+    assert 8 < trace.payload_bytes.max() <= 40
+    estimator = build_node(setup, 0).estimator
+    assert isinstance(estimator, LabelledFlooding) and estimator.share_bytes == 40 - 8
