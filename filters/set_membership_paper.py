@@ -67,6 +67,9 @@ def _losers(before: Ellipsoid, cycle: Cycle, position: np.ndarray) -> np.ndarray
     slack = rounding_bound(change.shape[-1]) * np.abs(cycle.weights) * largest**2
     winner = np.asarray(cycle.winner)[..., None]
     count = len(cycle.weights)
+    if count < 2:
+        size = change.shape[-1]
+        return np.zeros((*change.shape[:-2], 0, size, size))
     lost = np.arange(count - 1) + (np.arange(count - 1) >= winner)
     of_losers = np.take_along_axis(squares, lost[..., None, None], -3)
     of_winner = np.take_along_axis(squares, winner[..., None, None], -3)

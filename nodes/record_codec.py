@@ -4,7 +4,9 @@ All that use a record use these bytes, the source too: what rounding took from i
 noise by everybody alike.
 """
 
-from typing import NamedTuple, Protocol, runtime_checkable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -25,7 +27,8 @@ class Calibrated(Protocol):
         ...
 
 
-class RecordCodec(NamedTuple):
+@dataclass(frozen=True)
+class RecordCodec:
     """How the readings (r, d) of a node at a step are written.
 
     `number` is a numpy type code; with an integer one an entry is a multiple of its `resolution`
@@ -42,7 +45,7 @@ class RecordCodec(NamedTuple):
         """Length in bytes of a record of which no reading is missing."""
         return self._mask_bytes + self.readings * self._reading_bytes
 
-    @property
+    @cached_property
     def rounding_cov(self) -> Array | None:
         """Covariance (d, d) of what rounding does: uniform errors, step^2 / 12; None for none."""
         return None if self.resolution is None else np.diag(self.resolution**2 / 12)
@@ -67,36 +70,35 @@ class RecordCodec(NamedTuple):
 
     def decode(self, record: bytes) -> Array:
         """The readings (r, d) that a whole record means."""
-        taken = self._taken(record)
         data = np.frombuffer(record, self.number, offset=self._mask_bytes)
-        values = data.astype(np.float64).reshape(-1, self.channels)
+        values = data.astype(np.float64)
         if self.resolution is not None:
-            values = np.where(
-                data.reshape(values.shape) == np.iinfo(self.number).min, np.nan, values
-            )
-            values = values * self.resolution
+            values[data == np.iinfo(self.number).min] = np.nan
+            values = values.reshape(-1, self.channels) * self.resolution
+        if self.readings == 1:
+            return values.reshape(1, self.channels)
         delivered = np.full((self.readings, self.channels), np.nan)
-        delivered[taken] = values
+        delivered[self._taken(record)] = values.reshape(-1, self.channels)
         return delivered
 
     def length(self, data: bytes) -> int:
         """Length of the record that `data` begins with; more than that of `data` if it is cut."""
+        if self.readings == 1:
+            return self._reading_bytes
         if len(data) < self._mask_bytes:
             return self._mask_bytes
         return self._mask_bytes + int(self._taken(data).sum()) * self._reading_bytes
 
-    @property
+    @cached_property
     def _mask_bytes(self) -> int:
         return 0 if self.readings == 1 else -(-self.readings // 8)
 
-    @property
+    @cached_property
     def _reading_bytes(self) -> int:
         return self.channels * np.dtype(self.number).itemsize
 
     def _taken(self, record: bytes) -> np.ndarray:
-        """Which of the readings (r,) a record has."""
-        if self.readings == 1:
-            return np.ones(1, dtype=bool)
+        """Which of several readings (r,) a record has."""
         mask = np.frombuffer(record[: self._mask_bytes], np.uint8)
         return np.unpackbits(mask, count=self.readings, bitorder="little").astype(bool)
 

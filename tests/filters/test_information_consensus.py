@@ -192,7 +192,7 @@ def test_shares_of_no_sound_node_are_recognised():
     known = hybrid_consensus.begin(priors, posteriors(generator, priors), np.eye(5))
     known[1, 2] = -1.0  # prior information that is not positive definite
     known[2, 7] = -1e3  # a reading that took information away
-    known[3, -1] = -0.1  # a weight below 0
+    known[3, -2:] = 1.5, -0.5  # a weight below 0
     known[4, -1] = 0.5  # weights that sum to more than 1
     assert hybrid_consensus.sound(known, 2).tolist() == [True, False, False, False, False]
     pair = information_weighted.begin(priors, priors, 5)

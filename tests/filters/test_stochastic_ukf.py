@@ -1,6 +1,7 @@
 """Filters behind a measurement bus: second moments, the Kalman filter, the printed algorithm."""
 
 from functools import partial
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -12,19 +13,21 @@ from filters import kalman, ukf
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule, scaled_unscented
 from filters.stochastic_ukf import (
-    FILTERS,
-    PAPER_LITERAL,
-    PAPER_LITERAL_R,
     RECOMMENDED,
     Dynamics,
     Observation,
     Received,
     State,
     expected_cov,
-    pseudo_inverse,
 )
+from filters.stochastic_ukf_printed import PAPER_LITERAL, PAPER_LITERAL_R, pseudo_inverse
 from tests.filters.support import BATCHES, random_belief, random_spd
 
+FILTERS = {
+    "recommended": RECOMMENDED,
+    "paper-literal": PAPER_LITERAL,
+    "paper-literal-R": PAPER_LITERAL_R,
+}
 N, M = 2, 6
 PAPER_POINTS = scaled_unscented(N, 1.0, 2.0, 0.0)
 
@@ -79,7 +82,7 @@ def paper_observation(step: int) -> Observation:
 
 
 def paper_run(seed: int, steps: int) -> tuple[Gaussian, np.ndarray, np.ndarray]:
-    """Prior, ybar_s and what is fresh in slots 1..steps, of cycles 1 2 3 4 then 5 or 6 by chance."""
+    """Prior, ybar_s and what is fresh in slots 1..steps: 1 2 3 4, then 5 or 6 by chance."""
     generator = np.random.default_rng(seed)
     prior = Gaussian(np.array([5.0, -2.0]), np.eye(N))
     x = generator.multivariate_normal(*prior)
@@ -117,9 +120,7 @@ def test_expected_cov_is_the_mean_over_the_points_of_an_exact_rule(lanes: tuple[
     moment, belief = random_moment(generator, 3, 4, N), random_belief(generator, lanes, N)
     # x' G x is of degree 2, which the cubature points integrate exactly.
     root = np.linalg.cholesky(belief.cov)
-    points = [
-        belief.mean + sign * np.sqrt(N) * root[..., i] for i in range(N) for sign in (1, -1)
-    ]
+    points = [belief.mean + sign * np.sqrt(N) * root[..., i] for i in range(N) for sign in (1, -1)]
     mean = sum(
         np.einsum("...i,ij,...j->...", x, gamma, x)[..., None, None] * pi / len(points)
         for x in points
@@ -196,7 +197,8 @@ def test_held_values_do_not_matter_and_nothing_sent_changes_nothing():
     prior, received, fresh = paper_run(5, 20)
     held_otherwise = np.where(fresh, received, 1e6)
     ours, theirs = (
-        follow(RECOMMENDED, prior, values, fresh)[-1].belief for values in (received, held_otherwise)
+        follow(RECOMMENDED, prior, values, fresh)[-1].belief
+        for values in (received, held_otherwise)
     )
     np.testing.assert_array_equal(ours.mean, theirs.mean)
     silent = Received(received[0], np.zeros(M, dtype=bool))
@@ -241,7 +243,11 @@ def printed(prior: Gaussian, received, fresh, invert, noise_everywhere: bool) ->
 
     def points(mean, cov):
         root = np.linalg.cholesky(N * cov)
-        return [mean, *(mean + root[:, i] for i in range(N)), *(mean - root[:, i] for i in range(N))]
+        return [
+            mean,
+            *(mean + root[:, i] for i in range(N)),
+            *(mean - root[:, i] for i in range(N)),
+        ]
 
     def average(values):
         return sum(w * v for w, v in zip(mean_weights, values, strict=True))
@@ -307,7 +313,7 @@ def test_the_printed_covariance_is_singular_and_learns_nothing():
     prior, received, fresh = paper_run(4, 40)
     states = follow(PAPER_LITERAL, prior, received, fresh)
     noise_cov = 0.05 * np.eye(N)
-    for before, after in zip(states, states[1:], strict=False):
+    for before, after in pairwise(states):
         # On average over the wanderings of a singular matrix: to its rounding, not to a bit.
         expected = noise_cov + expected_cov(PROCESS, before.belief)
         np.testing.assert_allclose(after.belief.cov, expected, atol=1e-9)

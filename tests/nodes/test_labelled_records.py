@@ -153,7 +153,7 @@ def test_labels_that_nobody_writes_are_refused(source: int, age: int):
 
 
 def test_a_frame_that_cannot_hold_a_checkpoint_is_refused_before_the_start():
-    with pytest.raises(ValueError, match="--payload-bytes by 18 or more"):
+    with pytest.raises(ValueError, match="--payload-bytes by 4 or more"):
         frames(0, limit_bytes=19)
 
 
