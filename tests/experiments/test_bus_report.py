@@ -1,21 +1,14 @@
 """Times, load and delay of the bus: against sums by hand, recordings, and Wireshark."""
 
-import struct
-import subprocess
 from itertools import pairwise
-from pathlib import Path
 from typing import NamedTuple
 
-import msgspec
 import numpy as np
 import pytest
-import xarray
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from bus.cluster import Cluster
-from bus.cluster_files import cluster_to_toml
-from bus.presets import AUDI, DEMO
 from bus.publication import Publications
 from bus.schedule import Schedule
 from bus.slot_table import allocate
@@ -32,13 +25,10 @@ from experiments.bus_report import (
 from experiments.drivers import in_memory
 from experiments.options import ScenarioOptions
 from experiments.trace import Trace, read_trace
-from nodes.recording import read_recording
 from nodes.share import read_frame
 from scenarios.build import build_plan
 from scenarios.bus_plan import BusPlan
 from scenarios.setup import Setup, prepare
-from tests.experiments.flexray_support import concord, dissect, needs_tshark
-from tests.processes import CONCORD
 
 # --- by hand -----------------------------------------------------------------------------------
 
@@ -274,148 +264,3 @@ def test_a_bus_without_time_has_no_report():
     silent = run(cluster="none")
     assert figures_of(silent.setup, silent.trace) is None
     assert capture(silent.setup, silent.trace, silent.messages) is None
-
-
-# --- what a run leaves -------------------------------------------------------------------------
-
-
-def packets(path: Path) -> list[tuple[int, bytes]]:
-    """(time in ns, packet) of a capture file."""
-    data = path.read_bytes()
-    found, at = [], 24
-    while at < len(data):
-        seconds, nanoseconds, size, _ = struct.unpack_from("<IIII", data, at)
-        found.append((seconds * 1_000_000_000 + nanoseconds, data[at + 16 : at + 16 + size]))
-        at += 16 + size
-    return found
-
-
-@pytest.fixture
-def tracking(tmp_path: Path, capsys) -> Path:
-    """A run of the tracking scenario on the car's cluster, half static and half dynamic."""
-    folder = tmp_path / "run"
-    said = concord(
-        capsys, "run", "--scenario", "target-tracking", "--nodes", 20, "--occupancy", 0.25,
-        "--cluster", "audi", "--steps", 4, "--out", folder, "--json",
-    )  # fmt: skip
-    figures = said.json()["bus"]
-    assert figures["cluster"] == "audi" and figures["contenders"] == 10
-    return folder
-
-
-def recorded_shares(folder: Path) -> list[bytes]:
-    messages = read_recording(folder / "run.mcap")
-    return [data for topic, data in messages if topic.startswith("share/")]
-
-
-def test_the_capture_has_every_recorded_frame_in_the_order_of_the_bus(tracking: Path):
-    frames = [(read_frame(data), data) for data in recorded_shares(tracking)]
-    # Slots are numbered in order of time, so cycle and frame ID say the order of the bus.
-    frames.sort(key=lambda frame: (frame[0].cycle, frame[0].frame_id))
-    found = packets(tracking / "bus.pcap")
-    assert [packet[2:] for _, packet in found] == [data[:-3] for _, data in frames]
-    times_ns = np.array([time_ns for time_ns, _ in found])
-    assert (np.diff(times_ns) > 0).all()
-    for (fragment, _), time_ns in zip(frames, times_ns, strict=True):
-        step, number = divmod(fragment.cycle, 3)
-        in_cycle_us = time_ns / 1e3 - step * 1e6 - number * AUDI.cycle_us
-        assert 0 < in_cycle_us < AUDI.cycle_us
-        if fragment.frame_id <= AUDI.static_slots:
-            slot_us = AUDI.slot_start_us(fragment.frame_id) + AUDI.action_point_us
-            assert in_cycle_us == pytest.approx(slot_us, abs=0.01)
-
-
-@needs_tshark
-def test_wireshark_opens_the_capture_of_a_run(tracking: Path):
-    rows = dissect(
-        tracking / "bus.pcap", "flexray.fid", "flexray.cc", "flexray.eff", "_ws.malformed",
-        "_ws.expert",
-    )  # fmt: skip
-    sent = sorted(
-        (fragment.cycle, fragment.frame_id)
-        for fragment in map(read_frame, recorded_shares(tracking))
-    )
-    assert [(int(row[1]), int(row[0])) for row in rows] == [(c % 64, i) for c, i in sent]
-    assert all(int(row[2], 16) == 0 and row[3:] == ["", ""] for row in rows)
-
-
-def test_the_arrays_tell_the_times_of_the_bus(tracking: Path):
-    data = xarray.load_dataset(tracking / "run.nc")
-    assert data["bus_load"].dims == ("step", "round") and data["bus_load"].shape == (4, 3)
-    assert data["delay_us"].dims == ("step",) and data["delay_us"].attrs["units"] == "us"
-    start, end = data["share_start_us"], data["share_end_us"]
-    assert start.dims == end.dims == data["published"].dims
-    np.testing.assert_array_equal(np.isfinite(start), data["published"] == 1)
-    span = (end - start).where(data["published"] == 1)
-    # In the static segment a share of 160 bytes takes seven slots, in the dynamic one frame.
-    seven_us = 6 * AUDI.static_slot_us + AUDI.frame_us(34)
-    for nodes, length_us in ((slice(0, 10), seven_us), (slice(10, 20), AUDI.frame_us(168))):
-        found = span[..., nodes].values
-        np.testing.assert_allclose(found[np.isfinite(found)], length_us)
-    np.testing.assert_allclose(data["delay_us"], 2 * AUDI.cycle_us + end[:, 2].max("node"))
-    assert not np.logical_and(data["asked"] == 1, data["published"].node < 10).any()
-
-
-def test_a_stretched_step_moves_the_capture(tmp_path: Path, capsys):
-    folder = tmp_path / "run"
-    concord(
-        capsys, "run", "--scenario", "oscillator", "--nodes", 4, "--graph", "ring", "--steps", 3,
-        "--cluster", "demo", "--stretch", 2.5, "--out", folder,
-    )  # fmt: skip
-    found = packets(folder / "bus.pcap")
-    assert len(found) == 3 * 3 * 4
-    # Steps of 100 ms become 250 ms; cycles and slots stay as they are.
-    first_ns = [found[12 * step][0] for step in range(3)]
-    assert np.diff(first_ns) == pytest.approx(250e6, abs=1)
-    assert found[4][0] - found[0][0] == pytest.approx(DEMO.cycle_us * 1e3, abs=1)
-
-
-def test_two_channels_carry_every_frame_with_their_own_checksum(tmp_path: Path):
-    path = tmp_path / "both.toml"
-    path.write_text(cluster_to_toml(msgspec.structs.replace(DEMO, channels="AB")))
-    both = run(cluster=str(path), occupancy=0.5)
-    captured = capture(both.setup, both.trace, both.messages)
-    assert captured is not None
-    assert [one.channel for one in captured] == ["A", "B"] * (len(captured) // 2)
-    for on_a, on_b in zip(captured[::2], captured[1::2], strict=True):
-        assert on_a.time_us == on_b.time_us
-        assert on_a.data[:-3] == on_b.data[:-3] and on_a.data[-3:] != on_b.data[-3:]
-    figures = figures_of(both.setup, both.trace)
-    single = run(cluster="demo", occupancy=0.5)
-    alone = figures_of(single.setup, single.trace)
-    assert figures is not None and alone is not None
-    assert figures.load_mean == pytest.approx(alone.load_mean)
-
-
-def test_a_torn_recording_gives_the_frames_that_are_left():
-    whole = run(cluster="audi", nodes=4, occupancy=0.5)
-    before = capture(whole.setup, whole.trace, whole.messages)
-    shares = [i for i, (topic, _) in enumerate(whole.messages) if topic.startswith("share/")]
-    torn = [message for i, message in enumerate(whole.messages) if i not in shares[::3]]
-    after = capture(whole.setup, read_trace(whole.setup, torn), torn)
-    assert before is not None and after is not None
-    assert len(before) == len(shares)
-    assert 0 < len(after) <= len(torn)
-    assert {one.data for one in after} <= {one.data for one in before}
-
-
-def test_a_run_without_bus_time_leaves_no_capture(tmp_path: Path, capsys):
-    folder = tmp_path / "run"
-    said = concord(
-        capsys, "run", "--scenario", "oscillator", "--nodes", 3, "--steps", 2, "--cluster", "none",
-        "--out", folder, "--json",
-    )  # fmt: skip
-    assert said.json()["bus"] is None
-    assert not (folder / "bus.pcap").exists()
-    assert "bus_load" not in xarray.load_dataset(folder / "run.nc")
-
-
-@pytest.mark.zenoh
-def test_both_drivers_leave_the_same_capture(tmp_path: Path):
-    arguments = ["--scenario", "target-tracking", "--nodes", "8", "--occupancy", "0.25"]
-    for driver in ("in-process", "processes"):
-        command = [*CONCORD, "run", *arguments, "--steps", "12", "--driver", driver]
-        subprocess.run([*command, "--out", tmp_path / driver], check=True, capture_output=True)
-    ours, theirs = (tmp_path / driver / "bus.pcap" for driver in ("in-process", "processes"))
-    assert len(packets(ours)) > 0
-    assert ours.read_bytes() == theirs.read_bytes()
