@@ -18,6 +18,7 @@ from experiments.bus_report import (
 from experiments.trace import read_trace
 from nodes.recording import read_recording
 from nodes.share import read_frame
+from tests.experiments.bus_runs import run
 from tests.experiments.flexray_support import concord, dissect, needs_tshark
 from tests.processes import CONCORD
 

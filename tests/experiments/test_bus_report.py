@@ -1,7 +1,6 @@
 """Times, load and delay of the bus: against sums by hand, recordings, and Wireshark."""
 
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -24,11 +23,12 @@ from experiments.bus_report import (
 )
 from experiments.drivers import in_memory
 from experiments.options import ScenarioOptions
-from experiments.trace import Trace, read_trace
+from experiments.trace import read_trace
 from nodes.share import read_frame
 from scenarios.build import build_plan
 from scenarios.bus_plan import BusPlan
 from scenarios.setup import Setup, prepare
+from tests.experiments.bus_runs import run
 
 # --- by hand -----------------------------------------------------------------------------------
 
@@ -143,23 +143,6 @@ def test_waits_are_counted_over_contended_cycles_in_a_row():
 
 
 # --- any run -----------------------------------------------------------------------------------
-
-
-class Run(NamedTuple):
-    setup: Setup
-    trace: Trace
-    messages: list[tuple[str, bytes]]
-
-    @property
-    def plan(self) -> BusPlan:
-        return build_plan(self.setup)
-
-
-def run(**options) -> Run:
-    options = {"scenario": "oscillator", "graph": "ring", "nodes": 5, "steps": 3, **options}
-    setup = prepare(ScenarioOptions(**options).resolve())
-    messages = in_memory(setup)
-    return Run(setup, read_trace(setup, messages), messages)
 
 
 choices = st.fixed_dictionaries(
