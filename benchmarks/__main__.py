@@ -6,9 +6,14 @@ import sys
 
 import msgspec
 
-from benchmarks import launch, lockstep, occupancy
+from benchmarks import launch, lockstep, occupancy, set_membership
 
-BENCHMARKS = {"launch": launch.main, "lockstep": lockstep.main, "occupancy": occupancy.main}
+BENCHMARKS = {
+    "launch": launch.main,
+    "lockstep": lockstep.main,
+    "occupancy": occupancy.main,
+    "set-membership": set_membership.main,
+}
 
 
 def main() -> None:

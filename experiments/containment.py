@@ -1,4 +1,4 @@
-"""Whether sets hold the truth, and how large they are: what certainty is worth, in place of ANEES."""
+"""Whether sets hold the truth, and how large they are: in place of ANEES where sets are certain."""
 
 import msgspec
 import numpy as np
@@ -29,7 +29,8 @@ def containment(bounds: Gaussian, truth: Array) -> Containment:
     known = np.broadcast_to(~np.isnan(spread).any(-1), values.shape)
     # Not "above 1": what cannot be computed is no proof.
     outside = known & ~(values <= 1.0)
-    sizes = np.sqrt(np.trace(bounds.cov, axis1=-2, axis2=-1))
+    squares = np.trace(bounds.cov, axis1=-2, axis2=-1)
+    sizes = np.sqrt(np.where(squares >= 0, squares, np.nan))
     return Containment(
         violations=int(outside.sum()),
         largest=float(values[known].max()) if known.any() else float("nan"),

@@ -136,11 +136,16 @@ def outcome(job: Job) -> Outcome:
 def cells(forms: Sequence[Form], runs: int) -> Iterator[tuple[Form, float, Cell]]:
     """All cells of the table, one after the other, as they get ready."""
     jobs = [Job(form, part, run) for form in forms for part in OCCUPANCIES for run in range(runs)]
-    with ProcessPoolExecutor(WORKERS, mp_context=get_context("spawn")) as pool:
+    with workers() as pool:
         found = pool.map(outcome, jobs)
         for form in forms:
             for part in OCCUPANCIES:
                 yield form, part, cell([next(found) for _ in range(runs)])
+
+
+def workers() -> ProcessPoolExecutor:
+    """Processes that work side by side."""
+    return ProcessPoolExecutor(WORKERS, mp_context=get_context("spawn"))
 
 
 def cell(outcomes: Sequence[Outcome]) -> Cell:

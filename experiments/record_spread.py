@@ -47,16 +47,19 @@ class SpreadFigures(msgspec.Struct, frozen=True):
     Attributes:
         coverage: share of (record, other node) pairs in which it came within the window, of records
             whose window has passed; NaN where none has.
-        lag_steps_mean, lag_steps_max: how much older the newest record of a source is at another
-            node than at the source, over all steps.
+        delay_steps_mean, delay_steps_max: how long a record took to another node, if it came.
+        age_steps_mean, age_steps_mean_at_source: age of the newest record of a source at other
+            nodes, and at itself, over all steps from the first that came.
         checkpoint_share: part of the shares that carry a checkpoint.
         records_per_share: on average.
         body_bytes_per_step: what all nodes say in a step, before frames are made of it.
     """
 
     coverage: float
-    lag_steps_mean: float
-    lag_steps_max: int
+    delay_steps_mean: float
+    delay_steps_max: int
+    age_steps_mean: float
+    age_steps_mean_at_source: float
     checkpoint_share: float
     records_per_share: float
     body_bytes_per_step: float
@@ -72,7 +75,7 @@ def record_spread(
     estimator = build_node(setup, 0).estimator
     if not isinstance(estimator, LabelledFlooding):
         return None
-    taken = np.logical_not(np.isnan(readings)).any(axis=(2, 3))
+    taken = np.sum(~np.isnan(readings), axis=(2, 3)) > 0
     steps, nodes = readings.shape[:2]
     rounds = setup.scenario.rounds
     audience = [[i for i in range(nodes) if j in setup.neighbours[i]] for j in range(nodes)]
@@ -106,32 +109,41 @@ def record_spread(
 def figures_of(spread: RecordSpread) -> SpreadFigures:
     """The figures of a run with at least one share."""
     steps, nodes = spread.taken.shape
-    others = ~np.eye(nodes, dtype=bool)[:, None, :]
+    others = np.broadcast_to(~np.eye(nodes, dtype=bool)[:, None, :], spread.arrival_steps.shape)
     over = np.arange(steps) + spread.window_steps <= steps
     counted = others & (spread.taken & over[:, None])
+    came = spread.arrival_steps >= 0
     delay = spread.arrival_steps - np.arange(steps)[:, None]
-    in_time = (spread.arrival_steps >= 0) & (delay < spread.window_steps)
-    lags = _lags(spread)[np.broadcast_to(others, (nodes, steps, nodes))]
-    lags = lags[lags >= 0]
+    in_time = came & (delay < spread.window_steps)
+    ages = _ages(spread)
     sent = max(spread.shares, 1)
     return SpreadFigures(
-        coverage=float(in_time[counted].mean()) if counted.any() else float("nan"),
-        lag_steps_mean=float(lags.mean()) if lags.size else float("nan"),
-        lag_steps_max=int(lags.max(initial=0)),
+        coverage=_mean(in_time[counted]),
+        delay_steps_mean=_mean(delay[others & came]),
+        delay_steps_max=int(delay[others & came].max(initial=0)),
+        age_steps_mean=_mean(ages[others & (ages >= 0)]),
+        age_steps_mean_at_source=_mean(ages[~others & (ages >= 0)]),
         checkpoint_share=spread.checkpoints / sent,
         records_per_share=spread.records / sent,
         body_bytes_per_step=float(spread.body_bytes.mean()),
     )
 
 
+def _mean(values: np.ndarray) -> float:
+    return float(values.mean()) if values.size else float("nan")
+
+
 def lines(figures: SpreadFigures) -> list[str]:
     """The figures in words."""
     coverage = "-" if np.isnan(figures.coverage) else f"{100 * figures.coverage:.2f} %"
     return [
-        f"records: {coverage} arrived within the window; the newest of a source is "
-        f"{figures.lag_steps_mean:.2f} steps behind it in the mean (most {figures.lag_steps_max}); "
-        f"{figures.records_per_share:.1f} in a share, {100 * figures.checkpoint_share:.1f} % of the "
-        f"shares with a checkpoint; {figures.body_bytes_per_step:.0f} bytes said per step"
+        f"records: {coverage} arrived within the window, after {figures.delay_steps_mean:.2f} "
+        f"steps in the mean (most {figures.delay_steps_max}); the newest of a source is "
+        f"{figures.age_steps_mean:.2f} steps old at others, "
+        f"{figures.age_steps_mean_at_source:.2f} at itself",
+        f"shares: {figures.records_per_share:.1f} records in each, "
+        f"{100 * figures.checkpoint_share:.1f} % with a checkpoint; "
+        f"{figures.body_bytes_per_step:.0f} bytes said per step",
     ]
 
 
@@ -152,17 +164,12 @@ def _body(parts: list[bytes]) -> bytes | None:
         return None
 
 
-def _lags(spread: RecordSpread) -> np.ndarray:
-    """Steps (N, steps, N) by which the newest record is older at i than at its source j.
-
-    -1 where the source has taken none, or i has heard of none of its records.
-    """
+def _ages(spread: RecordSpread) -> np.ndarray:
+    """Age in steps (N, steps, N) of the newest record of a source; -1 before the first."""
     steps, nodes = spread.taken.shape
-    numbers = np.arange(steps)
-    own = np.maximum.accumulate(np.where(spread.taken, numbers[:, None], -1), axis=0)
-    newest = np.full((nodes, steps, nodes), -1)
+    newest = np.full((nodes, steps, nodes), NEVER)
     for i, t, j in np.argwhere(spread.arrival_steps >= 0):
         came = spread.arrival_steps[i, t, j]
         newest[i, came, j] = max(newest[i, came, j], t)
     newest = np.maximum.accumulate(newest, axis=1)
-    return np.where((newest >= 0) & (own >= 0), own - newest, -1)
+    return np.where(newest == NEVER, -1, np.arange(steps)[:, None] - newest)

@@ -63,7 +63,7 @@ def set_up(drives: tuple[Drive, ...], seeds: int) -> Section:
         f"longitudinal acceleration {ACCELERATION.std:g} with a bias of {ACCELERATION.bias:g}. "
         f"Q = diag{PROCESS_VARIANCES} per step for all filters. {seeds} seeds of sensor noise; "
         "intervals are of 95 % (Student's t) and cover that noise alone: car, manoeuvres and Q are "
-        "one choice each.",
+        "one choice each. With fewer than 20 seeds a check may fail by chance.",
         tables.filters_table(),
     ]
     return Section(20, "What was done", "\n\n".join(parts))

@@ -46,10 +46,18 @@ def _liu2021(runs: int | None) -> Reproduction:
     return reproduction(SEQUENCES if runs is None else runs)
 
 
+def _labelled(runs: int | None) -> Reproduction:
+    # Only here: it draws pictures.
+    from experiments.reproduce_labelled import reproduction
+
+    return reproduction(runs)
+
+
 REPRODUCTIONS: dict[str, Callable[[int | None], Reproduction]] = {
     "wac": _wac,
     "meng2025": _meng2025,
     "adlukf": _adlukf,
+    "labelled": _labelled,
     "liu2021": _liu2021,
 }
 
@@ -60,8 +68,9 @@ class ReproduceOptions:
 
     paper: Annotated[str, tyro.conf.Positional]
     """wac: the weighted-average-consensus UKF of Widjiantoro et al.; meng2025: the UKF under the
-    FlexRay protocol of Meng et al.; adlukf: the adaptive dual-layer UKF of Wang et al.; liu2021: set
-    membership over a FlexRay network of Liu et al."""
+    FlexRay protocol of Meng et al.; adlukf: the adaptive dual-layer UKF of Wang et al.; liu2021:
+    set membership over a FlexRay network of Liu et al.; labelled: the project's own study of
+    labelled measurements beside consensus on beliefs."""
     out: Path
     """Folder for the report and the pictures. It must not exist."""
     runs: Annotated[int | None, tyro.conf.arg(aliases=["--seeds", "--sequences"])] = None

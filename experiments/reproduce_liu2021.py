@@ -1,4 +1,4 @@
-"""`concord reproduce liu2021`: set membership over a FlexRay network, figures, tables, guarantee."""
+"""`concord reproduce liu2021`: set membership over FlexRay: figures, tables, guarantee."""
 
 from collections.abc import Iterator
 from functools import partial
@@ -13,8 +13,8 @@ from experiments.reproduce_liu2021_figures import draw_all
 from experiments.reproduce_liu2021_runs import (
     ESTIMATORS,
     FAMILIES,
-    G,
     Batch,
+    G,
     Outcome,
     by_cycle,
     paper,
@@ -172,14 +172,14 @@ def _mutant(outcome: Outcome) -> Mutant:
 
 _GUARANTEE = """\
 {count} sequences (the paper's, and others with noise from the families {families}; every other
-initial state on the edge of its ball), {cycles} cycles each. A set holds the truth where e' P^+ e, or
-the squared gauge of a zonotope, is at most 1. The sum of half-widths is of the state at the end of a
-cycle; tr P of the paper's estimator and its fast and tight forms is over three steps, of the
+initial state on the edge of its ball), {cycles} cycles each. A set holds the truth where e' P^+ e,
+or the squared gauge of a zonotope, is at most 1. The sum of half-widths is of the state at the end
+of a cycle; tr P of the paper's estimator and its fast and tight forms is over three steps, of the
 fast-rate form over one.
 """
 _MUTANTS = """\
-Two mistakes show that this test can fail: the sign of Xi flipped, and winners by the largest
-Q y^2 (no reference to the held value), which is what the printed tables seem to have been made with.
+Two mistakes show that this test can fail: the sign of Xi flipped, and winners by the largest Q y^2
+(no reference to the held value), which is what the printed tables seem to have been made with.
 Where the terms of such an estimator contradict each other no ellipsoid is left.
 """
 
@@ -193,12 +193,17 @@ def _guarantee(outcomes: dict[str, Outcome], flipped: Mutant, wrong_rule: Mutant
     text += "\n" + markdown_table(head, [_row(name, one) for name, one in outcomes.items()])
     head = ("mistake", "outside", "no set left", "of instants", "sequences touched", "of")
     planted = {"sign of Xi flipped": flipped, "winners by Q y^2": wrong_rule}
-    text += "\n\n" + _MUTANTS + "\n" + markdown_table(
-        head,
-        [
-            (name, *map(str, (m.outside, m.contradicted, m.instants, m.sequences, m.of)))
-            for name, m in planted.items()
-        ],
+    text += (
+        "\n\n"
+        + _MUTANTS
+        + "\n"
+        + markdown_table(
+            head,
+            [
+                (name, *map(str, (m.outside, m.contradicted, m.instants, m.sequences, m.of)))
+                for name, m in planted.items()
+            ],
+        )
     )
     checks = [
         at_most(f"{name}: sets that do not hold the truth", int(one.violations.sum()), 0)
@@ -229,9 +234,7 @@ def _row(name: str, outcome: Outcome) -> tuple[str, ...]:
 def _traces(outcomes: dict[str, Outcome]) -> Section:
     by_cycle_ = {name: outcomes[name].trace[:, 0] for name in ("paper", "fast", "tight")}
     by_cycle_["fast-rate, last step"] = outcomes["fast-rate"].trace[G - 1 :: G, 0]
-    rows = [
-        (name, *(f"{value:.2f}" for value in values)) for name, values in by_cycle_.items()
-    ]
+    rows = [(name, *(f"{value:.2f}" for value in values)) for name, values in by_cycle_.items()]
     widths = {
         name: one.half_widths[one.steps % G == 0][:, 0].sum(-1) for name, one in outcomes.items()
     }
@@ -256,8 +259,8 @@ def _long_runs(batch: Batch, outcomes: dict[str, Outcome]) -> Section:
     largest = np.abs(batch.states).max()
     text = (
         f"{batch.sequences} sequences of {LONG_CYCLES} cycles: the unstable state reaches "
-        f"{largest:.1e}. The sets do not grow with it, until the rounding of so large a state, which "
-        "they contain, shows in them."
+        f"{largest:.1e}. The sets do not grow with it, until the rounding of so large a state, "
+        "which they contain, shows in them."
     )
     ends = {name: one.trace[-1].max() for name, one in outcomes.items()}
     head = ("estimator", "sets", "outside", "largest", "tr P, last, largest")

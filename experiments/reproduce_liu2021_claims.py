@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from experiments.reproduce_liu2021_costs import Costs
-from experiments.reproduce_liu2021_runs import G, PLANT, Batch, Outcome
+from experiments.reproduce_liu2021_runs import PLANT, Batch, G, Outcome
 from experiments.reproduce_liu2021_tables import PUBLISHED, difference
 from experiments.reproduce_report import Claim
 from filters.ellipsoid import Ellipsoid
@@ -112,8 +112,8 @@ def _lumped(outcomes: dict[str, Outcome]) -> Claim:
         "(25)",
         "the bounds of a cycle's noise samples may be added to one",
         "reproduced",
-        f"valid but loose: with a multiplier for each, and cut by what was received, the mean trace "
-        f"is {shrunk:.2f} of it",
+        f"valid but loose: with a multiplier for each, and cut by what was received, the mean "
+        f"trace is {shrunk:.2f} of it",
     )
 
 
@@ -165,4 +165,3 @@ def _time(costs: Costs) -> Claim:
         f"exactly: {ours['paper'] * cycles:.0f} ms; closed form: {ours['fast'] * cycles:.1f} ms "
         "(other machine, so to be read as orders of magnitude)",
     )
-

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.reproduce_liu2021_runs import ESTIMATORS, G, HELD, N, PLANT, Batch
+from experiments.reproduce_liu2021_runs import ESTIMATORS, HELD, PLANT, Batch, G, N
 from filters.ellipsoid import Ellipsoid, shape_matrix
 from filters.set_membership_cycle import turned
 from filters.set_membership_multipliers import Problem

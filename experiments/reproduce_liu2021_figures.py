@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments.reproduce_liu2021_runs import G, N, Batch, Outcome
+from experiments.reproduce_liu2021_runs import Batch, G, N, Outcome
 from filters.ellipsoid import Ellipsoid, image, outline
 from nodes.messages import Array
 
@@ -61,8 +61,8 @@ def _state(batch: Batch, paper: Outcome, tight: Outcome, state: int) -> Figure:
     centre, width = blocks(paper)
     steps = np.arange(1, len(truth))
     axes.fill_between(
-        steps, (centre - width)[:, state], (centre + width)[:, state], color=PAPER, alpha=0.15, lw=0,
-        label="the paper's bounds",
+        steps, (centre - width)[:, state], (centre + width)[:, state], color=PAPER, alpha=0.15,
+        lw=0, label="the paper's bounds",
     )  # fmt: skip
     inner, narrow = blocks(tight)
     axes.fill_between(
@@ -131,7 +131,7 @@ def _sets(batch: Batch, paper: Outcome, tight: Outcome, fast_rate: Outcome) -> F
                 points = outline(one, states) - truth[list(states)]
                 axes.plot(*points.T, color=COLOURS[name], lw=1.4, label=name)
             axes.plot(0, 0, "+", color=TRUE, ms=8, label="truth")
-            axes.set(xlabel=f"$x_{states[0] + 1}$ − truth", ylabel=f"$x_{states[1] + 1}$ − truth")
+            axes.set(xlabel=f"$x_{states[0] + 1}$ - truth", ylabel=f"$x_{states[1] + 1}$ - truth")
             if row == 0:
                 axes.set_title(f"$T_k$ = {(cycle + 1) * G}", fontsize=10)
             _tidy(axes)

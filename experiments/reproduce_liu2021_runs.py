@@ -83,9 +83,7 @@ class Outcome(NamedTuple):
         return ~(self.radius <= 1.0)
 
 
-def simulate(
-    seed: int, sequences: int, cycles: int, select: Select = largest_change
-) -> Batch:
+def simulate(seed: int, sequences: int, cycles: int, select: Select = largest_change) -> Batch:
     """The paper's sequence and as many more, with the initial state in the unit ball and noise of
     four families, three of which go to its bound."""
     rng = np.random.default_rng(np.random.SeedSequence(seed))

@@ -1,15 +1,15 @@
 """Tables I to III of Liu et al. (2021), the gains of the first three cycles, beside ours.
 
 The rule (5) of the paper gives other winners than the tables need (output 4 three times), so they
-are forced here. The held values are known exactly from the second cycle on, which leaves the gain on
-them open; a shape a hair larger settles it as the tables do.
+are forced here. The held values are known exactly from the second cycle on, which leaves the gain
+on them open; a shape a hair larger settles it as the tables do.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from experiments.reproduce_liu2021_runs import G, HELD, N, PLANT
+from experiments.reproduce_liu2021_runs import HELD, PLANT, G, N
 from filters.ellipsoid import Ellipsoid, squared
 from filters.lanes import join_columns
 from filters.set_membership_paper import optimal_step
@@ -85,9 +85,7 @@ class Difference(NamedTuple):
 def gains_of_tables() -> Array:
     """L(t_0), L(t_1), L(t_2) (3, 14, 4) on the paper's noise, with output 4 winning each time."""
     cycles, size = len(PUBLISHED), G * N + HELD
-    _, outputs = liu2021.SYSTEM.simulate(
-        liu2021.INITIAL_STATE, liu2021.printed_noise(cycles * G)
-    )
+    _, outputs = liu2021.SYSTEM.simulate(liu2021.INITIAL_STATE, liu2021.printed_noise(cycles * G))
     received = transmit(
         outputs,
         liu2021.STATIC_OUTPUTS,

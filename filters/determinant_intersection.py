@@ -50,7 +50,7 @@ def _relative_eigenvalues(own_cov: np.ndarray, other_cov: np.ndarray) -> np.ndar
     relative = whitener @ own_cov @ whitener.mT
     sound = np.isfinite(relative).all(axis=(-1, -2), keepdims=True)
     values = np.linalg.eigvalsh(np.where(sound, relative, np.eye(relative.shape[-1])))
-    positive = np.logical_and(sound[..., 0], values[..., :1] > 0)
+    positive = np.logical_and(sound[..., 0], values[..., :1] > 0)  # pyright: ignore[reportIndexIssue]
     return np.where(positive, values, np.nan)
 
 

@@ -63,7 +63,7 @@ def squared_radius(ellipsoid: Ellipsoid, point: np.ndarray) -> np.ndarray:
 def is_lost(ellipsoid: Ellipsoid) -> np.ndarray:
     """Lanes (...) in which an ellipsoid is not a number."""
     finite_centre = np.isfinite(ellipsoid.centre).all(-1)
-    return ~(finite_centre & np.isfinite(ellipsoid.factor).all((-1, -2)))
+    return ~(finite_centre & np.isfinite(ellipsoid.factor).all((-1, -2)))  # pyright: ignore[reportReturnType]
 
 
 def replace_lost(ellipsoid: Ellipsoid, value: float) -> Ellipsoid:
@@ -135,7 +135,7 @@ def grow(ellipsoid: Ellipsoid, margin: np.ndarray) -> Ellipsoid:
 
 def squared(factor: np.ndarray) -> np.ndarray:
     """A factor (..., n, min(n, r)), lower triangular, of the same shape matrix as (..., n, r)."""
-    return np.linalg.qr(factor.mT, mode="r").mT
+    return np.linalg.qr(factor.mT, mode="r").mT  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def outline(ellipsoid: Ellipsoid, states: tuple[int, int], points: int = 65) -> np.ndarray:

@@ -1,12 +1,13 @@
 """Ellipsoids around what two sets both hold, for certain: how set-membership nodes fuse.
 
-The truth lies in both sets, so it lies in their intersection, whatever was counted twice on the way:
-sets need no weights against correlation. With |u|^2 <= 1 for one and |b + T u|^2 <= r^2 for the
-other, every w >= 0 gives |u|^2 + w |b + T u|^2 <= 1 + w r^2, an ellipsoid; the one of least trace is
-taken. It has the form of covariance intersection, with the right side that makes it certain.
+The truth lies in both sets, so it lies in their intersection, whatever was counted twice on the
+way: sets need no weights against correlation. With |u|^2 <= 1 for one and |b + T u|^2 <= r^2 for
+the other, every w >= 0 gives |u|^2 + w |b + T u|^2 <= 1 + w r^2, an ellipsoid; the one of least
+trace is taken. It has the form of covariance intersection, with the right side that makes it
+certain.
 
-Sources: Kahan (1968), Circumscribing an ellipsoid about the intersection of two ellipsoids; Schweppe
-(1968); Fogel and Huang (1982), for a strip.
+Sources: Kahan (1968), Circumscribing an ellipsoid about the intersection of two ellipsoids;
+Schweppe (1968); Fogel and Huang (1982), for a strip.
 """
 
 import numpy as np
@@ -102,7 +103,7 @@ def _narrowed(own: Ellipsoid, rows: np.ndarray, offset: np.ndarray) -> Ellipsoid
 def _room(
     weight: np.ndarray, squares: np.ndarray, shifts: np.ndarray, beyond: np.ndarray
 ) -> np.ndarray:
-    """1 + w - min over u of |u|^2 + w |b + T u|^2: negative where the sets have nothing in common."""
+    """1 + w - min over u of |u|^2 + w |b + T u|^2: negative where the sets share nothing."""
     taken = beyond + (shifts / (1.0 + weight[..., None] * squares)).sum(-1)
     return 1.0 + weight * (1.0 - taken)
 
@@ -121,13 +122,14 @@ def _best_weight(
     low = -_MARGIN - np.log1p(largest)
     high = _MARGIN + np.log1p(1.0 / np.maximum(least, np.finfo(float).tiny))
     steps = np.linspace(0.0, 1.0, _GRID)
+    middle = low[..., None]
     for _ in range(_ZOOMS):
         grid = low[..., None] + (high - low)[..., None] * steps
         weights = np.exp(grid)
         at = 1.0 + weights[..., None] * squares[..., None, :]
-        traces = _room(
-            weights, squares[..., None, :], shifts[..., None, :], beyond[..., None]
-        ) * (sizes[..., None, :] / at).sum(-1)
+        traces = _room(weights, squares[..., None, :], shifts[..., None, :], beyond[..., None]) * (
+            sizes[..., None, :] / at
+        ).sum(-1)
         best = np.argmin(np.where(np.isnan(traces), np.inf, traces), axis=-1)[..., None]
         around = (high - low)[..., None] / (_GRID - 1)
         middle = np.take_along_axis(grid, best, -1)

@@ -35,13 +35,13 @@ class NoiseEstimate(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """Absolute limits of a variance, in the units of the measurement squared.
+    """Absolute limits of a variance, in the units of the measurement squared; arrays (..., m) too.
 
-    Relative ones would keep the filter from leaving a wrong start.
+    Limits relative to the start would keep the filter from leaving a wrong one.
     """
 
-    low: float = 1e-8
-    high: float = 1e4
+    low: np.ndarray | float = 1e-8
+    high: np.ndarray | float = 1e4
 
 
 BOUNDS = Bounds()

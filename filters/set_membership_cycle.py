@@ -11,7 +11,14 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from filters.ellipsoid import Ellipsoid, grow, half_widths, is_lost, lose, rounding_bound
+from filters.ellipsoid import (
+    Ellipsoid,
+    grow,
+    half_widths,
+    is_lost,
+    lose,
+    rounding_bound,
+)
 from filters.lanes import join_columns
 from filters.linalg import multiply
 
@@ -57,7 +64,7 @@ class Step(NamedTuple):
 
 
 class Unknowns(NamedTuple):
-    """Next state and received values as linear maps (..., N, d), (..., m, d) of theta = (1, u, v)."""
+    """Next state and received values: linear maps (..., N, d), (..., m, d) of theta = (1, u, v)."""
 
     image: np.ndarray
     known: np.ndarray
@@ -82,7 +89,7 @@ def turned(factor: np.ndarray, cycle: Cycle) -> np.ndarray:
     """
     parts = (cycle.transition, cycle.output, cycle.candidates)
     used = np.any([(part != 0).any(tuple(range(part.ndim - 1))) for part in parts], axis=0)
-    seen = np.linalg.qr(factor[..., used, :].mT, mode="r").mT
+    seen = np.linalg.qr(factor[..., used, :].mT, mode="r").mT  # pyright: ignore[reportAttributeAccessIssue]
     position = np.zeros((*factor.shape[:-1], seen.shape[-1]))
     position[..., used, :] = seen
     return position

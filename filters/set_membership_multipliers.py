@@ -9,8 +9,8 @@ one: with any feedback L, P = (image - L known) M^-1 (image - L known)'. L is el
 Every tau on the way is a certificate, so the guarantee never hangs on how far a solver got. Its
 accuracy hangs on it: the trace ends within about 1e-6 of the least.
 
-Source: Liu et al. (2021), theorem 1 and corollary 1, whose semidefinite programme this is with P and
-L eliminated (projection lemma); Boyd, El Ghaoui, Feron, Balakrishnan (1994), Linear matrix
+Source: Liu et al. (2021), theorem 1 and corollary 1, whose semidefinite programme this is with P
+and L eliminated (projection lemma); Boyd, El Ghaoui, Feron, Balakrishnan (1994), Linear matrix
 inequalities in system and control theory, sections 2.6.2 and 2.6.3.
 """
 
@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from filters.ellipsoid import rounding_bound
-from filters.linalg import cholesky, multiply
+from filters.linalg import cholesky
 
 # The path to the optimum: weights of the barrier relative to the trace, and Newton's steps on each.
 _BARRIERS = 10.0 ** -np.arange(0.5, 7.0, 1.0)
@@ -83,10 +83,12 @@ def smallest_bound(problem: Problem) -> Bound:
 def certified_bound(problem: Problem, multipliers: np.ndarray) -> Bound:
     """The ellipsoid that given multipliers (..., c) prove; NaN where they prove none.
 
-    It holds in floating point: M is kept away from singular, and P grows by what rounding can do
-    to M^-1 (relative error d u / least eigenvalue of M with unit diagonal: Higham (2002), 10.1).
+    It holds in floating point: M is kept away from singular by more than it is rounded, and P grows
+    by what rounding can do to M^-1 (relative error d u / least eigenvalue of M with unit diagonal:
+    Higham (2002), 10.1).
     """
-    multipliers = multipliers * (1.0 - _MARGIN)
+    # Smaller multipliers are less near the edge: M(s tau) = (1 - s) e1 e1' + s M(tau).
+    multipliers = multipliers / (1.0 + _MARGIN + _rounding(problem, multipliers))[..., None]
     matrix = _certificate(problem, multipliers)
     scale = 1.0 / np.sqrt(np.abs(np.diagonal(matrix, axis1=-2, axis2=-1)))
     balanced = matrix * scale[..., :, None] * scale[..., None, :]
@@ -110,6 +112,7 @@ def certified_bound(problem: Problem, multipliers: np.ndarray) -> Bound:
 def contradiction(problem: Problem, multipliers: np.ndarray) -> np.ndarray:
     """Whether (...) the multipliers prove that no theta meets all terms: sum tau_i T_i > 0."""
     total = np.einsum("...c,...cij->...ij", multipliers, problem.terms)
+    total[..., 0, 0] -= _rounding(problem, multipliers)
     return ~np.isnan(cholesky(total)[..., -1, -1])
 
 
@@ -153,6 +156,12 @@ def _normalised(problem: Problem) -> tuple[Problem, np.ndarray]:
         spread(problem.known, 2),
     )
     return flat, scale
+
+
+def _rounding(problem: Problem, multipliers: np.ndarray) -> np.ndarray:
+    """How far (...) an eigenvalue of sum tau_i T_i may be off."""
+    sizes = np.abs(problem.terms).max((-1, -2))
+    return rounding_bound(problem.terms.shape[-1]) * (multipliers * sizes).sum(-1)
 
 
 def _certificate(problem: Problem, multipliers: np.ndarray) -> np.ndarray:
@@ -283,7 +292,7 @@ def _newton_step(hessian: np.ndarray, gradient: np.ndarray) -> np.ndarray:
     right = gradient * scale
     sound = np.isfinite(balanced).all((-1, -2)) & np.isfinite(right).all(-1)
     if not sound.all():
-        balanced, right = balanced * sound[:, None, None], right * sound[:, None]
+        balanced, right = balanced * sound[:, None, None], right * sound[:, None]  # pyright: ignore[reportIndexIssue]
     # Next to nothing on the diagonal: no lane may be singular, or all would fail.
     size = balanced.shape[-1]
     balanced.reshape(-1, size * size)[:, :: size + 1] += 1e-14

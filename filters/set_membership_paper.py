@@ -6,8 +6,8 @@ lost, which says that the winner's change was larger. The received values are us
 feedback and, in the terms of the losers, through the estimate, but never to cut the set: what they
 exclude stays in (`set_membership_tight` cuts).
 
-Source: Liu et al. (2021), theorem 1, corollary 1 and algorithm 1, with the held values of (30) those
-before the cycle.
+Source: Liu et al. (2021), theorem 1, corollary 1 and algorithm 1, with the held values of (30)
+those before the cycle.
 """
 
 import numpy as np

@@ -14,6 +14,7 @@ conditioning are ours, after Boyd et al. (1994), section 3.7.
 """
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -116,7 +117,7 @@ def _balls(cut: np.ndarray, rank: int, samples: int, slack: np.ndarray) -> np.nd
     edges = [0, *(rank + width * sample for sample in range(samples + 1))]
     radius = (1.0 + rounding_bound(cut.shape[-2]) + slack) ** 2
     terms = []
-    for first, last in zip(edges, edges[1:], strict=False):
+    for first, last in pairwise(edges):
         part = cut[..., first:last, :]
         terms.append(_square(part, radius))
     # Free entries that a lane does not have are held by the first ball, and reach nothing.
@@ -125,9 +126,7 @@ def _balls(cut: np.ndarray, rank: int, samples: int, slack: np.ndarray) -> np.nd
     return np.stack(terms, axis=-3)
 
 
-def _strips(
-    before: Ellipsoid, bounded: Readings, cut: np.ndarray, slack: np.ndarray
-) -> np.ndarray:
+def _strips(before: Ellipsoid, bounded: Readings, cut: np.ndarray, slack: np.ndarray) -> np.ndarray:
     """The terms of the bounded readings: (..., b, k, k)."""
     seen = _joined(before, bounded.state, bounded.noise)
     offset = multiply(bounded.state, before.centre) - bounded.values
@@ -149,9 +148,7 @@ def _square(rows: np.ndarray, radius: np.ndarray) -> np.ndarray:
     return term
 
 
-def _rounding(
-    before: Ellipsoid, motion: Motion, exact: Readings, image: np.ndarray
-) -> np.ndarray:
+def _rounding(before: Ellipsoid, motion: Motion, exact: Readings, image: np.ndarray) -> np.ndarray:
     """Half-widths (..., k) of what rounding does to centre, shape and truth; each the largest."""
     reach = np.abs(before.centre) + half_widths(before)
     states = magnitudes(motion.state, motion.noise, reach)

@@ -29,9 +29,7 @@ def zonotope_step(before: Zonotope, evidence: Evidence, generators: int = GENERA
     reach = np.abs(before.centre) + half_widths(before)
     readings = taken(evidence.exact), taken(evidence.bounded)
     seen = join_rows(*(_columns(part, before) for part in readings))
-    offset = join_entries(
-        *(part.values - multiply(part.state, before.centre) for part in readings)
-    )
+    offset = join_entries(*(part.values - multiply(part.state, before.centre) for part in readings))
     size = join_entries(
         *(magnitudes(part.state, part.noise, reach) + np.abs(part.values) for part in readings)
     )

@@ -78,7 +78,7 @@ def parallelotope(zonotope: Zonotope) -> Zonotope:
 
 
 def enclosing_ellipsoid(zonotope: Zonotope) -> Ellipsoid:
-    """An ellipsoid around it, of least trace among those with shape sum_i g_i g_i' / w_i, sum w = 1.
+    """An ellipsoid around it: the least trace among shapes sum_i g_i g_i' / w_i, sum w = 1.
 
     It holds because sum_i c_i g_i with |c_i| <= 1 is sum_i (c_i sqrt w_i) g_i / sqrt w_i.
     """
@@ -91,9 +91,10 @@ def enclosing_ellipsoid(zonotope: Zonotope) -> Ellipsoid:
 def intersection(own: Zonotope, other: Zonotope) -> Zonotope:
     """A zonotope around what both hold, and not wider than `own`; generators of both together.
 
-    Every x in both is W x + (I - W) x for any matrix W; with W = P2 (P1 + P2)^-1, where P = G G', the
-    generators' squares have the least sum (Combastel (2015), Zonotopes and Kalman observers, with a
-    set in place of a reading). Where that is no narrower in the sum of half-widths, `own` stays.
+    Every x in both is W x + (I - W) x for any matrix W; with W = P2 (P1 + P2)^-1, where P = G G',
+    the generators' squares have the least sum (Combastel (2015), Zonotopes and Kalman observers,
+    with a set in place of a reading). Where that is no narrower in the sum of half-widths, `own`
+    stays.
     """
     first = own.generators @ own.generators.mT
     second = other.generators @ other.generators.mT
@@ -123,7 +124,9 @@ def strip_intersection(
     width = half_width + rounding * ((np.abs(row) * reach).sum(-1) + np.abs(value))
     power = (seen**2).sum(-1) + width**2
     shared = multiply(own.generators, seen)
-    gain = np.divide(shared, power[..., None], out=np.zeros_like(shared), where=power[..., None] > 0)
+    gain = np.divide(
+        shared, power[..., None], out=np.zeros_like(shared), where=power[..., None] > 0
+    )
     centre = own.centre + gain * (value - (row * own.centre).sum(-1))[..., None]
     left = own.generators - gain[..., None] * seen[..., None, :]
     both = Zonotope(centre, join_columns(left, (gain * width[..., None])[..., None]))
@@ -138,22 +141,24 @@ def gauge(zonotope: Zonotope, point: np.ndarray) -> float:
     """
     from scipy.optimize import linprog
 
-    n, count = zonotope.generators.shape
+    count = zonotope.generators.shape[-1]
+    left, singular, right = np.linalg.svd(zonotope.generators)
+    along = left.T @ (point - zonotope.centre)
+    kept = np.flatnonzero(singular)
+    if np.delete(along, kept).any():
+        return float("inf")
     cost = np.zeros(count + 1)
     cost[-1] = 1.0
     one = np.ones((count, 1))
-    limits = np.block([[np.eye(count), -one], [-np.eye(count), -one]])
-    widths = half_widths(zonotope)
-    # The solver's tolerance is absolute: in units of the half-widths it means something.
-    units = 1.0 / np.where(widths > 0, widths, 1.0)
+    # Orthonormal rows: the solver's tolerance means the same where the zonotope is thin.
+    rows = np.hstack([right[kept], np.zeros((len(kept), 1))])
     found = linprog(
         cost,
-        limits,
+        np.block([[np.eye(count), -one], [-np.eye(count), -one]]),
         np.zeros(2 * count),
-        units[:, None] * np.hstack([zonotope.generators, np.zeros((n, 1))]),
-        units * (point - zonotope.centre),
+        rows,
+        along[kept] / singular[kept],
         bounds=(None, None),
-        options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
     )
     return float(found.fun) if found.success else float("inf")
 

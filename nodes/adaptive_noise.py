@@ -130,8 +130,13 @@ def learn(
     points: SigmaPointRule,
     step: int,
 ) -> NoiseEstimate:
-    """The noise after one more reading (d,), which the belief has taken."""
-    value, _ = sensor.interpret(reading)
+    """The noise after one more reading (d,), which the belief has taken.
+
+    It is never less than the sensor says: a filter whose process noise is too large follows its
+    readings, and a sensor without noise is what that looks like.
+    """
+    value, declared = sensor.interpret(reading)
     measure = partial(sensor.measure, step=step)
     left, spread = sage_husa.unexplained(belief, value, measure, points, sensor.residual)
-    return sage_husa.adapt(noise, left, spread)
+    bounds = sage_husa.BOUNDS._replace(low=np.diagonal(declared))
+    return sage_husa.adapt(noise, left, spread, bounds=bounds)

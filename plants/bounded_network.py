@@ -96,7 +96,9 @@ class BoundedNetwork:
     def draw(self, generator_for: GeneratorFor, steps: int) -> Draws:
         """The noise of one run: the same for the state and for every sensor."""
         process = self.noise(generator_for("process", 0), steps)
-        everywhere = np.broadcast_to(process[:, None, None], (steps, self.nodes, 1, process.shape[-1]))
+        everywhere = np.broadcast_to(
+            process[:, None, None], (steps, self.nodes, 1, process.shape[-1])
+        )
         initial = generator_for("initial", 0).standard_normal(len(self.prior_shape))
         return Draws(initial, process, np.array(everywhere))
 

@@ -90,7 +90,9 @@ def transmit(
     """
     length, m = static_outputs + 1, outputs.shape[-1]
     if not 0 <= static_outputs <= m:
-        raise ValueError(f"{static_outputs} of {m} outputs sent in turn; take a number from 0 to {m}")
+        raise ValueError(
+            f"{static_outputs} of {m} outputs sent in turn; take a number from 0 to {m}"
+        )
     if outputs.shape[-2] % length:
         raise ValueError(
             f"{outputs.shape[-2]} steps do not fill cycles of {length}; simulate a multiple of it"
@@ -136,7 +138,7 @@ def lift(system: BoundedSystem, static_outputs: int, weights: Weights, cycle: in
         states.append(state)
         states_noise.append(state_noise)
     parts = (states, states_noise, outputs, outputs_noise)
-    return LiftedCycle(*map(np.concatenate, parts), weights(first + static_outputs))
+    return LiftedCycle(*map(np.concatenate, parts), weights(first + static_outputs))  # pyright: ignore[reportCallIssue]
 
 
 def augment(cycle: LiftedCycle, winner: NDArray[np.int_]) -> AugmentedCycle:

@@ -290,7 +290,7 @@ _RULES: dict[str, Rule] = {
         check=_require_all_at_once,
     ),
     "ellipsoid": Rule(
-        "sets that hold the truth for certain: ellipsoids around intersections; needs bounded noise",
+        "sets that hold the truth for certain: ellipsoids that intersect; needs bounded noise",
         lambda n, _: packed_length(n),
         set_rules.ellipsoids,
         holds=True,

@@ -5,8 +5,10 @@ from functools import partial
 
 import numpy as np
 
+from nodes.labelled_frame import MAX_WINDOW_STEPS
 from nodes.messages import Array, from_wire
 from scenarios.catalogue import kind_of
+from scenarios.labelled import latency_steps, window_of
 from scenarios.rules import rule_of
 from scenarios.setup import Setup, generator
 from topology.analysis import rounds_to, second_eigenvalue_modulus
@@ -31,6 +33,8 @@ def known_failures(setup: Setup) -> tuple[str, ...]:
         *_too_few_rounds(setup),
         *_raw_hold(setup),
         *_inconsistent(setup),
+        *_short_window(setup),
+        *_ideal_relay(setup),
     )
 
 
@@ -114,6 +118,44 @@ def _inconsistent(setup: Setup) -> Iterator[str]:
         yield (
             f"rule {scenario.rule} with --rounds 1: the only round exchanges readings, and means "
             "are not averaged afterwards; use --rounds 2 or more"
+        )
+
+
+def _short_window(setup: Setup) -> Iterator[str]:
+    """labelled: what comes after its window has passed is lost."""
+    scenario = setup.scenario
+    if scenario.rule != "labelled":
+        return
+    window = window_of(scenario, setup.neighbours)
+    latency = latency_steps(scenario, setup.neighbours)
+    if window < latency:
+        yield (
+            f"rule labelled with a window of {window} steps: on this graph and schedule a record "
+            f"may need {latency} to reach everybody, and what comes later is lost; use "
+            "--window-steps "
+            + (
+                f"{latency}"
+                if latency <= MAX_WINDOW_STEPS
+                else f"{MAX_WINDOW_STEPS} and more slots"
+            )
+        )
+
+
+def _ideal_relay(setup: Setup) -> Iterator[str]:
+    """What relaying within a cycle takes for granted."""
+    scenario = setup.scenario
+    if scenario.relay:
+        awards = setup.scenario.schedule in ("hybrid", "hybrid-leaves", "dynamic")
+        yield (
+            f"--relay: hosts must compose a frame within {scenario.latch_delay_us:g} us of the one "
+            "before"
+            + (
+                ", and dynamic slots go to whoever needs them most at that moment, in any "
+                "order of frame IDs, which a FlexRay controller cannot do"
+                if awards
+                else ""
+            )
+            + "; without --relay nothing of this is assumed"
         )
 
 

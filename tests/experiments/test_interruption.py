@@ -3,9 +3,11 @@
 Nobody is left behind, and what was recorded can be read.
 """
 
+import json
 import os
 import random
 import signal
+import subprocess
 import time
 from pathlib import Path
 
@@ -94,8 +96,15 @@ def test_an_interrupted_run_in_one_process_leaves_its_folder(tmp_path: Path):
     with family(run_command("in-process", 1000), tmp_path) as run:
         run.await_line("oscillator: ")
         interrupted(run, signal.SIGINT)
-    assert 0 < check_folder(tmp_path / "run") < 1000
+    steps = check_folder(tmp_path / "run")
+    assert 0 < steps < 1000
+    # Arrays and figures of what was done are made when there is time.
+    asked = subprocess.run(
+        [*CONCORD, "collect", "--json", str(tmp_path / "run")], capture_output=True, check=True
+    )
+    assert json.loads(asked.stdout)["steps"] == steps
     assert (tmp_path / "run" / ARRAYS).exists()
+    assert check_folder(tmp_path / "run") == steps
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
@@ -146,7 +155,7 @@ def test_a_run_that_fails_says_where_its_remains_are(tmp_path: Path):
         code, out, err = run.end(EXIT_S)
         assert code == 1
         assert "ended with signal 9" in err
-        assert "is in run" in err
+        assert "concord collect run" in err
         assert out == ""
         assert run.gone_within(0.5)
     assert check_folder(tmp_path / "run") > 0

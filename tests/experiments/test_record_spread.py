@@ -42,8 +42,10 @@ def test_figures_of_a_spread_that_is_known():
     spread = RecordSpread(taken, arrival, 2, np.array([10, 20, 30, 40]), 8, 2, 4)
     figures = figures_of(spread)
     assert figures.coverage == 2 / 3
-    # Node 1 is behind by 0, 1 (step 0 of 1), 1 (1 of 2), 1 steps.
-    assert figures.lag_steps_mean == 0.75 and figures.lag_steps_max == 1
+    assert (figures.delay_steps_mean, figures.delay_steps_max) == (0.5, 1)
+    # At node 1 the newest is that of step 0 until step 2, then that of step 1.
+    assert figures.age_steps_mean == (0 + 1 + 1 + 2) / 4
+    assert figures.age_steps_mean_at_source == (0 + 0 + 0 + 1) / 4
     assert (figures.checkpoint_share, figures.records_per_share) == (0.25, 0.5)
     assert figures.body_bytes_per_step == 25.0
 

@@ -32,7 +32,7 @@ def test_no_weight_leaves_a_smaller_determinant(seed: int, n: int):
     )
     found = -np.linalg.slogdet(determinant_intersection(own, other).cov)[1]
     ends = max(logdet(own, other, 0.0), logdet(own, other, 1.0))
-    assert found == pytest.approx(max(-best.fun, ends), abs=2e-6)
+    assert found == pytest.approx(max(-best.fun, ends), abs=2e-6)  # pyright: ignore[reportAttributeAccessIssue]
 
 
 @given(SEEDS, st.integers(1, 5))

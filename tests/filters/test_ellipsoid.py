@@ -27,7 +27,9 @@ SEEDS = st.integers(0, 2**32 - 1)
 def random_ellipsoid(rng: np.random.Generator, n: int, lanes: tuple[int, ...] = ()) -> Ellipsoid:
     """Axes that differ by some orders of magnitude."""
     lengths = 10.0 ** rng.uniform(-2, 1, (*lanes, 1, n))
-    return Ellipsoid(rng.standard_normal((*lanes, n)), rng.standard_normal((*lanes, n, n)) * lengths)
+    return Ellipsoid(
+        rng.standard_normal((*lanes, n)), rng.standard_normal((*lanes, n, n)) * lengths
+    )
 
 
 def on_the_edge(rng: np.random.Generator, one: Ellipsoid) -> np.ndarray:

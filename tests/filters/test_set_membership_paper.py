@@ -64,7 +64,7 @@ def test_traces_on_the_papers_noise_are_the_known_ones():
 
 def test_the_printed_matrix_inequality_holds():
     # (20) with Omega, Xi, Sigma and W as printed, and P, L and multipliers that were found.
-    states, received = example_run()
+    _, received = example_run()
     kept = starting_ball(EXAMPLE, 1)
     for cycle in range(6):
         model = augmented(EXAMPLE, received, cycle)
@@ -119,7 +119,7 @@ def test_an_adversary_gets_to_the_edge_and_not_beyond(step):
     rng = np.random.default_rng(4)
     cycles, noise, worst = 8, [], 0.0
     start = on_the_sphere(rng, 1, 4)
-    for cycle in range(cycles):
+    for _ in range(cycles):
         ends = [np.append(np.ravel(noise), signs) for signs in _all_ends(3)]
         values = []
         for trial in ends:
@@ -233,15 +233,14 @@ def test_long_runs_of_the_unstable_plant_stay_inside(step):
 
 def test_a_wrong_sign_and_a_wrong_rule_are_found_out():
     rng = np.random.default_rng(1)
-    states, received = run_of(rng, EXAMPLE, lanes=60, cycles=6)
+    states, received = run_of(rng, EXAMPLE, lanes=100, cycles=13)
 
     def flipped(before, model, values):
         return optimal_step(before, model._replace(weights=-model.weights), values)
 
     radii, _ = followed(flipped, EXAMPLE, states, received)
     assert (radii > 1).any()
-    _, outputs = liu2021.SYSTEM.simulate(states[:, 0], on_the_sphere(rng, 60, 18, 1))
-    states, outputs = liu2021.SYSTEM.simulate(states[:, 0], on_the_sphere(rng, 60, 18, 1))
+    states, outputs = liu2021.SYSTEM.simulate(states[:, 0], on_the_sphere(rng, 100, 39, 1))
     by_value = transmit(
         outputs, 2, liu2021.weights, lambda values, held, q: np.argmax(q * values**2, -1)
     )
@@ -255,7 +254,7 @@ def test_a_wrong_sign_and_a_wrong_rule_are_found_out():
 @STEPS
 def test_a_lost_lane_hurts_nobody(step):
     rng = np.random.default_rng(2)
-    states, received = run_of(rng, EXAMPLE, lanes=3, cycles=2)
+    _, received = run_of(rng, EXAMPLE, lanes=3, cycles=2)
     before = starting_ball(EXAMPLE, 3)
     centre = before.centre.copy()
     centre[1, 0] = np.nan

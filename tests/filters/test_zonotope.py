@@ -1,4 +1,4 @@
-"""Zonotopes: what holds a point keeps holding it through reduction, maps, cuts and intersections."""
+"""Zonotopes: what holds a point holds it through reduction, maps, cuts and intersections."""
 
 import numpy as np
 import pytest

@@ -20,6 +20,7 @@ from scenarios.catalogue import kind_of
 from scenarios.labelled import check_labelled, latency_steps, window_of
 from scenarios.scenario import Scenario
 from scenarios.setup import Setup, prepare
+from scenarios.warnings import known_failures
 
 
 def setup_of(**options) -> Setup:
@@ -170,3 +171,24 @@ def test_shares_stay_within_the_payload_that_was_asked_for():
     assert 8 < trace.payload_bytes.max() <= 40
     estimator = build_node(setup, 0).estimator
     assert isinstance(estimator, LabelledFlooding) and estimator.share_bytes == 40 - 8
+
+
+# --- warnings ------------------------------------------------------------------------------------
+
+
+def test_a_window_below_the_latency_and_relaying_are_said_before_the_run():
+    assert known_failures(setup_of(occupancy=0.5)) == ()
+    (short,) = known_failures(setup_of(nodes=8, graph="path", rounds=1, window_steps=5))
+    assert "may need 7" in short and "--window-steps 7" in short
+    (static,) = known_failures(setup_of(relay=True))
+    assert "within 5 us" in static and "frame IDs" not in static
+    (awarded,) = known_failures(setup_of(relay=True, occupancy=0.5))
+    assert "in any order of frame IDs" in awarded
+
+
+@pytest.mark.parametrize("schedule", ["dynamic", "hybrid"])
+def test_slots_awarded_one_by_one_are_no_more_than_the_schedule_has(schedule: str):
+    setup = setup_of(schedule=schedule, occupancy=0.5, relay=True, nodes=6, steps=8)
+    shares = trace_of(setup).published.sum(axis=2)
+    # Whoever has nothing to tell asks for none: at most three of six send.
+    assert shares.max() == 3

@@ -1,0 +1,202 @@
+"""Set-membership nodes: the truth stays inside at every node, whatever the network does."""
+
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from experiments.trace import read_trace
+from filters.gaussian import Gaussian
+from nodes import in_process
+from nodes.bids import FIRST_BID
+from nodes.in_process import Link
+from nodes.messages import Measured
+from nodes.recording import MemoryRecorder
+from nodes.set_membership import SetMembership
+from nodes.set_shapes import Ellipsoids, Zonotopes
+from scenarios.build import build_node, build_world
+from scenarios.setup import Setup, prepare
+from tests.experiments.support import scenario
+
+SEEDS = st.integers(0, 2**32 - 1)
+RULES = pytest.mark.parametrize("rule", ["ellipsoid", "zonotope"])
+
+
+def network(**changes) -> Setup:
+    return prepare(scenario("liu2021-network", **{"steps": 15, **changes}))
+
+
+def radii(setup: Setup, link: Link = in_process.lossless) -> np.ndarray:
+    """e' P^-1 e (steps, N) of a run."""
+    recorder = MemoryRecorder()
+    nodes = [build_node(setup, node) for node in range(setup.scenario.nodes)]
+    in_process.run(build_world(setup), nodes, recorder, link=link)
+    trace = read_trace(setup, recorder.messages)
+    errors = (trace.mean - trace.truth[:, None])[..., None]
+    return (errors.mT @ np.linalg.solve(trace.cov, errors))[..., 0, 0]
+
+
+def losing(seed: int, share: float) -> Link:
+    """Frames get lost at random, and some come twice."""
+    rng = np.random.default_rng(seed)
+
+    def link(sender: int, receiver: int, frame: bytes) -> Iterable[bytes]:
+        draw = rng.uniform()
+        return () if draw < share else (frame, frame) if draw > 0.9 else (frame,)
+
+    return link
+
+
+@RULES
+@settings(max_examples=8)
+@given(
+    seed=st.integers(0, 1000),
+    share=st.sampled_from([0.0, 0.3, 0.9]),
+    occupancy=st.sampled_from([0.2, 0.5, 1.0]),
+    number=st.sampled_from(["float64", "float32"]),
+)
+def test_the_truth_stays_inside_at_every_node(
+    rule: str, seed: int, share: float, occupancy: float, number: str
+):
+    schedule = "full" if occupancy == 1.0 else "hybrid"
+    setup = network(
+        rule=rule, seed=seed, schedule=schedule, occupancy=occupancy, number=number, nodes=4
+    )
+    assert (radii(setup, losing(seed, share)) <= 1).all()
+
+
+@RULES
+@pytest.mark.parametrize("hold", ["decayed", "predict", "drop", "in-step"])
+def test_every_sound_hold_policy_keeps_it_inside(rule: str, hold: str):
+    assert (radii(network(rule=rule, hold=hold, schedule="hybrid", occupancy=0.3)) <= 1).all()
+
+
+@RULES
+def test_an_uncontrolled_plant_leaves_every_scale_but_no_set(rule: str):
+    setup = network(rule=rule, control="open", steps=300, nodes=2, graph="path", rounds=1)
+    assert (radii(setup) <= 1).all()
+
+
+def test_the_printed_noise_is_no_harder():
+    assert (radii(network(noise="paper", control="open")) <= 1).all()
+
+
+def test_a_network_knows_more_than_a_node():
+    together, alone = network(), network(schedule="round-robin", occupancy=0.2, rounds=1)
+
+    def size(setup: Setup, link: Link = in_process.lossless) -> float:
+        recorder = MemoryRecorder()
+        nodes = [build_node(setup, node) for node in range(setup.scenario.nodes)]
+        in_process.run(build_world(setup), nodes, recorder, link=link)
+        cov = read_trace(setup, recorder.messages).cov
+        return float(np.trace(cov[-1].mean(0)))
+
+    silent = size(alone, losing(0, 1.1))
+    assert size(together) < size(alone) < silent
+
+
+def test_equal_bits_whatever_the_order_of_arrival():
+    setup = network(schedule="hybrid", occupancy=0.5)
+
+    def estimates(pick) -> tuple[bytes, bytes]:
+        recorder = MemoryRecorder()
+        nodes = [build_node(setup, node) for node in range(setup.scenario.nodes)]
+        in_process.run(build_world(setup), nodes, recorder, pick=pick)
+        trace = read_trace(setup, recorder.messages)
+        return trace.mean.tobytes(), trace.cov.tobytes()
+
+    assert estimates(lambda waiting: 0) == estimates(lambda waiting: waiting - 1)
+
+
+# --- one node ------------------------------------------------------------------------------------
+
+
+class Still:
+    """x' = x + 0.1 v."""
+
+    def transition(self, state, control, step):
+        return state
+
+    def motion(self, step):
+        return np.eye(2), 0.1 * np.eye(2)
+
+
+class First:
+    """The first state, within 0.1."""
+
+    def strips(self, step):
+        return np.array([[1.0, 0.0]]), np.array([0.1])
+
+
+def one_node(shape, **changes) -> SetMembership:
+    prior = Gaussian(np.zeros(2), np.eye(2))
+    return SetMembership(Still(), First(), prior, shape, neighbours=1, **changes)
+
+
+SHAPES = pytest.mark.parametrize("shape", [Ellipsoids(2), Zonotopes(2)])
+
+
+def reading(step: int, value: float | None) -> Measured:
+    return Measured(0, step, [[value]])
+
+
+@SHAPES
+def test_a_reading_that_contradicts_the_set_is_counted_and_left_out(shape):
+    node = one_node(shape)
+    start = node.start()
+    content, troubles = node.begin_step(start, reading(0, 3.0))
+    assert troubles == ("contradicting-reading",)
+    assert node.belief(content).cov.tobytes() == node.belief(start).cov.tobytes()
+    content, troubles = node.begin_step(start, reading(0, 0.5))
+    assert troubles == ()
+    assert node.belief(content).mean[0] == pytest.approx(0.5, abs=0.05)
+    assert np.trace(node.belief(content).cov) < np.trace(node.belief(start).cov)
+    content, troubles = node.begin_step(start, reading(0, None))
+    assert troubles == ()
+    assert node.belief(content).cov.tobytes() == node.belief(start).cov.tobytes()
+
+
+@SHAPES
+def test_a_share_that_contradicts_the_set_is_counted_and_not_held(shape):
+    node = one_node(shape)
+    content, _ = node.begin_step(node.start(), reading(0, 0.0))
+    far = shape.around(Gaussian(np.array([5.0, 5.0]), 0.01 * np.eye(2)))
+    after, troubles = node.fuse(content, (far,))
+    assert troubles == ("contradicting-share",)
+    assert node.ages(after).tolist() == [-1]
+    assert node.belief(after).cov.tobytes() == node.belief(content).cov.tobytes()
+
+
+@SHAPES
+def test_a_held_set_is_carried_with_the_plant_and_helps_later(shape):
+    small = shape.around(Gaussian(np.zeros(2), 1e-4 * np.eye(2)))
+    sizes = {}
+    for carried in (True, False):
+        node = one_node(shape, carried=carried)
+        # The second share is of the same step, and the third, silent, of the next.
+        content, _ = node.begin_step(node.start(), reading(0, None))
+        content, _ = node.fuse(content, (small,))
+        assert node.ages(content).tolist() == [0]
+        # Forget what was learned, as a node that restarts: only what is held is left.
+        content = content._replace(own=node.start().own)
+        content, _ = node.begin_step(content, reading(1, None))
+        content, _ = node.fuse(content, (None,))
+        assert node.ages(content).tolist() == [1]
+        sizes[carried] = np.trace(node.belief(content).cov)
+    assert sizes[True] < 0.1 * sizes[False]
+
+
+@SHAPES
+def test_a_bid_is_how_much_there_is_to_tell(shape):
+    node = one_node(shape, trigger=0.5)
+    content, _ = node.begin_step(node.start(), reading(0, None))
+    assert node.bid(content) == FIRST_BID
+    content, body = node.compose(content)
+    assert len(body) == node.share_bytes
+    assert node.bid(content) is None  # nothing new: below the trigger
+    content, _ = node.fuse(content, (shape.around(Gaussian(np.zeros(2), 0.01 * np.eye(2))),))
+    urgent = node.bid(content)
+    assert urgent is not None
+    assert 0 < urgent < FIRST_BID

@@ -1,0 +1,97 @@
+"""Sets on the wire: what is decoded holds what was encoded, in every number format."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from filters.ellipsoid import Ellipsoid, squared_radius
+from filters.gaussian import Gaussian
+from filters.zonotope import Zonotope, gauge
+from nodes.estimator import Rejected
+from nodes.set_shapes import Ellipsoids, Zonotopes
+
+SEEDS = st.integers(0, 2**32 - 1)
+NUMBERS = pytest.mark.parametrize("number", ["<f8", "<f4"])
+
+
+@NUMBERS
+@settings(max_examples=40)
+@given(seed=SEEDS, n=st.integers(1, 5), scale=st.integers(-4, 6))
+def test_an_ellipsoid_that_travelled_holds_what_it_held(number: str, seed: int, n: int, scale: int):
+    rng = np.random.default_rng(seed)
+    factor = rng.standard_normal((n, n)) * 10.0 ** rng.uniform(-3, 1, (1, n))
+    own = Ellipsoid(10.0**scale * rng.standard_normal(n), factor)
+    codec = Ellipsoids(n, number)
+    body = codec.encode(own)
+    assert len(body) == codec.share_bytes
+    came = codec.decode(body)
+    u = rng.standard_normal((20, n))
+    points = own.centre + (u / np.linalg.norm(u, axis=-1, keepdims=True)) @ factor.T
+    lanes = Ellipsoid(
+        np.broadcast_to(came.centre, (20, n)), np.broadcast_to(came.factor, (20, n, n))
+    )
+    # The points themselves are rounded where the centre is large.
+    slack = 20 * 2.0**-52 * np.abs(points).max() / np.linalg.svd(came.factor)[1].min()
+    assert (squared_radius(lanes, points) <= (1 + slack) ** 2).all()
+
+
+@NUMBERS
+@settings(max_examples=25)
+@given(seed=SEEDS, n=st.integers(1, 4))
+def test_a_zonotope_that_travelled_holds_what_it_held(number: str, seed: int, n: int):
+    rng = np.random.default_rng(seed)
+    own = Zonotope(rng.standard_normal(n), rng.standard_normal((n, 3 * n)))
+    codec = Zonotopes(n, number)
+    body = codec.encode(own)
+    assert len(body) == codec.share_bytes
+    corner = own.centre + own.generators @ rng.choice([-1.0, 1.0], 3 * n)
+    assert gauge(codec.decode(body), corner) <= 1 + 1e-7
+
+
+def test_the_estimate_is_an_ellipsoid_around_the_set():
+    rng = np.random.default_rng(0)
+    zonotope = Zonotope(rng.standard_normal(3), rng.standard_normal((3, 9)))
+    bounds = Zonotopes(3).bounds(zonotope)
+    corner = zonotope.centre + zonotope.generators @ rng.choice([-1.0, 1.0], 9)
+    error = corner - bounds.mean
+    assert error @ np.linalg.solve(bounds.cov, error) <= 1
+    ellipsoid = Ellipsoid(np.zeros(2), np.array([[1.0, 0.0], [0.5, 2.0]]))
+    shape = Ellipsoids(2).bounds(ellipsoid).cov
+    expected = ellipsoid.factor @ ellipsoid.factor.T
+    np.testing.assert_allclose(shape, expected, rtol=1e-12)
+    assert (np.linalg.eigvalsh(shape - expected) >= 0).all()
+
+
+@pytest.mark.parametrize(
+    ("body", "reason"),
+    [
+        (b"", "belief-length"),
+        (np.full(5, np.nan).tobytes(), "belief-not-finite"),
+        (np.array([0.0, 0.0, 1.0, 2.0, 1.0]).tobytes(), "not-positive-definite"),
+        (np.array([0.0, 0.0, -1.0, 0.0, 1.0]).tobytes(), "not-positive-definite"),
+    ],
+)
+def test_bytes_that_are_no_ellipsoid_are_rejected(body: bytes, reason: str):
+    with pytest.raises(Rejected) as rejected:
+        Ellipsoids(2).decode(body)
+    assert rejected.value.reason == reason
+
+
+def test_bytes_that_are_no_zonotope_are_rejected():
+    with pytest.raises(Rejected):
+        Zonotopes(2).decode(np.zeros(5).tobytes())
+    with pytest.raises(Rejected):
+        Zonotopes(2).decode(np.full(6, np.inf).tobytes())
+
+
+@pytest.mark.parametrize("shape", [Ellipsoids(2), Zonotopes(2)])
+def test_sets_with_nothing_in_common_are_told_apart(shape):
+    ball = shape.around(Gaussian(np.zeros(2), np.eye(2)))
+    far = shape.around(Gaussian(np.array([5.0, 0.0]), np.eye(2)))
+    near = shape.around(Gaussian(np.array([0.5, 0.0]), np.eye(2)))
+    assert shape.meet(ball, far) is None
+    assert shape.size(shape.meet(ball, near)) <= shape.size(ball) * (1 + 1e-12)
+    row = np.array([1.0, 0.0])
+    assert shape.cut(ball, row, 3.0, 0.5) is None
+    assert shape.size(shape.cut(ball, row, 0.5, 0.1)) < shape.size(ball)

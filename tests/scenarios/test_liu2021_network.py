@@ -1,0 +1,107 @@
+"""`liu2021-network`: what it is made of, what it refuses, and that its drivers agree."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.agree_command import first_difference
+from experiments.drivers import DRIVERS
+from plants import liu2021
+from plants.bounded_network import on_the_bound
+from scenarios.catalogue import kind_of
+from scenarios.rules import is_certain
+from scenarios.setup import prepare
+from tests.experiments.support import scenario, small, trace_of
+
+NAME = "liu2021-network"
+GAUSSIAN_RULES = ("ci", "wac")
+
+
+def plant(**changes):
+    asked = scenario(NAME, **changes)
+    return kind_of(NAME).plant(asked)
+
+
+def test_the_network_reads_the_outputs_of_the_example_in_turn():
+    network = plant(nodes=6)
+    rng = np.random.default_rng(0)
+    state, noise = rng.standard_normal(4), rng.uniform(-1, 1, (6, 1, 1))
+    noise[:] = noise[0]
+    read = network.observe(state, noise, step=7)
+    outputs = liu2021.SYSTEM.observe(state, noise[0, 0], 7)
+    np.testing.assert_allclose(read[:, 0, 0], outputs[[0, 1, 2, 3, 0, 1]])
+
+
+def test_sensors_state_their_bounds():
+    network = plant(nodes=4)
+    for node in range(4):
+        sensor = network.sensor(node)  # pyright: ignore[reportAttributeAccessIssue]
+        for step in range(50):
+            rows, half_widths = sensor.strips(step)
+            assert half_widths[0] <= sensor.noise_bound * (1 + 1e-12)
+            state = np.ones(4)
+            exact = sensor.measure(state, step)
+            np.testing.assert_allclose(rows @ state, exact)
+            ends = [
+                liu2021.SYSTEM.observe(state, np.array([end]), step)[node] for end in (-1.0, 1.0)
+            ]
+            np.testing.assert_allclose(np.abs(ends - exact), half_widths[0])
+
+
+def test_matched_noise_is_on_the_bound_and_printed_noise_is_printed():
+    rng = np.random.default_rng(0)
+    np.testing.assert_allclose(np.linalg.norm(on_the_bound(rng, 20, 3), axis=-1), 1.0)
+    draws = plant(noise="paper").draw(lambda *_: rng, 5)
+    printed = 0.3 * np.sin(-np.arange(5.0)) / np.sqrt(10)
+    np.testing.assert_allclose(draws.process[:, 0], printed)
+    np.testing.assert_allclose(draws.measurement[:, 2, 0, 0], printed)
+    state, centre, shape = plant(noise="paper").initial(draws.initial)
+    np.testing.assert_array_equal(state, [0.15, 0.16, 0.1, -0.2])
+    np.testing.assert_array_equal(centre, 0.0)
+    np.testing.assert_array_equal(shape, np.eye(4))
+
+
+def test_the_control_keeps_the_state_where_numbers_mean_something():
+    network, law = plant(), liu2021.Stabiliser()
+    rng = np.random.default_rng(1)
+    state, largest = np.ones(4), 0.0
+    for step in range(1000):
+        control, _ = law.control(state, law.initial_memory, step)
+        state = network.advance(state, control, rng.choice([-1.0, 1.0], 1), step)
+        largest = max(largest, np.abs(state).max())
+    assert largest < 100
+
+
+def test_what_cannot_hold_the_truth_is_refused():
+    with pytest.raises(ValueError, match="--hold raw"):
+        prepare(scenario(NAME, hold="raw"))
+    with pytest.raises(ValueError, match="has no bound"):
+        prepare(scenario("oscillator", rule="ellipsoid"))
+    with pytest.raises(ValueError, match="nodes 0 to 5"):
+        prepare(scenario(NAME, control="6"))
+    with pytest.raises(ValueError, match=r"preset|noise"):
+        prepare(scenario(NAME, noise="papre"))
+
+
+def test_set_rules_are_certain_and_gaussian_rules_run_on_it_too():
+    assert is_certain(scenario(NAME))
+    assert is_certain(scenario(NAME, rule="zonotope"))
+    for rule in GAUSSIAN_RULES:
+        asked = small(NAME, rule=rule)
+        assert not is_certain(asked.scenario)
+
+
+@pytest.mark.zenoh
+@pytest.mark.parametrize("rule", ["ellipsoid", "zonotope"])
+def test_drivers_agree_bit_for_bit(rule: str, tmp_path: Path):
+    setup = small(NAME, rule=rule, schedule="hybrid", occupancy=0.5, steps=6)
+    traces = {}
+    for name, driver in DRIVERS.items():
+        recording = tmp_path / f"{name}.mcap"
+        driver(setup, f"agree-{name}", recording, None, lambda step: None)
+        traces[name] = trace_of(setup, recording)
+    reference = traces["in-process"]
+    assert reference.steps == 6
+    for name, trace in traces.items():
+        assert first_difference(reference, trace, name) is None
