@@ -49,7 +49,7 @@ def test_missing_rows_are_deleted_rows():
         rows = np.flatnonzero(np.isfinite(measurement[lane]))
         prior = Gaussian(belief.mean[lane], belief.cov[lane])
         taken = measurement[lane, rows]
-        expected = kalman.update(prior, taken, H[rows], R[np.ix_(rows, rows)])
+        expected = kalman.update(prior, taken, H[rows], R[np.ix_(rows, rows)])  # pyright: ignore[reportCallIssue]
         np.testing.assert_allclose(update.belief.mean[lane], expected.belief.mean, rtol=1e-12)
         np.testing.assert_allclose(update.belief.cov[lane], expected.belief.cov, rtol=1e-12)
         assert update.normalised_innovation_squared[lane] == pytest.approx(

@@ -169,7 +169,10 @@ def test_without_stochastic_terms_it_is_the_kalman_filter_of_what_was_sent(lanes
     state = RECOMMENDED.update(state, Received(values, fresh), observation, PAPER_POINTS)
     moved = kalman.predict(belief, transition, process_cov)
     known = kalman.update(
-        moved, values[..., sent], rows[sent], noise_cov[np.ix_(sent, sent)]
+        moved,
+        values[..., sent],
+        rows[sent],
+        noise_cov[np.ix_(sent, sent)],  # pyright: ignore[reportCallIssue]
     ).belief
     np.testing.assert_allclose(state.belief.mean, known.mean, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(state.belief.cov, known.cov, rtol=1e-9, atol=1e-9)
