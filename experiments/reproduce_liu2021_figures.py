@@ -58,19 +58,18 @@ def blocks(outcome: Outcome) -> tuple[Array, Array]:
 def _state(batch: Batch, paper: Outcome, tight: Outcome, state: int) -> Figure:
     figure, axes = _canvas(3.4)
     truth = batch.states[0, :, state]
-    centre, width = blocks(paper)
     steps = np.arange(1, len(truth))
-    axes.fill_between(
-        steps, (centre - width)[:, state], (centre + width)[:, state], color=PAPER, alpha=0.15,
-        lw=0, label="the paper's bounds",
-    )  # fmt: skip
-    inner, narrow = blocks(tight)
-    axes.fill_between(
-        steps, (inner - narrow)[:, state], (inner + narrow)[:, state], color=TIGHT, alpha=0.3, lw=0,
-        label="bounds of the tight form",
-    )  # fmt: skip
+    for outcome, colour, alpha, label in (
+        (paper, PAPER, 0.15, "the paper's bounds"),
+        (tight, TIGHT, 0.3, "bounds of the tight form"),
+    ):
+        centre, width = (part[:, state] for part in blocks(outcome))
+        axes.fill_between(
+            steps, centre - width, centre + width, color=colour, alpha=alpha, lw=0, label=label
+        )
+    estimate = blocks(paper)[0][:, state]
     axes.plot(np.arange(len(truth)), truth, color=TRUE, lw=1.6, label=f"state $x_{state + 1}$")
-    axes.plot(steps, centre[:, state], color=PAPER, lw=1.4, ls="--", label="estimate")
+    axes.plot(steps, estimate, color=PAPER, lw=1.4, ls="--", label="estimate")
     axes.set(xlabel="step $T_k$", ylabel=f"$x_{state + 1}$", xlim=(0, len(truth) - 1))
     axes.legend(frameon=False, ncols=2, loc="upper left" if state == 0 else "best")
     return figure
@@ -99,11 +98,11 @@ def _sizes(outcomes: dict[str, Outcome]) -> Figure:
     upper, lower = figure.subplots(2, 1, sharex=True)
     for name, outcome in outcomes.items():
         style = {"color": COLOURS[name], "lw": 1.5, "label": name}
-        if len(outcome.steps) < outcomes["fast-rate"].steps[-1]:
+        if len(outcome.steps) * G == outcome.steps[-1]:
             style |= {"marker": "o", "ms": 3.5}
-            upper.semilogy(outcome.steps, outcome.trace[:, 0], **style)
+        upper.semilogy(outcome.steps, outcome.trace[:, 0], **style)
         lower.plot(outcome.steps, outcome.half_widths[:, 0].sum(-1), **style)
-    upper.set_ylabel("tr P, three steps")
+    upper.set_ylabel("tr P (fast-rate: one step)")
     lower.set(xlabel="step $T_k$", ylabel="sum of half-widths of x", ylim=(0, None))
     lower.legend(frameon=False, ncols=5, loc="upper center", bbox_to_anchor=(0.5, 1.2))
     upper.set_yticks([2, 5, 10, 20, 50], ["2", "5", "10", "20", "50"])

@@ -63,7 +63,8 @@ def squared_radius(ellipsoid: Ellipsoid, point: np.ndarray) -> np.ndarray:
 def is_lost(ellipsoid: Ellipsoid) -> np.ndarray:
     """Lanes (...) in which an ellipsoid is not a number."""
     finite_centre = np.isfinite(ellipsoid.centre).all(-1)
-    return ~(finite_centre & np.isfinite(ellipsoid.factor).all((-1, -2)))  # pyright: ignore[reportReturnType]
+    finite_factor = np.isfinite(ellipsoid.factor).all((-1, -2))
+    return np.logical_not(np.logical_and(finite_centre, finite_factor))
 
 
 def replace_lost(ellipsoid: Ellipsoid, value: float) -> Ellipsoid:
@@ -135,7 +136,8 @@ def grow(ellipsoid: Ellipsoid, margin: np.ndarray) -> Ellipsoid:
 
 def squared(factor: np.ndarray) -> np.ndarray:
     """A factor (..., n, min(n, r)), lower triangular, of the same shape matrix as (..., n, r)."""
-    return np.linalg.qr(factor.mT, mode="r").mT  # pyright: ignore[reportAttributeAccessIssue]
+    upper: np.ndarray = np.asarray(np.linalg.qr(factor.mT, mode="r"))
+    return upper.mT
 
 
 def outline(ellipsoid: Ellipsoid, states: tuple[int, int], points: int = 65) -> np.ndarray:

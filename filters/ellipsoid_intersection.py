@@ -121,17 +121,26 @@ def _best_weight(
     least = np.where(np.isfinite(least), least, 1.0)
     low = -_MARGIN - np.log1p(largest)
     high = _MARGIN + np.log1p(1.0 / np.maximum(least, np.finfo(float).tiny))
-    steps = np.linspace(0.0, 1.0, _GRID)
-    middle = low[..., None]
     for _ in range(_ZOOMS):
-        grid = low[..., None] + (high - low)[..., None] * steps
-        weights = np.exp(grid)
-        at = 1.0 + weights[..., None] * squares[..., None, :]
-        traces = _room(weights, squares[..., None, :], shifts[..., None, :], beyond[..., None]) * (
-            sizes[..., None, :] / at
-        ).sum(-1)
-        best = np.argmin(np.where(np.isnan(traces), np.inf, traces), axis=-1)[..., None]
-        around = (high - low)[..., None] / (_GRID - 1)
-        middle = np.take_along_axis(grid, best, -1)
-        low, high = (middle - around)[..., 0], (middle + around)[..., 0]
-    return np.exp(middle[..., 0])
+        middle, spacing = _best_of_grid(low, high, squares, shifts, beyond, sizes)
+        low, high = middle - spacing, middle + spacing
+    return np.exp(0.5 * (low + high))
+
+
+def _best_of_grid(
+    low: np.ndarray,
+    high: np.ndarray,
+    squares: np.ndarray,
+    shifts: np.ndarray,
+    beyond: np.ndarray,
+    sizes: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The logarithm of the best weight (...) of a grid, and the spacing (...) of the grid."""
+    spacing = (high - low)[..., None] / (_GRID - 1)
+    grid = low[..., None] + spacing * np.arange(_GRID)
+    weights = np.exp(grid)
+    at = 1.0 + weights[..., None] * squares[..., None, :]
+    room = _room(weights, squares[..., None, :], shifts[..., None, :], beyond[..., None])
+    traces = room * (sizes[..., None, :] / at).sum(-1)
+    best = np.argmin(np.where(np.isnan(traces), np.inf, traces), axis=-1)[..., None]
+    return np.take_along_axis(grid, best, -1)[..., 0], spacing[..., 0]

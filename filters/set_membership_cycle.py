@@ -18,6 +18,7 @@ from filters.ellipsoid import (
     is_lost,
     lose,
     rounding_bound,
+    squared,
 )
 from filters.lanes import join_columns
 from filters.linalg import multiply
@@ -89,7 +90,7 @@ def turned(factor: np.ndarray, cycle: Cycle) -> np.ndarray:
     """
     parts = (cycle.transition, cycle.output, cycle.candidates)
     used = np.any([(part != 0).any(tuple(range(part.ndim - 1))) for part in parts], axis=0)
-    seen = np.linalg.qr(factor[..., used, :].mT, mode="r").mT  # pyright: ignore[reportAttributeAccessIssue]
+    seen = squared(factor[..., used, :])
     position = np.zeros((*factor.shape[:-1], seen.shape[-1]))
     position[..., used, :] = seen
     return position

@@ -290,9 +290,9 @@ def _newton_step(hessian: np.ndarray, gradient: np.ndarray) -> np.ndarray:
     scale = 1.0 / np.sqrt(np.diagonal(hessian, axis1=-2, axis2=-1))
     balanced = hessian * scale[:, :, None] * scale[:, None, :]
     right = gradient * scale
-    sound = np.isfinite(balanced).all((-1, -2)) & np.isfinite(right).all(-1)
+    sound = np.logical_and(np.isfinite(balanced).all((-1, -2)), np.isfinite(right).all(-1))
     if not sound.all():
-        balanced, right = balanced * sound[:, None, None], right * sound[:, None]  # pyright: ignore[reportIndexIssue]
+        balanced, right = balanced * sound[:, None, None], right * sound[:, None]
     # Next to nothing on the diagonal: no lane may be singular, or all would fail.
     size = balanced.shape[-1]
     balanced.reshape(-1, size * size)[:, :: size + 1] += 1e-14

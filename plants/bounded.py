@@ -39,7 +39,7 @@ class BoundedSystem:
 
     def noise_factor(self, step: int) -> Array:
         """F (q, q), lower triangular, with F F' = W."""
-        return np.linalg.cholesky(self.noise_shape(step))  # pyright: ignore[reportReturnType]
+        return np.linalg.cholesky(self.noise_shape(step)).astype(np.float64)
 
     def advance(self, state: Array, noise: Array, step: int) -> Array:
         """States (..., n) one step later, under noise (..., q) in units of its bound."""

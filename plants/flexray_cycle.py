@@ -138,7 +138,8 @@ def lift(system: BoundedSystem, static_outputs: int, weights: Weights, cycle: in
         states.append(state)
         states_noise.append(state_noise)
     parts = (states, states_noise, outputs, outputs_noise)
-    return LiftedCycle(*map(np.concatenate, parts), weights(first + static_outputs))  # pyright: ignore[reportCallIssue]
+    lifted, lifted_noise, seen, seen_noise = (np.concatenate(part) for part in parts)
+    return LiftedCycle(lifted, lifted_noise, seen, seen_noise, weights(first + static_outputs))
 
 
 def augment(cycle: LiftedCycle, winner: NDArray[np.int_]) -> AugmentedCycle:

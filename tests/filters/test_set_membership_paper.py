@@ -117,9 +117,9 @@ def test_no_noise_within_the_bounds_gets_out(step, of: Sizes, seed: int):
 def test_an_adversary_gets_to_the_edge_and_not_beyond(step):
     # Noise of each cycle chosen as the worst for the gain that the closed form will have.
     rng = np.random.default_rng(4)
-    cycles, noise, worst = 8, [], 0.0
+    noise = []
     start = on_the_sphere(rng, 1, 4)
-    for _ in range(cycles):
+    for _ in range(8):
         ends = [np.append(np.ravel(noise), signs) for signs in _all_ends(3)]
         values = []
         for trial in ends:
@@ -131,8 +131,7 @@ def test_an_adversary_gets_to_the_edge_and_not_beyond(step):
     states, outputs = liu2021.SYSTEM.simulate(start, np.array(noise).reshape(1, -1, 1))
     received = transmit(outputs, 2, liu2021.weights)
     radii, _ = followed(step, EXAMPLE, states, received)
-    worst = radii.max()
-    assert 0.5 < worst <= 1
+    assert 0.5 < radii.max() <= 1
 
 
 def _all_ends(count: int) -> np.ndarray:

@@ -90,6 +90,21 @@ def test_with_all_records_in_time_every_node_is_the_centralised_filter(relay: bo
 
 
 @given(graphs(least=2, most=5), SEEDS)
+@settings(max_examples=20)
+def test_nodes_that_hold_the_same_agree_bit_for_bit(adjacency, seed: int):
+    """Whatever the order in which it came to them: rounds enough for all to be everywhere."""
+    count = len(adjacency)
+    net = labelled(
+        adjacency, steps=4, rounds=count, seeing=range(count), schedule=full_publish(count),
+        limit_bytes=2000, seed=seed % 100,
+    )  # fmt: skip
+    outcome = run(net)
+    for node in range(count):
+        assert outcome.mean[:, node].tobytes() == outcome.mean[:, 0].tobytes()
+        assert outcome.cov[:, node].tobytes() == outcome.cov[:, 0].tobytes()
+
+
+@given(graphs(least=2, most=5), SEEDS)
 @settings(max_examples=8)
 def test_once_all_records_came_the_base_is_the_centralised_posterior(adjacency, seed: int):
     """One slot a cycle: records come late, and are all there when their step leaves the window."""

@@ -1,6 +1,8 @@
 """The rule `labelled` from the command line's options to a run, and what it refuses."""
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -12,7 +14,6 @@ from experiments.drivers import DRIVERS, in_memory
 from experiments.options import ScenarioOptions
 from experiments.trace import Trace, read_trace
 from nodes.labelled import LabelledFlooding
-from nodes.record_codec import Calibrated
 from nodes.recording import read_recording
 from scenarios.build import build_node
 from scenarios.bus_plan import build_schedule
@@ -57,20 +58,28 @@ def test_with_all_records_in_time_every_node_is_the_centralised_filter(options: 
         assert (error <= 1e-9 * deviation[:, :, None] * deviation[:, None, :]).all()
 
 
-def test_quantised_records_are_the_centralised_filter_that_knows_of_the_rounding():
-    """The same with readings rounded, and R larger by a twelfth of the squared step."""
+def test_quantised_records_are_the_centralised_filter_that_knows_of_the_rounding(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    """Readings in steps of a sixteenth of their deviation; R larger by a twelfth of its square."""
     setup = setup_of(scenario="target-tracking", nodes=6, graph="complete", rounds=1, steps=30)
     trace = trace_of(setup)
-    codec = build_node(setup, 0).estimator.filter.codecs[0]  # type: ignore[attr-defined]
-    rounded = codec.resolution * np.round(trace.readings / codec.resolution)
-    sensor = kind_of("target-tracking").sensor(setup.scenario, 0)
-    assert isinstance(sensor, Calibrated)
-    best = centralised(setup, rounded, None)
-    exact = centralised(setup, trace.readings, None)
-    ours = np.einsum("kii->ki", trace.cov[:, 0])
-    # R grows by (1/16)^2/12 of itself, so P grows by that much at most, and by something.
-    assert (ours <= np.einsum("kii->ki", exact.cov) * 1.05).all()
-    assert np.abs(trace.mean[:, 0] - best.mean).max() < np.abs(trace.mean[:, 0] - exact.mean).max()
+    kind = kind_of("target-tracking")
+    step = np.array([10.0, np.deg2rad(2.0)]) / 16
+    larger = np.sqrt(1 + 1 / (12 * 16**2))
+
+    def noisier(scenario: Scenario, node: int):
+        sensor: Any = kind.sensor(scenario, node)
+        return replace(
+            sensor,
+            range_std_m=larger * sensor.range_std_m,
+            bearing_std_rad=larger * sensor.bearing_std_rad,
+        )
+
+    monkeypatch.setattr("experiments.baselines.kind_of", lambda _: kind._replace(sensor=noisier))
+    best = centralised(setup, step * np.round(trace.readings / step), None)
+    np.testing.assert_allclose(trace.mean[:, 0], best.mean, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(trace.cov[:, 0], best.cov, rtol=1e-9, atol=1e-9)
 
 
 # --- every plant ---------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ import pytest
 from experiments.agree_command import first_difference
 from experiments.drivers import DRIVERS
 from plants import liu2021
-from plants.bounded_network import on_the_bound
+from plants.bounded_network import BoundedNetwork, on_the_bound
 from scenarios.catalogue import kind_of
 from scenarios.rules import is_certain
 from scenarios.setup import prepare
@@ -18,9 +18,10 @@ NAME = "liu2021-network"
 GAUSSIAN_RULES = ("ci", "wac")
 
 
-def plant(**changes):
-    asked = scenario(NAME, **changes)
-    return kind_of(NAME).plant(asked)
+def plant(**changes) -> BoundedNetwork:
+    made = kind_of(NAME).plant(scenario(NAME, **changes))
+    assert isinstance(made, BoundedNetwork)
+    return made
 
 
 def test_the_network_reads_the_outputs_of_the_example_in_turn():
@@ -36,7 +37,7 @@ def test_the_network_reads_the_outputs_of_the_example_in_turn():
 def test_sensors_state_their_bounds():
     network = plant(nodes=4)
     for node in range(4):
-        sensor = network.sensor(node)  # pyright: ignore[reportAttributeAccessIssue]
+        sensor = network.sensor(node)
         for step in range(50):
             rows, half_widths = sensor.strips(step)
             assert half_widths[0] <= sensor.noise_bound * (1 + 1e-12)

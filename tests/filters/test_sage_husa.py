@@ -1,0 +1,157 @@
+"""Noise estimation: the fading average, what it converges to, and what it may never do."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from filters import sage_husa, sage_husa_literal, ukf
+from filters.gaussian import Gaussian
+from filters.sage_husa import Bounds
+from filters.sage_husa_literal import Evidence
+from filters.sigma_points import scaled_unscented
+from tests.filters.support import random_spd
+
+RULE = scaled_unscented(2)
+
+
+@pytest.mark.parametrize("forgetting", [0.9, 0.98])
+def test_it_is_an_average_with_weights_that_fade_geometrically(forgetting):
+    generator = np.random.default_rng(1)
+    samples = generator.uniform(0.5, 2.0, 30)
+    noise = sage_husa.begin(np.array([1.7]))
+    for sample in samples:
+        noise = sage_husa.adapt(
+            noise, np.array([np.sqrt(sample)]), np.zeros(1), forgetting=forgetting
+        )
+    everything = np.concatenate(([1.7], samples))
+    weights = forgetting ** np.arange(30, -1, -1.0)
+    np.testing.assert_allclose(noise.variances[0], weights @ everything / weights.sum(), rtol=1e-12)
+
+
+def test_the_start_weighs_as_much_as_one_reading():
+    noise = sage_husa.adapt(sage_husa.begin(np.array([3.0])), np.array([1.0]), np.zeros(1))
+    assert noise.variances[0] == pytest.approx(2.0, abs=0.03)
+
+
+@given(
+    residual=st.lists(st.floats(-1e8, 1e8), min_size=2, max_size=2),
+    spread=st.floats(0, 1e8),
+    start=st.floats(1e-8, 1e4),
+)
+def test_a_variance_stays_within_its_bounds(residual, spread, start):
+    noise = sage_husa.begin(np.full(2, start))
+    for _ in range(3):
+        noise = sage_husa.adapt(noise, np.array(residual), np.full(2, spread))
+    assert ((noise.variances >= 1e-8) & (noise.variances <= 1e4)).all()
+
+
+def test_bounds_may_differ_by_channel():
+    bounds = Bounds(low=np.array([1.0, 1e-8]))
+    noise = sage_husa.begin(np.array([1.0, 1.0]))
+    for _ in range(300):
+        noise = sage_husa.adapt(noise, np.zeros(2), np.zeros(2), bounds=bounds)
+    assert noise.variances[0] == 1.0
+    assert noise.variances[1] < 0.01
+
+
+def test_an_outlier_counts_as_far_as_its_limit():
+    noise = sage_husa.begin(np.array([1.0, 1.0]))
+    limited = sage_husa.adapt(noise, np.array([100.0, 2.0]), np.zeros(2), outlier_limit=9.0)
+    as_if = sage_husa.adapt(noise, np.array([3.0, 2.0]), np.zeros(2))
+    np.testing.assert_array_equal(limited.variances, as_if.variances)
+
+
+def test_what_was_not_taken_changes_nothing():
+    noise = sage_husa.begin(np.array([[1.0, 2.0], [3.0, 4.0]]))
+    after = sage_husa.adapt(noise, np.array([[np.nan, 1.0], [np.nan, np.nan]]), np.zeros((2, 2)))
+    assert after.variances[0, 0] == 1.0
+    np.testing.assert_array_equal(after.variances[1], [3.0, 4.0])
+    np.testing.assert_array_equal(after.taken, [[0, 1], [0, 0]])
+
+
+def test_the_residual_is_that_of_the_posterior():
+    generator = np.random.default_rng(3)
+    H = generator.standard_normal((3, 2))
+    posterior = Gaussian(generator.standard_normal((4, 2)), random_spd(generator, (4,), 2))
+    z = generator.standard_normal((4, 3))
+    z[0, 1] = np.nan
+    left, spread = sage_husa.unexplained(posterior, z, lambda x: x @ H.T, RULE)
+    expected = z - posterior.mean @ H.T
+    np.testing.assert_allclose(left, expected, rtol=1e-12, atol=1e-12)
+    for lane in range(4):
+        np.testing.assert_allclose(spread[lane], np.diag(H @ posterior.cov[lane] @ H.T))
+
+
+@pytest.mark.parametrize("start", [0.01, 100.0])
+def test_it_finds_the_noise_of_a_matched_filter(start):
+    """With b = .98 the average spans 50 readings: lanes scatter by a fifth, their mean does not."""
+    generator = np.random.default_rng(5)
+    F, H = np.array([[1.0, 0.1], [-0.1, 0.95]]), np.array([[1.0, 0.0], [0.0, 1.0]])
+    Q, true, lanes = 1e-3 * np.eye(2), np.array([0.5, 2.0]), 200
+    state = np.zeros((lanes, 2))
+    belief = Gaussian(state, np.broadcast_to(np.eye(2), (lanes, 2, 2)))
+    noise = sage_husa.begin(np.full((lanes, 2), start))
+    for _ in range(400):
+        state = state @ F.T + generator.standard_normal((lanes, 2)) @ np.sqrt(Q)
+        z = state @ H.T + generator.standard_normal((lanes, 2)) * np.sqrt(true)
+        belief = ukf.predict(belief, lambda x: x @ F.T, Q, RULE)
+        belief = ukf.update(belief, z, lambda x: x @ H.T, noise.cov, RULE).belief
+        left, spread = sage_husa.unexplained(belief, z, lambda x: x @ H.T, RULE)
+        noise = sage_husa.adapt(noise, left, spread)
+    np.testing.assert_allclose(noise.variances.mean(axis=0), true, rtol=0.08)
+
+
+def test_refusals_say_what_to_do():
+    with pytest.raises(ValueError, match="data-sheet"):
+        sage_husa.begin(np.array([1.0, 0.0]))
+    with pytest.raises(ValueError, match=r"\.95 to \.99"):
+        sage_husa.adapt(sage_husa.begin(np.ones(1)), np.ones(1), np.ones(1), forgetting=1.0)
+
+
+# --- as printed ----------------------------------------------------------------------------------
+
+
+def evidence(generator: np.random.Generator, scale: float = 1.0) -> Evidence:
+    def draw(size: int) -> np.ndarray:
+        return scale * generator.standard_normal((5, size))
+
+    return Evidence(draw(2), draw(3), draw(3) ** 2, draw(3), draw(3) ** 2, draw(2), draw(2) ** 2)
+
+
+def test_the_printed_form_is_the_papers_equations():
+    generator = np.random.default_rng(7)
+    noise = sage_husa_literal.begin(np.full((5, 3), 0.1), np.full((5, 2), 0.2))
+    said = evidence(generator)
+    after = sage_husa_literal.adapt(noise, said, forgetting=0.95, means=True)
+    d = (1 - 0.95) / (1 - 0.95**2)
+    e, Ke = said.innovation, said.correction
+    Q = (1 - d) * 0.1 + d * (Ke**2 + said.posterior_variances - said.process_spread)
+    R = (1 - d) * 0.2 + d * (e**2 - said.measurement_spread)
+    np.testing.assert_allclose(after.process_variances, np.abs(Q), rtol=1e-12)
+    np.testing.assert_allclose(after.measurement_variances, np.abs(R), rtol=1e-12)
+    np.testing.assert_allclose(after.process_mean, d * said.process_residual, rtol=1e-12)
+    np.testing.assert_allclose(after.measurement_mean, d * said.measurement_residual, rtol=1e-12)
+    without = sage_husa_literal.adapt(noise, said, forgetting=0.95)
+    assert (without.process_mean == 0).all()
+    assert (without.measurement_mean == 0).all()
+
+
+@given(seed=st.integers(0, 1000), scale=st.sampled_from([1e-9, 1.0, 1e6]))
+def test_the_printed_form_stays_within_its_bounds(seed, scale):
+    generator = np.random.default_rng(seed)
+    noise = sage_husa_literal.begin(np.full(3, 1e-5), np.full(2, 1e-2))
+    for _ in range(4):
+        noise = sage_husa_literal.adapt(noise, evidence(generator, scale))
+    assert ((noise.process_variances >= 1e-14) & (noise.process_variances <= 1e2)).all()
+    assert ((noise.measurement_variances >= 1e-8) & (noise.measurement_variances <= 1e4)).all()
+
+
+def test_a_failed_step_leaves_the_printed_statistics():
+    noise = sage_husa_literal.begin(np.full((5, 3), 0.1), np.full((5, 2), 0.2))
+    said = evidence(np.random.default_rng(7))
+    said.innovation[2] = np.nan
+    after = sage_husa_literal.adapt(noise, said)
+    np.testing.assert_array_equal(after.process_variances[2], 0.1)
+    np.testing.assert_array_equal(after.measurement_variances[2], 0.2)
+    np.testing.assert_array_equal(after.taken, [1, 1, 0, 1, 1])
