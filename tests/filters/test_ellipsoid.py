@@ -170,7 +170,7 @@ def test_the_intersection_has_the_least_trace_of_its_family(seed: int, n: int):
     grid = np.linspace(-18, 18, 200)
     best = grid[int(np.argmin([trace(one) for one in grid]))]
     found = minimize_scalar(trace, bounds=(best - 0.4, best + 0.4), options={"xatol": 1e-7})
-    least = min(float(found.fun), float(np.trace(shape_matrix(own))))
+    least = min(float(found.fun), float(np.trace(shape_matrix(own))))  # pyright: ignore[reportAttributeAccessIssue]
     assert np.trace(shape_matrix(intersection(own, other))) == pytest.approx(least, rel=1e-4)
 
 
