@@ -74,18 +74,23 @@ def run_case(case: Case, run: int, seed: int = 1) -> CaseOutcome:
 
 
 def halves(setup: Setup) -> np.ndarray:
-    """Two connected parts (N,) of the network: the eight nodes nearest to one corner of it, by
-    hops, and the rest."""
-    distance = {0: 0}
-    frontier = [0]
-    while frontier:
-        node = frontier.pop(0)
-        for other in setup.neighbours[node]:
-            if other not in distance:
-                distance[other] = distance[node] + 1
-                frontier.append(other)
-    nearest = sorted(distance, key=lambda node: (distance[node], node))[:8]
-    return np.isin(np.arange(len(setup.neighbours)), nearest)
+    """Two parts (N,) of the network that each hang together: the eight nodes nearest by hops to the
+    first node with which that is so, and the rest."""
+    everybody = set(range(len(setup.neighbours)))
+    for root in sorted(everybody):
+        near = set(_reached(setup, root, everybody)[:8])
+        rest = everybody - near
+        if len(_reached(setup, min(rest), rest)) == len(rest):
+            return np.isin(sorted(everybody), sorted(near))
+    raise ValueError("no eight nodes leave the others connected; use another graph")
+
+
+def _reached(setup: Setup, root: int, allowed: set[int]) -> list[int]:
+    """The allowed nodes that can be reached through allowed ones, the nearest first."""
+    found = [root]
+    for node in found:
+        found += [j for j in setup.neighbours[node] if j in allowed and j not in found]
+    return found
 
 
 def _link(case: Case, setup: Setup, run: int) -> Link:

@@ -63,7 +63,7 @@ class ScenarioOptions:
     digest_steps: int | None = None
     """Say in each share what is held of so many steps, for buses that lose frames (labelled)."""
     record_number: str | None = None
-    """int16, int8, float32 or float64 for readings on the wire (labelled)."""
+    """int16, float32 or float64 for readings on the wire (labelled)."""
     payload_bytes: int | None = None
     """Longest payload of a frame, 254 at most (labelled)."""
     control: str | None = None

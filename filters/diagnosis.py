@@ -14,7 +14,8 @@ def failures(before: Gaussian, measurement: np.ndarray, update: Update[Gaussian]
     and the innovation covariance.
 
     Args:
-        before: the belief that was updated, mean (..., n), cov (..., n, n).
+        before: the belief at the beginning of the step (before a prediction, if there was one),
+            mean (..., n), cov (..., n, n).
         measurement: (..., m), as it was given.
         update: what came of it, from any filter.
     """
@@ -29,13 +30,15 @@ def failures(before: Gaussian, measurement: np.ndarray, update: Update[Gaussian]
         "a reading is infinite: pass NaN for one that was not taken": (
             np.isinf(measurement).any(axis=-1)
         ),
-        "the model returned what is not finite": (taken & ~np.isfinite(expected)).any(axis=-1),
+        "the predicted reading is not finite: the model, or an inner filter, has failed": (
+            taken & ~np.isfinite(expected)
+        ).any(axis=-1),
         "the innovation covariance is not positive definite: give every channel some noise": (
             ~_definite(_without_untaken(update.innovation_cov))
         ),
     }
     words = np.full(np.shape(fine), "", dtype=object)
-    words[~fine] = "the belief is no longer positive definite"
+    words[~fine] = "the update has no solution: give every channel some noise"
     for cause, holds in reversed(causes.items()):
         words = np.where(~fine & holds, cause, words)
     return words

@@ -7,7 +7,7 @@ one: with any feedback L, P = (image - L known) M^-1 (image - L known)'. L is el
 (least squares), so that a few scalars are left: minimise tr P(tau) over tau >= 0, M(tau) >= 0.
 
 Every tau on the way is a certificate, so the guarantee never hangs on how far a solver got. Its
-accuracy hangs on it: the trace ends within about 1e-6 of the least.
+accuracy hangs on it: the trace ends within a few 1e-6 of the least.
 
 Source: Liu et al. (2021), theorem 1 and corollary 1, whose semidefinite programme this is with P
 and L eliminated (projection lemma); Boyd, El Ghaoui, Feron, Balakrishnan (1994), Linear matrix
@@ -29,6 +29,8 @@ _NEWTON_STEPS, _HALVINGS = 30, 20
 _ROUGH, _FINE = 0.5, 1e-3
 # Parts of `known` weaker than this relative to the strongest are rounding, and left alone.
 _RANK_TOLERANCE = 1e-9
+# The same for their squares, where rows fade out instead: on the way, not in the result.
+_WEAK = 1e-14
 # Room inside M > 0, so that no rounding can close it.
 _MARGIN = 1e-7
 
@@ -304,7 +306,7 @@ def _orthonormal_rows(matrix: np.ndarray) -> np.ndarray:
     gram = matrix @ matrix.mT
     total = np.trace(gram, axis1=-2, axis2=-1)[..., None, None]
     size = matrix.shape[-2]
-    weak = _RANK_TOLERANCE**1.5 * total * np.eye(size) + np.finfo(float).tiny * np.eye(size)
+    weak = (_WEAK * total + np.finfo(float).tiny) * np.eye(size)
     return np.linalg.inv(cholesky(gram + weak)) @ matrix
 
 

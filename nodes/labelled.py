@@ -129,6 +129,8 @@ class LabelledFlooding:
             troubles += gated
         codec = self.filter.codecs[self.node]
         record = None if codec is None else codec.encode(delivered)
+        if codec is not None and codec.beyond(delivered):
+            troubles = (*troubles, "record-range")
         content = content._replace(window=opened(window, measured))
         if record is None:
             return content, troubles

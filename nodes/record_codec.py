@@ -68,6 +68,13 @@ class RecordCodec:
         mask = b"" if self.readings == 1 else np.packbits(taken, bitorder="little").tobytes()
         return mask + entries[taken].astype(self.number).tobytes()
 
+    def beyond(self, delivered: Array) -> int:
+        """How many entries of readings (r, d) no integer can say."""
+        if self.resolution is None:
+            return 0
+        codes = np.abs(np.round(delivered / self.resolution))
+        return int((codes > np.iinfo(self.number).max).sum())
+
     def decode(self, record: bytes) -> Array:
         """The readings (r, d) that a whole record means."""
         data = np.frombuffer(record, self.number, offset=self._mask_bytes)

@@ -232,8 +232,10 @@ def _evenly(times: Array, values: Array, time_step_s: float) -> Array:
     stamps = times[known]
     after = np.clip(np.searchsorted(stamps, grid), 1, len(stamps) - 1)
     gap = stamps[after] - stamps[after - 1]
+    beside = np.minimum(np.abs(grid - stamps[after]), np.abs(grid - stamps[after - 1]))
+    told = (gap <= _LONGEST_GAP * time_step_s) | (beside <= _UNEVEN * time_step_s)
     interpolated = np.interp(grid, stamps, values[known], left=np.nan, right=np.nan)
-    return np.where(gap <= _LONGEST_GAP * time_step_s, interpolated, np.nan)
+    return np.where(told, interpolated, np.nan)
 
 
 def write_drive(folder: Path, drive: Drive, car: Car) -> None:

@@ -3,7 +3,9 @@
 The single-track model is driven with the steering and the speed of the log; stiffnesses (and the
 friction, for a tyre that saturates) are those for which yaw rate, lateral acceleration and, where
 it is known, side slip come nearest to what was logged, in least squares. Constant offsets of
-steering and of each output are estimated along, for no log is free of them.
+steering, lateral acceleration and side slip are estimated along, for no log is free of them; the
+gyroscope is taken to be zeroed, as cars do whenever they stand, or the steering's offset could not
+be told from its own.
 
 Source: Ljung (1999), System identification, chapter 7 (prediction-error methods; with no noise
 model, output error). Standard errors are those of least squares with white residuals; residuals of
@@ -81,7 +83,7 @@ def identify(
     compared = np.isfinite(outputs) & (driven.speed_m_s >= min_speed_m_s)[:, None]
     _require_told(drive, driven, compared, min_speed_m_s)
     # An offset of an output that nobody logged is not sought.
-    sought = np.concatenate(([True, True, True], compared.any(axis=0), [seek_friction]))
+    sought = np.concatenate(([True, True, True], compared[:, 1:].any(axis=0), [seek_friction]))
 
     def residuals(parameters: Array) -> Array:
         """Scaled residuals (lanes, values) of the parameters sought (lanes, p)."""
@@ -100,10 +102,10 @@ def identify(
     return _identified(car, sought, found.x, found.fun, found.jac, compared)
 
 
-# Parameters: log of front and rear stiffness over the car's; offsets of steering, yaw rate, lateral
+# Parameters: log of front and rear stiffness over the car's; offsets of steering, lateral
 # acceleration and side slip in units of _OFFSETS; log of the friction over the car's.
-_OFFSETS = np.array([1e-3, *_SCALES])
-_FRONT, _REAR, _STEERING_OFFSET, _FRICTION = 0, 1, 2, 6
+_OFFSETS = np.array([1e-3, *_SCALES[1:]])
+_FRONT, _REAR, _STEERING_OFFSET, _FRICTION = 0, 1, 2, 5
 
 
 def _outputs(driven: Drive, car: Car, tyre: Tyre, parameters: Array) -> Array:
@@ -128,7 +130,8 @@ def _outputs(driven: Drive, car: Car, tyre: Tyre, parameters: Array) -> Array:
         predicted[k, :, 1] = model.lateral_acceleration(state, control[:, 0])
         predicted[k, :, 2] = state[:, 1]
         state = model.transition(state, control, k)
-    return predicted + np.stack(offsets, axis=-1)
+    predicted[..., 1:] += np.stack(offsets, axis=-1)
+    return predicted
 
 
 def _identified(

@@ -21,7 +21,7 @@ from nodes.share import PREFIX_BYTES as CYCLE_BYTES
 from scenarios.scenario import Scenario
 from topology.names import unknown_name
 
-RECORD_NUMBERS = {"int8": "<i1", "int16": "<i2", "float32": "<f4", "float64": "<f8"}
+RECORD_NUMBERS = {"int16": "<i2", "float32": "<f4", "float64": "<f8"}
 _CHECKPOINT_NUMBER = "<f4"
 # A window costs neither bytes nor time of the bus, so it is longer than most networks need.
 _LEAST_WINDOW_STEPS = 32

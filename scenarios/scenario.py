@@ -36,7 +36,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         window_steps: rule labelled: how late a record may come; None takes the schedule's latency.
         digest_steps: rule labelled: steps of which a share says what its sender holds, so that what
             a lossy bus lost is sent again; 0 for a bus without loss.
-        record_number: rule labelled: int16, int8, float32 or float64 for readings on the wire.
+        record_number: rule labelled: int16, float32 or float64 for readings on the wire.
         payload_bytes: rule labelled: the longest payload of a frame.
         control: whose knowledge closes the loop of a plant: a node's number, truth, or open.
         noise: what the sensors really do, for plants that have a choice: matched, paper, ...

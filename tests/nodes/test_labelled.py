@@ -14,6 +14,7 @@ from nodes.estimator import Rejected
 from nodes.labelled import LabelledFlooding
 from nodes.labelled_frame import LabelledShare
 from nodes.messages import Measured
+from nodes.record_codec import RecordCodec
 from nodes.share import cycle_of
 from tests.nodes.labelled_networks import (
     PRIOR,
@@ -358,3 +359,13 @@ def test_start_is_the_common_prior():
     estimator = lone([1])
     assert estimator.belief(estimator.start()) == PRIOR
     assert estimator.ages(estimator.start()).tolist() == [-1, -1]
+
+
+def test_a_reading_that_no_integer_can_say_is_counted():
+    estimator = lone([1])
+    codecs = [None, RecordCodec(1, 2, "<i2", np.full(2, 1e-3)), None]
+    estimator = replace(estimator, filter=replace(estimator.filter, codecs=codecs))
+    _, troubles = estimator.begin_step(estimator.start(), Measured(1, 0, [[1.0, 40.0]]))
+    assert troubles == ("record-range",)
+    _, troubles = estimator.begin_step(estimator.start(), Measured(1, 0, [[1.0, 30.0]]))
+    assert troubles == ()

@@ -65,6 +65,8 @@ def test_an_entry_beyond_the_integer_is_not_taken():
     codec = codec_for("<i2")
     most = 32767 * SENSOR.noise_std[0] / 16
     record = codec.encode(np.array([[most * 1.01, 0.1]]))
+    assert codec.beyond(np.array([[most * 1.01, 0.1]])) == 1
+    assert codec.beyond(np.array([[most, np.nan]])) == 0
     assert record is not None
     assert np.isnan(codec.decode(record)[0, 0]) and codec.decode(record)[0, 1] == pytest.approx(
         0.1, abs=SENSOR.noise_std[1] / 32

@@ -90,7 +90,7 @@ PLANTS = {
     "oscillator": {"occupancy": 0.5, "schedule": "hybrid-leaves"},
     "cruise-control": {"stretch": 2.0},
     "suspension": {"stretch": 30.0},
-    "aircraft-pitch": {"stretch": 2.0, "record_number": "int8"},
+    "aircraft-pitch": {"stretch": 2.0, "record_number": "float32"},
     "dc-motor-speed": {"stretch": 2.0, "control": "truth"},
     "dc-motor-position": {"stretch": 2.0, "occupancy": 0.5, "relay": True},
 }

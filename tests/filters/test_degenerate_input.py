@@ -1,0 +1,212 @@
+"""Every filter on input that no theory covers: it stays finite, or `failures` says why it does not.
+
+Lanes that are sound must not notice: lane 0 always is.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from filters import (
+    adaptive,
+    correntropy,
+    dual_layer,
+    fuzzy_noise,
+    sage_husa,
+    sage_husa_literal,
+    square_root,
+    ukf,
+)
+from filters.diagnosis import failures
+from filters.gaussian import Gaussian, SquareRootGaussian, from_square_root, to_square_root
+from filters.sigma_points import cubature, scaled_unscented
+from filters.update import Update
+from plants.vehicle_model import linear_tyre, single_track
+from plants.vehicle_parameters import BMW_320I
+
+Q = np.diag([1e-5, 1e-8, 1e-5])
+R = np.diag([0.1, 0.005, 0.1]) ** 2
+CONTROL = np.array([0.02, 0.1])
+MODEL = single_track(BMW_320I, linear_tyre, 0.01, Q)
+RULE = scaled_unscented(3, alpha=0.1, kappa=0.0)
+f = partial(MODEL.transition, control=CONTROL, step=0)
+h = partial(MODEL.measure, control=CONTROL)
+Step = Callable[[Gaussian, Any, np.ndarray, np.ndarray], tuple[Update[Gaussian], Any]]
+
+
+class Filter(NamedTuple):
+    """`begin(Q, R (lanes, 3, 3))` and `step(belief, memory, z, Q)`."""
+
+    begin: Callable[[np.ndarray, np.ndarray], Any]
+    step: Step
+
+
+def fixed(rule):
+    def step(belief, noise, z, process):
+        prior = ukf.predict(belief, f, process, rule)
+        return ukf.update(prior, z, h, noise, rule), noise
+
+    return Filter(lambda _, noise: noise, step)
+
+
+def roots(rule):
+    def step(belief, noise, z, process):
+        root = square_root.predict(to_square_root(belief), f, np.sqrt(process), rule)
+        after = square_root.update(root, z, h, np.sqrt(noise), rule)
+        assert isinstance(after.belief, SquareRootGaussian)
+        update = Update(from_square_root(after.belief), *after[1:])
+        return update, noise
+
+    return Filter(lambda _, noise: noise, step)
+
+
+def robust():
+    def step(belief, noise, z, process):
+        prior = ukf.predict(belief, f, process, RULE)
+        return correntropy.update(prior, z, h, noise, RULE, 3.0), noise
+
+    return Filter(lambda _, noise: noise, step)
+
+
+def dual(form):
+    def step(belief, noise, z, process):
+        return form(belief, z, f, h, process, noise, RULE).update, noise
+
+    return Filter(lambda _, noise: noise, step)
+
+
+def variances(noise):
+    return np.diagonal(noise, axis1=-2, axis2=-1)
+
+
+def learning():
+    def step(belief, noise, z, process):
+        prior = ukf.predict(belief, f, process, RULE)
+        update, noise = adaptive.update(prior, noise, z, h, RULE)
+        return update, noise
+
+    return Filter(lambda _, noise: sage_husa.begin(variances(noise)), step)
+
+
+def fuzzy():
+    def step(belief, noise, z, process):
+        prior = ukf.predict(belief, f, process, RULE)
+        update, noise = adaptive.fuzzy_update(prior, noise, z, h, RULE)
+        return update, noise
+
+    return Filter(lambda _, noise: fuzzy_noise.begin(variances(noise)), step)
+
+
+def dual_learning():
+    def step(belief, noise, z, process):
+        update, noise = adaptive.dual_layer_step(belief, noise, z, f, h, process, RULE)
+        return update, noise
+
+    return Filter(lambda _, noise: sage_husa.begin(variances(noise)), step)
+
+
+def dual_printed(means):
+    def step(belief, noise, z, process):
+        update, noise = adaptive.dual_layer_literal_step(belief, noise, z, f, h, RULE, means=means)
+        return update, noise
+
+    return Filter(lambda p, noise: sage_husa_literal.begin(np.diag(p), variances(noise)), step)
+
+
+FILTERS = {
+    "UKF": fixed(RULE),
+    "CKF": fixed(cubature(3)),
+    "square-root UKF": roots(scaled_unscented(3)),
+    "square-root CKF": roots(cubature(3)),
+    "maximum correntropy": robust(),
+    "dual layer": dual(dual_layer.literal),
+    "dual layer, consistent": dual(dual_layer.consistent),
+    "AUKF": learning(),
+    "FAUKF": fuzzy(),
+    "ADLUKF": dual_learning(),
+    "ADLUKF printed": dual_printed(False),
+    "ADLUKF printed, q r": dual_printed(True),
+}
+
+
+class Case(NamedTuple):
+    """What is wrong in lane 1; lane 0 gets `R`, a definite covariance and good readings."""
+
+    cov: np.ndarray
+    noise: np.ndarray
+    readings: Callable[[int], np.ndarray]
+    process: np.ndarray = Q
+
+
+GOOD_COV = np.diag([1e-3, 1e-3, 0.25])
+GOOD = h(np.array([0.05, 0.001, 20.0]))
+CASES = {
+    "no measurement noise": Case(GOOD_COV, 0 * R, lambda k: GOOD),
+    "no noise at all": Case(GOOD_COV, 0 * R, lambda k: GOOD, process=0 * Q),
+    "a channel without noise": Case(GOOD_COV, np.diag([0.01, 0, 0.01]), lambda k: GOOD),
+    "zero covariance": Case(0 * GOOD_COV, R, lambda k: GOOD),
+    "singular covariance": Case(np.diag([1e-3, 0.0, 0.25]), R, lambda k: GOOD),
+    "rank one": Case(np.ones((3, 3)), R, lambda k: GOOD),
+    "negative covariance": Case(-GOOD_COV, R, lambda k: GOOD),
+    "no reading": Case(GOOD_COV, R, lambda k: np.full(3, np.nan)),
+    "a channel missing": Case(GOOD_COV, R, lambda k: np.array([np.nan, *GOOD[1:]])),
+    "readings come and go": Case(GOOD_COV, R, lambda k: GOOD if k % 3 else np.full(3, np.nan)),
+    "constant outliers": Case(GOOD_COV, R, lambda k: GOOD + np.array([1e3, 50.0, 500.0])),
+    "alternating outliers": Case(GOOD_COV, R, lambda k: GOOD + (-1) ** k * 1e3),
+    "huge readings": Case(GOOD_COV, R, lambda k: np.full(3, 1e200)),
+    "infinite reading": Case(GOOD_COV, R, lambda k: np.array([np.inf, *GOOD[1:]])),
+    "a constant reading": Case(GOOD_COV, R, lambda k: np.zeros(3)),
+}
+# By which these must fail: it would be wrong to invent a number.
+HOPELESS = {"zero covariance", "singular covariance", "negative covariance", "infinite reading"}
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("name", FILTERS)
+def test_it_stays_finite_or_says_why(name: str, case: str):
+    trouble, chosen = CASES[case], FILTERS[name]
+    noise = np.stack([R, trouble.noise])
+    if name in ("AUKF", "ADLUKF") and (variances(trouble.noise) == 0).any():
+        with pytest.raises(ValueError, match="positive"):
+            chosen.begin(trouble.process, noise)
+        return
+    start = np.array([0.05, 0.001, 20.0])
+    belief = Gaussian(np.stack([start, start]), np.stack([GOOD_COV, trouble.cov]))
+    memory = chosen.begin(trouble.process, noise)
+    process = trouble.process
+    why = np.array(["", ""], dtype=object)
+    with np.errstate(all="ignore"):
+        for k in range(60):
+            z = np.stack([GOOD, trouble.readings(k)])
+            update, memory = chosen.step(belief, memory, z, process)
+            words = failures(belief, z, update)
+            why = np.where(why == "", words, why)
+            finite = [
+                bool(np.isfinite(mean).all() and np.isfinite(cov).all())
+                for mean, cov in zip(*update.belief, strict=True)
+            ]
+            assert [word == "" for word in words] == finite
+            belief = update.belief
+    assert why[0] == "" or process is not Q
+    if case in HOPELESS:
+        assert why[1] != ""
+
+
+def test_the_reasons_name_the_cause():
+    sound = Gaussian(np.zeros((1, 2)), np.eye(2)[None])
+    rule = scaled_unscented(2)
+
+    def reason(belief, z, measure, noise):
+        with np.errstate(all="ignore"):
+            return str(failures(belief, z, ukf.update(belief, z, measure, noise, rule))[0])
+
+    z, unit = np.zeros((1, 2)), np.eye(2)
+    assert reason(sound, z, lambda x: x, unit) == ""
+    assert "not finite" in reason(Gaussian(sound.mean * np.nan, sound.cov), z, lambda x: x, unit)
+    assert "add process noise" in reason(Gaussian(sound.mean, 0 * sound.cov), z, lambda x: x, unit)
+    assert "pass NaN" in reason(sound, np.full((1, 2), np.inf), lambda x: x, unit)
+    assert "the model, or" in reason(sound, z, lambda x: x * np.nan, unit)
+    assert "some noise" in reason(sound, z, lambda x: 0 * x, 0 * unit)

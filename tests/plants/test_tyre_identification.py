@@ -1,0 +1,93 @@
+"""Identification finds the tyres that made a drive, and refuses drives that cannot tell."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from plants.tyre_identification import identify
+from plants.vehicle_drive import Drive
+from plants.vehicle_model import axles_of, linear_tyre, single_track, tanh_tyre
+from plants.vehicle_parameters import BMW_320I, Car
+
+TRUE = msgspec.structs.replace(
+    BMW_320I, front_stiffness_n_rad=90e3, rear_stiffness_n_rad=140e3, friction=0.8
+)
+STEERING_OFFSET, ACCELERATION_OFFSET = 0.003, 0.2
+
+
+def drive(car: Car, tyre, amplitude: float, noise: float = 1.0, step_s: float = 0.005) -> Drive:
+    """A drive of the model itself, logged with noise and offsets."""
+    generator = np.random.default_rng(3)
+    steps = round(8.0 / step_s)
+    model = single_track(car, tyre, step_s, np.eye(3))
+    time_s = step_s * np.arange(steps, dtype=np.float64)
+    steering = amplitude * np.sin(3 * time_s) * np.minimum(1, time_s / 4)
+    states, accelerations = [np.array([0.0, 0.0, 20.0])], []
+    for angle in steering:
+        accelerations.append(model.lateral_acceleration(states[-1], angle))
+        moved = model.transition(states[-1], np.array([angle, 0.0]), 0)
+        states.append(np.array([*moved[:2], 20.0]))
+    yaw_rate, side_slip, speed = np.array(states[:-1]).T
+    unknown = np.full(steps, np.nan)
+
+    def noisy(values, std):
+        return values + noise * std * generator.standard_normal(steps)
+
+    return Drive(
+        step_s,
+        steering - STEERING_OFFSET,
+        noisy(yaw_rate, 0.005),
+        noisy(side_slip, 0.001),
+        speed,
+        unknown,
+        noisy(np.array(accelerations) + ACCELERATION_OFFSET, 0.1),
+        np.full((steps, 4), np.nan),
+        unknown,
+    )
+
+
+@pytest.mark.parametrize("tyre", [linear_tyre, tanh_tyre])
+@pytest.mark.parametrize("slip_is_logged", [True, False])
+def test_it_finds_the_stiffness_within_its_own_errors(tyre, slip_is_logged):
+    logged = drive(TRUE, tyre, 0.03)
+    if not slip_is_logged:
+        logged = logged._replace(side_slip_rad=np.full(logged.steps, np.nan))
+    start = msgspec.structs.replace(BMW_320I, friction=TRUE.friction)
+    found = identify(logged, start, tyre)
+    truth = np.array([TRUE.front_stiffness_n_rad, TRUE.rear_stiffness_n_rad])
+    ours = np.array([found.car.front_stiffness_n_rad, found.car.rear_stiffness_n_rad])
+    assert (np.abs(ours - truth) < 4 * found.stiffness_std_n_rad).all()
+    assert (np.abs(ours / truth - 1) < 0.03).all()
+    assert found.steering_offset_rad == pytest.approx(STEERING_OFFSET, abs=3e-4)
+    # What is left over is the noise; its last place is 1 / sqrt(2 * 1600).
+    np.testing.assert_allclose(found.residual_rms[:2], [0.005, 0.1], rtol=0.08)
+    assert np.isnan(found.residual_rms[2]) == (not slip_is_logged)
+
+
+def test_it_finds_the_friction_near_the_limit():
+    found = identify(drive(TRUE, tanh_tyre, 0.06), BMW_320I, tanh_tyre, seek_friction=True)
+    assert abs(found.car.friction - TRUE.friction) < 4 * found.friction_std
+    assert found.car.friction == pytest.approx(TRUE.friction, rel=0.03)
+
+
+def test_without_noise_it_is_exact_whatever_the_log_is_sampled_at():
+    logged = drive(TRUE, tanh_tyre, 0.05, noise=0.0)
+    found = identify(logged, BMW_320I, tanh_tyre, seek_friction=True)
+    for ours, truth in zip(axles_of(found.car), axles_of(TRUE), strict=True):
+        assert ours == pytest.approx(truth, rel=1e-4)
+    coarse = Drive(0.01, *(values[::2] for values in logged[1:]))
+    found = identify(coarse, BMW_320I, tanh_tyre, seek_friction=True)
+    for ours, truth in zip(axles_of(found.car), axles_of(TRUE), strict=True):
+        assert ours == pytest.approx(truth, rel=2e-3)
+
+
+def test_drives_that_cannot_tell_are_refused():
+    with pytest.raises(ValueError, match="fast curves"):
+        identify(drive(TRUE, linear_tyre, 0.001), BMW_320I)
+    logged = drive(TRUE, linear_tyre, 0.03)
+    with pytest.raises(ValueError, match="half a second"):
+        identify(logged._replace(speed_m_s=np.full(logged.steps, 2.0)), BMW_320I)
+    gaps = logged.steering_rad.copy()
+    gaps[10:13] = np.nan
+    with pytest.raises(ValueError, match="gaps in its steering at 3"):
+        identify(logged._replace(steering_rad=gaps), BMW_320I)

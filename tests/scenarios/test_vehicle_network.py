@@ -1,0 +1,126 @@
+"""`vehicle-network`: together the car's sensors know more than each, in every driver alike."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.agree_command import first_difference
+from experiments.baselines import local_only
+from experiments.bus_report import figures_of
+from experiments.drivers import DRIVERS, in_memory
+from experiments.trace import Trace, read_trace
+from nodes.adaptive_noise import AdaptiveNoise
+from plants.drive_log import write_drive
+from plants.vehicle_manoeuvres import MANOEUVRES
+from plants.vehicle_network import SIDE_SLIP, STATE_NAMES
+from plants.vehicle_parameters import BMW_320I_FITTED
+from scenarios.build import build_node
+from scenarios.catalogue import kind_of
+from scenarios.setup import Setup, prepare
+from tests.experiments.support import scenario, trace_of
+
+pytestmark = pytest.mark.skipif(
+    importlib.util.find_spec("vehiclemodels") is None, reason="needs concord[vehicle]"
+)
+
+
+def setup(**changes) -> Setup:
+    return prepare(scenario("vehicle-network", **{"steps": 900, **changes}))
+
+
+def run(prepared: Setup) -> Trace:
+    return read_trace(prepared, in_memory(prepared))
+
+
+def rmse(mean: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Per node and state (4, 6), from the second second on."""
+    return np.sqrt(((mean[200:] - truth[200:, None]) ** 2).mean(axis=0))
+
+
+@pytest.mark.parametrize("noise", ["growing", pytest.param("matched", marks=pytest.mark.slow)])
+def test_the_network_is_better_than_each_node_alone_in_every_state(noise):
+    prepared = setup(noise=noise)
+    trace = run(prepared)
+    alone = rmse(local_only(prepared, trace.readings, None).mean, trace.truth)
+    together = rmse(trace.mean, trace.truth)
+    for state, name in enumerate(STATE_NAMES):
+        assert together[:, state].max() < alone[:, state].min(), name
+
+
+@pytest.mark.slow
+def test_estimates_are_consistent_while_the_noise_grows():
+    """With the data sheets believed they are not: that is what learning is for."""
+    nees = {}
+    for adaptive in (True, False):
+        trace = run(setup(adaptive=adaptive, steps=1600, noise="growing"))
+        error = (trace.mean - trace.truth[:, None])[900:]
+        cov = trace.cov[900:]
+        nees[adaptive] = float((error[..., None, :] @ np.linalg.inv(cov) @ error[..., None]).mean())
+    assert nees[True] < 6 * 1.3
+    assert nees[True] < 0.7 * nees[False]
+
+
+def test_the_bus_is_the_cars():
+    prepared = setup(steps=4)
+    figures = figures_of(prepared, run(prepared))
+    assert figures is not None
+    assert figures.cycle_us == 5000
+    assert prepared.time_step_s == pytest.approx(5e-3)
+    # 27 numbers and what frames them, in frames of 34 bytes: 9 of them for each of 4 nodes.
+    assert figures.frames_per_cycle_mean == 36
+    assert 0.25 < figures.load_mean < 0.35
+
+
+@pytest.mark.zenoh
+def test_processes_give_the_same_bits(tmp_path: Path):
+    prepared, found = setup(steps=40), {}
+    for name, driver in DRIVERS.items():
+        recording = tmp_path / f"{name}.mcap"
+        driver(prepared, f"vehicle-{name}", recording, None, lambda step: None)
+        found[name] = trace_of(prepared, recording)
+    for name, trace in found.items():
+        assert first_difference(found["in-process"], trace, name) is None
+
+
+def test_a_log_takes_the_place_of_the_simulation(tmp_path: Path):
+    from plants.vehicle_truth import BMW, simulate
+
+    drive = simulate(MANOEUVRES["serpentine"], BMW, 0.01, integration_step_s=5e-3)
+    write_drive(tmp_path, drive, BMW_320I_FITTED)
+    prepared = setup(data=str(tmp_path), steps=1200)
+    trace = run(prepared)
+    np.testing.assert_allclose(trace.truth[:1200:2, SIDE_SLIP], drive.side_slip_rad[:600])
+    known = np.isfinite(trace.truth[:, SIDE_SLIP])
+    error = (trace.mean[..., SIDE_SLIP] - trace.truth[:, None, SIDE_SLIP])[known][100:]
+    assert np.sqrt((error**2).mean()) < np.radians(0.15)
+
+
+def test_nodes_learn_only_if_they_are_told_to():
+    assert isinstance(build_node(setup(steps=2), 0).estimator, AdaptiveNoise)
+    plain = build_node(setup(steps=2, adaptive=False), 0)
+    assert not isinstance(plain.estimator, AdaptiveNoise)
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"manoeuvre": "drift"}, "Valid names are double-lane-change"),
+        ({"noise": "paper"}, "Valid names are matched"),
+        ({"nodes": 5}, "wheel speeds, inertial unit"),
+        ({"steps": 5000}, "the drive has 2401 steps of 5 ms"),
+        ({"rule": "labelled"}, "--no-adaptive"),
+        ({"cluster": "demo"}, "--stretch 2"),
+        ({"data": "/nowhere"}, "no such folder"),
+    ],
+)
+def test_what_it_cannot_be_is_refused(changes: dict, says: str):
+    with pytest.raises(ValueError, match=says):
+        setup(**changes)
+
+
+def test_all_steps_are_those_of_the_drive():
+    kind = kind_of("vehicle-network")
+    assert kind.all_steps is not None
+    assert kind.all_steps(kind.defaults) == 2401
