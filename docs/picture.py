@@ -11,10 +11,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 
-from experiments.baselines import centralised
 from experiments.drivers import in_memory
 from experiments.options import ScenarioOptions
 from experiments.trace import Trace, read_trace
+from scenarios.baselines import centralised
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup, prepare
 

@@ -16,9 +16,7 @@ from bus.pcap import Captured
 from bus.timing import (
     Transmission,
     bus_load,
-    dynamic_transmissions,
     fusion_delay_us,
-    static_transmissions,
 )
 from experiments.trace import Trace
 from nodes.messages import Array
@@ -26,6 +24,7 @@ from nodes.share import read_frame
 from scenarios.build import build_plan
 from scenarios.bus_plan import BusPlan
 from scenarios.setup import Setup
+from scenarios.timetable import timetable
 
 
 class BusFigures(msgspec.Struct, frozen=True):
@@ -70,9 +69,6 @@ class BusTimes(NamedTuple):
     delay_us: Array
     share_start_us: Array
     share_end_us: Array
-
-
-Cycles = list[tuple[Transmission, ...]]
 
 
 def figures_of(setup: Setup, trace: Trace) -> BusFigures | None:
@@ -146,44 +142,6 @@ def bus_times(plan: BusPlan, payload_bytes: np.ndarray) -> BusTimes:
         start_us.reshape(payload_bytes.shape),
         end_us.reshape(payload_bytes.shape),
     )
-
-
-def timetable(plan: BusPlan, payload_bytes: np.ndarray) -> Cycles:
-    """The frames of every cycle, in order of time, on a bus with time.
-
-    `payload_bytes` (..., N), one row per cycle from cycle 0 on, are what each node sends in all its
-    frames together, 0 where it is silent: owners of static slots in these, as many as it takes, and
-    everybody else in the dynamic segment.
-    """
-    assert plan.cluster is not None and plan.table is not None, "a bus without time"
-    schedule, table = plan.schedule, plan.table
-    owned = [
-        static_transmissions(plan.cluster, table.static_slots(row))
-        for row in range(len(schedule.static_table))
-    ]
-    contenders = {node for row in schedule.contender_table for node in row}
-    requests = {node: table.request(node, 0) for node in contenders}
-    cycles: Cycles = []
-    for cycle, sizes in enumerate(payload_bytes.reshape(-1, schedule.nodes).tolist()):
-        static = _filled(owned[cycle % len(owned)], sizes)
-        winners = [
-            requests[node]._replace(payload_bytes=size)
-            for node, size in enumerate(sizes)
-            if size and node not in schedule.static_senders(cycle)
-        ]
-        cycles.append((*static, *dynamic_transmissions(plan.cluster, winners)))
-    return cycles
-
-
-def _filled(owned: Sequence[Transmission], sizes: Sequence[int]) -> list[Transmission]:
-    """The static frames that are sent: of each owner the first ones, up to its payload."""
-    left = list(sizes)
-    sent: list[Transmission] = []
-    for frame in owned:
-        if left[frame.node] > 0:
-            left[frame.node] -= frame.payload_bytes
-            sent.append(frame)
-    return sent
 
 
 def longest_waits(asked: np.ndarray, sent: np.ndarray) -> np.ndarray:

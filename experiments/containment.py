@@ -3,8 +3,8 @@
 import msgspec
 import numpy as np
 
-from experiments.metrics import nees
 from filters.gaussian import Gaussian
+from filters.metrics import nees
 from nodes.messages import Array
 
 

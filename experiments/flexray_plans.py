@@ -12,13 +12,14 @@ from bus.timeline import timeline
 from bus.timing import bus_load, segments
 from experiments import bus_report
 from experiments.bus_rehearsal import rehearse
-from experiments.bus_report import channels, timetable
+from experiments.bus_report import channels
 from experiments.options import ScenarioOptions
 from experiments.plan_report import Answer, PlanReport, SlotRow, answer_plan, cluster_of
 from experiments.user_errors import user_errors
 from scenarios.build import build_plan
 from scenarios.bus_plan import FITTED
 from scenarios.setup import prepare
+from scenarios.timetable import timetable
 
 REHEARSED = "every contender asks in every cycle, the longest silent most urgently"
 

@@ -10,17 +10,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.baselines import centralised
-from experiments.metrics import nees
 from experiments.options import ScenarioOptions
 from experiments.trace import read_trace
 from filters.gaussian import Gaussian
+from filters.metrics import nees
 from nodes import in_process
 from nodes.in_process import Link
 from nodes.labelled import Content, LabelledFlooding
 from nodes.messages import Array, Measured
 from nodes.recording import MemoryRecorder
 from nodes.share import cycle_of
+from scenarios.baselines import centralised
 from scenarios.build import build_node, build_world
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup, prepare

@@ -12,16 +12,16 @@ import numpy as np
 from scipy import stats
 
 from bus.frame import OVERHEAD_BYTES
-from experiments.baselines import centralised
 from experiments.bus_report import times_of
 from experiments.drivers import in_memory
-from experiments.metrics import nees
 from experiments.options import ScenarioOptions
 from experiments.record_spread import figures_of
 from experiments.trace import Trace, read_trace
 from filters.gaussian import Gaussian
+from filters.metrics import nees
 from nodes.messages import Array
 from nodes.share import read_body, read_frame
+from scenarios.baselines import centralised
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup, prepare
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from experiments.metrics import nees
 from experiments.reproduce_adlukf_filters import Contestant
 from experiments.reproduce_adlukf_study import CHANNELS, PRIOR_COV, Case, Study, estimate
+from filters.metrics import nees
 from nodes.messages import Array
 from plants.vehicle_drive import Drive
 from plants.vehicle_model import SingleTrack

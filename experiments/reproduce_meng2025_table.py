@@ -4,8 +4,8 @@ import msgspec
 import numpy as np
 from scipy import stats
 
-from experiments.metrics import nees
 from experiments.reproduce_meng2025_runs import Batch, Outcome
+from filters.metrics import nees
 from nodes.messages import Array
 
 CONFIDENCE = 0.95

@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from msgspec.structs import replace
 
-from experiments.metrics import nees
 from experiments.reproduce_wac_lanes import averaging_of, centralised, estimate, wire
 from experiments.reproduce_wac_runs import Runs, simulate
 from filters.gaussian import Gaussian
+from filters.metrics import nees
 from nodes.belief_consensus import HoldPolicy
 from nodes.messages import Array
 from scenarios.bus_plan import build_schedule

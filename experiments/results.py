@@ -12,8 +12,8 @@ import msgspec
 import numpy as np
 
 from experiments.bus_report import times_of
-from experiments.metrics import nees
 from experiments.trace import Trace
+from filters.metrics import nees
 from scenarios.catalogue import kind_of
 from scenarios.rules import is_certain
 from scenarios.setup import Setup

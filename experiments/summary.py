@@ -6,14 +6,14 @@ from rich.markup import escape
 from rich.table import Table
 
 from experiments import bus_report, record_spread
-from experiments.baselines import centralised, local_only
 from experiments.bus_report import BusFigures
 from experiments.containment import Containment, containment
-from experiments.metrics import anees, disagreement, rmse
 from experiments.record_spread import SpreadFigures
 from experiments.trace import Trace
 from filters.gaussian import Gaussian
+from filters.metrics import anees, disagreement, rmse
 from nodes.messages import Array
+from scenarios.baselines import centralised, local_only
 from scenarios.catalogue import Score, kind_of
 from scenarios.rules import is_certain
 from scenarios.setup import Setup

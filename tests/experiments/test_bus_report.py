@@ -19,7 +19,6 @@ from experiments.bus_report import (
     figures_of,
     lines,
     longest_waits,
-    timetable,
 )
 from experiments.drivers import in_memory
 from experiments.options import ScenarioOptions
@@ -28,6 +27,7 @@ from nodes.share import read_frame
 from scenarios.build import build_plan
 from scenarios.bus_plan import BusPlan
 from scenarios.setup import Setup, prepare
+from scenarios.timetable import timetable
 from tests.experiments.bus_runs import run
 
 # --- by hand -----------------------------------------------------------------------------------

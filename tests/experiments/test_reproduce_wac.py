@@ -20,7 +20,6 @@ from experiments import (
 )
 from experiments import reproduce_wac_occupancy as occupancy
 from experiments.__main__ import main
-from experiments.baselines import centralised as centralised_alone
 from experiments.drivers import in_memory
 from experiments.reproduce_wac_claims import UNPRINTED, judge
 from experiments.reproduce_wac_errata import ERRATA
@@ -31,6 +30,7 @@ from experiments.reproduce_wac_loops import Loops
 from experiments.reproduce_wac_responses import OUTPUT, Trial
 from experiments.reproduce_wac_runs import simulate
 from experiments.trace import read_trace
+from scenarios.baselines import centralised as centralised_alone
 from scenarios.bus_plan import build_schedule
 from scenarios.catalogue import kind_of
 from scenarios.rules import hold_policy

@@ -9,7 +9,6 @@ import pytest
 import xarray
 
 from experiments.drivers import in_memory
-from experiments.metrics import nees
 from experiments.results import (
     ARRAYS,
     DESCRIPTION,
@@ -20,6 +19,7 @@ from experiments.results import (
     write_description,
 )
 from experiments.trace import read_trace
+from filters.metrics import nees
 from scenarios.scenario import Scenario
 from tests.experiments.support import small
 

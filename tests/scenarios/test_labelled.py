@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from experiments.agree_command import first_difference
-from experiments.baselines import centralised
 from experiments.drivers import DRIVERS, in_memory
 from experiments.options import ScenarioOptions
 from experiments.trace import Trace, read_trace
 from nodes.labelled import LabelledFlooding
 from nodes.recording import read_recording
+from scenarios.baselines import centralised
 from scenarios.build import build_node
 from scenarios.bus_plan import build_schedule
 from scenarios.catalogue import kind_of
@@ -76,7 +76,7 @@ def test_quantised_records_are_the_centralised_filter_that_knows_of_the_rounding
             bearing_std_rad=larger * sensor.bearing_std_rad,
         )
 
-    monkeypatch.setattr("experiments.baselines.kind_of", lambda _: kind._replace(sensor=noisier))
+    monkeypatch.setattr("scenarios.baselines.kind_of", lambda _: kind._replace(sensor=noisier))
     best = centralised(setup, step * np.round(trace.readings / step), None)
     np.testing.assert_allclose(trace.mean[:, 0], best.mean, rtol=0, atol=1e-8)
     np.testing.assert_allclose(trace.cov[:, 0], best.cov, rtol=1e-9, atol=1e-9)

@@ -7,7 +7,6 @@ import pytest
 
 from bus.measurement_bus import MeasurementBus
 from experiments.agree_command import first_difference
-from experiments.baselines import centralised, local_only
 from experiments.drivers import DRIVERS, in_memory
 from experiments.summary import summarise
 from experiments.trace import Trace, read_trace
@@ -16,6 +15,7 @@ from filters.stochastic_ukf import Received
 from nodes import in_process
 from nodes.recording import MemoryRecorder
 from plants import meng2025
+from scenarios.baselines import centralised, local_only
 from scenarios.build import build_node, build_plan, build_world
 from scenarios.measurement_runs import Estimator, estimate, first_received, slots_of
 from scenarios.meng2025 import FILTERS, SYSTEM, bus_of, paper_points

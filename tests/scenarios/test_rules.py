@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from experiments.agree_command import first_difference
-from experiments.baselines import centralised
 from experiments.drivers import DRIVERS, in_memory
 from experiments.trace import Trace, read_trace
 from nodes.recording import read_recording
 from nodes.share import payload_lengths
 from scenarios import rules
+from scenarios.baselines import centralised
 from scenarios.build import build_node
 from scenarios.catalogue import kind_of
 from scenarios.rules import RULE_SUMMARIES, hold_policy

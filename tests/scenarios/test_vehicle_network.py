@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from experiments.agree_command import first_difference
-from experiments.baselines import local_only
 from experiments.bus_report import figures_of
 from experiments.drivers import DRIVERS, in_memory
 from experiments.trace import Trace, read_trace
@@ -16,6 +15,7 @@ from plants.drive_log import write_drive
 from plants.vehicle_manoeuvres import MANOEUVRES
 from plants.vehicle_network import SIDE_SLIP, STATE_NAMES
 from plants.vehicle_parameters import BMW_320I_FITTED
+from scenarios.baselines import local_only
 from scenarios.build import build_node
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup, prepare

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2, multivariate_normal
 
-from experiments.metrics import anees, disagreement, nees, rmse
+from filters.metrics import anees, disagreement, nees, rmse
 
 SEEDS = st.integers(0, 2**32 - 1)
 BATCHES = st.sampled_from([(), (1,), (5,), (3, 4), (3, 1, 2)])

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from experiments.baselines import centralised, local_only
 from experiments.drivers import in_memory
-from experiments.metrics import nees
 from experiments.trace import Trace, read_trace
 from filters.gaussian import Gaussian
+from filters.metrics import nees
 from plants.oscillator import Oscillation, Oscillator
+from scenarios.baselines import centralised, local_only
 from scenarios.setup import Setup
 from tests.experiments.support import small
 

@@ -4,6 +4,7 @@ Both are computed after the run from what its sensors delivered, by the same fil
 they see the same noise in every driver.
 """
 
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -16,6 +17,9 @@ from nodes.messages import Array
 from scenarios.catalogue import kind_of
 from scenarios.rules import rule_of
 from scenarios.setup import Setup
+
+Listener = Callable[[Gaussian, int, Array, Array | None], Gaussian]
+"""(belief of the step before, step, readings (N, r, d), control (p,)) -> belief of the step."""
 
 
 def centralised(setup: Setup, readings: Array, control: Array | None) -> Gaussian:
@@ -40,14 +44,31 @@ def _filter(setup: Setup, nodes: list[int], readings: Array, control: Array | No
     rule_listens = rule_of(setup.scenario).listen
     if rule_listens is not None:
         return rule_listens(setup, nodes, readings, control)
-    model = kind.model(setup.scenario)
-    points = scaled_unscented(len(setup.prior_mean))
+    step_of = listener(setup, nodes)
     belief = Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov))
-    sensors = {node: kind.sensor(setup.scenario, node) for node in nodes}
     means, covs = [], []
     for step, delivered in enumerate(readings):
+        belief = step_of(belief, step, delivered, None if control is None else control[step])
+        means.append(belief.mean)
+        covs.append(belief.cov)
+    return Gaussian(np.array(means), np.array(covs))
+
+
+def listens_step_by_step(setup: Setup) -> bool:
+    """Whether `listener` is the filter of this scenario; others listen to a whole run at once."""
+    kind = kind_of(setup.scenario.name)
+    return kind.listen is None and rule_of(setup.scenario).listen is None
+
+
+def listener(setup: Setup, nodes: list[int]) -> Listener:
+    """One filter that takes the readings of these nodes, one step at a time."""
+    kind = kind_of(setup.scenario.name)
+    model = kind.model(setup.scenario)
+    points = scaled_unscented(len(setup.prior_mean))
+    sensors = {node: kind.sensor(setup.scenario, node) for node in nodes}
+
+    def listen(belief: Gaussian, step: int, delivered: Array, driven: Array | None) -> Gaussian:
         if step > 0:
-            driven = None if control is None else control[step]
             transition = partial(model.transition, control=driven, step=step - 1)
             belief = predict(belief, transition, model.process_noise_cov(step - 1), points)
         taken = [
@@ -58,9 +79,9 @@ def _filter(setup: Setup, nodes: list[int], readings: Array, control: Array | No
         ]
         for group in _together(taken):
             belief = _take(belief, group, step, points)
-        means.append(belief.mean)
-        covs.append(belief.cov)
-    return Gaussian(np.array(means), np.array(covs))
+        return belief
+
+    return listen
 
 
 def _together(taken: list[tuple[Sensor, Array]]) -> list[list[tuple[Sensor, Array]]]:

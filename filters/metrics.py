@@ -1,9 +1,11 @@
 """How good estimates are: error, consistency, agreement. Leading axes are free."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from filters.linalg import solve_spd
-from nodes.messages import Array
+
+Array = NDArray[np.float64]
 
 
 def rmse(errors: Array, axes: tuple[int, ...]) -> Array:
