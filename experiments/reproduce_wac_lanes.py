@@ -239,7 +239,7 @@ def _fuse(state: _State, wiring: Wiring, averaging: Averaging, turn: int) -> _St
     """One round at every node."""
     ages, covs = state.ages[:, wiring.heard], state.published.cov[:, wiring.heard]
     ages[..., 0], covs[:, :, 0] = 0, state.belief.cov
-    weights = wiring.policy.weigh(wiring.weights, ages, covs, turn)
+    weights = wiring.policy.weigh(wiring.weights, ages, wiring.policy.sharpness(covs), turn)
     others = np.zeros((*state.ages.shape, state.ages.shape[1]))
     # Filled-up places have weight zero and point at the node itself, whose entry is not used.
     places = np.broadcast_to(wiring.heard, weights.shape)[..., 1:]

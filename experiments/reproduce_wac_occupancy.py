@@ -56,17 +56,17 @@ def _by_age(
     weigh: Callable[[Array, np.ndarray], Array],
     base: Array,
     ages: np.ndarray,
-    _covs: Array,
+    _sharpness: Array,
     _turn: int,
 ) -> Array:
     return weigh(base, ages)
 
 
-def _decayed(determinant: bool, base: Array, ages: np.ndarray, covs: Array, _turn: int) -> Array:
-    return hold.held_weights(base, ages, covs, DECAY, determinant)
+def _decayed(base: Array, ages: np.ndarray, sharpness: Array, _turn: int) -> Array:
+    return hold.held_weights(base, ages, DECAY, sharpness)
 
 
-def _in_step(base: Array, ages: np.ndarray, _covs: Array, turn: int) -> Array:
+def _in_step(base: Array, ages: np.ndarray, _sharpness: Array, turn: int) -> Array:
     return hold.in_step(base, ages, turn)
 
 
@@ -78,8 +78,8 @@ HOLDS = {
     "drop": HoldPolicy(partial(_by_age, hold.drop), carried=False),
     "renorm": HoldPolicy(partial(_by_age, hold.renormalise), carried=False),
     "instep": HoldPolicy(_in_step, carried=False),
-    PLAIN: HoldPolicy(partial(_decayed, False), carried=True),
-    SHARP: HoldPolicy(partial(_decayed, True), carried=True),
+    PLAIN: HoldPolicy(_decayed, carried=True),
+    SHARP: HoldPolicy(_decayed, carried=True, sharpness=hold.sharpness),
 }
 HELD = [
     *(Variant("wac", name) for name in ("raw", "predict", "drop", "renorm", SHARP)),

@@ -1,9 +1,26 @@
 """Rules that fuse the beliefs of several nodes whose errors are correlated in an unknown way."""
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import numpy as np
 
-from filters.gaussian import Gaussian
-from filters.linalg import inverse_spd, multiply, symmetrise
+from filters.gaussian import Gaussian, Information, to_gaussian
+from filters.hold import check_weights
+from filters.linalg import inverse_spd, multiply
+from filters.packed import pack, unpack
+
+
+class Averaging(NamedTuple):
+    """A rule as what it averages: numbers (..., m) that a belief is turned into and back.
+
+    `express(belief, origin)` gives the numbers, `conclude(numbers, origin)` the belief that an
+    average of such numbers comes to. Means are taken about an `origin` (..., n), any point near
+    them, which spares their digits; beliefs that are averaged must have the same.
+    """
+
+    express: Callable[[Gaussian, np.ndarray], np.ndarray]
+    conclude: Callable[[np.ndarray, np.ndarray], Gaussian]
 
 
 def weighted_average(beliefs: Gaussian, weights: np.ndarray) -> Gaussian:
@@ -32,9 +49,7 @@ def weighted_average(beliefs: Gaussian, weights: np.ndarray) -> Gaussian:
     Raises:
         ValueError: a weight is negative, or they do not sum to 1.
     """
-    check_weights(weights)
-    mean, cov = _without_unweighted(beliefs, weights)
-    return Gaussian(multiply(mean.mT, weights), (weights[..., None, None] * cov).sum(axis=-3))
+    return _averaged(MOMENTS, beliefs, weights)
 
 
 def covariance_intersection(beliefs: Gaussian, weights: np.ndarray) -> Gaussian:
@@ -53,29 +68,38 @@ def covariance_intersection(beliefs: Gaussian, weights: np.ndarray) -> Gaussian:
 
     Args, returns and raises as `weighted_average`.
     """
+    return _averaged(INFORMATION, beliefs, weights)
+
+
+def _moments(belief: Gaussian, origin: np.ndarray) -> np.ndarray:
+    return pack(Information(belief.mean - origin, belief.cov))
+
+
+def _of_moments(numbers: np.ndarray, origin: np.ndarray) -> Gaussian:
+    offset, cov = unpack(numbers)
+    return Gaussian(origin + offset, cov)
+
+
+def _information(belief: Gaussian, origin: np.ndarray) -> np.ndarray:
+    matrix = inverse_spd(belief.cov)
+    return pack(Information(multiply(matrix, belief.mean - origin), matrix))
+
+
+def _of_information(numbers: np.ndarray, origin: np.ndarray) -> Gaussian:
+    offset, cov = to_gaussian(unpack(numbers))
+    return Gaussian(origin + offset, cov)
+
+
+MOMENTS = Averaging(_moments, _of_moments)
+INFORMATION = Averaging(_information, _of_information)
+
+
+def _averaged(rule: Averaging, beliefs: Gaussian, weights: np.ndarray) -> Gaussian:
     check_weights(weights)
-    mean, cov = _without_unweighted(beliefs, weights)
-    share = weights[..., None, None] * inverse_spd(cov)
-    fused_cov = inverse_spd(symmetrise(share.sum(axis=-3)))
-    # Averaging differences to the first mean, not means, spares their digits.
-    first = mean[..., 0, :]
-    pull = multiply(share, mean - first[..., None, :]).sum(axis=-2)
-    return Gaussian(first + multiply(fused_cov, pull), fused_cov)
-
-
-def check_weights(weights: np.ndarray) -> None:
-    """Refuse weights (..., J) that are not averages; NaN passes, for it marks a failed lane.
-
-    Raises:
-        ValueError: a weight is negative, or they do not sum to 1 within 1e-9.
-    """
-    total = weights.sum(axis=-1)
-    if (weights < 0).any() or (np.abs(total - 1) > 1e-9).any():
-        raise ValueError(
-            f"weights must be non-negative and sum to 1 over the last axis, but the least is "
-            f"{np.nanmin(weights)} and the sums span {np.nanmin(total)} to {np.nanmax(total)}: "
-            "normalise them, for instance with hold.renormalise"
-        )
+    beliefs = _without_unweighted(beliefs, weights)
+    origin = beliefs.mean[..., 0, :]
+    numbers = rule.express(beliefs, origin[..., None, :])
+    return rule.conclude(multiply(numbers.mT, weights), origin)
 
 
 def _without_unweighted(beliefs: Gaussian, weights: np.ndarray) -> Gaussian:

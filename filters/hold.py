@@ -15,27 +15,40 @@ import numpy as np
 from filters.linalg import cholesky
 
 
+def check_weights(weights: np.ndarray) -> None:
+    """Refuse weights (..., J) that are not averages; NaN passes, for it marks a failed lane.
+
+    Raises:
+        ValueError: a weight is negative, or they do not sum to 1 within 1e-9.
+    """
+    total = weights.sum(axis=-1)
+    if (weights < 0).any() or (np.abs(total - 1) > 1e-9).any():
+        raise ValueError(
+            f"weights must be non-negative and sum to 1 over the last axis, but the least is "
+            f"{np.nanmin(weights)} and the sums span {np.nanmin(total)} to {np.nanmax(total)}: "
+            "normalise them, for instance with hold.renormalise"
+        )
+
+
 def held_weights(
     base_weights: np.ndarray,
     ages: np.ndarray,
-    covs: np.ndarray,
     decay: float,
-    determinant_weights: bool,
+    sharpness: np.ndarray | float = 1.0,
 ) -> np.ndarray:
-    """Weights proportional to base_j decay^age_j |P_j|^(-1/n), for predicted held beliefs.
+    """Weights proportional to base_j decay^age_j sharpness_j, for predicted held beliefs.
 
-    A decay of 0 is `renormalise`, a decay of 1 is `full`. The determinant factor favours sharp
-    beliefs; only its ratios matter, so it does not depend on the units of the state.
+    A decay of 0 is `renormalise`, a decay of 1 is `full`.
 
     Args:
         base_weights: (..., J), sum 1.
         ages: (..., J), cycles; negative: never heard.
-        covs: (..., J, n, n), predicted to now; those never heard may be anything, NaN included.
         decay: factor per cycle of age, 0 to 1.
-        determinant_weights: whether |P_j|^(-1/n) takes part.
+        sharpness: (..., J) as `sharpness` gives it; those never heard may be anything. By default
+            all beliefs count alike, however sharp they are.
 
     Returns:
-        (..., J); NaN in a lane where a covariance that counts is not positive definite.
+        (..., J); NaN in a lane where the sharpness of a belief that counts is.
 
     Raises:
         ValueError: decay is outside [0, 1].
@@ -43,9 +56,19 @@ def held_weights(
     if not 0 <= decay <= 1:
         raise ValueError(f"decay is {decay}, but a share does not gain by age: choose 0 to 1")
     worth = _left_to_self(_where_heard(base_weights, ages) * decay ** np.maximum(ages, 0.0))
-    if determinant_weights:
-        worth = worth * _sharpness(covs, worth > 0)
+    worth = worth * np.where(worth > 0, sharpness, 0.0)
     return worth / worth.sum(axis=-1, keepdims=True)
+
+
+def sharpness(covs: np.ndarray) -> np.ndarray:
+    """|P|^(-1/n) (...) of covariances (..., n, n); NaN where one is not positive definite.
+
+    As a factor of a weight it favours sharp beliefs; only ratios matter there, so it does not
+    depend on the units of the state.
+    """
+    # The determinant itself could overflow.
+    diagonal = np.diagonal(cholesky(covs), axis1=-2, axis2=-1)
+    return np.exp(-2.0 / covs.shape[-1] * np.log(diagonal).sum(axis=-1))
 
 
 def full(base_weights: np.ndarray, ages: np.ndarray) -> np.ndarray:
@@ -90,11 +113,3 @@ def _left_to_self(worth: np.ndarray) -> np.ndarray:
 def _normalise(worth: np.ndarray) -> np.ndarray:
     worth = _left_to_self(worth)
     return worth / worth.sum(axis=-1, keepdims=True)
-
-
-def _sharpness(covs: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """|P_j|^(-1/n) (..., J) where P_j counts; the determinant itself could overflow."""
-    n = covs.shape[-1]
-    factor = cholesky(np.where(counts[..., None, None], covs, np.eye(n)))
-    half_log_determinant = np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
-    return np.exp(-2.0 / n * half_log_determinant)

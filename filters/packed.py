@@ -8,9 +8,8 @@ import math
 
 import numpy as np
 
-from filters.fusion import check_weights
 from filters.gaussian import Information
-from filters.hold import renormalise
+from filters.hold import check_weights, renormalise
 from filters.linalg import multiply, pack_upper, unpack_upper
 
 

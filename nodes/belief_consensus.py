@@ -14,21 +14,28 @@ from filters.gaussian import Gaussian
 from filters.linalg import cholesky, symmetrise
 from filters.sigma_points import SigmaPointRule
 from nodes.belief_codec import BeliefCodec
-from nodes.bids import FIRST_BID, bid_for_change
-from nodes.local_filter import Model, Sensor, carry, finite, take_readings
+from nodes.bids import FIRST_BID, asked, bid_for_change
+from nodes.local_filter import Model, Sensor, carry, control_of, finite, stacked, take_own
 from nodes.messages import Array, Measured
+
+
+def alike(covs: Array) -> Array:
+    """Sharpness 1 (...) of all covariances (..., n, n)."""
+    return np.ones(covs.shape[:-2])
 
 
 class HoldPolicy(NamedTuple):
     """What becomes of the last share of a silent neighbour.
 
-    `weigh(base_weights (J,), ages (J,), covs (J, n, n), cycles_in_step)` gives weights (J,) that
-    sum to one; entry 0 is the node itself; `cycles_in_step` is 0 in the first round of a step.
-    `carried` says that held shares are predicted once per step like the own belief.
+    `weigh(base_weights (..., J), ages (..., J), sharpness (..., J), cycles_in_step)` gives weights
+    (..., J) that sum to one; entry 0 is the node itself; `cycles_in_step` is 0 in the first round
+    of a step. `carried` says that held shares are predicted once per step like the own belief.
+    `sharpness` of covariances (..., n, n) is what beliefs weigh beside their age.
     """
 
-    weigh: Callable[[Array, Array, Array, int], Array]
+    weigh: Callable[[Array, np.ndarray, Array, int], Array]
     carried: bool
+    sharpness: Callable[[Array], Array] = alike
 
 
 class Content(NamedTuple):
@@ -74,7 +81,7 @@ class BeliefConsensus:
         troubles: list[str] = []
         if measured.step > 0:
             content, troubles = self._carry(content, measured)
-        belief, troubled = take_readings(content.belief, measured, self.sensor, self.points)
+        belief, troubled = take_own(content.belief, measured, self.sensor, self.points)
         content = content._replace(belief=belief, cycles_in_step=0)
         return content, (*troubles, *troubled)
 
@@ -84,7 +91,9 @@ class BeliefConsensus:
             beliefs += [Gaussian(*pair) for pair in zip(*content.held, strict=True)]
         if self.hold.carried and content.published is not None:
             beliefs.append(content.published)
-        carried = carry(beliefs, measured, self.model, self.points)
+        carried = carry(
+            stacked(beliefs), control_of(measured), measured.step, self.model, self.points
+        )
         moved, sound = carried
         troubles = [] if sound[0] else ["predict-failed"]
         if sound[0]:
@@ -107,7 +116,7 @@ class BeliefConsensus:
         """How far the belief has moved since it was last published (`bids.bid_for_change`)."""
         if content.published is None:
             return FIRST_BID
-        return bid_for_change(content.belief, content.published, self.trigger)
+        return asked(bid_for_change(content.belief, content.published, self.trigger))
 
     def compose(self, content: Content) -> tuple[Content, bytes]:
         """The pair before the iteration; the node remembers what its neighbours now hold of it."""
@@ -131,7 +140,8 @@ class BeliefConsensus:
             np.concatenate((content.belief.cov[None], covs)),
         )
         cycles = content.cycles_in_step
-        weights = self.hold.weigh(self.weights, np.concatenate(([0], ages)), everyone.cov, cycles)
+        sharpness = self.hold.sharpness(everyone.cov)
+        weights = self.hold.weigh(self.weights, np.concatenate(([0], ages)), sharpness, cycles)
         fused = self.average(everyone, weights)
         content = content._replace(held=Gaussian(means, covs), ages=ages, cycles_in_step=cycles + 1)
         if not finite(fused):

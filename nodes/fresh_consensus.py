@@ -12,8 +12,8 @@ import numpy as np
 from filters.gaussian import Gaussian
 from filters.linalg import cholesky, symmetrise
 from filters.sigma_points import SigmaPointRule
-from nodes.bids import FIRST_BID, bid_for_change
-from nodes.local_filter import Model, Sensor, carry, finite, take_readings
+from nodes.bids import FIRST_BID, asked, bid_for_change
+from nodes.local_filter import Model, Sensor, carry, control_of, finite, stacked, take_own
 from nodes.messages import Array, Measured
 from nodes.vector_codec import VectorCodec
 
@@ -87,15 +87,15 @@ class FreshConsensus:
         troubles: list[str] = []
         prior, published = content.belief, content.published
         if measured.step > 0:
-            beliefs = [prior] if published is None else [prior, published]
-            carried = carry(beliefs, measured, self.model, self.points)
+            beliefs = stacked([prior] if published is None else [prior, published])
+            carried = carry(beliefs, control_of(measured), measured.step, self.model, self.points)
             if carried.sound[0]:
                 prior = carried.at(0)
             else:
                 troubles.append("predict-failed")
             if published is not None:
                 published = carried.at(1) if carried.sound[1] else None
-        belief, troubled = take_readings(prior, measured, self.sensor, self.points)
+        belief, troubled = take_own(prior, measured, self.sensor, self.points)
         known = self.rule.begin(prior, belief)
         content = Content(prior, belief, known, content.ages, published, 0)
         return content, (*troubles, *troubled)
@@ -104,7 +104,7 @@ class FreshConsensus:
         """How far the belief has moved since it was last published (`bids.bid_for_change`)."""
         if content.published is None:
             return FIRST_BID
-        return bid_for_change(content.belief, content.published, self.trigger)
+        return asked(bid_for_change(content.belief, content.published, self.trigger))
 
     def compose(self, content: Content) -> tuple[Content, bytes]:
         """What the rule says in this round; the node remembers what it believed then."""

@@ -65,46 +65,82 @@ class Carried(NamedTuple):
 
 
 def carry(
-    beliefs: list[Gaussian], measured: Measured, model: Model, points: SigmaPointRule
+    beliefs: Gaussian, control: Array | None, step: int, model: Model, points: SigmaPointRule
 ) -> Carried:
-    """Beliefs of the step before, predicted to that of `measured`."""
-    control = None if measured.control is None else np.array(measured.control)
-    step = measured.step - 1
-    # One call for all of them: the plant's functions cost more to enter than to evaluate.
-    stacked = Gaussian(np.stack([b.mean for b in beliefs]), np.stack([b.cov for b in beliefs]))
-    noise_cov = _with_state_noise(model.process_noise_cov(step), model, stacked, step)
-    moved = predict(
-        stacked, partial(model.transition, control=control, step=step), noise_cov, points
-    )
+    """Beliefs (..., n) of the step before, predicted to `step`, into which `control` drove."""
+    noise_cov = _with_state_noise(model.process_noise_cov(step - 1), model, beliefs, step - 1)
+    transition = partial(model.transition, control=control, step=step - 1)
+    moved = predict(beliefs, transition, noise_cov, points)
     return Carried(moved, finite_lanes(moved))
 
 
+def stacked(beliefs: list[Gaussian]) -> Gaussian:
+    """Beliefs (n,) as one (K, n): the plant's functions cost more to enter than to evaluate."""
+    return Gaussian(np.stack([b.mean for b in beliefs]), np.stack([b.cov for b in beliefs]))
+
+
+def control_of(measured: Measured) -> Array | None:
+    """What drove the plant into the step, (p,)."""
+    return None if measured.control is None else np.array(measured.control)
+
+
 def take_readings(
-    belief: Gaussian, measured: Measured, sensor: Sensor | None, points: SigmaPointRule
-) -> tuple[Gaussian, list[str]]:
-    """The belief after the own readings, one by one, and the names of what went wrong."""
-    troubles: list[str] = []
-    for delivered in from_wire(measured.readings):
-        if sensor is None or np.isnan(delivered).all():
+    belief: Gaussian, readings: Array, step: int, sensor: Sensor, points: SigmaPointRule
+) -> tuple[Gaussian, dict[str, np.ndarray]]:
+    """Beliefs (..., n) after their readings (..., r, d), one by one.
+
+    Returns them and how often what went wrong, by name: (...) integers. A reading that is NaN
+    throughout was not taken.
+    """
+    troubles: dict[str, np.ndarray] = {}
+    for place in range(readings.shape[-2]):
+        delivered = readings[..., place, :]
+        if np.isnan(delivered).all():
             continue
         value, noise_cov = sensor.interpret(delivered)
-        noise_cov = _with_state_noise(noise_cov, sensor, belief, measured.step)
+        noise_cov = _with_state_noise(noise_cov, sensor, belief, step)
         result = update(
             belief,
             value,
-            partial(sensor.measure, step=measured.step),
+            partial(sensor.measure, step=step),
             noise_cov,
             points,
             residual=sensor.residual,
             gate=sensor.gate,
         )
-        if not finite(result.belief):
-            troubles.append("update-failed")
-            continue
-        belief = result.belief
-        if sensor.gate is not None and result.normalised_innovation_squared > sensor.gate:
-            troubles.append("gated")
+        sound = finite_lanes(result.belief)
+        _count(troubles, "update-failed", ~sound)
+        if sensor.gate is not None:
+            _count(troubles, "gated", sound & (result.normalised_innovation_squared > sensor.gate))
+        belief = where(sound, result.belief, belief)
     return belief, troubles
+
+
+def take_own(
+    belief: Gaussian, measured: Measured, sensor: Sensor | None, points: SigmaPointRule
+) -> tuple[Gaussian, tuple[str, ...]]:
+    """One node's belief (n,) after its readings, and the names of what went wrong."""
+    if sensor is None or not measured.readings:
+        return belief, ()
+    belief, troubles = take_readings(
+        belief, from_wire(measured.readings), measured.step, sensor, points
+    )
+    return belief, tuple(name for name, count in troubles.items() for _ in range(int(count)))
+
+
+def _count(troubles: dict[str, np.ndarray], name: str, lanes: np.ndarray) -> None:
+    if lanes.any():
+        troubles[name] = troubles.get(name, 0) + lanes.astype(int)
+
+
+def where(chosen: np.ndarray, one: Gaussian, other: Gaussian) -> Gaussian:
+    """`one` in the lanes (...) that are chosen, `other` elsewhere."""
+    if chosen.all():
+        return one
+    return Gaussian(
+        np.where(chosen[..., None], one.mean, other.mean),
+        np.where(chosen[..., None, None], one.cov, other.cov),
+    )
 
 
 def finite_lanes(beliefs: Gaussian) -> np.ndarray:

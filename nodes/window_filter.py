@@ -15,7 +15,7 @@ import numpy as np
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule
 from filters.ukf import update
-from nodes.local_filter import Model, Sensor, StateNoise, carry, finite
+from nodes.local_filter import Model, Sensor, StateNoise, carry, control_of, finite
 from nodes.messages import Array, Measured
 from nodes.record_codec import RecordCodec
 
@@ -117,8 +117,9 @@ class WindowFilter:
         """The posterior of the step before, carried to that of the heartbeat."""
         if heartbeat.step == 0:
             return belief, ()
-        carried = carry([belief], heartbeat, self.model, self.points)
-        return (carried.at(0), ()) if carried.sound[0] else (belief, ("predict-failed",))
+        control = control_of(heartbeat)
+        carried = carry(belief, control, heartbeat.step, self.model, self.points)
+        return (carried.beliefs, ()) if carried.sound else (belief, ("predict-failed",))
 
     def _updated(
         self, belief: Gaussian, records: Mapping[int, bytes], window: Window, place: int

@@ -12,7 +12,7 @@ from filters.gaussian import Gaussian
 from filters.hybrid_consensus import classical_gain, safe_gain
 from filters.local import keep_own
 from filters.packed import packed_length
-from nodes.belief_consensus import HoldPolicy
+from nodes.belief_consensus import HoldPolicy, alike
 from nodes.estimator import Estimator
 from nodes.messages import Array
 from nodes.set_shapes import Ellipsoids, Zonotopes
@@ -153,34 +153,35 @@ def wire_number(scenario: Scenario) -> str:
 
 def _decayed(
     decay: float,
-    determinant_weights: bool,
     base_weights: np.ndarray,
     ages: np.ndarray,
-    covs: np.ndarray,
+    sharpness: np.ndarray,
     _cycles_in_step: int,
 ) -> np.ndarray:
-    return hold.held_weights(base_weights, ages, covs, decay, determinant_weights)
+    return hold.held_weights(base_weights, ages, decay, sharpness)
 
 
 def _by_age(
     weigh: Callable[[np.ndarray, np.ndarray], np.ndarray],
     base_weights: np.ndarray,
     ages: np.ndarray,
-    _covs: np.ndarray,
+    _sharpness: np.ndarray,
     _cycles_in_step: int,
 ) -> np.ndarray:
     return weigh(base_weights, ages)
 
 
 def _in_step(
-    base_weights: np.ndarray, ages: np.ndarray, _covs: np.ndarray, cycles_in_step: int
+    base_weights: np.ndarray, ages: np.ndarray, _sharpness: np.ndarray, cycles_in_step: int
 ) -> np.ndarray:
     return hold.in_step(base_weights, ages, cycles_in_step)
 
 
 _HOLDS: dict[str, Callable[[Scenario], HoldPolicy]] = {
     "decayed": lambda s: HoldPolicy(
-        partial(_decayed, s.decay, s.determinant_weights), carried=True
+        partial(_decayed, s.decay),
+        carried=True,
+        sharpness=hold.sharpness if s.determinant_weights else alike,
     ),
     "predict": lambda _: HoldPolicy(partial(_by_age, hold.full), carried=True),
     "raw": lambda _: HoldPolicy(partial(_by_age, hold.full), carried=False),

@@ -51,9 +51,9 @@ class SystemSensor:
         return value - predicted
 
     def interpret(self, delivered: Array) -> tuple[Array, Array]:
-        """The first m entries of what was delivered, and R (m, m)."""
+        """The first m entries (..., m) of what was delivered, and R (m, m)."""
         noise_cov = self.system.measurement_noise_cov(0)[self.rows, self.rows]
-        return delivered[: len(noise_cov)], noise_cov
+        return delivered[..., : len(noise_cov)], noise_cov
 
     def state_noise_cov(self, belief: Gaussian, step: int) -> Array:
         """E{b b'} (..., m, m) over beliefs at `step`."""

@@ -15,7 +15,7 @@ from filters.sage_husa import NoiseEstimate
 from filters.sigma_points import scaled_unscented
 from nodes.adaptive_noise import AdaptedSensor, AdaptiveNoise, declared_noise, learn
 from nodes.estimator import Estimator
-from nodes.local_filter import carry, take_readings
+from nodes.local_filter import carry, take_own
 from nodes.messages import Array, Measured, to_wire
 from plants.drive_log import read_car, read_folder
 from plants.vehicle_manoeuvres import MANOEUVRES
@@ -133,13 +133,13 @@ def _listen(setup: Setup, nodes: Sequence[int], readings: Array) -> Gaussian:
     means, covs = [], []
     for step, delivered in enumerate(readings):
         if step > 0:
-            belief = carry([belief], Measured(0, step, []), model, points).at(0)
+            belief = carry(belief, None, step, model, points).beliefs
         for node, own in sensors.items():
             measured = Measured(node, step, to_wire(delivered[node]))
             taken = own
             if node in noises:
                 taken = AdaptedSensor(own, noises[node])
-            belief, _ = take_readings(belief, measured, taken, points)
+            belief, _ = take_own(belief, measured, taken, points)
             for reading in delivered[node]:
                 if scenario.adaptive and not np.isnan(reading).all():
                     noise = noises.get(node) or declared_noise(own, reading)

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from filters.hold import drop, full, held_weights, in_step, renormalise
+from filters.hold import drop, full, held_weights, in_step, renormalise, sharpness
 from tests.filters.support import BATCHES, random_spd
 
 BASE = np.array([0.4, 0.3, 0.2, 0.1])
@@ -26,7 +26,7 @@ def rows(draw):
 def test_every_variant_gives_an_average(row, decay, determinant):
     base, ages, covs = row
     for weights in (
-        held_weights(base, ages, covs, decay, determinant),
+        held_weights(base, ages, decay, sharpness(covs) if determinant else 1.0),
         full(base, ages),
         renormalise(base, ages),
         in_step(base, ages, 2),
@@ -40,10 +40,10 @@ def test_every_variant_gives_an_average(row, decay, determinant):
 
 @given(row=rows())
 def test_limits_of_the_decay(row):
-    base, ages, covs = row
-    none = held_weights(base, ages, covs, 0.0, False)
+    base, ages, _ = row
+    none = held_weights(base, ages, 0.0)
     np.testing.assert_allclose(none, renormalise(base, ages), rtol=1e-12)
-    everything = held_weights(base, ages, covs, 1.0, False)
+    everything = held_weights(base, ages, 1.0)
     np.testing.assert_allclose(everything, full(base, ages), rtol=1e-12)
 
 
@@ -59,7 +59,7 @@ def test_with_everyone_heard_now_the_row_stays(row):
     ):
         np.testing.assert_allclose(weights, base, rtol=1e-12)
     equal = np.broadcast_to(covs[..., :1, :, :], covs.shape)
-    np.testing.assert_allclose(held_weights(base, now, equal, 0.3, True), base, rtol=1e-10)
+    np.testing.assert_allclose(held_weights(base, now, 0.3, sharpness(equal)), base, rtol=1e-10)
 
 
 @given(row=rows(), cycles=st.integers(0, 5))
@@ -74,9 +74,9 @@ def test_within_the_step_a_share_counts_until_its_age_reaches_back_before_it(row
 def test_formula_by_hand():
     """n = 1: 0.4 / 1, 0.3 / 4, 0.2 * 0.5^2 / 0.25, 0; and without determinants."""
     worth = np.array([0.4, 0.075, 0.2, 0.0])
-    np.testing.assert_allclose(held_weights(BASE, AGES, COVS, 0.5, True), worth / worth.sum())
+    np.testing.assert_allclose(held_weights(BASE, AGES, 0.5, sharpness(COVS)), worth / worth.sum())
     worth = np.array([0.4, 0.3, 0.05, 0.0])
-    np.testing.assert_allclose(held_weights(BASE, AGES, COVS, 0.5, False), worth / worth.sum())
+    np.testing.assert_allclose(held_weights(BASE, AGES, 0.5), worth / worth.sum())
 
 
 def test_variants_by_hand():
@@ -90,8 +90,10 @@ def test_determinant_weights_do_not_depend_on_units(row, exponents):
     base, ages, covs = row
     units = 10.0 ** np.array(exponents)  # scaled determinants reach 1e+-900: beyond a float
     scaled = covs * units[:, None] * units
-    expected = held_weights(base, ages, covs, 0.5, True)
-    np.testing.assert_allclose(held_weights(base, ages, scaled, 0.5, True), expected, rtol=1e-8)
+    expected = held_weights(base, ages, 0.5, sharpness(covs))
+    np.testing.assert_allclose(
+        held_weights(base, ages, 0.5, sharpness(scaled)), expected, rtol=1e-8
+    )
 
 
 def test_a_lane_with_nothing_else_keeps_its_own_belief():
@@ -102,7 +104,7 @@ def test_a_lane_with_nothing_else_keeps_its_own_belief():
         renormalise(base, ages),
         in_step(base, ages, 1),
         drop(base, ages),
-        held_weights(base, ages, covs, 0.0, True),
+        held_weights(base, ages, 0.0, sharpness(covs)),
     ):
         np.testing.assert_array_equal(weights, expected)
 
@@ -110,7 +112,7 @@ def test_a_lane_with_nothing_else_keeps_its_own_belief():
 def test_a_covariance_that_is_not_definite_spoils_its_lane_alone():
     covs = np.broadcast_to(np.eye(2), (2, 3, 2, 2)).copy()
     covs[0, 1] = -np.eye(2)  # of positive determinant
-    weights = held_weights(np.full(3, 1 / 3), np.zeros((2, 3)), covs, 0.5, True)
+    weights = held_weights(np.full(3, 1 / 3), np.zeros((2, 3)), 0.5, sharpness(covs))
     assert np.isnan(weights[0]).all()
     np.testing.assert_allclose(weights[1], 1 / 3)
 
@@ -118,4 +120,4 @@ def test_a_covariance_that_is_not_definite_spoils_its_lane_alone():
 @pytest.mark.parametrize("decay", [-0.1, 1.1, np.nan])
 def test_a_decay_beyond_its_range_is_refused(decay):
     with pytest.raises(ValueError, match="decay is"):
-        held_weights(BASE, AGES, COVS, decay, False)
+        held_weights(BASE, AGES, decay)

@@ -27,10 +27,12 @@ from nodes.world import Controller, WorldConfig
 from topology.adjacency import Adjacency
 from topology.weights import metropolis
 
-DROP = HoldPolicy(lambda base, ages, covs, cycles: hold.drop(base, ages), carried=False)
-PREDICT = HoldPolicy(lambda base, ages, covs, cycles: hold.full(base, ages), carried=True)
+DROP = HoldPolicy(lambda base, ages, sharpness, cycles: hold.drop(base, ages), carried=False)
+PREDICT = HoldPolicy(lambda base, ages, sharpness, cycles: hold.full(base, ages), carried=True)
 DECAYED = HoldPolicy(
-    lambda base, ages, covs, cycles: hold.held_weights(base, ages, covs, 0.5, True), carried=True
+    lambda base, ages, sharpness, cycles: hold.held_weights(base, ages, 0.5, sharpness),
+    carried=True,
+    sharpness=hold.sharpness,
 )
 
 
