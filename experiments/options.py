@@ -66,6 +66,8 @@ class ScenarioOptions:
     """int16, float32 or float64 for readings on the wire (labelled)."""
     payload_bytes: int | None = None
     """Longest payload of a frame, 254 at most (labelled)."""
+    loss: float | None = None
+    """Probability that a link loses a frame on its way to one receiver, at least 0 and below 1."""
     control: str | None = None
     """Whose knowledge closes the loop of a controlled plant: a node's number, truth, or open."""
     noise: str | None = None

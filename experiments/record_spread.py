@@ -1,7 +1,6 @@
 """How labelled records spread in a run: what its frames carried, and who had which record when.
 
-The recording says what was sent, and not what a link lost: arrivals are those of a bus without
-loss, as every driver but a hostile test has it.
+The recording says what was sent; what a link lost follows from the scenario.
 """
 
 from collections import defaultdict
@@ -13,10 +12,11 @@ import numpy as np
 
 from nodes.estimator import Rejected
 from nodes.labelled import LabelledFlooding
+from nodes.link_state import LinkState, hears_all
 from nodes.messages import Array
 from nodes.share import Fragment, read_body
 from scenarios.build import build_node
-from scenarios.setup import Setup
+from scenarios.setup import Setup, link_state
 
 NEVER = -1
 
@@ -78,22 +78,27 @@ def record_spread(
     taken = np.sum(~np.isnan(readings), axis=(2, 3)) > 0
     steps, nodes = readings.shape[:2]
     rounds = setup.scenario.rounds
-    audience = [[i for i in range(nodes) if j in setup.neighbours[i]] for j in range(nodes)]
+    audience = [
+        np.array([i for i in range(nodes) if j in setup.neighbours[i]], dtype=int)
+        for j in range(nodes)
+    ]
+    links = link_state(setup.scenario)
     arrival = np.full((nodes, steps, nodes), steps)
     for step, node in np.argwhere(taken):
         arrival[node, step, node] = step
     shares = _shares(fragments, steps * rounds)
     body_bytes = np.zeros(steps, dtype=int)
     checkpoints = records = 0
-    for (cycle, sender), body in shares.items():
+    for (cycle, sender), (body, frames) in shares.items():
         step = cycle // rounds
         share = estimator.frames.decode(body)
+        reached = _reached(links, step, cycle, sender, audience[sender], frames)
         body_bytes[step] += len(body)
         checkpoints += share.checkpoint is not None
         records += len(share.records)
         for source, age, _ in share.records:
-            heard = arrival[audience[sender], step - age, source]
-            arrival[audience[sender], step - age, source] = np.minimum(heard, step)
+            heard = arrival[reached, step - age, source]
+            arrival[reached, step - age, source] = np.minimum(heard, step)
     arrival[arrival == steps] = NEVER
     return RecordSpread(
         taken,
@@ -147,13 +152,25 @@ def lines(figures: SpreadFigures) -> list[str]:
     ]
 
 
-def _shares(fragments: Iterable[tuple[int, Fragment]], cycles: int) -> dict[tuple[int, int], bytes]:
-    """The body of each complete share in these cycles, by cycle and sender."""
+def _reached(
+    links: LinkState, step: int, cycle: int, sender: int, audience: np.ndarray, frames: int
+) -> np.ndarray:
+    """Which of the audience (J,) all frames of a share reach."""
+    when = (np.array(step), np.array(cycle), np.array(sender))
+    heard = hears_all(links, *when, audience[:, None], np.arange(frames))
+    return audience[heard.all(axis=1)]
+
+
+def _shares(
+    fragments: Iterable[tuple[int, Fragment]], cycles: int
+) -> dict[tuple[int, int], tuple[bytes, int]]:
+    """The body and number of frames of each complete share in these cycles, by cycle and sender."""
     parts: dict[tuple[int, int], list[bytes]] = defaultdict(list)
     for node, fragment in fragments:
         if fragment.cycle < cycles:
             parts[fragment.cycle, node].append(fragment.data)
-    return {key: body for key, data in sorted(parts.items()) if (body := _body(data)) is not None}
+    bodies = {key: (_body(data), len(data)) for key, data in sorted(parts.items())}
+    return {key: (body, frames) for key, (body, frames) in bodies.items() if body is not None}
 
 
 def _body(parts: list[bytes]) -> bytes | None:

@@ -18,6 +18,7 @@ from bus.publication import Slot
 from bus.schedule import Schedule
 from filters.linalg import pack_upper
 from nodes.estimator import Content, Estimator, Rejected, Share
+from nodes.link_state import PERFECT, LinkState, hears
 from nodes.messages import (
     Bid,
     CycleClosed,
@@ -58,7 +59,7 @@ class NodeConfig:
     """Everything a node knows before the start.
 
     `neighbours` ascend, as the weights do; `slots(node, cycle)` are those of a node's share;
-    the cluster's cycle counter wraps at `cycle_counts`.
+    the cluster's cycle counter wraps at `cycle_counts`; `links` says which frames do not arrive.
     """
 
     index: int
@@ -69,15 +70,16 @@ class NodeConfig:
     slots: Callable[[int, int], tuple[Slot, ...]]
     estimator: Estimator
     cycle_counts: int = CYCLE_COUNTS
+    links: LinkState = PERFECT
 
 
 class Inbox(NamedTuple):
     """What has come before its time: heartbeats by step, grants by (cycle, group), shares and their
-    parts by (cycle, sender)."""
+    parts by (cycle, sender). What the link has lost is None: nobody waits for it any more."""
 
     measured: dict[int, Measured]
     grants: dict[tuple[int, int], tuple[int, ...]]
-    parts: dict[tuple[int, int], dict[int, bytes]]
+    parts: dict[tuple[int, int], dict[int, bytes | None]]
     shares: dict[tuple[int, int], Share | None]
 
 
@@ -264,22 +266,35 @@ def _hear(config: NodeConfig, state: NodeState, event: ShareHeard) -> NodeState:
     parts = state.inbox.parts.get(key, {})
     if key in state.inbox.shares or frame_id in parts:
         return _count(state, "repeated")
-    parts = {**parts, frame_id: data}
+    # The transport brings what the simulated link loses, so that nobody waits for it in vain.
+    arrives = config.links.perfect or hears(
+        config.links,
+        cycle // config.rounds,
+        cycle,
+        event.sender,
+        config.index,
+        frame_ids.index(frame_id),
+    )
+    parts = {**parts, frame_id: data if arrives else None}
+    if not arrives:
+        state = _count(state, "lost")
     if len(parts) == count:
         return _complete(config, state, key, list(parts.values()))
     return state._replace(inbox=state.inbox._replace(parts={**state.inbox.parts, key: parts}))
 
 
 def _complete(
-    config: NodeConfig, state: NodeState, key: tuple[int, int], fragments: list[bytes]
+    config: NodeConfig, state: NodeState, key: tuple[int, int], fragments: list[bytes | None]
 ) -> NodeState:
-    """All frames of a share are there: keep what it means; None marks one that is no use."""
+    """All frames of a share are there or lost: keep what it means; None marks one of no use."""
     share = None
-    try:
-        share = config.estimator.accept(read_body(fragments))
-        state = _count(state, "heard")
-    except Rejected as rejected:
-        state = _count(state, f"rejected {rejected.reason}")
+    whole = [fragment for fragment in fragments if fragment is not None]
+    if len(whole) == len(fragments):
+        try:
+            share = config.estimator.accept(read_body(whole))
+            state = _count(state, "heard")
+        except Rejected as rejected:
+            state = _count(state, f"rejected {rejected.reason}")
     parts = {k: v for k, v in state.inbox.parts.items() if k != key}
     shares = {**state.inbox.shares, key: share}
     return state._replace(inbox=state.inbox._replace(parts=parts, shares=shares))

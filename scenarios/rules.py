@@ -225,6 +225,11 @@ def _require_all_at_once(
             f"rule centralised with --schedule {scenario.schedule}: every node must publish in "
             "every cycle; use --schedule full, or rule hcmci or ci, which do with less"
         )
+    if scenario.loss > 0:
+        raise ValueError(
+            f"rule centralised with --loss {scenario.loss:g}: every node must hear all others in "
+            "every step; leave --loss out, or use rule hcmci or ci, which do with less"
+        )
     if scenario.rounds != 1:
         raise ValueError(
             f"rule centralised with --rounds {scenario.rounds}: one round tells everybody all, "

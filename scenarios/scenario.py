@@ -38,6 +38,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             a lossy bus lost is sent again; 0 for a bus without loss.
         record_number: rule labelled: int16, float32 or float64 for readings on the wire.
         payload_bytes: rule labelled: the longest payload of a frame.
+        loss: probability that a link loses a frame on its way to one receiver, in [0, 1).
         control: whose knowledge closes the loop of a plant: a node's number, truth, or open.
         noise: what the sensors really do, for plants that have a choice: matched, paper, ...
         manoeuvre: what the driver does (vehicle-network).
@@ -72,6 +73,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     digest_steps: int = 0
     record_number: str = "int16"
     payload_bytes: int = 254
+    loss: float = 0.0
     control: str = "open"
     noise: str = "matched"
     manoeuvre: str = "double-lane-change"
@@ -95,6 +97,7 @@ def check_ranges(scenario: Scenario) -> None:
     require(scenario.trigger >= 0, "trigger", scenario.trigger, "0 or more")
     require(scenario.stretch >= 1, "stretch", scenario.stretch, "at least 1")
     require(0 <= scenario.decay <= 1, "decay", scenario.decay, "in [0, 1]")
+    require(0 <= scenario.loss < 1, "loss", scenario.loss, "at least 0 and below 1")
     require(scenario.latch_delay_us >= 0, "latch-delay-us", scenario.latch_delay_us, "0 or more")
     require(scenario.digest_steps >= 0, "digest-steps", scenario.digest_steps, "0 or more")
     payload = scenario.payload_bytes

@@ -12,6 +12,7 @@ from importlib.metadata import version
 import msgspec
 import numpy as np
 
+from nodes.link_state import LinkState
 from nodes.messages import to_wire
 from scenarios.bus_plan import check_bus, plan_bus
 from scenarios.catalogue import kind_of
@@ -41,10 +42,19 @@ class Setup(msgspec.Struct, frozen=True):
 
 def generator(scenario: Scenario, purpose: str, node: int) -> np.random.Generator:
     """The random stream of one purpose at one node in one run of a scenario."""
+    return np.random.default_rng(_seed(scenario, purpose, node))
+
+
+def link_state(scenario: Scenario) -> LinkState:
+    """What the links of one run of a scenario lose."""
+    first, second = _seed(scenario, "links", 0).generate_state(2, np.uint64).tolist()
+    return LinkState((first, second), scenario.loss)
+
+
+def _seed(scenario: Scenario, purpose: str, node: int) -> np.random.SeedSequence:
     # A purpose is a number that does not depend on which purposes exist.
     code = int.from_bytes(hashlib.sha256(purpose.encode()).digest()[:4], "big")
-    key = (scenario.run, code, node)
-    return np.random.default_rng(np.random.SeedSequence(scenario.seed, spawn_key=key))
+    return np.random.SeedSequence(scenario.seed, spawn_key=(scenario.run, code, node))
 
 
 def prepare(scenario: Scenario) -> Setup:

@@ -34,6 +34,7 @@ def known_failures(setup: Setup) -> tuple[str, ...]:
         *_raw_hold(setup),
         *_inconsistent(setup),
         *_short_window(setup),
+        *_never_resent(setup),
         *_ideal_relay(setup),
     )
 
@@ -141,6 +142,16 @@ def _short_window(setup: Setup) -> Iterator[str]:
         )
 
 
+def _never_resent(setup: Setup) -> Iterator[str]:
+    """labelled: without digests nobody learns what a link has lost."""
+    scenario = setup.scenario
+    if scenario.rule == "labelled" and scenario.loss > 0 and scenario.digest_steps == 0:
+        yield (
+            f"rule labelled with --loss {scenario.loss:g} and no digests: a record that a link "
+            "loses is never sent again; use --digest-steps 8"
+        )
+
+
 def _ideal_relay(setup: Setup) -> Iterator[str]:
     """What relaying within a cycle takes for granted."""
     scenario = setup.scenario
@@ -160,10 +171,12 @@ def _ideal_relay(setup: Setup) -> Iterator[str]:
 
 
 def _who_is_silent(setup: Setup) -> str:
-    """Why not everybody publishes in every cycle, in the words of the options; "" if all do."""
+    """Why not everybody is heard in every cycle, in the words of the options; "" if all are."""
     scenario = setup.scenario
     if scenario.occupancy < 1:
         return f"--occupancy {scenario.occupancy:g}"
+    if scenario.loss > 0:
+        return f"--loss {scenario.loss:g}"
     if scenario.trigger > 0 and scenario.schedule in ("hybrid", "dynamic"):
         return f"--trigger {scenario.trigger:g}"
     return ""

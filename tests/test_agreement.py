@@ -29,6 +29,15 @@ SMALL = {
     "float32 on the wire": {"number": "float32", "graph": "path"},
     "the papers' average": {"rule": "wac", "hold": "drop"},
     "more rounds than a cycle counter": {"rounds": 70, "steps": 2, "graph": "path"},
+    "links that lose frames": {"loss": 0.3},
+    "links that lose frames, in turns and contention": {
+        "loss": 0.4,
+        "schedule": "hybrid",
+        "occupancy": 0.5,
+        "nodes": 6,
+        "rule": "hcmci",
+    },
+    "links that lose parts of shares": {"loss": 0.2, "cluster": "audi", "graph": "path"},
     "another run of the same seed": {"seed": 9, "run": 3},
 }
 TRACKING = {

@@ -1,6 +1,7 @@
 """How records spread, against what the nodes themselves hold at the end."""
 
 import numpy as np
+import pytest
 
 from experiments.drivers import drive
 from experiments.options import ScenarioOptions
@@ -18,8 +19,9 @@ def setup_of(**options) -> Setup:
     return prepare(ScenarioOptions(**chosen).resolve())
 
 
-def test_arrivals_are_what_the_nodes_hold():
-    setup = setup_of(rule="labelled", occupancy=0.4, window_steps=6)
+@pytest.mark.parametrize("lossy", [{}, {"loss": 0.4}, {"loss": 0.2, "cluster": "audi"}])
+def test_arrivals_are_what_the_nodes_hold(lossy: dict):
+    setup = setup_of(rule="labelled", occupancy=0.4, window_steps=6, **lossy)
     recorder = MemoryRecorder()
     nodes = [build_node(setup, node) for node in range(6)]
     states = in_process.run(build_world(setup), nodes, recorder)

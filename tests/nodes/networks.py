@@ -2,7 +2,7 @@
 
 import zlib
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -19,6 +19,7 @@ from filters.sigma_points import scaled_unscented
 from nodes import in_process
 from nodes.belief_codec import BeliefCodec
 from nodes.belief_consensus import BeliefConsensus, HoldPolicy
+from nodes.link_state import LinkState
 from nodes.messages import Array, Bid, Estimate, decode, from_wire
 from nodes.recording import MemoryRecorder
 from nodes.share import payload_lengths
@@ -205,6 +206,11 @@ def outcome(messages: list[tuple[str, bytes]], states: list[NodeState]) -> Outco
     n = mean.shape[-1]
     shape = (-1, count, n)
     return Outcome(mean.reshape(shape), cov.reshape(*shape, n), found, messages, states)
+
+
+def with_links(net: Network, links: LinkState) -> Network:
+    """The network with links that lose frames."""
+    return net._replace(nodes=[replace(node, links=links) for node in net.nodes])
 
 
 def losing(seed: int, probability: float) -> in_process.Link:

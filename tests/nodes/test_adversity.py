@@ -14,6 +14,9 @@ from bus.schedule import Schedule, dynamic_only, full_publish, hybrid, round_rob
 from filters.fusion import covariance_intersection, weighted_average
 from filters.gaussian import Gaussian
 from nodes.belief_consensus import HoldPolicy
+from nodes.in_process import first_come
+from nodes.link_state import LinkState, Outage, hears
+from nodes.share import read_frame
 from tests.nodes.networks import (
     DECAYED,
     DROP,
@@ -29,6 +32,7 @@ from tests.nodes.networks import (
     ring,
     run,
     shuffled,
+    with_links,
 )
 from topology.adjacency import Adjacency
 
@@ -80,6 +84,29 @@ def test_any_order_of_arrival_gives_the_same_bits(net: Network, loss: float, fat
         assert outcome.same_bits(first_come)
         assert [e.ages for e in outcome.estimates] == [e.ages for e in first_come.estimates]
         assert outcome.counted("missed") == first_come.counted("missed")
+
+
+@given(networks(), st.floats(0, 0.9), SEEDS, SEEDS)
+@settings(max_examples=40)
+def test_what_a_link_loses_is_as_if_it_had_never_come(
+    net: Network, loss: float, fate: int, order: int
+):
+    """Marked as lost on arrival, or dropped on the way until the time of a cycle is over."""
+    links = LinkState((fate, order), loss, outages=(Outage(0, 1, 1, 3),))
+    marked = with_links(net, links)
+
+    def dropping(sender: int, receiver: int, frame: bytes) -> Iterable[bytes]:
+        cycle = read_frame(frame).cycle
+        arrives = hears(links, cycle // net.world.rounds, cycle, sender, receiver)
+        return (frame,) if arrives else ()
+
+    dropped = run(net, dropping)
+    for pick in (first_come, shuffled(order), last_come):
+        outcome = run(marked, pick=pick)
+        assert outcome.same_bits(dropped)
+        assert outcome.counted("missed") == dropped.counted("missed")
+        assert outcome.counted("lost") == outcome.counted("missed")
+        assert outcome.counted("late") == 0
 
 
 @given(networks(), SEEDS)

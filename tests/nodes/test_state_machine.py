@@ -1,13 +1,16 @@
 """One node before whatever may come: it never raises, counts what it refuses, keeps its head."""
 
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bus.publication import Slot
 from bus.schedule import Schedule, dynamic_only, round_robin
+from nodes.link_state import LinkState, hears
 from nodes.messages import (
     Bid,
     CycleClosed,
@@ -249,3 +252,27 @@ def test_an_inbox_does_not_grow_with_time():
                 state, _ = step(config, state, ShareHeard(j, share(config, j, cycle)))
         sizes.append(len(state.inbox.shares) + len(state.inbox.parts) + len(state.inbox.measured))
     assert max(sizes) == 0
+
+
+def test_a_share_is_lost_with_any_of_its_frames_and_nobody_waits_for_the_rest():
+    """Shares of three frames, of which the link loses some: counted one by one, used whole or not
+    at all, in whatever order they come."""
+    plain = replace(middle_node(), slots=three_slots)
+    for key in range(40):
+        config = replace(plain, links=LinkState((key, 0), 0.3))
+        frames = to_frames(plain.estimator.codec.encode(PRIORS[0]), 0, three_slots(0, 0))  # type: ignore[attr-defined]
+        assert len(frames) == 3
+        arrive = [hears(config.links, 0, 0, 0, 1, number) for number in range(3)]
+        outcomes = []
+        for order in permutations(frames):
+            state, _ = feed(config, [heartbeat(0), *(ShareHeard(0, frame) for frame in order)])
+            assert awaited_neighbour(config, state) == 2
+            outcomes.append(state.counters)
+        sent = {"sent": 3}
+        lost = {"lost": arrive.count(False)} if not all(arrive) else {}
+        heard = {"heard": 1} if all(arrive) else {}
+        assert all(counters == sent | lost | heard for counters in outcomes)
+
+
+def three_slots(node: int, cycle: int) -> tuple[Slot, ...]:
+    return tuple(Slot(3 * node + part + 1, 24) for part in range(3))

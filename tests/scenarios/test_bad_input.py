@@ -38,6 +38,9 @@ NUMBERS = [
     ("--trigger -1", "0 or more"),
     ("--trigger nan", "0 or more"),
     ("--stretch 0.5", "at least 1"),
+    ("--loss -0.1", "at least 0 and below 1"),
+    ("--loss 1", "at least 0 and below 1"),
+    ("--loss nan", "at least 0 and below 1"),
 ]
 GRAPH_FILES = {
     "two.edges": "0 1\n2 3\n",

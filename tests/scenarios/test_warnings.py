@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from experiments import record_spread
 from experiments.drivers import in_memory
 from experiments.trace import read_trace
 from plants.linear import LinearModel, LinearPlant, LinearSensor
@@ -178,3 +179,24 @@ def test_rules_that_do_not_fuse_covariances_say_so(rule: str):
     (sentence,) = known_failures(setup_of(rule=rule))
     assert f"rule {rule} is not consistent" in sentence
     assert len(known_failures(setup_of(rule=rule, rounds=1))) == 2
+
+
+# --- links that lose frames ----------------------------------------------------------------------
+
+
+def test_labelled_without_digests_never_makes_good_what_a_link_lost():
+    """Every other frame is lost: with digests nearly all records arrive, without them fewer."""
+
+    def coverage(**changes) -> float:
+        setup = setup_of(rule="labelled", loss=0.5, **changes)
+        setup = prepare(msgspec.structs.replace(setup.scenario, steps=60, window_steps=16))
+        spread = read_trace(setup, in_memory(setup)).spread
+        assert spread is not None
+        return record_spread.figures_of(spread).coverage
+
+    assert coverage(digest_steps=8) > 0.99
+    assert coverage() < 0.95
+    assert quiet(rule="labelled", loss=0.5, digest_steps=8)
+    assert quiet(rule="labelled")
+    (warning,) = known_failures(setup_of(rule="labelled", loss=0.5))
+    assert "--digest-steps" in warning
