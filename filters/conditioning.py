@@ -3,8 +3,8 @@
 import numpy as np
 
 from filters.gaussian import Gaussian
-from filters.linalg import cholesky, multiply, symmetrise
 from filters.moments import Residual
+from filters.paths import path_of_correction
 from filters.update import Update, missing_entries, settle, without_rows
 
 
@@ -40,10 +40,6 @@ def condition(
         innovation = np.where(missing, 0.0, residual(taken, predicted))
         innovation_cov = without_rows(innovation_cov, missing)
         cross_cov = np.where(missing[..., None, :], 0.0, cross_cov)
-    whitener = np.linalg.inv(cholesky(innovation_cov))
-    whitened = multiply(whitener, innovation)
-    gain = cross_cov @ whitener.mT
-    cov = symmetrise(belief.cov - gain @ gain.mT)
-    after = Gaussian(belief.mean + multiply(gain, whitened), cov)
-    squared = np.vecdot(whitened, whitened)
+    correct = path_of_correction(belief, innovation).correct
+    after, squared = correct(belief, innovation, innovation_cov, cross_cov)
     return settle(belief, after, innovation, innovation_cov, squared, missing, gate)

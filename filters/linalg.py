@@ -5,6 +5,9 @@ import math
 
 import numpy as np
 
+from filters import columns
+from filters.columns import MANY_LANES, in_columns, in_rows
+
 
 def symmetrise(matrix: np.ndarray) -> np.ndarray:
     """The symmetric part of matrix (..., n, n)."""
@@ -20,12 +23,15 @@ def cholesky(matrix: np.ndarray) -> np.ndarray:
     Raises:
         numpy.linalg.LinAlgError: the last two axes are not square.
     """
+    if _many(matrix):
+        return in_rows(columns.cholesky(in_columns(matrix, 2)), matrix.shape[:-2])
     try:
         factor = np.linalg.cholesky(matrix)
     except np.linalg.LinAlgError:
         if matrix.ndim < 2 or matrix.shape[-1] != matrix.shape[-2]:
             raise
-        factor = _cholesky_by_columns(matrix)
+        # LAPACK gives up a batch for one lane.
+        return in_rows(columns.cholesky(in_columns(matrix, 2)), matrix.shape[:-2])
     return lose_failed(factor)
 
 
@@ -40,6 +46,8 @@ def lose_failed(factor: np.ndarray) -> np.ndarray:
 
 def inverse_spd(matrix: np.ndarray) -> np.ndarray:
     """Inverse (..., n, n) of symmetric positive definite matrices; NaN in a lane that is not."""
+    if _many(matrix):
+        return in_rows(columns.inverse_spd(in_columns(matrix, 2)), matrix.shape[:-2])
     whitener = np.linalg.inv(cholesky(matrix))
     return whitener.mT @ whitener
 
@@ -86,12 +94,7 @@ def _upper_triangle(n: int) -> tuple[np.ndarray, np.ndarray]:
     return np.triu_indices(n)
 
 
-def _cholesky_by_columns(matrix: np.ndarray) -> np.ndarray:
-    """The same factor by vector operations across lanes: LAPACK gives up a batch for one lane."""
-    lower = np.zeros(matrix.shape)
-    with np.errstate(invalid="ignore"):
-        for j in range(matrix.shape[-1]):
-            column = matrix[..., j:, j] - multiply(lower[..., j:, :j], lower[..., j, :j])
-            pivot = np.where(column[..., :1] > 0, column[..., :1], np.nan)
-            lower[..., j:, j] = column / np.sqrt(pivot)
-    return lower
+def _many(matrix: np.ndarray) -> bool:
+    """Whether to go along the lanes: matrices of some size are LAPACK's however many they are."""
+    n = matrix.shape[-1]
+    return n <= 16 and matrix.shape[-2] == n and matrix.size >= MANY_LANES * n * n > 0

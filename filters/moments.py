@@ -14,10 +14,10 @@ def evaluate(model: Model, points: np.ndarray, size: int, name: str) -> np.ndarr
     """The model's values (S, ..., size) at the points; `name` is what an error calls the model.
 
     Raises:
-        ValueError: the model returned another first or last axis.
+        ValueError: the model returned another shape.
     """
     values = np.asarray(model(points))
-    if values.ndim < 2 or values.shape[0] != points.shape[0] or values.shape[-1] != size:
+    if values.shape != (*points.shape[:-1], size):
         raise ValueError(
             f"{name} returned shape {values.shape} for points of shape {points.shape}, but it must "
             f"keep the leading axes and return {size} components (the noise covariance and the "

@@ -10,11 +10,12 @@ predicted belief before the update, so that they spread with the process noise a
 
 import numpy as np
 
+from filters.conditioning import condition
 from filters.gaussian import Gaussian
-from filters.linalg import cholesky, multiply, symmetrise
-from filters.moments import Model, Residual, check_noise, evaluate, moments, points_last
-from filters.sigma_points import SigmaPointRule, sigma_points
-from filters.update import Update, missing_entries, settle, without_rows
+from filters.moments import Model, Residual, check_noise
+from filters.paths import path_of_transform
+from filters.sigma_points import SigmaPointRule
+from filters.update import Update
 
 
 def predict(
@@ -41,10 +42,8 @@ def predict(
     """
     n = belief.mean.shape[-1]
     check_noise(noise_cov, n, "process noise covariance")
-    points = sigma_points(belief, rule)
-    mean, deviations = moments(evaluate(transition, points, n, "transition"), rule, residual)
-    weighted = rule.cov_weights[:, None] * deviations
-    return Gaussian(mean, symmetrise(weighted.mT @ deviations + noise_cov))
+    path = path_of_transform(belief, noise_cov, rule)
+    return path.predict(belief, transition, noise_cov, rule, residual)
 
 
 def update(
@@ -82,26 +81,8 @@ def update(
     measurement = np.asarray(measurement, dtype=float)
     m = measurement.shape[-1]
     check_noise(noise_cov, m, "measurement noise covariance")
-    points = sigma_points(belief, rule)
-    predicted, deviations = moments(evaluate(measure, points, m, "measure"), rule, residual)
-    weighted = rule.cov_weights[:, None] * deviations
-    innovation_cov = weighted.mT @ deviations + noise_cov
-    cross_cov = points_last(state_residual(points, belief.mean)).mT @ weighted
-
-    missing = missing_entries(measurement)
-    if missing is None:
-        innovation = residual(measurement, predicted)
-    else:
-        taken = np.where(missing, predicted, measurement)
-        innovation = np.where(missing, 0.0, residual(taken, predicted))
-        innovation_cov = without_rows(innovation_cov, missing)
-        cross_cov = np.where(missing[..., None, :], 0.0, cross_cov)
-
-    # With S = C C', the whitened gain G = K C = P_xz C^-T makes the posterior P - G G', which is
-    # symmetric as it is computed, and needs no inverse but that of a triangle.
-    whitener = np.linalg.inv(cholesky(innovation_cov))
-    whitened = multiply(whitener, innovation)
-    gain = cross_cov @ whitener.mT
-    after = Gaussian(belief.mean + multiply(gain, whitened), belief.cov - gain @ gain.mT)
-    squared = np.vecdot(whitened, whitened)
-    return settle(belief, after, innovation, innovation_cov, squared, missing, gate)
+    path = path_of_transform(belief, noise_cov, rule)
+    predicted, innovation_cov, cross_cov = path.expect(
+        belief, measure, m, noise_cov, rule, residual, state_residual
+    )
+    return condition(belief, measurement, predicted, innovation_cov, cross_cov, residual, gate)

@@ -1,0 +1,118 @@
+"""The unscented transform of a single lane, for a node of its own.
+
+At this size nothing counts but the number of calls into numpy, so everything is a product of two
+small matrices, and a matrix of up to two rows is factored in plain numbers.
+"""
+
+import math
+
+import numpy as np
+
+from filters.gaussian import Gaussian
+from filters.linalg import cholesky
+from filters.moments import Model, Residual, evaluate
+from filters.sigma_points import SigmaPointRule, check_rule
+
+
+def predict(
+    belief: Gaussian,
+    transition: Model,
+    noise_cov: np.ndarray,
+    rule: SigmaPointRule,
+    residual: Residual,
+) -> Gaussian:
+    """As `ukf.predict`, for a batch of one lane."""
+    shape = belief.mean.shape
+    n = shape[-1]
+    points, _ = _spread(belief, rule)
+    values = evaluate(transition, points, n, "transition")
+    mean, cov, _, _ = _moments(values, n, noise_cov, rule, residual)
+    return Gaussian(mean.reshape(shape), cov.reshape(*shape, n))
+
+
+def expect(
+    belief: Gaussian,
+    measure: Model,
+    m: int,
+    noise_cov: np.ndarray,
+    rule: SigmaPointRule,
+    residual: Residual,
+    state_residual: Residual,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Predicted measurement (..., m); covariances (..., m, m) of it, (..., n, m) with the state.
+
+    For a batch of one lane.
+    """
+    lanes, n = belief.mean.shape[:-1], belief.mean.shape[-1]
+    points, factor = _spread(belief, rule)
+    values = evaluate(measure, points, m, "measure")
+    predicted, cov, rows, shift = _moments(values, m, noise_cov, rule, residual)
+    if state_residual is np.subtract:
+        cross_cov = factor.dot(rule.weighted_unit_points.dot(rows))
+    else:
+        away = state_residual(points, belief.mean).reshape(-1, n)
+        cross_cov = (away[1:].T * rule.roots).dot(rows)
+        cross_cov -= np.outer(rule.cov_weights.dot(away), shift)
+    return (
+        predicted.reshape(*lanes, m),
+        cov.reshape(*lanes, m, m),
+        cross_cov.reshape(*lanes, n, m),
+    )
+
+
+def correct(
+    belief: Gaussian, innovation: np.ndarray, innovation_cov: np.ndarray, cross_cov: np.ndarray
+) -> tuple[Gaussian, np.ndarray]:
+    """The belief given an innovation (..., m), and the normalised innovation squared (...); for a
+    batch of one lane."""
+    shape, m = belief.mean.shape, innovation.shape[-1]
+    n = shape[-1]
+    whitener = _whitener(innovation_cov.reshape(m, m))
+    whitened = whitener.dot(innovation.reshape(m))
+    gain = cross_cov.reshape(n, m).dot(whitener.T)
+    mean = belief.mean.reshape(n) + gain.dot(whitened)
+    cov = belief.cov.reshape(n, n) - gain.dot(gain.T)
+    squared = whitened.dot(whitened)
+    return Gaussian(mean.reshape(shape), cov.reshape(*shape, n)), np.full(shape[:-1], squared)
+
+
+def _spread(belief: Gaussian, rule: SigmaPointRule) -> tuple[np.ndarray, np.ndarray]:
+    """Sigma points (S, ..., n), and the factor (n, n) that they were drawn with."""
+    shape = belief.mean.shape
+    n = shape[-1]
+    check_rule(rule, n)
+    factor = cholesky(belief.cov.reshape(n, n))
+    points = rule.unit_points.dot(factor.T)
+    points += belief.mean.reshape(n)
+    return points.reshape(-1, *shape), factor
+
+
+def _moments(
+    values: np.ndarray, size: int, noise_cov: np.ndarray, rule: SigmaPointRule, residual: Residual
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Mean (size,), cov (size, size), weighted differences (S - 1, size), shift of the mean."""
+    first = values[0]
+    rows = residual(values[1:], first).reshape(-1, size) * rule.roots[:, None]
+    shift = rule.roots.dot(rows)
+    cov = rows.T.dot(rows)
+    cov += (rule.curvature * shift)[:, None] * shift
+    cov += noise_cov.reshape(size, size)
+    return first.reshape(size) + shift, cov, rows, shift
+
+
+def _whitener(cov: np.ndarray) -> np.ndarray:
+    """Inverse (m, m) of the Cholesky factor; NaN where there is none."""
+    if len(cov) > 2:
+        return np.linalg.inv(cholesky(cov))
+    first = float(cov[0, 0])
+    if not first > 0:
+        return np.full(cov.shape, np.nan)
+    first = 1.0 / math.sqrt(first)
+    if len(cov) == 1:
+        return np.array([[first]])
+    across = float(cov[1, 0]) * first
+    second = float(cov[1, 1]) - across * across
+    if not second > 0:
+        return np.full(cov.shape, np.nan)
+    second = 1.0 / math.sqrt(second)
+    return np.array([[first, 0.0], [-across * first * second, second]])
