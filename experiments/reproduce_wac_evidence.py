@@ -233,8 +233,8 @@ def _rest_error() -> float:
 
 def _consensus() -> dict:
     """The limit of (30) on a path, whose row-stochastic weights are not doubly stochastic."""
-    limit = np.linalg.matrix_power(equal_neighbour(path(8)), 5000)
-    balanced = np.linalg.matrix_power(metropolis(ring(8)), 5000)
+    limit = np.linalg.matrix_power(equal_neighbour(path(8)).toarray(), 5000)
+    balanced = np.linalg.matrix_power(metropolis(ring(8)).toarray(), 5000)
     rounds = 3
     return {
         "limit_away_from_first_weight": float(np.abs(limit[0] - limit[0, 0]).max()),

@@ -19,8 +19,8 @@ from plants.linear import LinearPlant
 from plants.motor import motor_position, motor_speed
 from plants.pitch import pitch
 from plants.suspension import suspension
-from topology.analysis import second_eigenvalue_modulus
 from topology.graphs import build_graph
+from topology.spectrum import second_eigenvalue_modulus
 from topology.weights import metropolis
 
 NODES = 8
@@ -64,7 +64,7 @@ class Exact(NamedTuple):
 
 def weights_of(graph: str) -> Array:
     """Metropolis weights (8, 8) of one of GRAPHS."""
-    return metropolis(build_graph(graph, NODES, GEOMETRIC_SEED))
+    return metropolis(build_graph(graph, NODES, GEOMETRIC_SEED)).toarray()
 
 
 def averagings(graphs: tuple[str, ...], rounds: tuple[int, ...]) -> Array:

@@ -18,7 +18,7 @@ from filters import hold
 from nodes.belief_consensus import HoldPolicy
 from nodes.messages import Array
 from scenarios.catalogue import kind_of
-from topology.analysis import second_eigenvalue_modulus
+from topology.spectrum import second_eigenvalue_modulus
 
 
 class Variant(NamedTuple):

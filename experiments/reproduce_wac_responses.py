@@ -165,7 +165,7 @@ def _trials(
         sensors=plant.sensors,
     )
     fresh = HoldPolicy(lambda base, ages, covs, cycle: hold.renormalise(base, ages), carried=False)
-    wiring = wire(metropolis(ring(NODES)), ROUNDS, full_publish(NODES), fresh)
+    wiring = wire(metropolis(ring(NODES)).toarray(), ROUNDS, full_publish(NODES), fresh)
     network = estimate(runs, wiring, averaging_of("wac", NODES, len(plant.state_names)))
     central = centralised(runs)
     return {

@@ -97,7 +97,7 @@ def section(place: int, outcomes: list[Outcome]) -> Section:
 
 
 def _try(factor: float, seeing: int, rounds: int) -> Outcome:
-    averaging = np.linalg.matrix_power(metropolis(ring(NODES)), rounds)
+    averaging = np.linalg.matrix_power(metropolis(ring(NODES)).toarray(), rounds)
     blind = np.diag(np.arange(NODES) >= seeing).astype(float)
     radius = float(np.abs(np.linalg.eigvals(averaging @ blind)).max())
     information = np.where(np.arange(NODES) < seeing, 1 / VARIANCE, 0.0)[:, None, None]

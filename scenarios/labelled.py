@@ -15,7 +15,6 @@ from nodes.labelled_frame import (
     check_limit,
 )
 from nodes.local_filter import Sensor
-from nodes.messages import Array
 from nodes.record_codec import record_codec
 from nodes.share import PREFIX_BYTES as CYCLE_BYTES
 from scenarios.scenario import Scenario
@@ -86,7 +85,7 @@ def latency_steps(scenario: Scenario, neighbours: Sequence[Sequence[int]]) -> in
 
 
 def check_labelled(
-    scenario: Scenario, neighbours: Sequence[Sequence[int]], _weights: Array
+    scenario: Scenario, neighbours: Sequence[Sequence[int]], _weights: object
 ) -> None:
     """Refuse what the rule cannot do.
 

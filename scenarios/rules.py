@@ -32,6 +32,7 @@ from topology.names import unknown_name
 
 if TYPE_CHECKING:
     from scenarios.setup import Setup
+    from topology.weights import Weights
 
 _NUMBERS = {"float64": "<f8", "float32": "<f4"}
 _DEFAULT_HOLD = "decayed"
@@ -59,7 +60,7 @@ class Rule(NamedTuple):
     estimator: Callable[[Seat], Estimator]
     holds: bool = False
     relays: bool = False
-    check: Callable[[Scenario, Sequence[Sequence[int]], Array], None] | None = None
+    check: "Callable[[Scenario, Sequence[Sequence[int]], Weights], None] | None" = None
     certain: bool = False
     listen: "Callable[[Setup, Sequence[int], Array, Array | None], Gaussian] | None" = None
 
@@ -86,7 +87,7 @@ def is_certain(scenario: Scenario) -> bool:
     return rule is not None and rule.certain
 
 
-def check_rule(scenario: Scenario, neighbours: Sequence[Sequence[int]], weights: Array) -> None:
+def check_rule(scenario: Scenario, neighbours: Sequence[Sequence[int]], weights: "Weights") -> None:
     """Refuse a rule on a network that it cannot run on, or with a hold policy that it cannot use.
 
     Raises:
@@ -195,7 +196,7 @@ _HOLDS: dict[str, Callable[[Scenario], HoldPolicy]] = {
 
 
 def _require_the_average(
-    scenario: Scenario, neighbours: Sequence[Sequence[int]], weights: Array
+    scenario: Scenario, neighbours: Sequence[Sequence[int]], weights: "Weights"
 ) -> None:
     # Only here: whoever checks a scenario may be slow to start, a node of the network may not.
     from topology.weights import check_doubly_stochastic
@@ -210,7 +211,7 @@ def _require_the_average(
 
 
 def _require_all_at_once(
-    scenario: Scenario, neighbours: Sequence[Sequence[int]], weights: Array
+    scenario: Scenario, neighbours: Sequence[Sequence[int]], weights: "Weights"
 ) -> None:
     everybody = len(neighbours) - 1
     deaf = [node for node, heard in enumerate(neighbours) if len(heard) < everybody]

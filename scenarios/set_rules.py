@@ -16,6 +16,7 @@ from scenarios.scenario import Scenario
 
 if TYPE_CHECKING:
     from scenarios.setup import Setup
+    from topology.weights import Weights
 
 MakeShape = Callable[[int, str], Shape]
 
@@ -42,7 +43,9 @@ def _estimator(shape: Shape, seat: Seat) -> SetMembership:
     )
 
 
-def check_bounded(scenario: Scenario, neighbours: Sequence[Sequence[int]], weights: Array) -> None:
+def check_bounded(
+    scenario: Scenario, neighbours: Sequence[Sequence[int]], weights: "Weights"
+) -> None:
     """Refuse a plant without bounds, and sets that are not carried through it.
 
     Raises:

@@ -64,9 +64,10 @@ def prepare(scenario: Scenario) -> Setup:
         ValueError: anything that cannot run, named with its value, the rule and the cure.
     """
     # Only here: a process of the network is handed the graph and need not know how to draw it.
+    from topology.adjacency import neighbours_of
     from topology.analysis import require_connected
     from topology.graphs import build_graph
-    from topology.weights import build_weights, check_weights
+    from topology.weights import build_weights, check_weights, per_node
 
     check_ranges(scenario)
     kind = kind_of(scenario.name)
@@ -80,11 +81,11 @@ def prepare(scenario: Scenario) -> Setup:
     check_weights(weights, adjacency)
     draws = plant.draw(partial(generator, scenario), scenario.steps)
     initial_state, prior_mean, prior_cov = plant.initial(draws.initial)
-    neighbours = [np.flatnonzero(row).tolist() for row in adjacency]
+    neighbours = neighbours_of(adjacency)
     setup = Setup(
         scenario,
         neighbours,
-        [weights[i, [i, *heard]].tolist() for i, heard in enumerate(neighbours)],
+        per_node(weights, neighbours),
         to_wire(initial_state),
         prior_mean.tolist(),
         prior_cov.tolist(),

@@ -11,7 +11,9 @@ from scenarios.catalogue import kind_of
 from scenarios.labelled import latency_steps, window_of
 from scenarios.rules import rule_of
 from scenarios.setup import Setup, generator
-from topology.analysis import rounds_to, second_eigenvalue_modulus
+from topology.analysis import rounds_to
+from topology.spectrum import second_eigenvalue_modulus, vote_of
+from topology.weights import Weights, from_per_node
 
 # Numerical derivatives put an eigenvalue of 1 a little beside it.
 _MARGIN = 1e-6
@@ -54,8 +56,7 @@ def _diverging_average(setup: Setup) -> Iterator[str]:
         return
     growth = _spectral_radius(_transition_matrix(setup))
     blind = _blind(setup)
-    votes = np.linalg.matrix_power(_weights(setup), scenario.rounds) * blind
-    vote = _spectral_radius(votes)
+    vote = vote_of(_weights(setup), scenario.rounds, blind)
     if growth**2 * vote <= 1 + _MARGIN:
         return
     mean = growth * vote > 1 + _MARGIN
@@ -182,12 +183,9 @@ def _who_is_silent(setup: Setup) -> str:
     return ""
 
 
-def _weights(setup: Setup) -> Array:
-    """The weight matrix (N, N) of a setup."""
-    weights = np.zeros((len(setup.neighbours), len(setup.neighbours)))
-    for i, heard in enumerate(setup.neighbours):
-        weights[i, [i, *heard]] = setup.weights[i]
-    return weights
+def _weights(setup: Setup) -> Weights:
+    """The sparse weight matrix (N, N) of a setup."""
+    return from_per_node(setup.weights, setup.neighbours)
 
 
 def _blind(setup: Setup) -> Array:

@@ -1,21 +1,83 @@
-"""The matrix of a graph (symmetric, boolean, zero diagonal), and how to draw a connected one."""
+"""The matrix of a graph: sparse, boolean, nothing on its diagonal; and how to draw a connected one.
+
+Entry (i, j) says that node i hears node j. Nothing here is dense: memory and time go with the
+number of links.
+"""
 
 from collections.abc import Callable
+from typing import Any, TypeVar
 
 import networkx
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import coo_array, csr_array
+from scipy.sparse.csgraph import connected_components
 
-Adjacency = NDArray[np.bool_]
+Adjacency = csr_array
 
 ATTEMPTS = 1000
+
+Drawn = TypeVar("Drawn")
 
 
 def adjacency_of(graph: networkx.Graph) -> Adjacency:
     """Boolean (n, n) of an undirected graph, nodes in sorted order, self-loops left out."""
-    adjacency = networkx.to_numpy_array(graph, nodelist=sorted(graph)) > 0
-    np.fill_diagonal(adjacency, False)
-    return adjacency
+    index = {node: number for number, node in enumerate(sorted(graph))}
+    ends = np.array([(index[a], index[b]) for a, b in graph.edges()], dtype=int).reshape(-1, 2)
+    return both_ways(len(index), ends[:, 0], ends[:, 1])
+
+
+def from_links(nodes: int, hearer: ArrayLike, heard: ArrayLike) -> Adjacency:
+    """Boolean (nodes, nodes) in which `hearer` (links,) hears `heard` (links,).
+
+    Repeated links count once, links of a node to itself are left out.
+    """
+    rows, columns = np.asarray(hearer, dtype=int), np.asarray(heard, dtype=int)
+    true = rows != columns
+    ones = np.ones(int(true.sum()), dtype=np.int8)
+    summed = coo_array((ones, (rows[true], columns[true])), shape=(nodes, nodes)).tocsr()
+    return csr_array(summed, dtype=bool)
+
+
+def both_ways(nodes: int, one: ArrayLike, other: ArrayLike) -> Adjacency:
+    """Boolean (nodes, nodes) in which `one` (links,) and `other` (links,) hear each other."""
+    one, other = np.asarray(one, dtype=int), np.asarray(other, dtype=int)
+    return from_links(nodes, np.concatenate((one, other)), np.concatenate((other, one)))
+
+
+def links_of(adjacency: Adjacency) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Who hears (links,) and who is heard (links,), by hearer and then by heard."""
+    entries = csr_array(adjacency).tocoo()
+    order = np.lexsort((entries.col, entries.row))
+    return entries.row[order].astype(np.intp), entries.col[order].astype(np.intp)
+
+
+def neighbours_of(adjacency: Adjacency) -> list[list[int]]:
+    """Whom each node hears, ascending."""
+    hearer, heard = links_of(adjacency)
+    ends = np.searchsorted(hearer, np.arange(1, nodes_of(adjacency)))
+    return [part.tolist() for part in np.split(heard, ends)]
+
+
+def nodes_of(matrix: Any) -> int:
+    """How many nodes a graph or its weights (n, n) have."""
+    return matrix.shape[0]
+
+
+def degrees(adjacency: Adjacency) -> NDArray[np.int64]:
+    """How many others each node (n,) hears."""
+    return np.asarray(adjacency.sum(axis=1, dtype=np.int64)).ravel()
+
+
+def is_symmetric(adjacency: Adjacency) -> bool:
+    """Whether whoever is heard hears too."""
+    return one_way_links(adjacency).shape[0] == 0
+
+
+def one_way_links(adjacency: Adjacency) -> NDArray[np.intp]:
+    """Links (k, 2) of hearer and heard whose heard does not hear back, by hearer and heard."""
+    counts = csr_array(adjacency, dtype=np.int8)
+    return np.stack(links_of((counts - counts.T) > 0), axis=-1)
 
 
 def require_nodes(nodes: int, what: str) -> None:
@@ -25,16 +87,16 @@ def require_nodes(nodes: int, what: str) -> None:
 
 
 def is_connected(adjacency: Adjacency) -> bool:
-    """Whether every node of a graph (n, n) reaches every other."""
-    return networkx.is_connected(networkx.from_numpy_array(adjacency))
+    """Whether every node of a graph (n, n) reaches every other, taking links both ways."""
+    return connected_components(adjacency, directed=False, return_labels=False) == 1
 
 
 def first_accepted(
-    draw: Callable[[np.random.Generator], NDArray],
-    accept: Callable[[NDArray], bool],
+    draw: Callable[[np.random.Generator], Drawn],
+    accept: Callable[[Drawn], bool],
     seed: int,
     what: str,
-) -> NDArray:
+) -> Drawn:
     """The first of at most `ATTEMPTS` draws from the stream of `seed` that is accepted.
 
     Raises:

@@ -1,54 +1,69 @@
 """What a graph and its weights promise: connection, weak points, speed of agreement."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import networkx
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components, shortest_path
 
-from topology.adjacency import Adjacency
+from topology.adjacency import Adjacency, degrees, is_symmetric, links_of, nodes_of
+from topology.spectrum import contraction_per_round, second_eigenvalue_modulus
 
 Array = NDArray[np.float64]
+
+# Distances are found from so many nodes at a time, for the sake of memory.
+_SOURCES = 500
 
 
 @dataclass(frozen=True)
 class Analysis:
     """A graph with weights, in figures.
 
+    `links` are pairs of nodes, or who-hears-whom where the graph is `directed`. `components` are
+    the parts whose nodes all reach each other (strongly, in a directed graph), `weak_components`
+    those that hang together at all. `cut_nodes` and `cut_links` divide a part if they are lost.
     `diameter` and `rounds_to_one_percent` are None where no number is large enough: the graph is in
     pieces, or its weights never lead to agreement.
     """
 
     nodes: int
     links: int
+    directed: bool
     components: tuple[tuple[int, ...], ...]
+    weak_components: int
     degree_min: int
     degree_mean: float
     degree_max: int
     diameter: int | None
     cut_nodes: tuple[int, ...]
+    cut_links: tuple[tuple[int, int], ...]
     second_eigenvalue_modulus: float
     contraction_per_round: float
     rounds_to_one_percent: int | None
 
 
-def analyse(adjacency: Adjacency, weights: Array) -> Analysis:
+def analyse(adjacency: Adjacency, weights: csr_array) -> Analysis:
     """The figures of a graph (n, n) under weights (n, n)."""
-    graph = networkx.from_numpy_array(adjacency)
-    degree = adjacency.sum(axis=1)
+    degree = degrees(adjacency)
+    directed = not is_symmetric(adjacency)
     parts = components(adjacency)
     modulus = second_eigenvalue_modulus(weights)
     return Analysis(
-        nodes=len(adjacency),
-        links=int(degree.sum()) // 2,
+        nodes=nodes_of(adjacency),
+        links=int(degree.sum()) if directed else int(degree.sum()) // 2,
+        directed=directed,
         components=parts,
+        weak_components=connected_components(adjacency, directed=False, return_labels=False),
         degree_min=int(degree.min()),
         degree_mean=float(degree.mean()),
         degree_max=int(degree.max()),
-        diameter=networkx.diameter(graph) if len(parts) == 1 else None,
-        cut_nodes=tuple(sorted(networkx.articulation_points(graph))),
+        diameter=diameter(adjacency) if len(parts) == 1 else None,
+        cut_nodes=cut_nodes(adjacency),
+        cut_links=cut_links(adjacency),
         second_eigenvalue_modulus=modulus,
         contraction_per_round=contraction_per_round(weights),
         rounds_to_one_percent=rounds_to(0.01, modulus),
@@ -56,10 +71,12 @@ def analyse(adjacency: Adjacency, weights: Array) -> Analysis:
 
 
 def components(adjacency: Adjacency) -> tuple[tuple[int, ...], ...]:
-    """The connected parts of a graph (n, n): their nodes ascending, parts by their first node."""
-    count, label = connected_components(adjacency, directed=False)
-    parts = (tuple(np.flatnonzero(label == part).tolist()) for part in range(count))
-    return tuple(sorted(parts))
+    """The parts of a graph (n, n) whose nodes all reach each other: their nodes ascending, parts by
+    their first node."""
+    count, label = connected_components(adjacency, connection="strong")
+    order = np.argsort(label, kind="stable")
+    ends = np.searchsorted(label[order], np.arange(1, count))
+    return tuple(sorted(tuple(part.tolist()) for part in np.split(order, ends)))
 
 
 def require_connected(adjacency: Adjacency) -> None:
@@ -68,31 +85,64 @@ def require_connected(adjacency: Adjacency) -> None:
     if len(parts) > 1:
         named = "; ".join(_abbreviated(part) for part in parts[:8])
         more = f"; and {len(parts) - 8} more" if len(parts) > 8 else ""
+        cannot = "cannot hear each other" if is_symmetric(adjacency) else "do not all hear all"
         raise ValueError(
-            f"the graph is in {len(parts)} pieces that cannot hear each other ({named}{more}); "
+            f"the graph is in {len(parts)} pieces that {cannot} ({named}{more}); "
             "add links or raise the radio range"
         )
 
 
-def second_eigenvalue_modulus(weights: Array) -> float:
-    """Second largest modulus among the eigenvalues of row-stochastic weights (n, n).
-
-    By this factor disagreement falls per round in the long run (Xiao, Boyd 2004, the asymptotic
-    convergence factor); 0 for one node.
-    """
-    eigenvalues = np.linalg.eigvals(weights)
-    # All rows sum to 1, so one eigenvalue is 1; the one nearest to it is that one.
-    others = np.delete(eigenvalues, np.argmin(np.abs(eigenvalues - 1)))
-    return min(float(np.abs(others).max(initial=0.0)), 1.0)
+def diameter(adjacency: Adjacency) -> int:
+    """The most hops between any two nodes of a graph (n, n) in one piece."""
+    nodes = nodes_of(adjacency)
+    starts = np.array_split(np.arange(nodes), math.ceil(nodes / _SOURCES))
+    farthest = (shortest_path(adjacency, unweighted=True, indices=part).max() for part in starts)
+    return int(max(farthest))
 
 
-def contraction_per_round(weights: Array) -> float:
-    """The largest part of a disagreement that one round of doubly stochastic weights (n, n) leaves.
+def cut_nodes(adjacency: Adjacency) -> tuple[int, ...]:
+    """Nodes whose loss leaves more parts than there were; ascending."""
+    if is_symmetric(adjacency):
+        return tuple(sorted(networkx.articulation_points(_undirected(adjacency))))
+    before = len(components(adjacency))
+    alone = {part[0] for part in components(adjacency) if len(part) == 1}
+    everyone = np.arange(nodes_of(adjacency))
 
-    Xiao, Boyd 2004, the per-step convergence factor. Symmetric weights have it equal to the second
-    eigenvalue modulus.
-    """
-    return float(np.linalg.norm(_without_average(weights), ord=2))
+    def parts_without(node: int) -> int:
+        rest = np.delete(everyone, node)
+        return _strong_parts(adjacency[rest][:, rest]) if len(rest) else 0
+
+    return tuple(i for i in everyone.tolist() if parts_without(i) > before - (i in alone))
+
+
+def cut_links(adjacency: Adjacency) -> tuple[tuple[int, int], ...]:
+    """Links whose loss leaves more parts than there were: bridges, each as its ends ascending; in a
+    directed graph each as (who hears, who is heard)."""
+    if is_symmetric(adjacency):
+        bridges = networkx.bridges(_undirected(adjacency))
+        return tuple(sorted((min(ends), max(ends)) for ends in bridges))
+    return tuple(_directed_cut_links(adjacency))
+
+
+def _directed_cut_links(adjacency: Adjacency) -> Iterator[tuple[int, int]]:
+    before = _strong_parts(adjacency)
+    hearer, heard = links_of(adjacency)
+    for link, ends in enumerate(zip(hearer.tolist(), heard.tolist(), strict=True)):
+        kept = np.delete(np.arange(len(hearer)), link)
+        ones = np.ones(len(kept), dtype=bool)
+        rest = csr_array((ones, (hearer[kept], heard[kept])), shape=adjacency.shape)
+        if _strong_parts(rest) > before:
+            yield ends
+
+
+def _strong_parts(adjacency: Adjacency) -> int:
+    return connected_components(adjacency, connection="strong", return_labels=False)
+
+
+def _undirected(adjacency: Adjacency) -> networkx.Graph:
+    graph = networkx.empty_graph(nodes_of(adjacency))
+    graph.add_edges_from(np.stack(links_of(adjacency), axis=-1).tolist())
+    return graph
 
 
 def rounds_to(disagreement: float, factor: float) -> int | None:
@@ -109,11 +159,6 @@ def rounds_to(disagreement: float, factor: float) -> int | None:
     if factor <= disagreement:  # a complete graph leaves nothing, and 0 has no logarithm
         return 1
     return math.ceil(math.log(disagreement) / math.log(factor))
-
-
-def _without_average(weights: Array) -> Array:
-    """W - 11'/n: the same on disagreements, zero on agreement."""
-    return weights - 1 / len(weights)
 
 
 def _abbreviated(part: tuple[int, ...]) -> str:

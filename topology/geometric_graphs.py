@@ -6,7 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from topology.adjacency import Adjacency, first_accepted, is_connected, require_nodes
+from topology.adjacency import (
+    Adjacency,
+    both_ways,
+    first_accepted,
+    is_connected,
+    require_nodes,
+)
 
 Array = NDArray[np.float64]
 
@@ -29,10 +35,8 @@ def geometric(positions: Array, radius: float) -> Adjacency:
         raise ValueError(
             f"geometric graph: radius {radius} must be above 0 and finite; give the radio range"
         )
-    adjacency = np.zeros((len(positions), len(positions)), dtype=bool)
     one, other = KDTree(positions).query_pairs(radius, output_type="ndarray").T
-    adjacency[one, other] = adjacency[other, one] = True
-    return adjacency
+    return both_ways(len(positions), one, other)
 
 
 def scatter(nodes: int, seed: int, radius: float | None = None) -> Array:

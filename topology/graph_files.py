@@ -20,7 +20,15 @@ from xml.etree import ElementTree
 import networkx
 import numpy as np
 
-from topology.adjacency import Adjacency
+from topology.adjacency import (
+    Adjacency,
+    both_ways,
+    degrees,
+    from_links,
+    links_of,
+    nodes_of,
+    one_way_links,
+)
 
 _SUFFIXES = (".edges", ".edgelist", ".txt", ".csv", ".graphml")
 
@@ -34,7 +42,7 @@ def read_graph(file: str | Path, nodes: int | None = None) -> Adjacency:
     """
     file = Path(file)
     adjacency, names = _read(file, nodes)
-    for one, other in np.argwhere(adjacency & ~adjacency.T):
+    for one, other in one_way_links(adjacency):
         raise ValueError(_one_way(file, names[one], names[other]))
     return adjacency
 
@@ -58,13 +66,13 @@ def _read(file: Path, nodes: int | None) -> tuple[Adjacency, list[str]]:
         adjacency, names = _read_graphml(file)
     else:
         adjacency = _read_matrix(file) if suffix == ".csv" else _read_edge_list(file)
-        names = [str(node) for node in range(len(adjacency))]
-    if not len(adjacency):
+        names = [str(node) for node in range(nodes_of(adjacency))]
+    if not names:
         raise ValueError(f"{file}: no nodes; give at least one")
-    if nodes is not None and len(adjacency) != nodes:
+    if nodes is not None and len(names) != nodes:
         raise ValueError(
-            f"{file}: {len(adjacency)} nodes, but {nodes} were asked for; "
-            f"ask for {len(adjacency)} nodes or change the file"
+            f"{file}: {len(names)} nodes, but {nodes} were asked for; "
+            f"ask for {len(names)} nodes or change the file"
         )
     return adjacency, names
 
@@ -74,12 +82,13 @@ def write_graph(file: str | Path, adjacency: Adjacency) -> None:
     file = Path(file)
     suffix = _known_suffix(file)
     if suffix == ".graphml":
-        networkx.write_graphml(networkx.from_numpy_array(adjacency.astype(int)), file)
+        networkx.write_graphml(networkx.from_scipy_sparse_array(adjacency.astype(int)), file)
     elif suffix == ".csv":
-        np.savetxt(file, adjacency, fmt="%d", delimiter=",")
+        np.savetxt(file, adjacency.toarray(), fmt="%d", delimiter=",")
     else:
-        links = [f"{one} {other}\n" for one, other in np.argwhere(np.triu(adjacency))]
-        alone = [f"{node}\n" for node in np.flatnonzero(~adjacency.any(axis=1))]
+        pairs = np.stack(links_of(adjacency), axis=-1)
+        links = [f"{one} {other}\n" for one, other in pairs if one < other]
+        alone = [f"{node}\n" for node in np.flatnonzero(degrees(adjacency) == 0)]
         file.write_text("".join(links + alone))
 
 
@@ -127,10 +136,8 @@ def _read_edge_list(file: Path) -> Adjacency:
             f"{file}: node {missing} is missing below node {max(named)}; number the nodes from 0, "
             "and give a node without links a line of its own"
         )
-    adjacency = np.zeros((len(named), len(named)), dtype=bool)
-    for one, other in links:
-        adjacency[one, other] = adjacency[other, one] = True
-    return adjacency
+    ends = np.array(links, dtype=int).reshape(-1, 2)
+    return both_ways(len(named), ends[:, 0], ends[:, 1])
 
 
 def _read_matrix(file: Path) -> Adjacency:
@@ -143,10 +150,10 @@ def _read_matrix(file: Path) -> Adjacency:
                 f"{where}: {len(row)} entries in a matrix of {len(rows)} rows; "
                 "give a square matrix with one row per node"
             )
-    adjacency = np.array([row for _, row in rows]).reshape(len(rows), len(rows)) > 0
-    for node in np.flatnonzero(adjacency.diagonal()):
+    matrix = np.array([row for _, row in rows]).reshape(len(rows), len(rows)) > 0
+    for node in np.flatnonzero(matrix.diagonal()):
         raise ValueError(f"{rows[node][0]}: node {node} is linked to itself; put 0 on the diagonal")
-    return adjacency
+    return from_links(len(rows), *np.nonzero(matrix))
 
 
 def _read_graphml(file: Path) -> tuple[Adjacency, list[str]]:
@@ -158,15 +165,13 @@ def _read_graphml(file: Path) -> tuple[Adjacency, list[str]]:
     if set(names) == {str(number) for number in range(len(names))}:
         names.sort(key=int)
     index = {name: number for number, name in enumerate(names)}
-    adjacency = np.zeros((len(names), len(names)), dtype=bool)
-    for one, other in graph.edges():
-        # What `one` sends along the edge, `other` hears.
-        adjacency[index[other], index[one]] = True
-    if not graph.is_directed():
-        adjacency |= adjacency.T
-    for node in np.flatnonzero(adjacency.diagonal()):
+    ends = np.array([(index[one], index[other]) for one, other in graph.edges()], dtype=int)
+    sender, hearer = ends.reshape(-1, 2).T
+    for node in sender[sender == hearer]:
         raise ValueError(f"{file}: node {names[node]} is linked to itself; remove that edge")
-    return adjacency, names
+    # What one end of an edge sends, the other hears.
+    link = from_links if graph.is_directed() else both_ways
+    return link(len(names), hearer, sender), names
 
 
 def _node(field: str, where: str) -> int:

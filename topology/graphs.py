@@ -1,7 +1,7 @@
 """Graphs of fixed shape, and every graph by its name.
 
-A graph is a boolean matrix `(n, n)` with a zero diagonal: entry (i, j) says that node i hears node
-j. It is symmetric but where a directed graph is asked for.
+A graph is a sparse boolean matrix `(n, n)` with nothing on its diagonal: entry (i, j) says that
+node i hears node j. It is symmetric but where a directed graph is asked for.
 """
 
 import math
@@ -12,7 +12,7 @@ import networkx
 import numpy as np
 from numpy.typing import NDArray
 
-from topology.adjacency import Adjacency, adjacency_of, require_nodes
+from topology.adjacency import Adjacency, adjacency_of, both_ways, require_nodes
 from topology.geometric_graphs import connecting_radius, geometric, scatter
 from topology.graph_files import read_directed_graph, read_graph
 from topology.names import unknown_name
@@ -23,6 +23,8 @@ from topology.random_graphs import (
     scale_free,
     small_world,
 )
+
+MOST_COMPLETE = 4000
 
 
 def ring(nodes: int) -> Adjacency:
@@ -44,9 +46,14 @@ def star(nodes: int) -> Adjacency:
 
 
 def complete(nodes: int) -> Adjacency:
-    """Everyone hears everyone. Raises ValueError for no nodes."""
+    """Everyone hears everyone. Raises ValueError for no nodes, or more than `MOST_COMPLETE`."""
     require_nodes(nodes, "complete graph")
-    return adjacency_of(networkx.complete_graph(nodes))
+    if nodes > MOST_COMPLETE:
+        raise ValueError(
+            f"complete graph of {nodes} nodes: it has {nodes * (nodes - 1) // 2} links; ask for at "
+            f"most {MOST_COMPLETE} nodes, or a graph whose links grow with its nodes"
+        )
+    return both_ways(nodes, *np.triu_indices(nodes, 1))
 
 
 def grid(rows: int, columns: int) -> Adjacency:

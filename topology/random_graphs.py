@@ -43,7 +43,7 @@ def erdos_renyi(nodes: int, probability: float, seed: int) -> Adjacency:
     require_nodes(nodes, "Erdos-Renyi graph")
     _require_probability(probability, what)
     return _connected(
-        lambda generator: networkx.gnp_random_graph(nodes, probability, generator), seed, what
+        lambda generator: networkx.fast_gnp_random_graph(nodes, probability, generator), seed, what
     )
 
 

@@ -5,39 +5,51 @@ average (Xiao, Boyd: Fast linear iterations for distributed averaging, 2004). A 
 row-stochastic, as a directed graph allows, carries them to a weighted average.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import networkx
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array, diags_array, eye_array
+from scipy.sparse.csgraph import connected_components
 
-from topology.adjacency import Adjacency
+from topology.adjacency import Adjacency, degrees, is_symmetric, links_of, nodes_of, one_way_links
 from topology.analysis import require_connected
 from topology.names import unknown_name
+from topology.spectrum import laplacian_bounds
 
 Array = NDArray[np.float64]
+Weights = csr_array
 
 TOLERANCE = 1e-9
+# The semidefinite program has a variable per pair of nodes.
+MOST_FASTEST_MIXING = 200
 
 
-def metropolis(adjacency: Adjacency) -> Array:
+def metropolis(adjacency: Adjacency) -> Weights:
     """W_ij = 1 / (1 + max(degree_i, degree_j)) on the links; (n, n) -> (n, n).
 
     Positive diagonal, and a node needs the degrees of its neighbours only (Xiao, Boyd, Lall 2005).
+
+    Raises:
+        ValueError: a link goes one way, as for all rules but `equal_neighbour`.
     """
-    degree = adjacency.sum(axis=1)
-    return _completed(adjacency / (1 + np.maximum(degree[:, None], degree)))
+    _require_both_ways("metropolis", adjacency)
+    degree = degrees(adjacency)
+    i, j = links_of(adjacency)
+    return _completed(adjacency, 1 / (1 + np.maximum(degree[i], degree[j])))
 
 
-def maximum_degree(adjacency: Adjacency) -> Array:
+def maximum_degree(adjacency: Adjacency) -> Weights:
     """W_ij = 1 / (1 + the greatest degree) on the links; (n, n) -> (n, n).
 
     Positive diagonal; every node must know the greatest degree (Olfati-Saber, Fax, Murray 2007).
     """
-    return _completed(adjacency / (1.0 + adjacency.sum(axis=1).max()))
+    _require_both_ways("maximum-degree", adjacency)
+    return _constant(adjacency, 1 / (1.0 + degrees(adjacency).max()))
 
 
-def best_constant(adjacency: Adjacency) -> Array:
+def best_constant(adjacency: Adjacency) -> Weights:
     """The one weight for all links that converges fastest: 2 / (lambda_2 + lambda_n) of the graph's
     Laplacian (Xiao, Boyd 2004, section 4.1); (n, n) -> (n, n).
 
@@ -47,33 +59,39 @@ def best_constant(adjacency: Adjacency) -> Array:
     Raises:
         ValueError: if the graph is not connected, for then no weight converges.
     """
+    _require_both_ways("best-constant", adjacency)
     require_connected(adjacency)
-    if len(adjacency) == 1:
-        return np.ones((1, 1))
-    laplacian = np.diag(adjacency.sum(axis=1)) - adjacency.astype(float)
-    eigenvalues = np.linalg.eigvalsh(laplacian)
-    return _completed(adjacency * (2 / (eigenvalues[1] + eigenvalues[-1])))
+    if nodes_of(adjacency) == 1:
+        return _constant(adjacency, 0.0)
+    return _constant(adjacency, 2 / sum(laplacian_bounds(adjacency)))
 
 
-def fastest_mixing(adjacency: Adjacency) -> Array:
+def fastest_mixing(adjacency: Adjacency) -> Weights:
     """The symmetric weights without negative entries that converge fastest: they minimise the
     contraction factor |W - 11'/n|, a semidefinite program (Xiao, Boyd 2004, section 4 with the
     entries bounded below by 0 as in Boyd, Diaconis, Xiao 2004); (n, n) -> (n, n).
 
     Raises:
-        ValueError: the graph is not connected, the solver is not installed, or it fails.
+        ValueError: the graph is not connected or has more than `MOST_FASTEST_MIXING` nodes, the
+            solver is not installed, or it fails.
     """
+    _require_both_ways("fastest-mixing", adjacency)
     require_connected(adjacency)
+    n = nodes_of(adjacency)
+    if n > MOST_FASTEST_MIXING:
+        raise ValueError(
+            f"weights fastest-mixing for {n} nodes: the semidefinite program is solved for at most "
+            f"{MOST_FASTEST_MIXING}; use best-constant or metropolis"
+        )
     try:
         import cvxpy
     except ImportError:
         raise ValueError(
             "weights fastest-mixing need a convex solver: install concord with the extra 'convex'"
         ) from None
-    n = len(adjacency)
     weights = cvxpy.Variable((n, n), symmetric=True)
     factor = cvxpy.Variable()
-    links = adjacency | np.eye(n, dtype=bool)
+    links = adjacency.toarray() | np.eye(n, dtype=bool)
     constraints = [
         weights[~links] == 0,
         weights[links] >= 0,
@@ -86,27 +104,29 @@ def fastest_mixing(adjacency: Adjacency) -> Array:
     if weights.value is None:
         raise ValueError(f"weights fastest-mixing: the solver found none ({problem.status})")
     # The solver is right to eight digits; the rest is put right where it cannot do harm.
-    solved = np.where(adjacency, np.maximum(weights.value, 0.0), 0.0)
-    return _completed((solved + solved.T) / 2)
+    solved = np.maximum(weights.value, 0.0)
+    i, j = links_of(adjacency)
+    return _completed(adjacency, (solved[i, j] + solved[j, i]) / 2)
 
 
-def equal_neighbour(adjacency: Adjacency) -> Array:
+def equal_neighbour(adjacency: Adjacency) -> Weights:
     """W_ij = 1 / (1 + number of nodes that i hears) for itself and each of them; (n, n) -> (n, n).
 
     Row-stochastic on any graph, directed ones included (Vicsek et al. 1995; Jadbabaie, Lin, Morse
     2003). On a graph of unequal degrees the limit is not the average: well-heard nodes count more.
     """
-    heard = adjacency | np.eye(len(adjacency), dtype=bool)
-    return heard / heard.sum(axis=1, keepdims=True)
+    share = 1 / (1.0 + degrees(adjacency))
+    heard = csr_array(adjacency, dtype=float) + eye_array(nodes_of(adjacency))
+    return csr_array(diags_array(share) @ heard)
 
 
-def check_doubly_stochastic(weights: Array) -> None:
+def check_doubly_stochastic(weights: Weights) -> None:
     """Whether weights (n, n) that pass `check_weights` keep the average.
 
     Raises:
         ValueError: a column does not sum to 1.
     """
-    sums = weights.sum(axis=0)
+    sums = np.asarray(weights.sum(axis=0)).ravel()
     for i in np.flatnonzero(np.abs(sums - 1) > TOLERANCE):
         raise ValueError(
             f"weights: column {i} sums to {sums[i]:.12g}, but each must sum to 1 (doubly "
@@ -115,7 +135,7 @@ def check_doubly_stochastic(weights: Array) -> None:
         )
 
 
-def check_weights(weights: Array, adjacency: Adjacency) -> None:
+def check_weights(weights: Weights, adjacency: Adjacency) -> None:
     """Whether fusion may use these weights (n, n) on this graph (n, n).
 
     Raises:
@@ -123,36 +143,58 @@ def check_weights(weights: Array, adjacency: Adjacency) -> None:
             below 0, rows that sum to 1, nothing outside graph and diagonal, primitivity (some
             power has no zero, so that all nodes come to agree).
     """
-    if weights.shape != adjacency.shape or not np.isfinite(weights).all():
+    if weights.shape != adjacency.shape or not np.isfinite(weights.data).all():
         raise ValueError(
-            f"weights of shape {weights.shape} for {len(adjacency)} nodes: "
+            f"weights of shape {weights.shape} for {nodes_of(adjacency)} nodes: "
             f"they must be finite with shape {adjacency.shape}"
         )
-    for i, j in np.argwhere(weights < -TOLERANCE):
+    rows, columns = links_of(weights)
+    values = np.asarray(weights[rows, columns]).ravel()
+    for i, j, value in _first(values < -TOLERANCE, rows, columns, values):
         raise ValueError(
-            f"weights: entry ({i}, {j}) is {weights[i, j]:.3g}, but none may be below 0 (fusion "
+            f"weights: entry ({i}, {j}) is {value:.3g}, but none may be below 0 (fusion "
             "would subtract a covariance); use metropolis"
         )
-    sums = weights.sum(axis=1)
+    sums = np.asarray(weights.sum(axis=1)).ravel()
     for i in np.flatnonzero(np.abs(sums - 1) > TOLERANCE):
         raise ValueError(
             f"weights: row {i} sums to {sums[i]:.12g}, but each must sum to 1; put the difference "
             "on the diagonal"
         )
-    for i, j in np.argwhere((weights != 0) & ~(adjacency | np.eye(len(adjacency), dtype=bool))):
+    unheard = (rows != columns) & (values != 0) & ~np.asarray(adjacency[rows, columns]).ravel()
+    for i, j, value in _first(unheard, rows, columns, values):
         raise ValueError(
-            f"weights: entry ({i}, {j}) is {weights[i, j]:.3g}, but node {i} does not hear "
+            f"weights: entry ({i}, {j}) is {value:.3g}, but node {i} does not hear "
             f"node {j}; set it to 0 or add the link"
         )
-    hears = networkx.from_numpy_array(weights > 0, create_using=networkx.DiGraph)
-    if not (networkx.is_strongly_connected(hears) and networkx.is_aperiodic(hears)):
+    if not _is_primitive(weights):
         raise ValueError(
             "weights: they are not primitive (nodes fall apart, or take turns for ever), so they "
             "do not lead to agreement; connect the graph and give some node a weight of its own"
         )
 
 
-_RULES: dict[str, Callable[[Adjacency], Array]] = {
+def _first(
+    broken: NDArray[np.bool_], rows: NDArray[np.intp], columns: NDArray[np.intp], values: Array
+) -> list[tuple[int, int, float]]:
+    """The first entry that breaks a rule, if any does."""
+    found = np.flatnonzero(broken)[:1]
+    return [(int(rows[k]), int(columns[k]), float(values[k])) for k in found]
+
+
+def _is_primitive(weights: Weights) -> bool:
+    hears = csr_array(weights > 0)
+    parts = connected_components(hears, connection="strong", return_labels=False)
+    if parts > 1:
+        return False
+    # A node that listens to itself breaks every cycle's rhythm.
+    if hears.diagonal().any():
+        return True
+    graph = networkx.from_scipy_sparse_array(hears, create_using=networkx.DiGraph)
+    return networkx.is_aperiodic(graph)
+
+
+_RULES: dict[str, Callable[[Adjacency], Weights]] = {
     "metropolis": metropolis,
     "maximum-degree": maximum_degree,
     "best-constant": best_constant,
@@ -166,17 +208,60 @@ def weight_names() -> tuple[str, ...]:
     return tuple(_RULES)
 
 
-def build_weights(name: str, adjacency: Adjacency) -> Array:
+def build_weights(name: str, adjacency: Adjacency) -> Weights:
     """The weights (n, n) of that name for a graph (n, n).
 
     Raises:
-        ValueError: for an unknown name; for `best-constant` on a graph in pieces.
+        ValueError: for an unknown name; for links that go one way under a rule that wants both;
+            for `best-constant` on a graph in pieces.
     """
     if name not in _RULES:
         raise unknown_name("weights", name, _RULES)
     return _RULES[name](adjacency)
 
 
-def _completed(off_diagonal: Array) -> Array:
-    """The same with what each row lacks to 1 on its diagonal."""
-    return off_diagonal + np.diag(1 - off_diagonal.sum(axis=1))
+def per_node(weights: Weights, neighbours: Sequence[Sequence[int]]) -> list[list[float]]:
+    """Weights (n, n) as one list per node: its own, then those of its neighbours in their order."""
+    rows = np.repeat(np.arange(len(neighbours)), [1 + len(heard) for heard in neighbours])
+    columns = [j for i, heard in enumerate(neighbours) for j in (i, *heard)]
+    values = np.asarray(weights[rows, columns]).ravel()
+    ends = np.searchsorted(rows, np.arange(1, len(neighbours)))
+    return [part.tolist() for part in np.split(values, ends)]
+
+
+def from_per_node(
+    values: Sequence[Sequence[float]], neighbours: Sequence[Sequence[int]]
+) -> Weights:
+    """Weights (n, n) from one list per node, as `per_node` returns them."""
+    nodes = len(neighbours)
+    rows = np.repeat(np.arange(nodes), [1 + len(heard) for heard in neighbours])
+    columns = [j for i, heard in enumerate(neighbours) for j in (i, *heard)]
+    return csr_array((np.concatenate(values), (rows, columns)), shape=(nodes, nodes))
+
+
+def _require_both_ways(name: str, adjacency: Adjacency) -> None:
+    if is_symmetric(adjacency):
+        return
+    one_way = one_way_links(adjacency)
+    i, j = one_way[0]
+    raise ValueError(
+        f"weights {name} on a directed graph: they come to the average only where each link goes "
+        f"both ways, and {len(one_way)} do not (node {i} hears node {j}, but not the other way); "
+        "use weights equal-neighbour with a rule that takes any weights (ci, wac, hcmci), or give "
+        "the graph each link both ways"
+    )
+
+
+def _constant(adjacency: Adjacency, weight: float) -> Weights:
+    return _completed(adjacency, np.full(adjacency.nnz, weight))
+
+
+def _completed(adjacency: Adjacency, on_links: Array) -> Weights:
+    """Weights with `on_links` (links,) in the order of `links_of`, and what each row lacks to 1 on
+    its diagonal."""
+    i, j = links_of(adjacency)
+    nodes = nodes_of(adjacency)
+    own = 1 - np.bincount(i, weights=on_links, minlength=nodes)
+    everyone = np.arange(nodes)
+    entries = (np.append(i, everyone), np.append(j, everyone))
+    return csr_array((np.append(on_links, own), entries), shape=(nodes, nodes))

@@ -40,7 +40,7 @@ SPECIFICATION = Path(__file__).resolve().parents[3] / "shared" / "spec" / "conse
 
 
 def averaging(graph: str, nodes: int, rounds: int) -> np.ndarray:
-    return np.linalg.matrix_power(metropolis(build_graph(graph, nodes, 0)), rounds)
+    return np.linalg.matrix_power(metropolis(build_graph(graph, nodes, 0)).toarray(), rounds)
 
 
 def last(network: LinearNetwork, rule: str, weights: np.ndarray, steps: int) -> Moments:

@@ -17,7 +17,7 @@ from topology.weights import metropolis
 RUNS, STEPS, NODES = 500, 30, 8
 PLANT = Oscillator(NODES)
 F, Q = PLANT.model.transition_matrix, PLANT.model.process_noise_cov(0)
-WEIGHTS = metropolis(ring(NODES))
+WEIGHTS = metropolis(ring(NODES)).toarray()
 # For errors that the report bounds, e' P^-1 e is a sum of chi-squares weighed by at most 1: over
 # two states its mean is at most 2 and its variance at most 4. Five deviations, one test per node.
 BOUND = 2 + 5 * 2 / np.sqrt(RUNS)

@@ -18,9 +18,8 @@ from nodes.messages import Array, Bid, Grant, Measured, decode, from_wire
 from nodes.record_codec import RecordCodec
 from nodes.share import read_body, read_frame
 from nodes.window_filter import WindowFilter
-from tests.nodes.networks import Network, Outcome, WholeState, keenest, network
+from tests.nodes.networks import Adjacency, Network, Outcome, WholeState, keenest, network
 from tests.nodes.rule_networks import F, Q, noise_cov
-from topology.adjacency import Adjacency
 
 PRIOR = Gaussian(np.array([1.0, -1.0]), np.diag([4.0, 2.0]))
 

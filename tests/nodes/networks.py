@@ -8,6 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from bus.publication import Slot
 from bus.schedule import Schedule, full_publish
@@ -25,8 +27,9 @@ from nodes.recording import MemoryRecorder
 from nodes.share import payload_lengths
 from nodes.state_machine import NodeConfig, NodeState
 from nodes.world import Controller, WorldConfig
-from topology.adjacency import Adjacency
 from topology.weights import metropolis
+
+Adjacency = NDArray[np.bool_]
 
 DROP = HoldPolicy(lambda base, ages, sharpness, cycles: hold.drop(base, ages), carried=False)
 PREDICT = HoldPolicy(lambda base, ages, sharpness, cycles: hold.full(base, ages), carried=True)
@@ -129,7 +132,7 @@ def network(
         tuple(seeing),
         count,
     )
-    weights = metropolis(adjacency)
+    weights = metropolis(csr_array(adjacency)).toarray()
     schedule = full_publish(count) if schedule is None else schedule
     codec = BeliefCodec(n, number)
     generator = np.random.default_rng(seed)

@@ -14,6 +14,7 @@ from scenarios.estimators import Seat
 from scenarios.rules import build_estimator, hold_policy
 from scenarios.scenario import Scenario
 from tests.nodes.networks import (
+    Adjacency,
     Network,
     Outcome,
     WholeState,
@@ -21,7 +22,6 @@ from tests.nodes.networks import (
     network,
     run,
 )
-from topology.adjacency import Adjacency
 
 FRESH = ("hcmci", "hcmci-classical", "icf", "diffusion", "kcf", "centralised")
 ALL = ("ci", "wac", "local", *FRESH)

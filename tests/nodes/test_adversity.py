@@ -21,6 +21,7 @@ from tests.nodes.networks import (
     DECAYED,
     DROP,
     PREDICT,
+    Adjacency,
     Network,
     graphs,
     last_come,
@@ -34,7 +35,6 @@ from tests.nodes.networks import (
     shuffled,
     with_links,
 )
-from topology.adjacency import Adjacency
 
 HOLDS = {"drop": DROP, "predict": PREDICT, "decayed": DECAYED}
 SEEDS = st.integers(0, 2**32 - 1)

@@ -20,6 +20,7 @@ from tests.nodes.networks import (
     DECAYED,
     DROP,
     PREDICT,
+    Adjacency,
     Network,
     Outcome,
     graphs,
@@ -29,7 +30,6 @@ from tests.nodes.networks import (
     random_priors,
     run,
 )
-from topology.adjacency import Adjacency
 
 SEEDS = st.integers(0, 2**32 - 1)
 F = 0.98 * np.array([[np.cos(0.3), np.sin(0.3)], [-np.sin(0.3), np.cos(0.3)]])

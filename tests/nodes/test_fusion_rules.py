@@ -11,6 +11,7 @@ from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
 from nodes.messages import Array, Measured, decode, from_wire
 from tests.nodes.networks import (
+    Adjacency,
     Network,
     Outcome,
     graphs,
@@ -33,7 +34,6 @@ from tests.nodes.rule_networks import (
     run_watched,
     weight_matrix,
 )
-from topology.adjacency import Adjacency
 
 SEEDS = st.integers(0, 2**32 - 1)
 COUNT = 5

@@ -16,8 +16,7 @@ from nodes.links import (
     ports_from,
     wants_router,
 )
-from tests.nodes.networks import graphs
-from topology.adjacency import Adjacency
+from tests.nodes.networks import Adjacency, graphs
 
 
 def neighbours_of(adjacency: Adjacency) -> list[list[int]]:

@@ -32,12 +32,18 @@ SEEDS = st.integers(0, 2**32 - 1)
 def assert_graph(adjacency, nodes):
     assert adjacency.shape == (nodes, nodes)
     assert adjacency.dtype == bool
-    assert (adjacency == adjacency.T).all()
+    assert adjacency.nnz == adjacency.toarray().sum()
+    assert (adjacency != adjacency.T).nnz == 0
     assert not adjacency.diagonal().any()
+
+
+def same(one, other):
+    return one.shape == other.shape and (one != other).nnz == 0
 
 
 def hops(adjacency):
     """Distances by repeated multiplication of (I + A): an oracle without any graph library."""
+    adjacency = adjacency.toarray()
     nodes = len(adjacency)
     distance = np.where(np.eye(nodes, dtype=bool), 0, nodes)
     reached = np.eye(nodes, dtype=bool)
@@ -60,7 +66,7 @@ def test_fixed_shapes_have_their_textbook_degrees_and_diameters(nodes):
         assert_graph(adjacency, nodes)
         assert adjacency.sum() == 2 * links
         assert hops(adjacency).max() == diameter
-    assert star(nodes)[0].sum() == nodes - 1
+    assert star(nodes)[[0]].sum() == nodes - 1
 
 
 @given(rows=st.integers(1, 6), columns=st.integers(1, 6))
@@ -68,6 +74,7 @@ def test_fixed_shapes_have_their_textbook_degrees_and_diameters(nodes):
 def test_a_grid_joins_exactly_the_cells_at_distance_one(rows, columns):
     adjacency = grid(rows, columns)
     assert_graph(adjacency, rows * columns)
+    adjacency = adjacency.toarray()
     cell = np.array([(row, column) for row in range(rows) for column in range(columns)])
     steps = np.abs(cell[:, None] - cell).sum(axis=-1)
     assert (adjacency == (steps == 1)).all()
@@ -100,7 +107,7 @@ def test_a_regular_graph_is_regular_and_connected_or_refused(nodes, degree, seed
 
 
 def test_one_link_each_connects_two_nodes_and_no_more():
-    assert (regular(2, 1, 0) == complete(2)).all()
+    assert same(regular(2, 1, 0), complete(2))
     with pytest.raises(ValueError, match="cannot be connected"):
         regular(4, 1, 0)
 
@@ -140,12 +147,12 @@ def test_a_random_graph_is_connected_and_determined_by_its_seed(name, half, seed
     adjacency = build_graph(name, nodes, seed)
     assert_graph(adjacency, nodes)
     assert hops(adjacency).max() < nodes
-    assert (adjacency == build_graph(name, nodes, seed)).all()
+    assert same(adjacency, build_graph(name, nodes, seed))
 
 
 @pytest.mark.parametrize("name", RANDOM)
 def test_another_seed_gives_another_graph(name):
-    graphs = {build_graph(name, 20, seed).tobytes() for seed in range(5)}
+    graphs = {build_graph(name, 20, seed).toarray().tobytes() for seed in range(5)}
     assert len(graphs) == 5
 
 
@@ -158,7 +165,7 @@ def test_random_families_have_the_number_of_links_of_their_definition():
     assert scale_free(30, 2, seed=1).sum() / 2 == (30 - 2) * 2
     lattice = small_world(12, 4, 0.0, seed=1)
     around = np.abs(np.arange(12)[:, None] - np.arange(12))
-    assert (lattice == np.isin(np.minimum(around, 12 - around), (1, 2))).all()
+    assert (lattice.toarray() == np.isin(np.minimum(around, 12 - around), (1, 2))).all()
 
 
 def test_every_name_builds_its_graph(tmp_path):
@@ -171,13 +178,13 @@ def test_every_name_builds_its_graph(tmp_path):
     file.write_text("0 1\n1 2\n2 3\n3 4\n4 5\n5 0\n")
     for name in graph_names():
         assert_graph(build_graph(concrete.get(name, name), 6, seed=0), 6)
-    assert (build_graph(concrete["file:PATH"], 6, seed=0) == ring(6)).all()
-    assert (build_graph("grid", 6, seed=0) == grid(2, 3)).all()
+    assert same(build_graph(concrete["file:PATH"], 6, seed=0), ring(6))
+    assert same(build_graph("grid", 6, seed=0), grid(2, 3))
 
 
 def test_positions_decide_a_geometric_graph():
     positions = np.array([[0.0, 0.0], [100.0, 0.0], [200.0, 0.0]])
-    assert (build_graph("geometric", 3, 0, positions, 100.0) == path(3)).all()
+    assert same(build_graph("geometric", 3, 0, positions, 100.0), path(3))
 
 
 @pytest.mark.parametrize(
@@ -210,5 +217,7 @@ def test_impossible_graphs_are_refused_with_a_cure(call, message):
 def test_hops_agrees_with_networkx():
     """The oracle above is itself checked once."""
     adjacency = regular(12, 3, 5)
-    lengths = dict(networkx.all_pairs_shortest_path_length(networkx.from_numpy_array(adjacency)))
+    lengths = dict(
+        networkx.all_pairs_shortest_path_length(networkx.from_scipy_sparse_array(adjacency))
+    )
     assert all(hops(adjacency)[i, j] == lengths[i][j] for i in range(12) for j in range(12))

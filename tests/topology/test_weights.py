@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.sparse import csr_array
 
-from topology.analysis import contraction_per_round, second_eigenvalue_modulus
 from topology.graphs import build_graph, complete, grid, path, ring, star
+from topology.spectrum import contraction_per_round, second_eigenvalue_modulus
 from topology.weights import (
     best_constant,
     build_weights,
@@ -32,30 +33,31 @@ CONNECTED = st.builds(
 @given(adjacency=CONNECTED)
 @settings(deadline=None)
 def test_closed_forms_are_doubly_stochastic_and_stay_on_the_graph(adjacency):
-    allowed = adjacency | np.eye(len(adjacency), dtype=bool)
+    linked = adjacency.toarray()
+    allowed = linked | np.eye(len(linked), dtype=bool)
     for name in ("metropolis", "maximum-degree", "best-constant"):
-        weights = build_weights(name, adjacency)
+        weights = build_weights(name, adjacency).toarray()
         np.testing.assert_allclose(weights.sum(axis=0), 1, atol=1e-12)
         np.testing.assert_allclose(weights.sum(axis=1), 1, atol=1e-12)
         assert not weights[~allowed].any()
-        assert (weights[adjacency] > 0).all()
+        assert (weights[linked] > 0).all()
 
 
 @given(adjacency=CONNECTED)
 @settings(deadline=None)
 def test_local_rules_are_positive_and_primitive(adjacency):
     """Some power without a zero is primitivity by its definition (Wielandt bounds the power)."""
-    nodes = len(adjacency)
+    nodes = adjacency.shape[0]
     for rule in (metropolis, maximum_degree):
         weights = rule(adjacency)
         assert (weights.diagonal() > 0).all()
-        assert (np.linalg.matrix_power(weights, (nodes - 1) ** 2 + 1) > 0).all()
+        assert (np.linalg.matrix_power(weights.toarray(), (nodes - 1) ** 2 + 1) > 0).all()
         check_weights(weights, adjacency)
 
 
 def test_metropolis_follows_its_definition_entry_by_entry():
     adjacency = build_graph("erdos-renyi", 9, 4)
-    degree = [sum(row) for row in adjacency.tolist()]
+    degree = [sum(row) for row in adjacency.toarray().tolist()]
     weights = metropolis(adjacency)
     for i, j in itertools.product(range(9), repeat=2):
         if adjacency[i, j]:
@@ -69,9 +71,10 @@ def test_metropolis_follows_its_definition_entry_by_entry():
 def test_the_best_constant_is_the_best_constant(adjacency):
     best = second_eigenvalue_modulus(best_constant(adjacency))
     assert best <= second_eigenvalue_modulus(maximum_degree(adjacency)) + 1e-9
-    laplacian = np.diag(adjacency.sum(axis=1)) - adjacency
-    for weight in np.linspace(0, 2 / len(adjacency), 50):
-        other = np.eye(len(adjacency)) - weight * laplacian
+    linked = adjacency.toarray()
+    laplacian = np.diag(linked.sum(axis=1)) - linked
+    for weight in np.linspace(0, 2 / len(linked), 50):
+        other = np.eye(len(linked)) - weight * laplacian
         assert best <= second_eigenvalue_modulus(other) + 1e-9
 
 
@@ -87,7 +90,7 @@ def test_metropolis_on_eight_nodes_has_the_published_second_eigenvalue(adjacency
 def test_a_complete_graph_agrees_in_one_round_by_every_rule():
     for name in weight_names():
         atol = 1e-6 if name == "fastest-mixing" else 1e-12
-        np.testing.assert_allclose(build_weights(name, complete(7)), 1 / 7, atol=atol)
+        np.testing.assert_allclose(build_weights(name, complete(7)).toarray(), 1 / 7, atol=atol)
 
 
 def test_the_hub_of_a_star_gets_a_negative_best_constant_which_is_refused():
@@ -100,13 +103,13 @@ def test_the_hub_of_a_star_gets_a_negative_best_constant_which_is_refused():
 
 def test_one_node_keeps_all_its_weight():
     for name in weight_names():
-        np.testing.assert_allclose(build_weights(name, ring(1)), [[1.0]], atol=1e-12)
+        np.testing.assert_allclose(build_weights(name, ring(1)).toarray(), [[1.0]], atol=1e-12)
         check_weights(build_weights(name, ring(1)), ring(1))
 
 
 def test_best_constant_needs_a_connected_graph():
     with pytest.raises(ValueError, match="2 pieces"):
-        best_constant(np.zeros((2, 2), dtype=bool))
+        best_constant(csr_array((2, 2), dtype=bool))
 
 
 def test_an_unknown_rule_offers_the_nearest():
@@ -116,14 +119,14 @@ def test_an_unknown_rule_offers_the_nearest():
 
 def moved(weights, changes):
     """A copy with `changes` added at (row, column)."""
-    copy = weights.copy()
+    copy = weights.toarray()
     for place, change in changes.items():
         copy[place] += change
-    return copy
+    return csr_array(copy)
 
 
 FAIR = metropolis(ring(4))
-TWO_PAIRS = np.kron(np.eye(2), np.full((2, 2), 0.5))
+TWO_PAIRS = csr_array(np.kron(np.eye(2), np.full((2, 2), 0.5)))
 
 
 @pytest.mark.parametrize(
@@ -138,8 +141,8 @@ TWO_PAIRS = np.kron(np.eye(2), np.full((2, 2), 0.5))
             r"entry \(0, 2\).*node 0 does not hear node 2",
         ),
         (TWO_PAIRS, "not primitive"),
-        (np.roll(np.eye(4), 1, axis=1), "not primitive"),
-        (ring(4) / 2, "not primitive"),
+        (csr_array(np.roll(np.eye(4), 1, axis=1)), "not primitive"),
+        (csr_array(ring(4) / 2), "not primitive"),
     ],
 )
 def test_each_broken_rule_is_named(weights, message):
@@ -149,7 +152,7 @@ def test_each_broken_rule_is_named(weights, message):
 
 def test_an_odd_ring_is_primitive_without_own_weights():
     """Aperiodic by its odd cycle: the check must not ask for a positive diagonal."""
-    check_weights(ring(5) / 2, ring(5))
+    check_weights(csr_array(ring(5) / 2), ring(5))
 
 
 def test_weights_that_do_not_keep_the_average_are_refused_by_name():
@@ -168,8 +171,9 @@ def test_fastest_mixing_is_sound_and_no_other_symmetric_weights_mix_faster(graph
         assert best <= contraction_per_round(rival) + 1e-7
     # Optimality: a small step in any admissible direction does not help (the problem is convex).
     generator = np.random.default_rng(3)
+    weights = weights.toarray()
     for _ in range(50):
-        step = np.where(graph, generator.normal(size=graph.shape), 0.0)
+        step = np.where(graph.toarray(), generator.normal(size=graph.shape), 0.0)
         step = 1e-3 * (step + step.T)
         moved_weights = weights + step - np.diag(step.sum(axis=1))
         if moved_weights.min() >= 0:
@@ -190,14 +194,16 @@ def test_equal_neighbour_leads_to_its_left_eigenvector(adjacency):
     weights = equal_neighbour(adjacency)
     check_weights(weights, adjacency)
     # On an undirected graph the limit weighs a node by the number it hears, itself included.
-    worth = adjacency.sum(axis=1) + 1.0
-    limit = np.linalg.matrix_power(weights, 4096)
+    worth = adjacency.toarray().sum(axis=1) + 1.0
+    limit = np.linalg.matrix_power(weights.toarray(), 4096)
     np.testing.assert_allclose(limit, np.tile(worth / worth.sum(), (len(worth), 1)), atol=1e-6)
 
 
 def test_a_directed_ring_agrees_only_with_row_stochastic_weights():
-    one_way = np.roll(np.eye(5, dtype=bool), 1, axis=1)
+    one_way = csr_array(np.roll(np.eye(5, dtype=bool), 1, axis=1))
     check_weights(equal_neighbour(one_way), one_way)
-    cut = np.triu(one_way)  # a one-way path: nobody hears its last node's end again
+    cut = csr_array(
+        np.triu(one_way.toarray())
+    )  # a one-way path: nobody hears its last node's end again
     with pytest.raises(ValueError, match="not primitive"):
         check_weights(equal_neighbour(cut), cut)
