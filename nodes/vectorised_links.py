@@ -1,0 +1,143 @@
+"""Who hears whom as one list of links, and sums along it: cost grows with links, not with pairs.
+
+Arrays over links are sorted by receiver, then by sender, as a node's neighbours are. Rules that
+look at one node's neighbourhood as an array (..., J) are served class by class: nodes with about as
+many neighbours are stacked, the places that one lacks filled up with what was never heard.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from nodes.messages import Array
+
+# Of the places of a class, at least this share must be links.
+_FULLNESS = 0.6
+
+
+class DegreeClass(NamedTuple):
+    """Nodes (K,) of about as many neighbours; links (K, J) of theirs, `real` (K, J) says which are
+    not filled up."""
+
+    nodes: np.ndarray
+    links: np.ndarray
+    real: np.ndarray
+
+    def gathered(self, values: Array, missing: float) -> Array:
+        """Values (R, E, ...) of links as (R, K, J, ...), `missing` where there is none."""
+        found = values[:, self.links]
+        if self.real.all():
+            return found
+        shape = (1, *self.real.shape, *(1,) * (values.ndim - 2))
+        return np.where(self.real.reshape(shape), found, missing)
+
+
+class Links(NamedTuple):
+    """All links of a network of `nodes`: `receiver` and `sender` (E,), `offsets` (N + 1,) of each
+    receiver's first."""
+
+    nodes: int
+    receiver: np.ndarray
+    sender: np.ndarray
+    offsets: np.ndarray
+    classes: tuple[DegreeClass, ...]
+
+    def per_receiver(self, flags: np.ndarray) -> np.ndarray:
+        """How many of each node's links (R, E) are flagged: (R, N)."""
+        before = np.zeros((len(flags), flags.shape[1] + 1), dtype=np.int64)
+        np.cumsum(flags, axis=1, out=before[:, 1:])
+        return before[:, self.offsets[1:]] - before[:, self.offsets[:-1]]
+
+
+class Shares(NamedTuple):
+    """A weight for each node's own numbers (R, N), and for those of each link (R, E)."""
+
+    own: Array
+    link: Array
+
+
+def links_of(neighbours: Sequence[Sequence[int]]) -> Links:
+    """The links of a network in which node i hears neighbours[i]."""
+    degrees = np.array([len(heard) for heard in neighbours])
+    offsets = np.concatenate(([0], np.cumsum(degrees)))
+    sender = np.array([j for heard in neighbours for j in heard], dtype=np.int64)
+    receiver = np.repeat(np.arange(len(neighbours)), degrees)
+    classes = tuple(
+        _degree_class(np.sort(nodes), offsets, degrees) for nodes in _alike_in_degree(degrees)
+    )
+    return Links(len(neighbours), receiver, sender, offsets, classes)
+
+
+def _alike_in_degree(degrees: np.ndarray) -> Iterator[np.ndarray]:
+    """Nodes cut into classes, each as large as fullness allows."""
+    order = np.argsort(-degrees, kind="stable")
+    start = 0
+    while start < len(order):
+        wanted = _FULLNESS * (1 + degrees[order[start]])
+        filled = np.cumsum(1 + degrees[order[start:]]) / np.arange(1, len(order) - start + 1)
+        # The mean degree only falls, so the last place where it is enough ends the class.
+        count = int(np.flatnonzero(filled >= wanted)[-1]) + 1
+        yield order[start : start + count]
+        start += count
+
+
+def _degree_class(nodes: np.ndarray, offsets: np.ndarray, degrees: np.ndarray) -> DegreeClass:
+    most = int(degrees[nodes].max())
+    real = np.arange(most) < degrees[nodes][:, None]
+    links = np.where(real, offsets[nodes][:, None] + np.arange(most), 0)
+    return DegreeClass(nodes, links, real)
+
+
+def weighed(
+    links: Links,
+    base: Shares,
+    ages: np.ndarray,
+    sharpness: Shares,
+    weigh: Callable[[Array, np.ndarray, Array], Array],
+) -> Shares:
+    """Fusion weights of all nodes by `weigh(base (..., J), ages (..., J), sharpness (..., J))`.
+
+    Args:
+        base: of one run: own (1, N), link (1, E).
+        ages: of links (R, E); the own is 0.
+        sharpness: as `base`, for R runs.
+        weigh: a rule for one neighbourhood, its own node first.
+    """
+    runs = len(ages)
+    own, link = np.empty((runs, links.nodes)), np.empty((runs, len(links.sender)))
+    for some in links.classes:
+        weights = weigh(
+            np.concatenate((base.own[:, some.nodes, None], some.gathered(base.link, 0.0)), axis=-1),
+            _with_own(np.zeros((1, 1, 1), dtype=ages.dtype), some.gathered(ages, -1)),
+            _with_own(sharpness.own[:, some.nodes, None], some.gathered(sharpness.link, 1.0)),
+        )
+        own[:, some.nodes] = weights[..., 0]
+        link[:, some.links[some.real]] = weights[..., 1:][:, some.real]
+    return Shares(own, link)
+
+
+def _with_own(own: Array, others: Array) -> Array:
+    """Own (R or 1, ...) and others' (R, K, J) values as (R, K, 1 + J)."""
+    first = np.broadcast_to(own, (*others.shape[:-1], 1))
+    return np.concatenate((first, others), axis=-1)
+
+
+def mixed(links: Links, weights: Shares, own: Array, held: Array, slot: np.ndarray) -> Array:
+    """Weighted sums (R, N, m) of the nodes' own numbers (R, N, m) and of those heard.
+
+    Args:
+        held: numbers (R, K, m) of as many slots.
+        slot: (E,), the slot that each link reads.
+    """
+    runs, slots, m = held.shape
+    nodes, count = links.nodes, len(slot)
+    columns = (np.arange(runs)[:, None] * slots + slot).ravel()
+    rows = np.concatenate(
+        ((np.arange(runs)[:, None] * count + links.offsets[:-1]).ravel(), [runs * count])
+    )
+    matrix = csr_array((weights.link.ravel(), columns, rows), shape=(runs * nodes, runs * slots))
+    total = (matrix @ held.reshape(runs * slots, m)).reshape(runs, nodes, m)
+    total += weights.own[..., None] * own
+    return total
