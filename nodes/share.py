@@ -65,8 +65,13 @@ def to_frames(
 
 def payload_bytes(body: bytes, slots: Sequence[Slot]) -> int:
     """Length of all payloads together that `to_frames` makes of a body in these slots."""
-    sizes = payload_sizes(len(body), slots[0].payload_bytes - PREFIX_BYTES)
-    return sum(
+    return sum(frame_payloads(len(body), slots))
+
+
+def frame_payloads(share_bytes: int, slots: Sequence[Slot]) -> tuple[int, ...]:
+    """Payload length of each frame that `to_frames` makes of a body of that length."""
+    sizes = payload_sizes(share_bytes, slots[0].payload_bytes - PREFIX_BYTES)
+    return tuple(
         max(PREFIX_BYTES + size, slot.payload_bytes if slot.fixed else 0)
         for slot, size in zip(slots, sizes, strict=False)
     )

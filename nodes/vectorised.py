@@ -42,8 +42,11 @@ class Fleet(Protocol):
         """How urgent a dynamic slot is to these nodes (C,): integers (R, C)."""
         ...
 
-    def exchange(self, content: Any, sends: np.ndarray) -> Any:
-        """A communication cycle in which nodes `sends` (R, N) share and all fuse."""
+    def exchange(self, content: Any, sends: np.ndarray, lost: np.ndarray | None) -> Any:
+        """A communication cycle in which nodes `sends` (R, N) share and all fuse.
+
+        `lost` (R, E) counts the frames that each link loses of a share; None where none does.
+        """
         ...
 
     def belief(self, content: Any) -> Gaussian:
@@ -64,7 +67,8 @@ class Network:
     """Everything about R runs of a network.
 
     initial_state: (R, n). prior: (R, N, n), (R, N, n, n). process: normals (steps, R, q).
-    measurement: (steps, R, N, r, d).
+    measurement: (steps, R, N, r, d). lost: cycle -> how many frames of a share each link loses in
+    it (R, E); None where no frame is ever lost.
     """
 
     plant: Plant
@@ -79,6 +83,7 @@ class Network:
     contest_memory: Any
     controller: Controller | None
     delivery: Delivery | None
+    lost: Callable[[int], np.ndarray] | None
     fleet: Fleet
 
 
@@ -117,7 +122,8 @@ def run(network: Network) -> Iterator[Instant]:
         sends, asked = [], []
         for cycle in range(step * network.rounds, (step + 1) * network.rounds):
             arbiter, speak, ask = _access(network, arbiter, content, cycle)
-            content = fleet.exchange(content, speak)
+            lost = None if network.lost is None else network.lost(cycle)
+            content = fleet.exchange(content, speak, lost)
             sends.append(speak)
             asked.append(ask)
         yield Instant(

@@ -1,12 +1,10 @@
 """Consensus on beliefs in arrays: `nodes.belief_consensus` for all nodes of all runs at once.
 
-What is held of a neighbour is kept in slots. Where no frame is lost, all who hear a node hold the
-same of it, and a slot is a node; else it is a link. What a node shares is expressed in the numbers
-that the rule averages once, and not by each who hears it.
+What is held of others is kept in slots (`vectorised_links.Links`). What a node shares is expressed
+in the numbers that the rule averages once, and not by each who hears it.
 """
 
 from dataclasses import dataclass
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -22,9 +20,9 @@ from nodes.vectorised_filter import (
     LocalFilters,
     Published,
     added,
-    counted,
     nothing_published,
     received,
+    traffic,
 )
 from nodes.vectorised_links import Links, Shares, mixed, weighed
 
@@ -71,7 +69,9 @@ class BeliefFleet:
     def start(self, prior: Gaussian) -> Content:
         """The priors, and neighbours never heard."""
         origin = prior.mean.mean(axis=1, keepdims=True)
-        held = Expressed(prior, *self._expressed(prior, origin))
+        source = self.links.source
+        unheard = Gaussian(prior.mean[:, source], prior.cov[:, source])
+        held = Expressed(unheard, *self._expressed(unheard, origin))
         ages = np.full((len(prior.mean), len(self.links.sender)), -1)
         published = nothing_published(self.contenders, prior)
         return Content(prior, held, ages, published, origin, 0, None, 0, {})
@@ -79,7 +79,7 @@ class BeliefFleet:
     def begin_step(
         self, content: Content, readings: Array, control: Array | None, step: int
     ) -> Content:
-        """Predict and take the own readings. What is held follows when it is known who is silent."""
+        """Predict, take the own readings. What is held follows once it is known who is silent."""
         belief, published, counters = content.belief, content.published, content.counters
         if step > 0:
             belief, sound = self.filters.carry(belief, control, step)
@@ -103,39 +103,41 @@ class BeliefFleet:
         every = published.bids(content.belief, self.trigger)
         return every[:, np.searchsorted(published.nodes, nodes)]
 
-    def exchange(self, content: Content, sends: np.ndarray) -> Content:
+    def exchange(self, content: Content, sends: np.ndarray, lost: np.ndarray | None) -> Content:
         """Nodes `sends` (R, N) publish; all average what they hear and hold with their own."""
         own = Expressed(content.belief, *self._expressed(content.belief, content.origin))
         shared = self._shared(own, content.origin)
         readable = finite_lanes(shared.belief)
         sound = readable & np.isfinite(cholesky(shared.belief.cov)[..., -1, -1])
-        fresh = sends & sound
-        content = self._counted(content, sends, readable, sound)
+        counters = added(content.counters, self._traffic(sends, lost, readable, sound))
+        fresh = self.links.in_slots(sends & sound, lost)
         held, ages = content.held, content.ages
         if content.cycles_in_step == 0 and content.step > 0:
             held, ages = self._caught_up(content, fresh)
-        held = _refreshed(held, shared, fresh)
-        sender = self.links.sender
-        ages = np.where(fresh[:, sender], 0, np.where(ages < 0, -1, ages + 1))
-        published = content.published.sent(content.belief, sends)
+        held = self._refreshed(held, shared, fresh)
+        older = np.where(ages < 0, -1, ages + 1)
         content = content._replace(
-            held=held, ages=ages, published=published, cycles_in_step=content.cycles_in_step + 1
+            held=held,
+            ages=np.where(fresh[:, self.links.slot], 0, older),
+            published=content.published.sent(content.belief, sends),
+            cycles_in_step=content.cycles_in_step + 1,
+            counters=counters,
         )
         return content if self.averaging is None else self._fused(content, own, self.averaging)
 
     def _fused(self, content: Content, own: Expressed, averaging: Averaging) -> Content:
-        held, sender = content.held, self.links.sender
+        held = content.held
         turn = content.cycles_in_step - 1
         weights = weighed(
             self.links,
             self.base,
             content.ages,
-            Shares(own.sharpness, held.sharpness[:, sender]),
+            Shares(own.sharpness, held.sharpness[:, self.links.slot]),
             lambda base, ages, sharpness: self.hold.weigh(base, ages, sharpness, turn),
         )
         numbers = np.where(weights.own[..., None] == 0, 0.0, own.numbers)
         fused = averaging.conclude(
-            mixed(self.links, weights, numbers, held.numbers, sender), content.origin
+            mixed(self.links, weights, numbers, held.numbers), content.origin
         )
         sound = finite_lanes(fused)
         counters = added(content.counters, {"fuse-failed": ~sound})
@@ -158,7 +160,7 @@ class BeliefFleet:
         """What is held of those who do not replace it now, at this step and about its origin."""
         held, ages = content.held, content.ages
         known = np.zeros(fresh.shape, dtype=bool)
-        known[:, self.links.sender] = ages >= 0
+        known[:, self.links.slot] = ages >= 0
         runs, slots = np.nonzero(known & ~fresh)
         if not len(runs):
             return held, ages
@@ -170,7 +172,7 @@ class BeliefFleet:
             old = where(sound, moved, old)
             lost = np.zeros(fresh.shape, dtype=bool)
             lost[runs, slots] = ~sound
-            ages = np.where(lost[:, self.links.sender], -1, ages)
+            ages = np.where(lost[:, self.links.slot], -1, ages)
         numbers, sharpness = self._expressed(old, content.origin[runs, 0])
         mean, cov = held.belief.mean.copy(), held.belief.cov.copy()
         every, sharp = held.numbers.copy(), held.sharpness.copy()
@@ -178,19 +180,27 @@ class BeliefFleet:
         every[runs, slots], sharp[runs, slots] = numbers, sharpness
         return Expressed(Gaussian(mean, cov), every, sharp), ages
 
-    def _counted(
-        self, content: Content, sends: np.ndarray, readable: np.ndarray, sound: np.ndarray
-    ) -> Content:
-        sender, per_receiver = self.links.sender, self.links.per_receiver
-        speaks, legible = sends[:, sender], readable[:, sender]
-        more = {
-            "sent": sends.astype(int),
-            "heard": per_receiver(speaks & legible),
-            "missed": per_receiver(speaks & ~legible),
-            "rejected belief-not-finite": per_receiver(speaks & ~legible),
-            "rejected not-positive-definite": per_receiver(speaks & legible & ~sound[:, sender]),
-        }
-        return content._replace(counters=added(content.counters, more))
+    def _refreshed(self, held: Expressed, shared: Expressed, fresh: np.ndarray) -> Expressed:
+        """What is held after those slots that are `fresh` (R, K) have been filled."""
+        source = self.links.source
+        if not self.links.perfect:
+            belief = Gaussian(shared.belief.mean[:, source], shared.belief.cov[:, source])
+            shared = Expressed(belief, shared.numbers[:, source], shared.sharpness[:, source])
+        if fresh.all():
+            return shared
+        return Expressed(
+            where(fresh, shared.belief, held.belief),
+            np.where(fresh[..., None], shared.numbers, held.numbers),
+            np.where(fresh, shared.sharpness, held.sharpness),
+        )
+
+    def _traffic(
+        self, sends: np.ndarray, lost: np.ndarray | None, readable: np.ndarray, sound: np.ndarray
+    ) -> dict[str, np.ndarray]:
+        heard = traffic(self.links, sends & readable, sends & ~readable, lost, "belief-not-finite")
+        unsound = self.links.arriving(sends & readable & ~sound, lost)
+        refused = {"rejected not-positive-definite": self.links.per_receiver(unsound)}
+        return {**heard, **refused}
 
     def belief(self, content: Content) -> Gaussian:
         """The own pairs."""
@@ -203,14 +213,3 @@ class BeliefFleet:
     def counters(self, content: Content) -> Counters:
         """What was counted."""
         return content.counters
-
-
-def _refreshed(held: Expressed, shared: Expressed, fresh: np.ndarray) -> Expressed:
-    """What is held after those `fresh` (R, N) have spoken."""
-    if fresh.all():
-        return shared
-    return Expressed(
-        where(fresh, shared.belief, held.belief),
-        np.where(fresh[..., None], shared.numbers, held.numbers),
-        np.where(fresh, shared.sharpness, held.sharpness),
-    )

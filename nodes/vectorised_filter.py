@@ -11,6 +11,7 @@ from filters.sigma_points import SigmaPointRule
 from nodes.bids import FIRST_BID, bid_for_change
 from nodes.local_filter import Model, Sensor, carry, take_readings, where
 from nodes.messages import Array
+from nodes.vectorised_links import Links
 
 Counters = Mapping[str, np.ndarray]
 """Totals (R, N) since the start by the names that `nodes.state_machine` and the rules give them."""
@@ -55,15 +56,23 @@ class LocalFilters:
         return Gaussian(mean, cov), counted
 
 
-def counted(counters: Counters, **more: np.ndarray) -> Counters:
-    """The counters with more (R, N) added; underscores in a name stand for a blank."""
-    return added(counters, {name.replace("_", " "): count for name, count in more.items()})
-
-
 def added(counters: Counters, more: Mapping[str, np.ndarray]) -> Counters:
     """The counters with more (R, N) added, name by name; what never happened has no name."""
-    happened = {name: count for name, count in more.items() if count.any()}
+    happened = {name: count.astype(np.int64) for name, count in more.items() if count.any()}
     return {**counters, **{name: counters.get(name, 0) + n for name, n in happened.items()}}
+
+
+def traffic(
+    links: Links, good: np.ndarray, bad: np.ndarray, lost: np.ndarray | None, reason: str
+) -> dict[str, np.ndarray]:
+    """What each node counts of a cycle in which nodes (R, N) sent `good` shares, or `bad` ones that
+    are rejected for that `reason`; `lost` (R, E) as `Links.arriving` has it."""
+    heard, rejected = (links.per_receiver(links.arriving(sent, lost)) for sent in (good, bad))
+    due = links.per_receiver((good | bad)[:, links.sender])
+    counts = {"heard": heard, f"rejected {reason}": rejected, "missed": due - heard}
+    if lost is not None:
+        counts["lost"] = links.per_receiver(np.where((good | bad)[:, links.sender], lost, 0))
+    return counts
 
 
 def received(values: Array, number: str) -> Array:
@@ -81,9 +90,7 @@ class Published(NamedTuple):
     belief: Gaussian
     known: np.ndarray
 
-    def carried(
-        self, filters: LocalFilters, control: Array | None, step: int
-    ) -> "Published":
+    def carried(self, filters: LocalFilters, control: Array | None, step: int) -> "Published":
         """The same at `step`."""
         if not self.known.any():
             return self

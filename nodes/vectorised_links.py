@@ -36,16 +36,38 @@ class DegreeClass(NamedTuple):
 
 class Links(NamedTuple):
     """All links of a network of `nodes`: `receiver` and `sender` (E,), `offsets` (N + 1,) of each
-    receiver's first."""
+    receiver's first.
+
+    What is held of others is kept in slots: `slot` (E,) is the one that a link reads, `source` (K,)
+    the node of which a slot holds something. Where no frame is lost, all who hear a node hold the
+    same of it, and a slot is a node; else it is a link.
+    """
 
     nodes: int
     receiver: np.ndarray
     sender: np.ndarray
     offsets: np.ndarray
+    slot: np.ndarray
+    source: np.ndarray
     classes: tuple[DegreeClass, ...]
 
+    @property
+    def perfect(self) -> bool:
+        """Whether a slot is a node."""
+        return len(self.source) == self.nodes and (self.source == np.arange(self.nodes)).all()
+
+    def arriving(self, sent: np.ndarray, lost: np.ndarray | None) -> np.ndarray:
+        """Which links (R, E) bring a share of those that `sent` (R, N) one; `lost` frames (R, E)
+        are those that a link loses of a share."""
+        brought = sent[:, self.sender]
+        return brought if lost is None else brought & (lost == 0)
+
+    def in_slots(self, sent: np.ndarray, lost: np.ndarray | None) -> np.ndarray:
+        """Which slots (R, K) are filled by those."""
+        return sent[:, self.source] if self.perfect else self.arriving(sent, lost)
+
     def per_receiver(self, flags: np.ndarray) -> np.ndarray:
-        """How many of each node's links (R, E) are flagged: (R, N)."""
+        """Sums (R, N) over each node's links of flags or counts (R, E)."""
         before = np.zeros((len(flags), flags.shape[1] + 1), dtype=np.int64)
         np.cumsum(flags, axis=1, out=before[:, 1:])
         return before[:, self.offsets[1:]] - before[:, self.offsets[:-1]]
@@ -58,8 +80,8 @@ class Shares(NamedTuple):
     link: Array
 
 
-def links_of(neighbours: Sequence[Sequence[int]]) -> Links:
-    """The links of a network in which node i hears neighbours[i]."""
+def links_of(neighbours: Sequence[Sequence[int]], perfect: bool) -> Links:
+    """The links of a network in which node i hears neighbours[i]; perfect ones lose nothing."""
     degrees = np.array([len(heard) for heard in neighbours])
     offsets = np.concatenate(([0], np.cumsum(degrees)))
     sender = np.array([j for heard in neighbours for j in heard], dtype=np.int64)
@@ -67,7 +89,8 @@ def links_of(neighbours: Sequence[Sequence[int]]) -> Links:
     classes = tuple(
         _degree_class(np.sort(nodes), offsets, degrees) for nodes in _alike_in_degree(degrees)
     )
-    return Links(len(neighbours), receiver, sender, offsets, classes)
+    slots = (sender, np.arange(len(neighbours))) if perfect else (np.arange(len(sender)), sender)
+    return Links(len(neighbours), receiver, sender, offsets, *slots, classes)
 
 
 def _alike_in_degree(degrees: np.ndarray) -> Iterator[np.ndarray]:
@@ -124,16 +147,12 @@ def _with_own(own: Array, others: Array) -> Array:
     return np.concatenate((first, others), axis=-1)
 
 
-def mixed(links: Links, weights: Shares, own: Array, held: Array, slot: np.ndarray) -> Array:
-    """Weighted sums (R, N, m) of the nodes' own numbers (R, N, m) and of those heard.
-
-    Args:
-        held: numbers (R, K, m) of as many slots.
-        slot: (E,), the slot that each link reads.
-    """
+def mixed(links: Links, weights: Shares, own: Array, held: Array) -> Array:
+    """Weighted sums (R, N, m) of the nodes' own numbers (R, N, m) and of those in slots (R, K,
+    m)."""
     runs, slots, m = held.shape
-    nodes, count = links.nodes, len(slot)
-    columns = (np.arange(runs)[:, None] * slots + slot).ravel()
+    nodes, count = links.nodes, len(links.slot)
+    columns = (np.arange(runs)[:, None] * slots + links.slot).ravel()
     rows = np.concatenate(
         ((np.arange(runs)[:, None] * count + links.offsets[:-1]).ravel(), [runs * count])
     )

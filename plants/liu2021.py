@@ -77,7 +77,7 @@ class Stabiliser:
 
     def control(self, state_estimate: Array, memory: Array, step: int) -> tuple[Array, Array]:
         """The control (1,) for an estimate (4,); nothing is remembered."""
-        return -_FEEDBACK @ state_estimate, memory
+        return -(state_estimate @ _FEEDBACK.T), memory
 
 
 def network(nodes: int, noise: str) -> BoundedNetwork:

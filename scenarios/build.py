@@ -86,7 +86,7 @@ def build_world(setup: Setup) -> WorldConfig:
     plan = build_plan(setup)
     kind = kind_of(scenario.name)
     plant = kind.plant(scenario)
-    controller = _controller(scenario)
+    controller = build_controller(scenario)
     return WorldConfig(
         plant=plant,
         initial_state=from_wire(setup.initial_state),
@@ -103,7 +103,8 @@ def build_world(setup: Setup) -> WorldConfig:
     )
 
 
-def _controller(scenario: Scenario) -> Controller | None:
+def build_controller(scenario: Scenario) -> Controller | None:
+    """What closes the loop of the plant, and through whose knowledge; None for an open loop."""
     law = kind_of(scenario.name).controller(scenario)
     if law is None:
         return None

@@ -95,6 +95,8 @@ class Kind(NamedTuple):
         check: raises ValueError for what this scenario cannot be.
         plant, model: of a scenario.
         sensor: of a scenario and a node; None for a blind node.
+        sensors: those of all nodes as one value whose arrays have the nodes' axis; None where they
+            are too unlike for that.
         score: how its errors are measured.
         controller: of a scenario, None where nothing drives the plant.
         warnings: what a user must be told of the plant before a run.
@@ -124,6 +126,7 @@ class Kind(NamedTuple):
     delivery: "Callable[[Scenario], Delivery] | None" = None
     listen: "Callable[[Setup, Sequence[int], Array], Gaussian] | None" = None
     around: "Callable[[Scenario, Seat, Estimator], Estimator] | None" = None
+    sensors: Callable[[Scenario], Sensor] | None = None
 
 
 def kinds() -> dict[str, Kind]:

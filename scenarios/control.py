@@ -134,6 +134,7 @@ def _kind(name: str, plant: _Plant) -> Kind:
         plant=plant_of,
         model=_model,
         sensor=_sensor,
+        sensors=lambda scenario: plant_of(scenario).sensors,
         score=Score(
             states=(plant.scored,),
             unit=plant.unit,

@@ -86,6 +86,7 @@ KIND = Kind(
     plant=lambda scenario: _plant(scenario.nodes),
     model=lambda _: SystemModel(SYSTEM),
     sensor=lambda _scenario, _node: SystemSensor(SYSTEM, slice(None)),
+    sensors=lambda _: SystemSensor(SYSTEM, slice(None)),
     score=Score(states=(0, 1), unit="1", nees_states=(0, 1), first_step=1),
     points=lambda _: paper_points(),
     delivery=_delivery,

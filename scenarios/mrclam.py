@@ -58,6 +58,7 @@ KIND = Kind(
     plant=_recorded,
     model=lambda _: ConfinedMotion(),
     sensor=_sensor,
+    sensors=lambda _: Sighting(),
     # Truth has no velocity but a difference of positions, so consistency is of the position too.
     score=Score(states=(0, 1), unit="m", nees_states=(0, 1), first_step=0, near_s=2.0),
     all_steps=lambda scenario: _recorded(scenario).steps,

@@ -33,5 +33,6 @@ KIND = Kind(
     plant=lambda scenario: _plant(scenario.nodes),
     model=_model,
     sensor=_sensor,
+    sensors=lambda scenario: _plant(scenario.nodes).sensors,
     score=Score(states=(0,), unit="m", nees_states=(0, 1), first_step=20),
 )

@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from filters import hold
-from filters.fusion import covariance_intersection, weighted_average
+from filters.fusion import (
+    INFORMATION,
+    MOMENTS,
+    Averaging,
+    covariance_intersection,
+    weighted_average,
+)
 from filters.gaussian import Gaussian
 from filters.hybrid_consensus import classical_gain, safe_gain
 from filters.local import keep_own
@@ -31,6 +37,8 @@ from scenarios.scenario import Scenario
 from topology.names import unknown_name
 
 if TYPE_CHECKING:
+    from nodes.vectorised import Fleet
+    from scenarios.fleets import FleetSeat
     from scenarios.setup import Setup
     from topology.weights import Weights
 
@@ -53,6 +61,7 @@ class Rule(NamedTuple):
         listen: (setup, nodes, readings (steps, N, r, d), control (steps, p) or None) -> beliefs
             (steps,) of one filter that takes the readings of these nodes; None for the Gaussian
             filter of the scenario.
+        fleet: builds the rule at all nodes of many runs; None for a rule without an array form.
     """
 
     summary: str
@@ -63,6 +72,7 @@ class Rule(NamedTuple):
     check: "Callable[[Scenario, Sequence[Sequence[int]], Weights], None] | None" = None
     certain: bool = False
     listen: "Callable[[Setup, Sequence[int], Array, Array | None], Gaussian] | None" = None
+    fleet: "Callable[[FleetSeat], Fleet] | None" = None
 
 
 def rule_names() -> tuple[str, ...]:
@@ -238,18 +248,30 @@ def _require_all_at_once(
         )
 
 
+def _averaging_fleet(averaging_: Averaging | None) -> "Callable[[FleetSeat], Fleet]":
+    def fleet(seat: "FleetSeat") -> "Fleet":
+        # Only here: a node of the network needs no array form, and what that needs is slow to load.
+        from scenarios.fleets import averaging_fleet
+
+        return averaging_fleet(averaging_, seat)
+
+    return fleet
+
+
 _RULES: dict[str, Rule] = {
     "ci": Rule(
         "covariance intersection: consistent for any correlation, never less tight than wac",
         lambda n, _: packed_length(n),
         partial(averaging, covariance_intersection),
         holds=True,
+        fleet=_averaging_fleet(INFORMATION),
     ),
     "wac": Rule(
         "weighted average of means and covariances (the paper's): no inverse, may diverge",
         lambda n, _: packed_length(n),
         partial(averaging, weighted_average),
         holds=True,
+        fleet=_averaging_fleet(MOMENTS),
     ),
     "hcmci": Rule(
         "consensus on prior and novelty, safe gain: consistent, near centralised with more rounds",
@@ -289,6 +311,7 @@ _RULES: dict[str, Rule] = {
         "every node alone: publishes, but fuses nothing",
         lambda n, _: packed_length(n),
         partial(averaging, keep_own),
+        fleet=_averaging_fleet(None),
     ),
     "centralised": Rule(
         "all readings at every node: the optimum; complete graph, full schedule, one round",

@@ -79,23 +79,30 @@ def prepare(scenario: Scenario) -> Setup:
     require_connected(adjacency)
     weights = build_weights(scenario.weights, adjacency)
     check_weights(weights, adjacency)
-    draws = plant.draw(partial(generator, scenario), scenario.steps)
-    initial_state, prior_mean, prior_cov = plant.initial(draws.initial)
     neighbours = neighbours_of(adjacency)
-    setup = Setup(
-        scenario,
-        neighbours,
-        per_node(weights, neighbours),
-        to_wire(initial_state),
-        prior_mean.tolist(),
-        prior_cov.tolist(),
-        plant.time_step_s,
-    )
+    rows = per_node(weights, neighbours)
+    unborn = Setup(scenario, neighbours, rows, [], [], [], plant.time_step_s)
+    setup = setup_of_run(unborn, scenario.run)
     if kind.wiring is None:
         check_rule(scenario, neighbours, weights)
     plan = plan_bus(scenario, share_bytes(setup), neighbours)
     check_bus(plan, scenario, plant.time_step_s)
     return setup
+
+
+def setup_of_run(setup: Setup, run: int) -> Setup:
+    """The same network in the run of that number: where truth and filters begin is drawn anew."""
+    scenario = msgspec.structs.replace(setup.scenario, run=run)
+    plant = kind_of(scenario.name).plant(scenario)
+    draws = plant.draw(partial(generator, scenario), scenario.steps)
+    initial_state, prior_mean, prior_cov = plant.initial(draws.initial)
+    return msgspec.structs.replace(
+        setup,
+        scenario=scenario,
+        initial_state=to_wire(initial_state),
+        prior_mean=prior_mean.tolist(),
+        prior_cov=prior_cov.tolist(),
+    )
 
 
 def share_bytes(setup: Setup) -> int:

@@ -37,6 +37,7 @@ def _kind(name: str, summary: str, make: Callable[..., Target], states: int) -> 
         plant=lambda scenario: _target(make, scenario.nodes),
         model=lambda scenario: _target(make, scenario.nodes).model,
         sensor=sensor,
+        sensors=lambda scenario: _target(make, scenario.nodes).sensors,
         score=Score(states=(0, 2), unit="m", nees_states=tuple(range(states)), first_step=20),
         radio_range_m=RADIO_RANGE_M,
     )

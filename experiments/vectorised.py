@@ -1,0 +1,228 @@
+"""Many runs of a scenario at once: `simulate` is where experiments get their Monte Carlo from.
+
+    histories = simulate(prepare(scenario), range(200))
+    errors = histories.mean - histories.truth[:, :, None]
+
+Run r has the noise that `concord run --run r` has, and its numbers to 1e-10. Rules and scenarios
+without an array form run message by message, one run after the other, and give the same value.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from experiments.drivers import in_memory
+from experiments.trace import read_trace
+from filters.gaussian import Gaussian
+from filters.metrics import nees
+from nodes.messages import Array
+from nodes.vectorised import Instant, run
+from scenarios.build import build_plan
+from scenarios.catalogue import kind_of
+from scenarios.setup import Setup, setup_of_run
+from scenarios.vectorised import build_network, frames_of, without_array_form
+
+# Runs are taken so many at a time that this many nodes are computed at once: enough that numpy is
+# worth its calls, little enough for caches and memory.
+LANES = 16_384
+
+READINGS, AGES, COV = "readings", "ages", "cov"
+OPTIONAL = frozenset((READINGS, AGES, COV))
+
+
+class Histories(NamedTuple):
+    """What happened in R runs of N nodes on E links, of n states, in S steps of L rounds.
+
+    Attributes:
+        setup: what was run.
+        runs: (R,), their numbers.
+        truth: (R, S, n), NaN where nobody knows it.
+        control: (R, S, p) that drove the plant into a step, NaN for the first; None for a plant
+            that is not driven.
+        mean: (R, S, N, n), estimates after the last round of a step.
+        cov_trace: (R, S, N), of their covariances.
+        nees: (R, S, N), over the states `kind_of(...).score.nees_states`; NaN for unknown truth.
+        payload_bytes: (R, S, L, N), what a node sent in a communication cycle; 0 where it did not.
+        asked: (R, S, L, N), who asked for the dynamic segment.
+        counters: totals (R, N) by name, as nodes count them; what never happened has no name.
+        prior_mean: (R, n), where filters began.
+        readings: (R, S, N, r, d), NaN where none was taken. If kept.
+        ages: (R, S, E), cycles since what came over a link was sent, -1 never; links in order of
+            receiver and then sender, as in `setup.neighbours`. If kept.
+        cov: (R, S, N, n, n). If kept.
+    """
+
+    setup: Setup
+    runs: np.ndarray
+    truth: Array
+    control: Array | None
+    mean: Array
+    cov_trace: Array
+    nees: Array
+    payload_bytes: np.ndarray
+    asked: np.ndarray
+    counters: dict[str, np.ndarray]
+    prior_mean: Array
+    readings: Array | None
+    ages: np.ndarray | None
+    cov: Array | None
+
+
+class _Recorded(NamedTuple):
+    """One step of some runs: the axes of `Histories` without S."""
+
+    truth: Array
+    control: Array | None
+    belief: Gaussian
+    payload_bytes: np.ndarray
+    asked: np.ndarray
+    readings: Array
+    ages: np.ndarray
+
+
+def simulate(
+    setup: Setup,
+    runs: Sequence[int],
+    *,
+    keep: Iterable[str] = (READINGS, AGES),
+    on_progress: Callable[[int], None] = lambda done: None,
+) -> Histories:
+    """Run a setup under its seed with the noise of each of these run numbers.
+
+    Args:
+        setup: of any run; its own run number does not matter.
+        runs: numbers of runs, at least one, each once.
+        keep: which of `OPTIONAL` histories to keep beside means and traces: what the baselines need
+            (readings), what held shares were worth (ages), full covariances (cov).
+        on_progress: told how many steps of how many runs are done, added up.
+
+    Raises:
+        ValueError: no runs, or a name in `keep` that is none.
+    """
+    if not len(runs) or len(set(runs)) < len(runs):
+        raise ValueError(f"runs {list(runs)[:9]}: give at least one number, each of them once")
+    if unknown := set(keep) - OPTIONAL:
+        raise ValueError(f"keep {sorted(unknown)}: choose from {sorted(OPTIONAL)}")
+    messages = without_array_form(setup.scenario) is not None
+    together = 1 if messages else max(1, LANES // setup.scenario.nodes)
+    arrays: dict[str, np.ndarray] = {}
+    counters: dict[str, np.ndarray] = {}
+    prior_mean = np.empty((len(runs), len(setup.prior_mean)))
+    done = 0
+    for first in range(0, len(runs), together):
+        place = slice(first, first + together)
+        part = (_replayed if messages else _driven)(setup, runs[place])
+        prior_mean[place] = part.prior_mean
+        for step, recorded in enumerate(part.steps):
+            _write(setup, arrays, (len(runs), place, step), recorded, frozenset(keep))
+            done += len(runs[place])
+            on_progress(done)
+        for name, counts in part.counters.items():
+            shape = (len(runs), setup.scenario.nodes)
+            counters.setdefault(name, np.zeros(shape, dtype=np.int64))[place] = counts
+    missing = dict.fromkeys(OPTIONAL | {"control"})
+    fields: dict[str, Any] = {**missing, **arrays}
+    return Histories(
+        setup=setup, runs=np.array(runs), counters=counters, prior_mean=prior_mean, **fields
+    )
+
+
+class _Part(NamedTuple):
+    """Some runs: their steps, counters that are filled as the steps are taken, where they begin."""
+
+    steps: Iterable[_Recorded]
+    counters: dict[str, np.ndarray]
+    prior_mean: Array
+
+
+def _driven(setup: Setup, runs: Sequence[int]) -> _Part:
+    """Some runs at once."""
+    network = build_network(setup, runs)
+    plan, rounds = build_plan(setup), setup.scenario.rounds
+    counters: dict[str, np.ndarray] = {}
+
+    def steps() -> Iterable[_Recorded]:
+        sent = np.zeros(network.prior.mean.shape[:2], dtype=np.int64)
+        for instant in run(network):
+            cycles = range(instant.step * rounds, (instant.step + 1) * rounds)
+            frames, payload = zip(*(frames_of(setup, plan, cycle) for cycle in cycles), strict=True)
+            sent += np.einsum("lrn,ln->rn", instant.sends, np.array(frames))
+            counters.update(instant.counters)
+            yield _recorded(instant, np.array(payload))
+        counters["sent"] = sent
+
+    return _Part(steps(), counters, network.prior.mean[:, 0])
+
+
+def _recorded(instant: Instant, payload: np.ndarray) -> _Recorded:
+    sends = instant.sends.transpose(1, 0, 2)
+    return _Recorded(
+        instant.truth,
+        instant.control,
+        instant.belief,
+        np.where(sends, payload, 0),
+        instant.asked.transpose(1, 0, 2),
+        instant.readings,
+        instant.ages,
+    )
+
+
+def _replayed(setup: Setup, runs: Sequence[int]) -> _Part:
+    """One run, message by message."""
+    own = setup_of_run(setup, runs[0])
+    trace = read_trace(own, in_memory(own))
+    names = {name for counters in trace.counters for name in counters}
+    counters = {
+        name: np.array([[counted.get(name, 0) for counted in trace.counters]]) for name in names
+    }
+    receiver = np.repeat(np.arange(own.scenario.nodes), [len(heard) for heard in own.neighbours])
+    sender = np.array([j for heard in own.neighbours for j in heard], dtype=int)
+
+    def steps() -> Iterable[_Recorded]:
+        for step in range(trace.steps):
+            yield _Recorded(
+                trace.truth[None, step],
+                None if trace.control is None or step == 0 else trace.control[None, step],
+                Gaussian(trace.mean[None, step], trace.cov[None, step]),
+                trace.payload_bytes[None, step],
+                trace.asked[None, step],
+                trace.readings[None, step],
+                trace.ages[None, step, receiver, sender],
+            )
+
+    return _Part(steps(), counters, np.array(own.prior_mean))
+
+
+def _write(
+    setup: Setup,
+    arrays: dict[str, np.ndarray],
+    at: tuple[int, slice, int],
+    recorded: _Recorded,
+    keep: frozenset[str],
+) -> None:
+    """Put one step of some runs in its place, `at` (number of all runs, which, step)."""
+    runs, place, step = at
+    belief, truth = recorded.belief, recorded.truth
+    states = list(kind_of(setup.scenario.name).score.nees_states)
+    errors = (belief.mean - truth[:, None])[..., states]
+    values: dict[str, np.ndarray | None] = {
+        "truth": truth,
+        "control": recorded.control,
+        "mean": belief.mean,
+        "cov_trace": np.trace(belief.cov, axis1=-2, axis2=-1),
+        "nees": nees(errors, belief.cov[..., states, :][..., states]),
+        "payload_bytes": recorded.payload_bytes.astype(np.int32),
+        "asked": recorded.asked,
+        READINGS: recorded.readings if READINGS in keep else None,
+        AGES: recorded.ages.astype(np.int32) if AGES in keep else None,
+        COV: belief.cov if COV in keep else None,
+    }
+    for name, value in values.items():
+        if value is not None:
+            shape = (runs, setup.scenario.steps, *value.shape[1:])
+            if name not in arrays:
+                # Nothing drives the plant into the first step.
+                fill = np.nan if value.dtype.kind == "f" else 0
+                arrays[name] = np.full(shape, fill, value.dtype)
+            arrays[name][place, step] = value

@@ -1,0 +1,179 @@
+"""The vectorised driver gives the numbers of the in-process driver, whatever the scenario.
+
+Every run of a Monte Carlo is compared with the run of that number, message by message: estimates
+and covariances to 1e-10 of their scale; who asked, who sent how much, ages and counters exactly.
+"""
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from experiments.drivers import in_memory
+from experiments.trace import read_trace
+from experiments.vectorised import COV, OPTIONAL, Histories, simulate
+from scenarios.scenario import Scenario
+from scenarios.setup import Setup, prepare, setup_of_run
+from scenarios.vectorised import without_array_form
+from tests.experiments.support import scenario
+
+TOLERANCE = 1e-10
+RUNS = (0, 3)
+PLANTS = ("oscillator", "target-crossing", "dc-motor-position", "cruise-control")
+RULES = ("ci", "wac", "local")
+HOLDS = ("decayed", "predict", "raw", "drop", "renormalise", "in-step")
+ARBITERS = ("wtod", "minislot", "round-robin")
+
+
+def check_agreement(asked: Scenario, runs: tuple[int, ...] = RUNS) -> None:
+    setup = prepare(asked)
+    assert without_array_form(asked) is None
+    histories = simulate(setup, runs, keep=OPTIONAL)
+    for place, run in enumerate(runs):
+        check_run(histories, place, setup_of_run(setup, run))
+
+
+def check_run(histories: Histories, place: int, setup: Setup) -> None:
+    trace = read_trace(setup, in_memory(setup))
+    sd = np.sqrt(np.diagonal(trace.cov, axis1=-2, axis2=-1))
+    assert histories.cov is not None and histories.ages is not None
+    near(histories.truth[place], trace.truth, np.abs(trace.truth))
+    near(histories.readings[place], trace.readings, np.abs(trace.readings))  # type: ignore[index]
+    near(histories.mean[place], trace.mean, np.maximum(np.abs(trace.mean), sd))
+    near(histories.cov[place], trace.cov, sd[..., :, None] * sd[..., None, :])
+    if trace.control is not None:
+        assert histories.control is not None
+        near(histories.control[place], trace.control, np.abs(trace.control))
+    np.testing.assert_array_equal(histories.payload_bytes[place], trace.payload_bytes)
+    np.testing.assert_array_equal(histories.asked[place], trace.asked)
+    first = 0
+    for node, heard in enumerate(setup.neighbours):
+        links = slice(first, first := first + len(heard))
+        np.testing.assert_array_equal(
+            histories.ages[place][:, links], trace.ages[:, node, heard], err_msg=f"ages of {node}"
+        )
+    names = {name for counters in trace.counters for name in counters}
+    assert names == {name for name, counts in histories.counters.items() if counts[place].any()}
+    for name in names:
+        expected = [counters.get(name, 0) for counters in trace.counters]
+        assert histories.counters[name][place].tolist() == expected, name
+
+
+def near(value: np.ndarray, expected: np.ndarray, scale: np.ndarray) -> None:
+    assert value.shape == expected.shape
+    np.testing.assert_array_equal(np.isnan(value), np.isnan(expected))
+    # What is zero up to rounding has the scale of its neighbours.
+    least = 1e-3 * np.nanmax(scale, initial=0.0)
+    worst = np.nanmax(np.abs(value - expected) / np.maximum(scale, least + 1e-300), initial=0.0)
+    assert worst < TOLERANCE, worst
+
+
+@st.composite
+def scenarios(draw: st.DrawFn) -> Scenario:
+    """Small scenarios that concord runs, of every rule, hold, arbiter, graph, ..."""
+    rule = draw(st.sampled_from(RULES))
+    schedule = draw(st.sampled_from(["full", "round-robin", "hybrid", "hybrid-leaves", "dynamic"]))
+    name = draw(st.sampled_from(PLANTS))
+    asked = {
+        "nodes": draw(st.integers(1, 6)),
+        "graph": draw(st.sampled_from(["ring", "path", "star", "complete"])),
+        "weights": draw(st.sampled_from(["metropolis", "maximum-degree", "equal-neighbour"])),
+        "rule": rule,
+        "rounds": draw(st.integers(1, 3)),
+        "steps": draw(st.integers(1, 5)),
+        "seed": draw(st.integers(0, 99)),
+        "schedule": schedule,
+        "occupancy": 1.0 if schedule == "full" else draw(st.sampled_from([0.2, 0.5, 0.9])),
+        "arbiter": draw(st.sampled_from(ARBITERS)),
+        "trigger": draw(st.sampled_from([0.0, 0.5])),
+        "number": draw(st.sampled_from(["float64", "float32"])),
+        "loss": draw(st.sampled_from([0.0, 0.0, 0.3])),
+        # The time of the bus is not what is compared here.
+        "stretch": 100.0,
+    }
+    if rule in ("ci", "wac"):
+        asked["hold"] = draw(st.sampled_from(HOLDS))
+        asked["decay"] = draw(st.sampled_from([0.0, 0.5, 1.0]))
+        asked["determinant_weights"] = draw(st.booleans())
+    if name in ("dc-motor-position", "cruise-control"):
+        asked["control"] = draw(st.sampled_from(["open", "truth", "0"]))
+    return scenario(name, **asked)
+
+
+@given(scenarios())
+@settings(max_examples=50)
+def test_random_scenarios_agree(asked: Scenario):
+    check_agreement(asked)
+
+
+@pytest.mark.slow
+@given(scenarios())
+@settings(max_examples=500)
+def test_many_more_random_scenarios_agree(asked: Scenario):
+    check_agreement(asked)
+
+
+LARGER = {
+    "a graph of unequal degrees": {"graph": "geometric", "steps": 8},
+    "half of the bus": {"schedule": "hybrid", "occupancy": 0.5, "steps": 8},
+    "what the dynamic segment holds hangs on who wins": {
+        "schedule": "dynamic",
+        "occupancy": 0.5,
+        "cluster": "bosch",
+        "graph": "ring",
+        "steps": 6,
+        "rounds": 1,
+    },
+    "lossy links and a share of two frames": {
+        "loss": 0.2,
+        "cluster": "bosch",
+        "nodes": 6,
+        "graph": "ring",
+        "steps": 6,
+        "rounds": 1,
+    },
+}
+
+
+@pytest.mark.parametrize("what", LARGER)
+def test_tracking_agrees(what: str):
+    check_agreement(scenario("target-tracking", **{"stretch": 100.0, **LARGER[what]}))
+
+
+@pytest.mark.parametrize("name", ["meng2025-network", "liu2021-network", "suspension"])
+def test_other_plants_agree(name: str):
+    check_agreement(scenario(name, nodes=4, steps=6, rule="ci"), runs=(1,))
+
+
+def test_runs_do_not_hang_on_which_are_asked_for_or_on_what_is_kept():
+    setup = prepare(scenario("oscillator", nodes=4, steps=6, schedule="hybrid", occupancy=0.5))
+    several = simulate(setup, range(5), keep=OPTIONAL)
+    (alone,) = (simulate(setup, [3], keep=[COV]),)
+    np.testing.assert_allclose(several.mean[3], alone.mean[0], rtol=1e-12, atol=1e-12)
+    np.testing.assert_array_equal(several.payload_bytes[3], alone.payload_bytes[0])
+    assert alone.readings is None and alone.ages is None
+
+
+def test_rules_without_an_array_form_run_message_by_message():
+    setup = prepare(scenario("target-tracking", nodes=5, graph="ring", steps=3, rule="labelled"))
+    assert without_array_form(setup.scenario) == "rule labelled"
+    histories = simulate(setup, RUNS, keep=OPTIONAL)
+    for place, run in enumerate(RUNS):
+        check_run(histories, place, setup_of_run(setup, run))
+
+
+@pytest.mark.parametrize(
+    ("runs", "keep", "says"),
+    [([], [], "at least one"), ([1, 1], [], "once"), ([0], ["covariances"], "choose from")],
+)
+def test_impossible_wishes_are_refused(runs: list[int], keep: list[str], says: str):
+    setup = prepare(scenario("oscillator", nodes=3, steps=2))
+    with pytest.raises(ValueError, match=says):
+        simulate(setup, runs, keep=keep)
+
+
+def test_a_setup_of_another_run_is_the_same_network():
+    asked = scenario("target-tracking", nodes=6, steps=3)
+    third = prepare(msgspec.structs.replace(asked, run=3))
+    assert setup_of_run(prepare(asked), 3) == third
