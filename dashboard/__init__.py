@@ -1,0 +1,1 @@
+"""The dashboard: a viser page that reads messages, live or recorded; may import what is below it."""

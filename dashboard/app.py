@@ -1,0 +1,414 @@
+"""The page: one server, its panels, and the loop that draws what there is to draw.
+
+Rates are capped whatever the network's: the scene `_SCENE_HZ`, panels of text and charts
+`_PANEL_HZ`. Everything is worked out before `atomic()`, inside which properties are only assigned.
+"""
+
+import contextlib
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from threading import Event as Flag
+from typing import Any
+
+import numpy as np
+import viser
+
+from dashboard import table
+from dashboard.bridge import Bridge
+from dashboard.charts import Band, Charts, StateChart
+from dashboard.conditions import sender_at
+from dashboard.controls import MAGNIFIED, Controls
+from dashboard.export_buttons import ExportButtons
+from dashboard.frame import BusCycle, Frame
+from dashboard.history import History
+from dashboard.layout import lay_out
+from dashboard.scene import Scene
+from dashboard.scene_plants import TRAIL
+from dashboard.selected import selected_panel
+from dashboard.source import Answer, Source
+from dashboard.stage import SCENE_WIDTH, Picture
+from dashboard.table import log, node_table, status
+from dashboard.theme import Theme, css
+from dashboard.timeline import RASTER_ROWS, TimelineView
+from dashboard.view import MANY_NODES, View
+from dashboard.zoom import zoom
+
+_SCENE_HZ, _PANEL_HZ = 12.0, 4.0
+# At this rate a paused picture goes through the frames of a cycle.
+_SWEEP_CYCLES_PER_S = 0.5
+_CHART_HEIGHT = 132
+_CAR_TRAIL = 3000
+_SETTLED_FRAMES = 20
+
+
+class Dashboard:
+    """One page on one source."""
+
+    def __init__(
+        self, source: Source, host: str, port: int, theme: Theme, folder: Path | None, band: Band
+    ) -> None:
+        self._source, self._folder, self._band = source, folder, band
+        self._stage = source.stage
+        self.view = View(theme=theme)
+        self._choose_view()
+        self.history = History(self._stage)
+        self._server = viser.ViserServer(host=host, port=port, verbose=False)
+        self._changed = Flag()
+        self._ended = Flag()
+        self._next_scene_s = self._next_panel_s = self._last_s = 0.0
+        self._stale = True
+        self._drawn: dict[str, str] = {}
+        self._build()
+
+    @property
+    def port(self) -> int:
+        """Where the page is."""
+        return self._server.get_port()
+
+    @property
+    def server(self) -> viser.ViserServer:
+        """The server of the page, for those who look at it from outside."""
+        return self._server
+
+    def _choose_view(self) -> None:
+        stage, view = self._stage, self.view
+        states = len(stage.state_names)
+        view.pair = (stage.place[0], stage.place[1]) if stage.place else (0, min(1, states - 1))
+        view.state = stage.score.states[0]
+        view.ellipses = "all" if stage.nodes <= MANY_NODES else "selected"
+        view.sight_lines = stage.nodes <= MANY_NODES
+        view.playing = not self._source.live
+
+    # --- building -----------------------------------------------------------------------------
+
+    def _build(self) -> None:
+        server, stage, view = self._server, self._stage, self.view
+        gui = server.gui
+        self._set_theme(view.theme)
+        self._aim()
+        gui.set_panel_label("concord")
+        self.controls = Controls(
+            gui, stage, view, self._source.ask, self._tell, self._mark_changed, self._source.live
+        )
+        self.exports = ExportButtons(gui, self, self._folder)
+        panels = lay_out(server)
+        self._bridge = Bridge(gui, stage.nodes, self.pick, self.point)
+        with panels.charts:
+            self.charts = Charts(gui, stage, view.theme, _CHART_HEIGHT)
+        with panels.state:
+            self._state_chart = StateChart(gui, stage, view.theme, 190)
+        with panels.log:
+            self._log: Any = gui.add_html("")
+        with panels.nodes:
+            self._table: Any = gui.add_html("")
+        with panels.selected:
+            self._selected: Any = gui.add_html("")
+        with panels.bus:
+            self._bus: Any = gui.add_html("")
+            self.slider: Any = gui.add_slider("Step", 0, 1, 1, 0)
+        with panels.zoom:
+            self._zoom: Any = gui.add_html("")
+        self.slider.on_update(self._scrub)
+        self._timeline = TimelineView(stage)
+        self.scene = Scene(server.scene, stage, view.theme, self.pick)
+        panels.arrange(1600, 900)
+        server.on_client_connect(self._fit(panels.arrange))
+        self._shortcuts()
+
+    def _fit(self, arrange: Callable[[int, int], None]) -> Callable[[viser.ClientHandle], None]:
+        """The panels fit the window of whoever came last."""
+
+        def fit(client: viser.ClientHandle) -> None:
+            for _ in range(50):
+                with contextlib.suppress(AssertionError, AttributeError):
+                    if client.camera.image_width > 0:
+                        break
+                time.sleep(0.02)
+            with contextlib.suppress(AssertionError, AttributeError):
+                arrange(client.camera.image_width, client.camera.image_height)
+
+        return fit
+
+    def _set_theme(self, theme: Theme) -> None:
+        self._server.gui.configure_theme(
+            dark_mode=theme.dark,
+            show_logo=False,
+            show_share_button=False,
+            brand_color=(0, 114, 178),
+        )
+
+    def _aim(self) -> None:
+        """Look at the whole network from above and aside; the bus panel covers the lower part."""
+        camera = self._server.initial_camera
+        far = 0.66 * SCENE_WIDTH
+        camera.position = (1.0, -1.1 * far - 2.6, 1.5 * far)
+        camera.look_at = (1.0, -2.6, 0.0)
+        camera.fov = 0.85
+
+    def _shortcuts(self) -> None:
+        def bind(label: str, key: Any, act: Callable[[Any], None]) -> None:
+            command = self._server.gui.add_command(label, hotkey=key)
+            command.on_trigger(act)
+
+        bind("Pause or resume", "P", lambda event: self.controls.toggle(event.client))
+        bind("One step", "N", lambda event: self.controls.step_once(event.client))
+        bind("Go to the newest step", "G", lambda _: self.controls.follow())
+        bind("Select the next node", "J", lambda _: self._select_next(1))
+        bind("Select the node before", "K", lambda _: self._select_next(-1))
+        bind("Select no node", "X", lambda _: self.pick(None))
+        bind("Dark or light", "D", lambda _: self._toggle_theme())
+
+    # --- what people do -----------------------------------------------------------------------
+
+    def pick(self, node: int | None) -> None:
+        """Select a node, everywhere."""
+        with self.view.lock:
+            self.view.selected = node
+        self._mark_changed()
+
+    def point(self, node: int) -> None:
+        """The pointer rests on a node."""
+        if node == self.view.hovered:
+            return
+        with self.view.lock:
+            self.view.hovered = node
+        self._mark_changed()
+
+    def _select_next(self, by: int) -> None:
+        now = self.view.selected
+        self.pick(
+            (-1 if now is None and by > 0 else now or 0) + by if now is not None or by > 0 else 0
+        )
+        with self.view.lock:
+            self.view.selected = (self.view.selected or 0) % self._stage.nodes
+
+    def _toggle_theme(self) -> None:
+        self.controls.dark.value = not self.controls.dark.value
+        from dashboard.theme import DARK, LIGHT
+
+        with self.view.lock:
+            self.view.theme = DARK if self.controls.dark.value else LIGHT
+        self._mark_changed()
+
+    def _scrub(self, event: Any) -> None:
+        if event.client is None:
+            return
+        with self.view.lock:
+            self.view.follow, self.view.playing = False, False
+            self.view.step, self.view.cursor = int(self.slider.value), 0.0
+        self._mark_changed()
+
+    def _tell(self, client: Any, title: str, body: str, is_trouble: bool) -> None:
+        """A short message in the corner, for whoever did something or, failing that, for all."""
+        clients = [client] if client is not None else list(self._server.get_clients().values())
+        for one in clients:
+            one.add_notification(
+                title, body, auto_close_seconds=8.0 if is_trouble else 3.0,
+                color="red" if is_trouble else "green",
+            )  # fmt: skip
+
+    def _mark_changed(self) -> None:
+        self._changed.set()
+
+    # --- drawing ------------------------------------------------------------------------------
+
+    def run(self, until: Callable[[], bool]) -> None:
+        """Draw until `until` says so."""
+        while not until():
+            self.tick(time.monotonic())
+            # Pacing lets the server's thread send; a change is drawn at once.
+            self._changed.wait(0.5 / _SCENE_HZ)
+
+    def tick(self, now_s: float) -> None:
+        """Take what has come, and draw what is due at this time of a clock that never goes back."""
+        self.history_add()
+        elapsed_s = min(now_s - self._last_s, 0.5) if self._last_s else 0.0
+        self._last_s = now_s
+        if not len(self.history):
+            self._show("status", self.controls, self._status(None))
+            return
+        with self.view.lock:
+            moved = self._advance(elapsed_s)
+            self._stale |= moved or self._changed.is_set()
+            self._changed.clear()
+            if self._stale and now_s >= self._next_scene_s:
+                self._next_scene_s = now_s + 1 / _SCENE_HZ
+                self._draw_scene()
+                panels_due = now_s >= self._next_panel_s
+                if panels_due:
+                    self._next_panel_s = now_s + 1 / _PANEL_HZ
+                    self._draw_panels()
+                self._stale = not panels_due
+
+    def history_add(self) -> None:
+        """Take the frames that have come."""
+        frames = self._source.poll()
+        if frames and not len(self.history):
+            self.view.step = frames[0].step
+        before = len(self.history)
+        self.history.add(frames)
+        # The prior is wide; what errors are like is known a little later.
+        if before < _SETTLED_FRAMES <= len(self.history):
+            self._magnify(frames[-1])
+        if self._source.stage is not self._stage:
+            self._stage = self._source.stage
+            self._timeline = TimelineView(self._stage)
+            self.controls.set_stage(self._stage)
+        if frames:
+            self.slider.max = max(1, self.history.last_step)
+            self.slider.min = self.history.first_step
+            self._changed.set()
+
+    def _magnify(self, frame: Frame) -> None:
+        if self._stage.picture is Picture.PLANE:
+            self.view.magnify = _magnification(frame, self._stage.scale)
+            self.controls.magnify.value = f"{self.view.magnify:g}"
+
+    def _advance(self, elapsed_s: float) -> bool:
+        """Move the shown step and the cursor on; True where something moved."""
+        view, history = self.view, self.history
+        before = view.step, view.cursor
+        rounds = max(1, len(history.at(view.step).cycles))
+        if self._source.live:
+            if view.follow:
+                view.step = history.last_step
+            view.cursor = self._swept(before[0] != view.step, view.cursor, elapsed_s, rounds)
+        elif view.playing:
+            steps = elapsed_s * view.speed / self._stage.setup.time_step_s
+            position = view.step + view.cursor / rounds + steps
+            if position >= history.last_step + 1:
+                view.step, view.cursor = history.last_step, float(rounds) - 1e-6
+                view.playing = self._source.pace().state == "LOADING"
+            else:
+                view.step = int(position)
+                view.cursor = (position - int(position)) * rounds
+        elif view.follow:
+            view.step, view.cursor = history.last_step, float(rounds) - 1e-6
+        else:
+            view.cursor = self._swept(False, view.cursor, elapsed_s, rounds)
+        view.step = min(max(view.step, history.first_step), history.last_step)
+        return before != (view.step, view.cursor)
+
+    def _swept(self, is_new: bool, cursor: float, elapsed_s: float, rounds: int) -> float:
+        """The cursor goes through the cycles of a step once, and rests in the last."""
+        last = rounds - 0.35
+        if is_new:
+            # A network that is faster than the eye: another moment of the cycle in each picture.
+            return (cursor + 0.37) % last if self.controls.paused is False else 0.0
+        return min(cursor + elapsed_s * _SWEEP_CYCLES_PER_S * rounds, last)
+
+    def _shown(self) -> tuple[Frame, BusCycle, float, int]:
+        """The frame, its cycle at the cursor, the time in that, and who sends."""
+        frame = self.history.at(self.view.step)
+        number = min(int(self.view.cursor), len(frame.cycles) - 1)
+        sender, now_us = sender_at(frame, self.view.cursor)
+        return frame, frame.cycles[number], now_us, sender
+
+    def _draw_scene(self) -> None:
+        view = self.view
+        frame, cycle, now_us, sender = self._shown()
+        trail = _CAR_TRAIL if self._stage.picture is Picture.TRACK else TRAIL
+        past = self.history.until(frame.step, trail)
+        assign = self.scene.draw(view, frame, past, sender)
+        timeline = self._timeline.draw(
+            view.theme, frame, self._past_cycles(cycle), cycle, now_us, view.selected
+        )
+        with self._server.atomic():
+            assign()
+            self._show("bus", self._bus, self._pressable(timeline))
+            self.slider.value = frame.step
+
+    def _past_cycles(self, shown: BusCycle) -> list[BusCycle]:
+        """Cycles before the shown one, the newest first."""
+        wanted = -(-RASTER_ROWS // max(1, len(self.history.at(self.view.step).cycles))) + 1
+        frames = self.history.until(self.view.step, wanted)
+        cycles = [cycle for frame in frames for cycle in frame.cycles]
+        return [cycle for cycle in reversed(cycles) if cycle.cycle < shown.cycle][:RASTER_ROWS]
+
+    def _draw_panels(self) -> None:
+        view, stage = self.view, self._stage
+        frame = self.history.at(view.step)
+        rows = node_table(stage, view, frame, self._bridge.press)
+        picture = zoom(stage, view.theme, frame, view.pair, view.selected)
+        events = [event for event in reversed(self.history.log) if event.step <= view.step]
+        about = selected_panel(stage, view, frame)
+        state = self._status(frame)
+        self.controls.show_selected(view.selected)
+        with self._server.atomic():
+            self._show("table", self._table, rows)
+            self._show("zoom", self._zoom, self._pressable(picture))
+            self._show("log", self._log, log(view.theme, events))
+            self._show("selected", self._selected, about)
+            self._show("status", self.controls, state)
+            self.charts.draw(view, self.history, self._band)
+            self._state_chart.draw(view, self.history)
+        self._repaint()
+
+    def _status(self, frame: Frame | None) -> str:
+        pace = self._source.pace()
+        state = pace.state
+        if not self._source.live:
+            state = "RUNNING" if self.view.playing else "PAUSED"
+            self.controls.show_paused(not self.view.playing)
+        else:
+            self.controls.show_paused(state == "PAUSED")
+        return status(self._stage, self.view.theme, frame, state, pace.detail)
+
+    def _pressable(self, html: str) -> str:
+        return (
+            f'<div onpointerdown="{self._bridge.press}" onpointerover="{self._bridge.hover}">'
+            f"{html}</div>"
+        )
+
+    def _show(self, name: str, handle: Any, html: str) -> None:
+        """Assign HTML; what is equal to what is shown is not sent again."""
+        if self._drawn.get(name) == html:
+            return
+        self._drawn[name] = html
+        target = handle.status if isinstance(handle, Controls) else handle
+        target.content = html
+
+    def _repaint(self) -> None:
+        theme = self.view.theme
+        if self._drawn.get("theme") == css(theme.text):
+            return
+        first = "theme" not in self._drawn
+        self._drawn["theme"] = css(theme.text)
+        if not first:
+            self._set_theme(theme)
+            self.scene.set_theme(theme)
+            self.charts.set_theme(theme)
+
+    def snapshot(self) -> View:
+        """The view as it is now, for an export that takes its time."""
+        with self.view.lock:
+            return replace(self.view)
+
+    @property
+    def stage(self):
+        """The stage that is drawn."""
+        return self._stage
+
+    def ask(self, command: dict[str, Any]) -> Answer:
+        """Command the network."""
+        return self._source.ask(command)
+
+    def close(self) -> None:
+        """End the page."""
+        self._source.close()
+        self._server.stop()
+
+
+def _magnification(frame: Frame, scale: float) -> float:
+    """How much errors must be enlarged to be seen: three deviations make a twelfth of the map."""
+    width = frame.scores.width[np.isfinite(frame.scores.width)]
+    if not len(width):
+        return 1.0
+    drawn = 3.0 * float(np.median(width)) * scale
+    wanted = SCENE_WIDTH / 12 / max(drawn, 1e-9)
+    return float(max((m for m in MAGNIFIED if m <= wanted), default=1))
+
+
+__all__ = ["Dashboard", "table"]

@@ -1,0 +1,248 @@
+"""Messages into frames: what a network said about a step, put together when the step is over.
+
+The order of messages within a step does not matter. A step is over when every node has estimated
+it, or when somebody has estimated a step so much later that the world has gone on without the rest.
+Whoever attaches to a running network sees its first step incomplete, and begins with the next.
+"""
+
+from collections import defaultdict
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from bus.frame import OVERHEAD_BYTES
+from dashboard.bus_cycles import BusView
+from dashboard.frame import Array, Event, Frame, Numbers, Traffic
+from dashboard.scores import fuse, score
+from dashboard.stage import Stage
+from filters.gaussian import Gaussian
+from filters.linalg import unpack_upper
+from nodes.estimator import Rejected
+from nodes.messages import Estimate, MalformedMessage, Measured, Truth, decode, from_wire
+from nodes.share import read_frame
+from scenarios.baselines import listener, listens_step_by_step
+from scenarios.build import OPEN_LOOP_LEAD
+
+_KINDS = ("measured", "truth", "estimate")
+# A restarted node tells nothing of the counters that died with it.
+_COUNTED = ("sent", "heard", "missed")
+
+
+@dataclass
+class _Step:
+    """What has come of one step."""
+
+    truth: Truth | None = None
+    measured: dict[int, Measured] = field(default_factory=dict)
+    estimates: dict[int, Estimate] = field(default_factory=dict)
+
+
+class Assembler:
+    """Takes messages one by one and gives frames in order of steps."""
+
+    def __init__(self, stage: Stage) -> None:
+        self._stage = stage
+        self._bus = BusView(stage.plan)
+        self._steps: dict[int, _Step] = defaultdict(_Step)
+        self._sizes: dict[int, dict[int, int]] = defaultdict(lambda: defaultdict(int))
+        self._events: list[Event] = []
+        self._next: int | None = None
+        self._newest = -1
+        n, nodes = len(stage.setup.prior_mean), stage.nodes
+        prior = Gaussian(np.array(stage.setup.prior_mean), np.array(stage.setup.prior_cov))
+        self._listen = None
+        if listens_step_by_step(stage.setup):
+            self._listen = listener(stage.setup, list(range(nodes)))
+        self._central: Gaussian | None = prior
+        self._belief = Gaussian(np.full((nodes, n), np.nan), np.full((nodes, n, n), np.nan))
+        self._alive = np.ones(nodes, dtype=bool)
+        self._ages = np.full(len(stage.heard), -1)
+        self._counters: list[dict[str, int]] = [{} for _ in range(nodes)]
+        self._rejection = [""] * nodes
+        self._last_sent = np.full(nodes, -1)
+        self.cut = np.zeros(len(stage.edges), dtype=bool)
+
+    def note(self, event: Event) -> None:
+        """Something that no message of a step says, for the frame of the step that is next."""
+        self._events.append(event)
+
+    def take(self, topic: str, data: bytes) -> list[Frame]:
+        """Take one message; returns the frames that it completes. What is no message is ignored."""
+        kind, _, number = topic.partition("/")
+        if kind == "share":
+            self._keep_share(number, data)
+            return []
+        if kind not in _KINDS:
+            return []
+        try:
+            message = decode(topic, data)
+        except MalformedMessage:
+            return []
+        step = self._steps[message.step]
+        match message:
+            case Truth():
+                step.truth = message
+            case Measured():
+                step.measured[message.node] = message
+            case Estimate():
+                step.estimates[message.node] = message
+                self._newest = max(self._newest, message.step)
+                return self._completed()
+        return []
+
+    def _keep_share(self, node: str, data: bytes) -> None:
+        try:
+            cycle = read_frame(data).cycle
+        except Rejected:
+            return
+        if node.isdigit() and int(node) < self._stage.nodes:
+            self._sizes[cycle][int(node)] += len(data) - OVERHEAD_BYTES
+
+    def _completed(self) -> list[Frame]:
+        if self._next is None:
+            self._next = self._first_whole()
+        frames: list[Frame] = []
+        while self._next is not None and self._is_over(self._next):
+            frames.append(self._frame(self._next, self._steps.pop(self._next)))
+            self._next += 1
+            for stale in [step for step in self._steps if step < self._next]:
+                del self._steps[stale]
+        return frames
+
+    def _first_whole(self) -> int | None:
+        """The first step all of whose messages can have come since we listen."""
+        whole = [step for step, kept in self._steps.items() if kept.truth and kept.measured]
+        if not whole:
+            return None
+        # Sizes of its first cycles are missing unless we heard the step before.
+        first = min(whole)
+        return first if first == 0 or first - 1 in self._steps else first + 1
+
+    def _is_over(self, number: int) -> bool:
+        step = self._steps.get(number)
+        if step is None or step.truth is None:
+            return False
+        if len(step.estimates) == self._stage.nodes:
+            return True
+        living = [node for node in range(self._stage.nodes) if self._alive[node]]
+        late = self._newest > number + OPEN_LOOP_LEAD
+        return late or (bool(living) and False)
+
+    def _frame(self, number: int, step: _Step) -> Frame:
+        stage = self._stage
+        assert step.truth is not None, "a step that is over has a truth"
+        truth = from_wire(step.truth.state)
+        first = number * stage.rounds
+        cycles = tuple(
+            self._bus.cycle(cycle, self._sizes.pop(cycle, {}))
+            for cycle in range(first, first + stage.rounds)
+        )
+        for cycle in cycles:
+            senders = list({frame.node for frame in cycle.frames})
+            self._last_sent[senders] = cycle.cycle
+        for stale in [cycle for cycle in self._sizes if cycle < first]:
+            del self._sizes[stale]
+        self._take_estimates(number, step)
+        central = self._hear_all(number, step)
+        events, self._events = tuple(self._events), []
+        alive = self._alive.copy()
+        last = first + stage.rounds - 1
+        ages = self._ages.copy()
+        return Frame(
+            step=number,
+            time_s=number * stage.setup.time_step_s,
+            truth=truth,
+            belief=self._belief,
+            fused=fuse(self._belief, alive),
+            seen=self._seen(step),
+            alive=alive,
+            ages=ages,
+            lost=self._lost(ages, alive, last),
+            cut=self.cut.copy(),
+            traffic=self._traffic(),
+            rejection=tuple(self._rejection),
+            cycles=cycles,
+            scores=score(stage, truth, self._belief, alive, central),
+            events=events,
+        )
+
+    def _take_estimates(self, number: int, step: _Step) -> None:
+        mean, cov = self._belief.mean.copy(), self._belief.cov.copy()
+        start = 0
+        for node, neighbours in enumerate(self._stage.setup.neighbours):
+            estimate = step.estimates.get(node)
+            part = slice(start, start + len(neighbours))
+            start += len(neighbours)
+            self._note_life(number, node, estimate is not None)
+            if estimate is None:
+                known = self._ages[part] >= 0
+                self._ages[part] += np.where(known, self._stage.rounds, 0)
+                continue
+            mean[node] = from_wire(estimate.mean)
+            cov[node] = unpack_upper(from_wire(estimate.cov))
+            if len(estimate.ages) == len(neighbours):
+                self._ages[part] = estimate.ages
+            self._note_rejections(number, node, estimate.counters)
+            self._counters[node] = estimate.counters
+        self._belief = Gaussian(mean, cov)
+
+    def _note_life(self, number: int, node: int, lives: bool) -> None:
+        if lives == self._alive[node]:
+            return
+        self._alive[node] = lives
+        what = "is back" if lives else "is down"
+        self._events.append(
+            Event(number, f"node {self._stage.names[node]} {what}", node, not lives)
+        )
+
+    def _note_rejections(self, number: int, node: int, counters: dict[str, int]) -> None:
+        before = self._counters[node]
+        for name, total in counters.items():
+            if name.startswith("rejected") and total > before.get(name, 0):
+                reason = name.removeprefix("rejected ")
+                self._rejection[node] = reason
+                text = f"node {self._stage.names[node]} rejected a frame: {reason}"
+                self._events.append(Event(number, text, node, True))
+
+    def _hear_all(self, number: int, step: _Step) -> Gaussian | None:
+        """The filter that hears everything, one step on; none where it cannot be followed."""
+        if self._listen is None or self._central is None:
+            return None
+        nodes = range(self._stage.nodes)
+        if any(node not in step.measured for node in nodes):
+            # A node that is down reads nothing; with nobody's reading the shape is unknown.
+            if not step.measured:
+                self._central = None
+                return None
+        example = from_wire(next(iter(step.measured.values())).readings)
+        nothing = np.full_like(example, np.nan)
+        delivered: Array = np.stack(
+            [from_wire(step.measured[i].readings) if i in step.measured else nothing for i in nodes]
+        )
+        control = next(iter(step.measured.values())).control
+        driven = None if control is None else np.array(control)
+        self._central = self._listen(self._central, number, delivered, driven)
+        return self._central
+
+    def _seen(self, step: _Step) -> np.ndarray:
+        seen = np.zeros(self._stage.nodes, dtype=bool)
+        for node, measured in step.measured.items():
+            seen[node] = any(value is not None for row in measured.readings for value in row)
+        return seen
+
+    def _lost(self, ages: Numbers, alive: np.ndarray, last_cycle: int) -> np.ndarray:
+        """Whose newest share did not reach whom: what is held is older than what was sent."""
+        receiver, sender = self._stage.heard.T
+        sent = self._last_sent[sender]
+        newest = last_cycle - sent
+        return (sent >= 0) & alive[receiver] & (ages != newest)
+
+    def _traffic(self) -> Traffic:
+        def total(name: str) -> Numbers:
+            return np.array([counters.get(name, 0) for counters in self._counters])
+
+        rejected = [
+            sum(count for name, count in counters.items() if name.startswith("rejected"))
+            for counters in self._counters
+        ]
+        return Traffic(*(total(name) for name in _COUNTED), np.array(rejected))
