@@ -1,1 +1,1 @@
-"""The dashboard: a viser page that reads messages, live or recorded; may import what is below it."""
+"""A page in the browser that reads messages, live or recorded; imports what is below it."""

@@ -13,9 +13,9 @@ from threading import Event as Flag
 from typing import Any
 
 import numpy as np
+import rich
 import viser
 
-from dashboard import table
 from dashboard.bridge import Bridge
 from dashboard.charts import Band, Charts, StateChart
 from dashboard.conditions import sender_at
@@ -24,23 +24,26 @@ from dashboard.export_buttons import ExportButtons
 from dashboard.frame import BusCycle, Frame
 from dashboard.history import History
 from dashboard.layout import lay_out
+from dashboard.player import Extent, play_live, play_recorded
 from dashboard.scene import Scene
 from dashboard.scene_plants import TRAIL
 from dashboard.selected import selected_panel
 from dashboard.source import Answer, Source
 from dashboard.stage import SCENE_WIDTH, Picture
 from dashboard.table import log, node_table, status
-from dashboard.theme import Theme, css
+from dashboard.theme import DARK, LIGHT, Theme, css
 from dashboard.timeline import RASTER_ROWS, TimelineView
 from dashboard.view import MANY_NODES, View
 from dashboard.zoom import zoom
 
 _SCENE_HZ, _PANEL_HZ = 12.0, 4.0
-# At this rate a paused picture goes through the frames of a cycle.
-_SWEEP_CYCLES_PER_S = 0.5
 _CHART_HEIGHT = 132
 _CAR_TRAIL = 3000
 _SETTLED_FRAMES = 20
+_FIELD_OF_VIEW_RAD = 0.85
+# Off the middle: panels cover the right and the lower part of the scene.
+_LOOK_AT = (1.4, -3.4, 0.0)
+_DISTANCE = {Picture.PLANE: 1.22, Picture.GRAPH: 1.15, Picture.TRACK: 0.95}
 
 
 class Dashboard:
@@ -53,7 +56,10 @@ class Dashboard:
         self._stage = source.stage
         self.view = View(theme=theme)
         self._choose_view()
+        self._distance = _DISTANCE[self._stage.picture]
         self.history = History(self._stage)
+        # The only line that this process says is ours.
+        rich.get_console().quiet = True
         self._server = viser.ViserServer(host=host, port=port, verbose=False)
         self._changed = Flag()
         self._ended = Flag()
@@ -117,17 +123,16 @@ class Dashboard:
         server.on_client_connect(self._fit(panels.arrange))
         self._shortcuts()
 
-    def _fit(self, arrange: Callable[[int, int], None]) -> Callable[[viser.ClientHandle], None]:
-        """The panels fit the window of whoever came last."""
+    def _fit(self, arrange: Callable[[int, int], float]) -> Callable[[viser.ClientHandle], None]:
+        """The panels fit the window of whoever came last, and the scene what they leave."""
 
         def fit(client: viser.ClientHandle) -> None:
-            for _ in range(50):
-                with contextlib.suppress(AssertionError, AttributeError):
-                    if client.camera.image_width > 0:
-                        break
-                time.sleep(0.02)
-            with contextlib.suppress(AssertionError, AttributeError):
-                arrange(client.camera.image_width, client.camera.image_height)
+            camera = client.camera
+            with contextlib.suppress(AssertionError):
+                if camera.image_width and camera.image_height:
+                    aspect = arrange(camera.image_width, camera.image_height)
+                    camera.position = tuple(_eye(self._distance * max(0.85, 1.05 / aspect)))
+                    camera.look_at = _LOOK_AT
 
         return fit
 
@@ -142,10 +147,9 @@ class Dashboard:
     def _aim(self) -> None:
         """Look at the whole network from above and aside; the bus panel covers the lower part."""
         camera = self._server.initial_camera
-        far = 0.66 * SCENE_WIDTH
-        camera.position = (1.0, -1.1 * far - 2.6, 1.5 * far)
-        camera.look_at = (1.0, -2.6, 0.0)
-        camera.fov = 0.85
+        camera.position = tuple(_eye(self._distance))
+        camera.look_at = _LOOK_AT
+        camera.fov = _FIELD_OF_VIEW_RAD
 
     def _shortcuts(self) -> None:
         def bind(label: str, key: Any, act: Callable[[Any], None]) -> None:
@@ -178,18 +182,13 @@ class Dashboard:
 
     def _select_next(self, by: int) -> None:
         now = self.view.selected
-        self.pick(
-            (-1 if now is None and by > 0 else now or 0) + by if now is not None or by > 0 else 0
-        )
-        with self.view.lock:
-            self.view.selected = (self.view.selected or 0) % self._stage.nodes
+        first = 0 if by > 0 else self._stage.nodes - 1
+        self.pick(first if now is None else (now + by) % self._stage.nodes)
 
     def _toggle_theme(self) -> None:
-        self.controls.dark.value = not self.controls.dark.value
-        from dashboard.theme import DARK, LIGHT
-
         with self.view.lock:
-            self.view.theme = DARK if self.controls.dark.value else LIGHT
+            self.view.theme = LIGHT if self.view.theme.dark else DARK
+            self.controls.dark.value = self.view.theme.dark
         self._mark_changed()
 
     def _scrub(self, event: Any) -> None:
@@ -268,36 +267,12 @@ class Dashboard:
 
     def _advance(self, elapsed_s: float) -> bool:
         """Move the shown step and the cursor on; True where something moved."""
-        view, history = self.view, self.history
-        before = view.step, view.cursor
+        view, history, pace = self.view, self.history, self._source.pace()
         rounds = max(1, len(history.at(view.step).cycles))
+        extent = Extent(history.first_step, history.last_step, rounds, pace.state == "LOADING")
         if self._source.live:
-            if view.follow:
-                view.step = history.last_step
-            view.cursor = self._swept(before[0] != view.step, view.cursor, elapsed_s, rounds)
-        elif view.playing:
-            steps = elapsed_s * view.speed / self._stage.setup.time_step_s
-            position = view.step + view.cursor / rounds + steps
-            if position >= history.last_step + 1:
-                view.step, view.cursor = history.last_step, float(rounds) - 1e-6
-                view.playing = self._source.pace().state == "LOADING"
-            else:
-                view.step = int(position)
-                view.cursor = (position - int(position)) * rounds
-        elif view.follow:
-            view.step, view.cursor = history.last_step, float(rounds) - 1e-6
-        else:
-            view.cursor = self._swept(False, view.cursor, elapsed_s, rounds)
-        view.step = min(max(view.step, history.first_step), history.last_step)
-        return before != (view.step, view.cursor)
-
-    def _swept(self, is_new: bool, cursor: float, elapsed_s: float, rounds: int) -> float:
-        """The cursor goes through the cycles of a step once, and rests in the last."""
-        last = rounds - 0.35
-        if is_new:
-            # A network that is faster than the eye: another moment of the cycle in each picture.
-            return (cursor + 0.37) % last if self.controls.paused is False else 0.0
-        return min(cursor + elapsed_s * _SWEEP_CYCLES_PER_S * rounds, last)
+            return play_live(view, extent, elapsed_s, pace.state == "PAUSED")
+        return play_recorded(view, extent, elapsed_s, self._stage.setup.time_step_s)
 
     def _shown(self) -> tuple[Frame, BusCycle, float, int]:
         """The frame, its cycle at the cursor, the time in that, and who sends."""
@@ -401,6 +376,11 @@ class Dashboard:
         self._server.stop()
 
 
+def _eye(distance: float) -> np.ndarray:
+    """Where the scene is looked at from; at 1 the whole network fits a square."""
+    return np.array(_LOOK_AT) + distance * SCENE_WIDTH * np.array([0.0, -0.726, 0.99])
+
+
 def _magnification(frame: Frame, scale: float) -> float:
     """How much errors must be enlarged to be seen: three deviations make a twelfth of the map."""
     width = frame.scores.width[np.isfinite(frame.scores.width)]
@@ -409,6 +389,3 @@ def _magnification(frame: Frame, scale: float) -> float:
     drawn = 3.0 * float(np.median(width)) * scale
     wanted = SCENE_WIDTH / 12 / max(drawn, 1e-9)
     return float(max((m for m in MAGNIFIED if m <= wanted), default=1))
-
-
-__all__ = ["Dashboard", "table"]

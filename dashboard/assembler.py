@@ -13,8 +13,9 @@ import numpy as np
 from bus.frame import OVERHEAD_BYTES
 from dashboard.bus_cycles import BusView
 from dashboard.frame import Array, Event, Frame, Numbers, Traffic
+from dashboard.network import Change, Network, changed, read_change
 from dashboard.scores import fuse, score
-from dashboard.stage import Stage
+from dashboard.stage import Stage, restaged
 from filters.gaussian import Gaussian
 from filters.linalg import unpack_upper
 from nodes.estimator import Rejected
@@ -40,8 +41,14 @@ class _Step:
 class Assembler:
     """Takes messages one by one and gives frames in order of steps."""
 
-    def __init__(self, stage: Stage) -> None:
+    def __init__(self, stage: Stage, network: Network | None = None) -> None:
+        """Begin with the first step, or in the middle with what is known of the network."""
         self._stage = stage
+        everybody = frozenset(range(stage.nodes))
+        self._network = network or Network(everybody, (0, 0, stage.rounds))
+        self._changes: list[Change] = []
+        self._heard_cycle: dict[int, int] = {}
+        self._ends: dict[int, int] = {}
         self._bus = BusView(stage.plan)
         self._steps: dict[int, _Step] = defaultdict(_Step)
         self._sizes: dict[int, dict[int, int]] = defaultdict(lambda: defaultdict(int))
@@ -60,11 +67,11 @@ class Assembler:
         self._counters: list[dict[str, int]] = [{} for _ in range(nodes)]
         self._rejection = [""] * nodes
         self._last_sent = np.full(nodes, -1)
-        self.cut = np.zeros(len(stage.edges), dtype=bool)
 
-    def note(self, event: Event) -> None:
-        """Something that no message of a step says, for the frame of the step that is next."""
-        self._events.append(event)
+    @property
+    def stage(self) -> Stage:
+        """The stage with the settings of the newest frame."""
+        return self._stage
 
     def take(self, topic: str, data: bytes) -> list[Frame]:
         """Take one message; returns the frames that it completes. What is no message is ignored."""
@@ -72,6 +79,10 @@ class Assembler:
         if kind == "share":
             self._keep_share(number, data)
             return []
+        if kind == "event":
+            change = read_change(data)
+            self._changes += [change] if change else []
+            return self._completed()
         if kind not in _KINDS:
             return []
         try:
@@ -86,6 +97,8 @@ class Assembler:
                 step.measured[message.node] = message
             case Estimate():
                 step.estimates[message.node] = message
+                last = self._heard_cycle.get(message.node, -1)
+                self._ends[message.step] = max(last, self._ends.get(message.step, -1))
                 self._newest = max(self._newest, message.step)
                 return self._completed()
         return []
@@ -97,12 +110,16 @@ class Assembler:
             return
         if node.isdigit() and int(node) < self._stage.nodes:
             self._sizes[cycle][int(node)] += len(data) - OVERHEAD_BYTES
+            self._heard_cycle[int(node)] = cycle
 
     def _completed(self) -> list[Frame]:
         if self._next is None:
             self._next = self._first_whole()
         frames: list[Frame] = []
-        while self._next is not None and self._is_over(self._next):
+        while self._next is not None:
+            self._apply_changes(self._next)
+            if not self._is_over(self._next):
+                break
             frames.append(self._frame(self._next, self._steps.pop(self._next)))
             self._next += 1
             for stale in [step for step in self._steps if step < self._next]:
@@ -122,31 +139,51 @@ class Assembler:
         step = self._steps.get(number)
         if step is None or step.truth is None:
             return False
-        if len(step.estimates) == self._stage.nodes:
-            return True
-        living = [node for node in range(self._stage.nodes) if self._alive[node]]
-        late = self._newest > number + OPEN_LOOP_LEAD
-        return late or (bool(living) and False)
+        everybody = self._network.members <= step.estimates.keys()
+        return everybody or self._newest > number + OPEN_LOOP_LEAD + 1
+
+    def _apply_changes(self, number: int) -> None:
+        """Take over what holds from this step on."""
+        due = [change for change in self._changes if change.step <= number]
+        if not due:
+            return
+        self._changes = [change for change in self._changes if change.step > number]
+        for change in due:
+            try:
+                self._network, event = changed(self._network, change, self._stage.names)
+            except (KeyError, TypeError, ValueError, IndexError):
+                # A newer network may tell of more than this page knows.
+                continue
+            self._events.append(event)
+            if change.what == "settings":
+                self._stage = restaged(self._stage, dict(self._network.settings))
+                self._bus = BusView(self._stage.plan)
+
+    def _cycles(self, number: int) -> range:
+        _, first, rounds = self._network.anchor
+        if first < 0:
+            # Attached after the number of rounds was changed: the step ends with its last share.
+            begin = self._ends.get(number, rounds - 1) + 1 - rounds
+            self._network = self._network._replace(anchor=(number, begin, rounds))
+        return self._network.cycles(number)
 
     def _frame(self, number: int, step: _Step) -> Frame:
         stage = self._stage
         assert step.truth is not None, "a step that is over has a truth"
         truth = from_wire(step.truth.state)
-        first = number * stage.rounds
-        cycles = tuple(
-            self._bus.cycle(cycle, self._sizes.pop(cycle, {}))
-            for cycle in range(first, first + stage.rounds)
-        )
+        numbers = self._cycles(number)
+        cycles = tuple(self._bus.cycle(cycle, self._sizes.pop(cycle, {})) for cycle in numbers)
         for cycle in cycles:
             senders = list({frame.node for frame in cycle.frames})
             self._last_sent[senders] = cycle.cycle
-        for stale in [cycle for cycle in self._sizes if cycle < first]:
+        for stale in [cycle for cycle in self._sizes if cycle < numbers.start]:
             del self._sizes[stale]
+        for ended in [step for step in self._ends if step <= number]:
+            del self._ends[ended]
         self._take_estimates(number, step)
         central = self._hear_all(number, step)
         events, self._events = tuple(self._events), []
         alive = self._alive.copy()
-        last = first + stage.rounds - 1
         ages = self._ages.copy()
         return Frame(
             step=number,
@@ -157,8 +194,8 @@ class Assembler:
             seen=self._seen(step),
             alive=alive,
             ages=ages,
-            lost=self._lost(ages, alive, last),
-            cut=self.cut.copy(),
+            lost=self._lost(ages, alive, numbers[-1]),
+            cut=self._cut(),
             traffic=self._traffic(),
             rejection=tuple(self._rejection),
             cycles=cycles,
@@ -190,6 +227,9 @@ class Assembler:
         if lives == self._alive[node]:
             return
         self._alive[node] = lives
+        # The network tells of its members itself; what dies without that is told here.
+        if any(event.node == node for event in self._events):
+            return
         what = "is back" if lives else "is down"
         self._events.append(
             Event(number, f"node {self._stage.names[node]} {what}", node, not lives)
@@ -209,11 +249,8 @@ class Assembler:
         if self._listen is None or self._central is None:
             return None
         nodes = range(self._stage.nodes)
-        if any(node not in step.measured for node in nodes):
-            # A node that is down reads nothing; with nobody's reading the shape is unknown.
-            if not step.measured:
-                self._central = None
-                return None
+        if not step.measured:
+            return None
         example = from_wire(next(iter(step.measured.values())).readings)
         nothing = np.full_like(example, np.nan)
         delivered: Array = np.stack(
@@ -237,6 +274,13 @@ class Assembler:
         newest = last_cycle - sent
         return (sent >= 0) & alive[receiver] & (ages != newest)
 
+    def _cut(self) -> np.ndarray:
+        cut = self._network.cut
+        return np.array(
+            [(int(i), int(j)) in cut or (int(j), int(i)) in cut for i, j in self._stage.edges],
+            dtype=bool,
+        )
+
     def _traffic(self) -> Traffic:
         def total(name: str) -> Numbers:
             return np.array([counters.get(name, 0) for counters in self._counters])
@@ -245,4 +289,5 @@ class Assembler:
             sum(count for name, count in counters.items() if name.startswith("rejected"))
             for counters in self._counters
         ]
-        return Traffic(*(total(name) for name in _COUNTED), np.array(rejected))
+        sent, heard, missed = (total(name) for name in _COUNTED)
+        return Traffic(sent, heard, missed, np.array(rejected))

@@ -33,7 +33,7 @@ class Chart:
             series=self._series(),
             title=title,
             scales={"x": uplot.Scale(time=False), "y": uplot.Scale(auto=True)},
-            axes=(self._axis(theme, 36), self._axis(theme, 44)),
+            axes=(self._axis(theme, 36), self._axis(theme, 54)),
             legend=uplot.Legend(show=True, live=False),
             padding=(4, 10, 0, 0),
             height=height,
@@ -42,17 +42,15 @@ class Chart:
         self.rows: tuple[Array, ...] = ()
 
     def _series(self) -> tuple[Any, ...]:
-        return (
-            uplot.Series(label="time [s]"),
-            *(
-                uplot.Series(
-                    label=name, stroke=css(colour), width=1.6, points={"show": False},
-                    **({"dash": (5, 4)} if name in self._dashed else {}),
-                )
-                for index, (name, colour) in enumerate(self._lines.items())
-                if index in self._present
-            ),
-        )  # fmt: skip
+        lines = list(self._lines.items())
+        drawn: list[Any] = [uplot.Series(label="time [s]")]
+        for index in self._present:
+            name, colour = lines[index]
+            line: dict[str, Any] = {"label": name, "stroke": css(colour), "width": 1.6}
+            if name in self._dashed:
+                line["dash"] = (5, 4)
+            drawn.append(uplot.Series(**line, points={"show": False}))
+        return tuple(drawn)
 
     def _axis(self, theme: Theme, size: int) -> Any:
         return uplot.Axis(
@@ -75,7 +73,7 @@ class Chart:
     def set_theme(self, theme: Theme, lines: dict[str, Colour]) -> None:
         """Repaint."""
         self._lines = lines
-        self._handle.axes = (self._axis(theme, 36), self._axis(theme, 44))
+        self._handle.axes = (self._axis(theme, 36), self._axis(theme, 54))
         self._handle.series = self._series()
 
     def show(self, times: Array, columns: list[Array]) -> None:

@@ -1,4 +1,4 @@
-"""What can be taken away: the scene as an animated page, charts as a page, a screenshot, the run."""
+"""What can be taken away: the scene as an animated page, charts, a picture, the run."""
 
 import io
 import zipfile

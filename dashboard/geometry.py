@@ -1,4 +1,4 @@
-"""Shapes as arrays: ellipses of covariances, circles, dashes, unit meshes. Leading axes are free."""
+"""Shapes as arrays: ellipses of covariances, dashes, unit meshes. Leading axes are free."""
 
 import numpy as np
 

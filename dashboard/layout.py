@@ -16,7 +16,7 @@ class Panels(NamedTuple):
     selected: Any
     bus: Any
     zoom: Any
-    arrange: Callable[[int, int], None]
+    arrange: Callable[[int, int], float]
 
 
 def lay_out(server: viser.ViserServer) -> Panels:
@@ -34,8 +34,9 @@ def lay_out(server: viser.ViserServer) -> Panels:
     bus = bus_panel.add_tab("FlexRay bus", icon.TIMELINE)
     zoom = zoom_panel.add_tab("Beliefs", icon.ZOOM_IN)
 
-    def arrange(width: int, height: int) -> None:
-        """Fit the panels into a window of that size in pixels."""
+    def arrange(width: int, height: int) -> float:
+        """Fit the panels into a window of that size in pixels; returns width to height of what
+        they leave for the scene."""
         narrow = width < 1500
         left, right = (248, 344) if narrow else (272, 384)
         gui.main_panel.dock_left()
@@ -47,6 +48,7 @@ def lay_out(server: viser.ViserServer) -> Panels:
         bus_panel.float(x=8, y=-8, width=canvas - 18, height=_bus_height(canvas))
         size = 214 if narrow else 262
         zoom_panel.float(x=-8, y=8, width=size, height=size + 112)
+        return canvas / max(height, 1)
 
     return Panels(charts, state, log, nodes, selected, bus, zoom, arrange)
 

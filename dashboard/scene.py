@@ -34,14 +34,15 @@ class Scene:
         self, scene: viser.SceneApi, stage: Stage, theme: Theme, pick: Callable[[int], None] | None
     ) -> None:
         self._scene, self._stage = scene, stage
-        self._radius = float(np.clip(0.34 * np.sqrt(20 / stage.nodes), 0.11, 0.42))
+        largest = 0.22 if stage.picture is Picture.TRACK else 0.4
+        self._radius = float(np.clip(0.34 * np.sqrt(20 / stage.nodes), 0.11, largest))
         self._labels: list[Any] = []
         self._surroundings(theme)
         self._nodes = self._make_nodes()
         if pick is not None:
             self._nodes.on_click(lambda event: pick(event.instance_index))
         self._halo = self._make_rings("/network/attention")
-        self._edges = self._lines("/network/links", 1.6)
+        self._edges = self._lines("/network/links", 1.6 if len(stage.edges) < 600 else 1.0)
         self._cut = self._lines("/network/cut", 2.2)
         self._sending = self._lines("/network/sending", 4.5)
         vertices, faces = geometry.ring(0.84)
@@ -132,7 +133,7 @@ class Scene:
             scales[sender] *= 1.35
         alarmed = np.array([word in (DOWN, REJECTED, STALE) for word in words])
         halo = np.where(alarmed, 1.55 * self._radius, _HIDDEN)
-        links, link_colours, cut = self._links(theme, frame, at, sender)
+        links, link_colours, cut = self._links(view, frame, at)
         sending = self._sending_links(frame, at, sender)
         plant = self.plant.draw(view, frame, past)
         self._label(view, frame, at)
@@ -162,16 +163,19 @@ class Scene:
             ring.scale = size * self._radius
             ring.color = colour
 
-    def _links(
-        self, theme: Theme, frame: Frame, at: Array, sender: int
-    ) -> tuple[Array, np.ndarray, Array]:
+    def _links(self, view: View, frame: Frame, at: Array) -> tuple[Array, np.ndarray, Array]:
         """Segments and colours of the links that are up, and the dashes of those that are cut."""
-        edges = self._stage.edges
+        edges, theme = self._stage.edges, view.theme
         if not len(edges):
             return _NO_LINES, np.zeros((0, 2, 3), np.uint8), _NO_LINES
         ends = at[edges]
         dead = ~frame.alive[edges].all(1)
-        colours = np.tile(np.array(theme.edge), (len(edges), 1))
+        # The more links there are, the quieter is each.
+        share = float(np.clip(np.sqrt(150 / len(edges)), 0.12, 1.0))
+        ground = (16, 16, 16) if theme.dark else (255, 255, 255)
+        colours = np.tile(np.array(mixed(theme.edge, ground, share)), (len(edges), 1))
+        if view.selected is not None and share < 1:
+            colours[(edges == view.selected).any(1)] = theme.edge
         colours[dead] = mixed(theme.down, theme.panel, 0.45)
         up = ~frame.cut
         painted = np.repeat(colours[up][:, None], 2, axis=1)

@@ -127,7 +127,7 @@ class Plane:
             self._fill.batched_wxyzs = geometry.about_vertical(angle).astype(np.float32)
             self._fill.batched_scales = scales.astype(np.float32)
             self._fill.batched_colors = linear(colours)
-            self._means.batched_positions = (at + [0, 0, 0.05]).astype(np.float32)
+            self._means.batched_positions = (at + np.array([0, 0, 0.05])).astype(np.float32)
             self._means.batched_scales = dots.astype(np.float32)
             self._means.batched_colors = linear(colours)
             _set(self._outlines, outlines, rim_colours)
@@ -149,7 +149,8 @@ class Plane:
         """Means (N + 1, 2), covariances and which are finite: the nodes', then the fused one."""
         mean = np.concatenate([frame.belief.mean, frame.fused.mean[None]])[:, states]
         cov = np.concatenate([frame.belief.cov, frame.fused.cov[None]])[:, states][:, :, states]
-        return mean, cov, np.isfinite(mean).all(-1) & np.isfinite(cov).all((-1, -2))
+        finite = np.isfinite(mean).all(axis=-1) & np.isfinite(cov).all(axis=(-1, -2))
+        return mean, cov, np.asarray(finite)
 
     def _drawn(self, view: View) -> np.ndarray:
         chosen = np.full(self._stage.nodes + 1, view.ellipses == "all")
@@ -260,8 +261,8 @@ class CarTrack:
         return _reckoned(truth, step_s), _reckoned(nodes, step_s)
 
     def _drawn(self, way: Array, height: float) -> Array:
-        flat = way * (0.5 * SCENE_WIDTH / self._reach_m)
-        flat = flat - [0.4 * SCENE_WIDTH, 0.0]
+        flat = way * (0.42 * SCENE_WIDTH / self._reach_m)
+        flat = flat - [0.36 * SCENE_WIDTH, 0.0]
         return np.concatenate([flat, np.full((*flat.shape[:-1], 1), height)], axis=-1)
 
     def node_places(self, frame: Frame, past: Sequence[Frame]) -> Array:
@@ -270,9 +271,8 @@ class CarTrack:
         if len(reach):
             # Grows with the drive, in steps, so that the picture rests in between.
             longest = float(reach.max()) / 1.5
-            self._reach_m = max(
-                self._reach_m, 10.0 * 1.5 ** np.ceil(np.log(max(longest, 10) / 10) / np.log(1.5))
-            )
+            steps = np.ceil(np.log(max(longest, 10.0) / 10.0) / np.log(1.5))
+            self._reach_m = max(self._reach_m, 10.0 * 1.5 ** (steps + 1))
         car = self._drawn(np.nan_to_num(way[-1]), 0.0)
         around = self._stage.in_scene(self._stage.positions(0), self._ABOVE)
         return car + around * [self._SPREAD, self._SPREAD, 1.0]
@@ -301,10 +301,10 @@ class CarTrack:
             _set(self._truth_way, truth[np.isfinite(truth).all((-1, -2))], np.array(theme.truth))
             _set(self._node_ways, segments[finite], painted[finite][:, None])
             _set(self._stems, stems, np.array(theme.grid_section))
-            for body, up, size in ((self._car, 0.0, 1.0), (self._cabin, 0.18, 1.0)):
+            for body, up in ((self._car, 0.0), (self._cabin, 0.18)):
                 body.visible = known
                 if known:
-                    body.position = tuple(car + [0.0, 0.0, up])
+                    body.position = tuple(car + np.array([0.0, 0.0, up]))
                     body.wxyz = tuple(geometry.about_vertical(np.array(heading)))
                     body.color = theme.truth if up == 0.0 else theme.quiet
 

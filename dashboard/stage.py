@@ -5,10 +5,12 @@ network is laid out by its graph, because its nodes have no place in space.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cached_property
+from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -73,7 +75,7 @@ class Stage:
 
     @property
     def deviations(self) -> float:
-        """Half-width of the ellipses that are drawn, in standard deviations; sets are drawn whole."""
+        """Half-width of the ellipses that are drawn, in standard deviations; of a set its own."""
         return 1.0 if self.certain else 3.0
 
     @cached_property
@@ -124,6 +126,13 @@ def set_stage(setup: Setup) -> Stage:
         positions=positions,
         sight_range_m=getattr(plant, "field_of_view_m", None),
     )
+
+
+def restaged(stage: Stage, settings: dict[str, Any]) -> Stage:
+    """The stage of a network whose settings have changed; all else stays."""
+    scenario = msgspec.structs.replace(stage.setup.scenario, **settings)
+    setup = msgspec.structs.replace(stage.setup, scenario=scenario)
+    return replace(stage, setup=setup, plan=build_plan(setup), certain=is_certain(scenario))
 
 
 def _names(setup: Setup, picture: Picture) -> tuple[str, ...]:

@@ -68,7 +68,8 @@ def node_table(stage: Stage, view: View, frame: Frame, press: str) -> str:
         f"<th>{sigma if head == '3σ' else head}</th>" for head in _HEADINGS[: None if told else -1]
     )
     return (
-        f"<style>.nodes td,.nodes th{{padding:1px 4px;text-align:right}}.nodes th{{color:"
+        f"<style>.nodes td,.nodes th{{padding:1px 3px;text-align:right;"
+        f"white-space:nowrap}}.nodes th{{color:"
         f"{css(theme.quiet)};font-weight:600;position:sticky;top:0;background:{css(theme.panel)}}}"
         f".nodes tr{{cursor:pointer}}.nodes tr:hover td{{background-color:{css(theme.faint, 0.6)}}}"
         f'</style><div onpointerdown="{press}" style="font-size:11px;color:{css(theme.text)};'
@@ -118,14 +119,14 @@ def status(stage: Stage, theme: Theme, frame: Frame | None, state: str, detail: 
     )
     rows: list[tuple[str, str, str]] = []
     if frame is not None:
-        unit = stage.score.unit
+        unit = stage.score.unit.removeprefix("1")
         rows = [
             ("step", "step", f"{frame.step}"),
             ("time", "time", f"{frame.time_s:.4g} s"),
             ("alive", "alive", f"{int(frame.alive.sum())} / {stage.nodes}"),
             ("links cut", "cut", f"{int(frame.cut.sum())} / {len(stage.edges)}"),
-            ("RMSE", "rmse", f"{_number(frame.scores.rmse)} {unit}"),
-            ("centralised", "central", f"{_number(frame.scores.central)} {unit}"),
+            ("RMSE", "rmse", f"{_number(frame.scores.rmse)} {unit}".strip()),
+            ("centralised", "central", f"{_number(frame.scores.central)} {unit}".strip()),
         ]
     lines = "".join(
         f'<div style="display:flex;justify-content:space-between"><span style="color:'

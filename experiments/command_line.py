@@ -11,12 +11,14 @@ from experiments.collect_command import collect
 from experiments.flexray_command import SUMMARY, flexray_commands
 from experiments.identify_command import identify_tyres
 from experiments.list_command import list_all
+from experiments.replay_command import replay
 from experiments.reproduce_command import reproduce
 from experiments.run_command import run
 
 COMMANDS = {
     "run": run,
     "collect": collect,
+    "replay": replay,
     "list": list_all,
     "agree": agree,
     "reproduce": reproduce,

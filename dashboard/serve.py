@@ -1,0 +1,22 @@
+"""Opens a page on a recording or on a network that runs."""
+
+from pathlib import Path
+
+from dashboard.app import Dashboard
+from dashboard.source import Recorded
+from dashboard.stage import set_stage
+from dashboard.theme import DARK, LIGHT
+from nodes.recording import read_recording
+from scenarios.setup import Setup
+
+
+def open_recording(setup: Setup, recording: Path, host: str, port: int, light: bool) -> Dashboard:
+    """A page on a recorded run.
+
+    Raises:
+        ValueError: the file is not a recording.
+    """
+    # Its first message tells whether it is one, before a page is opened on it.
+    next(iter(read_recording(recording)), None)
+    source = Recorded(set_stage(setup), recording)
+    return Dashboard(source, host, port, LIGHT if light else DARK, recording.parent, lambda _: None)

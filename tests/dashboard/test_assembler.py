@@ -1,0 +1,177 @@
+"""Messages into frames: against the arrays that `concord collect` makes of the same messages."""
+
+import random
+
+import msgspec
+import numpy as np
+import pytest
+
+from dashboard.assembler import Assembler
+from dashboard.network import Network
+from experiments.summary import summarise
+from experiments.trace import read_trace
+from nodes.messages import Estimate, decode
+from tests.dashboard.runs import event, frames_of, run_of
+
+STAGE, MESSAGES = run_of("target-tracking", nodes=8, steps=24, schedule="hybrid", occupancy=0.5)
+FRAMES = frames_of(STAGE, MESSAGES)
+TRACE = read_trace(STAGE.setup, MESSAGES)
+
+
+def step_of(topic: str, data: bytes) -> int | None:
+    return None if topic.startswith("share/") else getattr(decode(topic, data), "step", None)
+
+
+def without(node: int, since: int, messages=MESSAGES):
+    """The same run in which a node falls silent."""
+    for topic, data in messages:
+        hers = topic in (f"estimate/{node}", f"measured/{node}")
+        if not (hers and (step_of(topic, data) or 0) >= since):
+            yield topic, data
+
+
+def test_every_step_is_a_frame_with_the_beliefs_of_the_trace():
+    assert [frame.step for frame in FRAMES] == list(range(24))
+    for frame in FRAMES:
+        np.testing.assert_array_equal(frame.belief.mean, TRACE.mean[frame.step])
+        np.testing.assert_array_equal(frame.belief.cov, TRACE.cov[frame.step])
+        np.testing.assert_array_equal(frame.truth, TRACE.truth[frame.step])
+
+
+def test_who_published_in_which_cycle_is_that_of_the_trace():
+    for frame in FRAMES:
+        for number, cycle in enumerate(frame.cycles):
+            assert cycle.cycle == 3 * frame.step + number
+            senders = {one.node for one in cycle.frames}
+            assert senders == set(np.flatnonzero(TRACE.published[frame.step, number]))
+            assert cycle.payload_bytes == TRACE.payload_bytes[frame.step, number].sum()
+
+
+def test_scores_are_the_figures_of_the_run():
+    figures = summarise(STAGE.setup, TRACE)
+    scored = FRAMES[figures.first_step :]
+    rmse = np.sqrt(np.mean([frame.scores.error**2 for frame in scored]))
+    central = np.sqrt(np.mean([frame.scores.central**2 for frame in scored]))
+    nees = np.mean([frame.scores.nees for frame in scored]) / len(STAGE.score.nees_states)
+    assert rmse == pytest.approx(figures.rmse)
+    assert central == pytest.approx(figures.rmse_centralised)
+    assert nees == pytest.approx(figures.anees)
+
+
+def test_nothing_is_lost_in_a_run_that_loses_nothing():
+    assert not any(frame.lost.any() for frame in FRAMES)
+    assert all(frame.alive.all() for frame in FRAMES)
+
+
+def test_messages_of_a_step_may_come_in_any_order():
+    order = random.Random(3)
+    by_step: dict[int, list] = {}
+    step = 0
+    for topic, data in MESSAGES:
+        step = max(step, step_of(topic, data) or 0)
+        by_step.setdefault(step, []).append((topic, data))
+    shuffled = []
+    for _, part in sorted(by_step.items()):
+        estimates = [m for m in part if m[0].startswith("estimate/")]
+        rest = [m for m in part if not m[0].startswith("estimate/")]
+        order.shuffle(rest)
+        order.shuffle(estimates)
+        shuffled += rest + estimates
+    again = frames_of(STAGE, shuffled)
+    assert [frame.step for frame in again] == [frame.step for frame in FRAMES]
+    for one, other in zip(again, FRAMES, strict=True):
+        np.testing.assert_array_equal(one.belief.mean, other.belief.mean)
+        assert one.scores.central == other.scores.central
+
+
+def test_a_node_that_dies_unannounced_is_down_and_its_last_belief_stays():
+    frames = frames_of(STAGE, list(without(2, 9)))
+    assert [frame.alive[2] for frame in frames[:9]] == [True] * 9
+    down = [frame for frame in frames if frame.step >= 9]
+    assert down
+    assert not any(frame.alive[2] for frame in down)
+    np.testing.assert_array_equal(down[-1].belief.mean[2], TRACE.mean[8, 2])
+    told = [e for frame in frames for e in frame.events if e.node == 2]
+    assert [(e.step, e.trouble) for e in told] == [(9, True)]
+
+
+def test_a_node_that_left_is_not_waited_for():
+    messages = list(without(2, 9))
+    first_estimate = next(
+        i for i, m in enumerate(messages) if m[0].startswith("estimate/") and step_of(*m) == 9
+    )
+    messages.insert(first_estimate, event(9, what="left", node=2))
+    frames = frames_of(STAGE, messages)
+    assert [frame.step for frame in frames] == list(range(24))
+    assert not frames[9].alive[2]
+    assert [e.text for e in frames[9].events] == ["node 02 was killed"]
+
+
+def test_a_cut_link_holds_from_its_step_until_it_is_healed():
+    i, j = map(int, STAGE.edges[0])
+    told = [
+        event(5, what="cut", sender=i, receiver=j),
+        event(11, what="healed", sender=i, receiver=j),
+    ]
+    frames = frames_of(STAGE, told + MESSAGES)
+    assert [frame.step for frame in frames if frame.cut[0]] == list(range(5, 11))
+    assert not any(frame.cut[1:].any() for frame in frames)
+
+
+def test_a_share_that_did_not_arrive_is_lost_at_its_receiver():
+    receiver, sender = map(int, STAGE.heard[0])
+    place = STAGE.setup.neighbours[receiver].index(sender)
+    messages = []
+    for topic, data in MESSAGES:
+        message = None if topic.startswith("share/") else decode(topic, data)
+        if isinstance(message, Estimate) and (message.node, message.step) == (receiver, 10):
+            message.ages[place] += 4
+            data = msgspec.json.encode(message)
+        messages.append((topic, data))
+    lost = {
+        (frame.step, int(k))
+        for frame in frames_of(STAGE, messages)
+        for k in np.flatnonzero(frame.lost)
+    }
+    assert lost == {(10, 0)}
+
+
+def test_who_attaches_in_the_middle_begins_with_the_next_whole_step():
+    begin = next(i for i, m in enumerate(MESSAGES) if step_of(*m) == 12)
+    frames = frames_of(STAGE, MESSAGES[begin + 7 :])
+    assert frames[0].step in (12, 13, 14, 15, 16)
+    assert [f.step for f in frames] == list(range(frames[0].step, 24))
+    for frame in frames:
+        np.testing.assert_array_equal(frame.belief.mean, TRACE.mean[frame.step])
+        cycles = [cycle.payload_bytes for cycle in frame.cycles]
+        assert cycles == TRACE.payload_bytes[frame.step].sum(1).tolist()
+
+
+def test_cycles_are_found_without_knowing_where_the_count_began():
+    unknown = Network(frozenset(range(8)), (0, -1, 3))
+    assembler = Assembler(STAGE, unknown)
+    frames = [frame for message in MESSAGES for frame in assembler.take(*message)]
+    numbers = [[cycle.cycle for cycle in frame.cycles] for frame in frames]
+    assert numbers == [[cycle.cycle for cycle in frame.cycles] for frame in FRAMES]
+
+
+@pytest.mark.parametrize(
+    "rubbish",
+    [
+        ("share/1", b"\0" * 30), ("share/99", b""), ("estimate/1", b"{"), ("event", b"[]"),
+        ("event", b'{"step":1,"change":{"what":"gone","node":77}}'),
+        ("event", b'{"step":1,"change":{"what":"from the future"}}'), ("unheard/of", b"x"),
+    ],
+)  # fmt: skip
+def test_rubbish_changes_nothing(rubbish: tuple[str, bytes]):
+    frames = frames_of(STAGE, [rubbish, *MESSAGES])
+    assert [frame.scores.rmse for frame in frames] == [frame.scores.rmse for frame in FRAMES]
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [("meng2025", {}), ("vehicle-network", {}), ("liu2021-network", {}), ("oscillator", {})],
+)
+def test_every_kind_of_scenario_makes_frames(name: str, changes: dict):
+    stage, messages = run_of(name, steps=6, **changes)
+    assert [frame.step for frame in frames_of(stage, messages)] == list(range(6))

@@ -1,0 +1,156 @@
+"""SVG and HTML as text: what they show, to scale, escaped."""
+
+import re
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from dashboard.conditions import conditions, oldest, sender_at
+from dashboard.frame import Event
+from dashboard.selected import selected_panel
+from dashboard.table import MOST_ROWS, chosen_rows, log, node_table, status
+from dashboard.theme import DARK, LIGHT, linear
+from dashboard.timeline import LEFT, RIGHT, WIDTH, TimelineView
+from dashboard.view import View
+from dashboard.zoom import SIZE, zoom
+from tests.dashboard.runs import frames_of, run_of
+
+STAGE, MESSAGES = run_of("target-tracking", nodes=8, steps=24, schedule="hybrid", occupancy=0.5)
+FRAMES = frames_of(STAGE, MESSAGES)
+FRAME = FRAMES[-1]
+EVIL = replace(STAGE, names=("<script>alert(1)</script>", *STAGE.names[1:]))
+
+
+def svg(html: str) -> ElementTree.Element:
+    """The drawing in a piece of HTML; it must be well formed."""
+    found = re.search(r"<svg.*</svg>", html, re.DOTALL)
+    assert found
+    return ElementTree.fromstring(found.group())
+
+
+def timeline(frame=FRAME, now_us: float = 0.0, selected: int | None = None, stage=STAGE) -> str:
+    cycle = frame.cycles[-1]
+    past = [c for f in FRAMES for c in f.cycles][::-1]
+    return TimelineView(stage).draw(DARK, frame, past, cycle, now_us, selected)
+
+
+def boxes(html: str) -> dict[int, ElementTree.Element]:
+    return {
+        int(group.attrib["data-node"]): group.find("rect")
+        for group in svg(html).iter("g")
+        if "data-node" in group.attrib
+    }  # type: ignore[return-value]
+
+
+def test_frames_lie_to_scale_in_the_cycle():
+    cluster = STAGE.cluster
+    assert cluster is not None
+    drawn = boxes(timeline())
+    for frame in FRAME.cycles[-1].frames:
+        x = LEFT + (WIDTH - LEFT - RIGHT) * frame.start_us / cluster.cycle_us
+        wide = (WIDTH - LEFT - RIGHT) * (frame.end_us - frame.start_us) / cluster.cycle_us
+        assert float(drawn[frame.node].attrib["x"]) == pytest.approx(x, abs=0.1)
+        assert float(drawn[frame.node].attrib["width"]) == pytest.approx(wide, abs=0.8)
+
+
+def test_the_frame_that_is_on_the_bus_has_a_colour_of_its_own():
+    frames = FRAME.cycles[-1].frames
+    middle = (frames[1].start_us + frames[1].end_us) / 2
+    drawn = boxes(timeline(now_us=middle))
+    fills = [drawn[frame.node].attrib["fill"] for frame in frames]
+    assert fills.count("#e69f00") == 1
+    assert fills[1] == "#e69f00"
+
+
+def test_an_owner_that_is_silent_has_a_crossed_slot():
+    cycle = FRAME.cycles[-1]
+    owner = STAGE.plan.schedule.static_senders(cycle.cycle)[0]
+    silent = cycle._replace(
+        silent=(owner,), frames=tuple(f for f in cycle.frames if f.node != owner)
+    )
+    html = timeline(FRAME._replace(cycles=(*FRAME.cycles[:-1], silent)))
+    assert f"node {STAGE.names[owner]}: silent" in html
+    assert "silent</title>" not in timeline()
+
+
+def test_the_beliefs_lie_around_the_truth():
+    html = zoom(STAGE, LIGHT, FRAME, (0, 2), 3)
+    drawing = svg(html)
+    assert len(list(drawing.iter("ellipse"))) == STAGE.nodes + 1
+    dots = [c for c in drawing.iter("circle") if "data-node" in c.attrib]
+    assert len(dots) == STAGE.nodes
+    for dot in dots:
+        node = int(dot.attrib["data-node"])
+        off = FRAME.belief.mean[node, [0, 2]] - FRAME.truth[[0, 2]]
+        x, y = float(dot.attrib["cx"]) - SIZE / 2, SIZE / 2 - float(dot.attrib["cy"])
+        # The same direction from the middle as in the plane.
+        assert x * off[1] == pytest.approx(y * off[0], abs=0.06 * np.abs(off).max() + 1e-9)
+
+
+def test_an_unknown_truth_is_no_picture_of_nan():
+    blind = FRAME._replace(truth=np.full_like(FRAME.truth, np.nan))
+    assert "nan" not in zoom(STAGE, DARK, blind, (0, 2), None).lower()
+    assert "nan" not in node_table(STAGE, View(), blind, "").lower()
+
+
+def test_the_table_tells_who_is_down_and_who_is_selected():
+    view = View(selected=2)
+    down = FRAME._replace(alive=np.arange(8) != 5)
+    html = node_table(STAGE, view, down, "press()")
+    rows = re.findall(r'<tr data-node="(\d+)" data-state="(\w+)"', html)
+    assert [int(node) for node, _ in rows] == list(range(8))
+    assert dict(rows)["5"] == "down"
+    assert "DOWN" in html
+    assert "DOWN" not in node_table(STAGE, view, FRAME, "press()")
+
+
+def test_large_networks_show_the_worst_and_the_selected():
+    error = np.arange(200.0)
+    rows = chosen_rows(200, View(order="error", selected=0), error, np.zeros(200))
+    assert rows[:3] == [199, 198, 197]
+    assert rows[-1] == 0
+    assert len(rows) == MOST_ROWS
+    assert chosen_rows(3, View(order="age"), error[:3], np.array([1, 7, 3])) == [1, 2, 0]
+
+
+@pytest.mark.parametrize("theme", [DARK, LIGHT])
+def test_text_from_outside_is_escaped(theme):
+    view = View(theme=theme, selected=0)
+    told = Event(3, "node <script>alert(2)</script> is down", 0, True)
+    bad = FRAME._replace(rejection=("<script>x</script>",) * 8)
+    pages = [
+        node_table(EVIL, view, bad, ""), log(theme, [told]), selected_panel(EVIL, view, FRAME),
+        zoom(EVIL, theme, FRAME, (0, 2), 0), timeline(stage=EVIL),
+        status(EVIL, theme, FRAME, "RUNNING", "<script>"),
+    ]  # fmt: skip
+    for page in pages:
+        assert "<script" not in page
+        assert "&lt;script" in page or "silent" in page
+
+
+def test_conditions_name_the_most_serious():
+    assert set(conditions(STAGE, FRAME)) <= {"up", "blind"}
+    lost = FRAME._replace(lost=np.arange(len(STAGE.heard)) == 0)
+    assert conditions(STAGE, lost)[STAGE.heard[0, 0]] == "stale"
+    rejected = lost._replace(events=(Event(23, "node 00 rejected a frame: crc", 0, True),))
+    assert conditions(STAGE, rejected)[0] == "rejected"
+    assert conditions(STAGE, rejected._replace(alive=np.zeros(8, bool))) == ["down"] * 8
+
+
+def test_the_oldest_share_is_per_receiver():
+    ages = np.arange(len(STAGE.heard))
+    expected = [ages[STAGE.heard[:, 0] == node].max() for node in range(8)]
+    assert oldest(STAGE, FRAME._replace(ages=ages)).tolist() == expected
+
+
+def test_the_cursor_meets_every_frame_of_every_cycle():
+    seen = [sender_at(FRAME, cursor)[0] for cursor in np.arange(0.0, 3.0, 0.01)]
+    for number, cycle in enumerate(FRAME.cycles):
+        met = dict.fromkeys(seen[100 * number : 100 * number + 100])
+        assert list(met) == [frame.node for frame in cycle.frames]
+
+
+def test_linear_light_is_the_inverse_of_the_screen():
+    assert linear((255, 0, 128)).tolist() == [255, 0, 55]
