@@ -15,7 +15,7 @@ SKY: Colour = (86, 180, 233)
 GREEN: Colour = (0, 158, 115)
 YELLOW: Colour = (240, 228, 66)
 BLUE: Colour = (0, 114, 178)
-VERMILLION: Colour = (213, 94, 0)
+VERMILION: Colour = (213, 94, 0)
 PINK: Colour = (204, 121, 167)
 
 
@@ -52,7 +52,7 @@ DARK = Theme(
     seeing=SKY,
     blind=(45, 105, 150),
     sending=ORANGE,
-    down=VERMILLION,
+    down=VERMILION,
     truth=YELLOW,
     fused=GREEN,
     estimate=PINK,
@@ -70,7 +70,7 @@ LIGHT = Theme(
     seeing=(60, 160, 220),
     blind=(150, 178, 200),
     sending=ORANGE,
-    down=VERMILLION,
+    down=VERMILION,
     truth=(20, 20, 20),
     fused=GREEN,
     estimate=(190, 90, 150),
