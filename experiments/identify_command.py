@@ -12,12 +12,13 @@ from rich.console import Console
 from rich.table import Table
 
 from experiments.user_errors import user_errors
-from plants.drive_log import CAR, COLUMNS, DRIVE, LoggedDrive, read_folder
+from plants.drive_log import CAR, COLUMNS, DRIVE, LoggedDrive, read_folder, write_drive
 from plants.tyre_identification import Identified, identify
 from plants.vehicle_manoeuvres import MANOEUVRES
 from plants.vehicle_model import linear_tyre, tanh_tyre
-from plants.vehicle_parameters import BMW_320I, car_to_toml
-from plants.vehicle_truth import BMW, simulate
+from plants.vehicle_parameters import car_to_toml
+from plants.vehicle_sensors import TEST_CAR, logged
+from plants.vehicle_truth import TRUE_CARS, data_sheet, simulate
 from topology.names import unknown_name
 
 _TYRES = {"linear": linear_tyre, "saturating": tanh_tyre}
@@ -31,7 +32,14 @@ class IdentifyOptions:
     data: Path | None = None
     """Folder with drive.csv, columns.toml and car.toml (docs/vehicle.md says what is in them)."""
     manoeuvre: str | None = None
-    """Instead of a log: a simulated drive of a BMW 320i, e.g. ramp-steer."""
+    """Instead of a log: a simulated drive, e.g. ramp-steer."""
+    car: str = "bmw-320i"
+    """Which car is simulated: bmw-320i, bmw-320i-soft, ford-escort or vw-vanagon."""
+    log: Path | None = None
+    """Write the simulated drive with the noise of a test car's sensors as such a folder, which must
+    not exist, and identify from that: an example of what --data reads."""
+    seed: int = 1
+    """Of that noise."""
     tyre: Literal["linear", "saturating"] = "saturating"
     """Law of the lateral force: proportional to slip, or with a limit (tanh)."""
     friction: bool = False
@@ -67,11 +75,12 @@ def identify_tyres(options: Annotated[IdentifyOptions, tyro.conf.arg(name="")]) 
     lateral acceleration and, where logged, side slip fit best in least squares.
     """
     with user_errors():
-        if options.out is not None and options.out.exists():
-            raise ValueError(f"--out {options.out}: the file exists; choose another name")
-        logged = _drive(options)
+        for option, path in (("--out", options.out), ("--log", options.log)):
+            if path is not None:
+                _require_new(option, path)
+        given = _drive(options)
         found = identify(
-            logged.drive, logged.car, _TYRES[options.tyre], seek_friction=options.friction
+            given.drive, given.car, _TYRES[options.tyre], seek_friction=options.friction
         )
     if options.out is not None:
         options.out.write_text(car_to_toml(found.car), encoding="utf-8")
@@ -79,7 +88,7 @@ def identify_tyres(options: Annotated[IdentifyOptions, tyro.conf.arg(name="")]) 
     if options.json:
         sys.stdout.write(msgspec.json.encode(findings).decode() + "\n")
         return
-    Console().print(_table(findings, logged))
+    Console().print(_table(findings, given))
 
 
 def _drive(options: IdentifyOptions) -> LoggedDrive:
@@ -89,12 +98,39 @@ def _drive(options: IdentifyOptions) -> LoggedDrive:
             f"{', '.join(MANOEUVRES)} for a simulated one; not both"
         )
     if options.data is not None:
+        if options.log is not None:
+            raise ValueError(
+                f"--log {options.log}: writes a simulated drive, but --data {options.data} is a "
+                "log already; leave --log out, or simulate with --manoeuvre"
+            )
         return read_folder(options.data)
     assert options.manoeuvre is not None, "one of the two was given"
     if options.manoeuvre not in MANOEUVRES:
         raise unknown_name("manoeuvre", options.manoeuvre, MANOEUVRES)
-    drive = simulate(MANOEUVRES[options.manoeuvre], BMW, _SIMULATED_STEP_S)
-    return LoggedDrive(drive, BMW_320I)
+    if options.car not in TRUE_CARS:
+        raise unknown_name("car", options.car, TRUE_CARS)
+    if options.seed < 0:
+        raise ValueError(f"--seed {options.seed}: must be 0 or more")
+    true_car = TRUE_CARS[options.car]
+    drive = simulate(MANOEUVRES[options.manoeuvre], true_car, _SIMULATED_STEP_S)
+    if options.log is None:
+        return LoggedDrive(drive, data_sheet(true_car))
+    noisy = logged(drive, TEST_CAR, np.random.default_rng(options.seed))
+    options.log.mkdir(parents=True)
+    write_drive(options.log, noisy, data_sheet(true_car))
+    return read_folder(options.log)
+
+
+def _require_new(option: str, path: Path) -> None:
+    """Refuse a path that is taken, or below a file; make the folders above it."""
+    if path.exists():
+        raise ValueError(f"{option} {path}: there is something of that name; choose another")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ValueError(
+            f"{option} {path}: its folder cannot be made ({error.strerror}); choose another place"
+        ) from None
 
 
 def _findings(found: Identified) -> Findings:

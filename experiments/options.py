@@ -73,6 +73,9 @@ class ScenarioOptions:
     noise: str | None = None
     """What the sensors really do: matched (as the filters believe), paper (as printed), or for
     vehicle-network also growing, small, outliers, biased."""
+    car: str | None = None
+    """Which car is simulated (vehicle-network): bmw-320i, bmw-320i-soft, ford-escort or
+    vw-vanagon."""
     manoeuvre: str | None = None
     """What the driver does (vehicle-network): double-lane-change, serpentine, ramp-steer, ..."""
     adaptive: bool | None = None

@@ -14,12 +14,10 @@ import numpy as np
 
 from experiments.reproduce_adlukf_filters import CONTESTANTS
 from experiments.reproduce_adlukf_study import (
-    ACCELERATION,
     CASES,
     CHANNELS,
     PROCESS_VARIANCES,
     START_ERROR,
-    STEERING,
     TIME_STEP_S,
     Study,
     estimate,
@@ -32,14 +30,11 @@ from plants.vehicle_drive import Drive
 from plants.vehicle_manoeuvres import MANOEUVRES
 from plants.vehicle_model import Tyre, linear_tyre, single_track, tanh_tyre
 from plants.vehicle_parameters import Car
-from plants.vehicle_sensors import SensorError, draw_errors
+from plants.vehicle_sensors import TEST_CAR, logged
 from plants.vehicle_truth import ESCORT, data_sheet, simulate
 
 DRIVEN = ("double-lane-change", "serpentine")
 IDENTIFIED_FROM = "ramp-steer"
-SIDE_SLIP = SensorError(np.radians(0.05))
-"""An optical sensor."""
-
 GUESS_N_RAD = 100e3
 """Stiffness of an axle that identification starts from, as if nothing were known."""
 
@@ -64,33 +59,13 @@ def log_drives(folder: Path, seed: int) -> Logged:
         place = folder / f"drive-{name}"
         place.mkdir()
         generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(9, number)))
-        write_drive(place, with_noise(truth, generator), guess)
+        write_drive(place, logged(truth, TEST_CAR, generator), guess)
         drives[name] = read_folder(place)
     drive, car = drives[IDENTIFIED_FROM]
     return Logged(
         drives,
         identify(drive, car, linear_tyre),
         identify(drive, car, tanh_tyre, seek_friction=True),
-    )
-
-
-def with_noise(drive: Drive, generator: np.random.Generator) -> Drive:
-    """A drive as the sensors of the study log it."""
-
-    def noisy(values: Array, error: SensorError) -> Array:
-        return values + draw_errors(error, generator, drive.time_s, 1)[:, 0]
-
-    wheels = [noisy(column, CHANNELS["speed"]) for column in drive.wheel_speed_m_s.T]
-    return drive._replace(
-        steering_rad=noisy(drive.steering_rad, STEERING),
-        yaw_rate_rad_s=noisy(drive.yaw_rate_rad_s, CHANNELS["yaw rate"]),
-        side_slip_rad=noisy(drive.side_slip_rad, SIDE_SLIP),
-        speed_m_s=noisy(drive.speed_m_s, CHANNELS["speed"]),
-        longitudinal_acceleration_m_s2=noisy(drive.longitudinal_acceleration_m_s2, ACCELERATION),
-        lateral_acceleration_m_s2=noisy(
-            drive.lateral_acceleration_m_s2, CHANNELS["lateral acceleration"]
-        ),
-        wheel_speed_m_s=np.stack(wheels, axis=-1),
     )
 
 

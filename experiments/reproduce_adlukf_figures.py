@@ -26,35 +26,41 @@ people can tell apart."""
 DPI = 120
 
 YAW_RATE, SIDE_SLIP, SPEED = "yaw rate [deg/s]", "side slip [deg]", "speed $v_x$ [m/s]"
+SPEED_ERROR, YAW_RATE_ERROR = "mean |error| of $v_x$ [m/s]", "mean |error| of yaw rate [deg/s]"
 
 
 class Trace(NamedTuple):
     """States (steps, 4) as `reproduce_adlukf_study.quantities` orders them: the reference, NaN
-    where nobody knows it, and by filter; `speed_error` (steps,) mean over seeds, by filter."""
+    where nobody knows it, and by filter; `errors` (steps, 4) mean over seeds, by filter."""
 
     title: str
     time_s: Array
     reference: Array
     estimates: dict[str, Array]
-    speed_error: dict[str, Array]
+    errors: dict[str, Array]
 
 
 def draw_manoeuvre(path: Path, title: str, traces: tuple[Trace, ...]) -> None:
-    """Figure 4 or 5: (a) yaw rate, (b) side slip, (c) speed, (d) mean absolute error of speed."""
-    figure = Figure(figsize=(6.2 * len(traces), 11.5), layout="constrained")
-    grid = figure.subplots(4, len(traces), squeeze=False, sharex=True, sharey="row")
+    """Figure 4 or 5: (a) yaw rate, (b) side slip, (c) speed, (d) mean absolute error of speed.
+
+    And (e), which the paper lacks: that of the yaw rate, whose lines (a) cannot tell apart.
+    """
+    figure = Figure(figsize=(6.2 * len(traces), 13.5), layout="constrained")
+    grid = figure.subplots(5, len(traces), squeeze=False, sharex=True, sharey="row")
     for column, trace in zip(grid.T, traces, strict=True):
         column[0].set_title(trace.title, fontsize=11)
         _states(column[0], trace, 3, TRUTH)
         _states(column[1], trace, 2, TRUTH)
         _states(column[2], trace, 0, TRUTH)
-        for name, error in trace.speed_error.items():
-            column[3].plot(trace.time_s, error, **LINES[name])
-        column[3].set(xlabel="time [s]", xlim=(0, trace.time_s[-1]), yscale="log")
-        column[3].grid(color=GREY, alpha=0.25, lw=0.5)
+        for axes, state in ((column[3], 0), (column[4], 3)):
+            for name, error in trace.errors.items():
+                axes.plot(trace.time_s, error[:, state], **LINES[name])
+            axes.set(yscale="log")
+            axes.grid(color=GREY, alpha=0.25, lw=0.5)
+        column[4].set(xlabel="time [s]", xlim=(0, trace.time_s[-1]))
     _zoom_speed(grid[2, 0], traces)
-    labels = (YAW_RATE, SIDE_SLIP, SPEED, "mean |error| of $v_x$ [m/s]")
-    for axes, letter, label in zip(grid[:, 0], "abcd", labels, strict=True):
+    labels = (YAW_RATE, SIDE_SLIP, SPEED, SPEED_ERROR, YAW_RATE_ERROR)
+    for axes, letter, label in zip(grid[:, 0], "abcde", labels, strict=True):
         axes.set_ylabel(f"({letter})  {label}")
     _legend(figure, grid[0, 0], title)
     figure.savefig(path, dpi=DPI)

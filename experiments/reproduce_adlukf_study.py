@@ -15,17 +15,17 @@ from nodes.messages import Array
 from plants.vehicle_drive import Drive
 from plants.vehicle_model import SingleTrack, linear_tyre, single_track
 from plants.vehicle_parameters import BMW_320I, Car
-from plants.vehicle_sensors import SensorError, draw_errors
+from plants.vehicle_sensors import TEST_CAR, draw_errors
 
 TIME_STEP_S = 0.01
 """Of the paper's test car."""
 
-STEERING = SensorError(0.0005)
-ACCELERATION = SensorError(0.05, bias=0.02)
+STEERING = TEST_CAR["steering_rad"]
+ACCELERATION = TEST_CAR["longitudinal_acceleration_m_s2"]
 CHANNELS = {
-    "lateral acceleration": SensorError(0.10),
-    "yaw rate": SensorError(0.005),
-    "speed": SensorError(0.10),
+    "lateral acceleration": TEST_CAR["lateral_acceleration_m_s2"],
+    "yaw rate": TEST_CAR["yaw_rate_rad_s"],
+    "speed": TEST_CAR["speed_m_s"],
 }
 """The measurement z of the filters, in m/s^2, rad/s and m/s."""
 

@@ -1,6 +1,6 @@
 """Tables 1 to 4 of the ADLUKF paper beside what was measured, with intervals over the seeds."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.stats import t as student
@@ -33,8 +33,6 @@ TABLE_4 = {
     ("yaw rate", "rad/s"): (3.3763, 3.3668, 3.3534),
 }
 
-_IN_PRINT = {"deg/s": np.pi / 180, "rad/s": 180 / np.pi}
-
 
 JUDGED = ("v_x", "side slip", "yaw rate")
 """The states of the filters; v_y follows from them."""
@@ -60,9 +58,13 @@ def interval(values: Array) -> tuple[float, float]:
 
 
 def with_interval(values: Array) -> str:
-    """Mean ± half width, in words."""
+    """Mean ± half width, both to the first digit of the half width, or two if it is a 1."""
     mean, half = interval(values)
-    return f"{mean:.3g} ± {half:.1g}" if np.isfinite(half) else f"{mean:.3g}"
+    if not (np.isfinite(half) and half > 0):
+        return f"{mean:.3g}"
+    magnitude = int(np.floor(np.log10(half)))
+    places = max(0, -magnitude + (half < 2 * 10.0**magnitude))
+    return f"{mean:.{places}f} ± {half:.{places}f}"
 
 
 def errors_table(results: Results, manoeuvre: int, case: str, filters: Sequence[str]) -> str:
@@ -94,21 +96,29 @@ def _signed(values: Array) -> str:
     return f"{mean:+.1f} ± {half:.1f}" if np.isfinite(half) else f"{mean:+.1f}"
 
 
+def per_state(rows: Mapping[str, Array], what: str, manoeuvres: Sequence[str]) -> str:
+    """A row for each of `rows`, factors (manoeuvres, 3) of the `JUDGED` states, to two places."""
+    head = [f"{what} ({' / '.join(manoeuvres)})", *JUDGED]
+    cells = {
+        name: [" / ".join(f"{value:.2f}" for value in of_state) for of_state in factors.T]
+        for name, factors in rows.items()
+    }
+    return markdown_table(head, [[name, *row] for name, row in cells.items()])
+
+
 def table_2(results: Results, manoeuvres: Sequence[str]) -> str:
-    """The paper's MAE and RMSE beside ours; yaw rates in the paper's unit."""
+    """The paper's MAE and RMSE above ours; yaw rates in the paper's unit."""
     at = case_index("true R")
-    head = ["", *(f"paper {name}" for name in COMPARED)]
-    head += [f"{name}, {manoeuvre}" for manoeuvre in manoeuvres for name in COMPARED]
     rows = []
     for (measure, state, unit), printed in TABLE_2.items():
         scale = np.pi / 180 if unit == "rad/s" else 1.0
-        cells = [f"{value:g}" for value in printed]
-        for manoeuvre in range(len(manoeuvres)):
-            for name in COMPARED:
-                values = getattr(results[name], measure.lower())
-                cells.append(f"{scale * values[manoeuvre, at, :, state_index(state)].mean():.3g}")
-        rows.append([f"{measure} {state} [{unit}]", *cells])
-    return markdown_table(head, rows)
+        what = f"{measure} {state} [{unit}]"
+        rows.append([what, "paper", *(f"{value:g}" for value in printed)])
+        for manoeuvre, title in enumerate(manoeuvres):
+            values = [getattr(results[name], measure.lower())[manoeuvre, at] for name in COMPARED]
+            cells = [with_interval(scale * v[:, state_index(state)]) for v in values]
+            rows.append([what, title, *cells])
+    return markdown_table(["", "", *COMPARED], rows)
 
 
 def table_3(results: Results, manoeuvres: Sequence[str]) -> str:
@@ -120,7 +130,7 @@ def table_3(results: Results, manoeuvres: Sequence[str]) -> str:
     ]
     for manoeuvre, title in enumerate(manoeuvres):
         for state in ("side slip", "yaw rate", "v_x"):
-            for name in ("ADLUKF", "AUKF", "CKF"):
+            for name in ("CKF", "FAUKF", "ADLUKF", "AUKF"):
                 low, high = (
                     _rmse(results, name, manoeuvre, case, state) for case in ("0.01 I", "2 I")
                 )

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import msgspec
 import tyro
+from rich.console import Console
 
 from experiments.reproduce_report import REPORT, Report, Reproduction, report_of, to_markdown
 from experiments.results import new_folder
@@ -115,6 +116,14 @@ def _show(report: Report, folder: Path, as_json: bool) -> None:
     if as_json:
         sys.stdout.write(msgspec.json.encode(report).decode() + "\n")
         return
+    # Only here: it takes a tenth of a second to import.
+    from rich.markdown import Markdown
+
+    console = Console()
+    for section in report.sections:
+        if section.shown:
+            console.print(Markdown(f"## {section.title}\n\n{section.text}"))
+            console.print()
     checks = [check for section in report.sections for check in section.checks]
     for check in checks:
         if not check.ok:

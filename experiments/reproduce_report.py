@@ -39,7 +39,8 @@ class Claim(msgspec.Struct, frozen=True):
 class Section(msgspec.Struct, frozen=True):
     """A part of the report: Markdown `text`, and what of it is for machines.
 
-    `place` orders the sections, whatever the order in which they were computed.
+    `place` orders the sections, whatever the order in which they were computed. The text of a
+    section that is `shown` is printed on the terminal too.
     """
 
     place: int
@@ -48,6 +49,7 @@ class Section(msgspec.Struct, frozen=True):
     checks: list[Check] = []
     claims: list[Claim] = []
     data: dict[str, Any] = {}
+    shown: bool = False
 
 
 class Report(msgspec.Struct, frozen=True):

@@ -139,7 +139,7 @@ def read_drive(file: str | Path, columns: ColumnMap, steering_ratio: float = 1.0
     samples is NaN.
 
     Args:
-        file: a line of column names, then numbers; an empty field is NaN.
+        file: UTF-8, a line of column names, then numbers, commas between; an empty field is NaN.
         columns: which column is what.
         steering_ratio: steering-wheel angle over road-wheel angle.
 
@@ -185,19 +185,29 @@ def _mapped(columns: ColumnMap) -> dict[str, Column]:
 
 def _text(file: Path) -> str:
     try:
-        return file.read_text(encoding="utf-8")
+        return file.read_text(encoding="utf-8-sig")  # some programs begin a file with its mark
     except OSError as error:
         raise ValueError(f"{file}: cannot be read ({error.strerror}); a drive needs it") from None
+    except UnicodeDecodeError as error:
+        raise ValueError(
+            f"{file}: byte {error.start} is not UTF-8 text; save the file as UTF-8"
+        ) from None
 
 
 def _numbers(file: Path, mapped: dict[str, Column]) -> dict[str, Array]:
     """The mapped quantities (rows,) in SI."""
     rows = list(csv.reader(_text(file).splitlines()))
     names = [name.strip() for name in rows[0]] if rows else []
+    if len(names) == 1 and any(sign in names[0] for sign in ";\t"):
+        raise ValueError(
+            f"{file}: the first line has semicolons or tabs and no comma; separate fields by "
+            "commas, and write decimals with a point"
+        )
     for quantity, column in mapped.items():
         if column.column not in names:
+            there = ", ".join(names) or "none, for the file is empty"
             raise ValueError(
-                f"{file}: no column {column.column!r} for {quantity}; there are {', '.join(names)}"
+                f"{file}: no column {column.column!r} for {quantity}; there are {there}"
             )
     read = {}
     for quantity, column in mapped.items():

@@ -105,13 +105,3 @@ BMW_320I = Car(
     driven_axle="rear",
 )
 """Vehicle 2 of the CommonRoad vehicle models (Althoff and Wuersching, 2020, tables 6 and 7)."""
-
-BMW_320I_FITTED = msgspec.structs.replace(
-    BMW_320I,
-    name="BMW 320i, tyres fitted",
-    front_stiffness_n_rad=146.2e3,
-    rear_stiffness_n_rad=116.7e3,
-    friction=1.01,
-)
-"""The same with the saturating tyres that `tyre_identification` finds in a simulated ramp-steer
-drive: what the car's compliance leaves of the data sheet's stiffness, which it does not contain."""

@@ -1,10 +1,13 @@
 """How a car's sensors err: noise, bias, outliers, and noise that grows on the way."""
 
+import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 from plants.draws import Array
+from plants.vehicle_drive import Drive
 
 
 class SensorError(NamedTuple):
@@ -53,3 +56,28 @@ def draw_errors(
     """Errors (steps, runs) at times (steps,)."""
     normal = contaminated(error, generator, (runs, len(time_s))).T
     return error.bias + noise_std(error, time_s)[:, None] * normal
+
+
+TEST_CAR = {
+    "steering_rad": SensorError(0.0005),
+    "yaw_rate_rad_s": SensorError(0.005),
+    "side_slip_rad": SensorError(math.radians(0.05)),
+    "speed_m_s": SensorError(0.10),
+    "longitudinal_acceleration_m_s2": SensorError(0.05, bias=0.02),
+    "lateral_acceleration_m_s2": SensorError(0.10),
+    "wheel_speed_m_s": SensorError(0.10),
+}
+"""A car for measurements, by the fields of `Drive`; an optical sensor tells the side slip."""
+
+
+def logged(drive: Drive, errors: Mapping[str, SensorError], rng: np.random.Generator) -> Drive:
+    """A drive as sensors that err so would log it; fields that have no sensor stay as they are."""
+
+    def noisy(values: Array, error: SensorError) -> Array:
+        columns = values.reshape(drive.steps, -1)
+        drawn = [draw_errors(error, rng, drive.time_s, 1) for _ in columns.T]
+        return (columns + np.concatenate(drawn, axis=1)).reshape(values.shape)
+
+    return drive._replace(
+        **{field: noisy(getattr(drive, field), error) for field, error in errors.items()}
+    )

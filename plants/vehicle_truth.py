@@ -47,6 +47,15 @@ SOFT_BMW = TrueCar(
     {"p_ky1": -12.0, "p_hy1": 0.0, "p_hy3": 0.0, "p_vy1": 0.0, "p_vy3": 0.0},
 )
 ESCORT = TrueCar("Ford Escort", 1)
+VANAGON = TrueCar("VW Vanagon", 3)
+
+TRUE_CARS = {
+    "bmw-320i": BMW,
+    "bmw-320i-soft": SOFT_BMW,
+    "ford-escort": ESCORT,
+    "vw-vanagon": VANAGON,
+}
+"""By the names of `vehicle_cars.FITTED_CARS`, which says what estimators believe of them."""
 
 
 class Body(NamedTuple):

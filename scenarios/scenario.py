@@ -41,6 +41,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         loss: probability that a link loses a frame on its way to one receiver, in [0, 1).
         control: whose knowledge closes the loop of a plant: a node's number, truth, or open.
         noise: what the sensors really do, for plants that have a choice: matched, paper, ...
+        car: which car is simulated (vehicle-network).
         manoeuvre: what the driver does (vehicle-network).
         adaptive: nodes learn the noise of their own sensors (vehicle-network).
         target: the robot that is tracked (mrclam).
@@ -76,6 +77,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     loss: float = 0.0
     control: str = "open"
     noise: str = "matched"
+    car: str = "bmw-320i"
     manoeuvre: str = "double-lane-change"
     adaptive: bool = False
     target: int | None = None

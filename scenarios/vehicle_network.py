@@ -1,11 +1,11 @@
 """`vehicle-network`: a car's sensors as nodes on its FlexRay bus, one cycle of 5 ms a step.
 
-The car is simulated with 29 states (CommonRoad), or replayed from a log with --data. Every node
-learns how noisy its own sensors are (--no-adaptive: believes their data sheets). --noise says what
-the sensors really do.
+A --car is simulated with 29 states (CommonRoad) through a --manoeuvre, or a logged drive replayed
+with --data. Every node learns how noisy its own sensors are (--no-adaptive: believes their data
+sheets). --noise says what the sensors really do.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import cache
 
 import numpy as np
@@ -18,6 +18,7 @@ from nodes.estimator import Estimator
 from nodes.local_filter import carry, take_own
 from nodes.messages import Array, Measured, to_wire
 from plants.drive_log import read_car, read_folder
+from plants.vehicle_cars import FITTED_CARS
 from plants.vehicle_manoeuvres import MANOEUVRES
 from plants.vehicle_model import single_track, tanh_tyre
 from plants.vehicle_network import (
@@ -31,7 +32,7 @@ from plants.vehicle_network import (
     sensor,
     simulated,
 )
-from plants.vehicle_parameters import BMW_320I_FITTED, Car
+from plants.vehicle_parameters import Car
 from plants.vehicle_sensors import SensorError
 from scenarios.catalogue import Kind, Score
 from scenarios.estimators import Seat
@@ -69,32 +70,41 @@ def _logged(data: str) -> DrivenOnce:
 
 
 @cache
-def _simulated(manoeuvre: str, noise: str) -> DrivenOnce:
+def _simulated(car: str, manoeuvre: str, noise: str) -> DrivenOnce:
     # Only here: a node believes in a model and never simulates the truth.
-    from plants.vehicle_truth import BMW, simulate
+    from plants.vehicle_truth import TRUE_CARS, simulate
 
-    drive = simulate(MANOEUVRES[manoeuvre], BMW, TIME_STEP_S)
-    return simulated(drive, BMW_320I_FITTED, NOISES[noise])
+    drive = simulate(MANOEUVRES[manoeuvre], TRUE_CARS[car], TIME_STEP_S)
+    return simulated(drive, FITTED_CARS[car], NOISES[noise])
 
 
 def _plant(scenario: Scenario) -> DrivenOnce:
     if scenario.data is not None:
         return _logged(scenario.data)
-    if scenario.manoeuvre not in MANOEUVRES:
-        raise unknown_name("manoeuvre", scenario.manoeuvre, MANOEUVRES)
-    if scenario.noise not in NOISES:
-        raise unknown_name("noise", scenario.noise, NOISES)
-    return _simulated(scenario.manoeuvre, scenario.noise)
+    known: dict[str, Collection[str]] = {
+        "car": FITTED_CARS,
+        "manoeuvre": MANOEUVRES,
+        "noise": NOISES,
+    }
+    for option, names in known.items():
+        name = getattr(scenario, option)
+        if name not in names:
+            raise unknown_name(option, name, names)
+    return _simulated(scenario.car, scenario.manoeuvre, scenario.noise)
 
 
 @cache
-def _model(data: str | None) -> DrivenCar:
-    car: Car = BMW_320I_FITTED if data is None else read_car(data)
+def _believed(name: str, data: str | None) -> DrivenCar:
+    car: Car = FITTED_CARS[name] if data is None else read_car(data)
     return DrivenCar(single_track(car, tanh_tyre, TIME_STEP_S, np.diag(PROCESS_VARIANCES)))
 
 
+def _model(scenario: Scenario) -> DrivenCar:
+    return _believed(scenario.car, scenario.data)
+
+
 def _sensor(scenario: Scenario, node: int) -> CarSensor:
-    return sensor(node, _model(scenario.data).single_track)
+    return sensor(node, _model(scenario).single_track)
 
 
 def _check(scenario: Scenario) -> None:
@@ -106,7 +116,17 @@ def _check(scenario: Scenario) -> None:
     if scenario.adaptive and scenario.rule == "labelled":
         raise ValueError(
             "rule labelled sends readings, whose noise every node takes from the data sheet: use "
-            "--no-adaptive with it, or rule ci or hcmci"
+            "--no-adaptive with it, or rule ci"
+        )
+    simulated_only = [
+        f"--{option} {getattr(scenario, option)}"
+        for option in ("car", "manoeuvre", "noise")
+        if getattr(scenario, option) != getattr(KIND.defaults, option)
+    ]
+    if scenario.data is not None and simulated_only:
+        raise ValueError(
+            f"{', '.join(simulated_only)}: of simulated drives, but --data {scenario.data} is a "
+            "logged one, which has its own car, course and noise; leave one of the two out"
         )
     plant = _plant(scenario)
     if scenario.steps > plant.steps:
@@ -126,7 +146,7 @@ def _around(scenario: Scenario, seat: Seat, rule: Estimator) -> Estimator:
 def _listen(setup: Setup, nodes: Sequence[int], readings: Array) -> Gaussian:
     """Beliefs (steps,) of one filter that takes the readings of these nodes, and learns as they."""
     scenario = setup.scenario
-    model, points = _model(scenario.data), scaled_unscented(len(setup.prior_mean))
+    model, points = _model(scenario), scaled_unscented(len(setup.prior_mean))
     belief = Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov))
     sensors = {node: _sensor(scenario, node) for node in nodes}
     noises: dict[int, NoiseEstimate] = {}
@@ -164,7 +184,7 @@ KIND = Kind(
     ),
     check=_check,
     plant=_plant,
-    model=lambda scenario: _model(scenario.data),
+    model=_model,
     sensor=_sensor,
     # The side slip is what the car is estimated for, and what a log may know.
     score=Score(states=(SIDE_SLIP,), unit="rad", nees_states=(SIDE_SLIP,), first_step=200),

@@ -48,6 +48,10 @@ def test_the_table_shows_what_was_there_before(folder: Path, capsys):
         (["--data", "here", "--manoeuvre", "serpentine"], "not both"),
         (["--manoeuvre", "drift"], "Valid names are double-lane-change"),
         (["--data", "/nowhere"], "no such folder"),
+        (["--data", "here", "--log", "there"], "leave --log out"),
+        (["--manoeuvre", "serpentine", "--car", "lada"], "Valid names are bmw-320i"),
+        (["--manoeuvre", "serpentine", "--seed", "-1"], "--seed -1: must be 0 or more"),
+        (["--manoeuvre", "serpentine", "--out", "/dev/null/x"], "cannot be made"),
     ],
 )
 def test_a_mistake_is_one_sentence(arguments: list[str], says: str, capsys):
@@ -63,7 +67,7 @@ def test_nothing_is_written_over(folder: Path, capsys):
     out = folder / "car.toml"
     with pytest.raises(SystemExit):
         main(["identify", "--data", str(folder), "--out", str(out)])
-    assert "the file exists" in capsys.readouterr().err
+    assert "there is something of that name" in capsys.readouterr().err
     assert car_from_toml(out.read_text()) == BMW_320I
 
 
@@ -75,3 +79,18 @@ def test_a_simulated_drive_takes_the_place_of_a_log(capsys):
     said = json.loads(capsys.readouterr().out)
     # Compliance and load transfer leave more than the data sheet's 130 kN/rad: see docs/vehicle.md.
     assert 125e3 < said["front_stiffness_n_rad"] < 160e3
+
+
+@pytest.mark.skipif(
+    importlib.util.find_spec("vehiclemodels") is None, reason="needs concord[vehicle]"
+)
+def test_a_simulated_log_is_one_that_data_reads(tmp_path: Path, capsys):
+    folder, out = tmp_path / "new" / "log", tmp_path / "other" / "car.toml"
+    asked = ["--manoeuvre", "step-steer", "--car", "ford-escort", "--json"]
+    main(["identify", *asked, "--log", str(folder), "--out", str(out)])
+    simulated = json.loads(capsys.readouterr().out)
+    main(["identify", "--data", str(folder), "--json"])
+    assert json.loads(capsys.readouterr().out) == simulated
+    assert simulated["car"] == car_from_toml(out.read_text()).name == "Ford Escort"
+    # With the noise of its sensors: what is left over of the yaw rate is no less.
+    assert simulated["yaw_rate_rms_rad_s"] > 0.0045

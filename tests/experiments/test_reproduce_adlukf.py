@@ -10,6 +10,7 @@ import pytest
 from experiments.__main__ import main
 from experiments.reproduce_adlukf_consistency import average_nees, matched_study
 from experiments.reproduce_adlukf_cost import costs
+from experiments.reproduce_adlukf_elsewhere import Elsewhere, in_words
 from experiments.reproduce_adlukf_filters import CONTESTANTS
 from experiments.reproduce_adlukf_study import (
     CASES,
@@ -19,7 +20,7 @@ from experiments.reproduce_adlukf_study import (
     quantities,
     score,
 )
-from experiments.reproduce_adlukf_tables import interval, ratio
+from experiments.reproduce_adlukf_tables import interval, per_state, ratio, with_interval
 from plants.vehicle_drive import Drive
 from plants.vehicle_model import linear_tyre, single_track
 from plants.vehicle_parameters import BMW_320I
@@ -125,6 +126,47 @@ def test_an_interval_is_students():
     assert half == pytest.approx(4.3027 / np.sqrt(3), rel=1e-4)
 
 
+@pytest.mark.parametrize(
+    ("half", "says"),
+    [
+        (0.0123, "5.438 ± 0.012"),
+        (0.0223, "5.44 ± 0.02"),
+        (3.4, "5 ± 3"),
+        (250.0, "5 ± 250"),
+        (0.0, "5.44"),
+    ],
+)
+def test_numbers_are_as_long_as_they_are_known(half: float, says: str):
+    """Of the pair m - d, m + d the half width is 12.706 d (Student's t with one degree)."""
+    assert with_interval(5.4377 + half / 12.7062 * np.array([-1.0, 1.0])) == says
+
+
+def test_a_cell_holds_both_manoeuvres():
+    table = per_state({"UKF": np.array([[1, 2, 3], [4, 5, 6.0]])}, "RMSE", ("a", "b"))
+    assert "RMSE (a / b) | v_x | side slip | yaw rate" in table
+    assert "| UKF | 1.00 / 4.00 | 2.00 / 5.00 | 3.00 / 6.00 |" in table
+
+
+def test_what_holds_elsewhere_is_counted():
+    def drive(ours, reference, over):
+        return Elsewhere(
+            "car",
+            {"ADLUKF": np.array(ours), "CKF": np.array(reference)},
+            {"ADLUKF": np.array(over)},
+        )
+
+    words = in_words(
+        [
+            drive([0.8, 1.2], [3.0, 1.4], [0.9, 0.9]),
+            drive([0.79, 1.0], [0.7, 2.0], [0.9, 1.1]),
+            drive([1.0, 1.61], [2.0, 2.0], [1.2, 0.9]),
+        ]
+    )
+    assert "In 3 drives" in words
+    assert "0.79 to 1.61 (both within 0.8 and 1.2 in 1), the CKF's 0.70 to 3.00" in words
+    assert words.endswith("beats the CKF in both states in 1.")
+
+
 def test_one_seed_is_refused(tmp_path: Path, capsys):
     with pytest.raises(SystemExit) as ended:
         main(["reproduce", "adlukf", "--seeds", "1", "--out", str(tmp_path / "x")])
@@ -144,5 +186,5 @@ def test_the_whole_reproduction_holds(tmp_path: Path, capsys):
     for name in ("figure-4.png", "figure-5.png", "figure-9.png"):
         assert (folder / name).stat().st_size > 50_000
     text = (folder / "report.md").read_text(encoding="utf-8")
-    for words in ("does not win", "counts every reading twice", "Table 3", "CommonRoad"):
+    for words in ("does not win", "counts every reading twice", "Table 3", "CommonRoad", "Vanagon"):
         assert words in text

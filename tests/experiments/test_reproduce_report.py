@@ -15,6 +15,7 @@ from experiments.reproduce_report import (
     above,
     at_most,
     below,
+    markdown_table,
     near,
     refused,
     report_of,
@@ -99,6 +100,22 @@ def test_a_failed_check_is_exit_code_1(monkeypatch, tmp_path: Path, capsys):
     pretend(monkeypatch, lambda folder: iter([section(0, near("fine", 1.0, 1.0, 0.1))]))
     assert run("wac", "--out", str(tmp_path / "b")) == 0
     assert "1 of 1 checks hold" in capsys.readouterr().out
+
+
+def test_what_is_shown_stands_on_the_terminal_with_its_tables(monkeypatch, tmp_path: Path, capsys):
+    table = markdown_table(["filter", "RMSE"], [["CKF", "0.1 ± 0.02"]])
+    parts = [Section(1, "Hidden", "nothing"), Section(0, "Shown", f"Text.\n\n{table}", shown=True)]
+    pretend(monkeypatch, lambda folder: iter(parts))
+    assert run("wac", "--out", str(tmp_path / "a")) == 0
+    said = capsys.readouterr().out
+    assert "Hidden" not in said
+    assert "|" not in said  # a table, not its Markdown
+    rows = [line.split() for line in said.splitlines() if line.strip()]
+    for row in (["Shown"], ["Text."], ["filter", "RMSE"], ["CKF", "0.1", "±", "0.02"]):
+        assert row in rows
+    pretend(monkeypatch, lambda folder: iter(parts))
+    assert run("wac", "--out", str(tmp_path / "b"), "--json") == 0
+    assert json.loads(capsys.readouterr().out)["sections"][0]["shown"] is True
 
 
 def test_an_interrupted_reproduction_leaves_what_is_done(monkeypatch, tmp_path: Path):

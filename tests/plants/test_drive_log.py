@@ -99,6 +99,21 @@ def test_a_missing_column_is_named_with_those_there_are(tmp_path: Path):
         read_drive(file, columns_from_toml(MAP))
 
 
+def test_what_spreadsheets_write_is_read_or_named(tmp_path: Path):
+    row = "0,1,0,36,36,0,\n10,1,0,36,36,0,\n"
+    file = log(tmp_path, row, head="\ufeff" + HEAD)
+    assert read_drive(file, columns_from_toml(MAP)).steps == 2
+    with pytest.raises(ValueError, match="semicolons or tabs"):
+        read_drive(
+            log(tmp_path, row.replace(",", ";"), HEAD.replace(",", ";")), columns_from_toml(MAP)
+        )
+    file.write_bytes((HEAD + "0,1,0,36,36,0,\xe9\n").encode("latin-1"))
+    with pytest.raises(ValueError, match=r"drive\.csv: byte \d+ is not UTF-8"):
+        read_drive(file, columns_from_toml(MAP))
+    with pytest.raises(ValueError, match="the file is empty"):
+        read_drive(log(tmp_path, "", head=""), columns_from_toml(MAP))
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [

@@ -3,10 +3,9 @@
 import msgspec
 import pytest
 
+from plants.vehicle_cars import FITTED_CARS
 from plants.vehicle_parameters import (
     BMW_320I,
-    BMW_320I_FITTED,
-    Car,
     CarError,
     car_from_toml,
     car_to_toml,
@@ -14,7 +13,11 @@ from plants.vehicle_parameters import (
 
 
 def test_a_car_survives_its_file():
-    for car in (BMW_320I, BMW_320I_FITTED, msgspec.structs.replace(BMW_320I, name='a "car" \\ é')):
+    for car in (
+        BMW_320I,
+        *FITTED_CARS.values(),
+        msgspec.structs.replace(BMW_320I, name='a "car" \\ é'),
+    ):
         assert car_from_toml(car_to_toml(car)) == car
 
 
@@ -52,8 +55,35 @@ def test_the_known_car_is_the_librarys():
             assert library[field] == value, field
 
 
-def test_fitting_changes_the_tyres_alone():
-    assert isinstance(BMW_320I_FITTED, Car)
-    same = {"mass_kg", "yaw_inertia_kg_m2", "front_axle_m", "rear_axle_m", "rear_track_m"}
-    for field in same:
-        assert getattr(BMW_320I_FITTED, field) == getattr(BMW_320I, field)
+@pytest.mark.parametrize("name", FITTED_CARS)
+def test_fitting_changes_the_tyres_alone(name: str):
+    pytest.importorskip("vehiclemodels", reason="needs concord[vehicle]")
+    from plants.vehicle_truth import TRUE_CARS, data_sheet
+
+    library = msgspec.structs.asdict(data_sheet(TRUE_CARS[name]))
+    tyres = {"name", "front_stiffness_n_rad", "rear_stiffness_n_rad", "friction"}
+    for field, value in msgspec.structs.asdict(FITTED_CARS[name]).items():
+        if field not in tyres:
+            same = value == library[field] or value == pytest.approx(library[field], rel=1e-9)
+            assert same, field
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FITTED_CARS)
+def test_the_fitted_tyres_are_what_identification_finds(name: str):
+    pytest.importorskip("vehiclemodels", reason="needs concord[vehicle]")
+    from plants.tyre_identification import identify
+    from plants.vehicle_manoeuvres import MANOEUVRES
+    from plants.vehicle_truth import TRUE_CARS, data_sheet, simulate
+
+    car = TRUE_CARS[name]
+    drive = simulate(MANOEUVRES["ramp-steer"], car, 0.01)
+    found = identify(drive, data_sheet(car), seek_friction=True).car
+    for field in ("front_stiffness_n_rad", "rear_stiffness_n_rad", "friction"):
+        assert getattr(FITTED_CARS[name], field) == pytest.approx(getattr(found, field), rel=2e-3)
+
+
+def test_every_simulated_car_has_one_who_believes_in_it():
+    from plants.vehicle_truth import TRUE_CARS
+
+    assert list(TRUE_CARS) == list(FITTED_CARS)

@@ -1,8 +1,17 @@
 """How sensors err, in distribution."""
 
 import numpy as np
+import pytest
 
-from plants.vehicle_sensors import SensorError, contaminated, draw_errors, noise_std
+from plants.vehicle_drive import Drive
+from plants.vehicle_sensors import (
+    TEST_CAR,
+    SensorError,
+    contaminated,
+    draw_errors,
+    logged,
+    noise_std,
+)
 
 TIME_S = np.arange(0, 10, 0.01)
 
@@ -42,3 +51,20 @@ def test_the_first_runs_do_not_depend_on_how_many_there_are():
     error = SensorError(1.0)
     few = draw_errors(error, np.random.default_rng(1), TIME_S, 3)
     np.testing.assert_array_equal(few, draw(error)[:, :3])
+
+
+def test_a_logged_drive_errs_as_its_sensors_do():
+    steps = 4000
+    exact = Drive(0.01, *(np.full(steps, float(i)) for i in range(6)), np.zeros((steps, 4)), TIME_S)
+    errors = {"speed_m_s": SensorError(0.2, bias=0.5), "wheel_speed_m_s": SensorError(0.1)}
+    drive = logged(exact, errors, np.random.default_rng(5))
+    speed = drive.speed_m_s - exact.speed_m_s
+    # 4000 draws: four of their own deviations.
+    assert speed.mean() == pytest.approx(0.5, abs=4 * 0.2 / np.sqrt(steps))
+    assert speed.std() == pytest.approx(0.2, rel=4 / np.sqrt(2 * steps))
+    np.testing.assert_allclose(drive.wheel_speed_m_s.std(axis=0), 0.1, rtol=0.05)
+    correlation = np.corrcoef(drive.wheel_speed_m_s.T) - np.eye(4)
+    assert np.abs(correlation).max() < 4 / np.sqrt(steps)
+    for field in set(Drive._fields) - set(errors):
+        assert getattr(drive, field) is getattr(exact, field)
+    assert set(TEST_CAR) < set(Drive._fields)

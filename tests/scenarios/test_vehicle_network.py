@@ -12,9 +12,9 @@ from experiments.drivers import DRIVERS, in_memory
 from experiments.trace import Trace, read_trace
 from nodes.adaptive_noise import AdaptiveNoise
 from plants.drive_log import write_drive
+from plants.vehicle_cars import FITTED_CARS
 from plants.vehicle_manoeuvres import MANOEUVRES
 from plants.vehicle_network import SIDE_SLIP, STATE_NAMES
-from plants.vehicle_parameters import BMW_320I_FITTED
 from scenarios.baselines import local_only
 from scenarios.build import build_node
 from scenarios.catalogue import kind_of
@@ -88,7 +88,7 @@ def test_a_log_takes_the_place_of_the_simulation(tmp_path: Path):
     from plants.vehicle_truth import BMW, simulate
 
     drive = simulate(MANOEUVRES["serpentine"], BMW, 0.01, integration_step_s=5e-3)
-    write_drive(tmp_path, drive, BMW_320I_FITTED)
+    write_drive(tmp_path, drive, FITTED_CARS["bmw-320i"])
     prepared = setup(data=str(tmp_path), steps=1200)
     trace = run(prepared)
     np.testing.assert_allclose(trace.truth[:1200:2, SIDE_SLIP], drive.side_slip_rad[:600])
@@ -113,6 +113,9 @@ def test_nodes_learn_only_if_they_are_told_to():
         ({"rule": "labelled"}, "--no-adaptive"),
         ({"cluster": "demo"}, "--stretch 2"),
         ({"data": "/nowhere"}, "no such folder"),
+        ({"car": "lada"}, "Valid names are bmw-320i"),
+        ({"car": "bmw-320i-soft", "manoeuvre": "double-lane-change"}, "spins out"),
+        ({"data": "here", "car": "vw-vanagon"}, "--car vw-vanagon: of simulated drives"),
     ],
 )
 def test_what_it_cannot_be_is_refused(changes: dict, says: str):
