@@ -55,8 +55,8 @@ def test_the_first_runs_do_not_depend_on_how_many_there_are():
 
 def test_a_logged_drive_errs_as_its_sensors_do():
     steps = 4000
-    values = [np.full(steps, float(i)) for i in range(6)]
-    exact = Drive(0.01, *(*values, np.zeros((steps, 4)), np.zeros(steps)))
+    values = {name: np.full(steps, float(i)) for i, name in enumerate(Drive._fields[1:])}
+    exact = Drive(0.01, **values)._replace(wheel_speed_m_s=np.zeros((steps, 4)))
     errors = {"speed_m_s": SensorError(0.2, bias=0.5), "wheel_speed_m_s": SensorError(0.1)}
     drive = logged(exact, errors, np.random.default_rng(5))
     speed = drive.speed_m_s - exact.speed_m_s
