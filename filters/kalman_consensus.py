@@ -12,6 +12,12 @@ from filters.novelty import absorb, novelty
 from filters.packed import pack, unpack
 
 
+def largest_rate(neighbours: int) -> float:
+    """The largest rate with which averaging by it is averaging at every node, where no node has
+    more neighbours than that."""
+    return 1.0 / (1 + neighbours)
+
+
 def begin(prior: Gaussian, posterior: Gaussian) -> np.ndarray:
     """What a node says in the first round: its novelty, packed, and the mean of its prior.
 

@@ -13,7 +13,7 @@ from filters.gaussian import Gaussian
 from filters.linalg import cholesky, symmetrise
 from filters.sigma_points import SigmaPointRule
 from nodes.bids import FIRST_BID, asked, bid_for_change
-from nodes.local_filter import Model, Sensor, carry, control_of, finite, stacked, take_own
+from nodes.local_filter import Model, Sensor, carry, control_of, finite_lanes, stacked, take_own
 from nodes.messages import Array, Measured
 from nodes.vector_codec import VectorCodec
 
@@ -128,8 +128,7 @@ class FreshConsensus:
         )
         content = content._replace(ages=ages, cycles_in_step=cycle + 1)
         belief = Gaussian(belief.mean, symmetrise(belief.cov))
-        # Numbers near the largest that there are can leave a covariance of zero.
-        if not finite(belief) or np.isnan(cholesky(belief.cov)[0, 0]):
+        if not believable(belief):
             return content, (*troubles, "fuse-failed")
         return content._replace(known=known, belief=belief), troubles
 
@@ -157,3 +156,10 @@ class FreshConsensus:
     def ages(self, content: Content) -> Array:
         """Cycles since a share of each neighbour was last used."""
         return content.ages
+
+
+def believable(belief: Gaussian) -> np.ndarray:
+    """Whether beliefs (..., n) that a rule came to are finite and positive definite: (...) bool."""
+    # Numbers near the largest that there are can leave a covariance of zero.
+    definite = np.logical_not(np.isnan(cholesky(belief.cov)[..., 0, 0]))
+    return np.logical_and(finite_lanes(belief), definite)

@@ -17,7 +17,7 @@ class NoveltyRounds(NamedTuple):
     `open(prior, posterior)` is what a node says first (m,), its packed novelty in front;
     `absorb(prior, shares (1 + J, m))` the belief after round 0; `mix(means (1 + J, n))` the mean
     after a later one. The node's own comes first; NaN was not heard. Means travel in vectors of the
-    same length, as a bus slot has one.
+    same length, as a bus slot has one. All may have leading axes, one entry a node.
     """
 
     open: Callable[[Gaussian, Gaussian], Array]
@@ -32,13 +32,15 @@ class NoveltyRounds(NamedTuple):
         """First what the own readings brought, then the mean, padded."""
         if cycle == 0:
             return known
-        return np.pad(belief.mean, (0, len(known) - len(belief.mean)))
+        said = np.zeros_like(known)
+        said[..., : belief.mean.shape[-1]] = belief.mean
+        return said
 
     def sound(self, prior: Gaussian, shares: Array) -> np.ndarray:
-        """Which of shares (J, m) leave the own information positive definite: (J,) bool."""
-        packed = shares[:, : packed_length(len(prior.mean))]
-        together = inverse_spd(prior.cov) + unpack(packed).matrix
-        return np.isfinite(cholesky(together)[:, -1, -1])
+        """Which of shares (..., J, m) leave the own information positive definite: (..., J)."""
+        packed = shares[..., : packed_length(prior.mean.shape[-1])]
+        together = inverse_spd(prior.cov)[..., None, :, :] + unpack(packed).matrix
+        return np.isfinite(cholesky(together)[..., -1, -1])
 
     def fuse(
         self, cycle: int, prior: Gaussian, known: Array, belief: Gaussian, shares: Array
@@ -46,4 +48,5 @@ class NoveltyRounds(NamedTuple):
         """The prior with all novelties, then the mixed mean with the covariance that it had."""
         if cycle == 0:
             return known, self.absorb(prior, shares)
-        return known, Gaussian(self.mix(shares[:, : len(belief.mean)]), belief.cov)
+        means = shares[..., : belief.mean.shape[-1]]
+        return known, Gaussian(self.mix(means), belief.cov)

@@ -12,7 +12,7 @@ import numpy as np
 from filters.fusion import Averaging
 from filters.gaussian import Gaussian
 from filters.linalg import cholesky, symmetrise
-from nodes.belief_consensus import HoldPolicy
+from nodes.belief_consensus import HoldPolicy, alike
 from nodes.local_filter import carry, finite_lanes, where
 from nodes.messages import Array
 from nodes.vectorised_filter import (
@@ -99,9 +99,7 @@ class BeliefFleet:
 
     def bids(self, content: Content, nodes: np.ndarray) -> np.ndarray:
         """How far beliefs have moved since they were last published."""
-        published = content.published
-        every = published.bids(content.belief, self.trigger)
-        return every[:, np.searchsorted(published.nodes, nodes)]
+        return content.published.bids_of(nodes, content.belief, self.trigger)
 
     def exchange(self, content: Content, sends: np.ndarray, lost: np.ndarray | None) -> Content:
         """Nodes `sends` (R, N) publish; all average what they hear and hold with their own."""
@@ -128,11 +126,12 @@ class BeliefFleet:
     def _fused(self, content: Content, own: Expressed, averaging: Averaging) -> Content:
         held = content.held
         turn = content.cycles_in_step - 1
+        sharpness = Shares(own.sharpness, held.sharpness[:, self.links.slot])
         weights = weighed(
             self.links,
             self.base,
             content.ages,
-            Shares(own.sharpness, held.sharpness[:, self.links.slot]),
+            None if self.hold.sharpness is alike else sharpness,
             lambda base, ages, sharpness: self.hold.weigh(base, ages, sharpness, turn),
         )
         numbers = np.where(weights.own[..., None] == 0, 0.0, own.numbers)

@@ -105,10 +105,12 @@ class Published(NamedTuple):
         speaks = sends[:, self.nodes]
         return self._replace(belief=where(speaks, now, self.belief), known=self.known | speaks)
 
-    def bids(self, belief: Gaussian, trigger: float) -> np.ndarray:
-        """How urgently each contender asks now: integers (R, C), `bids.NO_BID` for not at all."""
-        now = Gaussian(belief.mean[:, self.nodes], belief.cov[:, self.nodes])
-        return np.where(self.known, bid_for_change(now, self.belief, trigger), FIRST_BID)
+    def bids_of(self, some: np.ndarray, belief: Gaussian, trigger: float) -> np.ndarray:
+        """How urgently some of the nodes (J,) ask now that all believe this: integers (R, J)."""
+        places = np.searchsorted(self.nodes, some)
+        now = Gaussian(belief.mean[:, some], belief.cov[:, some])
+        then = Gaussian(self.belief.mean[:, places], self.belief.cov[:, places])
+        return np.where(self.known[:, places], bid_for_change(now, then, trigger), FIRST_BID)
 
 
 def nothing_published(nodes: np.ndarray, prior: Gaussian) -> Published:

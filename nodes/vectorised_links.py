@@ -9,12 +9,12 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from nodes.messages import Array
 
 # Of the places of a class, at least this share must be links.
 _FULLNESS = 0.6
+_ALIKE = np.ones(1)
 
 
 class DegreeClass(NamedTuple):
@@ -65,6 +65,11 @@ class Links(NamedTuple):
     def in_slots(self, sent: np.ndarray, lost: np.ndarray | None) -> np.ndarray:
         """Which slots (R, K) are filled by those."""
         return sent[:, self.source] if self.perfect else self.arriving(sent, lost)
+
+    def rows(self, values: "Shares") -> Iterator[Array]:
+        """Values of nodes and links for each class: (R, K, 1 + J), 0 where there is no link."""
+        for some in self.classes:
+            yield _with_own(values.own[:, some.nodes, None], some.gathered(values.link, 0.0))
 
     def per_receiver(self, flags: np.ndarray) -> np.ndarray:
         """Sums (R, N) over each node's links of flags or counts (R, E)."""
@@ -117,7 +122,7 @@ def weighed(
     links: Links,
     base: Shares,
     ages: np.ndarray,
-    sharpness: Shares,
+    sharpness: Shares | None,
     weigh: Callable[[Array, np.ndarray, Array], Array],
 ) -> Shares:
     """Fusion weights of all nodes by `weigh(base (..., J), ages (..., J), sharpness (..., J))`.
@@ -125,16 +130,18 @@ def weighed(
     Args:
         base: of one run: own (1, N), link (1, E).
         ages: of links (R, E); the own is 0.
-        sharpness: as `base`, for R runs.
+        sharpness: as `base`, for R runs; None where all beliefs are alike.
         weigh: a rule for one neighbourhood, its own node first.
     """
     runs = len(ages)
     own, link = np.empty((runs, links.nodes)), np.empty((runs, len(links.sender)))
-    for some in links.classes:
+    for some, row in zip(links.classes, links.rows(base), strict=True):
         weights = weigh(
-            np.concatenate((base.own[:, some.nodes, None], some.gathered(base.link, 0.0)), axis=-1),
+            row,
             _with_own(np.zeros((1, 1, 1), dtype=ages.dtype), some.gathered(ages, -1)),
-            _with_own(sharpness.own[:, some.nodes, None], some.gathered(sharpness.link, 1.0)),
+            _ALIKE
+            if sharpness is None
+            else _with_own(sharpness.own[:, some.nodes, None], some.gathered(sharpness.link, 1.0)),
         )
         own[:, some.nodes] = weights[..., 0]
         link[:, some.links[some.real]] = weights[..., 1:][:, some.real]
@@ -150,6 +157,9 @@ def _with_own(own: Array, others: Array) -> Array:
 def mixed(links: Links, weights: Shares, own: Array, held: Array) -> Array:
     """Weighted sums (R, N, m) of the nodes' own numbers (R, N, m) and of those in slots (R, K,
     m)."""
+    # Only here: a node process that knows this file must not load it.
+    from scipy.sparse import csr_array
+
     runs, slots, m = held.shape
     nodes, count = links.nodes, len(links.slot)
     columns = (np.arange(runs)[:, None] * slots + links.slot).ravel()

@@ -92,8 +92,7 @@ def diffused(seat: Seat) -> Estimator:
 
 def pulled(seat: Seat) -> Estimator:
     """For the Kalman-consensus filter."""
-    # The largest rate with which averaging by it is averaging at every node.
-    rate = 1.0 / (1 + max(len(heard) for heard in seat.neighbours))
+    rate = kalman_consensus.largest_rate(max(len(heard) for heard in seat.neighbours))
     rule = NoveltyRounds(
         kalman_consensus.begin,
         partial(kalman_consensus.correct, rate=rate),

@@ -1,14 +1,23 @@
 """How a rule is built at all nodes of many runs at once: `scenarios.estimators` in arrays."""
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
+from filters import diffusion, hybrid_consensus, information_weighted, kalman_consensus
 from filters.fusion import Averaging
 from nodes.belief_consensus import HoldPolicy
+from nodes.novelty_rounds import NoveltyRounds
 from nodes.vectorised import Fleet
 from nodes.vectorised_beliefs import BeliefFleet
 from nodes.vectorised_filter import LocalFilters
+from nodes.vectorised_fresh import (
+    FreshExchange,
+    FreshFleet,
+    InformationExchange,
+    NoveltyExchange,
+)
 from nodes.vectorised_links import Links, Shares
 
 
@@ -40,3 +49,56 @@ def averaging_fleet(averaging: Averaging | None, seat: FleetSeat) -> Fleet:
         number=seat.number,
         trigger=seat.trigger,
     )
+
+
+def hybrid_fleet(gain: hybrid_consensus.Gain, seat: FleetSeat) -> Fleet:
+    """For consensus on prior and novelty."""
+    states = seat.filters.points.unit_points.shape[-1]
+    rule = InformationExchange(
+        partial(hybrid_consensus.begin, row=np.eye(seat.links.nodes)),
+        partial(hybrid_consensus.conclude, states=states, gain=gain),
+        partial(hybrid_consensus.sound, states=states),
+        seat.links,
+        seat.base,
+    )
+    return _fresh(rule, seat)
+
+
+def weighted_information_fleet(seat: FleetSeat) -> Fleet:
+    """For information-weighted consensus."""
+    nodes = seat.links.nodes
+    rule = InformationExchange(
+        partial(information_weighted.begin, nodes=nodes),
+        partial(information_weighted.conclude, nodes=nodes),
+        information_weighted.sound,
+        seat.links,
+        seat.base,
+    )
+    return _fresh(rule, seat)
+
+
+def diffused_fleet(seat: FleetSeat) -> Fleet:
+    """For diffusion and the centralised filter."""
+    rules = tuple(
+        NoveltyRounds(
+            diffusion.begin, diffusion.incremental, partial(diffusion.combine, weights=weights[0])
+        )
+        for weights in seat.links.rows(seat.base)
+    )
+    return _fresh(NoveltyExchange(rules, seat.links), seat)
+
+
+def pulled_fleet(seat: FleetSeat) -> Fleet:
+    """For the Kalman-consensus filter."""
+    most = int(np.diff(seat.links.offsets).max())
+    rate = kalman_consensus.largest_rate(most)
+    rule = NoveltyRounds(
+        kalman_consensus.begin,
+        partial(kalman_consensus.correct, rate=rate),
+        partial(kalman_consensus.average, rate=rate),
+    )
+    return _fresh(NoveltyExchange((rule,) * len(seat.links.classes), seat.links), seat)
+
+
+def _fresh(rule: FreshExchange, seat: FleetSeat) -> Fleet:
+    return FreshFleet(seat.filters, rule, seat.links, seat.contenders, seat.number, seat.trigger)

@@ -10,7 +10,6 @@ from filters import hold
 from filters.fusion import (
     INFORMATION,
     MOMENTS,
-    Averaging,
     covariance_intersection,
     weighted_average,
 )
@@ -22,6 +21,7 @@ from nodes.belief_consensus import HoldPolicy, alike
 from nodes.estimator import Estimator
 from nodes.messages import Array
 from nodes.set_shapes import Ellipsoids, Zonotopes
+from nodes.vectorised import Fleet
 from scenarios import set_rules
 from scenarios.estimators import (
     Seat,
@@ -32,13 +32,19 @@ from scenarios.estimators import (
     pulled,
     weighted_information,
 )
+from scenarios.fleets import (
+    FleetSeat,
+    averaging_fleet,
+    diffused_fleet,
+    hybrid_fleet,
+    pulled_fleet,
+    weighted_information_fleet,
+)
 from scenarios.labelled import check_labelled, largest_share
 from scenarios.scenario import Scenario
 from topology.names import unknown_name
 
 if TYPE_CHECKING:
-    from nodes.vectorised import Fleet
-    from scenarios.fleets import FleetSeat
     from scenarios.setup import Setup
     from topology.weights import Weights
 
@@ -72,7 +78,7 @@ class Rule(NamedTuple):
     check: "Callable[[Scenario, Sequence[Sequence[int]], Weights], None] | None" = None
     certain: bool = False
     listen: "Callable[[Setup, Sequence[int], Array, Array | None], Gaussian] | None" = None
-    fleet: "Callable[[FleetSeat], Fleet] | None" = None
+    fleet: Callable[[FleetSeat], Fleet] | None = None
 
 
 def rule_names() -> tuple[str, ...]:
@@ -248,57 +254,52 @@ def _require_all_at_once(
         )
 
 
-def _averaging_fleet(averaging_: Averaging | None) -> "Callable[[FleetSeat], Fleet]":
-    def fleet(seat: "FleetSeat") -> "Fleet":
-        # Only here: a node of the network needs no array form, and what that needs is slow to load.
-        from scenarios.fleets import averaging_fleet
-
-        return averaging_fleet(averaging_, seat)
-
-    return fleet
-
-
 _RULES: dict[str, Rule] = {
     "ci": Rule(
         "covariance intersection: consistent for any correlation, never less tight than wac",
         lambda n, _: packed_length(n),
         partial(averaging, covariance_intersection),
         holds=True,
-        fleet=_averaging_fleet(INFORMATION),
+        fleet=partial(averaging_fleet, INFORMATION),
     ),
     "wac": Rule(
         "weighted average of means and covariances (the paper's): no inverse, may diverge",
         lambda n, _: packed_length(n),
         partial(averaging, weighted_average),
         holds=True,
-        fleet=_averaging_fleet(MOMENTS),
+        fleet=partial(averaging_fleet, MOMENTS),
     ),
     "hcmci": Rule(
         "consensus on prior and novelty, safe gain: consistent, near centralised with more rounds",
         lambda n, nodes: 2 * packed_length(n) + nodes,
         partial(hybrid, safe_gain),
+        fleet=partial(hybrid_fleet, safe_gain),
     ),
     "hcmci-classical": Rule(
         "as hcmci with the number of nodes as gain: overconfident before the rounds converge",
         lambda n, nodes: 2 * packed_length(n) + nodes,
         partial(hybrid, classical_gain),
+        fleet=partial(hybrid_fleet, classical_gain),
         check=_require_the_average,
     ),
     "icf": Rule(
         "information-weighted consensus: hcmci-classical in the bytes of ci, as overconfident",
         lambda n, _: packed_length(n),
         weighted_information,
+        fleet=weighted_information_fleet,
         check=_require_the_average,
     ),
     "diffusion": Rule(
         "readings of the neighbours, then averaged means; covariance not fused: not consistent",
         lambda n, _: packed_length(n),
         diffused,
+        fleet=diffused_fleet,
     ),
     "kcf": Rule(
         "readings of the neighbours, then a pull to their means: not consistent, takes no weights",
         lambda n, _: packed_length(n) + n,
         pulled,
+        fleet=pulled_fleet,
     ),
     "labelled": Rule(
         "measurements with labels, each counted once: near centralised in a fraction of the bytes",
@@ -311,12 +312,13 @@ _RULES: dict[str, Rule] = {
         "every node alone: publishes, but fuses nothing",
         lambda n, _: packed_length(n),
         partial(averaging, keep_own),
-        fleet=_averaging_fleet(None),
+        fleet=partial(averaging_fleet, None),
     ),
     "centralised": Rule(
         "all readings at every node: the optimum; complete graph, full schedule, one round",
         lambda n, _: packed_length(n),
         diffused,
+        fleet=diffused_fleet,
         check=_require_all_at_once,
     ),
     "ellipsoid": Rule(

@@ -21,8 +21,10 @@ from tests.experiments.support import scenario
 TOLERANCE = 1e-10
 RUNS = (0, 3)
 PLANTS = ("oscillator", "target-crossing", "dc-motor-position", "cruise-control")
-RULES = ("ci", "wac", "local")
+FRESH = ("hcmci", "hcmci-classical", "icf", "diffusion", "kcf")
+RULES = ("ci", "wac", "local", *FRESH)
 HOLDS = ("decayed", "predict", "raw", "drop", "renormalise", "in-step")
+WEIGHTS = ("metropolis", "maximum-degree", "equal-neighbour")  # the last leads to no average
 ARBITERS = ("wtod", "minislot", "round-robin")
 
 
@@ -78,7 +80,7 @@ def scenarios(draw: st.DrawFn) -> Scenario:
     asked = {
         "nodes": draw(st.integers(1, 6)),
         "graph": draw(st.sampled_from(["ring", "path", "star", "complete"])),
-        "weights": draw(st.sampled_from(["metropolis", "maximum-degree", "equal-neighbour"])),
+        "weights": draw(st.sampled_from(WEIGHTS[: 2 if rule in ("hcmci-classical", "icf") else 3])),
         "rule": rule,
         "rounds": draw(st.integers(1, 3)),
         "steps": draw(st.integers(1, 5)),
@@ -112,6 +114,19 @@ def test_random_scenarios_agree(asked: Scenario):
 @settings(max_examples=500)
 def test_many_more_random_scenarios_agree(asked: Scenario):
     check_agreement(asked)
+
+
+LIMITED = {"schedule": "hybrid", "occupancy": 0.5, "loss": 0.1, "steps": 6}
+
+
+@pytest.mark.parametrize("rule", FRESH)
+def test_rules_of_fresh_shares_agree_on_a_limited_bus(rule: str):
+    check_agreement(scenario("target-tracking", rule=rule, nodes=7, stretch=100.0, **LIMITED))
+
+
+def test_the_centralised_rule_agrees():
+    only = {"rule": "centralised", "graph": "complete", "rounds": 1}
+    check_agreement(scenario("target-tracking", nodes=6, steps=8, **only))
 
 
 LARGER = {
