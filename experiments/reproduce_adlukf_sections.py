@@ -29,7 +29,7 @@ from nodes.messages import Array
 from plants.vehicle_drive import Drive
 
 MANOEUVRES = tuple(name.replace("-", " ") for name in DRIVEN)
-SHOWN = ("CKF", "FAUKF", "ADLUKF", "AUKF", "ADLUKF printed", "DLUKF")
+SHOWN = ("CKF", "FAUKF", "ADLUKF", "AUKF", "MCUKF", "ADLUKF printed", "DLUKF")
 
 
 def set_up(drives: tuple[Drive, ...], seeds: int) -> Section:

@@ -11,7 +11,7 @@ from experiments.reproduce_adlukf_drives import (
 )
 from experiments.reproduce_adlukf_elsewhere import Elsewhere, in_words
 from experiments.reproduce_adlukf_figures import Trace
-from experiments.reproduce_adlukf_sections import MANOEUVRES
+from experiments.reproduce_adlukf_sections import MANOEUVRES, SHOWN
 from experiments.reproduce_adlukf_tables import COMPARED, Results, case_index, state_index
 from experiments.reproduce_report import Section, above, at_most, below, markdown_table
 from nodes.messages import Array
@@ -56,7 +56,11 @@ def in_plain_words(
     text += (
         "\n\nThree numbers in a row are the RMSE of v_x, side slip and yaw rate over the CKF's in "
         "the same case, the worse of the two manoeuvres. Sentences 1 to 8 are of one car in two "
-        "manoeuvres; all of one simulator and one Q. Nothing is claimed beyond that."
+        "manoeuvres; all of one simulator and one Q. Nothing is claimed beyond that.\n\n"
+        + markdown_table(
+            ["over the CKF", *_JUDGED_CASES],
+            [[name, *(_span(results, name, case) for case in _JUDGED_CASES)] for name in SHOWN[1:]],
+        )
     )
     checks = [
         above("ADLUKF over CKF at the true R, v_x", _worst(results, "ADLUKF", "true R", "v_x"), 1),
@@ -81,6 +85,9 @@ def in_plain_words(
         ),
     ]
     return Section(10, "What holds, in plain words", text, checks, shown=True)
+
+
+_JUDGED_CASES = ("true R", "0.01 I", "2 I", "growing", "outliers")
 
 
 def _worst_ratio(results: Results, name: str) -> float:

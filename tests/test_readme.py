@@ -4,49 +4,20 @@ Commands are the lines of its ```sh blocks. They run one after the other in a fo
 a checkout with nothing in `runs/` yet, in the project's environment, as a reader would do it.
 """
 
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parent.parent
+from tests.pages import ROOT, commands, link_checkout, run_as_reader
+
 README = ROOT / "README.md"
-BLOCK = re.compile(r"^```sh\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-SHARED = "../shared"
-# What a reader has done before, and what the tests of the project are run by.
-SKIPPED = ("make", "git clone", "cd ", ". .venv")
-TIMEOUT_S = 120
-
-
-def commands(text: str) -> list[str]:
-    """The commands of a page, each on one line."""
-    found = []
-    for block in BLOCK.findall(text):
-        for line in block.replace("\\\n", " ").splitlines():
-            command = line.partition(" #")[0].strip().removeprefix("$ ")
-            if command and not command.startswith(("#", *SKIPPED)):
-                found.append(" ".join(command.split()))
-    return found
-
-
 COMMANDS = commands(README.read_text(encoding="utf-8"))
 
 
 @pytest.fixture(scope="module")
 def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with links to all that the checkout holds but results, beside the shared data."""
-    above = tmp_path_factory.mktemp("readme")
-    folder = above / "concord"
-    folder.mkdir()
-    for entry in ROOT.iterdir():
-        if entry.name not in ("runs", ".git"):
-            (folder / entry.name).symlink_to(entry)
-    if (ROOT / SHARED).is_dir():
-        (above / "shared").symlink_to((ROOT / SHARED).resolve())
-    return folder
+    return link_checkout(tmp_path_factory.mktemp("readme"))
 
 
 def test_the_readme_has_commands():
@@ -56,22 +27,7 @@ def test_the_readme_has_commands():
 @pytest.mark.zenoh
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_of_the_readme_runs(command: str, checkout: Path):
-    if SHARED in command and not (ROOT / SHARED).is_dir():
-        pytest.skip(f"needs {SHARED}, which is no part of the checkout")
-    binaries = Path(sys.executable).parent
-    done = subprocess.run(
-        command,
-        shell=True,
-        cwd=checkout,
-        env={**os.environ, "PATH": f"{binaries}{os.pathsep}{os.environ['PATH']}"},
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        timeout=TIMEOUT_S,
-        check=False,
-    )
-    assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
-    assert "Traceback" not in done.stderr
+    run_as_reader(command, checkout)
 
 
 def test_how_commands_are_found():

@@ -1,0 +1,64 @@
+"""Commands of a page for users, run as a reader would run them."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+SHARED = "../shared"
+# What a reader has done before, and what the tests of the project are run by.
+SKIPPED = ("make", "git clone", "cd ", ". .venv")
+TIMEOUT_S = 120
+
+
+def blocks(text: str, language: str) -> list[str]:
+    """The code blocks of a page in a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+
+
+def commands(text: str) -> list[str]:
+    """The commands of a page's ```sh blocks, each on one line."""
+    found = []
+    for block in blocks(text, "sh"):
+        for line in block.replace("\\\n", " ").splitlines():
+            command = line.partition(" #")[0].strip().removeprefix("$ ")
+            if command and not command.startswith(("#", *SKIPPED)):
+                found.append(" ".join(command.split()))
+    return found
+
+
+def link_checkout(above: Path) -> Path:
+    """A folder below `above` with links to all that the checkout holds but results, beside the
+    shared data."""
+    folder = above / "concord"
+    folder.mkdir()
+    for entry in ROOT.iterdir():
+        if entry.name not in ("runs", ".git"):
+            (folder / entry.name).symlink_to(entry)
+    if (ROOT / SHARED).is_dir():
+        (above / "shared").symlink_to((ROOT / SHARED).resolve())
+    return folder
+
+
+def run_as_reader(command: str, checkout: Path) -> None:
+    """Run a command in the project's environment; fails unless it succeeds."""
+    if SHARED in command and not (ROOT / SHARED).is_dir():
+        pytest.skip(f"needs {SHARED}, which is no part of the checkout")
+    binaries = Path(sys.executable).parent
+    done = subprocess.run(
+        command,
+        shell=True,
+        cwd=checkout,
+        env={**os.environ, "PATH": f"{binaries}{os.pathsep}{os.environ['PATH']}"},
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=TIMEOUT_S,
+        check=False,
+    )
+    assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
+    assert "Traceback" not in done.stderr

@@ -1,0 +1,58 @@
+"""docs/vehicle.md: its commands run, its code holds, its files are read, its names exist."""
+
+import importlib
+import importlib.util
+import re
+from pathlib import Path
+
+import pytest
+
+from plants.drive_log import UNITS, ColumnMap, columns_from_toml
+from plants.vehicle_cars import FITTED_CARS
+from plants.vehicle_manoeuvres import MANOEUVRES
+from plants.vehicle_network import NODES
+from plants.vehicle_parameters import car_from_toml
+from tests.pages import ROOT, blocks, commands, link_checkout, run_as_reader
+
+PAGE = (ROOT / "docs" / "vehicle.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return link_checkout(tmp_path_factory.mktemp("vehicle"))
+
+
+@pytest.mark.zenoh
+@pytest.mark.slow
+@pytest.mark.skipif(
+    importlib.util.find_spec("vehiclemodels") is None, reason="needs concord[vehicle]"
+)
+@pytest.mark.parametrize("command", commands(PAGE))
+def test_a_command_of_the_page_runs(command: str, checkout: Path):
+    run_as_reader(command, checkout)
+
+
+def test_its_python_holds():
+    for code in blocks(PAGE, "python"):
+        exec(code, {})
+
+
+def test_its_files_are_read():
+    columns, car = blocks(PAGE, "toml")
+    assert columns_from_toml(columns).steering_wheel is not None
+    assert car_from_toml(car).steering_ratio == 15.5
+
+
+def test_it_names_all_there_is():
+    names = {*FITTED_CARS, *MANOEUVRES, *ColumnMap.__struct_fields__}
+    missing = [name for name in names if f"`{name}`" not in PAGE and f"\n{name} = " not in PAGE]
+    assert missing == []
+    assert all(f"| {node} |" in PAGE for node in NODES)
+    (units,) = re.findall(r"Units: ([^.]*)\.", PAGE)
+    assert units.replace("\n", " ").split(", ") == list(UNITS)
+
+
+def test_functions_that_it_names_exist():
+    for module, function in re.findall(r"`([a-z_]+)\.([a-z_]+)`", PAGE):
+        if function != "toml" and importlib.util.find_spec(f"filters.{module}"):
+            assert hasattr(importlib.import_module(f"filters.{module}"), function), function
