@@ -1,8 +1,11 @@
 """`vehicle-network`: together the car's sensors know more than each, in every driver alike."""
 
 import importlib.util
+import subprocess
+import sys
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -71,6 +74,18 @@ def test_the_bus_is_the_cars():
     # 27 numbers and what frames them, in frames of 34 bytes: 9 of them for each of 4 nodes.
     assert figures.frames_per_cycle_mean == 36
     assert 0.25 < figures.load_mean < 0.35
+
+
+def test_a_node_process_knows_nothing_of_the_simulated_truth(tmp_path: Path):
+    described = tmp_path / "setup.json"
+    described.write_bytes(msgspec.json.encode(setup(steps=2)))
+    code = (
+        "import msgspec, sys; from pathlib import Path; from scenarios.build import build_node; "
+        "from scenarios.setup import Setup; "
+        f"build_node(msgspec.json.decode(Path({str(described)!r}).read_bytes(), type=Setup), 1); "
+        "assert not {'vehiclemodels', 'plants.vehicle_truth'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 @pytest.mark.zenoh
