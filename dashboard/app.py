@@ -74,6 +74,11 @@ class Dashboard:
         return self._server.get_port()
 
     @property
+    def source(self) -> Source:
+        """Where its frames come from."""
+        return self._source
+
+    @property
     def server(self) -> viser.ViserServer:
         """The server of the page, for those who look at it from outside."""
         return self._server

@@ -73,6 +73,17 @@ class Assembler:
         """The stage with the settings of the newest frame."""
         return self._stage
 
+    def begin_anew(self) -> None:
+        """Messages have been left out: forget what is incomplete, go on with the next whole step.
+
+        The filter that hears everything has not, so there is none from now on.
+        """
+        self._steps.clear()
+        self._sizes.clear()
+        self._ends.clear()
+        self._next, self._listen = None, None
+        self._last_sent[:] = -1
+
     def take(self, topic: str, data: bytes) -> list[Frame]:
         """Take one message; returns the frames that it completes. What is no message is ignored."""
         kind, _, number = topic.partition("/")

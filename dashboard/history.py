@@ -1,5 +1,6 @@
 """The frames that can still be shown: all of them, or the newest where memory is short."""
 
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterable
 
@@ -27,18 +28,21 @@ class History:
         self._first_scored = stage.score.first_step
         self._frames: list[Frame] = []
         self._rows: list[tuple[float, ...]] = []
+        self._steps: list[int] = []
         self.log: deque[Event] = deque(maxlen=_LOG_LINES)
 
     def add(self, frames: Iterable[Frame]) -> None:
         """Keep frames, in order of steps."""
         for frame in frames:
             self._frames.append(frame)
+            self._steps.append(frame.step)
             self._rows.append(_row(frame))
             self.log.extend(frame.events)
         # In one go now and then: the beginning of a list is dear to remove.
         if len(self._frames) > 1.25 * self._limit:
             del self._frames[: -self._limit]
             del self._rows[: -self._limit]
+            del self._steps[: -self._limit]
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -92,11 +96,12 @@ class History:
 
     def _unscored(self, count: int) -> int:
         """How many of the first `count` frames no chart shows."""
-        unscored = max(0, self._first_scored - self.first_step)
+        unscored = bisect_right(self._steps, self._first_scored - 1)
         return unscored if count > unscored + _ENOUGH else 0
 
     def _index(self, step: int) -> int:
-        return min(max(step - self.first_step, 0), len(self._frames) - 1)
+        # Of a fast network some steps are left out.
+        return max(0, bisect_right(self._steps, step) - 1)
 
 
 def _row(frame: Frame) -> tuple[float, ...]:

@@ -1,8 +1,10 @@
 """Opens a page on a recording or on a network that runs."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from dashboard.app import Dashboard
+from dashboard.live import LiveNetwork
 from dashboard.source import Recorded
 from dashboard.stage import set_stage
 from dashboard.theme import DARK, LIGHT
@@ -20,3 +22,15 @@ def open_recording(setup: Setup, recording: Path, host: str, port: int, light: b
     next(iter(read_recording(recording)), None)
     source = Recorded(set_stage(setup), recording)
     return Dashboard(source, host, port, LIGHT if light else DARK, recording.parent, lambda _: None)
+
+
+def open_network(
+    connect: Sequence[str], run: str | None, folder: Path | None, host: str, port: int, light: bool
+) -> Dashboard:
+    """A page on a network that runs; `folder` is that of its run, if it is known.
+
+    Raises:
+        ValueError: no network answers there.
+    """
+    source = LiveNetwork(connect, run)
+    return Dashboard(source, host, port, LIGHT if light else DARK, folder, lambda _: None)

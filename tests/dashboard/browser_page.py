@@ -1,0 +1,104 @@
+"""A page under test: a dashboard in this process, stepped by hand, and its browser."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from dashboard.app import Dashboard
+
+_READY = (
+    "()=>window.__viserTestpoints && window.__viserTestpoints.rendererInfo"
+    " && window.__viserTestpoints.rendererInfo.render.frame>2"
+)
+_SCENE = "()=>Object.keys(window.__viserSceneTree.getState())"
+_CHARTS = "()=>Object.values(window.__viserTestpoints.uplots).map(u=>u.chart.data[0].length)"
+_CLOSE = "()=>document.querySelectorAll('.mantine-Notification-closeButton').forEach(b=>b.click())"
+# One in three pages says so when the pointer passes a batched mesh; nothing is wrong on screen.
+_HARMLESS = ("glDrawElementsInstanced", "GPU stall", "THREE.Clock", "GL Driver Message")
+
+
+class Page:
+    """The dashboard and its page; `clock` is the dashboard's only time."""
+
+    def __init__(self, dashboard: Dashboard, browser: Any) -> None:
+        self.dashboard = dashboard
+        self.clock_s = 1.0
+        self.console: list[str] = []
+        while dashboard.source.pace().state == "LOADING":
+            self.draw()
+        self.page = browser.new_page(viewport={"width": 1280, "height": 720})
+        self.page.on("console", self._listen)
+        self.page.on("pageerror", lambda error: self.console.append(f"error: {error}"))
+        self.page.goto(f"http://127.0.0.1:{dashboard.port}/?fixedDpr=0.5")
+        self.page.wait_for_function(_READY, timeout=30_000)
+        self.until(lambda: self.page.get_by_test_id("nodes").count() == 1)
+
+    def _listen(self, message: Any) -> None:
+        if message.type in ("error", "warning") and not any(h in message.text for h in _HARMLESS):
+            self.console.append(f"{message.type}: {message.text}")
+
+    def draw(self) -> None:
+        """One turn of the dashboard's loop, late enough that everything is due."""
+        self.clock_s += 1.0
+        self.dashboard.tick(self.clock_s)
+
+    def until(self, holds: Callable[[], bool], seconds: float = 15.0) -> None:
+        """Draw until something holds on the page."""
+        deadline = time.monotonic() + seconds
+        while True:
+            self.draw()
+            if holds():
+                return
+            assert time.monotonic() < deadline, "it never came to hold"
+            self.page.wait_for_timeout(60)
+
+    def text(self, name: str) -> str:
+        """The text of one of our own elements."""
+        return self.page.get_by_test_id(name).first.text_content() or ""
+
+    def press(self, name: str) -> None:
+        """Press a button by its words."""
+        self.page.evaluate(_CLOSE)
+        self.page.get_by_role("button", name=name, exact=True).first.click()
+
+    def row(self, node: int) -> Any:
+        """A row of the table of nodes."""
+        return self.page.locator(f'[data-testid="nodes"] tr[data-node="{node}"]')
+
+    def scene(self) -> list[str]:
+        """Names of what is in the scene."""
+        return self.page.evaluate(_SCENE)
+
+    def chart_points(self) -> list[int]:
+        """How many points each chart shows."""
+        return self.page.evaluate(_CHARTS)
+
+    def choose(self, label: str, option: str) -> None:
+        """Choose from a dropdown."""
+        self.widget(label).locator("input").first.click()
+        self.page.get_by_role("option", name=option, exact=True).click()
+
+    def widget(self, label: str) -> Any:
+        """The row of a widget by its label."""
+        found = self.page.locator("label").get_by_text(label, exact=True)
+        return self.page.locator(".mantine-Flex-root", has=found).last
+
+    def download(self, button: str, seconds: float = 30.0) -> bytes:
+        """What a button hands over."""
+        self.page.evaluate(_CLOSE)
+        got: list[Any] = []
+        self.page.once("download", lambda download: got.append(download))
+        self.page.get_by_role("button", name=button, exact=True).click()
+        self.until(lambda: bool(got), seconds)
+        return Path(got[0].path()).read_bytes()
+
+    def key(self, key: str) -> None:
+        """Press a key while no field has the focus: keys are shortcuts only then."""
+        self.page.evaluate("()=>document.activeElement.blur()")
+        self.page.keyboard.press(key)
+
+    def close(self) -> None:
+        """End both."""
+        self.page.close()
+        self.dashboard.close()
