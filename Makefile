@@ -3,13 +3,23 @@ PYTHON ?= python3
 BIN := .venv/bin
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test test-slow check format bench docs lock clean
+.PHONY: browser screenshots demo test test-slow check format bench docs lock clean
 
 demo: .venv/run.stamp
 	$(BIN)/concord run --scenario target-tracking --nodes 12 --graph geometric --seed 7 --driver processes
 
-test: .venv/dev.stamp
+test: .venv/dev.stamp browser
 	$(BIN)/python -m pytest -m "not slow"
+
+# What the tests of the dashboard need; without it they are skipped, and say so.
+browser:
+	@command -v chromium >/dev/null || { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && \
+		{ apt-get update -qq; DEBIAN_FRONTEND=noninteractive \
+		apt-get install -y -qq --no-install-recommends chromium fonts-dejavu-core; } \
+		>/dev/null 2>&1; } || echo "no browser: the dashboard is not tested in one"
+
+screenshots: .venv/dev.stamp browser
+	$(BIN)/python -m docs.screenshots
 
 test-slow: .venv/dev.stamp
 	$(BIN)/python -m pytest -m slow

@@ -1,10 +1,10 @@
-"""Opens a page on a recording or on a network that runs."""
+"""Opens a page on a recorded run."""
 
-from collections.abc import Sequence
 from pathlib import Path
 
 from dashboard.app import Dashboard
-from dashboard.live import LiveNetwork
+from dashboard.charts import Band
+from dashboard.frame import Array
 from dashboard.source import Recorded
 from dashboard.stage import set_stage
 from dashboard.theme import DARK, LIGHT
@@ -12,8 +12,15 @@ from nodes.recording import read_recording
 from scenarios.setup import Setup
 
 
-def open_recording(setup: Setup, recording: Path, host: str, port: int, light: bool) -> Dashboard:
-    """A page on a recorded run.
+def no_band(times: Array) -> tuple[Array, Array] | None:
+    """Nobody has computed a band."""
+    return None
+
+
+def open_recording(
+    setup: Setup, recording: Path, host: str, port: int, light: bool, band: Band = no_band
+) -> Dashboard:
+    """A page on a recorded run; `band` is that of its NEES.
 
     Raises:
         ValueError: the file is not a recording.
@@ -21,16 +28,4 @@ def open_recording(setup: Setup, recording: Path, host: str, port: int, light: b
     # Its first message tells whether it is one, before a page is opened on it.
     next(iter(read_recording(recording)), None)
     source = Recorded(set_stage(setup), recording)
-    return Dashboard(source, host, port, LIGHT if light else DARK, recording.parent, lambda _: None)
-
-
-def open_network(
-    connect: Sequence[str], run: str | None, folder: Path | None, host: str, port: int, light: bool
-) -> Dashboard:
-    """A page on a network that runs; `folder` is that of its run, if it is known.
-
-    Raises:
-        ValueError: no network answers there.
-    """
-    source = LiveNetwork(connect, run)
-    return Dashboard(source, host, port, LIGHT if light else DARK, folder, lambda _: None)
+    return Dashboard(source, host, port, LIGHT if light else DARK, recording.parent, band)
