@@ -52,6 +52,12 @@ def links_of(adjacency: Adjacency) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return entries.row[order].astype(np.intp), entries.col[order].astype(np.intp)
 
 
+def entries(matrix: csr_array, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray:
+    """The entries (k,) of a sparse matrix at rows (k,) and columns (k,)."""
+    # scipy answers an empty question with another type.
+    return np.asarray(matrix[rows, columns]).ravel() if len(rows) else np.zeros(0, matrix.dtype)
+
+
 def neighbours_of(adjacency: Adjacency) -> list[list[int]]:
     """Whom each node hears, ascending."""
     hearer, heard = links_of(adjacency)

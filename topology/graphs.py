@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 
 from topology.adjacency import Adjacency, adjacency_of, both_ways, require_nodes
 from topology.geometric_graphs import connecting_radius, geometric, scatter
-from topology.graph_files import read_directed_graph, read_graph
+from topology.graph_files import read_network
+from topology.intel_lab import DATA_VARIABLE, intel_lab
 from topology.names import unknown_name
+from topology.network import Network
 from topology.random_graphs import (
     connecting_probability,
     erdos_renyi,
@@ -90,9 +92,19 @@ _BUILDERS: dict[str, Callable[[int, int], Adjacency]] = {
 }
 
 
+# What follows the colon is a path.
+_SOURCES: dict[str, Callable[[str, int | None], Network]] = {
+    "file": lambda path, nodes: read_network(path, nodes),
+    "directed": lambda path, nodes: read_network(path, nodes, directed=True),
+    "intel-lab": lambda path, nodes: intel_lab(path, nodes),
+    "intel-lab-directed": lambda path, nodes: intel_lab(path, nodes, one_way=True),
+}
+_LABS = ("intel-lab", "intel-lab-directed")
+
+
 def graph_names() -> tuple[str, ...]:
-    """What `build_graph` knows: K stands for a number, PATH for a file of `graph_files`."""
-    return (*_BUILDERS, "K-regular", "geometric", "file:PATH", "directed:PATH")
+    """What `build_network` knows: K stands for a number, PATH for a file of `graph_files`."""
+    return (*_BUILDERS, "K-regular", "geometric", "file:PATH", "directed:PATH", *_LABS)
 
 
 def build_graph(
@@ -102,39 +114,62 @@ def build_graph(
     positions: NDArray[np.float64] | None = None,
     radius: float | None = None,
 ) -> Adjacency:
-    """The graph of that name: boolean (nodes, nodes).
+    """The graph of that name: sparse boolean (nodes, nodes), as `build_network` has it."""
+    return build_network(name, nodes, seed, positions, radius).adjacency
+
+
+def build_network(
+    name: str,
+    nodes: int | None,
+    seed: int,
+    positions: NDArray[np.float64] | None = None,
+    radius: float | None = None,
+    data: str | None = None,
+) -> Network:
+    """The graph of that name and what is known of it.
 
     `geometric` takes `positions` (nodes, 2) and a `radius` in their unit; without positions it
-    draws them by `scatter`. The other names use neither. `erdos-renyi` has a mean degree of about
+    draws them by `scatter`. `intel-lab` takes the folder of its `data`, which may also follow its
+    name after a colon. The other names use none of them. `erdos-renyi` has a mean degree of about
     2 ln n, `small-world` degree 4 and rewiring 0.1, `scale-free` two links per new node. All but
-    `directed:PATH` are symmetric; there (i, j) says that i hears j.
+    `directed:PATH` and `intel-lab-directed` are symmetric; there (i, j) says that i hears j. Only
+    what is read may leave `nodes` open.
 
     Raises:
         ValueError: for an unknown name or impossible numbers.
     """
+    source, colon, path_ = name.partition(":")
+    if source in _LABS and not colon:
+        if data is None:
+            raise ValueError(
+                f"graph {name} is read from the Intel lab data: name their folder as "
+                f"{name}:FOLDER, with --data, or with the environment variable {DATA_VARIABLE}"
+            )
+        return _SOURCES[source](data, nodes)
+    if source in _SOURCES and colon:
+        return _SOURCES[source](path_, nodes)
+    if nodes is None:
+        raise ValueError(f"graph {name}: the number of nodes is open; say how many with --nodes")
     if name == "geometric":
         return _geometric(nodes, seed, positions, radius)
-    if name.startswith("file:"):
-        return read_graph(name.removeprefix("file:"), nodes)
-    if name.startswith("directed:"):
-        return read_directed_graph(name.removeprefix("directed:"), nodes)
     if match := re.fullmatch(r"([0-9]+)-regular", name):
-        return regular(nodes, int(match[1]), seed)
+        return Network(regular(nodes, int(match[1]), seed))
     if name in _BUILDERS:
-        return _BUILDERS[name](nodes, seed)
+        return Network(_BUILDERS[name](nodes, seed))
     raise unknown_name("graph", name, graph_names())
 
 
 def _geometric(
     nodes: int, seed: int, positions: NDArray[np.float64] | None, radius: float | None
-) -> Adjacency:
+) -> Network:
     if positions is None:
         reach = connecting_radius(nodes) if radius is None else radius
-        return geometric(scatter(nodes, seed, reach), reach)
+        drawn = scatter(nodes, seed, reach)
+        return Network(geometric(drawn, reach), positions=drawn)
     if radius is None:
         raise ValueError("geometric graph: positions without a radius; give the radio range too")
     if len(positions) != nodes:
         raise ValueError(
             f"geometric graph: {len(positions)} positions for {nodes} nodes; give one per node"
         )
-    return geometric(positions, radius)
+    return Network(geometric(positions, radius), positions=positions)

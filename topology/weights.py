@@ -13,7 +13,15 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, diags_array, eye_array
 from scipy.sparse.csgraph import connected_components
 
-from topology.adjacency import Adjacency, degrees, is_symmetric, links_of, nodes_of, one_way_links
+from topology.adjacency import (
+    Adjacency,
+    degrees,
+    entries,
+    is_symmetric,
+    links_of,
+    nodes_of,
+    one_way_links,
+)
 from topology.analysis import require_connected
 from topology.names import unknown_name
 from topology.spectrum import laplacian_bounds
@@ -149,7 +157,7 @@ def check_weights(weights: Weights, adjacency: Adjacency) -> None:
             f"they must be finite with shape {adjacency.shape}"
         )
     rows, columns = links_of(weights)
-    values = np.asarray(weights[rows, columns]).ravel()
+    values = entries(weights, rows, columns)
     for i, j, value in _first(values < -TOLERANCE, rows, columns, values):
         raise ValueError(
             f"weights: entry ({i}, {j}) is {value:.3g}, but none may be below 0 (fusion "
@@ -161,7 +169,7 @@ def check_weights(weights: Weights, adjacency: Adjacency) -> None:
             f"weights: row {i} sums to {sums[i]:.12g}, but each must sum to 1; put the difference "
             "on the diagonal"
         )
-    unheard = (rows != columns) & (values != 0) & ~np.asarray(adjacency[rows, columns]).ravel()
+    unheard = (rows != columns) & (values != 0) & ~entries(adjacency, rows, columns)
     for i, j, value in _first(unheard, rows, columns, values):
         raise ValueError(
             f"weights: entry ({i}, {j}) is {value:.3g}, but node {i} does not hear "
@@ -223,8 +231,8 @@ def build_weights(name: str, adjacency: Adjacency) -> Weights:
 def per_node(weights: Weights, neighbours: Sequence[Sequence[int]]) -> list[list[float]]:
     """Weights (n, n) as one list per node: its own, then those of its neighbours in their order."""
     rows = np.repeat(np.arange(len(neighbours)), [1 + len(heard) for heard in neighbours])
-    columns = [j for i, heard in enumerate(neighbours) for j in (i, *heard)]
-    values = np.asarray(weights[rows, columns]).ravel()
+    columns = np.array([j for i, heard in enumerate(neighbours) for j in (i, *heard)])
+    values = entries(weights, rows, columns)
     ends = np.searchsorted(rows, np.arange(1, len(neighbours)))
     return [part.tolist() for part in np.split(values, ends)]
 

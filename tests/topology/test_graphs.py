@@ -174,8 +174,13 @@ def test_every_name_builds_its_graph(tmp_path):
         "K-regular": "4-regular",
         "file:PATH": f"file:{file}",
         "directed:PATH": f"directed:{file}",
+        "intel-lab": f"intel-lab:{tmp_path}",
+        "intel-lab-directed": f"intel-lab-directed:{tmp_path}",
     }
-    file.write_text("0 1\n1 2\n2 3\n3 4\n4 5\n5 0\n")
+    (tmp_path / "mote_loc.txt").write_text("".join(f"{i} {i} 0\n" for i in range(1, 7)))
+    pairs = [(i, j) for i in range(1, 7) for j in range(1, 7) if abs(i - j) == 1]
+    (tmp_path / "connectivity.txt").write_text("".join(f"{i} {j} 0.5\n" for i, j in pairs))
+    file.write_text("0 1\n1 2\n2 3\n3 4\n4 5\n5 0\n1 0\n2 1\n3 2\n4 3\n5 4\n0 5\n")
     for name in graph_names():
         assert_graph(build_graph(concrete.get(name, name), 6, seed=0), 6)
     assert same(build_graph(concrete["file:PATH"], 6, seed=0), ring(6))

@@ -1,0 +1,248 @@
+"""How fast disagreement falls, predicted and measured, on links that stay, fail or take turns.
+
+With links that come and go a round multiplies by a random matrix W(t): node i adds w_ij (x_j - x_i)
+for every link that is up, and keeps to itself what the others would have given. Its rows sum to 1,
+so with P = I - 11'/n disagreement P x goes to P W P x, and its second moments go linearly by
+E[P W (x) P W] (Kushner 1971; for averaging: Boyd, Ghosh, Prabhakar, Shah 2006, section II). The
+root of the spectral radius is the factor by which the root mean square of disagreement falls.
+"""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.linalg import LinearOperator, eigs
+
+from topology.adjacency import entries, links_of, nodes_of
+from topology.spectrum import second_eigenvalue_modulus
+
+Array = NDArray[np.float64]
+
+# The operator on second moments has so many squared entries to a vector.
+MOST_MOMENT_NODES = 300
+_BATCHES = 20
+# Student's t for 19 degrees of freedom, two-sided 95 %.
+_T_95 = 2.093
+
+
+class Links(NamedTuple):
+    """The links of weights (n, n) and how they fare.
+
+    Attributes:
+        hearer, heard: (links,), in the order of `links_of`.
+        weight: (links,).
+        delivery: (links,), the chance that a link is up in a round, independently of the rounds
+            before.
+        pair: (links,), equal numbers for links that are up or down together.
+    """
+
+    nodes: int
+    hearer: NDArray[np.intp]
+    heard: NDArray[np.intp]
+    weight: Array
+    delivery: Array
+    pair: NDArray[np.intp]
+
+
+class Measured(NamedTuple):
+    """A factor per round and its 95 % interval; `rounds` and `runs` it was measured on."""
+
+    factor: float
+    low: float
+    high: float
+    rounds: int
+    runs: int
+
+
+def links_with(weights: csr_array, delivery: Array | float, *, together: bool = False) -> Links:
+    """The links of weights (n, n) that are up with chance `delivery` (links,), both directions of a
+    pair at once if they fail `together`."""
+    hearer, heard = links_of(weights)
+    between = hearer != heard
+    hearer, heard = hearer[between], heard[between]
+    nodes = nodes_of(weights)
+    chances = np.broadcast_to(np.asarray(delivery, dtype=float), hearer.shape)
+    codes = np.minimum(hearer, heard) * nodes + np.maximum(hearer, heard)
+    pair = np.unique(codes, return_inverse=True)[1] if together else np.arange(len(hearer))
+    return Links(nodes, hearer, heard, entries(weights, hearer, heard), chances, pair)
+
+
+def mean_square_factor(links: Links) -> float:
+    """The factor per round by which the root mean square of disagreement falls in the long run.
+
+    Raises:
+        ValueError: more than `MOST_MOMENT_NODES` nodes; `mean_square_bound` has no such limit.
+    """
+    n = links.nodes
+    if n > MOST_MOMENT_NODES:
+        raise ValueError(
+            f"second moments of {n} nodes are {n * n} numbers; at most {MOST_MOMENT_NODES} nodes"
+        )
+    if n == 1:
+        return 0.0
+    mean = _mean_weights(links)
+
+    def carried(flat: Array) -> Array:
+        moments = _centred(flat.reshape(n, n))
+        return _centred(mean @ (mean @ moments).T + _spread(links, moments)).ravel()
+
+    if n <= 3:
+        basis = np.stack([carried(unit) for unit in np.eye(n * n)], axis=1)
+        return math.sqrt(float(np.abs(np.linalg.eigvals(basis)).max()))
+    operator = LinearOperator((n * n, n * n), matvec=carried, dtype=float)  # type: ignore[call-arg]
+    start = _centred(np.eye(n)).ravel()
+    found = eigs(operator, k=1, v0=start, tol=1e-9, return_eigenvectors=False)  # type: ignore[arg-type]
+    return math.sqrt(float(np.abs(found).max()))  # type: ignore[arg-type]
+
+
+def mean_square_bound(links: Links) -> float:
+    """The most that a round leaves of a disagreement, root mean square: the root of the norm of
+    E[W' P W], which bounds `mean_square_factor` from above."""
+    mean = _mean_weights(links)
+    n = links.nodes
+    first = np.unique(links.pair, return_index=True)[1]
+    alone = np.bincount(links.pair, weights=links.weight**2)[links.pair]
+    difference = np.bincount(links.pair, weights=_signed(links))[links.pair]
+    strength = links.delivery * (1 - links.delivery) * (alone - difference**2 / n)
+
+    def squared(values: Array) -> Array:
+        values = values - values.mean()
+        moved = mean @ values
+        gap = (strength * (values[links.heard] - values[links.hearer]))[first]
+        spread = np.bincount(links.heard[first], gap, n) - np.bincount(links.hearer[first], gap, n)
+        result = mean.T @ (moved - moved.mean()) + spread
+        return result - result.mean()
+
+    operator = LinearOperator((n, n), matvec=squared, dtype=float)  # type: ignore[call-arg]
+    start = np.random.default_rng(n).normal(size=n)
+    found = eigs(operator, k=1, v0=start, return_eigenvectors=False)  # type: ignore[arg-type]
+    return math.sqrt(float(np.abs(found).max()))  # type: ignore[arg-type]
+
+
+def cycle_factor(phases: list[csr_array]) -> float:
+    """The factor per round of weights (n, n) that follow each other and begin again: the root of
+    the second eigenvalue modulus of their product."""
+    product = np.eye(nodes_of(phases[0]))
+    for weights in phases:
+        product = weights @ product
+    return second_eigenvalue_modulus(product) ** (1 / len(phases))
+
+
+def rounds_to_settle(factor: float, most: int) -> int:
+    """Rounds after which the slowest mode of a network that leaves `factor` per round stands alone,
+    and as many to measure it on."""
+    return int(np.clip(math.ceil(30 / max(1 - factor, 1e-9)), 60, most))
+
+
+def measured_factor(
+    one_round: Callable[[Array, int], Array],
+    nodes: int,
+    runs: int,
+    rounds: int,
+    generator: np.random.Generator,
+) -> Measured:
+    """The factor per round of an averaging that is carried out.
+
+    `one_round(values (n, runs), round)` is the averaging. The runs begin at random and are carried
+    through `rounds` rounds, of which the second half counts. So that few runs do not come to stand
+    for all, runs are drawn anew by their mean square when they have grown unlike.
+    """
+    values = generator.normal(size=(nodes, runs))
+    growth = np.empty(rounds)
+    weight = np.full(runs, 1 / runs)
+    values = _of_unit_size(values)
+    for number in range(rounds):
+        values = one_round(values, number)
+        values = values - values.mean(axis=0)
+        size = (values**2).sum(axis=0)
+        growth[number] = weight @ size
+        if not growth[number] > 1e-300:
+            return Measured(0.0, 0.0, 0.0, number + 1, runs)
+        weight = weight * size / growth[number]
+        values = _of_unit_size(values)
+        if 1 / (weight**2).sum() < runs / 2:
+            values = values[:, _systematic(weight, generator)]
+            weight = np.full(runs, 1 / runs)
+    rates = np.log(growth[rounds // 2 :]) / 2
+    means = np.array([batch.mean() for batch in np.array_split(rates, _BATCHES)])
+    middle = float(rates.mean())
+    half = _T_95 * float(means.std(ddof=1)) / math.sqrt(_BATCHES)
+    low, high = math.exp(middle - half), math.exp(middle + half)
+    return Measured(math.exp(middle), low, high, rounds, runs)
+
+
+def averaging(links: Links, generator: np.random.Generator) -> Callable[[Array, int], Array]:
+    """Rounds of averaging in which links come and go, for `measured_factor`."""
+    pairs = int(links.pair.max(initial=-1)) + 1
+    place = (links.hearer, np.arange(len(links.hearer)))
+    gather = csr_array((links.weight, place), shape=(links.nodes, len(links.hearer)))
+
+    def one_round(values: Array, number: int) -> Array:
+        draws = generator.random((pairs, values.shape[1]))[links.pair]
+        heard = (values[links.heard] - values[links.hearer]) * (draws < links.delivery[:, None])
+        return values + gather @ heard
+
+    return one_round
+
+
+def _mean_weights(links: Links) -> csr_array:
+    """E[W] (n, n)."""
+    weight = links.weight * links.delivery
+    own = 1 - np.bincount(links.hearer, weight, links.nodes)
+    everyone = np.arange(links.nodes)
+    place = (np.append(links.hearer, everyone), np.append(links.heard, everyone))
+    return csr_array((np.append(weight, own), place), shape=(links.nodes, links.nodes))
+
+
+def _spread(links: Links, moments: Array) -> Array:
+    """E[(W - E[W]) X (W - E[W])'] (n, n) of symmetric X (n, n): links that fail together move both
+    ends at once, by (x_j - x_i) times w_ij and -w_ji."""
+    i, j = links.hearer, links.heard
+    diagonal = moments.diagonal()
+    gap = diagonal[i] + diagonal[j] - moments[i, j] - moments[j, i]
+    strength = links.delivery * (1 - links.delivery) * gap
+    result = np.diag(np.bincount(i, strength * links.weight**2, links.nodes))
+    partner = _partner(links)
+    twin = partner >= 0
+    np.add.at(
+        result,
+        (i[twin], j[twin]),
+        -(strength * links.weight)[twin] * links.weight[partner[twin]],
+    )
+    return result
+
+
+def _partner(links: Links) -> NDArray[np.intp]:
+    """The link (links,) that is up and down with this one, -1 for none."""
+    order = np.argsort(links.pair, kind="stable")
+    same = np.flatnonzero(np.diff(links.pair[order]) == 0)
+    partner = np.full(len(links.pair), -1)
+    partner[order[same]] = order[same + 1]
+    partner[order[same + 1]] = order[same]
+    return partner
+
+
+def _signed(links: Links) -> Array:
+    """Weights, those of the lower end of a pair as they are and of the higher with a minus."""
+    return np.where(links.hearer < links.heard, links.weight, -links.weight)
+
+
+def _centred(moments: Array) -> Array:
+    moments = moments - moments.mean(axis=0)
+    return moments - moments.mean(axis=1, keepdims=True)
+
+
+def _of_unit_size(values: Array) -> Array:
+    values = values - values.mean(axis=0)
+    size = np.sqrt((values**2).sum(axis=0))
+    return values / np.where(size > 0, size, 1.0)
+
+
+def _systematic(weight: Array, generator: np.random.Generator) -> NDArray[np.intp]:
+    """Indices (runs,) drawn by weight (runs,) with one random number (Kitagawa 1996)."""
+    runs = len(weight)
+    points = (np.arange(runs) + generator.random()) / runs
+    return np.minimum(np.searchsorted(np.cumsum(weight), points), runs - 1)
