@@ -13,6 +13,7 @@ from scenarios.bus_plan import arbiter_names, cluster_names, schedule_names
 from scenarios.catalogue import kinds
 from scenarios.rules import RULE_SUMMARIES, hold_names
 from topology.graphs import graph_names
+from topology.link_names import NAMES as LINK_NAMES
 from topology.weights import weight_names
 
 
@@ -29,6 +30,7 @@ def list_all(options: Annotated[ListOptions, tyro.conf.arg(name="")]) -> None:
     names = {
         "graphs": list(graph_names()),
         "weights": list(weight_names()),
+        "links": list(LINK_NAMES),
         "schedules": list(schedule_names()),
         "clusters": list(cluster_names()),
         "arbiters": list(arbiter_names()),

@@ -66,6 +66,9 @@ class ScenarioOptions:
     """int16, float32 or float64 for readings on the wire (labelled)."""
     payload_bytes: int | None = None
     """Longest payload of a frame, 254 at most (labelled)."""
+    links: str | None = None
+    """What becomes of links: static, measured (by the graph's own chances), bernoulli:0.1,
+    markov:0.05,0.3, switching:ring,star:10, moving:300."""
     loss: float | None = None
     """Probability that a link loses a frame on its way to one receiver, at least 0 and below 1."""
     control: str | None = None

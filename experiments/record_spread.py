@@ -16,7 +16,8 @@ from nodes.link_state import LinkState, hears_all
 from nodes.messages import Array
 from nodes.share import Fragment, read_body
 from scenarios.build import build_node
-from scenarios.setup import Setup, link_state
+from scenarios.links import link_state
+from scenarios.setup import Setup
 
 NEVER = -1
 
@@ -82,7 +83,7 @@ def record_spread(
         np.array([i for i in range(nodes) if j in setup.neighbours[i]], dtype=int)
         for j in range(nodes)
     ]
-    links = link_state(setup.scenario)
+    links = link_state(setup)
     arrival = np.full((nodes, steps, nodes), steps)
     for step, node in np.argwhere(taken):
         arrival[node, step, node] = step

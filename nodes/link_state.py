@@ -88,12 +88,22 @@ def hears_all(
     if not (links.loss or links.losses):
         return heard
     limits = np.full(steps.shape, _limit(links.loss), dtype=np.uint64)
-    for (sender, receiver), loss in links.losses.items():
-        limits[(senders == sender) & (receivers == receiver)] = _limit(loss)
+    if links.losses:
+        known, own = _sorted_limits(links.losses)
+        asked = _code(senders, receivers)
+        place = np.minimum(np.searchsorted(known, asked), len(known) - 1)
+        limits = np.where(known[place] == asked, own[place], limits)
     words = (part.astype(np.uint64) for part in (cycles, senders, receivers, numbers))
     # Numbers of 64 bits are meant to wrap, of which numpy warns where they are scalars.
     with np.errstate(over="ignore"):
         return heard & (_draw(links.key, *words) >= limits)
+
+
+def chance(key: tuple[int, int], count: Any, one: Any, other: Any) -> Any:
+    """Numbers in [0, 1) that belong to whole numbers of 0 or more and a key, alone or as arrays."""
+    words = (np.asarray(part).astype(np.uint64) for part in (count, one, other, 0))
+    with np.errstate(over="ignore"):
+        return _draw(key, *words).astype(float) / (1 << _FRACTION_BITS)
 
 
 def _cut(outage: Outage, step: Any, sender: Any, receiver: Any) -> Any:
@@ -101,6 +111,21 @@ def _cut(outage: Outage, step: Any, sender: Any, receiver: Any) -> Any:
     here = (sender == outage.sender) & (receiver == outage.receiver)
     begun = here & (step >= outage.first_step)
     return begun if outage.end_step is None else begun & (step < outage.end_step)
+
+
+def _sorted_limits(
+    losses: Mapping[tuple[int, int], float],
+) -> tuple[NDArray[np.int64], NDArray[np.uint64]]:
+    """Codes (k,) of links, ascending, and the limits (k,) of their draws."""
+    codes = np.array([_code(np.int64(s), np.int64(r)) for s, r in losses], dtype=np.int64)
+    limits = np.array([_limit(loss) for loss in losses.values()], dtype=np.uint64)
+    order = np.argsort(codes)
+    return codes[order], limits[order]
+
+
+def _code(sender: Any, receiver: Any) -> Any:
+    """One number for a directed link, of numbers or arrays."""
+    return sender.astype(np.int64) << 32 | receiver.astype(np.int64)
 
 
 def _limit(loss: float) -> int:

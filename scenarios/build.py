@@ -17,9 +17,10 @@ from scenarios.catalogue import kind_of
 from scenarios.control import control_node
 from scenarios.estimators import Seat
 from scenarios.labelled import Everybody
+from scenarios.links import link_state
 from scenarios.rules import build_estimator, hold_policy, wire_number
 from scenarios.scenario import Scenario
-from scenarios.setup import Setup, generator, link_state, share_bytes
+from scenarios.setup import Setup, generator, share_bytes
 
 # Steps by which an undriven world may run ahead of the slowest estimate.
 OPEN_LOOP_LEAD = 4
@@ -43,7 +44,7 @@ def build_node(setup: Setup, node: int) -> NodeConfig:
         plan.slots,
         _estimator(setup, node, plan.schedule),
         plan.cycle_counts,
-        link_state(scenario),
+        link_state(setup),
     )
 
 

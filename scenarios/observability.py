@@ -107,8 +107,9 @@ def _told(
     if np.isnan(reading).all():
         return np.zeros((len(state), len(state)))
     _, noise_cov = sensor.interpret(reading)
-    taken = np.isfinite(np.diag(noise_cov)) & (np.diag(noise_cov) > 0)
+    variance = np.diag(noise_cov)
+    taken = np.flatnonzero(np.isfinite(variance) & (variance > 0))
     measure = partial(sensor.measure, step=step)
     rows = jacobian(measure, state, scale, sensor.residual) @ ahead
     rows = np.where(np.isfinite(rows), rows, 0.0)[taken]
-    return rows.T @ np.linalg.solve(noise_cov[np.ix_(taken, taken)], rows)
+    return np.asarray(rows.T @ np.linalg.solve(noise_cov[taken][:, taken], rows), dtype=float)

@@ -41,7 +41,7 @@ from scenarios.fleets import (
     weighted_information_fleet,
 )
 from scenarios.labelled import check_labelled, largest_share
-from scenarios.scenario import Scenario
+from scenarios.scenario import Scenario, lossy_links
 from topology.names import unknown_name
 
 if TYPE_CHECKING:
@@ -242,10 +242,10 @@ def _require_all_at_once(
             f"rule centralised with --schedule {scenario.schedule}: every node must publish in "
             "every cycle; use --schedule full, or rule hcmci or ci, which do with less"
         )
-    if scenario.loss > 0:
+    if lossy := lossy_links(scenario):
         raise ValueError(
-            f"rule centralised with --loss {scenario.loss:g}: every node must hear all others in "
-            "every step; leave --loss out, or use rule hcmci or ci, which do with less"
+            f"rule centralised with {lossy}: every node must hear all others in "
+            "every step; leave that out, or use rule hcmci or ci, which do with less"
         )
     if scenario.rounds != 1:
         raise ValueError(

@@ -38,6 +38,8 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             a lossy bus lost is sent again; 0 for a bus without loss.
         record_number: rule labelled: int16, float32 or float64 for readings on the wire.
         payload_bytes: rule labelled: the longest payload of a frame.
+        links: what becomes of them: static, measured, bernoulli:P, markov:F,R, switching:A,B:STEPS,
+            moving:RANGE (`topology/link_names.py`).
         loss: probability that a link loses a frame on its way to one receiver, in [0, 1).
         control: whose knowledge closes the loop of a plant: a node's number, truth, or open.
         noise: what the sensors really do, for plants that have a choice: matched, paper, ...
@@ -74,6 +76,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     digest_steps: int = 0
     record_number: str = "int16"
     payload_bytes: int = 254
+    links: str = "static"
     loss: float = 0.0
     control: str = "open"
     noise: str = "matched"
@@ -106,6 +109,13 @@ def check_ranges(scenario: Scenario) -> None:
     require(payload % 2 == 0 and 16 <= payload <= 254, "payload-bytes", payload, "even, 16 to 254")
     if scenario.number not in ("float64", "float32"):
         raise unknown_name("number", scenario.number, ("float64", "float32"))
+
+
+def lossy_links(scenario: Scenario) -> str:
+    """Why links do not bring every frame, in the words of the options; "" if they do."""
+    if scenario.loss > 0:
+        return f"--loss {scenario.loss:g}"
+    return "" if scenario.links == "static" else f"--links {scenario.links}"
 
 
 def require(holds: bool, field: str, value: object, rule: str) -> None:

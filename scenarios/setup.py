@@ -6,16 +6,17 @@ agree.
 """
 
 import hashlib
+import os
 from functools import partial
 from importlib.metadata import version
 
 import msgspec
 import numpy as np
 
-from nodes.link_state import LinkState
 from nodes.messages import to_wire
 from scenarios.bus_plan import check_bus, plan_bus
 from scenarios.catalogue import kind_of
+from scenarios.links import losses_of, network_of, stream_of
 from scenarios.rules import check_rule, share_size
 from scenarios.scenario import Scenario, check_ranges
 
@@ -29,6 +30,8 @@ class Setup(msgspec.Struct, frozen=True):
         weights: per node, its own weight first, then its neighbours'.
         initial_state, prior_mean (n,), prior_cov (n, n): where truth and filters begin.
         time_step_s: sampling time of the plant.
+        losses: per node, the chance that a frame of each neighbour is lost, where links have their
+            own; phases: whom each node hears in each of the graphs that take turns.
     """
 
     scenario: Scenario
@@ -38,23 +41,13 @@ class Setup(msgspec.Struct, frozen=True):
     prior_mean: list[float]
     prior_cov: list[list[float]]
     time_step_s: float
+    losses: list[list[float]] | None = None
+    phases: list[list[list[int]]] | None = None
 
 
 def generator(scenario: Scenario, purpose: str, node: int) -> np.random.Generator:
     """The random stream of one purpose at one node in one run of a scenario."""
-    return np.random.default_rng(_seed(scenario, purpose, node))
-
-
-def link_state(scenario: Scenario) -> LinkState:
-    """What the links of one run of a scenario lose."""
-    first, second = _seed(scenario, "links", 0).generate_state(2, np.uint64).tolist()
-    return LinkState((first, second), scenario.loss)
-
-
-def _seed(scenario: Scenario, purpose: str, node: int) -> np.random.SeedSequence:
-    # A purpose is a number that does not depend on which purposes exist.
-    code = int.from_bytes(hashlib.sha256(purpose.encode()).digest()[:4], "big")
-    return np.random.SeedSequence(scenario.seed, spawn_key=(scenario.run, code, node))
+    return np.random.default_rng(stream_of(scenario, purpose, node))
 
 
 def prepare(scenario: Scenario) -> Setup:
@@ -66,7 +59,9 @@ def prepare(scenario: Scenario) -> Setup:
     # Only here: a process of the network is handed the graph and need not know how to draw it.
     from topology.adjacency import neighbours_of
     from topology.analysis import require_connected
-    from topology.graphs import build_graph
+    from topology.graphs import build_network
+    from topology.intel_lab import DATA_VARIABLE
+    from topology.network import Network
     from topology.weights import build_weights, check_weights, per_node
 
     check_ranges(scenario)
@@ -75,13 +70,21 @@ def prepare(scenario: Scenario) -> Setup:
     plant = kind.plant(scenario)
     positions = plant.positions(0)
     radius = kind.radio_range_m if positions is not None else None
-    adjacency = build_graph(scenario.graph, scenario.nodes, scenario.seed, positions, radius)
+    data = scenario.data or os.environ.get(DATA_VARIABLE)
+
+    def build(name: str) -> Network:
+        return build_network(name, scenario.nodes, scenario.seed, positions, radius, data)
+
+    network, phases = network_of(scenario, build)
+    adjacency = network.adjacency
     require_connected(adjacency)
     weights = build_weights(scenario.weights, adjacency)
     check_weights(weights, adjacency)
     neighbours = neighbours_of(adjacency)
     rows = per_node(weights, neighbours)
-    unborn = Setup(scenario, neighbours, rows, [], [], [], plant.time_step_s)
+    losses = losses_of(scenario, network, neighbours)
+    turns = [neighbours_of(phase) for phase in phases] or None
+    unborn = Setup(scenario, neighbours, rows, [], [], [], plant.time_step_s, losses, turns)
     setup = setup_of_run(unborn, scenario.run)
     if kind.wiring is None:
         check_rule(scenario, neighbours, weights)

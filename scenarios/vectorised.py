@@ -25,9 +25,10 @@ from scenarios.build import build_controller, build_plan
 from scenarios.bus_plan import BusPlan, arbitrate
 from scenarios.catalogue import kind_of
 from scenarios.fleets import FleetSeat
+from scenarios.links import link_state
 from scenarios.rules import hold_policy, rule_of, wire_number
 from scenarios.scenario import Scenario
-from scenarios.setup import Setup, generator, link_state, share_bytes
+from scenarios.setup import Setup, generator, share_bytes
 
 _ORDERS: dict[str, Order] = {
     "wtod": arbitration_lanes.wtod,
@@ -65,10 +66,12 @@ def build_network(setup: Setup, runs: Sequence[int]) -> Network:
         np.repeat(np.stack(means)[:, None], nodes, axis=1),
         np.broadcast_to(covs[0], (len(runs), nodes, n, n)),
     )
-    links = links_of(setup.neighbours, scenario_is_lossless(scenario))
+    links = links_of(setup.neighbours, link_state(setup).perfect)
     lost = None
     if not links.perfect:
-        states_of_links = [link_state(one) for one in scenarios]
+        states_of_links = [
+            link_state(msgspec.structs.replace(setup, scenario=one)) for one in scenarios
+        ]
         lost = partial(
             _lost, states_of_links, links, partial(frames_of, setup, plan), scenario.rounds
         )
@@ -118,11 +121,6 @@ def sensor_groups(scenario: Scenario) -> tuple[SensorGroup, ...]:
         return (SensorGroup(slice(None), kind.sensors(scenario)),)
     single = ((node, kind.sensor(scenario, node)) for node in range(scenario.nodes))
     return tuple(SensorGroup(slice(i, i + 1), one) for i, one in single if one is not None)
-
-
-def scenario_is_lossless(scenario: Scenario) -> bool:
-    """Whether no link of the scenario ever loses a frame."""
-    return link_state(scenario).perfect
 
 
 # --- the bus -------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ from nodes.messages import Array, from_wire
 from scenarios.catalogue import kind_of
 from scenarios.labelled import latency_steps, window_of
 from scenarios.rules import rule_of
+from scenarios.scenario import lossy_links
 from scenarios.setup import Setup, generator
 from topology.analysis import rounds_to
 from topology.spectrum import second_eigenvalue_modulus, vote_of
@@ -146,9 +147,10 @@ def _short_window(setup: Setup) -> Iterator[str]:
 def _never_resent(setup: Setup) -> Iterator[str]:
     """labelled: without digests nobody learns what a link has lost."""
     scenario = setup.scenario
-    if scenario.rule == "labelled" and scenario.loss > 0 and scenario.digest_steps == 0:
+    lossy = lossy_links(scenario)
+    if scenario.rule == "labelled" and lossy and scenario.digest_steps == 0:
         yield (
-            f"rule labelled with --loss {scenario.loss:g} and no digests: a record that a link "
+            f"rule labelled with {lossy} and no digests: a record that a link "
             "loses is never sent again; use --digest-steps 8"
         )
 
@@ -176,8 +178,8 @@ def _who_is_silent(setup: Setup) -> str:
     scenario = setup.scenario
     if scenario.occupancy < 1:
         return f"--occupancy {scenario.occupancy:g}"
-    if scenario.loss > 0:
-        return f"--loss {scenario.loss:g}"
+    if lossy := lossy_links(scenario):
+        return lossy
     if scenario.trigger > 0 and scenario.schedule in ("hybrid", "dynamic"):
         return f"--trigger {scenario.trigger:g}"
     return ""

@@ -38,6 +38,8 @@ SMALL = {
         "rule": "hcmci",
     },
     "links that lose parts of shares": {"loss": 0.2, "cluster": "audi", "graph": "path"},
+    "links that fail and come back": {"links": "markov:0.2,0.4", "graph": "star"},
+    "graphs that take turns": {"links": "switching:ring,path:2", "loss": 0.1},
     "another run of the same seed": {"seed": 9, "run": 3},
 }
 TRACKING = {

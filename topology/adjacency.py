@@ -4,7 +4,7 @@ Entry (i, j) says that node i hears node j. Nothing here is dense: memory and ti
 number of links.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import networkx
@@ -43,6 +43,12 @@ def both_ways(nodes: int, one: ArrayLike, other: ArrayLike) -> Adjacency:
     """Boolean (nodes, nodes) in which `one` (links,) and `other` (links,) hear each other."""
     one, other = np.asarray(one, dtype=int), np.asarray(other, dtype=int)
     return from_links(nodes, np.concatenate((one, other)), np.concatenate((other, one)))
+
+
+def union(graphs: Sequence[Adjacency]) -> Adjacency:
+    """The graph (n, n) of all links of graphs with the same nodes."""
+    hearer, heard = zip(*(links_of(graph) for graph in graphs), strict=True)
+    return from_links(nodes_of(graphs[0]), np.concatenate(hearer), np.concatenate(heard))
 
 
 def links_of(adjacency: Adjacency) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -204,7 +204,7 @@ def _spread(links: Links, moments: Array) -> Array:
     diagonal = moments.diagonal()
     gap = diagonal[i] + diagonal[j] - moments[i, j] - moments[j, i]
     strength = links.delivery * (1 - links.delivery) * gap
-    result = np.diag(np.bincount(i, strength * links.weight**2, links.nodes))
+    result: Array = np.diag(np.bincount(i, strength * links.weight**2, links.nodes)).astype(float)
     partner = _partner(links)
     twin = partner >= 0
     np.add.at(

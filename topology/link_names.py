@@ -70,7 +70,7 @@ def parse_links(text: str) -> LinkPlan:
             "F and R are the probabilities of failure and repair, above 0 and together at most 1",
         ),
         "moving": (
-            len(numbers) in (1, 3) and 0 < min(numbers) and max(numbers) < math.inf,
+            len(numbers) in (1, 3) and min(numbers) > 0 and max(numbers) < math.inf,
             "give the radio range in m, and for nodes that wander also radius in m and period in "
             "steps, all above 0",
         ),

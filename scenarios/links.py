@@ -1,0 +1,144 @@
+"""What the links of a run do: lose frames, fail, switch, follow nodes that move.
+
+Everything follows from the setup and is a pure function of (step or cycle, sender, receiver), so
+every driver asks for itself and gets the same answer.
+"""
+
+import hashlib
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+
+from nodes.link_state import LinkState, LinkUp, chance
+from nodes.messages import Array
+from scenarios.catalogue import kind_of
+from scenarios.scenario import Scenario
+from topology.link_names import LinkPlan, parse_links
+from topology.time_varying import bernoulli, in_range, markov, switching, wandering
+
+if TYPE_CHECKING:
+    from scenarios.setup import Setup
+    from topology.adjacency import Adjacency
+    from topology.network import Network
+
+# Time-varying links ask for the two steps before the first; counters begin at 0.
+_FIRST_COUNT = 2
+
+
+def stream_of(scenario: Scenario, purpose: str, node: int) -> np.random.SeedSequence:
+    """The randomness of one purpose at one node in one run of a scenario."""
+    # A purpose is a number that does not depend on which purposes exist.
+    code = int.from_bytes(hashlib.sha256(purpose.encode()).digest()[:4], "big")
+    return np.random.SeedSequence(scenario.seed, spawn_key=(scenario.run, code, node))
+
+
+def link_state(setup: "Setup") -> LinkState:
+    """What the links of the run of a setup do to frames."""
+    scenario = setup.scenario
+    losses: dict[tuple[int, int], float] = {}
+    if setup.losses is not None:
+        # What a link loses of itself, and what all links lose, are independent.
+        losses = {
+            (sender, receiver): 1 - (1 - own) * (1 - scenario.loss)
+            for receiver, heard in enumerate(setup.neighbours)
+            for sender, own in zip(heard, setup.losses[receiver], strict=True)
+        }
+    return LinkState(_key(scenario, "links"), scenario.loss, losses, link_up=link_up(setup))
+
+
+def link_up(setup: "Setup") -> LinkUp | None:
+    """(step, sender, receiver) -> whether there is a link; None where links stay."""
+    plan = parse_links(setup.scenario.links)
+    match plan.kind:
+        case "bernoulli":
+            return bernoulli(plan.numbers[0], draw_of(setup.scenario))
+        case "markov":
+            return markov(plan.numbers[0], plan.numbers[1], draw_of(setup.scenario))
+        case "switching":
+            assert setup.phases is not None, "prepare fills in what switching takes"
+            return switching(setup.phases, int(plan.numbers[0]))
+        case "moving":
+            return in_range(places(setup.scenario, plan), plan.numbers[0])
+    return None
+
+
+def draw_of(scenario: Scenario) -> Callable[[Any, Any, Any], Any]:
+    """(step, one, other) -> numbers in [0, 1) that belong to the run, by counting."""
+    key = _key(scenario, "link states")
+    return lambda step, one, other: chance(key, np.add(step, _FIRST_COUNT), one, other)
+
+
+def places(scenario: Scenario, plan: LinkPlan) -> Array:
+    """Where the nodes are in each step, (steps, N, 2) in m.
+
+    Raises:
+        ValueError: the plant has no places.
+    """
+    plant = kind_of(scenario.name).plant(scenario)
+    there = [plant.positions(step) for step in range(scenario.steps)]
+    if there[0] is None:
+        raise ValueError(
+            f"--links {scenario.links}: the nodes of scenario {scenario.name} have no places; use "
+            "bernoulli, markov or switching, or scenario target-tracking or mrclam"
+        )
+    homes = np.stack([np.asarray(place)[:, :2] for place in there if place is not None])
+    if len(plan.numbers) == 1:
+        return homes
+    _, wander, period = plan.numbers
+    # All runs of a seed have one network.
+    draw = draw_of(msgspec.structs.replace(scenario, run=0))
+    around = wandering(np.zeros_like(homes[0]), wander, period, len(homes), draw)
+    return homes + around
+
+
+def network_of(
+    scenario: Scenario, build: "Callable[[str], Network]"
+) -> "tuple[Network, tuple[Adjacency, ...]]":
+    """The network of a scenario and the graphs that it switches among.
+
+    Whoever hears a node in some step is its neighbour: where graphs take turns or nodes move it is
+    the union.
+
+    Args:
+        build: the network of a graph's name.
+
+    Raises:
+        ValueError: links that cannot be on this graph or plant.
+    """
+    # Only here: a process of the network is handed the graph and need not know how to draw it.
+    from topology.adjacency import union
+    from topology.geometric_graphs import geometric
+    from topology.network import Network
+
+    plan = parse_links(scenario.links)
+    if plan.kind == "switching":
+        graphs = tuple(build(name).adjacency for name in plan.graphs)
+        return Network(union(graphs)), graphs
+    if plan.kind == "moving":
+        reach, there = plan.numbers[0], places(scenario, plan)
+        return Network(union([geometric(place, reach) for place in there])), ()
+    network = build(scenario.graph)
+    if plan.kind == "measured" and network.delivery is None:
+        raise ValueError(
+            f"--links measured: graph {scenario.graph} has no chances of delivery; take a file "
+            "with numbers between 0 and 1 on its links, graph intel-lab, or --links bernoulli:0.1"
+        )
+    return network, ()
+
+
+def losses_of(
+    scenario: Scenario, network: "Network", neighbours: list[list[int]]
+) -> list[list[float]] | None:
+    """Per node, the chance that a frame of each neighbour is lost; None unless it is measured."""
+    if parse_links(scenario.links).kind != "measured":
+        return None
+    assert network.delivery is not None, "network_of has looked"
+    ends = np.cumsum([len(heard) for heard in neighbours])[:-1]
+    return [part.tolist() for part in np.split(1 - network.delivery, ends)]
+
+
+def _key(scenario: Scenario, purpose: str) -> tuple[int, int]:
+    first, second = stream_of(scenario, purpose, 0).generate_state(2, np.uint64).tolist()
+    return first, second

@@ -1,0 +1,155 @@
+"""Networks with chances of delivery and places: in files, in parts, and the Intel lab's."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_array
+
+from topology.adjacency import from_links, is_symmetric, links_of, neighbours_of, union
+from topology.analysis import analyse, components, cut_links, cut_nodes, diameter
+from topology.graph_files import read_network, write_network
+from topology.graphs import build_graph, build_network, path, ring, star
+from topology.intel_lab import LEAST_DELIVERY, intel_lab, is_intel_lab
+from topology.network import Network, part_of
+from topology.weights import equal_neighbour
+
+LAB = Path(__file__).resolve().parents[3] / "shared/data/intel_lab"
+needs_lab = pytest.mark.skipif(not LAB.is_dir(), reason="no ../shared/data/intel_lab to read")
+
+
+def random_network(nodes: int, seed: int) -> Network:
+    generator = np.random.default_rng(seed)
+    hearer, heard = np.nonzero(generator.uniform(size=(nodes, nodes)) < 0.4)
+    adjacency = from_links(nodes, hearer, heard)
+    delivery = generator.uniform(0.01, 1, adjacency.nnz)
+    return Network(adjacency, delivery, generator.uniform(size=(nodes, 2)))
+
+
+@pytest.mark.parametrize("suffix", [".edges", ".csv", ".graphml"])
+@pytest.mark.parametrize("nodes", [2, 5, 12])
+def test_a_directed_lossy_network_survives_its_file(tmp_path, suffix, nodes):
+    network = random_network(nodes, seed=nodes)
+    write_network(tmp_path / f"net{suffix}", network)
+    back = read_network(tmp_path / f"net{suffix}", nodes, directed=True)
+    assert (back.adjacency.toarray() == network.adjacency.toarray()).all()
+    np.testing.assert_array_equal(back.delivery, network.delivery)
+    if suffix == ".graphml":
+        np.testing.assert_array_equal(back.positions, network.positions)
+
+
+def test_numbers_that_are_no_chances_only_say_that_there_is_a_link(tmp_path):
+    for text in ("0 1 3\n1 2 0.5\n", "0 1 1\n1 2 1\n", "0 1\n1 2\n"):
+        (tmp_path / "net.edges").write_text(text)
+        assert read_network(tmp_path / "net.edges").delivery is None
+
+
+def test_a_pair_may_deliver_differently_in_its_two_directions(tmp_path):
+    (tmp_path / "net.edges").write_text("0 1 0.9\n1 0 0.2\n1 2 0.5\n")
+    network = read_network(tmp_path / "net.edges")
+    hearer, heard = links_of(network.adjacency)
+    assert network.delivery is not None
+    found = {(j, i): p for i, j, p in zip(hearer, heard, network.delivery, strict=True)}
+    assert found == {(0, 1): 0.9, (1, 0): 0.2, (1, 2): 0.5, (2, 1): 0.5}
+
+
+def test_an_edge_list_goes_one_way_where_that_is_asked_for(tmp_path):
+    (tmp_path / "net.edges").write_text("0 1\n1 2\n")
+    network = read_network(tmp_path / "net.edges", directed=True)
+    assert neighbours_of(network.adjacency) == [[], [0], [1]]
+
+
+def test_graphml_without_a_chance_above_zero_is_refused(tmp_path):
+    network = random_network(4, 1)
+    write_network(tmp_path / "net.graphml", network._replace(delivery=network.delivery * 0))  # type: ignore[operator]
+    with pytest.raises(ValueError, match=r"delivery 0\.0 from .* above 0"):
+        read_network(tmp_path / "net.graphml", directed=True)
+
+
+def test_a_part_keeps_its_links_places_and_chances():
+    network = random_network(9, 3)
+    kept = np.array([1, 2, 5, 8])
+    part = part_of(network, kept)
+    dense = csr_array((network.delivery, links_of(network.adjacency)), shape=(9, 9)).toarray()
+    inner = dense[kept][:, kept]
+    assert (part.adjacency.toarray() == (inner > 0)).all()
+    np.testing.assert_array_equal(part.delivery, inner[links_of(part.adjacency)])
+    np.testing.assert_array_equal(part.positions, network.positions[kept])  # type: ignore[index]
+
+
+def test_a_union_has_the_links_of_all():
+    both = union([ring(6), star(6)])
+    assert (both.toarray() == (ring(6).toarray() | star(6).toarray())).all()
+
+
+def test_weak_points_of_a_directed_graph_are_those_whose_loss_divides_it():
+    adjacency = from_links(6, [0, 1, 2, 2, 3, 4, 5, 0], [1, 2, 0, 3, 4, 5, 2, 2])
+    dense = adjacency.toarray()
+    nodes, links = [], []
+    for node in range(6):
+        rest = np.delete(np.delete(dense, node, 0), node, 1)
+        if len(components(csr_array(rest))) > 1:
+            nodes.append(node)
+    for i, j in np.argwhere(dense):
+        rest = dense.copy()
+        rest[i, j] = False
+        if len(components(csr_array(rest))) > 1:
+            links.append((i, j))
+    assert not is_symmetric(adjacency)
+    assert cut_nodes(adjacency) == tuple(nodes) and nodes
+    assert cut_links(adjacency) == tuple(links) and links
+    figures = analyse(adjacency, equal_neighbour(adjacency))
+    assert figures.directed and figures.links == 8 and figures.weak_components == 1
+
+
+def test_bridges_of_an_undirected_graph():
+    assert cut_links(path(4)) == ((0, 1), (1, 2), (2, 3))
+    assert cut_links(ring(5)) == ()
+    assert diameter(build_graph("small-world", 1200, 1)) > 3
+
+
+@needs_lab
+def test_the_lab_has_the_links_of_its_file():
+    lab, both = intel_lab(LAB, one_way=True), intel_lab(LAB)
+    assert lab.names == both.names and lab.names is not None
+    assert len(lab.names) == 53 and "5" not in lab.names and "0" not in lab.names
+    rows = [line.split() for line in (LAB / "connectivity.txt").read_text().splitlines()]
+    shares = {(r[0], r[1]): float(r[2]) for r in rows if len(r) == 3}
+    hearer, heard = links_of(lab.adjacency)
+    assert lab.delivery is not None
+    for i, j, share in zip(hearer, heard, lab.delivery, strict=True):
+        assert shares[lab.names[j], lab.names[i]] == share >= LEAST_DELIVERY
+    assert lab.adjacency.nnz == 969 and both.adjacency.nnz == 802
+    assert is_symmetric(both.adjacency) and not is_symmetric(lab.adjacency)
+    assert lab.positions is not None and lab.positions[0].tolist() == [21.5, 23]
+
+
+@needs_lab
+@pytest.mark.parametrize("one_way", [False, True])
+def test_any_number_of_motes_hangs_together(one_way):
+    for nodes in range(1, 54):
+        part = intel_lab(LAB, nodes, one_way=one_way)
+        assert part.adjacency.shape == (nodes, nodes)
+        assert len(components(part.adjacency)) == 1
+    with pytest.raises(ValueError, match="53 motes reach each other; ask for 1 to 53"):
+        intel_lab(LAB, 54, one_way=one_way)
+
+
+def test_a_folder_of_something_else_is_no_lab(tmp_path):
+    assert not is_intel_lab(tmp_path)
+    with pytest.raises(ValueError, match=r"mote_loc\.txt: no such file; name the folder"):
+        intel_lab(tmp_path)
+    (tmp_path / "mote_loc.txt").write_text("1 0 here\n")
+    with pytest.raises(ValueError, match=r"mote_loc\.txt:1: '1 0 here' is no mote"):
+        intel_lab(tmp_path)
+    (tmp_path / "mote_loc.txt").write_text("1 0 0\n2 1 1\n")
+    (tmp_path / "connectivity.txt").write_text("1 2 0.5\n2 1 7\n")
+    with pytest.raises(ValueError, match=r"connectivity\.txt:2: '2 1 7' is no link"):
+        intel_lab(tmp_path)
+
+
+def test_nodes_may_be_left_open_only_for_what_is_read(tmp_path):
+    (tmp_path / "net.edges").write_text("0 1\n")
+    assert build_network(f"file:{tmp_path / 'net.edges'}", None, 1).adjacency.shape == (2, 2)
+    with pytest.raises(ValueError, match="say how many with --nodes"):
+        build_network("ring", None, 1)
