@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from filters.gaussian import Gaussian, Information, to_gaussian
-from filters.hold import check_weights
+from filters.hold import check_weights, sharpness
 from filters.linalg import inverse_spd, multiply
 from filters.packed import pack, unpack
 
@@ -15,12 +15,14 @@ class Averaging(NamedTuple):
     """A rule as what it averages: numbers (..., m) that a belief is turned into and back.
 
     `express(belief, origin)` gives the numbers, `conclude(numbers, origin)` the belief that an
-    average of such numbers comes to. Means are taken about an `origin` (..., n), any point near
-    them, which spares their digits; beliefs that are averaged must have the same.
+    average of such numbers comes to, `sharpness(numbers)` its `hold.sharpness` (...). Means are
+    taken about an `origin` (..., n), any point near them, which spares their digits; beliefs that
+    are averaged must have the same.
     """
 
     express: Callable[[Gaussian, np.ndarray], np.ndarray]
     conclude: Callable[[np.ndarray, np.ndarray], Gaussian]
+    sharpness: Callable[[np.ndarray], np.ndarray]
 
 
 def weighted_average(beliefs: Gaussian, weights: np.ndarray) -> Gaussian:
@@ -90,8 +92,10 @@ def _of_information(numbers: np.ndarray, origin: np.ndarray) -> Gaussian:
     return Gaussian(origin + offset, cov)
 
 
-MOMENTS = Averaging(_moments, _of_moments)
-INFORMATION = Averaging(_information, _of_information)
+MOMENTS = Averaging(_moments, _of_moments, lambda numbers: sharpness(unpack(numbers).matrix))
+INFORMATION = Averaging(
+    _information, _of_information, lambda numbers: 1.0 / sharpness(unpack(numbers).matrix)
+)
 
 
 def _averaged(rule: Averaging, beliefs: Gaussian, weights: np.ndarray) -> Gaussian:

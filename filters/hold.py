@@ -100,6 +100,11 @@ def drop(base_weights: np.ndarray, ages: np.ndarray) -> np.ndarray:
     return weights
 
 
+def alone(base_weights: np.ndarray, ages: np.ndarray) -> np.ndarray:
+    """All weight to the node itself, whatever it has heard."""
+    return np.where(np.arange(ages.shape[-1]) == 0, 1.0, 0.0 * base_weights)
+
+
 def _where_heard(base_weights: np.ndarray, ages: np.ndarray) -> np.ndarray:
     return np.where(ages < 0, 0.0, base_weights)
 

@@ -54,6 +54,8 @@ def inverse_spd(matrix: np.ndarray) -> np.ndarray:
 
 def solve_spd(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Solution (..., n, k) of matrix (..., n, n) @ x = right (..., n, k); NaN as inverse_spd."""
+    if _many(matrix):
+        return inverse_spd(matrix) @ right
     whitener = np.linalg.inv(cholesky(matrix))
     return whitener.mT @ (whitener @ right)
 

@@ -1,7 +1,8 @@
 """Consensus on beliefs in arrays: `nodes.belief_consensus` for all nodes of all runs at once.
 
-What is held of others is kept in slots (`vectorised_links.Links`). What a node shares is expressed
-in the numbers that the rule averages once, and not by each who hears it.
+What is held of others is kept in slots (`vectorised_links.Links`), as the numbers that the rule
+averages: what a node shares is expressed in them once, and not by each who hears it. Between the
+rounds of a step the own beliefs stay such numbers too, where nobody asks what they mean.
 """
 
 from dataclasses import dataclass
@@ -9,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.fusion import Averaging
+from filters.fusion import INFORMATION, Averaging
 from filters.gaussian import Gaussian
-from filters.linalg import cholesky, symmetrise
+from filters.linalg import symmetrise
 from nodes.belief_consensus import HoldPolicy, alike
 from nodes.local_filter import carry, finite_lanes, where
 from nodes.messages import Array
@@ -27,23 +28,29 @@ from nodes.vectorised_filter import (
 from nodes.vectorised_links import Links, Shares, mixed, weighed
 
 
-class Expressed(NamedTuple):
-    """Beliefs (R, K, n), the numbers (R, K, m) that the rule averages, and sharpness (R, K)."""
+class Numbers(NamedTuple):
+    """Beliefs as the numbers (R, K, m) that a rule averages, and how sharp they are (R, K): NaN
+    where one is not positive definite."""
 
-    belief: Gaussian
-    numbers: Array
+    values: Array
     sharpness: Array
 
 
 class Content(NamedTuple):
-    """What all nodes know. `held` is by slot, `ages` by link; `origin` (R, 1, n) is what means are
-    taken about in this step; `carried` says whether what is held has come to this step."""
+    """What all nodes know in a step.
+
+    belief: the own ones; within a step those before its rounds, where the fleet is not `eager`.
+    own, held: the own ones and what is held, by slot, about `origin` and `held_origin` (R, 1, n).
+    ages: (R, E) by link, or (1, E) where they are those of all runs.
+    """
 
     belief: Gaussian
-    held: Expressed
+    own: Numbers
+    held: Numbers
+    origin: Array
+    held_origin: Array
     ages: np.ndarray
     published: Published
-    origin: Array
     step: int
     control: Array | None
     cycles_in_step: int
@@ -52,29 +59,36 @@ class Content(NamedTuple):
 
 @dataclass(frozen=True)
 class BeliefFleet:
-    """All nodes of a network under a rule that averages beliefs; None averages nothing.
+    """All nodes of a network under a rule that averages beliefs, in so many rounds a step.
 
     `base` are the weights of one run; `contenders` (C,) whoever may ask for the dynamic segment.
     """
 
     filters: LocalFilters
-    averaging: Averaging | None
+    averaging: Averaging
     hold: HoldPolicy
     links: Links
     base: Shares
+    rounds: int
     contenders: np.ndarray
     number: str
     trigger: float
 
+    @property
+    def eager(self) -> bool:
+        """Whether beliefs must be known after every round: for bids, for the wire, or because the
+        rule's numbers do not tell whether an average went well."""
+        lazy = self.averaging is INFORMATION and self.number == "<f8"
+        return len(self.contenders) > 0 or not lazy
+
     def start(self, prior: Gaussian) -> Content:
         """The priors, and neighbours never heard."""
         origin = prior.mean.mean(axis=1, keepdims=True)
-        source = self.links.source
-        unheard = Gaussian(prior.mean[:, source], prior.cov[:, source])
-        held = Expressed(unheard, *self._expressed(unheard, origin))
+        own = self._expressed(prior, origin)
+        held = Numbers(*(values[:, self.links.source] for values in own))
         ages = np.full((len(prior.mean), len(self.links.sender)), -1)
         published = nothing_published(self.contenders, prior)
-        return Content(prior, held, ages, published, origin, 0, None, 0, {})
+        return Content(prior, own, held, origin, origin, ages, published, 0, None, 0, {})
 
     def begin_step(
         self, content: Content, readings: Array, control: Array | None, step: int
@@ -87,10 +101,12 @@ class BeliefFleet:
             if self.hold.carried:
                 published = published.carried(self.filters, control, step)
         belief, troubles = self.filters.take(belief, readings, step)
+        origin = belief.mean.mean(axis=1, keepdims=True)
         return content._replace(
             belief=belief,
+            own=self._expressed(belief, origin),
+            origin=origin,
             published=published,
-            origin=belief.mean.mean(axis=1, keepdims=True),
             step=step,
             control=control,
             cycles_in_step=0,
@@ -103,29 +119,29 @@ class BeliefFleet:
 
     def exchange(self, content: Content, sends: np.ndarray, lost: np.ndarray | None) -> Content:
         """Nodes `sends` (R, N) publish; all average what they hear and hold with their own."""
-        own = Expressed(content.belief, *self._expressed(content.belief, content.origin))
-        shared = self._shared(own, content.origin)
-        readable = finite_lanes(shared.belief)
-        sound = readable & np.isfinite(cholesky(shared.belief.cov)[..., -1, -1])
+        shared, readable = self._shared(content)
+        sound = readable & np.isfinite(shared.sharpness)
         counters = added(content.counters, self._traffic(sends, lost, readable, sound))
         fresh = self.links.in_slots(sends & sound, lost)
         held, ages = content.held, content.ages
         if content.cycles_in_step == 0 and content.step > 0:
             held, ages = self._caught_up(content, fresh)
-        held = self._refreshed(held, shared, fresh)
-        older = np.where(ages < 0, -1, ages + 1)
+        if fresh.all():
+            ages = np.zeros((1, ages.shape[1]), dtype=ages.dtype)
+        else:
+            ages = np.where(fresh[:, self.links.slot], 0, np.where(ages < 0, -1, ages + 1))
         content = content._replace(
-            held=held,
-            ages=np.where(fresh[:, self.links.slot], 0, older),
+            held=self._refreshed(held, shared, fresh),
+            held_origin=content.origin,
+            ages=ages,
             published=content.published.sent(content.belief, sends),
             cycles_in_step=content.cycles_in_step + 1,
             counters=counters,
         )
-        return content if self.averaging is None else self._fused(content, own, self.averaging)
+        return self._fused(content)
 
-    def _fused(self, content: Content, own: Expressed, averaging: Averaging) -> Content:
-        held = content.held
-        turn = content.cycles_in_step - 1
+    def _fused(self, content: Content) -> Content:
+        own, held, turn = content.own, content.held, content.cycles_in_step - 1
         sharpness = Shares(own.sharpness, held.sharpness[:, self.links.slot])
         weights = weighed(
             self.links,
@@ -134,80 +150,92 @@ class BeliefFleet:
             None if self.hold.sharpness is alike else sharpness,
             lambda base, ages, sharpness: self.hold.weigh(base, ages, sharpness, turn),
         )
-        numbers = np.where(weights.own[..., None] == 0, 0.0, own.numbers)
-        fused = averaging.conclude(
-            mixed(self.links, weights, numbers, held.numbers), content.origin
-        )
-        sound = finite_lanes(fused)
+        unsound = np.isnan(own.sharpness)
+        values = own.values
+        if unsound.any():
+            values = np.where((unsound & (weights.own == 0))[..., None], 0.0, values)
+        values = mixed(self.links, weights, values, held.values)
+        fused = Numbers(values, self.averaging.sharpness(values))
+        return self._settled(content, fused)
+
+    def _settled(self, content: Content, fused: Numbers) -> Content:
+        """With the fused beliefs where fusion went well."""
+        belief, sound = content.belief, np.isfinite(fused.sharpness)
+        concluded = self.eager or content.cycles_in_step == self.rounds
+        if concluded:
+            after = self.averaging.conclude(fused.values, content.origin)
+            sound = finite_lanes(after)
+            belief = where(sound, Gaussian(after.mean, symmetrise(after.cov)), belief)
         counters = added(content.counters, {"fuse-failed": ~sound})
-        fused = Gaussian(fused.mean, symmetrise(fused.cov))
-        return content._replace(belief=where(sound, fused, content.belief), counters=counters)
+        if not sound.all():
+            fused = Numbers(
+                np.where(sound[..., None], fused.values, content.own.values),
+                np.where(sound, fused.sharpness, content.own.sharpness),
+            )
+        return content._replace(belief=belief, own=fused, counters=counters)
 
-    def _shared(self, own: Expressed, origin: Array) -> Expressed:
-        """What comes out of the frames of all nodes."""
+    def _shared(self, content: Content) -> tuple[Numbers, np.ndarray]:
+        """What comes out of the frames of all nodes, and which (R, N) can be read."""
         if self.number == "<f8":
-            return own
-        belief = Gaussian(*(received(values, self.number) for values in own.belief))
-        return Expressed(belief, *self._expressed(belief, origin))
+            return content.own, np.ones(content.own.sharpness.shape, dtype=bool)
+        belief = Gaussian(*(received(values, self.number) for values in content.belief))
+        return self._expressed(belief, content.origin), finite_lanes(belief)
 
-    def _expressed(self, belief: Gaussian, origin: Array) -> tuple[Array, Array]:
-        if self.averaging is None:
-            return np.zeros((*belief.mean.shape[:-1], 0)), np.ones(belief.mean.shape[:-1])
-        return self.averaging.express(belief, origin), self.hold.sharpness(belief.cov)
+    def _expressed(self, belief: Gaussian, origin: Array) -> Numbers:
+        values = self.averaging.express(belief, origin)
+        return Numbers(values, self.averaging.sharpness(values))
 
-    def _caught_up(self, content: Content, fresh: np.ndarray) -> tuple[Expressed, np.ndarray]:
+    def _caught_up(self, content: Content, fresh: np.ndarray) -> tuple[Numbers, np.ndarray]:
         """What is held of those who do not replace it now, at this step and about its origin."""
-        held, ages = content.held, content.ages
+        held = content.held
+        ages = np.broadcast_to(content.ages, (len(fresh), content.ages.shape[1]))
         known = np.zeros(fresh.shape, dtype=bool)
         known[:, self.links.slot] = ages >= 0
         runs, slots = np.nonzero(known & ~fresh)
         if not len(runs):
             return held, ages
-        old = Gaussian(held.belief.mean[runs, slots], held.belief.cov[runs, slots])
+        origin = content.held_origin[runs, 0]
+        old = self.averaging.conclude(held.values[runs, slots], origin)
         if self.hold.carried:
             control = None if content.control is None else content.control[runs]
             filters = self.filters
             moved, sound = carry(old, control, content.step, filters.model, filters.points)
             old = where(sound, moved, old)
-            lost = np.zeros(fresh.shape, dtype=bool)
-            lost[runs, slots] = ~sound
-            ages = np.where(lost[:, self.links.slot], -1, ages)
-        numbers, sharpness = self._expressed(old, content.origin[runs, 0])
-        mean, cov = held.belief.mean.copy(), held.belief.cov.copy()
-        every, sharp = held.numbers.copy(), held.sharpness.copy()
-        mean[runs, slots], cov[runs, slots] = old
-        every[runs, slots], sharp[runs, slots] = numbers, sharpness
-        return Expressed(Gaussian(mean, cov), every, sharp), ages
+            forgotten = np.zeros(fresh.shape, dtype=bool)
+            forgotten[runs, slots] = ~sound
+            ages = np.where(forgotten[:, self.links.slot], -1, ages)
+        values, sharpness = held.values.copy(), held.sharpness.copy()
+        values[runs, slots], sharpness[runs, slots] = self._expressed(old, content.origin[runs, 0])
+        return Numbers(values, sharpness), ages
 
-    def _refreshed(self, held: Expressed, shared: Expressed, fresh: np.ndarray) -> Expressed:
+    def _refreshed(self, held: Numbers, shared: Numbers, fresh: np.ndarray) -> Numbers:
         """What is held after those slots that are `fresh` (R, K) have been filled."""
-        source = self.links.source
         if not self.links.perfect:
-            belief = Gaussian(shared.belief.mean[:, source], shared.belief.cov[:, source])
-            shared = Expressed(belief, shared.numbers[:, source], shared.sharpness[:, source])
+            shared = Numbers(*(values[:, self.links.source] for values in shared))
         if fresh.all():
             return shared
-        return Expressed(
-            where(fresh, shared.belief, held.belief),
-            np.where(fresh[..., None], shared.numbers, held.numbers),
+        return Numbers(
+            np.where(fresh[..., None], shared.values, held.values),
             np.where(fresh, shared.sharpness, held.sharpness),
         )
 
     def _traffic(
         self, sends: np.ndarray, lost: np.ndarray | None, readable: np.ndarray, sound: np.ndarray
     ) -> dict[str, np.ndarray]:
-        heard = traffic(self.links, sends & readable, sends & ~readable, lost, "belief-not-finite")
+        counts = traffic(self.links, sends & readable, sends & ~readable, lost, "belief-not-finite")
+        if sound.all():
+            return counts
         unsound = self.links.arriving(sends & readable & ~sound, lost)
         refused = {"rejected not-positive-definite": self.links.per_receiver(unsound)}
-        return {**heard, **refused}
+        return {**counts, **refused}
 
     def belief(self, content: Content) -> Gaussian:
-        """The own pairs."""
+        """The own pairs, after the last round of a step."""
         return content.belief
 
     def ages(self, content: Content) -> np.ndarray:
         """Cycles since the held pairs were sent."""
-        return content.ages
+        return np.broadcast_to(content.ages, (len(content.origin), content.ages.shape[1]))
 
     def counters(self, content: Content) -> Counters:
         """What was counted."""

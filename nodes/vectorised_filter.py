@@ -44,6 +44,9 @@ class LocalFilters:
         self, belief: Gaussian, readings: Array, step: int
     ) -> tuple[Gaussian, dict[str, np.ndarray]]:
         """Beliefs (R, N, n) after each node's own readings (R, N, r, d), and what went wrong."""
+        if len(self.groups) == 1 and self.groups[0].nodes == slice(None):
+            sensor = self.groups[0].sensor
+            return take_readings(belief, readings, step, sensor, self.points)
         mean, cov = belief.mean.copy(), belief.cov.copy()
         counted: dict[str, np.ndarray] = {}
         for nodes, sensor in self.groups:
@@ -67,6 +70,8 @@ def traffic(
 ) -> dict[str, np.ndarray]:
     """What each node counts of a cycle in which nodes (R, N) sent `good` shares, or `bad` ones that
     are rejected for that `reason`; `lost` (R, E) as `Links.arriving` has it."""
+    if lost is None and good.all():
+        return {"heard": np.broadcast_to(np.diff(links.offsets), good.shape)}
     heard, rejected = (links.per_receiver(links.arriving(sent, lost)) for sent in (good, bad))
     due = links.per_receiver((good | bad)[:, links.sender])
     counts = {"heard": heard, f"rejected {reason}": rejected, "missed": due - heard}

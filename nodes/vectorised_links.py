@@ -129,11 +129,14 @@ def weighed(
 
     Args:
         base: of one run: own (1, N), link (1, E).
-        ages: of links (R, E); the own is 0.
+        ages: of links (R, E), or (1, E) where runs do not differ; the own is 0.
         sharpness: as `base`, for R runs; None where all beliefs are alike.
         weigh: a rule for one neighbourhood, its own node first.
+
+    Returns:
+        The weights, of R runs or of one where they do not differ.
     """
-    runs = len(ages)
+    runs = len(ages) if sharpness is None else len(sharpness.own)
     own, link = np.empty((runs, links.nodes)), np.empty((runs, len(links.sender)))
     for some, row in zip(links.classes, links.rows(base), strict=True):
         weights = weigh(
@@ -162,11 +165,12 @@ def mixed(links: Links, weights: Shares, own: Array, held: Array) -> Array:
 
     runs, slots, m = held.shape
     nodes, count = links.nodes, len(links.slot)
+    data = np.broadcast_to(weights.link, (runs, count)).ravel()
     columns = (np.arange(runs)[:, None] * slots + links.slot).ravel()
     rows = np.concatenate(
         ((np.arange(runs)[:, None] * count + links.offsets[:-1]).ravel(), [runs * count])
     )
-    matrix = csr_array((weights.link.ravel(), columns, rows), shape=(runs * nodes, runs * slots))
+    matrix = csr_array((data, columns, rows), shape=(runs * nodes, runs * slots))
     total = (matrix @ held.reshape(runs * slots, m)).reshape(runs, nodes, m)
     total += weights.own[..., None] * own
     return total

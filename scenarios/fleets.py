@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters import diffusion, hybrid_consensus, information_weighted, kalman_consensus
-from filters.fusion import Averaging
-from nodes.belief_consensus import HoldPolicy
+from filters import diffusion, hold, hybrid_consensus, information_weighted, kalman_consensus
+from filters.fusion import MOMENTS, Averaging
+from nodes.belief_consensus import HoldPolicy, alike
 from nodes.novelty_rounds import NoveltyRounds
 from nodes.vectorised import Fleet
 from nodes.vectorised_beliefs import BeliefFleet
@@ -32,19 +32,29 @@ class FleetSeat(NamedTuple):
     links: Links
     base: Shares
     hold: HoldPolicy
+    rounds: int
     contenders: np.ndarray
     trigger: float
     number: str
 
 
-def averaging_fleet(averaging: Averaging | None, seat: FleetSeat) -> Fleet:
-    """For rules that average beliefs; None for the rule that does not."""
+def local_fleet(seat: FleetSeat) -> Fleet:
+    """For the rule that fuses nothing."""
+    nobody = seat.hold._replace(
+        weigh=lambda base, ages, _sharpness, _cycles: hold.alone(base, ages), sharpness=alike
+    )
+    return averaging_fleet(MOMENTS, seat._replace(hold=nobody))
+
+
+def averaging_fleet(averaging: Averaging, seat: FleetSeat) -> Fleet:
+    """For rules that average beliefs."""
     return BeliefFleet(
         filters=seat.filters,
         averaging=averaging,
         hold=seat.hold,
         links=seat.links,
         base=seat.base,
+        rounds=seat.rounds,
         contenders=seat.contenders,
         number=seat.number,
         trigger=seat.trigger,

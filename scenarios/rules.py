@@ -37,6 +37,7 @@ from scenarios.fleets import (
     averaging_fleet,
     diffused_fleet,
     hybrid_fleet,
+    local_fleet,
     pulled_fleet,
     weighted_information_fleet,
 )
@@ -312,7 +313,7 @@ _RULES: dict[str, Rule] = {
         "every node alone: publishes, but fuses nothing",
         lambda n, _: packed_length(n),
         partial(averaging, keep_own),
-        fleet=partial(averaging_fleet, None),
+        fleet=local_fleet,
     ),
     "centralised": Rule(
         "all readings at every node: the optimum; complete graph, full schedule, one round",

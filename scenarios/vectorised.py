@@ -44,6 +44,8 @@ def without_array_form(scenario: Scenario) -> str | None:
         return f"scenario {scenario.name}"
     if rule_of(scenario).fleet is None:
         return f"rule {scenario.rule}"
+    if kind.around is not None and scenario.adaptive:
+        return "noise that nodes learn (--adaptive)"
     return None
 
 
@@ -108,6 +110,7 @@ def _seat(setup: Setup, plan: BusPlan, links: Links) -> FleetSeat:
         links,
         Shares(own[None], link[None]),
         hold_policy(scenario),
+        scenario.rounds,
         np.array(sorted(contenders), dtype=np.int64),
         scenario.trigger,
         wire_number(scenario),
