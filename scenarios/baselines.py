@@ -4,19 +4,21 @@ Both are computed after the run from what its sensors delivered, by the same fil
 they see the same noise in every driver.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule, scaled_unscented
 from filters.ukf import predict, update
-from nodes.belief_consensus import Sensor
+from nodes.local_filter import Sensor, take_readings
 from nodes.messages import Array
+from nodes.vectorised_filter import SensorGroup
 from scenarios.catalogue import kind_of
 from scenarios.rules import rule_of
-from scenarios.setup import Setup
+from scenarios.setup import Setup, setup_of_run
 
 Listener = Callable[[Gaussian, int, Array, Array | None], Gaussian]
 """(belief of the step before, step, readings (N, r, d), control (p,)) -> belief of the step."""
@@ -24,34 +26,85 @@ Listener = Callable[[Gaussian, int, Array, Array | None], Gaussian]
 
 def centralised(setup: Setup, readings: Array, control: Array | None) -> Gaussian:
     """One filter that takes all readings (steps, N, r, d): mean (steps, n), cov (steps, n, n)."""
-    nodes = range(setup.scenario.nodes)
-    return _filter(setup, list(nodes), readings, control)
+    return _alone(centralised_of_runs(setup, [setup.scenario.run], *_one_run(readings, control)))
 
 
 def local_only(setup: Setup, readings: Array, control: Array | None) -> Gaussian:
     """Each node with its own readings alone: mean (steps, N, n), cov (steps, N, n, n)."""
-    alone = [_filter(setup, [node], readings, control) for node in range(setup.scenario.nodes)]
+    return _alone(local_only_of_runs(setup, [setup.scenario.run], *_one_run(readings, control)))
+
+
+def centralised_of_runs(
+    setup: Setup, runs: Sequence[int], readings: Array, control: Array | None
+) -> Gaussian:
+    """`centralised` in the runs of these numbers: readings (R, steps, N, r, d), control (R, steps,
+    p); mean (R, steps, n), cov (R, steps, n, n)."""
+    nodes = list(range(setup.scenario.nodes))
+    if not listens_step_by_step(setup):
+        return _one_by_one(setup, runs, nodes, readings, control)
+    return _stepwise(setup, runs, listener(setup, nodes), readings, control)
+
+
+def local_only_of_runs(
+    setup: Setup, runs: Sequence[int], readings: Array, control: Array | None
+) -> Gaussian:
+    """`local_only` in the runs of these numbers: mean (R, steps, N, n), cov (R, steps, N, n, n)."""
+    nodes = range(setup.scenario.nodes)
+    alone = [
+        _one_by_one(setup, runs, [node], readings, control)
+        if not listens_step_by_step(setup)
+        else _stepwise(setup, runs, listener(setup, [node]), readings, control)
+        for node in nodes
+    ]
     return Gaussian(
-        np.stack([belief.mean for belief in alone], axis=1),
-        np.stack([belief.cov for belief in alone], axis=1),
+        np.stack([belief.mean for belief in alone], axis=2),
+        np.stack([belief.cov for belief in alone], axis=2),
     )
 
 
-def _filter(setup: Setup, nodes: list[int], readings: Array, control: Array | None) -> Gaussian:
+def _one_run(readings: Array, control: Array | None) -> tuple[Array, Array | None]:
+    return readings[None], None if control is None else control[None]
+
+
+def _alone(beliefs: Gaussian) -> Gaussian:
+    return Gaussian(beliefs.mean[0], beliefs.cov[0])
+
+
+def _one_by_one(
+    setup: Setup, runs: Sequence[int], nodes: list[int], readings: Array, control: Array | None
+) -> Gaussian:
+    """Filters that listen to a whole run at once, run by run."""
     kind = kind_of(setup.scenario.name)
-    if kind.listen is not None:
-        return kind.listen(setup, nodes, readings)
-    rule_listens = rule_of(setup.scenario).listen
-    if rule_listens is not None:
-        return rule_listens(setup, nodes, readings, control)
-    step_of = listener(setup, nodes)
-    belief = Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov))
+    beliefs = []
+    for place, run in enumerate(runs):
+        own = setup_of_run(setup, run)
+        if kind.listen is not None:
+            beliefs.append(kind.listen(own, nodes, readings[place]))
+        else:
+            rule_listens = rule_of(setup.scenario).listen
+            assert rule_listens is not None, "listens_step_by_step has looked"
+            driven = None if control is None else control[place]
+            beliefs.append(rule_listens(own, nodes, readings[place], driven))
+    return Gaussian(
+        np.stack([belief.mean for belief in beliefs]), np.stack([belief.cov for belief in beliefs])
+    )
+
+
+def _stepwise(
+    setup: Setup, runs: Sequence[int], listen: Listener, readings: Array, control: Array | None
+) -> Gaussian:
+    starts = [setup_of_run(setup, run) for run in runs]
+    belief = Gaussian(
+        np.array([start.prior_mean for start in starts]),
+        np.array([start.prior_cov for start in starts]),
+    )
     means, covs = [], []
-    for step, delivered in enumerate(readings):
-        belief = step_of(belief, step, delivered, None if control is None else control[step])
+    for step in range(readings.shape[1]):
+        driven = None if control is None else control[:, step]
+        belief = listen(belief, step, readings[:, step], driven)
         means.append(belief.mean)
         covs.append(belief.cov)
-    return Gaussian(np.array(means), np.array(covs))
+    return Gaussian(np.stack(means, axis=1), np.stack(covs, axis=1))
 
 
 def listens_step_by_step(setup: Setup) -> bool:
@@ -61,66 +114,117 @@ def listens_step_by_step(setup: Setup) -> bool:
 
 
 def listener(setup: Setup, nodes: list[int]) -> Listener:
-    """One filter that takes the readings of these nodes, one step at a time."""
+    """One filter that takes the readings of these nodes, one step at a time.
+
+    Beliefs, readings and control may have leading axes, one entry a run.
+    """
     kind = kind_of(setup.scenario.name)
     model = kind.model(setup.scenario)
     points = scaled_unscented(len(setup.prior_mean))
-    sensors = {node: kind.sensor(setup.scenario, node) for node in nodes}
+    groups = _sensors(setup, nodes)
 
     def listen(belief: Gaussian, step: int, delivered: Array, driven: Array | None) -> Gaussian:
         if step > 0:
             transition = partial(model.transition, control=driven, step=step - 1)
             belief = predict(belief, transition, model.process_noise_cov(step - 1), points)
-        taken = [
-            (sensor, reading)
-            for node, sensor in sensors.items()
-            for reading in delivered[node]
-            if sensor is not None and not np.isnan(reading).all()
-        ]
-        for group in _together(taken):
-            belief = _take(belief, group, step, points)
+        if all(sensor.gate is None for _, sensor in groups):
+            return _together(belief, groups, delivered, step, points)
+        # A gate judges each reading by itself.
+        for node, sensor in groups:
+            for one in np.moveaxis(delivered[..., node, :, :], -3, 0):
+                belief, _ = take_readings(belief, one, step, sensor, points)
         return belief
 
     return listen
 
 
-def _together(taken: list[tuple[Sensor, Array]]) -> list[list[tuple[Sensor, Array]]]:
-    """All readings of a step at once; one by one where a gate judges each by itself."""
-    if any(sensor.gate is not None for sensor, _ in taken):
-        return [[one] for one in taken]
-    return [taken] if taken else []
+def _sensors(setup: Setup, nodes: list[int]) -> list[SensorGroup]:
+    kind, scenario = kind_of(setup.scenario.name), setup.scenario
+    if kind.sensors is not None and len(nodes) == scenario.nodes:
+        return [SensorGroup(slice(None), kind.sensors(scenario))]
+    each = ((node, kind.sensor(scenario, node)) for node in nodes)
+    return [SensorGroup(slice(i, i + 1), sensor) for i, sensor in each if sensor is not None]
 
 
-def _take(
-    belief: Gaussian, group: list[tuple[Sensor, Array]], step: int, points: SigmaPointRule
+class _Block(NamedTuple):
+    """One reading of each of some nodes that share a sensor value: values (..., M, m) with noise
+    covariances (..., M, m, m), of
+    those `which` (..., M) of the `nodes` that took most readings."""
+
+    sensor: Sensor
+    nodes: int
+    which: np.ndarray
+    values: Array
+    noise_cov: Array
+
+    def measure(self, state: Array, step: int) -> Array:
+        """What their sensors would deliver of points (S, ..., n): (S, ..., M, m)."""
+        every = self.sensor.measure(state[..., None, :], step)
+        # Sensors that are all alike deliver one value for all nodes.
+        every = np.broadcast_to(every, (*every.shape[:-2], self.nodes, every.shape[-1]))
+        return np.take_along_axis(every, self.which[None, ..., None], axis=-2)
+
+
+def _together(
+    belief: Gaussian, groups: list[SensorGroup], delivered: Array, step: int, points: SigmaPointRule
 ) -> Gaussian:
-    interpreted = [sensor.interpret(reading) for sensor, reading in group]
-    sizes = np.cumsum([len(value) for value, _ in interpreted])[:-1]
-    noise_cov = _block_diagonal([cov for _, cov in interpreted])
+    """All readings of a step (..., N, r, d) at once; those that were not taken are left out."""
+    blocks = [
+        block
+        for nodes, sensor in groups
+        for place in range(delivered.shape[-2])
+        if (block := _block(sensor, delivered[..., nodes, place, :])).which.shape[-1]
+    ]
+    if not blocks:
+        return belief
+    sizes = [int(np.prod(block.values.shape[-2:])) for block in blocks]
 
     def measure(state: Array) -> Array:
-        return np.concatenate([sensor.measure(state, step) for sensor, _ in group], axis=-1)
+        return np.concatenate([_flat(block.measure(state, step)) for block in blocks], axis=-1)
 
     def residual(value: Array, predicted: Array) -> Array:
-        pairs = zip(
-            group,
-            np.split(value, sizes, axis=-1),
-            np.split(predicted, sizes, axis=-1),
-            strict=True,
-        )
-        return np.concatenate([sensor.residual(v, p) for (sensor, _), v, p in pairs], axis=-1)
+        ends = np.cumsum(sizes)[:-1]
+        parts = zip(blocks, *(np.split(x, ends, axis=-1) for x in (value, predicted)), strict=True)
+        return np.concatenate([_difference(*part) for part in parts], axis=-1)
 
-    values = np.concatenate([value for value, _ in interpreted])
-    gate = group[0][0].gate
-    return update(belief, values, measure, noise_cov, points, residual=residual, gate=gate).belief
+    values = np.concatenate([_flat(block.values) for block in blocks], axis=-1)
+    noise_cov = _block_diagonal([block.noise_cov for block in blocks])
+    return update(belief, values, measure, noise_cov, points, residual=residual).belief
 
 
-def _block_diagonal(blocks: list[Array]) -> Array:
-    size = sum(len(block) for block in blocks)
-    matrix = np.zeros((size, size))
+def _block(sensor: Sensor, delivered: Array) -> _Block:
+    values, noise_cov = sensor.interpret(delivered)
+    taken = np.logical_not(np.isnan(values).all(axis=-1))
+    most = int(taken.sum(axis=-1).max())
+    which = np.argsort(~taken, axis=-1, kind="stable")[..., :most]
+    noise_cov = np.broadcast_to(noise_cov, (*values.shape, values.shape[-1]))
+    return _Block(
+        sensor,
+        values.shape[-2],
+        which,
+        np.take_along_axis(values, which[..., None], axis=-2),
+        np.take_along_axis(noise_cov, which[..., None, None], axis=-3),
+    )
+
+
+def _difference(block: _Block, value: Array, predicted: Array) -> Array:
+    shape = block.values.shape[-2:]
+    pair = (part.reshape(*part.shape[:-1], *shape) for part in (value, predicted))
+    return _flat(block.sensor.residual(*pair))
+
+
+def _flat(values: Array) -> Array:
+    return values.reshape(*values.shape[:-2], -1)
+
+
+def _block_diagonal(stacks: list[Array]) -> Array:
+    """Matrices (..., M, m, m) as the blocks of one (..., sum M m, sum M m)."""
+    size = sum(stack.shape[-3] * stack.shape[-1] for stack in stacks)
+    matrix = np.zeros((*stacks[0].shape[:-3], size, size))
     start = 0
-    for block in blocks:
-        stop = start + len(block)
-        matrix[start:stop, start:stop] = block
-        start = stop
+    for stack in stacks:
+        for block in np.moveaxis(stack, -3, 0):
+            stop = start + block.shape[-1]
+            matrix[..., start:stop, start:stop] = block
+            start = stop
     return matrix

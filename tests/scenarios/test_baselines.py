@@ -9,8 +9,13 @@ from experiments.trace import Trace, read_trace
 from filters.gaussian import Gaussian
 from filters.metrics import nees
 from plants.oscillator import Oscillation, Oscillator
-from scenarios.baselines import centralised, local_only
-from scenarios.setup import Setup
+from scenarios.baselines import (
+    centralised,
+    centralised_of_runs,
+    local_only,
+    local_only_of_runs,
+)
+from scenarios.setup import Setup, setup_of_run
 from tests.experiments.support import small
 
 SETUP = small(steps=40, nodes=5)
@@ -95,3 +100,20 @@ def test_a_network_on_a_matched_model_is_not_overconfident(rule: str):
         trace = read_trace(setup, in_memory(setup))
         values.append(nees(trace.truth[-1] - trace.mean[-1, 0], trace.cov[-1, 0]))
     assert sum(values) < chi2.ppf(1 - 1e-5, 40)
+
+
+@pytest.mark.parametrize("name", ["target-tracking", "dc-motor-position", "liu2021-network"])
+def test_many_runs_at_once_are_the_runs_one_by_one(name: str):
+    """Each run has other nodes that see the target."""
+    setup = small(name, steps=6)
+    runs = [0, 2, 5]
+    traces = [read_trace(one, in_memory(one)) for one in (setup_of_run(setup, r) for r in runs)]
+    readings = np.stack([trace.readings for trace in traces])
+    controls = [trace.control for trace in traces if trace.control is not None]
+    control = np.stack(controls) if controls else None
+    for together, alone in ((centralised_of_runs, centralised), (local_only_of_runs, local_only)):
+        found = together(setup, runs, readings, control)
+        for place, run in enumerate(runs):
+            driven = None if control is None else control[place]
+            expected = alone(setup_of_run(setup, run), readings[place], driven)
+            assert_close(Gaussian(found.mean[place], found.cov[place]), expected)

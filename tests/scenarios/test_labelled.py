@@ -76,7 +76,9 @@ def test_quantised_records_are_the_centralised_filter_that_knows_of_the_rounding
             bearing_std_rad=larger * sensor.bearing_std_rad,
         )
 
-    monkeypatch.setattr("scenarios.baselines.kind_of", lambda _: kind._replace(sensor=noisier))
+    monkeypatch.setattr(
+        "scenarios.baselines.kind_of", lambda _: kind._replace(sensor=noisier, sensors=None)
+    )
     best = centralised(setup, step * np.round(trace.readings / step), None)
     np.testing.assert_allclose(trace.mean[:, 0], best.mean, rtol=0, atol=1e-8)
     np.testing.assert_allclose(trace.cov[:, 0], best.cov, rtol=1e-9, atol=1e-9)
