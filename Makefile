@@ -39,6 +39,7 @@ bench: .venv/dev.stamp
 
 docs: .venv/run.stamp
 	$(BIN)/python -m docs.picture
+	$(BIN)/python -m docs.labelled_picture
 
 lock:
 	uv pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes \

@@ -5,6 +5,7 @@ it without a cluster; `bus.slot_table` gives it frame IDs, channels and cycle mu
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 from math import gcd, lcm
 from typing import NamedTuple
 
@@ -66,14 +67,20 @@ class Schedule(msgspec.Struct, frozen=True):
         """What is composed at once, in order of time: the whole cycle; with `relay` each slot."""
         static = self.static_senders(cycle)
         dynamic = self.dynamic_slots(cycle) if self.contenders(cycle) else 0
-        if not self.relay or not (static or dynamic):
-            return (Group(static, dynamic),)
-        return tuple(Group((node,), 0) for node in static) + (Group((), 1),) * dynamic
+        return _groups(static, dynamic, self.relay)
 
     @property
     def period(self) -> int:
         """Cycles after which the whole schedule repeats."""
         return lcm(len(self.static_table), len(self.contender_table), len(self.dynamic_slot_table))
+
+
+@lru_cache
+def _groups(static: tuple[int, ...], dynamic: int, relay: bool) -> tuple[Group, ...]:
+    # Kept: every node asks in every part of every cycle, and a relaying cycle has many parts.
+    if not relay or not (static or dynamic):
+        return (Group(static, dynamic),)
+    return tuple(Group((node,), 0) for node in static) + (Group((), 1),) * dynamic
 
 
 def full_publish(nodes: int) -> Schedule:

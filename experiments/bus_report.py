@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from bus.cluster import Cluster
-from bus.frame import Channel, decode, encode
+from bus.frame import OVERHEAD_BYTES, Channel, decode, encode
 from bus.pcap import Captured
 from bus.timing import (
     Transmission,
@@ -32,6 +32,8 @@ class BusFigures(msgspec.Struct, frozen=True):
 
     Attributes:
         load_mean, load_max: share of a cycle in which the busier channel carries frames.
+        wire_bytes_per_step, wire_us_per_step: of all frames with their headers, checksums and
+            padding, and how long they keep the bus busy.
         delay_us_mean, delay_us_max: from a measurement to the last share of its step.
         contenders: nodes that asked for the dynamic segment; `starved` of them never got it.
         longest_wait_cycles: most contended cycles in a row in which `longest_wait_node` asked in
@@ -47,6 +49,8 @@ class BusFigures(msgspec.Struct, frozen=True):
     frames_per_cycle_max: int
     load_mean: float
     load_max: float
+    wire_bytes_per_step: float
+    wire_us_per_step: float
     delay_us_mean: float
     delay_us_max: float
     contenders: int
@@ -104,6 +108,8 @@ def bus_figures(
     frames = [len(cycle) for cycle in cycles]
     load = [_load(cluster, cycle) for cycle in cycles]
     delay_us = [fusion_delay_us(cluster, rounds, last) for last in cycles[rounds - 1 :: rounds]]
+    sent_frames = [frame for cycle in cycles for frame in cycle]
+    wire_bytes = sum(frame.payload_bytes + OVERHEAD_BYTES for frame in sent_frames)
     asked, sent = asked.reshape(-1, nodes), payload_bytes.reshape(-1, nodes) > 0
     waits = longest_waits(asked, sent)
     starved = np.flatnonzero(asked.any(axis=0) & ~(asked & sent).any(axis=0))
@@ -115,6 +121,8 @@ def bus_figures(
         frames_per_cycle_max=max(frames),
         load_mean=float(np.mean(load)),
         load_max=max(load),
+        wire_bytes_per_step=wire_bytes * rounds / len(cycles),
+        wire_us_per_step=sum(f.end_us - f.start_us for f in sent_frames) * rounds / len(cycles),
         delay_us_mean=float(np.mean(delay_us)),
         delay_us_max=max(delay_us),
         contenders=int(asked.any(axis=0).sum()),
@@ -206,7 +214,9 @@ def lines(figures: BusFigures) -> list[str]:
         f"bus {figures.cluster}: {figures.frames_per_cycle_mean:.1f} frames in a cycle of "
         f"{figures.cycle_us / 1e3:.4g} ms (most {figures.frames_per_cycle_max}), load "
         f"{100 * figures.load_mean:.1f} % (most {100 * figures.load_max:.1f} %), measurement to "
-        f"estimate {figures.delay_us_mean / 1e3:.4g} ms (most {figures.delay_us_max / 1e3:.4g} ms)"
+        f"estimate {figures.delay_us_mean / 1e3:.4g} ms (most {figures.delay_us_max / 1e3:.4g} ms)",
+        f"on the wire {figures.wire_bytes_per_step:.0f} bytes and {figures.wire_us_per_step:.0f} "
+        "us per step",
     ]
     if len(ages):
         known = len(ages) + figures.never_heard

@@ -1,10 +1,6 @@
-"""What the rule `labelled` makes of a bus that loses frames, a dead hub, a cut, and a long path.
+"""What the rule `labelled` makes of links that lose frames, a dead hub, a cut, a long path, and of
+readings that are wrong. The network is TRACK's."""
 
-The network is TRACK's. What goes wrong does so between the nodes: in the link of the in-process
-driver, and in a node that forgets.
-"""
-
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -15,61 +11,82 @@ from experiments.trace import read_trace
 from filters.gaussian import Gaussian
 from filters.metrics import nees
 from nodes import in_process
-from nodes.in_process import Link
 from nodes.labelled import Content, LabelledFlooding
+from nodes.link_state import LinkState, Outage
 from nodes.messages import Array, Measured
 from nodes.recording import MemoryRecorder
-from nodes.share import cycle_of
+from nodes.state_machine import NodeConfig
+from nodes.world import WorldConfig
 from scenarios.baselines import centralised
 from scenarios.build import build_node, build_world
 from scenarios.catalogue import kind_of
-from scenarios.setup import Setup, prepare
+from scenarios.setup import Setup, generator, link_state, prepare
 
 HUB, HUB_DEAD = 13, range(40, 70)
 CUT = range(50, 70)
 # What a restarted node believes, one standard deviation: as little as nothing.
 _LOST_DEVIATIONS = np.array([300.0, 15.0, 300.0, 15.0, 0.02])
+# How far a wrong reading is off, in standard deviations of the noise, to either side.
+_OUTLIER_DEVIATIONS = 10.0
 
 
 class Case(NamedTuple):
-    """What goes wrong: frames lost at random for each receiver, the hub, or the cut."""
+    """What goes wrong: with the links (`options` say how many frames they lose), the hub, the
+    network in two, a share of the readings."""
 
     options: dict[str, Any]
-    loss: float = 0.0
     hub_dies: bool = False
     cut: bool = False
+    outliers: float = 0.0
 
 
 class CaseOutcome(NamedTuple):
-    """Squared errors (steps, N) and NEES over dimension (steps, N), NaN while a node knows nothing;
-    squared errors of the centralised filter (steps,)."""
+    """What came of a run.
+
+    Squared errors (steps, N) and NEES over dimension (steps, N), NaN while a node knows nothing;
+    squared errors of the centralised filter (steps,), which hears everything that is not wrong;
+    bytes said per step; of all readings that are wrong, and of all others: how many there were, and
+    how many of them were refused.
+    """
 
     squared: Array
     consistency: Array
     squared_centralised: Array
+    said_bytes: float
+    wrong: int
+    wrong_refused: int
+    right: int
+    right_refused: int
 
 
 def run_case(case: Case, run: int, seed: int = 1) -> CaseOutcome:
     """One run of TRACK in which this goes wrong."""
     chosen = {"scenario": "target-tracking", "nodes": 20, "rule": "labelled", **case.options}
     setup = prepare(ScenarioOptions(**chosen, run=run, seed=seed).resolve())
-    nodes = [build_node(setup, node) for node in range(setup.scenario.nodes)]
-    if case.hub_dies:
-        hub = nodes[HUB].estimator
-        assert isinstance(hub, LabelledFlooding)
-        nodes[HUB] = replace(nodes[HUB], estimator=Restarting(hub, HUB_DEAD.stop))
+    recorded: set[tuple[int, int]] = set()
+    nodes = [_node(case, setup, node, recorded) for node in range(setup.scenario.nodes)]
+    world, wrong = _spoiled(build_world(setup), case.outliers, setup)
     recorder = MemoryRecorder()
-    in_process.run(build_world(setup), nodes, recorder, link=_link(case, setup, run))
+    in_process.run(world, nodes, recorder)
     trace = read_trace(setup, recorder.messages)
-    central = centralised(setup, trace.readings, trace.control)
+    taken = ~np.isnan(trace.readings).all(axis=(2, 3))
+    right = np.where((wrong & taken)[..., None, None], np.nan, trace.readings)
+    central = centralised(setup, right, trace.control)
     score = kind_of("target-tracking").score
     errors = trace.mean - trace.truth[:, None]
-    scored = list(score.nees_states)
-    place = list(score.states)
+    scored, place = list(score.nees_states), list(score.states)
+    assert trace.spread is not None
+    refused = taken.copy()
+    refused[tuple(np.array(sorted(recorded)).T)] = False
     return CaseOutcome(
         (errors[..., place] ** 2).sum(-1),
         nees(errors[..., scored], trace.cov) / len(scored),
         ((central.mean - trace.truth)[:, place] ** 2).sum(-1),
+        float(trace.spread.body_bytes.mean()),
+        int((wrong & taken).sum()),
+        int((wrong & refused).sum()),
+        int((~wrong & taken).sum()),
+        int((~wrong & refused).sum()),
     )
 
 
@@ -93,38 +110,57 @@ def _reached(setup: Setup, root: int, allowed: set[int]) -> list[int]:
     return found
 
 
-def _link(case: Case, setup: Setup, run: int) -> Link:
-    side = halves(setup)
-    rounds = setup.scenario.rounds
+def _node(case: Case, setup: Setup, node: int, recorded: set[tuple[int, int]]) -> NodeConfig:
+    config = build_node(setup, node)
+    assert isinstance(config.estimator, LabelledFlooding)
+    lost_at = HUB_DEAD.stop if case.hub_dies and node == HUB else None
+    estimator = Observed(config.estimator, recorded, lost_at)
+    return replace(config, estimator=estimator, links=_links(case, setup))
 
-    def link(sender: int, receiver: int, frame: bytes) -> Iterable[bytes]:
-        cycle = cycle_of(frame)
-        step = cycle // rounds
-        if case.hub_dies and step in HUB_DEAD and HUB in (sender, receiver):
-            return ()
-        if case.cut and step in CUT and side[sender] != side[receiver]:
-            return ()
-        draw: Callable[[], float] = np.random.default_rng([run, sender, receiver, cycle]).random
-        return () if case.loss and draw() < case.loss else (frame,)
 
-    return link
+def _links(case: Case, setup: Setup) -> LinkState:
+    """The links of the scenario, and what is cut for a while."""
+    side = halves(setup) if case.cut else np.zeros(setup.scenario.nodes, dtype=bool)
+    outages = []
+    for receiver, heard in enumerate(setup.neighbours):
+        for sender in heard:
+            if case.hub_dies and HUB in (sender, receiver):
+                outages.append(Outage(sender, receiver, HUB_DEAD.start, HUB_DEAD.stop))
+            if side[sender] != side[receiver]:
+                outages.append(Outage(sender, receiver, CUT.start, CUT.stop))
+    return link_state(setup.scenario)._replace(outages=tuple(outages))
+
+
+def _spoiled(world: WorldConfig, share: float, setup: Setup) -> tuple[WorldConfig, np.ndarray]:
+    """The world in which this share of the readings is wrong, and which those are (steps, N)."""
+    noise = world.draws.measurement
+    draw = generator(setup.scenario, "outliers", 0)
+    wrong = draw.random(noise.shape[:2]) < share
+    side = np.where(draw.random(noise.shape) < 0.5, -1.0, 1.0)
+    spoiled = np.where(wrong[..., None, None], noise + _OUTLIER_DEVIATIONS * side, noise)
+    return replace(world, draws=world.draws._replace(measurement=spoiled)), wrong
 
 
 @dataclass(frozen=True)
-class Restarting:
-    """An estimator that forgets everything before the step `at_step`."""
+class Observed:
+    """An estimator that notes the (step, node) of what it records, and that forgets everything
+    before the step `lost_at`."""
 
     inner: LabelledFlooding
-    at_step: int
+    recorded: set[tuple[int, int]]
+    lost_at: int | None
 
     def begin_step(self, content: Content, measured: Measured) -> tuple[Content, tuple[str, ...]]:
         """As the inner one, after a cold restart where it is time."""
-        if measured.step == self.at_step:
+        if measured.step == self.lost_at:
             mean = content.window.belief.mean
             away = mean + _LOST_DEVIATIONS * np.array([1.0, 0.0, -1.0, 0.0, 0.0])
             prior = Gaussian(away, np.diag(_LOST_DEVIATIONS**2))
             content = self.inner.restart(prior, content.window.heartbeats)
-        return self.inner.begin_step(content, measured)
+        content, troubles = self.inner.begin_step(content, measured)
+        if self.inner.node in content.window.records[-1]:
+            self.recorded.add((measured.step, self.inner.node))
+        return content, troubles
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.inner, name)

@@ -3,7 +3,7 @@
 Every form hears the same noise in the same run, so that ratios are of pairs.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from typing import Any, NamedTuple
@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import stats
 
-from bus.frame import OVERHEAD_BYTES
-from experiments.bus_report import times_of
+from experiments import bus_report
 from experiments.drivers import in_memory
 from experiments.options import ScenarioOptions
+from experiments.progress import progress
 from experiments.record_spread import figures_of
 from experiments.trace import Trace, read_trace
 from filters.gaussian import Gaussian
@@ -27,7 +27,7 @@ from scenarios.setup import Setup, prepare
 
 SEED = 1
 OCCUPANCIES = (1.0, 0.5, 0.25, 0.1)
-WORKERS, CONFIDENCE = 2, 0.95
+CONFIDENCE = 0.95
 
 
 class Form(NamedTuple):
@@ -115,8 +115,8 @@ def outcome(job: Job) -> Outcome:
     squared_central, consistency_central = _scored(
         setup, trace, Gaussian(central.mean[:, None], central.cov[:, None])
     )
-    frames = np.count_nonzero(trace.payload_bytes)
-    times = times_of(setup, trace)
+    bus = bus_report.figures_of(setup, trace)
+    assert bus is not None, "the cluster is fitted"
     spread = None if trace.spread is None else figures_of(trace.spread)
     return Outcome(
         squared.mean(),
@@ -124,10 +124,8 @@ def outcome(job: Job) -> Outcome:
         consistency,
         consistency_central.mean(),
         _said_bytes(messages) / trace.steps,
-        (trace.payload_bytes.sum() + OVERHEAD_BYTES * frames) / trace.steps,
-        np.nan
-        if times is None
-        else float(np.nansum(times.share_end_us - times.share_start_us)) / trace.steps,
+        bus.wire_bytes_per_step,
+        bus.wire_us_per_step,
         np.nan if spread is None else spread.coverage,
         np.nan if spread is None else spread.checkpoint_share,
     )
@@ -136,16 +134,21 @@ def outcome(job: Job) -> Outcome:
 def cells(forms: Sequence[Form], runs: int) -> Iterator[tuple[Form, float, Cell]]:
     """All cells of the table, one after the other, as they get ready."""
     jobs = [Job(form, part, run) for form in forms for part in OCCUPANCIES for run in range(runs)]
-    with workers() as pool:
-        found = pool.map(outcome, jobs)
-        for form in forms:
-            for part in OCCUPANCIES:
-                yield form, part, cell([next(found) for _ in range(runs)])
+    found = side_by_side("errors and bytes", outcome, jobs)
+    for form in forms:
+        for part in OCCUPANCIES:
+            yield form, part, cell([next(found) for _ in range(runs)])
 
 
-def workers() -> ProcessPoolExecutor:
-    """Processes that work side by side."""
-    return ProcessPoolExecutor(WORKERS, mp_context=get_context("spawn"))
+def side_by_side(title: str, work: Callable[[Any], Any], jobs: Sequence[Any]) -> Iterator[Any]:
+    """What becomes of each job, in their order; all processors work at it."""
+    with (
+        progress(title, len(jobs)) as on_done,
+        ProcessPoolExecutor(mp_context=get_context("spawn")) as pool,
+    ):
+        for done, result in enumerate(pool.map(work, jobs), start=1):
+            on_done(done)
+            yield result
 
 
 def cell(outcomes: Sequence[Outcome]) -> Cell:
@@ -153,7 +156,7 @@ def cell(outcomes: Sequence[Outcome]) -> Cell:
     squared = np.array([[o.squared, o.squared_centralised] for o in outcomes])
     consistency = np.array([o.consistency - o.consistency_centralised for o in outcomes])
     worst = int(consistency.mean(axis=0).argmax())
-    ratio, half_width = _jackknife(squared)
+    ratio, half_width = jackknife(squared)
     spread = consistency[:, worst].std(ddof=1) / np.sqrt(len(outcomes))
     return Cell(
         ratio,
@@ -189,7 +192,7 @@ def _said_bytes(messages: Sequence[tuple[str, bytes]]) -> int:
     return sum(len(read_body(data)) for data in parts.values())
 
 
-def _jackknife(squared: Array) -> tuple[float, float]:
+def jackknife(squared: Array) -> tuple[float, float]:
     """Ratio of the RMSE over runs (R, 2), and half the width of its interval.
 
     Source: Efron (1982), The jackknife, the bootstrap and other resampling plans, chapter 3.

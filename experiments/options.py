@@ -61,7 +61,10 @@ class ScenarioOptions:
     window_steps: int | None = None
     """How many steps late a record may come (labelled); the schedule's latency when left out."""
     digest_steps: int | None = None
-    """Say in each share what is held of so many steps, for buses that lose frames (labelled)."""
+    """Say in each share what is held of so many steps, so that what links lose is sent again
+    (labelled); 8 where links lose frames, when left out."""
+    gate_probability: float | None = None
+    """Do not pass on own readings that are less likely than this (labelled); 0 passes all on."""
     record_number: str | None = None
     """int16, float32 or float64 for readings on the wire (labelled)."""
     payload_bytes: int | None = None

@@ -51,6 +51,7 @@ class SpreadFigures(msgspec.Struct, frozen=True):
         delay_steps_mean, delay_steps_max: how long a record took to another node, if it came.
         age_steps_mean, age_steps_mean_at_source: age of the newest record of a source at other
             nodes, and at itself, over all steps from the first that came.
+        age_steps_by_source: the former for each source; NaN for one of which nothing ever came.
         checkpoint_share: part of the shares that carry a checkpoint.
         records_per_share: on average.
         body_bytes_per_step: what all nodes say in a step, before frames are made of it.
@@ -61,6 +62,7 @@ class SpreadFigures(msgspec.Struct, frozen=True):
     delay_steps_max: int
     age_steps_mean: float
     age_steps_mean_at_source: float
+    age_steps_by_source: list[float]
     checkpoint_share: float
     records_per_share: float
     body_bytes_per_step: float
@@ -121,7 +123,7 @@ def figures_of(spread: RecordSpread) -> SpreadFigures:
     came = spread.arrival_steps >= 0
     delay = spread.arrival_steps - np.arange(steps)[:, None]
     in_time = came & (delay < spread.window_steps)
-    ages = _ages(spread)
+    ages = record_ages(spread)
     sent = max(spread.shares, 1)
     return SpreadFigures(
         coverage=_mean(in_time[counted]),
@@ -129,6 +131,10 @@ def figures_of(spread: RecordSpread) -> SpreadFigures:
         delay_steps_max=int(delay[others & came].max(initial=0)),
         age_steps_mean=_mean(ages[others & (ages >= 0)]),
         age_steps_mean_at_source=_mean(ages[~others & (ages >= 0)]),
+        age_steps_by_source=[
+            _mean(ages[:, :, source][(others & (ages >= 0))[:, :, source]])
+            for source in range(nodes)
+        ],
         checkpoint_share=spread.checkpoints / sent,
         records_per_share=spread.records / sent,
         body_bytes_per_step=float(spread.body_bytes.mean()),
@@ -182,7 +188,7 @@ def _body(parts: list[bytes]) -> bytes | None:
         return None
 
 
-def _ages(spread: RecordSpread) -> np.ndarray:
+def record_ages(spread: RecordSpread) -> np.ndarray:
     """Age in steps (N, steps, N) of the newest record of a source; -1 before the first."""
     steps, nodes = spread.taken.shape
     newest = np.full((nodes, steps, nodes), NEVER)

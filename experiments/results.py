@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 
 from experiments.bus_report import times_of
+from experiments.record_spread import record_ages
 from experiments.trace import Trace
 from filters.metrics import nees
 from scenarios.catalogue import kind_of
@@ -140,6 +141,9 @@ def write_arrays(folder: Path, description: Description, trace: Trace) -> None:
     }
     if trace.control is not None:
         variables["control"] = (("step", "input"), trace.control)
+    if trace.spread is not None:
+        ages = record_ages(trace.spread).swapaxes(0, 1)
+        variables["record_age"] = (("step", "node", "source"), ages, {"units": "steps"})
     variables |= _bus_variables(setup, trace)
     dataset = xarray.Dataset(
         variables,

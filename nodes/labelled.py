@@ -5,7 +5,7 @@ and runs one filter over a sliding window. A belief (checkpoint) of the window's
 when a neighbour needs it, and is fused only with the base: what the window holds is not in it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -19,7 +19,15 @@ from nodes.estimator import Rejected
 from nodes.labelled_frame import Labelled, LabelledFrameCodec, LabelledShare
 from nodes.local_filter import finite
 from nodes.messages import Array, Measured, from_wire
-from nodes.record_sets import RecordSet, after, lacked, need, sources_of, union
+from nodes.record_sets import (
+    RecordSet,
+    lacked,
+    need,
+    newest_first,
+    record_bit,
+    sources_at,
+    with_sources,
+)
 from nodes.source_gate import without_outliers
 from nodes.window_filter import (
     Window,
@@ -44,6 +52,7 @@ class Content(NamedTuple):
     Attributes:
         window: what it filters. held: the records in it.
         known: what each neighbour is believed to hold.
+        confirmed: what each neighbour has itself said that it holds.
         sent: what the share said that was composed in the open part of the cycle; None for none.
         owed: a neighbour needs a checkpoint. needs: the node itself needs one, and knows nothing.
         heard: step at which a share of each neighbour came last.
@@ -54,6 +63,7 @@ class Content(NamedTuple):
     window: Window
     held: RecordSet
     known: tuple[RecordSet, ...]
+    confirmed: tuple[RecordSet, ...]
     sent: RecordSet | None
     owed: bool
     needs: bool
@@ -69,7 +79,8 @@ class LabelledFlooding:
     """The estimator at one node.
 
     `neighbours` are those of every node, ascending; `prior` is common to all; a neighbour that was
-    not heard for more than `gap_steps` is owed a checkpoint.
+    not heard for more than `gap_steps` is owed a checkpoint. An own reading of 1, 2, ... entries
+    beyond the chi-square threshold in `gates` is not recorded; none for no such gate.
 
     Source: the project's study of fusion under bus limits (labelled-measurement flooding).
     """
@@ -82,6 +93,7 @@ class LabelledFlooding:
     schedule: Schedule
     rounds: int
     gap_steps: int = 16
+    gates: tuple[float, ...] = ()
 
     @property
     def share_bytes(self) -> int:
@@ -108,9 +120,20 @@ class LabelledFlooding:
     def _empty(self, window: Window, step: int) -> Content:
         nobody = (-1,) * len(self._near)
         cycle = step * self.rounds
-        known: tuple[RecordSet, ...] = ({},) * len(self._near)
+        nothing: tuple[RecordSet, ...] = (0,) * len(self._near)
         return Content(
-            window, {}, known, None, False, False, (step,) * len(self._near), nobody, cycle, 0, -1
+            window,
+            0,
+            nothing,
+            nothing,
+            None,
+            False,
+            False,
+            (step,) * len(self._near),
+            nobody,
+            cycle,
+            0,
+            -1,
         )
 
     def begin_step(self, content: Content, measured: Measured) -> tuple[Content, tuple[str, ...]]:
@@ -121,10 +144,12 @@ class LabelledFlooding:
         delivered = from_wire(measured.readings)
         sensor = self.filter.sensors[self.node]
         troubles: tuple[str, ...] = ()
-        if sensor is not None and sensor.gate is not None:
+        judged = sensor is not None and (sensor.gate is not None or len(self.gates) > 0)
+        # Who knows nothing has no ground to refuse what it reads.
+        if sensor is not None and judged and not content.needs:
             belief, troubles = self.filter.predicted(window.belief, measured)
             delivered, gated = without_outliers(
-                belief, delivered, sensor, measured.step, self.filter.points
+                belief, delivered, sensor, measured.step, self.filter.points, self.gates
             )
             troubles += gated
         codec = self.filter.codecs[self.node]
@@ -134,18 +159,16 @@ class LabelledFlooding:
         content = content._replace(window=opened(window, measured))
         if record is None:
             return content, troubles
-        return _with_records(content, {measured.step: {self.node: record}}), troubles
+        return self._with_records(content, {measured.step: {self.node: record}}), troubles
 
     def _shortened(self, content: Content) -> Content:
         """The base moves on; a neighbour that never got the step's records is owed a checkpoint."""
-        window = content.window
-        step = window.base_step + 1
-        oldest = {step: content.held.get(step, 0)}
-        missing = bool(lacked(oldest, content.known))
+        missing = sources_at(lacked(content.held, content.known), 0, self._nodes) > 0
         return content._replace(
-            window=shortened(window),
-            held=after(content.held, step),
-            known=tuple(after(records, step) for records in content.known),
+            window=shortened(content.window),
+            held=content.held >> self._nodes,
+            known=tuple(records >> self._nodes for records in content.known),
+            confirmed=tuple(records >> self._nodes for records in content.confirmed),
             owed=content.owed or missing,
         )
 
@@ -154,9 +177,8 @@ class LabelledFlooding:
 
         An integer. A digest is worth a frame without records: its receivers learn what to resend.
         """
-        step = content.window.step
-        urgencies = {t: self._urgencies[step - t] for t in content.held}
-        urgency = need(content.held, content.known, urgencies)
+        urgencies = self._urgencies[-len(content.window.heartbeats) :]
+        urgency = need(content.held, content.known, urgencies, self._nodes)
         urgency += _URGENCY * (content.owed + content.needs)
         if urgency == 0 and self.frames.digest_steps == 0:
             return None
@@ -168,28 +190,39 @@ class LabelledFlooding:
         checkpoint = window.base if content.owed and not content.needs else None
         records = self._chosen(content, self.frames.room(checkpoint is not None))
         share = LabelledShare(content.needs, checkpoint, self._digest(content), records)
-        sent: dict[int, int] = {}
-        for source, age, _ in records:
-            sent[window.step - age] = sent.get(window.step - age, 0) | 1 << source
+        newest = len(window.heartbeats) - 1
+        sent = sum(record_bit(newest - age, source, self._nodes) for source, age, _ in records)
         owed = content.owed and checkpoint is None
         content = content._replace(sent=sent, owed=owed, sent_cycle=content.cycle)
         return content, self.frames.encode(share)
 
     def _chosen(self, content: Content, room: int) -> tuple[Labelled, ...]:
         window = content.window
+        newest = len(window.heartbeats) - 1
         chosen: list[Labelled] = []
-        for step, sources in sorted(lacked(content.held, content.known).items(), reverse=True):
-            for source in sources_of(sources):
-                record = window.records[step - window.base_step - 1][source]
-                room -= self.frames.cost(record)
-                if room < 0:
-                    return tuple(chosen)
-                chosen.append(Labelled(source, window.step - step, record))
+        for place, source in self._wanted(content):
+            record = window.records[place][source]
+            room -= self.frames.cost(record)
+            if room < 0:
+                break
+            chosen.append(Labelled(source, newest - place, record))
         return tuple(chosen)
 
+    def _wanted(self, content: Content) -> Iterator[tuple[int, int]]:
+        """What neighbours are believed to lack; then what they have not confirmed."""
+        missing = lacked(content.held, content.known)
+        yield from newest_first(missing, self._nodes)
+        if self.frames.digest_steps:
+            old = max(len(content.window.heartbeats) - self.frames.digest_steps, 0) * self._nodes
+            unsure = lacked(content.held, content.confirmed) & ~missing
+            yield from newest_first(unsure >> old << old, self._nodes)
+
     def _digest(self, content: Content) -> tuple[int, ...]:
-        step = content.window.step
-        return tuple(content.held.get(step - age, 0) for age in range(self.frames.digest_steps))
+        newest = len(content.window.heartbeats) - 1
+        return tuple(
+            sources_at(content.held, newest - age, self._nodes) if age <= newest else 0
+            for age in range(self.frames.digest_steps)
+        )
 
     def accept(self, body: bytes) -> LabelledShare:
         """The share that these bytes mean (`LabelledFrameCodec.decode`)."""
@@ -206,7 +239,7 @@ class LabelledFlooding:
         for place, share in came:
             content = self._hear(content, place, share)
         if content.sent is not None:
-            known = tuple(union(records, content.sent) for records in content.known)
+            known = tuple(records | content.sent for records in content.known)
             content = content._replace(known=known, sent=None)
         troubles: list[str] = []
         for place, share in came:
@@ -217,16 +250,18 @@ class LabelledFlooding:
     def _hear(self, content: Content, place: int, share: LabelledShare) -> Content:
         """What a neighbour says of itself."""
         window = content.window
-        theirs = dict(content.known[place])
-        for age, sources in enumerate(share.digest):
-            if window.step - age > window.base_step:
-                theirs[window.step - age] = sources
+        theirs, sure = content.known[place], content.confirmed[place]
+        for age, sources in enumerate(share.digest[: len(window.heartbeats)]):
+            step_place = len(window.heartbeats) - 1 - age
+            theirs = with_sources(theirs, step_place, sources, self._nodes)
+            sure = with_sources(sure, step_place, sources, self._nodes)
         if share.needs:
             # It has lost whatever was sent to it.
-            theirs = {}
+            theirs = sure = 0
         strange = window.step - content.heard[place] > self.gap_steps
         return content._replace(
             known=_replaced(content.known, place, theirs),
+            confirmed=_replaced(content.confirmed, place, sure),
             heard=_replaced(content.heard, place, window.step),
             share_cycles=_replaced(content.share_cycles, place, content.cycle),
             owed=content.owed or share.needs or strange,
@@ -237,7 +272,7 @@ class LabelledFlooding:
     ) -> tuple[Content, list[str]]:
         """What a neighbour passes on: records, and a base of the same step as the own."""
         window = content.window
-        told: dict[int, int] = {}
+        told = 0
         new: dict[int, dict[int, bytes]] = {}
         late = 0
         for source, age, record in share.records:
@@ -245,21 +280,32 @@ class LabelledFlooding:
             if step <= window.base_step:
                 late += 1
                 continue
-            told[step] = told.get(step, 0) | 1 << source
+            label = record_bit(step - window.base_step - 1, source, self._nodes)
+            told |= label
             # The first copy stays: a label is counted once, whatever comes under it.
-            if not content.held.get(step, 0) >> source & 1:
+            if not content.held & label:
                 new.setdefault(step, {}).setdefault(source, record)
         witnesses = {place, *self._overhearing[place]}
         known = tuple(
-            union(records, told) if other in witnesses else records
+            records | told if other in witnesses else records
             for other, records in enumerate(content.known)
         )
-        content = _with_records(content._replace(known=known), new)
+        confirmed = _replaced(content.confirmed, place, content.confirmed[place] | told)
+        content = self._with_records(content._replace(known=known, confirmed=confirmed), new)
         troubles = ["record-late"] * late
         if share.checkpoint is not None:
             content, fused = self._fuse_base(content, share.checkpoint)
             troubles += fused
         return content, troubles
+
+    def _with_records(self, content: Content, new: Mapping[int, Mapping[int, bytes]]) -> Content:
+        """With records by step and source that are not held yet."""
+        window = content.window
+        held = content.held
+        for step, by_source in new.items():
+            for source in by_source:
+                held |= record_bit(step - window.base_step - 1, source, self._nodes)
+        return content._replace(window=with_records(window, new), held=held)
 
     def _fuse_base(self, content: Content, checkpoint: Gaussian) -> tuple[Content, list[str]]:
         base = determinant_intersection(content.window.base, checkpoint)
@@ -295,6 +341,10 @@ class LabelledFlooding:
         return np.where(last < 0, -1, content.cycle - 1 - last)
 
     @property
+    def _nodes(self) -> int:
+        return len(self.neighbours)
+
+    @property
     def _near(self) -> Sequence[int]:
         return self.neighbours[self.node]
 
@@ -310,20 +360,9 @@ class LabelledFlooding:
 
     @cached_property
     def _urgencies(self) -> tuple[int, ...]:
-        """Of one lacked record per age."""
-        return tuple(
-            int(_URGENCY * _DISCOUNT**age + 0.5) for age in range(self.frames.window_steps + 1)
-        )
-
-
-def _with_records(content: Content, new: Mapping[int, Mapping[int, bytes]]) -> Content:
-    """With records that are not held yet."""
-    if not new:
-        return content
-    bits = {step: sum(1 << source for source in by_source) for step, by_source in new.items()}
-    return content._replace(
-        window=with_records(content.window, new), held=union(content.held, bits)
-    )
+        """Of one lacked record, by age: the oldest that a window can hold first."""
+        ages = reversed(range(self.frames.window_steps))
+        return tuple(int(_URGENCY * _DISCOUNT**age + 0.5) for age in ages)
 
 
 def _positive_definite(belief: Gaussian) -> bool:

@@ -68,7 +68,7 @@ def carry(
     beliefs: Gaussian, control: Array | None, step: int, model: Model, points: SigmaPointRule
 ) -> Carried:
     """Beliefs (..., n) of the step before, predicted to `step`, into which `control` drove."""
-    noise_cov = _with_state_noise(model.process_noise_cov(step - 1), model, beliefs, step - 1)
+    noise_cov = with_state_noise(model.process_noise_cov(step - 1), model, beliefs, step - 1)
     transition = partial(model.transition, control=control, step=step - 1)
     moved = predict(beliefs, transition, noise_cov, points)
     return Carried(moved, finite_lanes(moved))
@@ -98,7 +98,7 @@ def take_readings(
         if np.isnan(delivered).all():
             continue
         value, noise_cov = sensor.interpret(delivered)
-        noise_cov = _with_state_noise(noise_cov, sensor, belief, step)
+        noise_cov = with_state_noise(noise_cov, sensor, belief, step)
         result = update(
             belief,
             value,
@@ -154,7 +154,7 @@ def finite(belief: Gaussian) -> bool:
     return bool(finite_lanes(belief))
 
 
-def _with_state_noise(noise_cov: Array, owner: object, belief: Gaussian, step: int) -> Array:
+def with_state_noise(noise_cov: Array, owner: object, belief: Gaussian, step: int) -> Array:
     """Noise covariance of a model or a sensor, with what comes to it at a belief."""
     if isinstance(owner, StateNoise):
         return noise_cov + owner.state_noise_cov(belief, step)

@@ -23,7 +23,7 @@ class Calibrated(Protocol):
 
     @property
     def noise_std(self) -> Array:
-        """Standard deviation (d,) or () of each entry."""
+        """Standard deviation of each entry, () or (m,); a delivery beyond m is NaN."""
         ...
 
 
@@ -31,14 +31,16 @@ class Calibrated(Protocol):
 class RecordCodec:
     """How the readings (r, d) of a node at a step are written.
 
-    `number` is a numpy type code; with an integer one an entry is a multiple of its `resolution`
-    (d,), and the least integer stands for NaN.
+    The first `channels` of d entries are what the node measures; `padding` more, for which others
+    have sensors, are always NaN and not written. `number` is a numpy type code; with an integer one
+    an entry is a multiple of its `resolution` (channels,), and the least integer stands for NaN.
     """
 
     readings: int
     channels: int
     number: str
     resolution: Array | None
+    padding: int = 0
 
     @property
     def size_max(self) -> int:
@@ -47,7 +49,7 @@ class RecordCodec:
 
     @cached_property
     def rounding_cov(self) -> Array | None:
-        """Covariance (d, d) of what rounding does: uniform errors, step^2 / 12; None for none."""
+        """Covariance (channels, channels) of what rounding does, uniform errors: step^2 / 12."""
         return None if self.resolution is None else np.diag(self.resolution**2 / 12)
 
     def encode(self, delivered: Array) -> bytes | None:
@@ -55,7 +57,7 @@ class RecordCodec:
 
         An entry beyond the range of an integer is left out, as if it had not been taken.
         """
-        entries = delivered
+        entries = delivered = delivered[:, : self.channels]
         if self.resolution is not None:
             most = np.iinfo(self.number).max
             codes = np.round(delivered / self.resolution)
@@ -72,7 +74,7 @@ class RecordCodec:
         """How many entries of readings (r, d) no integer can say."""
         if self.resolution is None:
             return 0
-        codes = np.abs(np.round(delivered / self.resolution))
+        codes = np.abs(np.round(delivered[:, : self.channels] / self.resolution))
         return int((codes > np.iinfo(self.number).max).sum())
 
     def decode(self, record: bytes) -> Array:
@@ -81,11 +83,14 @@ class RecordCodec:
         values = data.astype(np.float64)
         if self.resolution is not None:
             values[data == np.iinfo(self.number).min] = np.nan
-            values = values.reshape(-1, self.channels) * self.resolution
-        if self.readings == 1:
-            return values.reshape(1, self.channels)
-        delivered = np.full((self.readings, self.channels), np.nan)
-        delivered[self._taken(record)] = values.reshape(-1, self.channels)
+        values = values.reshape(-1, self.channels)
+        if self.resolution is not None:
+            values = values * self.resolution
+        if self.readings == 1 and not self.padding:
+            return values
+        delivered = np.full((self.readings, self.channels + self.padding), np.nan)
+        taken = slice(None) if self.readings == 1 else self._taken(record)
+        delivered[taken, : self.channels] = values
         return delivered
 
     def length(self, data: bytes) -> int:
@@ -118,12 +123,16 @@ def record_codec(sensor: Sensor | None, shape: tuple[int, int], number: str) -> 
     """
     if sensor is None:
         return None
-    readings, channels = shape
-    if np.dtype(number).kind != "i":
-        return RecordCodec(readings, channels, number, None)
+    readings, delivered = shape
+    whole = "<f4" if np.dtype(number).kind == "i" else number
     if not isinstance(sensor, Calibrated):
-        return RecordCodec(readings, channels, "<f4", None)
-    deviation = np.broadcast_to(np.asarray(sensor.noise_std, dtype=float), (channels,))
+        return RecordCodec(readings, delivered, whole, None)
+    deviation = np.asarray(sensor.noise_std, dtype=float)
+    deviation = np.broadcast_to(deviation, deviation.shape or (delivered,))
+    channels = len(deviation)
+    padding = delivered - channels
+    if np.dtype(number).kind != "i":
+        return RecordCodec(readings, channels, number, None, padding)
     # An entry that there is nothing to measure with is NaN in every reading, whatever its step.
     deviation = np.where(np.isnan(deviation), 1.0, deviation)
-    return RecordCodec(readings, channels, number, deviation / _STEPS_PER_DEVIATION)
+    return RecordCodec(readings, channels, number, deviation / _STEPS_PER_DEVIATION, padding)

@@ -4,6 +4,7 @@ Were each receiver to judge by its own belief, some would take a record and some
 that its source refused does not exist: it is refused alike everywhere.
 """
 
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -11,15 +12,21 @@ import numpy as np
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule
 from filters.ukf import update
-from nodes.local_filter import Sensor, finite
+from nodes.local_filter import Sensor, finite, with_state_noise
 from nodes.messages import Array
 
 
 def without_outliers(
-    belief: Gaussian, delivered: Array, sensor: Sensor, step: int, points: SigmaPointRule
+    belief: Gaussian,
+    delivered: Array,
+    sensor: Sensor,
+    step: int,
+    points: SigmaPointRule,
+    gates: Sequence[float] = (),
 ) -> tuple[Array, tuple[str, ...]]:
-    """Readings (r, d) with NaN for those beyond the sensor's gate, and a name for each of these.
+    """Readings (r, d) with NaN for those beyond the gate, and a name for each of these.
 
+    The gate is the sensor's own, else that of `gates` for as many entries as were taken.
     `belief` is that before the readings; each is judged given the ones before it that passed.
     """
     kept = delivered.copy()
@@ -28,6 +35,10 @@ def without_outliers(
         if np.isnan(reading).all():
             continue
         value, noise_cov = sensor.interpret(reading)
+        noise_cov = with_state_noise(noise_cov, sensor, belief, step)
+        gate = sensor.gate
+        if gate is None and len(gates) > 0:
+            gate = gates[np.count_nonzero(~np.isnan(value)) - 1]
         result = update(
             belief,
             value,
@@ -36,7 +47,7 @@ def without_outliers(
             points,
             residual=sensor.residual,
         )
-        if sensor.gate is not None and result.normalised_innovation_squared > sensor.gate:
+        if gate is not None and result.normalised_innovation_squared > gate:
             kept[place] = np.nan
             gated.append("gated")
         elif finite(result.belief):

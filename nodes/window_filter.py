@@ -5,9 +5,9 @@ posteriors that are still right. What changes a step drops the posteriors from t
 makes them anew.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +18,9 @@ from filters.ukf import update
 from nodes.local_filter import Model, Sensor, StateNoise, carry, control_of, finite
 from nodes.messages import Array, Measured
 from nodes.record_codec import RecordCodec
+
+# More than a window of most networks holds.
+_KEPT_RECORDS = 4096
 
 
 class Window(NamedTuple):
@@ -126,14 +129,14 @@ class WindowFilter:
     ) -> tuple[Gaussian, tuple[str, ...]]:
         """After all records of a step at once."""
         step = window.base_step + 1 + place
-        taken = [one for source, record in records.items() for one in self._taken(source, record)]
+        taken = [
+            one for source, record in records.items() for one in self._readings(source, record)
+        ]
         if not taken:
             return belief, ()
         sensors = [reading.sensor for reading in taken]
         values, covs = [], []
-        for sensor, state_noise, rounding_cov, delivered in taken:
-            value, noise_cov = sensor.interpret(delivered)
-            noise_cov = noise_cov if rounding_cov is None else noise_cov + rounding_cov
+        for _, state_noise, value, noise_cov in taken:
             if state_noise is not None:
                 noise_cov = noise_cov + state_noise.state_noise_cov(belief, step)
             values.append(value)
@@ -148,29 +151,34 @@ class WindowFilter:
         ).belief
         return (after, ()) if finite(after) else (belief, ("update-failed",))
 
-    def _taken(self, source: int, record: bytes) -> list["_Reading"]:
-        """Each reading in a record."""
+    @cached_property
+    def _readings(self) -> Callable[[int, bytes], list["_Reading"]]:
+        """Each reading in a record. Kept: a window is filtered over and over."""
+        return lru_cache(maxsize=_KEPT_RECORDS)(self._read)
+
+    def _read(self, source: int, record: bytes) -> list["_Reading"]:
         sensor, codec = self.sensors[source], self.codecs[source]
         assert sensor is not None and codec is not None, "the frame codec knows no such source"
-        return [
-            _Reading(sensor, self._state_noise[source], codec.rounding_cov, delivered)
-            for delivered in codec.decode(record)
-            if not np.isnan(delivered).all()
-        ]
-
-    @cached_property
-    def _state_noise(self) -> tuple[StateNoise | None, ...]:
-        """The sensors that are noisier the larger the state is."""
-        return tuple(s if isinstance(s, StateNoise) else None for s in self.sensors)
+        state_noise = sensor if isinstance(sensor, StateNoise) else None
+        readings: list[_Reading] = []
+        for delivered in codec.decode(record):
+            if np.isnan(delivered).all():
+                continue
+            value, noise_cov = sensor.interpret(delivered)
+            if codec.rounding_cov is not None:
+                noise_cov = noise_cov + codec.rounding_cov
+            readings.append(_Reading(sensor, state_noise, value, noise_cov))
+        return readings
 
 
 class _Reading(NamedTuple):
-    """One delivered reading (d,), and what is needed to use it."""
+    """What one delivered reading says: value (m,), noise covariance (m, m) with the rounding in it;
+    `state_noise` is the sensor if it is noisier the larger the state is."""
 
     sensor: Sensor
     state_noise: StateNoise | None
-    rounding_cov: Array | None
-    delivered: Array
+    value: Array
+    noise_cov: Array
 
 
 def _measure(sensors: Sequence[Sensor], step: int, states: Array) -> Array:

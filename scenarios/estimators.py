@@ -20,7 +20,7 @@ from nodes.messages import Array
 from nodes.novelty_rounds import NoveltyRounds
 from nodes.vector_codec import VectorCodec
 from nodes.window_filter import WindowFilter
-from scenarios.labelled import Everybody, frame_codec
+from scenarios.labelled import Everybody, frame_codec, gates_of
 
 
 class Seat(NamedTuple):
@@ -114,6 +114,7 @@ def flooding(seat: Seat) -> Estimator:
         frames=frames,
         schedule=everybody.schedule,
         rounds=everybody.scenario.rounds,
+        gates=gates_of(everybody.scenario, everybody.readings_shape[1]),
     )
 
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import chdtri
 
 from bus.fragments import PREFIX_BYTES as FRAGMENT_BYTES
 from bus.schedule import Schedule, publishers_per_cycle
@@ -24,6 +25,8 @@ RECORD_NUMBERS = {"int16": "<i2", "float32": "<f4", "float64": "<f8"}
 _CHECKPOINT_NUMBER = "<f4"
 # A window costs neither bytes nor time of the bus, so it is longer than most networks need.
 _LEAST_WINDOW_STEPS = 32
+_LOSSY_DIGEST_STEPS = 8
+_NEGLIGIBLE_LOSS = 0.01
 
 
 class Everybody(NamedTuple):
@@ -52,7 +55,7 @@ def frame_codec(
         [record_codec(sensor, everybody.readings_shape, number) for sensor in everybody.sensors],
         BeliefCodec(states, _CHECKPOINT_NUMBER),
         window_of(scenario, neighbours),
-        scenario.digest_steps,
+        digest_of(scenario),
         largest_share(scenario, states),
     )
 
@@ -65,7 +68,7 @@ def largest_share(scenario: Scenario, states: int) -> int:
     """
     limit = scenario.payload_bytes - CYCLE_BYTES - FRAGMENT_BYTES
     checkpoint = BeliefCodec(states, _CHECKPOINT_NUMBER).size
-    check_limit(limit, scenario.nodes, scenario.digest_steps, checkpoint)
+    check_limit(limit, scenario.nodes, digest_of(scenario), checkpoint)
     return limit
 
 
@@ -75,6 +78,22 @@ def window_of(scenario: Scenario, neighbours: Sequence[Sequence[int]]) -> int:
         return scenario.window_steps
     latency = latency_steps(scenario, neighbours)
     return min(max(latency, _LEAST_WINDOW_STEPS), MAX_WINDOW_STEPS)
+
+
+def digest_of(scenario: Scenario) -> int:
+    """Steps in a digest: what was asked for, else eight where links lose frames or change."""
+    if scenario.digest_steps is not None:
+        return scenario.digest_steps
+    if scenario.links == "static" and scenario.loss <= _NEGLIGIBLE_LOSS:
+        return 0
+    return min(_LOSSY_DIGEST_STEPS, scenario.window_steps or _LOSSY_DIGEST_STEPS)
+
+
+def gates_of(scenario: Scenario, channels: int) -> tuple[float, ...]:
+    """Chi-square thresholds for readings of 1, 2, ... `channels` entries; none for no gate."""
+    if scenario.gate_probability == 0:
+        return ()
+    return tuple(chdtri(np.arange(1, channels + 1), scenario.gate_probability).tolist())
 
 
 def latency_steps(scenario: Scenario, neighbours: Sequence[Sequence[int]]) -> int:
@@ -105,7 +124,7 @@ def check_labelled(
             f"--window-steps {window}: must be 1 to {MAX_WINDOW_STEPS}, as a label says the age of "
             "a record in one byte; leave it out for the latency of the schedule"
         )
-    if scenario.digest_steps > window_of(scenario, neighbours):
+    if digest_of(scenario) > window_of(scenario, neighbours):
         raise ValueError(
             f"--digest-steps {scenario.digest_steps}: nothing older than the window of "
             f"{window_of(scenario, neighbours)} steps is held; lower it, or raise --window-steps"

@@ -35,7 +35,9 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             brought; `latch_delay_us` is what its host needs for that, from the last bit of a frame.
         window_steps: rule labelled: how late a record may come; None takes the schedule's latency.
         digest_steps: rule labelled: steps of which a share says what its sender holds, so that what
-            a lossy bus lost is sent again; 0 for a bus without loss.
+            a lossy bus lost is sent again; None takes 8 where links lose frames, else 0.
+        gate_probability: rule labelled: a node does not pass on a reading of its own that is less
+            likely than this, and nobody uses it; 0 passes all on.
         record_number: rule labelled: int16, float32 or float64 for readings on the wire.
         payload_bytes: rule labelled: the longest payload of a frame.
         links: what becomes of them: static, measured, bernoulli:P, markov:F,R, switching:A,B:STEPS,
@@ -73,7 +75,8 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     relay: bool = False
     latch_delay_us: float = 5.0
     window_steps: int | None = None
-    digest_steps: int = 0
+    digest_steps: int | None = None
+    gate_probability: float = 0.0
     record_number: str = "int16"
     payload_bytes: int = 254
     links: str = "static"
@@ -104,7 +107,10 @@ def check_ranges(scenario: Scenario) -> None:
     require(0 <= scenario.decay <= 1, "decay", scenario.decay, "in [0, 1]")
     require(0 <= scenario.loss < 1, "loss", scenario.loss, "at least 0 and below 1")
     require(scenario.latch_delay_us >= 0, "latch-delay-us", scenario.latch_delay_us, "0 or more")
-    require(scenario.digest_steps >= 0, "digest-steps", scenario.digest_steps, "0 or more")
+    digest = scenario.digest_steps
+    require(digest is None or digest >= 0, "digest-steps", digest, "0 or more")
+    gate = scenario.gate_probability
+    require(0 <= gate < 1, "gate-probability", gate, "at least 0 and below 1")
     payload = scenario.payload_bytes
     require(payload % 2 == 0 and 16 <= payload <= 254, "payload-bytes", payload, "even, 16 to 254")
     if scenario.number not in ("float64", "float32"):

@@ -8,7 +8,7 @@ import numpy as np
 from nodes.labelled_frame import MAX_WINDOW_STEPS
 from nodes.messages import Array, from_wire
 from scenarios.catalogue import kind_of
-from scenarios.labelled import latency_steps, window_of
+from scenarios.labelled import digest_of, latency_steps, window_of
 from scenarios.rules import rule_of
 from scenarios.scenario import lossy_links
 from scenarios.setup import Setup, generator
@@ -148,10 +148,10 @@ def _never_resent(setup: Setup) -> Iterator[str]:
     """labelled: without digests nobody learns what a link has lost."""
     scenario = setup.scenario
     lossy = lossy_links(scenario)
-    if scenario.rule == "labelled" and lossy and scenario.digest_steps == 0:
+    if scenario.rule == "labelled" and lossy and digest_of(scenario) == 0:
         yield (
             f"rule labelled with {lossy} and no digests: a record that a link "
-            "loses is never sent again; use --digest-steps 8"
+            "loses is never sent again; leave --digest-steps out, or use 8"
         )
 
 

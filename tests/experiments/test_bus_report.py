@@ -79,6 +79,9 @@ def test_a_small_bus_by_hand():
     assert (figures.frames_per_cycle_mean, figures.frames_per_cycle_max) == (2.0, 2)
     assert figures.load_mean == pytest.approx(2 * FRAME_US / 400)
     assert figures.load_max == pytest.approx(2 * FRAME_US / 400)
+    # Eight frames of 20 bytes and 8 around them in two steps.
+    assert figures.wire_bytes_per_step == 4 * 28
+    assert figures.wire_us_per_step == pytest.approx(4 * FRAME_US)
     # The dynamic segment begins after two slots of 60 us; node 2 sends in its first minislot, and
     # node 3 one minislot of 10 us later; the action point is 5 us into the minislot.
     last_us = (400 + 125 + FRAME_US, 400 + 135 + FRAME_US)

@@ -9,7 +9,8 @@ from scipy import stats
 from experiments.labelled_cases import Case, CaseOutcome, halves, run_case
 from experiments.labelled_study import FORMS, OCCUPANCIES, Form, Job, Outcome, cell, outcome
 from experiments.options import ScenarioOptions
-from experiments.reproduce_labelled import CASES, cases_section, draw, error_section
+from experiments.reproduce_labelled import draw, error_section
+from experiments.reproduce_labelled_cases import CASES, cases_section
 from scenarios.setup import prepare
 
 
@@ -62,7 +63,7 @@ def test_the_halves_of_the_cut_hang_together():
 
 def test_a_case_loses_what_it_says():
     options = {"occupancy": 1.0, "steps": 12}
-    clean, lossy = (run_case(Case(options, loss=loss), 0) for loss in (0.0, 0.8))
+    clean, lossy = (run_case(Case({**options, "loss": loss}), 0) for loss in (0.0, 0.8))
     assert lossy.squared[6:].mean() > 1.5 * clean.squared[6:].mean()
     np.testing.assert_array_equal(clean.squared_centralised, lossy.squared_centralised)
 
@@ -77,6 +78,8 @@ def test_the_report_has_a_picture_and_a_row_for_every_cell(tmp_path: Path):
     assert not all(check.ok for check in section.checks)
     squared = generator.chisquare(2, (120, 20))
     squared[70, 13] = np.nan
-    one = CaseOutcome(squared, squared / 2, squared.mean(1))
-    text = cases_section(((name, [one, one]) for name in CASES), 2).text
+    one = CaseOutcome(squared, squared / 2, squared.mean(1), 400.0, 80, 75, 1500, 2)
+    section = cases_section({name: [one, one] for name in CASES})
+    assert not all(check.ok for check in section.checks)
+    text = section.text
     assert all(name in text for name in CASES) and "| - |" in text

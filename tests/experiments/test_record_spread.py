@@ -48,6 +48,8 @@ def test_figures_of_a_spread_that_is_known():
     # At node 1 the newest is that of step 0 until step 2, then that of step 1.
     assert figures.age_steps_mean == (0 + 1 + 1 + 2) / 4
     assert figures.age_steps_mean_at_source == (0 + 0 + 0 + 1) / 4
+    assert figures.age_steps_by_source[0] == figures.age_steps_mean
+    assert np.isnan(figures.age_steps_by_source[1])
     assert (figures.checkpoint_share, figures.records_per_share) == (0.25, 0.5)
     assert figures.body_bytes_per_step == 25.0
 

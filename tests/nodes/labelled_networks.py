@@ -3,18 +3,21 @@
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import islice
 from typing import Any
 
 import numpy as np
 
 from bus.publication import Slot
 from bus.schedule import Schedule
+from experiments import record_search
+from experiments.record_search import Held
 from filters.gaussian import Gaussian
 from nodes.belief_codec import BeliefCodec
 from nodes.in_process import Link
 from nodes.labelled import Content, LabelledFlooding
 from nodes.labelled_frame import LabelledFrameCodec
-from nodes.messages import Array, Bid, Grant, Measured, decode, from_wire
+from nodes.messages import Array, Bid, Measured, decode, from_wire
 from nodes.record_codec import RecordCodec
 from nodes.share import read_body, read_frame
 from nodes.window_filter import WindowFilter
@@ -96,8 +99,6 @@ def _by_group(
 
 # --- what should be held, found without the rule -------------------------------------------------
 
-Held = list[set[tuple[int, int]]]  # per node the (step, source) of its window
-
 
 def taken(outcome: Outcome) -> dict[tuple[int, int], Array]:
     """Every reading (d,) by (step, source), from what the world said."""
@@ -118,31 +119,18 @@ def reachable(
 
     `arrives(sender, receiver, cycle)` says whether a share came through.
     """
-    schedule, rounds, steps = net.nodes[0].schedule, net.nodes[0].rounds, net.nodes[0].steps
-    window = net.nodes[0].estimator.frames.window_steps  # type: ignore[attr-defined]
-    grants: dict[tuple[int, int], list[int]] = {}
-    for topic, data in outcome.messages:
-        if topic == "grant":
-            grant: Grant = decode(topic, data)
-            grants[grant.cycle, grant.group] = grant.winners
-    readings = taken(outcome)
-    held: Held = [set() for _ in net.nodes]
-    history = []
-    for cycle in range(steps * rounds):
-        step = cycle // rounds
-        if cycle % rounds == 0:
-            for i in range(len(held)):
-                held[i] = {label for label in held[i] if label[0] > step - window}
-                held[i] |= {(step, i)} & readings.keys()
-        for number, group in enumerate(schedule.groups(cycle)):
-            before = [set(some) for some in held]
-            for sender in (*group.senders, *grants.get((cycle, number), ())):
-                for config in net.nodes:
-                    if sender in config.neighbours and arrives(sender, config.index, cycle):
-                        held[config.index] |= before[sender]
-        if (cycle + 1) % rounds == 0:
-            history.append([set(some) for some in held])
-    return history
+    first = net.nodes[0]
+    window_steps = first.estimator.frames.window_steps  # type: ignore[attr-defined]
+    found = record_search.reachable(
+        first.schedule,
+        [node.neighbours for node in net.nodes],
+        first.rounds,
+        window_steps,
+        taken(outcome).keys(),
+        record_search.winners_of(outcome.messages),
+        arrives,
+    )
+    return list(islice(found, first.steps))
 
 
 def carried(net: Network, outcome: Outcome, arrives: Callable[[int, int, int], bool]) -> list[Held]:

@@ -13,9 +13,11 @@ from filters.gaussian import Gaussian
 from nodes.estimator import Rejected
 from nodes.labelled import LabelledFlooding
 from nodes.labelled_frame import LabelledShare
+from nodes.link_state import LinkState
 from nodes.messages import Measured
 from nodes.record_codec import RecordCodec
 from nodes.share import cycle_of
+from nodes.source_gate import without_outliers
 from tests.nodes.labelled_networks import (
     PRIOR,
     carried,
@@ -26,7 +28,17 @@ from tests.nodes.labelled_networks import (
     reachable,
     taken,
 )
-from tests.nodes.networks import Network, graphs, last_come, path, ring, run, shuffled
+from tests.nodes.networks import (
+    Network,
+    WholeState,
+    graphs,
+    last_come,
+    path,
+    ring,
+    run,
+    shuffled,
+    with_links,
+)
 
 SEEDS = st.integers(0, 2**32 - 1)
 ALWAYS = lambda sender, receiver, cycle: True  # noqa: E731
@@ -137,15 +149,27 @@ def test_without_loss_a_node_holds_exactly_what_could_reach_it(net: Network):
 
 @given(networks(digest=True), SEEDS, st.floats(0, 0.7))
 @settings(max_examples=50)
-def test_with_loss_a_node_holds_what_came_and_nothing_that_could_not(
-    net: Network, seed: int, loss: float
-):
+def test_with_loss_a_node_holds_exactly_what_could_reach_it(net: Network, seed: int, loss: float):
+    """With digests of the whole window; the frames that came say the same."""
     link, arrives = fate(seed, loss)
     outcome = run(net, link)
     held = held_by(outcome.states)
     assert held == carried(net, outcome, arrives)[-1]
-    for mine, possible in zip(held, reachable(net, outcome, arrives)[-1], strict=True):
-        assert mine <= possible
+    assert held == reachable(net, outcome, arrives)[-1]
+
+
+@given(networks(digest=True), SEEDS)
+@settings(max_examples=25)
+def test_on_a_graph_that_changes_a_node_holds_exactly_what_could_reach_it(net: Network, seed: int):
+    """Every link is there in some steps and not in others, in one direction or both."""
+
+    def up(step, sender, receiver):
+        return (seed >> (step + 3 * sender + 5 * receiver) % 32) & 1 == 1
+
+    rounds = net.nodes[0].rounds
+    outcome = run(with_links(net, LinkState(link_up=up)))
+    expected = reachable(net, outcome, lambda s, r, cycle: up(cycle // rounds, s, r))
+    assert held_by(outcome.states) == expected[-1]
 
 
 def test_a_digest_brings_back_what_was_lost():
@@ -353,6 +377,35 @@ def test_an_outlier_is_refused_alike_everywhere():
     ungated = labelled(path(3), steps=20, rounds=2, seeing=[0, 1, 2], schedule=full_publish(3))
     spoiled = run(ungated._replace(world=net.world))
     assert np.abs(spoiled.mean[wrong] - outcome.mean[wrong]).max() > 1.0
+
+
+def test_a_gate_counts_the_noise_that_grows_with_the_state():
+    """A reading that a sensor of constant noise would refuse."""
+
+    class Louder(WholeState):
+        def state_noise_cov(self, belief: Gaussian, step: int) -> np.ndarray:
+            return 100.0 * np.eye(2)
+
+    points = lone([1]).filter.points
+    far = np.array([[PRIOR.mean[0] + 20.0, PRIOR.mean[1]]])
+    cases = [(WholeState(np.eye(2), 9.0), 1), (Louder(np.eye(2), 9.0), 0)]
+    for sensor, expected in cases:
+        _, gated = without_outliers(PRIOR, far, sensor, 0, points)
+        assert len(gated) == expected
+    # A sensor without a gate is judged by the thresholds for as many entries as were taken.
+    for gates, expected in (((1e3, 9.0), 1), ((9.0, 1e3), 0), ((), 0)):
+        _, gated = without_outliers(PRIOR, far, WholeState(np.eye(2)), 0, points, gates)
+        assert len(gated) == expected
+
+
+def test_a_node_that_knows_nothing_refuses_nothing():
+    estimator = replace(lone([1]), gates=(1e-6, 1e-6))
+    content, troubles = estimator.begin_step(estimator.start(), Measured(1, 0, [[9.0, 9.0]]))
+    assert troubles == ("gated",)
+    content, _ = estimator.fuse(content, (None, None))
+    lost = estimator.restart(PRIOR, content.window.heartbeats)
+    _, troubles = estimator.begin_step(lost, Measured(1, 1, [[9.0, 9.0]]))
+    assert troubles == ()
 
 
 def test_start_is_the_common_prior():

@@ -11,7 +11,14 @@ from nodes.belief_codec import BeliefCodec
 from nodes.estimator import Rejected
 from nodes.labelled_frame import Labelled, LabelledFrameCodec, LabelledShare
 from nodes.record_codec import RecordCodec, record_codec
-from nodes.record_sets import lacked, need, sources_of, union
+from nodes.record_sets import (
+    lacked,
+    need,
+    newest_first,
+    record_bit,
+    sources_at,
+    with_sources,
+)
 from plants.range_bearing import RangeBearing
 from plants.sighting import Sighting
 from tests.nodes.networks import random_cov
@@ -72,6 +79,23 @@ def test_an_entry_beyond_the_integer_is_not_taken():
         0.1, abs=SENSOR.noise_std[1] / 32
     )
     assert codec.encode(np.array([[most * 1.01, np.nan]])) is None
+
+
+def test_entries_that_no_sensor_of_a_node_has_are_not_written():
+    """A delivery has room for the node with most; this one measures two of three."""
+    padded = record_codec(SENSOR, (1, 3), "<i2")
+    assert padded is not None and padded.size_max == 4
+    delivered = np.array([[100.0, 0.1, np.nan]])
+    record = padded.encode(delivered)
+    assert record is not None and padded.beyond(delivered) == 0
+    found = padded.decode(record)
+    np.testing.assert_allclose(found[0, :2], delivered[0, :2], atol=10 / 32)
+    assert found.shape == (1, 3) and np.isnan(found[0, 2])
+    assert padded.rounding_cov is not None and padded.rounding_cov.shape == (2, 2)
+    several = record_codec(SENSOR, (2, 3), "<f8")
+    assert several is not None
+    delivered = np.array([[np.nan, np.nan, np.nan], [1.0, 2.0, np.nan]])
+    np.testing.assert_array_equal(several.decode(several.encode(delivered) or b""), delivered)
 
 
 def test_readings_that_mean_something_together_are_not_quantised():
@@ -162,19 +186,29 @@ def test_a_frame_that_cannot_hold_a_checkpoint_is_refused_before_the_start():
 # --- sets ----------------------------------------------------------------------------------------
 
 
-@given(
-    st.dictionaries(st.integers(0, 4), st.integers(1, 31)),
-    st.lists(st.dictionaries(st.integers(0, 4), st.integers(0, 31)), max_size=3),
-)
-def test_needs_are_those_of_plain_sets(held: dict[int, int], known: list[dict[int, int]]):
-    def plain(records: dict[int, int]) -> set[tuple[int, int]]:
-        return {(t, j) for t, bits in records.items() for j in range(5) if bits >> j & 1}
+SETS = st.integers(0, 2**25 - 1)  # five places of five sources
+
+
+@given(SETS, st.lists(SETS, max_size=3))
+def test_needs_are_those_of_plain_sets(held: int, known: list[int]):
+    def plain(records: int) -> set[tuple[int, int]]:
+        return {divmod(bit, 5) for bit in range(25) if records >> bit & 1}
 
     absent = [plain(held) - plain(theirs) for theirs in known]
     assert plain(lacked(held, known)) == set().union(*absent)
-    urgencies = {t: 10 + t for t in held}
-    assert need(held, known, urgencies) == sum(10 + t for some in absent for t, _ in some)
-    for theirs in known:
-        assert plain(dict(union(held, theirs))) == plain(held) | plain(theirs)
-    for bits in held.values():
-        assert list(sources_of(bits)) == [j for j in range(5) if bits >> j & 1]
+    urgencies = [10 + place for place in range(5)]
+    expected = sum(10 + place for some in absent for place, _ in some)
+    assert need(held, known, urgencies, 5) == expected
+    ordered = sorted(plain(held), key=lambda label: (-label[0], label[1]))
+    assert list(newest_first(held, 5)) == ordered
+    assert sum(record_bit(place, source, 5) for place, source in ordered) == held
+
+
+@given(SETS, st.integers(0, 4), st.integers(0, 31))
+def test_the_sources_of_a_place_are_replaced_alone(records: int, place: int, sources: int):
+    changed = with_sources(records, place, sources, 5)
+    for other in range(5):
+        expected = sources if other == place else sources_at(records, other, 5)
+        assert sources_at(changed, other, 5) == expected
+    # A window that moves on forgets its first place.
+    assert sources_at(changed >> 5, 0, 5) == sources_at(changed, 1, 5)

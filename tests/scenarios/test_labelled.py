@@ -1,24 +1,30 @@
 """The rule `labelled` from the command line's options to a run, and what it refuses."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
+from scipy import stats
 
 from experiments.agree_command import first_difference
 from experiments.drivers import DRIVERS, in_memory
+from experiments.labelled_cases import Case, run_case
+from experiments.labelled_exact import FULL_INFORMATION, audit, full_information
 from experiments.options import ScenarioOptions
+from experiments.reproduce_labelled_exact import NETWORKS, exact_section
 from experiments.trace import Trace, read_trace
 from nodes.labelled import LabelledFlooding
+from nodes.record_sets import lacked, newest_first
 from nodes.recording import read_recording
 from scenarios.baselines import centralised
 from scenarios.build import build_node
 from scenarios.bus_plan import build_schedule
 from scenarios.catalogue import kind_of
-from scenarios.labelled import check_labelled, latency_steps, window_of
+from scenarios.labelled import check_labelled, digest_of, gates_of, latency_steps, window_of
 from scenarios.scenario import Scenario
 from scenarios.setup import Setup, prepare
 from scenarios.warnings import known_failures
@@ -35,27 +41,37 @@ def trace_of(setup: Setup) -> Trace:
 
 # --- exactness -----------------------------------------------------------------------------------
 
-ALL_TOLD = [
-    {"scenario": "target-tracking", "nodes": 8, "graph": "complete", "rounds": 1},
-    {"scenario": "target-tracking", "nodes": 8, "graph": "path", "rounds": 7},
-    {"scenario": "target-tracking", "nodes": 8, "graph": "ring", "rounds": 4, "relay": True},
-    {"scenario": "oscillator", "nodes": 5, "graph": "star", "rounds": 2},
-    {"scenario": "dc-motor-position", "graph": "complete", "rounds": 1, "stretch": 2.0},
-]
 
-
-@pytest.mark.parametrize("options", ALL_TOLD, ids=lambda o: f"{o['scenario']} {o['graph']}")
+@pytest.mark.parametrize("options", FULL_INFORMATION, ids=lambda o: f"{o['scenario']} {o['graph']}")
 def test_with_all_records_in_time_every_node_is_the_centralised_filter(options: dict):
-    setup = setup_of(**options, steps=40, record_number="float64")
-    trace = trace_of(setup)
-    best = centralised(setup, trace.readings, trace.control)
-    scale = np.abs(best.mean).max(axis=0)
-    for node in range(setup.scenario.nodes):
-        assert (np.abs(trace.mean[:, node] - best.mean) <= 1e-9 * scale).all()
-        # Relative to the standard deviations that a covariance is made of.
-        deviation = np.sqrt(np.einsum("kii->ki", best.cov))
-        error = np.abs(trace.cov[:, node] - best.cov)
-        assert (error <= 1e-9 * deviation[:, :, None] * deviation[:, None, :]).all()
+    assert full_information(options) <= 1e-9
+    # Readings that are rounded are seen.
+    rounded = {**options, "record_number": "float32", "steps": 10}
+    assert full_information(rounded) > 1e-9
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_records_in_use_are_those_that_a_search_of_the_schedule_finds(number: int):
+    found = audit(number)
+    assert found.pairs > 0 and (found.missing, found.impossible) == (0, 0)
+    assert found.deviation <= 1e-9
+
+
+@pytest.mark.slow
+def test_records_in_use_are_those_that_a_search_finds_in_fifty_networks():
+    section = exact_section(NETWORKS)
+    assert all(check.ok for check in section.checks)
+    assert "loss 0.6" in section.text and "changing graph" in section.text
+
+
+def test_a_rule_that_forgets_to_repeat_what_was_lost_is_found(monkeypatch: pytest.MonkeyPatch):
+    """Sharing only what neighbours are believed to lack: what is lost comes late, or never."""
+
+    def believed(self, content):
+        return newest_first(lacked(content.held, content.known), len(self.neighbours))
+
+    monkeypatch.setattr(LabelledFlooding, "_wanted", believed)
+    assert sum(audit(number).missing for number in range(12)) > 0
 
 
 def test_quantised_records_are_the_centralised_filter_that_knows_of_the_rounding(
@@ -88,6 +104,9 @@ def test_quantised_records_are_the_centralised_filter_that_knows_of_the_rounding
 
 PLANTS = {
     "target-tracking": {"occupancy": 0.25},
+    "meng2025-network": {"occupancy": 0.5},
+    "liu2021-network": {"occupancy": 0.5, "record_number": "float32"},
+    "vehicle-network": {"adaptive": False},
     "target-crossing": {"occupancy": 0.25, "schedule": "dynamic", "relay": True},
     "oscillator": {"occupancy": 0.5, "schedule": "hybrid-leaves"},
     "cruise-control": {"stretch": 2.0},
@@ -118,6 +137,34 @@ def test_processes_give_the_bits_of_one_process(relay: bool, tmp_path: Path):
     assert first_difference(traces[0], traces[1], "processes") is None
 
 
+# --- gates ---------------------------------------------------------------------------------------
+
+
+def test_a_gate_lets_pass_what_is_as_likely_as_it_should_be():
+    """Thresholds are for as many entries as were taken."""
+    scenario = setup_of(gate_probability=0.01).scenario
+    assert gates_of(scenario, 3) == pytest.approx(stats.chi2.ppf(0.99, [1, 2, 3]))
+    assert gates_of(setup_of().scenario, 3) == ()
+    setup = setup_of(gate_probability=0.01, steps=300)
+    trace = trace_of(setup)
+    taken = int((~np.isnan(trace.readings)).any(axis=(2, 3)).sum())
+    gated = sum(counted.get("gated", 0) for counted in trace.counters)
+    # Nothing is wrong here: one in a hundred is refused, within five deviations of a count.
+    assert abs(gated - 0.01 * taken) < 5 * np.sqrt(0.01 * taken)
+
+
+def test_a_wrong_reading_is_used_by_nobody():
+    """Behind the gate errors are as without outliers; without it they are many times that."""
+    part = {"occupancy": 0.5, "schedule": "hybrid", "steps": 40}
+    clean = run_case(Case(part), 0)
+    gated = run_case(Case({**part, "gate_probability": 1e-4}, outliers=0.1), 0)
+    open_to_all = run_case(Case(part, outliers=0.1), 0)
+    assert gated.wrong_refused >= 0.9 * gated.wrong > 0 and gated.right_refused <= 2
+    assert open_to_all.wrong_refused == 0
+    errors = [np.sqrt(one.squared[20:].mean()) for one in (clean, gated, open_to_all)]
+    assert errors[1] < 1.2 * errors[0] and errors[2] > 1.5 * errors[0]
+
+
 # --- options -------------------------------------------------------------------------------------
 
 REFUSED = [
@@ -128,6 +175,7 @@ REFUSED = [
     ({"window_steps": 256}, "must be 1 to 255"),
     ({"window_steps": 4, "digest_steps": 5}, "--digest-steps 5"),
     ({"digest_steps": -1}, "0 or more"),
+    ({"gate_probability": 1.0}, "at least 0 and below 1"),
     ({"trigger": 0.5, "schedule": "dynamic"}, "leave --trigger out"),
     ({"record_number": "int61"}, "'int16'"),
     ({"payload_bytes": 15}, "even, 16 to 254"),
@@ -162,6 +210,14 @@ def test_the_window_is_the_latency_and_32_steps_at_least():
     assert latency_steps(scenario, path) == window_of(scenario, path) == -(-19 * 20 // 6)
     assert window_of(msgspec.structs.replace(scenario, occupancy=1.0), path) == 32
     assert window_of(msgspec.structs.replace(scenario, window_steps=5), path) == 5
+
+
+def test_digests_are_said_where_links_lose_frames():
+    scenario = Scenario(name="oscillator", nodes=5, graph="ring", steps=1, rule="labelled")
+    replaced = partial(msgspec.structs.replace, scenario)
+    assert [digest_of(replaced(loss=loss)) for loss in (0.0, 0.01, 0.02)] == [0, 0, 8]
+    assert digest_of(replaced(loss=0.3, window_steps=5)) == 5
+    assert digest_of(replaced(loss=0.3, digest_steps=0)) == 0
 
 
 def test_leaves_own_the_static_slots():
