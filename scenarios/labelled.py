@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtri
 
 from bus.fragments import PREFIX_BYTES as FRAGMENT_BYTES
 from bus.schedule import Schedule, publishers_per_cycle
@@ -93,6 +92,9 @@ def gates_of(scenario: Scenario, channels: int) -> tuple[float, ...]:
     """Chi-square thresholds for readings of 1, 2, ... `channels` entries; none for no gate."""
     if scenario.gate_probability == 0:
         return ()
+    # Only here: a node without a gate need not wait for it.
+    from scipy.special import chdtri
+
     return tuple(chdtri(np.arange(1, channels + 1), scenario.gate_probability).tolist())
 
 

@@ -73,9 +73,22 @@ def test_every_documented_variable_is_there(dataset):
     rows = [line.split("|")[1] for line in section.splitlines() if line.startswith("| `")]
     named = {name.strip(" `") for row in rows for name in row.split(",")}
     assert {"truth", "mean", "cov", "ages"} <= named
-    assert named - set(dataset.variables) <= {"control"}, "this plant is not controlled"
+    elsewhere = {"control", "record_age"}  # a plant that is not controlled, a rule without records
+    assert named - set(dataset.variables) <= elsewhere
     unnamed = set(dataset.data_vars) - named
     assert all("bus" in name or dataset[name].attrs or name == "asked" for name in unnamed)
+
+
+def test_ages_of_records_are_written_where_there_are_records(tmp_path: Path):
+    setup = small(steps=6, nodes=4, graph="ring", rule="labelled", rounds=3)
+    trace = read_trace(setup, in_memory(setup))
+    write_arrays(tmp_path, describe("a run", "in-process", setup), trace)
+    with xarray.open_dataset(tmp_path / ARRAYS, engine="h5netcdf") as written:
+        ages = written["record_age"]
+        assert ages.dims == ("step", "node", "source") and ages.shape == (6, 4, 4)
+        # On a ring of four with three rounds everything is everywhere within its step.
+        seen = ~np.isnan(trace.readings).all(axis=(0, 2, 3))
+        assert (ages.values[:, :, seen] == 0).all() and (ages.values[:, :, ~seen] == -1).all()
 
 
 def test_the_description_comes_back_whole(tmp_path: Path):

@@ -17,7 +17,6 @@ from nodes.link_state import LinkState
 from nodes.messages import Measured
 from nodes.record_codec import RecordCodec
 from nodes.share import cycle_of
-from nodes.source_gate import without_outliers
 from tests.nodes.labelled_networks import (
     PRIOR,
     carried,
@@ -30,7 +29,6 @@ from tests.nodes.labelled_networks import (
 )
 from tests.nodes.networks import (
     Network,
-    WholeState,
     graphs,
     last_come,
     path,
@@ -304,7 +302,7 @@ def test_records_of_steps_in_the_base_are_late():
     assert after.window.belief.cov.tobytes() == content.window.belief.cov.tobytes()
 
 
-# --- restart and outliers ------------------------------------------------------------------------
+# --- restart --------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -356,56 +354,6 @@ def test_a_restarted_node_knows_nothing_until_a_checkpoint_and_then_what_the_oth
     assert np.isnan(lost.mean).any(axis=(1, 2)).sum() == 1
     others = [0, 1, 3]
     np.testing.assert_allclose(lost.cov[-1, others], untouched.cov[-1, others], rtol=1e-5)
-
-
-def test_an_outlier_is_refused_alike_everywhere():
-    """Node 1 reads nonsense now and then; everybody is the filter that never saw it."""
-    net = labelled(
-        path(3), steps=20, rounds=2, seeing=[0, 1, 2], schedule=full_publish(3),
-        gates={0: 25.0, 1: 25.0, 2: 25.0},
-    )  # fmt: skip
-    draws: Any = net.world.draws
-    wrong = [5, 11]
-    draws.measurement[wrong, 1, 0] += 100.0
-    outcome = run(net)
-    readings = taken(outcome)
-    good = [label for label in readings if label not in {(t, 1) for t in wrong}]
-    expected = kalman(net, readings, good)
-    assert outcome.counted("gated") == len(wrong)
-    for node in range(3):
-        np.testing.assert_allclose(outcome.mean[-1, node], expected.mean, rtol=0, atol=1e-9)
-    ungated = labelled(path(3), steps=20, rounds=2, seeing=[0, 1, 2], schedule=full_publish(3))
-    spoiled = run(ungated._replace(world=net.world))
-    assert np.abs(spoiled.mean[wrong] - outcome.mean[wrong]).max() > 1.0
-
-
-def test_a_gate_counts_the_noise_that_grows_with_the_state():
-    """A reading that a sensor of constant noise would refuse."""
-
-    class Louder(WholeState):
-        def state_noise_cov(self, belief: Gaussian, step: int) -> np.ndarray:
-            return 100.0 * np.eye(2)
-
-    points = lone([1]).filter.points
-    far = np.array([[PRIOR.mean[0] + 20.0, PRIOR.mean[1]]])
-    cases = [(WholeState(np.eye(2), 9.0), 1), (Louder(np.eye(2), 9.0), 0)]
-    for sensor, expected in cases:
-        _, gated = without_outliers(PRIOR, far, sensor, 0, points)
-        assert len(gated) == expected
-    # A sensor without a gate is judged by the thresholds for as many entries as were taken.
-    for gates, expected in (((1e3, 9.0), 1), ((9.0, 1e3), 0), ((), 0)):
-        _, gated = without_outliers(PRIOR, far, WholeState(np.eye(2)), 0, points, gates)
-        assert len(gated) == expected
-
-
-def test_a_node_that_knows_nothing_refuses_nothing():
-    estimator = replace(lone([1]), gates=(1e-6, 1e-6))
-    content, troubles = estimator.begin_step(estimator.start(), Measured(1, 0, [[9.0, 9.0]]))
-    assert troubles == ("gated",)
-    content, _ = estimator.fuse(content, (None, None))
-    lost = estimator.restart(PRIOR, content.window.heartbeats)
-    _, troubles = estimator.begin_step(lost, Measured(1, 1, [[9.0, 9.0]]))
-    assert troubles == ()
 
 
 def test_start_is_the_common_prior():

@@ -1,0 +1,72 @@
+"""Outliers are judged once, at their source, and what is refused exists nowhere."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from bus.schedule import full_publish
+from filters.gaussian import Gaussian
+from nodes.labelled import LabelledFlooding
+from nodes.messages import Measured
+from nodes.source_gate import without_outliers
+from tests.nodes.labelled_networks import PRIOR, kalman, labelled, taken
+from tests.nodes.networks import WholeState, path, run
+
+
+def lone() -> LabelledFlooding:
+    """Node 1 of the path 0 - 1 - 2, the only one that sees."""
+    net = labelled(path(3), steps=9, rounds=1, seeing=[1], schedule=full_publish(3))
+    estimator = net.nodes[1].estimator
+    assert isinstance(estimator, LabelledFlooding)
+    return estimator
+
+
+def test_an_outlier_is_refused_alike_everywhere():
+    """Node 1 reads nonsense now and then; everybody is the filter that never saw it."""
+    net = labelled(
+        path(3), steps=20, rounds=2, seeing=[0, 1, 2], schedule=full_publish(3),
+        gates={0: 25.0, 1: 25.0, 2: 25.0},
+    )  # fmt: skip
+    draws: Any = net.world.draws
+    wrong = [5, 11]
+    draws.measurement[wrong, 1, 0] += 100.0
+    outcome = run(net)
+    readings = taken(outcome)
+    good = [label for label in readings if label not in {(t, 1) for t in wrong}]
+    expected = kalman(net, readings, good)
+    assert outcome.counted("gated") == len(wrong)
+    for node in range(3):
+        np.testing.assert_allclose(outcome.mean[-1, node], expected.mean, rtol=0, atol=1e-9)
+    ungated = labelled(path(3), steps=20, rounds=2, seeing=[0, 1, 2], schedule=full_publish(3))
+    spoiled = run(ungated._replace(world=net.world))
+    assert np.abs(spoiled.mean[wrong] - outcome.mean[wrong]).max() > 1.0
+
+
+def test_a_gate_counts_the_noise_that_grows_with_the_state():
+    """A reading that a sensor of constant noise would refuse."""
+
+    class Louder(WholeState):
+        def state_noise_cov(self, belief: Gaussian, step: int) -> np.ndarray:
+            return 100.0 * np.eye(2)
+
+    points = lone().filter.points
+    far = np.array([[PRIOR.mean[0] + 20.0, PRIOR.mean[1]]])
+    cases = [(WholeState(np.eye(2), 9.0), 1), (Louder(np.eye(2), 9.0), 0)]
+    for sensor, expected in cases:
+        _, gated = without_outliers(PRIOR, far, sensor, 0, points)
+        assert len(gated) == expected
+    # A sensor without a gate is judged by the thresholds for as many entries as were taken.
+    for gates, expected in (((1e3, 9.0), 1), ((9.0, 1e3), 0), ((), 0)):
+        _, gated = without_outliers(PRIOR, far, WholeState(np.eye(2)), 0, points, gates)
+        assert len(gated) == expected
+
+
+def test_a_node_that_knows_nothing_refuses_nothing():
+    estimator = replace(lone(), gates=(1e-6, 1e-6))
+    content, troubles = estimator.begin_step(estimator.start(), Measured(1, 0, [[9.0, 9.0]]))
+    assert troubles == ("gated",)
+    content, _ = estimator.fuse(content, (None, None))
+    lost = estimator.restart(PRIOR, content.window.heartbeats)
+    _, troubles = estimator.begin_step(lost, Measured(1, 1, [[9.0, 9.0]]))
+    assert troubles == ()
