@@ -4,10 +4,11 @@ What it is held against are the project's own study of fusion under bus limits, 
 bounds.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import ScalarFormatter
 
@@ -104,36 +105,39 @@ def _checks(table: Table) -> Iterator[Check]:
 
 def draw(table: Table, file: Path) -> None:
     """Error against bytes, a line per form, a point per occupancy."""
-    figure = Figure(figsize=(8, 5), layout="constrained")
-    axes = figure.subplots()
-    for name in dict.fromkeys(name for name, _ in table):
-        points = [table[name, part] for part in OCCUPANCIES if (name, part) in table]
+    figure = Figure(figsize=(12, 5.5), layout="constrained")
+    said, wire = figure.subplots(1, 2, sharey=True)
+    _draw_against(said, table, lambda c: c.said_bytes, "bytes that all nodes say per step")
+    _draw_against(
+        wire, table, lambda c: c.wire_bytes, "bytes on the wire per step, with headers and padding"
+    )
+    said.set_ylabel("RMSE over that of the centralised filter")
+    said.legend(fontsize=8, ncols=2)
+    figure.suptitle("TRACK: occupancy 1, 0.5, 0.25, 0.1 from right to left")
+    figure.savefig(file, dpi=110)
+
+
+def _draw_against(axes: Axes, table: Table, cost: Callable[[Cell], float], name: str) -> None:
+    for form in dict.fromkeys(form for form, _ in table):
+        points = [table[form, part] for part in OCCUPANCIES if (form, part) in table]
         axes.errorbar(
-            [c.said_bytes for c in points],
+            [cost(c) for c in points],
             [c.ratio for c in points],
             [c.half_width for c in points],
-            marker="o" if name.startswith("labelled") else "s",
+            marker="o" if form.startswith("labelled") else "s",
             markersize=4,
             linewidth=1.2,
             capsize=2,
-            color=_COLOURS[name],
-            label=name,
+            color=_COLOURS[form],
+            label=form,
         )
-    axes.set(
-        xscale="log",
-        yscale="log",
-        xlabel="bytes that all nodes say per step",
-        ylabel="RMSE over that of the centralised filter",
-        title="TRACK: occupancy 1, 0.5, 0.25, 0.1 from right to left",
-    )
+    axes.set(xscale="log", yscale="log", xlabel=name)
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_formatter(ScalarFormatter())
     axes.set_yticks([1, 1.5, 2, 3, 5, 10])
     axes.set_xticks([300, 500, 1000, 2000, 5000, 10000])
     axes.minorticks_off()
     axes.grid(alpha=0.3)
-    axes.legend(fontsize=8)
-    figure.savefig(file, dpi=110)
 
 
 def _percent(share: float) -> str:
