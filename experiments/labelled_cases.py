@@ -69,15 +69,16 @@ def run_case(case: Case, run: int, seed: int = 1) -> CaseOutcome:
     recorder = MemoryRecorder()
     in_process.run(world, nodes, recorder)
     trace = read_trace(setup, recorder.messages)
-    taken = ~np.isnan(trace.readings).all(axis=(2, 3))
+    taken = np.logical_not(np.isnan(trace.readings).all(axis=(2, 3)))
     right = np.where((wrong & taken)[..., None, None], np.nan, trace.readings)
     central = centralised(setup, right, trace.control)
     score = kind_of("target-tracking").score
     errors = trace.mean - trace.truth[:, None]
     scored, place = list(score.nees_states), list(score.states)
     assert trace.spread is not None
-    refused = taken.copy()
-    refused[tuple(np.array(sorted(recorded)).T)] = False
+    kept = np.zeros(taken.shape, dtype=bool)
+    kept[tuple(np.array(sorted(recorded)).T)] = True
+    refused = taken & ~kept
     return CaseOutcome(
         (errors[..., place] ** 2).sum(-1),
         nees(errors[..., scored], trace.cov) / len(scored),
@@ -131,6 +132,11 @@ def _links(case: Case, setup: Setup) -> LinkState:
     return link_state(setup.scenario)._replace(outages=tuple(outages))
 
 
+class _Spoiled(NamedTuple):
+    process: Array
+    measurement: Array
+
+
 def _spoiled(world: WorldConfig, share: float, setup: Setup) -> tuple[WorldConfig, np.ndarray]:
     """The world in which this share of the readings is wrong, and which those are (steps, N)."""
     noise = world.draws.measurement
@@ -138,7 +144,7 @@ def _spoiled(world: WorldConfig, share: float, setup: Setup) -> tuple[WorldConfi
     wrong = draw.random(noise.shape[:2]) < share
     side = np.where(draw.random(noise.shape) < 0.5, -1.0, 1.0)
     spoiled = np.where(wrong[..., None, None], noise + _OUTLIER_DEVIATIONS * side, noise)
-    return replace(world, draws=world.draws._replace(measurement=spoiled)), wrong
+    return replace(world, draws=_Spoiled(world.draws.process, spoiled)), wrong
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ def without_outliers(
         noise_cov = with_state_noise(noise_cov, sensor, belief, step)
         gate = sensor.gate
         if gate is None and len(gates) > 0:
-            gate = gates[np.count_nonzero(~np.isnan(value)) - 1]
+            gate = gates[int(np.count_nonzero(~np.isnan(value))) - 1]
         result = update(
             belief,
             value,
