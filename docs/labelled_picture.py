@@ -48,9 +48,9 @@ def draw_spread(
         *positions[source], s=260, marker="o", facecolor="none", edgecolor=RED, linewidth=2,
         zorder=4, label="who took it",
     )  # fmt: skip
-    axes.annotate(f"node {node}", positions[node] + [22, -35])
+    axes.annotate(f"node {node}", tuple(positions[node] + [22, -35]))
     axes.plot(*trace.truth[STEP, [0, 2]], marker="*", markersize=14, color="black", zorder=4)
-    axes.annotate("target", trace.truth[STEP, [0, 2]] + [20, -45])
+    axes.annotate("target", tuple(trace.truth[STEP, [0, 2]] + [20, -45]))
     axes.set(xlabel="east [m]", ylabel="north [m]", xlim=(-20, 1020), ylim=(-20, 1020))
     axes.set_title("one record spreads: when each node has it")
     axes.set_aspect("equal")
