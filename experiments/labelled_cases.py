@@ -20,7 +20,8 @@ from nodes.world import WorldConfig
 from scenarios.baselines import centralised
 from scenarios.build import build_node, build_world
 from scenarios.catalogue import kind_of
-from scenarios.setup import Setup, generator, link_state, prepare
+from scenarios.links import link_state
+from scenarios.setup import Setup, generator, prepare
 
 HUB, HUB_DEAD = 13, range(40, 70)
 CUT = range(50, 70)
@@ -129,7 +130,7 @@ def _links(case: Case, setup: Setup) -> LinkState:
                 outages.append(Outage(sender, receiver, HUB_DEAD.start, HUB_DEAD.stop))
             if side[sender] != side[receiver]:
                 outages.append(Outage(sender, receiver, CUT.start, CUT.stop))
-    return link_state(setup.scenario)._replace(outages=tuple(outages))
+    return link_state(setup)._replace(outages=tuple(outages))
 
 
 class _Spoiled(NamedTuple):

@@ -18,7 +18,8 @@ from nodes.messages import Array
 from nodes.recording import MemoryRecorder
 from scenarios.baselines import centralised
 from scenarios.build import build_node, build_world
-from scenarios.setup import Setup, link_state, prepare
+from scenarios.links import link_state
+from scenarios.setup import Setup, prepare
 
 # Every record is everywhere before its step is over.
 FULL_INFORMATION: tuple[dict[str, Any], ...] = (
@@ -73,7 +74,7 @@ def audit(number: int) -> Audit:
     """A network of a random graph, schedule, loss, window and plant."""
     options, links = _random_network(number)
     setup = prepare(ScenarioOptions(**options).resolve())
-    links = links._replace(key=link_state(setup.scenario).key)
+    links = links._replace(key=link_state(setup).key)
     used, messages = _watched(setup, links)
     readings = read_trace(setup, messages).readings
     taken = {(int(t), int(j)) for t, j in np.argwhere(~np.isnan(readings).all(axis=(2, 3)))}
