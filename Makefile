@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: browser screenshots demo test test-slow check format bench docs lock clean
+.PHONY: browser screenshots demo test test-slow check format fast bench docs lock clean
 
 demo: .venv/run.stamp
 	$(BIN)/concord run --scenario target-tracking --nodes 12 --graph geometric --seed 7 --driver processes
@@ -33,6 +33,10 @@ check: .venv/dev.stamp
 format: .venv/dev.stamp
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
+
+# Compiled kernels, for this machine; needs a C++ compiler. concord works without them.
+fast: .venv/run.stamp
+	$(BIN)/pip install --quiet --disable-pip-version-check --force-reinstall ./fast
 
 bench: .venv/dev.stamp
 	$(BIN)/python -m benchmarks

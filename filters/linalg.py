@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from filters import columns
+from filters import columns, compiled
 from filters.columns import MANY_LANES, in_columns, in_rows
 
 
@@ -23,6 +23,8 @@ def cholesky(matrix: np.ndarray) -> np.ndarray:
     Raises:
         numpy.linalg.LinAlgError: the last two axes are not square.
     """
+    if _square(matrix) and compiled.serves(matrix.shape[-1]):
+        return compiled.cholesky(matrix)
     if _many(matrix):
         return in_rows(columns.cholesky(in_columns(matrix, 2)), matrix.shape[:-2])
     try:
@@ -46,6 +48,8 @@ def lose_failed(factor: np.ndarray) -> np.ndarray:
 
 def inverse_spd(matrix: np.ndarray) -> np.ndarray:
     """Inverse (..., n, n) of symmetric positive definite matrices; NaN in a lane that is not."""
+    if _square(matrix) and compiled.serves(matrix.shape[-1]):
+        return compiled.inverse_spd(matrix)
     if _many(matrix):
         return in_rows(columns.inverse_spd(in_columns(matrix, 2)), matrix.shape[:-2])
     whitener = np.linalg.inv(cholesky(matrix))
@@ -99,4 +103,8 @@ def _upper_triangle(n: int) -> tuple[np.ndarray, np.ndarray]:
 def _many(matrix: np.ndarray) -> bool:
     """Whether to go along the lanes: matrices of some size are LAPACK's however many they are."""
     n = matrix.shape[-1]
-    return n <= 16 and matrix.shape[-2] == n and matrix.size >= MANY_LANES * n * n > 0
+    return n <= 16 and _square(matrix) and matrix.size >= MANY_LANES * n * n > 0
+
+
+def _square(matrix: np.ndarray) -> bool:
+    return matrix.ndim > 1 and matrix.shape[-1] == matrix.shape[-2]

@@ -8,8 +8,9 @@ from typing import Protocol
 
 import numpy as np
 
-from filters import ukf_columns, ukf_lane, ukf_stack
+from filters import ukf_columns, ukf_compiled, ukf_lane, ukf_stack
 from filters.columns import MANY_LANES
+from filters.compiled import serves
 from filters.gaussian import Gaussian
 from filters.moments import Model, Residual
 from filters.sigma_points import SigmaPointRule
@@ -58,6 +59,8 @@ def path_of_transform(belief: Gaussian, noise_cov: np.ndarray, rule: SigmaPointR
     alike = cov.shape == (*lanes, n, n) and noise_cov.shape[:-2] in ((), lanes)
     if not alike or (mean.size > n and rule.reach is None):
         return ukf_stack
+    if rule.reach is not None and serves(n, noise_cov.shape[-1]):
+        return ukf_compiled
     return _path(mean.size // n)
 
 
@@ -67,6 +70,8 @@ def path_of_correction(belief: Gaussian, innovation: np.ndarray) -> Path:
     n, lanes = mean.shape[-1], mean.shape[:-1]
     if cov.shape != (*lanes, n, n) or innovation.shape[:-1] != lanes:
         return ukf_stack
+    if serves(n, innovation.shape[-1]):
+        return ukf_compiled
     return _path(mean.size // n)
 
 

@@ -9,7 +9,6 @@ import math
 import numpy as np
 
 from filters.gaussian import Gaussian
-from filters.linalg import cholesky
 from filters.moments import Model, Residual, evaluate
 from filters.sigma_points import SigmaPointRule, check_rule
 
@@ -81,7 +80,7 @@ def _spread(belief: Gaussian, rule: SigmaPointRule) -> tuple[np.ndarray, np.ndar
     shape = belief.mean.shape
     n = shape[-1]
     check_rule(rule, n)
-    factor = cholesky(belief.cov.reshape(n, n))
+    factor = _factor(belief.cov.reshape(n, n))
     points = rule.unit_points.dot(factor.T)
     points += belief.mean.reshape(n)
     return points.reshape(-1, *shape), factor
@@ -100,10 +99,20 @@ def _moments(
     return first.reshape(size) + shift, cov, rows, shift
 
 
+def _factor(cov: np.ndarray) -> np.ndarray:
+    """Lower triangular factor (n, n); NaN where there is none."""
+    try:
+        factor = np.linalg.cholesky(cov)
+    except np.linalg.LinAlgError:
+        return np.full(cov.shape, np.nan)
+    # LAPACK may also carry a NaN through to the last pivot.
+    return np.full(cov.shape, np.nan) if math.isnan(factor.item(-1)) else factor
+
+
 def _whitener(cov: np.ndarray) -> np.ndarray:
     """Inverse (m, m) of the Cholesky factor; NaN where there is none."""
     if len(cov) > 2:
-        return np.linalg.inv(cholesky(cov))
+        return np.linalg.inv(_factor(cov))
     first = float(cov[0, 0])
     if not first > 0:
         return np.full(cov.shape, np.nan)

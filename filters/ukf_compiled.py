@@ -1,0 +1,78 @@
+"""The unscented transform by compiled kernels, for batches of any size, in the order of
+`ukf_columns`: lanes last, and models that see a view (S, ..., n)."""
+
+import numpy as np
+
+from filters import ukf_columns
+from filters.compiled import KERNELS, lanes_first
+from filters.gaussian import Gaussian
+from filters.moments import Model, Residual, evaluate
+from filters.sigma_points import SigmaPointRule, check_rule
+
+
+def predict(
+    belief: Gaussian,
+    transition: Model,
+    noise_cov: np.ndarray,
+    rule: SigmaPointRule,
+    residual: Residual,
+) -> Gaussian:
+    """As `ukf.predict`."""
+    points, _ = _spread(belief, rule)
+    values = evaluate(transition, points, belief.mean.shape[-1], "transition")
+    mean, cov, _ = _moments(values, noise_cov, rule, residual)
+    return Gaussian(mean, cov)
+
+
+def expect(
+    belief: Gaussian,
+    measure: Model,
+    m: int,
+    noise_cov: np.ndarray,
+    rule: SigmaPointRule,
+    residual: Residual,
+    state_residual: Residual,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Predicted measurement (..., m); covariances (..., m, m) of it, (..., n, m) with the state."""
+    if state_residual is not np.subtract:
+        return ukf_columns.expect(belief, measure, m, noise_cov, rule, residual, state_residual)
+    lanes, n = belief.mean.shape[:-1], belief.mean.shape[-1]
+    points, factor = _spread(belief, rule)
+    values = evaluate(measure, points, m, "measure")
+    predicted, cov, away = _moments(values, noise_cov, rule, residual)
+    cross_cov = np.empty((n, m, *lanes))
+    KERNELS.cross(factor, away, rule.cov_weights.item(-1) * rule.reach, cross_cov)
+    return predicted, cov, lanes_first(cross_cov, 2)
+
+
+def correct(
+    belief: Gaussian, innovation: np.ndarray, innovation_cov: np.ndarray, cross_cov: np.ndarray
+) -> tuple[Gaussian, np.ndarray]:
+    """The belief given an innovation (..., m), and the normalised innovation squared (...)."""
+    lanes, n = belief.mean.shape[:-1], belief.mean.shape[-1]
+    mean, cov, squared = np.empty((n, *lanes)), np.empty((n, n, *lanes)), np.empty(lanes)
+    KERNELS.correct(*belief, innovation, innovation_cov, cross_cov, mean, cov, squared)
+    return Gaussian(lanes_first(mean, 1), lanes_first(cov, 2)), squared
+
+
+def _spread(belief: Gaussian, rule: SigmaPointRule) -> tuple[np.ndarray, np.ndarray]:
+    """Sigma points (S, ..., n), and the factor (n, n, ...) that they were drawn with."""
+    lanes, n = belief.mean.shape[:-1], belief.mean.shape[-1]
+    check_rule(rule, n)
+    points, factor = np.empty((n, len(rule.unit_points), *lanes)), np.empty((n, n, *lanes))
+    KERNELS.spread(*belief, rule.reach, points, factor)
+    return points.transpose(*range(1, points.ndim), 0), factor
+
+
+def _moments(
+    values: np.ndarray, noise_cov: np.ndarray, rule: SigmaPointRule, residual: Residual
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Mean (..., m), cov (..., m, m), and what the differences of opposite points are taken of."""
+    axes, lanes, m = 2 * rule.unit_points.shape[1], values.shape[1:-1], values.shape[-1]
+    first, away, plain = values[0], values[-axes:], residual is np.subtract
+    if not plain:
+        away = residual(away, first)
+    mean, cov = np.empty((m, *lanes)), np.empty((m, m, *lanes))
+    weight = rule.cov_weights.item(-1)
+    KERNELS.moments(first, away, plain, weight, rule.curvature, noise_cov, mean, cov)
+    return lanes_first(mean, 1), lanes_first(cov, 2), away
