@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: browser screenshots demo test test-slow check format fast bench docs lock clean
+.PHONY: browser screenshots demo test test-slow check format fast bench bench-compare docs lock clean
 
 demo: .venv/run.stamp
 	$(BIN)/concord run --scenario target-tracking --nodes 12 --graph geometric --seed 7 --driver processes
@@ -39,7 +39,11 @@ fast: .venv/run.stamp
 	$(BIN)/pip install --quiet --disable-pip-version-check --force-reinstall ./fast
 
 bench: .venv/dev.stamp
-	$(BIN)/python -m benchmarks
+	$(BIN)/python -m benchmarks --picture docs/performance.png
+
+# What became slower since `make bench` kept BASE (a copy of runs/bench.json).
+bench-compare: .venv/dev.stamp
+	$(BIN)/python -m benchmarks.compare $(BASE) runs/bench.json
 
 docs: .venv/run.stamp
 	$(BIN)/python -m docs.picture

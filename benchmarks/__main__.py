@@ -1,32 +1,55 @@
 """`make bench`: every benchmark in turn; each prints ratios measured in the same run."""
 
 import argparse
-import platform
+import importlib
 import sys
+from pathlib import Path
 
 import msgspec
 
-from benchmarks import launch, lockstep, occupancy, set_membership
+from benchmarks.measure import Figures, machine, peak_mb, say
 
+# Modules with a `main() -> Figures`; loaded when they are run, as some need much.
 BENCHMARKS = {
-    "launch": launch.main,
-    "lockstep": lockstep.main,
-    "occupancy": occupancy.main,
-    "set-membership": set_membership.main,
+    "ukf": "ukf",
+    "fusion": "fusion",
+    "monte-carlo": "monte_carlo",
+    "scale": "scale",
+    "launch": "launch",
+    "lockstep": "lockstep",
+    "set-membership": "set_membership",
 }
+# A study of errors, not of time; it is run by name alone.
+STUDIES = {"occupancy": "occupancy"}
+KEPT = Path("runs/bench.json")
 
 
 def main() -> None:
-    """Run the benchmarks that are named, or all; `--json` prints one object at the end."""
+    """Run the benchmarks that are named, or all, and keep their figures."""
+    known = BENCHMARKS | STUDIES
     parser = argparse.ArgumentParser(prog="benchmarks", description=__doc__)
-    parser.add_argument("names", nargs="*", help=f"any of {', '.join(BENCHMARKS)}")
+    parser.add_argument("names", nargs="*", help=f"any of {', '.join(known)}")
     parser.add_argument("--json", action="store_true", help="print one JSON object at the end")
+    parser.add_argument("--output", type=Path, default=KEPT, help="where figures are kept")
+    parser.add_argument("--picture", type=Path, help="also draw the UKF's figures (PNG)")
     arguments = parser.parse_args()
-    wrong = set(arguments.names) - set(BENCHMARKS)
-    if wrong:
-        parser.error(f"no benchmark {', '.join(wrong)}; there are {', '.join(BENCHMARKS)}")
-    sys.stdout.write(f"{platform.machine()}, Python {platform.python_version()}\n")
-    results = {name: BENCHMARKS[name]() for name in arguments.names or BENCHMARKS}
+    if wrong := set(arguments.names) - set(known):
+        parser.error(f"no benchmark {', '.join(wrong)}; there are {', '.join(known)}")
+    about = machine()
+    say("; ".join(f"{name} {value}" for name, value in about.items()))
+    results: dict[str, Figures] = {}
+    for name in arguments.names or BENCHMARKS:
+        results[name] = importlib.import_module(f"benchmarks.{known[name]}").main()
+    say(f"peak memory {peak_mb():.0f} MB")
+    figures = {name: table for name, table in results.items() if name in BENCHMARKS}
+    kept = msgspec.json.encode({"machine": about, "results": figures})
+    arguments.output.parent.mkdir(parents=True, exist_ok=True)
+    arguments.output.write_bytes(msgspec.json.format(kept))
+    say(f"kept in {arguments.output}")
+    if arguments.picture and "ukf" in results:
+        from benchmarks.picture import draw
+
+        draw(results["ukf"], arguments.picture)
     if arguments.json:
         sys.stdout.write(msgspec.json.encode(results).decode() + "\n")
 

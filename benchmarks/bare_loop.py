@@ -1,7 +1,9 @@
-"""The floor of a lockstep network: the same processes, links and messages, and no filter.
+"""The floor of a lockstep network: the same processes, links and messages, and the filter calls.
 
 `python -m benchmarks.bare_loop` reads one JSON object (neighbours, rounds, steps, message sizes)
-from standard input and prints the lockstep steps per second of a network that only passes messages.
+from standard input and prints the lockstep steps per second of a network whose nodes pass on bytes
+that say nothing, and call the filters as a node does: a prediction of all it holds, an update, and
+an average per round. No frame is made or checked, nothing is counted, and no state is kept.
 """
 
 import secrets
@@ -10,7 +12,12 @@ import time
 from functools import partial
 
 import msgspec
+import numpy as np
 
+from benchmarks.cases import beliefs, readings, turn
+from filters.fusion import covariance_intersection
+from filters.sigma_points import scaled_unscented
+from filters.ukf import predict, update
 from nodes.links import RECORDER, WORLD, Links, free_ports, names, plan_links
 from nodes.supervisor import Supervisor
 from nodes.zenoh_transport import Transport, start_router
@@ -63,14 +70,44 @@ def _pass_on(run: str, links: Links, load: Load, node: int) -> None:
     transport.join(str(node), {WORLD, RECORDER, *map(str, neighbours)})
     share, estimate = bytes(load.share_bytes), bytes(load.estimate_bytes)
     transport.send(f"hello/{node}", b"")
+    filters = _Filters(len(neighbours))
     for _ in range(load.steps):
         transport.receive(f"measured/{node}")
+        filters.step()
         for _ in range(load.rounds):
             transport.send(f"share/{node}", share)
             for topic in shares:
                 transport.receive(topic)
+            filters.fuse()
         transport.send(f"estimate/{node}", estimate)
     time.sleep(600)
+
+
+class _Filters:
+    """What a node of `target-tracking` asks of the filters, on numbers that stay the same."""
+
+    def __init__(self, neighbours: int) -> None:
+        case = turn()
+        self._case, self._rule = case, scaled_unscented(len(case.start.mean))
+        self._all = beliefs(case, (1 + neighbours + 1,))
+        self._heard = beliefs(case, (1 + neighbours,))
+        self._weights = np.full(1 + neighbours, 1 / (1 + neighbours))
+        self._reading = readings(case, ())
+
+    def step(self) -> None:
+        case = self._case
+        predict(self._all, case.transition, case.process_noise_cov, self._rule)
+        update(
+            case.start,
+            self._reading,
+            case.measure,
+            case.measurement_noise_cov,
+            self._rule,
+            residual=case.residual,
+        )
+
+    def fuse(self) -> None:
+        covariance_intersection(self._heard, self._weights)
 
 
 def _drive(run: str, links: Links, load: Load) -> None:

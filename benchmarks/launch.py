@@ -5,6 +5,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from benchmarks.measure import Figures, figure
 from experiments.launcher import run_processes
 from experiments.options import ScenarioOptions
 from scenarios.job import Happened
@@ -13,18 +14,16 @@ from scenarios.setup import Setup, prepare
 SIZES, REPETITIONS, GRAPH = (4, 16, 64), 3, "4-regular"
 
 
-def main() -> dict[str, dict[str, float]]:
+def main() -> Figures:
     """Print and return, per network size, seconds to ready and proportional memory per node."""
-    results = {}
+    results: Figures = {}
     for nodes in SIZES:
         graph = "complete" if nodes < 5 else GRAPH
         options = ScenarioOptions(scenario="oscillator", nodes=nodes, graph=graph, steps=20)
         setup = prepare(options.resolve())
         ready, memory = zip(*(_launch(setup) for _ in range(REPETITIONS)), strict=True)
-        results[str(nodes)] = {
-            "ready_s": statistics.median(ready),
-            "node_mb": statistics.median(memory),
-        }
+        results[f"{nodes} nodes ready s"] = figure(list(ready), "s", "less")
+        results[f"{nodes} nodes MB per node"] = figure(list(memory), "MB", "less")
         sys.stdout.write(
             f"launch, {nodes} nodes, {graph}: ready after {statistics.median(ready):.2f} s "
             f"({min(ready):.2f} to {max(ready):.2f}), {statistics.median(memory):.1f} MB "

@@ -1,7 +1,6 @@
 """Lockstep rate of a network beside the bare loop with the same messages, in the same run."""
 
 import os
-import statistics
 import subprocess
 import sys
 import tempfile
@@ -10,6 +9,7 @@ from pathlib import Path
 import msgspec
 
 from benchmarks.bare_loop import Load
+from benchmarks.measure import Figures, figure, ratio, say
 from experiments.drivers import over_processes
 from experiments.options import ScenarioOptions
 from nodes.recording import read_recording
@@ -19,8 +19,8 @@ from scenarios.setup import Setup, prepare
 NODES, GRAPH, STEPS, REPETITIONS = 16, "4-regular", 300, 5
 
 
-def main() -> dict[str, float]:
-    """Print and return medians of both rates and of their ratio."""
+def main() -> Figures:
+    """Print and return both rates and their ratio."""
     options = ScenarioOptions(nodes=NODES, graph=GRAPH, steps=STEPS, seed=1)
     setup = prepare(options.resolve())
     rates, floors = [], []
@@ -32,22 +32,20 @@ def main() -> dict[str, float]:
             rates.append(pace.steps_per_second or 0.0)
             sizes = sizes or _sizes(recording)
         floors.append(_floor(setup, sizes))
-    ratios = [rate / floor for rate, floor in zip(rates, floors, strict=True)]
-    result = {
-        "steps_per_second": statistics.median(rates),
-        "bare_steps_per_second": statistics.median(floors),
-        "ratio": statistics.median(ratios),
-        "ratio_min": min(ratios),
-        "ratio_max": max(ratios),
+    results = {
+        "steps per second": figure(rates, "1/s", "more"),
+        "bare steps per second": figure(floors, "1/s", "more"),
+        "lockstep over bare": ratio(rates, floors),
     }
-    sys.stdout.write(
-        f"lockstep, {NODES} nodes, {GRAPH}, {setup.scenario.rounds} rounds: "
-        f"{result['steps_per_second']:.0f} steps/s, "
-        f"{result['steps_per_second'] * setup.scenario.rounds:.0f} cycles/s; bare loop "
-        f"{result['bare_steps_per_second']:.0f} steps/s; ratio {result['ratio']:.2f} "
-        f"({result['ratio_min']:.2f} to {result['ratio_max']:.2f}, {REPETITIONS} interleaved)\n"
+    rate, bare, over = results.values()
+    rounds = setup.scenario.rounds
+    say(
+        f"lockstep, {NODES} nodes, {GRAPH}, {rounds} rounds: {rate.value:.0f} steps/s, "
+        f"{rate.value * rounds:.0f} cycles/s; bare loop with the same messages and filter calls "
+        f"{bare.value:.0f} steps/s; ratio {over.value:.2f} ({over.low:.2f} - {over.high:.2f}, "
+        f"{REPETITIONS} interleaved)"
     )
-    return result
+    return results
 
 
 def _sizes(recording: Path) -> dict[str, int]:

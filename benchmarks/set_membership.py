@@ -14,6 +14,7 @@ from functools import partial
 
 import numpy as np
 
+from benchmarks.measure import Figures, figure, ratio
 from experiments.reproduce_liu2021_runs import HELD, PLANT, G, N, simulate
 from filters.ellipsoid import Ellipsoid, shape_matrix
 from filters.set_membership_cycle import Cycle, Step, turned
@@ -28,7 +29,7 @@ CYCLES, REPETITIONS, FAST_CALLS = 13, 5, 20
 METHODS = ("generic", "reduced", "exact", "fast")
 
 
-def main() -> dict[str, float]:
+def main() -> Figures:
     """Print and return milliseconds per cycle and how many times as fast as the generic route."""
     received = Received(
         *(part[0] for part in simulate(seed=1, sequences=0, cycles=CYCLES).received)
@@ -62,7 +63,14 @@ def main() -> dict[str, float]:
         for name in METHODS:
             times[name].append(statistics.median(spent[name]))
         kept = after
-    return _report(times, np.array(apart))
+    result = _report(times, np.array(apart))
+    return {
+        f"{name} x generic": ratio(
+            times["generic"][1:],
+            [spent / (FAST_CALLS if name == "fast" else 1) for spent in times[name][1:]],
+        )
+        for name in METHODS[1:]
+    } | {"exact ms": figure([result["exact_ms"]], "ms", "less")}
 
 
 def _solve(

@@ -49,10 +49,12 @@ bool of_sizes(Py_ssize_t n, Py_ssize_t m, const Arguments &...arguments) {
 PyObject *spread(PyObject *, PyObject *const *given, Py_ssize_t count) {
     View mean, cov, points, lower;
     if (count != 5 || !mean.open(given[0], 0, 1, false) || !cov.open(given[1], 0, 2, false) ||
-        !points.open(given[3], 2, 0, true) || !lower.open(given[4], 2, 0, true))
+        !points.open(given[3], 2, 0, true) ||
+        (given[4] != Py_None && !lower.open(given[4], 2, 0, true)))
         return nullptr;
     const Py_ssize_t n = points.length(0);
-    if (!of_size<Spread>(n, mean, cov, PyFloat_AsDouble(given[2]), points, lower))
+    const bool keep = given[4] != Py_None;
+    if (!of_size<Spread>(n, mean, cov, PyFloat_AsDouble(given[2]), points, lower, keep))
         return too_large(n, 0);
     Py_RETURN_NONE;
 }
@@ -112,7 +114,7 @@ template <PyObject *(*function)(PyObject *, PyObject *const *, Py_ssize_t)> PyCF
 }
 
 PyMethodDef methods[] = {
-    {"spread", fast<spread>(), METH_FASTCALL, "mean, cov, reach -> points, lower"},
+    {"spread", fast<spread>(), METH_FASTCALL, "mean, cov, reach -> points, lower (or None)"},
     {"moments", fast<moments>(), METH_FASTCALL,
      "first, away, plain, weight, curvature, noise -> mean, cov"},
     {"cross", fast<cross>(), METH_FASTCALL, "lower, away, scale -> cross_cov"},

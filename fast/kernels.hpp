@@ -45,7 +45,7 @@ inline void factor(const Array &matrix, Py_ssize_t lane, Vector (&rows)[N][N]) {
 // Points on the axes, mean +- reach C, after the centre if there is one; and C, lower triangle.
 template <int N> struct Spread {
     static void run(const View &mean, const View &cov, double reach, const View &points,
-                    const View &lower) {
+                    const View &lower, bool keep) {
         const int centre = points.length(1) - 2 * N;
         const auto block = [&](Py_ssize_t lane, const auto &mean, const auto &cov,
                                const auto &points, const auto &lower) {
@@ -59,7 +59,7 @@ template <int N> struct Spread {
                     const Vector offset = j <= i ? reach * rows[i][j] : Vector{};
                     points.store(middle + offset, lane, i, centre + j);
                     points.store(middle - offset, lane, i, centre + N + j);
-                    if (j <= i) lower.store(rows[i][j], lane, i, j);
+                    if (keep && j <= i) lower.store(rows[i][j], lane, i, j);
                 }
             }
         };

@@ -58,20 +58,27 @@ def inverse_spd(matrix: np.ndarray) -> np.ndarray:
 
 def solve_spd(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Solution (..., n, k) of matrix (..., n, n) @ x = right (..., n, k); NaN as inverse_spd."""
-    if _many(matrix):
-        return inverse_spd(matrix) @ right
+    if _many(matrix) and matrix.shape[:-2] == right.shape[:-2]:
+        inverse = in_columns(inverse_spd(matrix), 2)
+        product = np.einsum("ijl,jkl->ikl", inverse, in_columns(right, 2))
+        return in_rows(product, matrix.shape[:-2])
     whitener = np.linalg.inv(cholesky(matrix))
     return whitener.mT @ (whitener @ right)
 
 
 def multiply(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """Matrix (..., m, n) times vector (..., n), lane by lane: (..., m)."""
+    if matrix.shape[:-2] == vector.shape[:-1] and _along_lanes(matrix, 2):
+        product = np.einsum("ijl,jl->il", in_columns(matrix, 2), in_columns(vector, 1))
+        return in_rows(product, vector.shape[:-1])
     return (matrix @ vector[..., None])[..., 0]
 
 
 def pack_upper(matrix: np.ndarray) -> np.ndarray:
     """Upper triangle, row by row, of symmetric matrices: (..., n, n) -> (..., n (n + 1) / 2)."""
     rows, columns = _upper_triangle(matrix.shape[-1])
+    if _along_lanes(matrix, 2):
+        return in_rows(in_columns(matrix, 2)[rows, columns], matrix.shape[:-2])
     return matrix[..., rows, columns]
 
 
@@ -89,6 +96,11 @@ def unpack_upper(packed: np.ndarray) -> np.ndarray:
             "pass what pack_upper returned, its last axis uncut"
         )
     rows, columns = _upper_triangle(n)
+    if _along_lanes(packed, 1):
+        given = in_columns(packed, 1)
+        square = np.empty((n, n, given.shape[-1]), packed.dtype)
+        square[rows, columns] = square[columns, rows] = given
+        return in_rows(square, packed.shape[:-1])
     matrix = np.empty((*packed.shape[:-1], n, n), packed.dtype)
     matrix[..., rows, columns] = packed
     matrix[..., columns, rows] = packed
@@ -104,6 +116,15 @@ def _many(matrix: np.ndarray) -> bool:
     """Whether to go along the lanes: matrices of some size are LAPACK's however many they are."""
     n = matrix.shape[-1]
     return n <= 16 and _square(matrix) and matrix.size >= MANY_LANES * n * n > 0
+
+
+def _along_lanes(array: np.ndarray, own: int) -> bool:
+    """Whether an array, of which `own` trailing axes are not lanes, has many lanes that follow each
+    other in memory."""
+    last = array.ndim - own - 1
+    if last < 0 or array.strides[last] != array.itemsize:
+        return False
+    return math.prod(array.shape[: last + 1]) >= MANY_LANES
 
 
 def _square(matrix: np.ndarray) -> bool:

@@ -18,7 +18,7 @@ def predict(
     residual: Residual,
 ) -> Gaussian:
     """As `ukf.predict`."""
-    points, _ = _spread(belief, rule)
+    points = _spread(belief, rule, None)
     values = evaluate(transition, points, belief.mean.shape[-1], "transition")
     mean, cov, _ = _moments(values, noise_cov, rule, residual)
     return Gaussian(mean, cov)
@@ -37,7 +37,8 @@ def expect(
     if state_residual is not np.subtract:
         return ukf_columns.expect(belief, measure, m, noise_cov, rule, residual, state_residual)
     lanes, n = belief.mean.shape[:-1], belief.mean.shape[-1]
-    points, factor = _spread(belief, rule)
+    factor = np.empty((n, n, *lanes))
+    points = _spread(belief, rule, factor)
     values = evaluate(measure, points, m, "measure")
     predicted, cov, away = _moments(values, noise_cov, rule, residual)
     cross_cov = np.empty((n, m, *lanes))
@@ -55,13 +56,14 @@ def correct(
     return Gaussian(lanes_first(mean, 1), lanes_first(cov, 2)), squared
 
 
-def _spread(belief: Gaussian, rule: SigmaPointRule) -> tuple[np.ndarray, np.ndarray]:
-    """Sigma points (S, ..., n), and the factor (n, n, ...) that they were drawn with."""
+def _spread(belief: Gaussian, rule: SigmaPointRule, factor: np.ndarray | None) -> np.ndarray:
+    """Sigma points (S, ..., n); writes the lower triangle of the factor (n, n, ...) they are drawn
+    with, if one is given."""
     lanes, n = belief.mean.shape[:-1], belief.mean.shape[-1]
     check_rule(rule, n)
-    points, factor = np.empty((n, len(rule.unit_points), *lanes)), np.empty((n, n, *lanes))
+    points = np.empty((n, len(rule.unit_points), *lanes))
     KERNELS.spread(*belief, rule.reach, points, factor)
-    return points.transpose(*range(1, points.ndim), 0), factor
+    return points.transpose(*range(1, points.ndim), 0)
 
 
 def _moments(

@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from filters.linalg import (
     cholesky,
     inverse_spd,
+    multiply,
     pack_upper,
     solve_spd,
     symmetrise,
@@ -53,7 +54,7 @@ def test_factor_refuses_what_is_not_square():
         cholesky(np.ones((4, 2, 3)))
 
 
-@pytest.mark.parametrize("lanes", BATCHES)
+@pytest.mark.parametrize("lanes", [*BATCHES, (7, 11)])
 def test_inverse_and_solution_undo_the_matrix(lanes):
     generator = np.random.default_rng(2)
     matrix = random_spd(generator, lanes, 4)
@@ -89,3 +90,17 @@ def test_packing_order_is_row_by_row():
 def test_unpacking_refuses_a_length_that_is_no_triangle():
     with pytest.raises(ValueError, match="length 5"):
         unpack_upper(np.zeros((2, 5)))
+
+
+def test_lanes_that_lie_along_memory_give_the_same():
+    """Many lanes, as the filters leave them, and the same in the order of numpy."""
+    generator = np.random.default_rng(4)
+    rows = random_spd(generator, (2, 70), 3)
+    vectors = generator.standard_normal((2, 70, 3))
+    along = np.empty((3, 3, 2, 70)).transpose(2, 3, 0, 1)
+    along[...] = rows
+    np.testing.assert_allclose(multiply(along, vectors), multiply(rows, vectors), rtol=1e-13)
+    packed = pack_upper(along)
+    np.testing.assert_array_equal(packed, pack_upper(rows))
+    assert packed.strides[1] == packed.itemsize
+    np.testing.assert_array_equal(unpack_upper(packed), rows)

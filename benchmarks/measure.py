@@ -1,0 +1,105 @@
+"""How everything here is measured: contestants in turns, medians, and the spread of what they give.
+
+The machine is never quiet. Contestants therefore take turns, and a ratio is taken within a turn, so
+that what slows one slows the other; low and high are the quartiles over the turns.
+"""
+
+import os
+import platform
+import resource
+import statistics
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from filters import compiled
+from nodes.memory import keep_freed_memory
+
+Better = Literal["more", "less"]
+
+
+class Figure(msgspec.Struct, frozen=True):
+    """A measured value, its quartiles over the turns, and which way is better."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+    better: Better
+
+
+Figures = dict[str, Figure]
+
+
+def figure(values: list[float], unit: str, better: Better) -> Figure:
+    """Median and quartiles."""
+    low, middle, high = np.percentile(values, (25, 50, 75)).tolist()
+    return Figure(middle, low, high, unit, better)
+
+
+def in_turns(contestants: Mapping[str, Callable[[], float]], turns: int) -> dict[str, list[float]]:
+    """What every contestant gives (seconds per unit of its work), turn by turn; the first turn,
+    which loads and compiles, is left out."""
+    keep_freed_memory()
+    given: dict[str, list[float]] = {name: [] for name in contestants}
+    for turn in range(turns + 1):
+        for name, run in contestants.items():
+            spent = run()
+            if turn:
+                given[name].append(spent)
+    return given
+
+
+def ratio(over: list[float], under: list[float]) -> Figure:
+    """How many times as fast the second is as the first."""
+    return figure([a / b for a, b in zip(over, under, strict=True)], "x", "more")
+
+
+def peak_mb() -> float:
+    """The most memory that this process has had."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def without_kernels(run: Callable[[], float]) -> Callable[[], float]:
+    """The same with numpy alone."""
+
+    def wrapped() -> float:
+        kept, compiled.KERNELS = compiled.KERNELS, None
+        try:
+            return run()
+        finally:
+            compiled.KERNELS = kept
+
+    return wrapped
+
+
+def machine() -> dict[str, str]:
+    """What the figures were measured on."""
+    cpu = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        lines = info.read_text().splitlines()
+        names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+        cpu = f"{len(names)} x {names[0]}" if names else cpu
+    return {
+        "cpu": cpu,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "kernels": "compiled" if compiled.KERNELS is not None else "numpy alone",
+        "load": " ".join(f"{value:.1f}" for value in os.getloadavg()),
+    }
+
+
+def say(text: str) -> None:
+    """A line of the report."""
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+def median_us(values: list[float]) -> float:
+    """Median in microseconds."""
+    return 1e6 * statistics.median(values)

@@ -1,0 +1,124 @@
+"""A Monte Carlo from end to end beside the filter steps and fusions that it cannot do without.
+
+20 nodes, 500 runs, 100 steps, 3 rounds. End to end means `experiments.vectorised.simulate`: noise,
+plant, sensors, schedule, weights by determinants and age, fusion, metrics. The kernels are the UKF
+steps and the covariance intersections alone, with the same models, lanes and number of rounds.
+"""
+
+import time
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from benchmarks.fusion import fuse
+from benchmarks.measure import Figures, figure, in_turns, peak_mb, say
+from experiments.options import ScenarioOptions
+from experiments.vectorised import READINGS, simulate
+from filters.gaussian import Gaussian
+from filters.sigma_points import scaled_unscented
+from filters.ukf import predict, update
+from plants.targets import Target
+from scenarios.catalogue import kind_of
+from scenarios.setup import Setup, prepare
+
+SCENARIO, NODES, RUNS, STEPS, KERNEL_STEPS, TURNS = "target-tracking", 20, 500, 100, 10, 3
+
+
+def main() -> Figures:
+    """Print and return seconds of the processor, and the ratio of the whole to its kernels."""
+    options = ScenarioOptions(scenario=SCENARIO, nodes=NODES, steps=STEPS, seed=1)
+    setup = prepare(options.resolve())
+    given = in_turns(
+        {
+            "end to end": partial(_whole, setup),
+            "UKF": _filters(setup),
+            "fusion": _fusions(setup),
+        },
+        TURNS,
+    )
+    kernels = [a + b for a, b in zip(given["UKF"], given["fusion"], strict=True)]
+    over = [whole / part for whole, part in zip(given["end to end"], kernels, strict=True)]
+    results = {f"{name} s": figure(spent, "s", "less") for name, spent in given.items()}
+    results["end to end over kernels"] = figure(over, "x", "less")
+    results["peak MB"] = figure([peak_mb()], "MB", "less")
+    steps = NODES * RUNS * STEPS
+    whole, ratio = results["end to end s"].value, results["end to end over kernels"]
+    say(
+        f"Monte Carlo, {NODES} nodes x {RUNS} runs x {STEPS} steps x {setup.scenario.rounds} "
+        f"rounds: {whole:.2f} s end to end, {1e6 * whole / steps:.2f} us a node and step; kernels "
+        f"{results['UKF s'].value:.2f} s of UKF and {results['fusion s'].value:.2f} s of fusion; "
+        f"ratio {ratio.value:.2f} ({ratio.low:.2f} - {ratio.high:.2f}); peak {peak_mb():.0f} MB"
+    )
+    return results
+
+
+def _whole(setup: Setup) -> float:
+    started = time.thread_time()
+    simulate(setup, range(RUNS), keep=())
+    return time.thread_time() - started
+
+
+def _start(setup: Setup) -> Gaussian:
+    n = len(setup.prior_mean)
+    cov = np.array(setup.prior_cov).reshape(n, n)
+    return Gaussian(
+        np.broadcast_to(setup.prior_mean, (RUNS, NODES, n)).copy(),
+        np.broadcast_to(cov, (RUNS, NODES, n, n)).copy(),
+    )
+
+
+def _filters(setup: Setup) -> Callable[[], float]:
+    kind = kind_of(setup.scenario.name)
+    plant = kind.plant(setup.scenario)
+    assert isinstance(plant, Target)
+    model, sensors = plant.model, plant.sensors
+    rule, start = scaled_unscented(len(setup.prior_mean)), _start(setup)
+    short = prepare(
+        ScenarioOptions(scenario=SCENARIO, nodes=NODES, steps=KERNEL_STEPS, seed=1).resolve()
+    )
+    readings = simulate(short, range(RUNS), keep=(READINGS,)).readings
+    assert readings is not None
+
+    def run() -> float:
+        belief = start
+        started = time.thread_time()
+        for step in range(KERNEL_STEPS):
+            belief = predict(
+                belief,
+                partial(model.transition, control=None, step=step),
+                model.process_noise_cov(step),
+                rule,
+            )
+            value, noise_cov = sensors.interpret(readings[:, step, :, 0])
+            belief = update(
+                belief,
+                value,
+                partial(sensors.measure, step=step),
+                noise_cov,
+                rule,
+                residual=sensors.residual,
+            ).belief
+        return (time.thread_time() - started) * STEPS / KERNEL_STEPS
+
+    return run
+
+
+def _fusions(setup: Setup) -> Callable[[], float]:
+    start, weights = _start(setup), np.zeros((NODES, NODES))
+    for node, (others, row) in enumerate(zip(setup.neighbours, setup.weights, strict=True)):
+        weights[node, [node, *others]] = row
+
+    def run() -> float:
+        belief = start
+        started = time.thread_time()
+        for _ in range(KERNEL_STEPS):
+            for _ in range(setup.scenario.rounds):
+                belief = fuse(belief, weights, 1)
+        return (time.thread_time() - started) * STEPS / KERNEL_STEPS
+
+    return run
+
+
+if __name__ == "__main__":
+    main()
