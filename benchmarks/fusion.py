@@ -73,8 +73,8 @@ def main() -> Figures:
     """Print and return node-rounds per second and ratios."""
     beliefs, weights = network(BLOCK, NODES, STATES)
     few = Gaussian(*(np.ascontiguousarray(part[:LOOP_RUNS]) for part in beliefs))
-    for ours, theirs in zip(fuse(few, weights, 1), loop(few, weights), strict=True):
-        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-11)
+    for array, expected in zip(fuse(few, weights, 1), loop(few, weights), strict=True):
+        np.testing.assert_allclose(array, expected, rtol=1e-9, atol=1e-11)
 
     def ours(rounds: int) -> Callable[[], float]:
         def all_blocks() -> None:
