@@ -9,7 +9,8 @@ from scipy import stats
 from experiments.labelled_cases import Case, CaseOutcome, halves, run_case
 from experiments.labelled_study import FORMS, OCCUPANCIES, Form, Job, Outcome, cell, outcome
 from experiments.options import ScenarioOptions
-from experiments.reproduce_labelled import draw, error_section
+from experiments.reproduce_command import carry_out
+from experiments.reproduce_labelled import draw, error_section, reproduction
 from experiments.reproduce_labelled_cases import CASES, cases_section
 from scenarios.setup import prepare
 
@@ -83,3 +84,13 @@ def test_the_report_has_a_picture_and_a_row_for_every_cell(tmp_path: Path):
     assert not all(check.ok for check in section.checks)
     text = section.text
     assert all(name in text for name in CASES) and "| - |" in text
+
+
+@pytest.mark.slow
+def test_the_command_does_all_of_it(tmp_path: Path):
+    """Two runs say little of errors; what is exact must hold all the same."""
+    report = carry_out("labelled", reproduction(2), tmp_path)
+    assert report.complete and [section.place for section in report.sections] == [1, 2, 3]
+    assert all(check.ok for check in report.sections[0].checks)
+    assert (tmp_path / "labelled.png").exists()
+    assert all(form.name in (tmp_path / "report.md").read_text() for form in FORMS)
