@@ -97,7 +97,6 @@ class ScenarioOptions:
         Raises:
             ValueError: there is no such scenario, or its data cannot be read.
         """
-        kind = kind_of(self.scenario)
         asked: dict[str, Any] = {
             f.name: getattr(self, f.name)
             for f in fields(self)
@@ -105,10 +104,20 @@ class ScenarioOptions:
         }
         if "data" in asked:
             asked["data"] = str(self.data)
-        # A part of the bus is a wish for a schedule that can give it.
-        if asked.get("occupancy", 1.0) < 1.0:
-            asked.setdefault("schedule", "hybrid")
-        scenario = msgspec.structs.replace(kind.defaults, **asked)
-        if kind.all_steps is not None and self.steps is None:
-            scenario = msgspec.structs.replace(scenario, steps=kind.all_steps(scenario))
-        return scenario
+        return scenario_of(self.scenario, asked)
+
+
+def scenario_of(name: str, asked: dict[str, Any]) -> Scenario:
+    """The scenario of that name with the fields that were asked for, nothing left open.
+
+    Raises:
+        ValueError: there is no such scenario, or its data cannot be read.
+    """
+    kind = kind_of(name)
+    # A part of the bus is a wish for a schedule that can give it.
+    if asked.get("occupancy", 1.0) < 1.0 and "schedule" not in asked:
+        asked = {**asked, "schedule": "hybrid"}
+    scenario = msgspec.structs.replace(kind.defaults, **asked)
+    if kind.all_steps is not None and "steps" not in asked:
+        scenario = msgspec.structs.replace(scenario, steps=kind.all_steps(scenario))
+    return scenario
