@@ -12,8 +12,10 @@ from experiments.flexray_command import SUMMARY, flexray_commands
 from experiments.identify_command import identify_tyres
 from experiments.list_command import list_all
 from experiments.replay_command import replay
+from experiments.plot_command import plot
 from experiments.reproduce_command import reproduce
 from experiments.run_command import run
+from experiments.sweep_command import sweep
 
 COMMANDS = {
     "run": run,
@@ -23,6 +25,8 @@ COMMANDS = {
     "agree": agree,
     "reproduce": reproduce,
     "identify": identify_tyres,
+    "sweep": sweep,
+    "plot": plot,
 }
 
 

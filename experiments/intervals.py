@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 from nodes.messages import Array
 
@@ -87,7 +87,7 @@ METHODS: dict[str, Method] = {
 def _half_width(values: Array, confidence: float) -> float:
     if len(values) < 2:
         return float("nan")
-    quantile = stats.t.ppf(0.5 + confidence / 2, len(values) - 1)
+    quantile = stdtrit(len(values) - 1, 0.5 + confidence / 2)
     return float(quantile * values.std(ddof=1) / np.sqrt(len(values)))
 
 
@@ -107,6 +107,9 @@ def _root_ratio_along(squares: Array, others: Array, axis: int) -> Array:
 def _bootstrap(
     samples: tuple[Array, ...], statistic: Callable[..., Array], confidence: float
 ) -> tuple[float, float]:
+    # Loading it takes longer than most of what is done here.
+    from scipy import stats
+
     # The seed is fixed: the same runs give the same interval.
     found = stats.bootstrap(
         samples, statistic, n_resamples=RESAMPLES, paired=True, confidence_level=confidence,

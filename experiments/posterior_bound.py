@@ -7,8 +7,9 @@ Gaussian noise (equations 34 to 36): with F and H the Jacobians at the truth,
     D11 = E[F' Q^-1 F],  D12 = -E[F'] Q^-1,  D22 = Q^-1
     J[k+1] = D22 - D12' (J[k] + D11)^-1 D12 + E[sum over the readings of H' R^-1 H]
 
-The expectations are means over Monte-Carlo truths. Which readings were taken is taken as given: that
-a sensor with a limited field of view saw nothing says something too, but no filter here uses it.
+The expectations are means over Monte-Carlo truths. Which readings were taken is taken as given:
+that a sensor with a limited field of view saw nothing says something too, but no filter here uses
+it.
 """
 
 from collections.abc import Callable, Sequence
@@ -88,12 +89,12 @@ def _information(
     """E[sum over the readings of H' R^-1 H] (n, n) at a step."""
     runs, n = truths.truth.shape[0], truths.truth.shape[-1]
     total = np.zeros((n, n))
-    taken = ~np.isnan(truths.readings[:, step]).all(axis=-1)
-    for node in np.flatnonzero(taken.any(axis=(0, 2))):
+    taken = np.logical_not(np.isnan(truths.readings[:, step]).all(axis=-1))
+    for node in np.flatnonzero(taken.any(axis=(0, 2))).tolist():
         sensor = sensors[node]
         if sensor is None:
             continue
-        for place in np.flatnonzero(taken[:, node].any(axis=0)):
+        for place in np.flatnonzero(taken[:, node].any(axis=0)).tolist():
             which = np.flatnonzero(taken[:, node, place])
             slopes = _slopes(sensor, truths.truth[which, step], scale, step)
             read = [sensor.interpret(one) for one in truths.readings[which, step, node, place]]

@@ -73,12 +73,16 @@ def make_folder(out: Path | None, run: str) -> Path:
 
 def describe(run: str, driver: str, setup: Setup) -> Description:
     """The description of a run by this version of the program."""
-    versions = {name: version(name) for name in _VERSIONED}
-    versions["python"] = platform.python_version()
-    return Description(run, driver, setup.scenario.seed, setup, versions, _commit())
+    return Description(run, driver, setup.scenario.seed, setup, versions(), commit())
 
 
-def _commit() -> str | None:
+def versions() -> dict[str, str]:
+    """What computes: this program, Python and the libraries that its numbers may depend on."""
+    found = {name: version(name) for name in _VERSIONED}
+    return {**found, "python": platform.python_version()}
+
+
+def commit() -> str | None:
     """The commit of the program's own checkout, or None for an installed one."""
     root = Path(__file__).resolve().parent.parent
     if not (root / ".git").exists():

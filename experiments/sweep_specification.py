@@ -145,7 +145,9 @@ def cells_of(specification: Specification) -> list[Cell]:
 
 def _factorial(specification: Specification) -> list[dict[str, Value]]:
     levels = specification.levels
-    return [dict(zip(levels, values, strict=True)) for values in itertools.product(*levels.values())]
+    return [
+        dict(zip(levels, values, strict=True)) for values in itertools.product(*levels.values())
+    ]
 
 
 def _sampled(specification: Specification) -> list[dict[str, Value]]:
