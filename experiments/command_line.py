@@ -8,6 +8,7 @@ from tyro.extras import SubcommandApp
 
 from experiments.agree_command import agree
 from experiments.collect_command import collect
+from experiments.design_command import design
 from experiments.flexray_command import SUMMARY, flexray_commands
 from experiments.identify_command import identify_tyres
 from experiments.list_command import list_all
@@ -26,6 +27,7 @@ COMMANDS = {
     "reproduce": reproduce,
     "identify": identify_tyres,
     "sweep": sweep,
+    "design": design,
     "plot": plot,
 }
 

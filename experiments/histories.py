@@ -8,7 +8,8 @@ import msgspec
 import numpy as np
 
 from experiments.drivers import in_memory
-from experiments.trace import read_trace
+from experiments.trace import Trace, read_trace
+from filters.metrics import nees
 from nodes.messages import Array, to_wire
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup, generator
@@ -18,15 +19,15 @@ class Histories(NamedTuple):
     """R runs of N nodes; see `trace.Trace`, whose arrays these are with the runs in front.
 
     truth (R, steps, n), readings (R, steps, N, r, d), control (R, steps, p) or None, mean
-    (R, steps, N, n), cov (R, steps, N, n, n), payload_bytes (R, steps, rounds, N), ages
-    (R, steps, E) over the links: the neighbours of node 0, then those of node 1, and so on.
+    (R, steps, N, n), nees (R, steps, N), payload_bytes (R, steps, rounds, N), ages (R, steps, E)
+    over the links: the neighbours of node 0, then those of node 1, and so on.
     """
 
     truth: Array
     readings: Array
     control: Array | None
     mean: Array
-    cov: Array
+    nees: Array
     ages: np.ndarray
     payload_bytes: np.ndarray
 
@@ -45,10 +46,16 @@ def one_by_one(setup: Setup, runs: range) -> Histories:
         readings=np.stack([trace.readings for trace in traces]),
         control=np.stack(controls) if controls else None,
         mean=np.stack([trace.mean for trace in traces]),
-        cov=np.stack([trace.cov for trace in traces]),
+        nees=np.stack([_nees(setup, trace) for trace in traces]),
         ages=np.stack([trace.ages[:, receivers, senders] for trace in traces]),
         payload_bytes=np.stack([trace.payload_bytes for trace in traces]),
     )
+
+
+def _nees(setup: Setup, trace: Trace) -> Array:
+    states = list(kind_of(setup.scenario.name).score.nees_states)
+    errors = (trace.mean - trace.truth[:, None])[..., states]
+    return nees(errors, trace.cov[..., states, :][..., states])
 
 
 def setups(setup: Setup, runs: range) -> list[Setup]:

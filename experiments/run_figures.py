@@ -92,7 +92,7 @@ def figures_of(setup: Setup, histories: Histories, frame: Frame) -> dict[str, Ar
         "bound": np.sqrt(np.trace(_part(frame.bound, states), axis1=-2, axis2=-1)),
         "bound_state": np.sqrt(np.diagonal(frame.bound, axis1=-2, axis2=-1)),
     }
-    figures |= _consistency(setup, errors, histories.cov, counted)
+    figures |= _consistency(setup, histories.nees, counted)
     figures["anees_centralised"] = _anees_central(setup, central, frame.cov, counted)
     return figures | _traffic(setup, histories)
 
@@ -107,12 +107,11 @@ def scored_steps(score: Score, readings: Array) -> np.ndarray:
     return np.arange(steps) >= first[:, None]
 
 
-def _consistency(setup: Setup, errors: Array, cov: Array, counted: np.ndarray) -> dict[str, Array]:
-    states = list(kind_of(setup.scenario.name).score.nees_states)
+def _consistency(setup: Setup, values: Array, counted: np.ndarray) -> dict[str, Array]:
+    states = kind_of(setup.scenario.name).score.nees_states
     if is_certain(setup.scenario):
-        nothing = np.full(len(errors), np.nan)
+        nothing = np.full(len(values), np.nan)
         return {"anees": nothing, "coverage": nothing, "nees": np.full(counted.shape, np.nan)}
-    values = nees(errors[..., states], _part(cov, states))
     within = np.where(np.isnan(values), np.nan, values <= chdtri(len(states), 1 - COVERED))
     here = counted[..., None]
     return {

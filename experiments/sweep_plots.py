@@ -284,7 +284,7 @@ def _title(values: dict[str | None, str | None]) -> str:
 
 
 def _panels(rows: int, columns: int, *, width: float = PANEL_WIDTH, height: float = PANEL_HEIGHT,
-            **shared: bool) -> tuple[Any, Any]:  # fmt: skip
+            **shared: Any) -> tuple[Any, Any]:  # fmt: skip
     import matplotlib.pyplot as plt
 
     # A single panel is given the width that its title needs.
