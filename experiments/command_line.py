@@ -14,6 +14,7 @@ from experiments.identify_command import identify_tyres
 from experiments.list_command import list_all
 from experiments.replay_command import replay
 from experiments.plot_command import plot
+from experiments.report_command import report
 from experiments.reproduce_command import reproduce
 from experiments.run_command import run
 from experiments.sweep_command import sweep
@@ -29,6 +30,7 @@ COMMANDS = {
     "sweep": sweep,
     "design": design,
     "plot": plot,
+    "report": report,
 }
 
 

@@ -49,9 +49,8 @@ class Candidate(NamedTuple):
 
     def cost(self, cost: Cost) -> tuple[float, float]:
         """What is to be spared, and then bytes, where candidates are equal."""
-        return float(self.figures[_COSTS[cost]].mean()), float(
-            self.figures["bytes_per_step"].mean()
-        )
+        spared, sent = (self.figures[name].mean() for name in (_COSTS[cost], "bytes_per_step"))
+        return float(spared), float(sent)
 
     def error(self, target: Target, confidence: float) -> Interval:
         """The error as the target measures it."""

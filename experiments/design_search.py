@@ -43,7 +43,7 @@ class Task(NamedTuple):
 
 
 class Confirmed(NamedTuple):
-    """A candidate on runs that the search has not seen; `error` at the confidence it was tried at."""
+    """A candidate on runs that the search has not seen, and its error at that confidence."""
 
     candidate: Candidate
     error: Interval

@@ -1,4 +1,4 @@
-"""Where a design looks: the values of each field, a coarse grid of them, and who is next to whom."""
+"""Where a design looks: the values of each field, a coarse grid, and who is next to whom."""
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence

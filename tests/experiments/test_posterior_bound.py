@@ -1,0 +1,162 @@
+"""The posterior bound against the Kalman covariance, the joint information matrix, and a filter."""
+
+from functools import partial
+from types import SimpleNamespace
+
+import msgspec
+import numpy as np
+import pytest
+
+from experiments.options import scenario_of
+from experiments.posterior_bound import Truths, posterior_bound
+from nodes.messages import Array
+from scenarios.baselines import centralised
+from scenarios.catalogue import kind_of
+from scenarios.setup import generator, prepare
+
+
+def truths_of(name: str, runs: int, **fields) -> tuple[Truths, SimpleNamespace]:
+    """Truths without any filter, and what the bound needs of the scenario."""
+    scenario = scenario_of(name, fields)
+    kind = kind_of(name)
+    plant = kind.plant(scenario)
+    truth, readings, priors = [], [], []
+    for run in range(runs):
+        own = msgspec.structs.replace(scenario, run=run)
+        draws = plant.draw(partial(generator, own), scenario.steps)
+        state, mean, cov = plant.initial(draws.initial)
+        states, seen = [], []
+        for step in range(scenario.steps):
+            if step:
+                state = plant.advance(state, None, draws.process[step - 1], step - 1)
+            states.append(state)
+            seen.append(plant.observe(state, draws.measurement[step], step))
+        truth.append(states)
+        readings.append(seen)
+        priors.append(mean)
+    sensors = [kind.sensor(scenario, node) for node in range(scenario.nodes)]
+    parts = SimpleNamespace(
+        scenario=scenario, model=kind.model(scenario), sensors=sensors, prior_cov=cov, priors=priors
+    )
+    return Truths(np.array(truth), np.array(readings), None), parts
+
+
+def kalman_cov(parts: SimpleNamespace, steps: int) -> Array:
+    """The covariance of the Kalman filter with all sensors, by the textbook."""
+    model, n = parts.model, len(parts.prior_cov)
+    F = np.column_stack(
+        [model.transition(column, None, 0) - model.transition(np.zeros(n), None, 0)
+         for column in np.eye(n)]
+    )  # fmt: skip
+    rows = []
+    for sensor in parts.sensors:
+        H = sensor.measure(np.eye(n), 0).T
+        _, R = sensor.interpret(np.zeros(len(H)))
+        rows += [(h, r) for h, r, in zip(H, np.diag(R), strict=True) if np.abs(h).any()]
+    H = np.array([h for h, _ in rows])
+    R = np.diag([r for _, r in rows])
+    P, covs = parts.prior_cov, []
+    for step in range(steps):
+        if step:
+            P = F @ P @ F.T + model.process_noise_cov(0)
+        gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+        P = (np.eye(n) - gain @ H) @ P
+        covs.append(P)
+    return np.array(covs)
+
+
+def test_on_a_linear_plant_it_is_the_covariance_of_the_kalman_filter():
+    truths, parts = truths_of("oscillator", 2, nodes=5, steps=30)
+    bound = posterior_bound(truths, parts.prior_cov, parts.model, parts.sensors)
+    seeing = SimpleNamespace(**{**vars(parts), "sensors": [s for s in parts.sensors if s]})
+    np.testing.assert_allclose(bound, kalman_cov(seeing, 30), rtol=1e-8, atol=0)
+
+
+@pytest.mark.parametrize("name", ["dc-motor-position", "cruise", "aircraft-pitch"])
+def test_so_it_is_where_some_direction_has_no_noise(name: str):
+    if name not in __import__("scenarios.catalogue", fromlist=["kinds"]).kinds():
+        pytest.skip(f"no scenario {name}")
+    truths, parts = truths_of(name, 2, nodes=4, steps=40, control="open")
+    bound = posterior_bound(truths, parts.prior_cov, parts.model, parts.sensors)
+    setup = prepare(parts.scenario)
+    filtered = centralised(setup, truths.readings[0], None)
+    scale = np.sqrt(np.einsum("kii->ki", filtered.cov))
+    relative = (bound - filtered.cov) / (scale[:, :, None] * scale[:, None, :])
+    assert np.abs(relative).max() < 1e-6
+
+
+class Bent:
+    """x' = x + 0.1 sin x + noise: a model whose Jacobian is another at every truth."""
+
+    def transition(self, state: Array, control: Array | None, step: int) -> Array:
+        return state + 0.1 * np.sin(state)
+
+    def process_noise_cov(self, step: int) -> Array:
+        return np.array([[0.04]])
+
+
+class Squared:
+    """y = x^2 / 4 + noise."""
+
+    gate = None
+
+    def measure(self, state: Array, step: int) -> Array:
+        return state**2 / 4
+
+    def residual(self, value: Array, predicted: Array, /) -> Array:
+        return value - predicted
+
+    def interpret(self, delivered: Array) -> tuple[Array, Array]:
+        return delivered, np.array([[0.09]])
+
+
+def test_on_a_bent_model_it_is_the_last_block_of_the_joint_information():
+    """The recursion is a Schur complement of the information of all states at once."""
+    runs, steps = 6, 8
+    truth = np.random.default_rng(0).normal(1, 0.7, (runs, steps, 1))
+    readings = np.ones((runs, steps, 1, 1, 1))
+    readings[2:, 3] = np.nan
+    bound = posterior_bound(
+        Truths(truth, readings, None), np.array([[0.25]]), Bent(), [Squared()]
+    )
+    joint = np.zeros((steps, steps))
+    joint[0, 0] = 1 / 0.25
+    for step in range(steps):
+        slope = truth[:, step, 0] / 2
+        joint[step, step] += np.where(np.isnan(readings[:, step, 0, 0, 0]), 0, slope**2 / 0.09).mean()
+        if step + 1 < steps:
+            bend = 1 + 0.1 * np.cos(truth[:, step, 0])
+            joint[step, step] += (bend**2).mean() / 0.04
+            joint[step, step + 1] = joint[step + 1, step] = -bend.mean() / 0.04
+            joint[step + 1, step + 1] += 1 / 0.04
+    for step in range(steps):
+        known = joint[: step + 1, : step + 1].copy()
+        if step + 1 < steps:
+            # Without what the future says of the last state.
+            known[step, step] -= ((1 + 0.1 * np.cos(truth[:, step, 0])) ** 2).mean() / 0.04
+        np.testing.assert_allclose(bound[step, 0, 0], np.linalg.inv(known)[-1, -1], rtol=1e-6)
+
+
+def test_no_filter_of_a_tracking_network_beats_it():
+    truths, parts = truths_of("target-tracking", 30, nodes=10, steps=40)
+    bound = posterior_bound(truths, parts.prior_cov, parts.model, parts.sensors)
+    setup = prepare(parts.scenario)
+    errors = np.array([
+        centralised(
+            msgspec.structs.replace(setup, prior_mean=prior.tolist()), readings, None
+        ).mean - truth
+        for prior, readings, truth in zip(
+            parts.priors, truths.readings, truths.truth, strict=True
+        )
+    ])  # fmt: skip
+    measured = np.sqrt((errors[:, 10:, [0, 2]] ** 2).sum(-1).mean())
+    least = np.sqrt(np.trace(bound[10:, [0, 2]][:, :, [0, 2]], axis1=1, axis2=2).mean())
+    # 30 runs of 30 steps: the measured error is known to about a tenth.
+    assert 0.9 * least < measured < 2 * least
+
+
+def test_it_says_nothing_where_nobody_knows_the_truth():
+    truths, parts = truths_of("oscillator", 1, nodes=3, steps=3)
+    unknown = truths._replace(truth=np.full_like(truths.truth, np.nan))
+    bound = posterior_bound(unknown, parts.prior_cov, parts.model, parts.sensors)
+    assert np.isnan(bound).all()

@@ -1,0 +1,122 @@
+"""The figures of many runs are, run by run, those of `concord run`."""
+
+import numpy as np
+import pytest
+
+from experiments.convergence import settling_interval, settling_steps
+from experiments.drivers import in_memory
+from experiments.energy import energy_per_bit_nj
+from experiments.histories import one_by_one, setups
+from experiments.options import scenario_of
+from experiments.pareto import front
+from experiments.run_figures import FIGURES, figures_of
+from experiments.run_frame import frame_of
+from experiments.summary import summarise
+from experiments.trace import read_trace
+from scenarios.setup import prepare
+
+CASES = [
+    ("target-tracking", {"nodes": 8, "steps": 25, "occupancy": 0.5}),
+    ("target-tracking", {"nodes": 8, "steps": 25, "cluster": "none", "graph": "ring"}),
+    ("oscillator", {"nodes": 4, "steps": 24, "rule": "hcmci"}),
+    ("dc-motor-speed", {"nodes": 4, "steps": 62}),
+]
+
+
+@pytest.mark.parametrize(("name", "fields"), CASES)
+def test_each_run_has_the_figures_of_a_single_run(name: str, fields: dict):
+    setup = prepare(scenario_of(name, fields))
+    runs = range(3, 5)
+    histories = one_by_one(setup, runs)
+    many = figures_of(setup, histories, frame_of(setup, runs, histories))
+    assert set(many) == set(FIGURES)
+    for place, one in enumerate(setups(setup, runs)):
+        single = summarise(one, read_trace(one, in_memory(one)))
+        expected = {
+            "rmse": single.rmse,
+            "rmse_centralised": single.rmse_centralised,
+            "rmse_worst_node": single.worst_node_to_centralised * single.rmse_centralised,
+            "anees": single.anees,
+            "anees_centralised": single.anees_centralised,
+            "disagreement": single.disagreement,
+        }
+        if single.bus is not None:
+            ages = np.array(single.bus.share_ages)
+            expected |= {
+                "bus_load": single.bus.load_mean,
+                "delay_us": single.bus.delay_us_mean,
+                "share_age": (ages * np.arange(len(ages))).sum() / ages.sum(),
+                "share_age_max": len(ages) - 1,
+            }
+        for figure, value in expected.items():
+            assert many[figure][place] == pytest.approx(value, rel=1e-9, nan_ok=True), figure
+        np.testing.assert_allclose(many["rmse_node"][place], [n.rmse for n in single.nodes])
+
+
+def test_shapes_are_those_that_are_promised():
+    setup = prepare(scenario_of("oscillator", {"nodes": 3, "steps": 22}))
+    histories = one_by_one(setup, range(2))
+    sizes = {"run": 2, "step": 22, "node": 3, "state": 2}
+    for name, values in figures_of(setup, histories, frame_of(setup, range(2), histories)).items():
+        assert values.shape == tuple(sizes[d] for d in FIGURES[name].dimensions), name
+
+
+def test_the_frame_is_computed_once_for_equal_noise_and_anew_for_other():
+    first = prepare(scenario_of("oscillator", {"nodes": 3, "steps": 5}))
+    other = prepare(scenario_of("oscillator", {"nodes": 3, "steps": 5, "rule": "wac"}))
+    seeded = prepare(scenario_of("oscillator", {"nodes": 3, "steps": 5, "seed": 9}))
+    one, two, three = (
+        frame_of(s, range(1), one_by_one(s, range(1))) for s in (first, other, seeded)
+    )
+    assert one is two
+    assert one is not three
+
+
+def test_a_blind_node_is_worse_than_one_that_reads():
+    setup = prepare(scenario_of("oscillator", {"nodes": 8, "steps": 40, "rule": "local"}))
+    histories = one_by_one(setup, range(2))
+    figures = figures_of(setup, histories, frame_of(setup, range(2), histories))
+    assert (figures["rmse_blind"] > 1.5 * figures["rmse"]).all()
+
+
+def test_bytes_count_what_frames_add():
+    # 4 nodes, 3 rounds, 2 states: a share is 5 numbers of 8 bytes, and a frame adds 8.
+    setup = prepare(scenario_of("oscillator", {"nodes": 4, "steps": 3}))
+    histories = one_by_one(setup, range(1))
+    figures = figures_of(setup, histories, frame_of(setup, range(1), histories))
+    assert figures["bytes_per_step"].tolist() == [4 * 3 * (5 * 8 + 8)]
+    # On a wire: 50 nJ a bit at the sender and each of two hearers on a ring.
+    assert figures["energy_per_step"][0] == pytest.approx(576 * 8 * 50 * 3 * 1e-6)
+
+
+def test_energy_grows_with_the_square_of_the_reach():
+    positions = np.array([[0.0, 0.0], [100.0, 0.0], [0.0, 300.0]])
+    nanojoules = energy_per_bit_nj([[1, 2], [0], [0]], positions)
+    assert nanojoules.tolist() == pytest.approx(
+        [50 * 3 + 0.1 * 300**2, 50 * 2 + 0.1 * 100**2, 50 * 2 + 0.1 * 300**2]
+    )
+
+
+def falling(runs: int, steps: int, settled_at: int) -> np.ndarray:
+    error = np.where(np.arange(steps) < settled_at, 10.0, 1.0)
+    return error * (1 + 0.05 * np.random.default_rng(0).standard_normal((runs, steps)))
+
+
+@pytest.mark.parametrize("settled_at", [0, 7, 20])
+def test_settling_is_the_last_step_that_is_off(settled_at: int):
+    error = falling(20, 60, settled_at)
+    assert settling_steps(error, 0) == settled_at
+    assert settling_steps(error, 5) == max(settled_at - 5, 0)
+    interval = settling_interval(error, 0)
+    assert interval.low <= settled_at <= interval.high
+
+
+def test_what_is_off_until_the_end_never_settles():
+    assert np.isnan(settling_steps(falling(5, 60, 45), 0))
+    assert np.isnan(settling_steps(falling(5, 60, 10), 59))
+
+
+def test_the_front_is_what_nothing_beats():
+    cost = np.array([1.0, 2.0, 2.0, 3.0, np.nan, 4.0, 1.0])
+    error = np.array([5.0, 4.0, 3.0, 3.5, 0.0, 1.0, 6.0])
+    assert front(cost, error).tolist() == [0, 2, 5]
