@@ -54,6 +54,8 @@ def ratio_t(squares: Array, others: Array, confidence: float = 0.95) -> Interval
     squares, others = _both_known(squares, others)
     if not len(squares):
         return Interval(np.nan, np.nan, np.nan)
+    if not squares.any():
+        return Interval(0.0, 0.0, 0.0)
     middle = _root_ratio(squares, others)
     influence = 0.5 * (squares / squares.mean() - others / others.mean())
     grown = np.exp(_half_width(influence, confidence))

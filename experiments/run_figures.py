@@ -12,8 +12,8 @@ from scipy.special import chdtri
 from bus.frame import MAX_PAYLOAD_BYTES, OVERHEAD_BYTES
 from bus.timing import bus_load, fusion_delay_us
 from experiments.energy import energy_per_bit_nj
-from experiments.histories import Histories
 from experiments.run_frame import Frame
+from experiments.vectorised import Histories
 from filters.linalg import symmetrise
 from filters.metrics import nees, rmse
 from nodes.messages import Array
@@ -66,7 +66,8 @@ FIGURES = {
 def figures_of(setup: Setup, histories: Histories, frame: Frame) -> dict[str, Array]:
     """The variables of `FIGURES`, with their dimensions."""
     score = kind_of(setup.scenario.name).score
-    counted = scored_steps(score, histories.readings)
+    readings, _ = kept(histories)
+    counted = scored_steps(score, readings)
     errors = histories.mean - histories.truth[:, :, None]
     central = frame.mean - histories.truth
     states = list(score.states)
@@ -74,7 +75,7 @@ def figures_of(setup: Setup, histories: Histories, frame: Frame) -> dict[str, Ar
     scored = np.where(counted[..., None, None], errors, np.nan)
     spread = histories.mean - _average(histories.mean)
     position = scored[..., states]
-    read = np.logical_not(np.isnan(histories.readings).all(axis=(-1, -2)))
+    read = np.logical_not(np.isnan(readings).all(axis=(-1, -2)))
     per_node = rmse(position, (1,))
     figures = {
         "rmse": rmse(position, (1, 2)),
@@ -95,6 +96,12 @@ def figures_of(setup: Setup, histories: Histories, frame: Frame) -> dict[str, Ar
     figures |= _consistency(setup, histories.nees, counted)
     figures["anees_centralised"] = _anees_central(setup, central, frame.cov, counted)
     return figures | _traffic(setup, histories)
+
+
+def kept(histories: Histories) -> tuple[Array, np.ndarray]:
+    """Readings and ages, which every figure of a network needs."""
+    assert histories.readings is not None and histories.ages is not None, "keep both"
+    return histories.readings, histories.ages
 
 
 def scored_steps(score: Score, readings: Array) -> np.ndarray:
@@ -136,7 +143,7 @@ def _traffic(setup: Setup, histories: Histories) -> dict[str, Array]:
     sent = (payload + OVERHEAD_BYTES * frames).sum(axis=2)
     plant = kind_of(setup.scenario.name).plant(setup.scenario)
     energy_nj = energy_per_bit_nj(setup.neighbours, plant.positions(0))
-    heard = histories.ages.reshape(len(payload), -1)
+    heard = kept(histories)[1].reshape(len(payload), -1)
     load, delay_us = _bus(setup, payload)
     return {
         "published": (payload > 0).mean(axis=(1, 2, 3)),

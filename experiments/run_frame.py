@@ -9,13 +9,13 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from experiments.histories import Histories, setups
 from experiments.posterior_bound import Truths, posterior_bound
+from experiments.vectorised import Histories
 from nodes.messages import Array
 from scenarios.baselines import centralised, listens_step_by_step
 from scenarios.catalogue import kind_of
 from scenarios.scenario import Scenario
-from scenarios.setup import Setup
+from scenarios.setup import Setup, setup_of_run
 
 # What a network is made of: fields that no filter that hears everything depends on.
 _OF_THE_NETWORK = (
@@ -57,17 +57,20 @@ def _key(setup: Setup, runs: range, histories: Histories) -> bytes:
             (msgspec.structs.replace(setup.scenario, **ignored), setup.prior_cov, runs[0])
         )
     )
-    for array in (histories.truth, histories.readings, histories.control):
+    for array in (histories.truth, histories.readings, histories.control, histories.prior_mean):
         if array is not None:
             digest.update(array.tobytes())
     return digest.digest()
 
 
 def _frame(setup: Setup, runs: range, histories: Histories) -> Frame:
-    control = histories.control
+    control, readings = histories.control, histories.readings
+    assert readings is not None, "keep the readings"
     alone = [
-        centralised(one, histories.readings[r], None if control is None else control[r])
-        for r, one in enumerate(setups(setup, runs))
+        centralised(
+            setup_of_run(setup, run), readings[place], None if control is None else control[place]
+        )
+        for place, run in enumerate(runs)
     ]
     return Frame(
         np.stack([belief.mean for belief in alone]),
@@ -83,5 +86,6 @@ def _bound(setup: Setup, histories: Histories) -> Array:
     if kind.wiring is not None or not listens_step_by_step(setup):
         return np.full((steps, n, n), np.nan)
     sensors = [kind.sensor(setup.scenario, node) for node in range(setup.scenario.nodes)]
+    assert histories.readings is not None, "keep the readings"
     truths = Truths(histories.truth, histories.readings, histories.control)
     return posterior_bound(truths, np.array(setup.prior_cov), kind.model(setup.scenario), sensors)

@@ -6,18 +6,16 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from experiments.histories import Simulate, one_by_one
 from experiments.run_figures import FIGURES, figures_of
 from experiments.run_frame import frame_of
 from experiments.sweep_specification import Cell, Specification
+from experiments.vectorised import simulate
 from nodes.messages import Array
 from scenarios.scenario import Scenario
 from scenarios.setup import prepare
 
 # Estimates of a piece that are in memory at once: nodes x runs x steps.
 LARGEST = 500_000
-
-SIMULATE: Simulate = one_by_one
 
 
 class Piece(NamedTuple):
@@ -46,7 +44,7 @@ def compute(piece: Piece) -> dict[str, Array]:
     """The figures of a piece (`run_figures.FIGURES`)."""
     setup = prepare(msgspec.json.decode(piece.scenario, type=Scenario))
     runs = range(piece.first, piece.last)
-    histories = SIMULATE(setup, runs)
+    histories = simulate(setup, runs)
     return figures_of(setup, histories, frame_of(setup, runs, histories))
 
 

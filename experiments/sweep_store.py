@@ -93,7 +93,7 @@ def load_cells(folder: Path, numbers: Iterable[int]) -> dict[int, dict[str, Arra
     found = {}
     for number in numbers:
         try:
-            with np.load(_path(folder, number)) as arrays:
+            with _path(folder, number).open("rb") as file, np.load(file) as arrays:
                 found[number] = {name: arrays[name] for name in arrays.files}
         except (OSError, ValueError, zipfile.BadZipFile):
             continue

@@ -9,14 +9,14 @@ from experiments.intervals import METHODS, mean_bootstrap, mean_t, ratio_bootstr
 def covered(method: str, runs: int, trials: int) -> tuple[float, float]:
     """Share of the trials in which the interval holds the true mean, and the true ratio."""
     generator = np.random.default_rng(7)
-    mean, ratio = METHODS[method]
+    mean_of, ratio_of = METHODS[method]
     held = np.zeros(2)
     for _ in range(trials):
         common = generator.gamma(8, 1 / 8, runs)
-        a, b = common * generator.gamma(20, 4 / 20, runs), common * generator.gamma(20, 1 / 20, runs)
-        one, two = mean(a), ratio(a, b)
+        a, b = (common * generator.gamma(20, mean / 20, runs) for mean in (4, 1))
+        one, two = mean_of(a), ratio_of(a, b)
         held += [one.low <= 4 <= one.high, two.low <= 2 <= two.high]
-    return tuple(held / trials)
+    return float(held[0] / trials), float(held[1] / trials)
 
 
 def test_an_interval_holds_the_truth_as_often_as_it_says():

@@ -21,6 +21,7 @@ def truths_of(name: str, runs: int, **fields) -> tuple[Truths, SimpleNamespace]:
     kind = kind_of(name)
     plant = kind.plant(scenario)
     truth, readings, priors = [], [], []
+    cov = np.empty(0)
     for run in range(runs):
         own = msgspec.structs.replace(scenario, run=run)
         draws = plant.draw(partial(generator, own), scenario.steps)
@@ -52,7 +53,7 @@ def kalman_cov(parts: SimpleNamespace, steps: int) -> Array:
     for sensor in parts.sensors:
         H = sensor.measure(np.eye(n), 0).T
         _, R = sensor.interpret(np.zeros(len(H)))
-        rows += [(h, r) for h, r, in zip(H, np.diag(R), strict=True) if np.abs(h).any()]
+        rows += [(h, r) for h, r in zip(H, np.diag(R), strict=True) if np.abs(h).any()]
     H = np.array([h for h, _ in rows])
     R = np.diag([r for _, r in rows])
     P, covs = parts.prior_cov, []
@@ -68,14 +69,15 @@ def kalman_cov(parts: SimpleNamespace, steps: int) -> Array:
 def test_on_a_linear_plant_it_is_the_covariance_of_the_kalman_filter():
     truths, parts = truths_of("oscillator", 2, nodes=5, steps=30)
     bound = posterior_bound(truths, parts.prior_cov, parts.model, parts.sensors)
-    seeing = SimpleNamespace(**{**vars(parts), "sensors": [s for s in parts.sensors if s]})
+    read = ~np.isnan(truths.readings[0, 0]).all(axis=(-1, -2))
+    sensors = [sensor for sensor, reads in zip(parts.sensors, read, strict=True) if reads]
+    assert 1 < len(sensors) < len(parts.sensors), "a network without a blind node shows less"
+    seeing = SimpleNamespace(**{**vars(parts), "sensors": sensors})
     np.testing.assert_allclose(bound, kalman_cov(seeing, 30), rtol=1e-8, atol=0)
 
 
-@pytest.mark.parametrize("name", ["dc-motor-position", "cruise", "aircraft-pitch"])
+@pytest.mark.parametrize("name", ["dc-motor-position", "dc-motor-speed"])
 def test_so_it_is_where_some_direction_has_no_noise(name: str):
-    if name not in __import__("scenarios.catalogue", fromlist=["kinds"]).kinds():
-        pytest.skip(f"no scenario {name}")
     truths, parts = truths_of(name, 2, nodes=4, steps=40, control="open")
     bound = posterior_bound(truths, parts.prior_cov, parts.model, parts.sensors)
     setup = prepare(parts.scenario)
@@ -116,14 +118,13 @@ def test_on_a_bent_model_it_is_the_last_block_of_the_joint_information():
     truth = np.random.default_rng(0).normal(1, 0.7, (runs, steps, 1))
     readings = np.ones((runs, steps, 1, 1, 1))
     readings[2:, 3] = np.nan
-    bound = posterior_bound(
-        Truths(truth, readings, None), np.array([[0.25]]), Bent(), [Squared()]
-    )
+    bound = posterior_bound(Truths(truth, readings, None), np.array([[0.25]]), Bent(), [Squared()])
     joint = np.zeros((steps, steps))
     joint[0, 0] = 1 / 0.25
     for step in range(steps):
         slope = truth[:, step, 0] / 2
-        joint[step, step] += np.where(np.isnan(readings[:, step, 0, 0, 0]), 0, slope**2 / 0.09).mean()
+        missing = np.isnan(readings[:, step, 0, 0, 0])
+        joint[step, step] += np.where(missing, 0, slope**2 / 0.09).mean()
         if step + 1 < steps:
             bend = 1 + 0.1 * np.cos(truth[:, step, 0])
             joint[step, step] += (bend**2).mean() / 0.04

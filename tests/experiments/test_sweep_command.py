@@ -1,0 +1,212 @@
+"""`concord sweep` end to end: the file, going on, refusals, the same from any number of workers."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.__main__ import main
+from experiments.sweep_results import read_result
+from experiments.sweep_run import begin, finish
+from experiments.sweep_specification import Specification, specify
+from experiments.sweep_store import folder_of
+from experiments.sweep_summary import figures_of
+from experiments.workers import engine_for, in_this_process
+
+ASKED = {"scenario": "oscillator", "nodes": "3", "steps": "24", "graph": "ring,path",
+         "occupancy": "1,.5"}  # fmt: skip
+COMMAND = [part for field, text in ASKED.items() for part in (f"--{field}", text)]
+
+
+def swept(specification: Specification, out: Path | None = None):
+    return finish(begin(specification, out), in_this_process, lambda _: None)
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("sweep") / "s.nc"
+    swept(specify(ASKED, runs=3), path)
+    return path
+
+
+def test_the_result_has_a_dimension_per_field_units_and_provenance(result: Path):
+    data = read_result(result)
+    assert data["rmse"].dims == ("graph", "occupancy", "run")
+    assert data["error"].dims == ("graph", "occupancy", "run", "step")
+    assert data["graph"].to_numpy().tolist() == ["ring", "path"]
+    assert data["rmse"].attrs["units"] == "m" and data["bus_load"].attrs["units"] == "1"
+    assert data["time"].attrs["units"] == "s"
+    assert data["state_unit"].to_numpy().tolist() == ["m", "m/s"]
+    assert data.attrs["seed"] == 1 and "numpy" in json.loads(data.attrs["versions"])
+    assert data.attrs["commit"]
+    assert not folder_of(result).exists()
+
+
+def test_a_cell_is_the_run_of_that_name(result: Path, capsys: pytest.CaptureFixture[str]):
+    fields = [*COMMAND[:6], "--graph", "path", "--occupancy", "0.5", "--run", "2", "--json"]
+    main(["run", *fields, "--out", str(result.with_name("run"))])
+    alone = json.loads(capsys.readouterr().out)
+    cell = read_result(result).sel(graph="path", occupancy=0.5, run=2)
+    assert float(cell["rmse"]) == pytest.approx(alone["rmse"], rel=1e-9)
+    assert float(cell["anees"]) == pytest.approx(alone["anees"], rel=1e-9)
+    assert float(cell["bus_load"]) == pytest.approx(alone["bus"]["load_mean"], rel=1e-9)
+
+
+def test_noise_is_common_to_all_cells(result: Path):
+    central = read_result(result)["rmse_centralised"].to_numpy()
+    assert np.array_equal(central, np.broadcast_to(central[0, 0], central.shape))
+    assert len(np.unique(central[0, 0])) == 3
+
+
+class Stopped(Exception):
+    """What ends a sweep in these tests."""
+
+
+def stopping(after: int):
+    def engine(function, arguments):
+        for place, argument in enumerate(arguments):
+            if place == after:
+                raise Stopped
+            yield place, function(argument)
+
+    return engine
+
+
+def test_a_sweep_goes_on_where_it_stopped(result: Path, tmp_path: Path):
+    out, specification = tmp_path / "s.nc", specify(ASKED, runs=3)
+    with pytest.raises(Stopped):
+        finish(begin(specification, out), stopping(after=2), lambda _: None)
+    assert not out.exists()
+    # A file that was being written when the power went is as if it were not there.
+    (folder_of(out) / "cell-00001.npz").write_bytes(b"PK\x03\x04 half")
+    again = swept(specification, out)
+    assert (again.found_cells, again.computed_cells) == (1, 3)
+    assert again.dataset.equals(read_result(result))
+    finished = swept(specification, out)
+    assert finished.computed_cells == 0
+    assert finished.dataset.equals(again.dataset)
+
+
+def test_it_does_not_go_on_with_another_sweep(tmp_path: Path):
+    out = tmp_path / "s.nc"
+    with pytest.raises(Stopped):
+        finish(begin(specify(ASKED, runs=3), out), stopping(after=1), lambda _: None)
+    with pytest.raises(ValueError, match=r"nodes was 3 and is 4.*remove .*s.nc.cells"):
+        begin(specify({**ASKED, "nodes": "4"}, runs=3), out)
+    with pytest.raises(ValueError, match="runs was 3 and is 4"):
+        begin(specify(ASKED, runs=4), out)
+
+
+def test_it_is_not_written_over_another_sweep(result: Path, tmp_path: Path):
+    copy = tmp_path / "s.nc"
+    shutil.copy(result, copy)
+    with pytest.raises(ValueError, match="graph was ring,path and is ring,star"):
+        begin(specify({**ASKED, "graph": "ring,star"}, runs=3), copy)
+    foreign = tmp_path / "foreign.nc"
+    foreign.write_bytes(b"not netCDF")
+    with pytest.raises(ValueError, match="cannot be read as netCDF"):
+        begin(specify(ASKED, runs=3), foreign)
+
+
+@pytest.mark.slow
+def test_two_workers_find_what_one_finds(result: Path, tmp_path: Path):
+    done = finish(begin(specify(ASKED, runs=3), None), engine_for(2, None), lambda _: None)
+    assert done.dataset.equals(read_result(result))
+
+
+@pytest.mark.slow
+def test_so_do_the_workers_of_a_dask_scheduler(result: Path, tmp_path: Path):
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None,
+        local_directory=str(tmp_path),
+    ) as cluster:  # fmt: skip
+        engine = engine_for(None, cluster.scheduler_address)
+        done = finish(begin(specify(ASKED, runs=3), None), engine, lambda _: None)
+    assert done.dataset.equals(read_result(result))
+
+
+def test_without_dask_the_extra_is_named(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(__import__("sys").modules, "distributed", None)
+    with pytest.raises(ValueError, match=r"pip install 'concord\[dask\]'"):
+        engine_for(None, "tcp://127.0.0.1:1")
+
+
+def test_workers_and_dask_are_one_choice():
+    with pytest.raises(ValueError, match="leave one of them out"):
+        engine_for(2, "tcp://127.0.0.1:1")
+    with pytest.raises(ValueError, match="at least 1"):
+        engine_for(0, None)
+
+
+def test_a_latin_hypercube_has_its_cells_in_a_row(tmp_path: Path):
+    asked = {**ASKED, "occupancy": "0.3..1", "decay": "0..1"}
+    data = swept(specify(asked, runs=2, samples=3), tmp_path / "h.nc").dataset
+    assert data["rmse"].dims == ("cell", "run")
+    assert set(data.coords) >= {"graph", "occupancy", "decay"}
+    assert figures_of(data).cells[2].cell["decay"] == float(data["decay"][2])
+
+
+def test_cells_of_any_size_stand_side_by_side():
+    asked = {"scenario": "oscillator", "nodes": "3,4", "steps": "5,8"}
+    data = swept(specify(asked, runs=2)).dataset
+    small = data.sel(nodes=3, steps=5)
+    assert np.isnan(small["rmse_node"][:, 3]).all() and np.isnan(small["error"][:, 5:]).all()
+    assert not np.isnan(data["rmse"]).any()
+    assert all(np.isfinite(cell.rmse.value) for cell in figures_of(data).cells)
+
+
+def test_one_cell_is_a_sweep_too():
+    asked = {"scenario": "oscillator", "nodes": "3", "steps": "5"}
+    done = swept(specify(asked, runs=2))
+    assert done.dataset["rmse"].dims == ("run",)
+    assert done.node_updates == 2 * 3 * 5
+
+
+def test_errors_in_different_units_are_not_put_in_one_table():
+    asked = {"scenario": "oscillator,dc-motor-speed", "nodes": "4", "steps": "3"}
+    with pytest.raises(ValueError, match="measure their errors in"):
+        begin(specify(asked, runs=1), None)
+
+
+def test_the_command_prints_figures_for_machines(result: Path, capsys: pytest.CaptureFixture[str]):
+    main(["sweep", *COMMAND, "--runs", "3", "-o", str(result), "--json"])
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["computed_cells"] == 0 and printed["unit"] == "m"
+    first = printed["cells"][0]
+    assert first["cell"] == {"graph": "ring", "occupancy": 1.0}
+    value, low, high = first["to_centralised"]
+    assert low < value < high
+    assert first["published"][0] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--graph", "ring,rnig"], "cell graph=rnig (2 of 2)"),
+        (["--rule", "ci", "--occupancy", "0,1"], "(0, 1]"),
+        (["--runs", "0"], "--runs 0"),
+        (["--latin-hypercube", "5"], "nothing is swept"),
+        (["--dask", "tcp://127.0.0.1:1", "--workers", "1"], "leave one of them out"),
+    ],
+)
+def test_a_mistake_is_one_line_and_leaves_nothing(
+    options: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    out = tmp_path / "s.nc"
+    with pytest.raises(SystemExit) as ended:
+        main(["sweep", *options, "-o", str(out)])
+    assert ended.value.code == 2
+    said = capsys.readouterr().err
+    assert says in said and said.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_best_cell_is_compared_with_itself_and_the_others_with_it(result: Path):
+    cells = figures_of(read_result(result)).cells
+    ratios = [cell.to_best.value for cell in cells]
+    assert min(ratios) == 1 and max(ratios) > 1
+    best = cells[ratios.index(1)]
+    assert best.rmse.value == min(cell.rmse.value for cell in cells)
