@@ -12,8 +12,8 @@ from experiments.design_command import design
 from experiments.flexray_command import SUMMARY, flexray_commands
 from experiments.identify_command import identify_tyres
 from experiments.list_command import list_all
-from experiments.replay_command import replay
 from experiments.plot_command import plot
+from experiments.replay_command import replay
 from experiments.report_command import report
 from experiments.reproduce_command import reproduce
 from experiments.run_command import run
