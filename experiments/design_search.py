@@ -116,7 +116,10 @@ def _look(
 def _centres(task: Task, known: Sequence[Candidate]) -> list[Candidate]:
     """Around whom to look closer: the cheapest that seem to meet the target, and the best."""
     meets = [one for one in known if one.error(task.target, 0.95).value <= task.target.most]
-    near = ranked(task.cost, meets)[: CENTRES - 1]
+    # Of equal costs the better one has more to give away.
+    near = sorted(
+        meets, key=lambda one: (one.cost(task.cost)[0], one.error(task.target, 0.95).value)
+    )[: CENTRES - 1]
     best = min(known, key=lambda one: _comparable(one.error(task.target, 0.95).value))
     line = on_front(task.target, task.cost, known)
     missing = [one for one in line if one not in meets][-1:]

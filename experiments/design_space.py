@@ -62,16 +62,27 @@ def coarse_grid(space: Mapping[str, Sequence[Value]]) -> list[Values]:
 
 
 def neighbours_of(values: Values, space: Mapping[str, Sequence[Value]]) -> list[Values]:
-    """Candidates that differ in one field: by one step of a number, by any name."""
+    """Candidates that differ in one field, by one step of a number or by any name; and those that
+    trade rounds for occupancy, all the way."""
     near = []
-    for field, levels in space.items():
-        for other in _near(field, values[field], levels):
-            moved = {**values, field: other}
-            if moved.get("schedule") == "full" and moved.get("occupancy", 1.0) != 1.0:
-                # It leaves the full bus: any way to share it is as near.
-                near += [{**moved, "schedule": way} for way in space.get("schedule", ("hybrid",))]
-            else:
-                near.append(tidy(moved))
+    moves: list[Values] = [
+        {field: other}
+        for field, levels in space.items()
+        for other in _near(field, values[field], levels)
+    ]
+    if all(field in space for field in _ORDERED):
+        moves += [
+            {"rounds": rounds, "occupancy": occupancy}
+            for rounds in space["rounds"]
+            for occupancy in _near("occupancy", values["occupancy"], space["occupancy"])
+        ]
+    for move in moves:
+        moved = {**values, **move}
+        if moved.get("schedule") == "full" and moved.get("occupancy", 1.0) != 1.0:
+            # It leaves the full bus: any way to share it is as near.
+            near += [{**moved, "schedule": way} for way in space.get("schedule", ("hybrid",))]
+        else:
+            near.append(tidy(moved))
     return _once(near)
 
 

@@ -140,8 +140,9 @@ def pareto(dataset: "xarray.Dataset") -> "Figure | None":
     middle = np.sqrt(np.nanmin(cost) * np.nanmax(cost))
     for place in best[: 2 * MOST_PANELS]:
         right = cost[place] > middle
-        axes.annotate(parts[place][0].name, (cost[place], ratio[place]),
-                      xytext=(-6 if right else 6, -10 if right else 5), fontsize=6.5,
+        name = ", ".join(map(shown, parts[place][0].values.values()))
+        axes.annotate(name, (cost[place], ratio[place]), fontsize=6.5,
+                      xytext=(-6 if right else 6, -10 if right else 5),
                       textcoords="offset points", ha="right" if right else "left")  # fmt: skip
     axes.set(xlabel="bytes on the bus per step, all nodes", ylabel=TO_CENTRALISED, xscale="log")
     plain_numbers(axes.xaxis)
@@ -220,6 +221,7 @@ def _draw_errors(axes: Any, parts: list[Part], layout: Layout, look: dict[str, A
         axes.plot(x, data["bound"].to_numpy(), color=GREY, linewidth=1, linestyle=":",
                   label="Cramér-Rao bound")  # fmt: skip
     axes.set_yscale("log")
+    plain_numbers(axes.yaxis)
 
 
 def _draw_line(axes: Any, line: list[Part], axis: str, name: str, style: Any) -> None:
