@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from experiments.__main__ import main
+from experiments.design_candidates import Cost
 from experiments.design_results import design_of, nearest, read_design, write_design
 from experiments.design_search import FRESH_RUN, Found, Task, search
 from experiments.design_space import OPEN, coarse_grid, neighbours_of, space_of
@@ -36,7 +37,10 @@ def landscape(noise: float = 0.05, luck: float = 0.0):
             ratio *= 1 - luck
         common = np.array([1 + noise * np.random.default_rng(r).standard_normal() for r in runs])
         own = np.array(
-            [1 + noise * np.random.default_rng([r, len(s.graph)]).standard_normal() for r in runs]
+            [
+                1 + noise * np.random.default_rng([int(r), len(s.graph)]).standard_normal()
+                for r in runs
+            ]
         )
         sent = s.occupancy * s.rounds * (2 if s.rule == "hcmci" else 1) * 100
         return {
@@ -56,7 +60,7 @@ def landscape(noise: float = 0.05, luck: float = 0.0):
     return engine
 
 
-def found_for(target: str, cost="occupancy", **landscape_is: float) -> tuple[Task, Found]:
+def found_for(target: str, cost: Cost = "occupancy", **landscape_is: float) -> tuple[Task, Found]:
     settled, space = space_of(specify(ASKED))
     task = Task(
         parse_target(target), cost, settled, space, 60, landscape(**landscape_is), lambda _: None
