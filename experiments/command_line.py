@@ -11,6 +11,7 @@ from experiments.collect_command import collect
 from experiments.design_command import design
 from experiments.flexray_command import SUMMARY, flexray_commands
 from experiments.identify_command import identify_tyres
+from experiments.keys_command import keys
 from experiments.list_command import list_all
 from experiments.plot_command import plot
 from experiments.replay_command import replay
@@ -31,6 +32,7 @@ COMMANDS = {
     "design": design,
     "plot": plot,
     "report": report,
+    "keys": keys,
 }
 
 

@@ -11,11 +11,17 @@ MESH_DEGREE_LIMIT = 8
 
 
 class Links(NamedTuple):
-    """How one process joins: zenoh mode and endpoints such as tcp/127.0.0.1:7447."""
+    """How one process joins: zenoh mode and endpoints such as tcp/127.0.0.1:7447.
+
+    Joining fails when an endpoint does not answer within `connect_s`. `keys` is the file that
+    `concord keys` made for this process, for endpoints such as tls/localhost:7447.
+    """
 
     mode: str
     listen: tuple[str, ...]
     connect: tuple[str, ...]
+    connect_s: float = 60.0
+    keys: str | None = None
 
 
 def wants_router(neighbours: Sequence[Sequence[int]]) -> bool:

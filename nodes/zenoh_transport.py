@@ -19,7 +19,6 @@ _ONE_THREAD = (
     "app:(worker_threads:1))"
 )
 _LEASE_MS = 2000
-_CONNECT_TIMEOUT_MS = 60_000
 
 
 class LinkError(Exception):
@@ -31,7 +30,7 @@ def _config(links: Links) -> zenoh.Config:
         "mode": links.mode,
         "listen/endpoints": list(links.listen),
         "connect/endpoints": list(links.connect),
-        "connect/timeout_ms": _CONNECT_TIMEOUT_MS,
+        "connect/timeout_ms": round(links.connect_s * 1000),
         "connect/exit_on_failure": True,
         "connect/retry": {
             "period_init_ms": 20,
@@ -45,7 +44,7 @@ def _config(links: Links) -> zenoh.Config:
         "transport/link/tx/lease": _LEASE_MS,
         "transport/link/tx/keep_alive": 4,
     }
-    config = zenoh.Config()
+    config = zenoh.Config.from_file(links.keys) if links.keys else zenoh.Config()
     for key, value in settings.items():
         config.insert_json5(key, msgspec.json.encode(value).decode())
     return config
@@ -60,15 +59,17 @@ def _open(links: Links) -> zenoh.Session:
         raise LinkError(f"cannot join the network at {where}: {error}") from None
 
 
-def start_router(endpoint: str) -> zenoh.Session:
+def start_router(endpoint: str, keys: str | None = None) -> zenoh.Session:
     """A router that listens at `endpoint`; keep the session for as long as it shall run.
+
+    `keys`: its file of `concord keys`, with which it lets nobody in that cannot prove who it is.
 
     Raises:
         LinkError: the port is taken.
     """
     # With a single worker thread a router was seen to hang at the start of a network.
     os.environ.pop("ZENOH_RUNTIME", None)
-    return _open(Links("router", (endpoint,), ()))
+    return _open(Links("router", (endpoint,), (), keys=keys))
 
 
 class Transport:

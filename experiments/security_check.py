@@ -1,0 +1,245 @@
+"""Who gets in and who does not: intruders against a guarded router, in sessions on loopback."""
+
+import queue
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from datetime import timedelta
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from nodes.access_control import MONITOR, ROUTER_NAME, certificate_name
+from nodes.certificates import Authority, issue, new_authority, read_authority, zenoh_settings
+from nodes.links import LOOPBACK, RECORDER, WORLD, Links, free_ports
+from nodes.zenoh_transport import LinkError, Transport, start_router
+
+RUN = "security-check"
+TRIES = 3
+_JOIN_S = 2.0
+_SETTLE_S = 0.5
+_DELIVERED, _REFUSED = "delivered", "refused"
+
+
+class Attempt(msgspec.Struct, frozen=True):
+    """What somebody tried against a guarded network, what should become of it, and what did."""
+
+    who: str
+    tried: str
+    wanted: str
+    outcome: str
+    arrived: int
+    tries: int
+
+    @property
+    def held(self) -> bool:
+        """Whether the network did what it should."""
+        return self.outcome == self.wanted
+
+
+def _first(pattern: str, folder: Path) -> Path:
+    """The first file of `concord keys` of that kind.
+
+    Raises:
+        ValueError: there is none.
+    """
+    found = sorted(folder.glob(pattern))
+    if not found:
+        raise ValueError(f"{folder}: no {pattern} there; `concord keys` makes one")
+    return found[0]
+
+
+class _Guarded:
+    """A router with keys, and a recorder that hears everything below the run."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        port = free_ports([ROUTER_NAME])[ROUTER_NAME]
+        self.endpoint = f"tls/{LOOPBACK}:{port}"
+        router_keys = str(_first(f"{ROUTER_NAME}*.json", folder))
+        _first(f"{certificate_name(1)}.json", folder)
+        self._router = start_router(self.endpoint, router_keys)
+        self._recorder = self.join(self.keys(RECORDER), ("**",))
+        self._world = self.join(self.keys(WORLD))
+
+    def keys(self, name: str) -> str:
+        return str(_first(f"{name}.json", self._folder))
+
+    def join(self, keys: str | None, hears: tuple[str, ...] = (), endpoint: str = "") -> Transport:
+        links = Links("client", (), (endpoint or self.endpoint,), _JOIN_S, keys)
+        return Transport(RUN, links, hears, 1024)
+
+    def arrived(self) -> dict[tuple[str, bytes], int]:
+        """How often each (topic, bytes) has come since the last call."""
+        time.sleep(_SETTLE_S)
+        self._world.send("end", b"")
+        counts: dict[tuple[str, bytes], int] = {}
+        while (message := self._recorder.receive("**"))[0] != "end":
+            counts[message] = counts.get(message, 0) + 1
+        return counts
+
+    def close(self) -> None:
+        for session in (self._world, self._recorder, self._router):
+            session.close()
+
+
+def _write_to(guarded: _Guarded, keys: str, topics: tuple[str, ...], mark: bytes) -> None:
+    intruder = guarded.join(keys)
+    # What others have subscribed must have come before the first message can go.
+    time.sleep(_SETTLE_S)
+    for topic in topics:
+        for _ in range(TRIES):
+            intruder.send(topic, mark)
+    time.sleep(_SETTLE_S)
+    intruder.close()
+
+
+def _writers(guarded: _Guarded) -> list[Attempt]:
+    """Members who say what is theirs, and what is not."""
+    own = ("hello/0", "bid/0", "share/0", "estimate/0")
+    of_another = tuple(topic.replace("0", "1") for topic in own)
+    of_the_world = ("measured/0", "grant", "truth", "finished", "end/0", "welcome/0")
+    node = certificate_name(0)
+    plan = [
+        (node, "its own keys", own, _DELIVERED),
+        (node, "another node's keys", of_another, _REFUSED),
+        (node, "the world's keys", of_the_world, _REFUSED),
+        (MONITOR, "a node's keys", own, _REFUSED),
+        (MONITOR, "the world's keys", of_the_world, _REFUSED),
+    ]
+    for number, (who, _, topics, _) in enumerate(plan):
+        _write_to(guarded, guarded.keys(who), topics, str(number).encode())
+    counts = guarded.arrived()
+    attempts = []
+    for number, (who, what, topics, wanted) in enumerate(plan):
+        came = sum(counts.get((topic, str(number).encode()), 0) for topic in topics)
+        tries = TRIES * len(topics)
+        attempts.append(_attempt(who, f"publishes {what}", wanted, came, tries))
+    return attempts
+
+
+def _attempt(who: str, tried: str, wanted: str, came: int, tries: int) -> Attempt:
+    outcome = {0: _REFUSED, tries: _DELIVERED}.get(came, "in part")
+    return Attempt(who, tried, wanted, outcome, came, tries)
+
+
+def _reader(guarded: _Guarded) -> Attempt:
+    """A monitor hears what a node says."""
+    monitor = guarded.join(guarded.keys(MONITOR), ("share/*",))
+    time.sleep(_SETTLE_S)
+    _write_to(guarded, guarded.keys(certificate_name(0)), ("share/0",), b"heard")
+    heard: queue.Queue[bytes] = queue.Queue()
+
+    def listen() -> None:
+        for _ in range(TRIES):
+            heard.put(monitor.receive("share/*")[1])
+
+    threading.Thread(target=listen, daemon=True).start()
+    time.sleep(_SETTLE_S)
+    return _attempt(MONITOR, "hears a node's shares", _DELIVERED, heard.qsize(), TRIES)
+
+
+def _tokens(guarded: _Guarded) -> list[Attempt]:
+    """A node says that another is ready; then that other says so itself."""
+    watcher = guarded.join(guarded.keys(MONITOR))
+    wait = threading.Thread(target=watcher.join, args=(MONITOR, {"1"}), daemon=True)
+    wait.start()
+    attempts = []
+    for node, wanted in ((0, _REFUSED), (1, _DELIVERED)):
+        session = guarded.join(guarded.keys(certificate_name(node)))
+        session.join("1", ())
+        wait.join(2 * _SETTLE_S)
+        tried = "says that node 1 is ready"
+        came = int(not wait.is_alive())
+        attempts.append(_attempt(certificate_name(node), tried, wanted, came, 1))
+        session.close()
+    return attempts
+
+
+def _joiners(guarded: _Guarded, authority: Authority, folder: Path) -> list[Attempt]:
+    """Guests at the door: right and wrong certificates, none, or no TLS at all."""
+    node, day = certificate_name(0), timedelta(days=1)
+    stranger = new_authority(1)
+    expired = zenoh_settings(authority, *issue(authority, node, ("localhost",), -day))
+    # It trusts the real authority, so that only the router can refuse it.
+    unknown = zenoh_settings(authority, *issue(stranger, node, ("localhost",), day))
+    known = zenoh_settings(authority, *issue(authority, node, ("localhost",), day))
+    nameless = zenoh_settings(authority, *issue(authority, "nobody", ("localhost",), day))
+    bare = {"root_ca_certificate_base64": expired["root_ca_certificate_base64"]}
+    guests = [
+        # The first shows that the others are refused for what is wrong with them.
+        ("new certificate", known, guarded.endpoint, _DELIVERED),
+        ("unknown certificate", unknown, guarded.endpoint, _REFUSED),
+        ("expired certificate", expired, guarded.endpoint, _REFUSED),
+        ("no certificate", bare, guarded.endpoint, _REFUSED),
+        ("no TLS", None, guarded.endpoint.replace("tls/", "tcp/"), _REFUSED),
+        ("unlisted name", nameless, guarded.endpoint, _REFUSED),
+    ]
+    attempts = []
+    for who, tls, endpoint, wanted in guests:
+        keys = None if tls is None else _keys_file(folder / "guest.json", tls)
+        came = _knock(guarded, partial(guarded.join, keys, (), endpoint))
+        attempts.append(_attempt(who, "joins, publishes share/0", wanted, came, TRIES))
+    return attempts
+
+
+def _keys_file(path: Path, tls: dict[str, Any]) -> str:
+    path.write_bytes(msgspec.json.encode({"transport": {"link": {"tls": tls}}}))
+    return str(path)
+
+
+def _knock(guarded: _Guarded, enter: Callable[[], Transport]) -> int:
+    """How many messages somebody gets through who may not even be let in."""
+    try:
+        guest = enter()
+    except LinkError:
+        return 0
+    time.sleep(_SETTLE_S)
+    for _ in range(TRIES):
+        guest.send("share/0", b"guest")
+    came = guarded.arrived().get(("share/0", b"guest"), 0)
+    guest.close()
+    return came
+
+
+def _false_router(guarded: _Guarded, folder: Path) -> Attempt:
+    """A router of somebody else lies in wait for a node."""
+    stranger = new_authority(1)
+    tls = zenoh_settings(
+        stranger, *issue(stranger, ROUTER_NAME, ("localhost", LOOPBACK), timedelta(days=1))
+    )
+    port = free_ports([ROUTER_NAME])[ROUTER_NAME]
+    trap = f"tls/{LOOPBACK}:{port}"
+    router = start_router(trap, _keys_file(folder / "router.json", tls))
+    try:
+        guarded.join(guarded.keys(certificate_name(0)), (), trap).close()
+        came = 1
+    except LinkError:
+        came = 0
+    finally:
+        router.close()
+    return _attempt("false router", "lets node-0 join", _REFUSED, came, 1)
+
+
+def check(folder: Path) -> list[Attempt]:
+    """Try everything against a router with the keys in `folder`; takes about 20 s.
+
+    Raises:
+        ValueError: the folder has no keys for a router, a world, a recorder and two nodes.
+    """
+    authority = read_authority(folder)
+    guarded = _Guarded(folder)
+    try:
+        with tempfile.TemporaryDirectory() as scratch:
+            return [
+                *_writers(guarded),
+                _reader(guarded),
+                *_tokens(guarded),
+                *_joiners(guarded, authority, Path(scratch)),
+                _false_router(guarded, Path(scratch)),
+            ]
+    finally:
+        guarded.close()

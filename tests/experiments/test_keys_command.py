@@ -1,0 +1,90 @@
+"""`concord keys --check`: real sessions with right and wrong certificates on loopback."""
+
+import sys
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from tests.processes import PROC, family
+
+pytest.importorskip("cryptography")
+COMMAND = [sys.executable, "-m", "experiments", "keys"]
+
+
+def concord_keys(folder: Path, *words: str) -> tuple[int, str, str]:
+    with family([*COMMAND, "keys", *words], folder) as run:
+        return run.end(120)
+
+
+@pytest.mark.zenoh
+@pytest.mark.slow
+@pytest.mark.skipif(not PROC.is_dir(), reason="finds processes in /proc, which is not there")
+def test_nobody_gets_in_and_a_hole_is_found(tmp_path: Path):
+    code, out, err = concord_keys(tmp_path, "--nodes", "2", "--check", "--json")
+    assert code == 0, (out, err)
+    attempts = msgspec.json.decode(out)["attempts"]
+    outcomes = {(one["who"], one["tried"]): one["outcome"] for one in attempts}
+    assert outcomes == {
+        ("node-0", "publishes its own keys"): "delivered",
+        ("node-0", "publishes another node's keys"): "refused",
+        ("node-0", "publishes the world's keys"): "refused",
+        ("monitor", "publishes a node's keys"): "refused",
+        ("monitor", "publishes the world's keys"): "refused",
+        ("monitor", "hears a node's shares"): "delivered",
+        ("node-0", "says that node 1 is ready"): "refused",
+        ("node-1", "says that node 1 is ready"): "delivered",
+        ("new certificate", "joins, publishes share/0"): "delivered",
+        ("unknown certificate", "joins, publishes share/0"): "refused",
+        ("expired certificate", "joins, publishes share/0"): "refused",
+        ("no certificate", "joins, publishes share/0"): "refused",
+        ("no TLS", "joins, publishes share/0"): "refused",
+        ("unlisted name", "joins, publishes share/0"): "refused",
+        ("false router", "lets node-0 join"): "refused",
+    }
+
+    # The same without access control: certificates still hold, and what leaks is said.
+    router = tmp_path / "keys" / "router.json"
+    config = msgspec.json.decode(router.read_bytes())
+    config["access_control"]["enabled"] = False
+    router.write_bytes(msgspec.json.encode(config))
+    code, out, _ = concord_keys(tmp_path, "--check", "--json")
+    assert code == 1
+    broken = {
+        (one["who"], one["tried"])
+        for one in msgspec.json.decode(out)["attempts"]
+        if one["outcome"] != one["wanted"]
+    }
+    assert ("node-0", "publishes another node's keys") in broken
+    assert ("monitor", "publishes the world's keys") in broken
+    assert ("unlisted name", "joins, publishes share/0") in broken
+    assert not {who for who, _ in broken} & {"expired certificate", "no TLS", "false router"}
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ((), "--nodes is missing"),
+        (("--check",), "no authority there"),
+        (("--nodes", "2", "--hosts", "a/b"), "neither a host name"),
+    ],
+)
+def test_mistakes_are_one_line_and_leave_nothing(
+    tmp_path: Path, words: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]
+):
+    from experiments.command_line import main
+
+    with pytest.raises(SystemExit) as end:
+        main(["keys", str(tmp_path / "keys"), *words])
+    assert end.value.code == 2
+    error = capsys.readouterr().err
+    assert says in error and error.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_files_are_listed_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    from experiments.command_line import main
+
+    main(["keys", str(tmp_path / "keys"), "--nodes", "1", "--json"])
+    made = msgspec.json.decode(capsys.readouterr().out)
+    assert set(made["files"]) == {file.name for file in (tmp_path / "keys").iterdir()}
