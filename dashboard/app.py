@@ -42,8 +42,8 @@ _CAR_TRAIL = 3000
 _SETTLED_FRAMES = 20
 _FIELD_OF_VIEW_RAD = 0.85
 # Off the middle: panels cover the right and the lower part of the scene.
-_LOOK_AT = (1.4, -3.4, 0.0)
-_DISTANCE = {Picture.PLANE: 1.22, Picture.GRAPH: 1.15, Picture.TRACK: 0.95}
+_LOOK_AT = (1.4, -4.4, 0.0)
+_DISTANCE = {Picture.PLANE: 1.42, Picture.GRAPH: 1.3, Picture.TRACK: 1.0}
 
 
 class Dashboard:
@@ -387,10 +387,10 @@ def _eye(distance: float) -> np.ndarray:
 
 
 def _magnification(frame: Frame, scale: float) -> float:
-    """How much errors must be enlarged to be seen: three deviations make a twelfth of the map."""
+    """How much errors must be enlarged to be seen: three deviations make a seventh of the map."""
     width = frame.scores.width[np.isfinite(frame.scores.width)]
     if not len(width):
         return 1.0
     drawn = 3.0 * float(np.median(width)) * scale
-    wanted = SCENE_WIDTH / 12 / max(drawn, 1e-9)
+    wanted = SCENE_WIDTH / 7 / max(drawn, 1e-9)
     return float(max((m for m in MAGNIFIED if m <= wanted), default=1))

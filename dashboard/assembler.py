@@ -47,8 +47,6 @@ class Assembler:
         everybody = frozenset(range(stage.nodes))
         self._network = network or Network(everybody, (0, 0, stage.rounds))
         self._changes: list[Change] = []
-        self._heard_cycle: dict[int, int] = {}
-        self._ends: dict[int, int] = {}
         self._bus = BusView(stage.plan)
         self._steps: dict[int, _Step] = defaultdict(_Step)
         self._sizes: dict[int, dict[int, int]] = defaultdict(lambda: defaultdict(int))
@@ -80,7 +78,6 @@ class Assembler:
         """
         self._steps.clear()
         self._sizes.clear()
-        self._ends.clear()
         self._next, self._listen = None, None
         self._last_sent[:] = -1
 
@@ -108,8 +105,6 @@ class Assembler:
                 step.measured[message.node] = message
             case Estimate():
                 step.estimates[message.node] = message
-                last = self._heard_cycle.get(message.node, -1)
-                self._ends[message.step] = max(last, self._ends.get(message.step, -1))
                 self._newest = max(self._newest, message.step)
                 return self._completed()
         return []
@@ -121,7 +116,6 @@ class Assembler:
             return
         if node.isdigit() and int(node) < self._stage.nodes:
             self._sizes[cycle][int(node)] += len(data) - OVERHEAD_BYTES
-            self._heard_cycle[int(node)] = cycle
 
     def _completed(self) -> list[Frame]:
         if self._next is None:
@@ -170,27 +164,17 @@ class Assembler:
                 self._stage = restaged(self._stage, dict(self._network.settings))
                 self._bus = BusView(self._stage.plan)
 
-    def _cycles(self, number: int) -> range:
-        _, first, rounds = self._network.anchor
-        if first < 0:
-            # Attached after the number of rounds was changed: the step ends with its last share.
-            begin = self._ends.get(number, rounds - 1) + 1 - rounds
-            self._network = self._network._replace(anchor=(number, begin, rounds))
-        return self._network.cycles(number)
-
     def _frame(self, number: int, step: _Step) -> Frame:
         stage = self._stage
         assert step.truth is not None, "a step that is over has a truth"
         truth = from_wire(step.truth.state)
-        numbers = self._cycles(number)
+        numbers = self._network.cycles(number)
         cycles = tuple(self._bus.cycle(cycle, self._sizes.pop(cycle, {})) for cycle in numbers)
         for cycle in cycles:
             senders = list({frame.node for frame in cycle.frames})
             self._last_sent[senders] = cycle.cycle
         for stale in [cycle for cycle in self._sizes if cycle < numbers.start]:
             del self._sizes[stale]
-        for ended in [step for step in self._ends if step <= number]:
-            del self._ends[ended]
         self._take_estimates(number, step)
         central = self._hear_all(number, step)
         events, self._events = tuple(self._events), []

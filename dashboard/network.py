@@ -22,7 +22,7 @@ class Network(NamedTuple):
         members: who takes part. cut: directed links (sender, receiver). losses: part of the frames
         that a link loses, `loss` that of every other. settings: what was set since the start.
         anchor: a step, the communication cycle with which it begins, and cycles per step from then
-        on; the cycle is -1 where it is not known yet.
+        on.
     """
 
     members: frozenset[int]

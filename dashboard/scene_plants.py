@@ -261,7 +261,7 @@ class CarTrack:
         return _reckoned(truth, step_s), _reckoned(nodes, step_s)
 
     def _drawn(self, way: Array, height: float) -> Array:
-        flat = way * (0.42 * SCENE_WIDTH / self._reach_m)
+        flat = way * (0.6 * SCENE_WIDTH / self._reach_m)
         flat = flat - [0.36 * SCENE_WIDTH, 0.0]
         return np.concatenate([flat, np.full((*flat.shape[:-1], 1), height)], axis=-1)
 

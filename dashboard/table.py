@@ -73,7 +73,8 @@ def node_table(stage: Stage, view: View, frame: Frame, press: str) -> str:
         f"{css(theme.quiet)};font-weight:600;position:sticky;top:0;background:{css(theme.panel)}}}"
         f".nodes tr{{cursor:pointer}}.nodes tr:hover td{{background-color:{css(theme.faint, 0.6)}}}"
         f'</style><div onpointerdown="{press}" style="font-size:11px;color:{css(theme.text)};'
-        f'overflow-x:auto"><table class="nodes" data-testid="nodes" style="border-collapse:'
+        f'overflow-x:auto;padding-right:8px">'
+        f'<table class="nodes" data-testid="nodes" style="border-collapse:'
         f'collapse;width:100%;font-variant-numeric:tabular-nums"><tr>{heads}</tr>{"".join(cells)}'
         f"</table>{more}</div>"
     )

@@ -74,7 +74,7 @@ LIGHT = Theme(
     truth=(20, 20, 20),
     fused=GREEN,
     estimate=(190, 90, 150),
-    selection=(0, 0, 0),
+    selection=(0, 60, 150),
 )
 
 

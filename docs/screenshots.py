@@ -136,7 +136,7 @@ def _shoot(browser: Any, page: Dashboard, shot: Shot, file: Path) -> None:
         setattr(view, name, value)
     for _ in range(5):
         # The same moment of the bus in every picture.
-        view.step, view.cursor = shot.step, 0.62 * len(page.history.at(shot.step).cycles)
+        view.step, view.cursor = shot.step, 0.5 * len(page.history.at(shot.step).cycles)
         page.pick(view.selected)
         clock_s += 0.3
         page.tick(clock_s)

@@ -147,9 +147,9 @@ def test_who_attaches_in_the_middle_begins_with_the_next_whole_step():
         assert cycles == TRACE.payload_bytes[frame.step].sum(1).tolist()
 
 
-def test_cycles_are_found_without_knowing_where_the_count_began():
-    unknown = Network(frozenset(range(8)), (0, -1, 3))
-    assembler = Assembler(STAGE, unknown)
+def test_cycles_count_from_where_the_network_says():
+    later = Network(frozenset(range(8)), (4, 12, 3))
+    assembler = Assembler(STAGE, later)
     frames = [frame for message in MESSAGES for frame in assembler.take(*message)]
     numbers = [[cycle.cycle for cycle in frame.cycles] for frame in frames]
     assert numbers == [[cycle.cycle for cycle in frame.cycles] for frame in FRAMES]
