@@ -6,7 +6,7 @@ import subprocess
 import time
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -18,6 +18,9 @@ from filters.metrics import nees
 from scenarios.catalogue import kind_of
 from scenarios.rules import is_certain
 from scenarios.setup import Setup
+
+if TYPE_CHECKING:
+    import xarray
 
 RECORDING, ARRAYS, DESCRIPTION, CAPTURE = "run.mcap", "run.nc", "run.json", "bus.pcap"
 _VERSIONED = ("concord", "numpy", "scipy", "networkx", "eclipse-zenoh", "msgspec")
@@ -149,22 +152,24 @@ def write_arrays(folder: Path, description: Description, trace: Trace) -> None:
         ages = record_ages(trace.spread).swapaxes(0, 1)
         variables["record_age"] = (("step", "node", "source"), ages, {"units": "steps"})
     variables |= _bus_variables(setup, trace)
-    dataset = xarray.Dataset(
-        variables,
-        coords={
-            "step": np.arange(trace.steps),
-            "time": ("step", np.arange(trace.steps) * setup.time_step_s, {"units": "s"}),
-            "state": names,
-            "state_unit": ("state", list(plant.state_units)),
-        },
-        attrs={
-            "title": f"concord run {description.run}",
-            "scenario": msgspec.json.encode(setup.scenario).decode(),
-            "driver": description.driver,
-            "seed": setup.scenario.seed,
-            "versions": msgspec.json.encode(description.versions).decode(),
-            "commit": description.commit or "unknown",
-        },
+    coordinates = {
+        "step": np.arange(trace.steps),
+        "time": ("step", np.arange(trace.steps) * setup.time_step_s, {"units": "s"}),
+        "state": names,
+        "state_unit": ("state", list(plant.state_units)),
+    }
+    write_whole(folder, xarray.Dataset(variables, coordinates), description)
+
+
+def write_whole(folder: Path, dataset: "xarray.Dataset", description: Description) -> None:
+    """Write run.nc with what was run, or leave none."""
+    dataset = dataset.assign_attrs(
+        title=f"concord run {description.run}",
+        scenario=msgspec.json.encode(description.setup.scenario).decode(),
+        driver=description.driver,
+        seed=description.setup.scenario.seed,
+        versions=msgspec.json.encode(description.versions).decode(),
+        commit=description.commit or "unknown",
     )
     part = folder / f"{ARRAYS}.part"
     try:

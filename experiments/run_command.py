@@ -19,18 +19,27 @@ from experiments.results import (
     new_name,
     write_description,
 )
+from experiments.run_many import run_many
 from experiments.user_errors import user_errors
 from nodes.links import names, ports_from
+from scenarios.scenario import require
 from scenarios.setup import prepare
 from scenarios.warnings import known_failures
+
+VECTORISED = "vectorised"
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions:
     """How and where to run."""
 
-    driver: Literal["in-process", "processes"] = "in-process"
-    """in-process: everything in one process; processes: one per node, over zenoh, in lockstep."""
+    driver: Literal["in-process", "processes", "vectorised"] = "in-process"
+    """in-process: everything in one process; processes: one per node, over zenoh, in lockstep;
+    vectorised: many runs at once as arrays."""
+    runs: int = 1
+    """Number of runs, from --run on, for --driver vectorised."""
+    covariances: bool = False
+    """Keep full covariances of many runs, and not their traces alone."""
     out: Path | None = None
     """Folder for the results; runs/<name> when left out. It must not exist."""
     port: int | None = None
@@ -43,8 +52,9 @@ def run(
     scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")],
     options: Annotated[RunOptions, tyro.conf.arg(name="")],
 ) -> None:
-    """Run a scenario once and print how well its nodes did."""
+    """Run a scenario, once or many times, and print how well its nodes did."""
     with user_errors():
+        _check(options)
         setup = prepare(scenario.resolve())
         if options.port is not None:
             ports_from(options.port, names(setup.neighbours))
@@ -56,6 +66,10 @@ def run(
     sys.stderr.write(f"seed {setup.scenario.seed}; results in {folder}\n")
     for failure in known_failures(setup):
         sys.stderr.write(f"warning: {failure}\n")
+    if options.driver == VECTORISED:
+        many = options.covariances, options.json
+        run_many(setup, options.runs, folder, description, *many)
+        return
     pace = Pace(None, None)
     try:
         with progress(f"{setup.scenario.name}", setup.scenario.steps) as on_step, user_errors():
@@ -69,3 +83,24 @@ def run(
         sys.stderr.write(f"interrupted; `concord collect {folder}` shows what was done\n")
         raise
     finish(folder, description, completed(folder, description), pace, options.json)
+
+
+def _check(options: RunOptions) -> None:
+    """Refuse options of another driver.
+
+    Raises:
+        ValueError: naming the option, its value and the cure.
+    """
+    require(options.runs >= 1, "runs", options.runs, "at least 1")
+    many = options.runs > 1 or options.covariances
+    if many and options.driver != VECTORISED:
+        option = f"--runs {options.runs}" if options.runs > 1 else "--covariances"
+        raise ValueError(
+            f"{option} with --driver {options.driver}: it goes through one run, message by "
+            f"message; use --driver {VECTORISED}, or leave it out"
+        )
+    if options.port is not None and options.driver != "processes":
+        raise ValueError(
+            f"--port {options.port} with --driver {options.driver}: only processes talk over "
+            "ports; use --driver processes, or leave --port out"
+        )

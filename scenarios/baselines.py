@@ -15,7 +15,7 @@ from filters.sigma_points import SigmaPointRule, scaled_unscented
 from filters.ukf import predict, update
 from nodes.local_filter import Sensor, take_readings
 from nodes.messages import Array
-from nodes.vectorised_filter import SensorGroup
+from nodes.vectorised_filter import LocalFilters, SensorGroup
 from scenarios.catalogue import kind_of
 from scenarios.rules import rule_of
 from scenarios.setup import Setup, setup_of_run
@@ -50,6 +50,9 @@ def local_only_of_runs(
 ) -> Gaussian:
     """`local_only` in the runs of these numbers: mean (R, steps, N, n), cov (R, steps, N, n, n)."""
     nodes = range(setup.scenario.nodes)
+    kind = kind_of(setup.scenario.name)
+    if listens_step_by_step(setup) and kind.sensors is not None and readings.shape[-2] == 1:
+        return _all_alone(setup, runs, readings, control)
     alone = [
         _one_by_one(setup, runs, [node], readings, control)
         if not listens_step_by_step(setup)
@@ -60,6 +63,30 @@ def local_only_of_runs(
         np.stack([belief.mean for belief in alone], axis=2),
         np.stack([belief.cov for belief in alone], axis=2),
     )
+
+
+def _all_alone(
+    setup: Setup, runs: Sequence[int], readings: Array, control: Array | None
+) -> Gaussian:
+    """Nodes that take one reading each a step at most, all at once."""
+    kind, scenario = kind_of(setup.scenario.name), setup.scenario
+    assert kind.sensors is not None, "the caller has looked"
+    group = SensorGroup(slice(None), kind.sensors(scenario))
+    points = scaled_unscented(len(setup.prior_mean))
+    filters = LocalFilters(kind.model(scenario), (group,), points)
+
+    def listen(belief: Gaussian, step: int, delivered: Array, driven: Array | None) -> Gaussian:
+        if step > 0:
+            belief, _ = filters.carry(belief, driven, step)
+        return filters.take(belief, delivered, step)[0]
+
+    prior = _priors(setup, runs)
+    shape = (len(runs), scenario.nodes)
+    everywhere = Gaussian(
+        np.broadcast_to(prior.mean[:, None], (*shape, *prior.mean.shape[1:])),
+        np.broadcast_to(prior.cov[:, None], (*shape, *prior.cov.shape[1:])),
+    )
+    return _through(everywhere, listen, readings, control)
 
 
 def _one_run(readings: Array, control: Array | None) -> tuple[Array, Array | None]:
@@ -93,11 +120,22 @@ def _one_by_one(
 def _stepwise(
     setup: Setup, runs: Sequence[int], listen: Listener, readings: Array, control: Array | None
 ) -> Gaussian:
+    return _through(_priors(setup, runs), listen, readings, control)
+
+
+def _priors(setup: Setup, runs: Sequence[int]) -> Gaussian:
+    """Where filters begin in the runs of these numbers: (R, n), (R, n, n)."""
     starts = [setup_of_run(setup, run) for run in runs]
-    belief = Gaussian(
+    return Gaussian(
         np.array([start.prior_mean for start in starts]),
         np.array([start.prior_cov for start in starts]),
     )
+
+
+def _through(
+    belief: Gaussian, listen: Listener, readings: Array, control: Array | None
+) -> Gaussian:
+    """Beliefs (R, steps, ...) after each step, of those (R, ...) before the first."""
     means, covs = [], []
     for step in range(readings.shape[1]):
         driven = None if control is None else control[:, step]

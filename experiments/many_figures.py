@@ -1,0 +1,223 @@
+"""The figures of many runs: each with its interval over the runs, which alone are independent."""
+
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+from rich.markup import escape
+from rich.table import Table
+
+from experiments.intervals import Interval, mean_t, ratio_t
+from experiments.vectorised import Histories
+from filters.gaussian import Gaussian
+from filters.metrics import nees, rmse
+from nodes.messages import Array
+from scenarios.baselines import centralised_of_runs, local_only_of_runs
+from scenarios.catalogue import Score, kind_of
+from scenarios.rules import is_certain
+
+# One filter that hears everything inverts a matrix of all readings of a step.
+CENTRALISED_NODES = 200
+_TABLE_NODES = 60
+
+
+class ManyNode(msgspec.Struct, frozen=True):
+    """One node: errors and consistency with intervals, traffic in frames per run in the mean."""
+
+    rmse: Interval
+    rmse_local_only: Interval
+    anees: Interval
+    sent: float
+    heard: float
+    missed: float
+    rejected: float
+
+
+class ManyFigures(msgspec.Struct, frozen=True):
+    """What R runs amount to; RMSE and disagreement in `unit`. The centralised filter is NaN beyond
+    `CENTRALISED_NODES`; frames are those of one run in the mean."""
+
+    scenario: str
+    unit: str
+    runs: int
+    first_run: int
+    steps: int
+    rmse: Interval
+    rmse_local_only: Interval
+    rmse_centralised: Interval
+    to_centralised: Interval
+    worst_node_to_centralised: Interval
+    disagreement: Interval
+    anees: Interval
+    anees_centralised: Interval
+    shares_sent: float
+    shares_missed: float
+    nodes: list[ManyNode]
+    seconds: float
+    node_updates_per_second: float
+    peak_memory_mb: float
+
+
+class Cost(NamedTuple):
+    """What the runs took."""
+
+    seconds: float
+    peak_memory_mb: float
+
+
+def summarise(histories: Histories, cost: Cost) -> ManyFigures:
+    """The figures of histories with their readings."""
+    setup, scenario = histories.setup, histories.setup.scenario
+    assert histories.readings is not None, "keep the readings"
+    score = kind_of(scenario.name).score
+    counted = _counted(score, histories.readings)
+    runs, nodes = histories.runs.tolist(), scenario.nodes
+    alone = local_only_of_runs(setup, runs, histories.readings, histories.control)
+    known = histories.truth[:, :, None]
+    of_node = _where(counted, histories.mean - known)[..., list(score.states)]
+    of_alone = _where(counted, alone.mean - known)[..., list(score.states)]
+    per_node, per_alone = rmse(of_node, (1,)), rmse(of_alone, (1,))
+    of_central, anees_central = _centralised(histories, counted)
+    central = rmse(of_central, (1,))
+    states = len(score.nees_states)
+    values = np.full_like(histories.nees, np.nan) if is_certain(scenario) else histories.nees
+    consistency = _where(counted, values) / states
+    spread = _where(counted, histories.mean)[..., list(score.states)]
+    spread = spread - np.mean(spread, axis=2, keepdims=True)
+    whole = rmse(of_node, (1, 2))
+    return ManyFigures(
+        scenario=scenario.name,
+        unit=score.unit,
+        runs=len(runs),
+        first_run=runs[0],
+        steps=scenario.steps,
+        rmse=mean_t(whole),
+        rmse_local_only=mean_t(rmse(of_alone, (1, 2))),
+        rmse_centralised=mean_t(central),
+        to_centralised=ratio_t(whole**2, central**2),
+        worst_node_to_centralised=mean_t(_largest(per_node) / central),
+        disagreement=mean_t(rmse(spread, (1, 2))),
+        anees=mean_t(_mean(consistency, (1, 2))),
+        anees_centralised=mean_t(anees_central),
+        shares_sent=float(_frames(histories, "sent").sum()),
+        shares_missed=float(_frames(histories, "missed").sum()),
+        nodes=[
+            ManyNode(
+                mean_t(per_node[:, node]),
+                mean_t(per_alone[:, node]),
+                mean_t(_mean(consistency[:, :, node], (1,))),
+                *(float(_frames(histories, name)[node]) for name in _TRAFFIC),
+            )
+            for node in range(nodes)
+        ],
+        seconds=cost.seconds,
+        node_updates_per_second=histories.mean[..., 0].size / cost.seconds,
+        peak_memory_mb=cost.peak_memory_mb,
+    )
+
+
+_TRAFFIC = ("sent", "heard", "missed", "rejected")
+
+
+def _frames(histories: Histories, name: str) -> Array:
+    """What each node counted under a name, or names that begin with it, per run (N,)."""
+    none = np.zeros((len(histories.runs), histories.setup.scenario.nodes))
+    return sum((n for key, n in histories.counters.items() if key.startswith(name)), none).mean(0)
+
+
+def _centralised(histories: Histories, counted: np.ndarray) -> tuple[Array, Array]:
+    """Errors (R, S, m) of one filter that hears everything, and its ANEES (R,)."""
+    setup = histories.setup
+    score = kind_of(setup.scenario.name).score
+    shape = histories.truth.shape
+    if setup.scenario.nodes > CENTRALISED_NODES:
+        return np.full((*shape[:2], len(score.states)), np.nan), np.full(shape[0], np.nan)
+    assert histories.readings is not None, "keep the readings"
+    runs = histories.runs.tolist()
+    belief = centralised_of_runs(setup, runs, histories.readings, histories.control)
+    errors = _where(counted, belief.mean - histories.truth)
+    if is_certain(setup.scenario):
+        return errors[..., list(score.states)], np.full(shape[0], np.nan)
+    part = list(score.nees_states)
+    normalised = nees(errors[..., part], Gaussian(*belief).cov[..., part, :][..., part])
+    return errors[..., list(score.states)], _mean(normalised, (1,)) / len(part)
+
+
+def _counted(score: Score, readings: Array) -> np.ndarray:
+    """Which steps (R, S) count: from the scenario's on, but not before the first reading."""
+    seen = np.logical_not(np.isnan(readings).all(axis=(-1, -2, -3)))
+    steps = readings.shape[1]
+    first = np.minimum(np.maximum(score.first_step, seen.argmax(axis=1)), steps - 1)
+    return np.arange(steps) >= first[:, None]
+
+
+def _where(counted: np.ndarray, values: Array) -> Array:
+    """Values (R, S, ...), NaN in steps that do not count."""
+    return np.where(counted.reshape(*counted.shape, *(1,) * (values.ndim - 2)), values, np.nan)
+
+
+def _mean(values: Array, axes: tuple[int, ...]) -> Array:
+    known = np.logical_not(np.isnan(values))
+    count = known.sum(axes)
+    total = np.where(known, values, 0.0).sum(axes)
+    return np.divide(total, count, out=np.full(np.shape(total), np.nan), where=count > 0)
+
+
+def _largest(values: Array) -> Array:
+    known = np.logical_not(np.isnan(values))
+    largest = np.where(known, values, -np.inf).max(axis=-1)
+    return np.where(known.any(axis=-1), largest, np.nan)
+
+
+def table(figures: ManyFigures, title: str) -> Table:
+    """A row per node of a network that is not too large, then the network, then its frame."""
+    unit = escape(f"[{figures.unit}]")
+    grid = Table(title=title, title_justify="left")
+    for heading in ("node", f"RMSE {unit}", f"alone {unit}", "ANEES"):
+        grid.add_column(heading, justify="right")
+    for heading in _TRAFFIC:
+        grid.add_column(heading, justify="right")
+    if len(figures.nodes) <= _TABLE_NODES:
+        for number, node in enumerate(figures.nodes):
+            traffic = (node.sent, node.heard, node.missed, node.rejected)
+            grid.add_row(
+                str(number), *map(_middle, (node.rmse, node.rmse_local_only, node.anees)),
+                *(f"{count:,.0f}" for count in traffic),
+            )  # fmt: skip
+        grid.add_section()
+    grid.add_row(
+        "all", *map(shown, (figures.rmse, figures.rmse_local_only, figures.anees)),
+        f"{figures.shares_sent:,.0f}", "", f"{figures.shares_missed:,.0f}", "",
+    )  # fmt: skip
+    central = figures.rmse_centralised, figures.anees_centralised
+    grid.add_row("centralised", shown(central[0]), "", shown(central[1]))
+    return grid
+
+
+def lines(figures: ManyFigures) -> list[str]:
+    """What the table has no column for."""
+    ratios = figures.to_centralised, figures.worst_node_to_centralised
+    framed = (
+        ""
+        if np.isnan(ratios[0].value)
+        else f"network {shown(ratios[0])} x centralised, worst node {shown(ratios[1])} x; "
+    )
+    return [
+        f"{figures.runs} runs from run {figures.first_run} on; ± is the 95 % interval of the mean",
+        f"{framed}disagreement {shown(figures.disagreement)} {figures.unit}",
+        f"{figures.seconds:.2f} s, {figures.node_updates_per_second:,.0f} node updates per second, "
+        f"peak memory {figures.peak_memory_mb:.0f} MB",
+    ]
+
+
+def _middle(interval: Interval) -> str:
+    return shown(Interval(interval.value, np.nan, np.nan))
+
+
+def shown(interval: Interval) -> str:
+    """A figure and half the width of its interval."""
+    value, low, high = interval
+    if np.isnan(value):
+        return "-"
+    half = (high - low) / 2
+    return f"{value:.4g}" if np.isnan(half) else f"{value:.4g} ± {half:.2g}"

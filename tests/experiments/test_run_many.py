@@ -1,0 +1,124 @@
+"""`concord run --driver vectorised`: the figures of the runs one by one, with intervals."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+from scipy.stats import t
+
+from experiments.__main__ import main
+from experiments.drivers import in_memory
+from experiments.many_figures import CENTRALISED_NODES, Cost, lines, summarise
+from experiments.summary import Figures
+from experiments.summary import summarise as summarise_one
+from experiments.trace import read_trace
+from experiments.vectorised import Histories, simulate
+from scenarios.setup import Setup, setup_of_run
+from tests.experiments.support import small
+
+RUNS = range(2, 5)
+SETUPS = {
+    "tracking": small("target-tracking", nodes=5, steps=24, schedule="hybrid", occupancy=0.5),
+    "a controlled plant": small("dc-motor-speed", steps=12, loss=0.2),
+    "sets": small("liu2021-network", steps=4),
+}
+
+
+def one_by_one(setup: Setup) -> list[Figures]:
+    own = [setup_of_run(setup, run) for run in RUNS]
+    return [summarise_one(one, read_trace(one, in_memory(one))) for one in own]
+
+
+@pytest.mark.parametrize("name", SETUPS)
+def test_figures_are_means_of_those_of_the_runs(name: str):
+    expected = one_by_one(SETUPS[name])
+    found = summarise(simulate(SETUPS[name], RUNS), Cost(2.0, 100.0))
+    for figure in (
+        "rmse",
+        "rmse_local_only",
+        "rmse_centralised",
+        "worst_node_to_centralised",
+        "disagreement",
+        "anees",
+        "anees_centralised",
+    ):
+        values = np.array([getattr(one, figure) for one in expected])
+        interval = getattr(found, figure)
+        np.testing.assert_allclose(interval.value, values.mean(), rtol=1e-8, err_msg=figure)
+        half = t.ppf(0.975, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values))
+        np.testing.assert_allclose(interval.high - interval.value, half, rtol=1e-6, err_msg=figure)
+    for node, figures in enumerate(found.nodes):
+        each = [one.nodes[node] for one in expected]
+        assert figures.rmse.value == pytest.approx(np.mean([one.rmse for one in each]))
+        for traffic in ("sent", "heard", "missed", "rejected"):
+            mean = np.mean([getattr(one, traffic) for one in each])
+            assert getattr(figures, traffic) == pytest.approx(mean)
+    assert found.shares_sent == pytest.approx(np.mean([one.shares_sent for one in expected]))
+
+
+def test_a_network_too_large_for_it_has_no_centralised_filter():
+    setup = small(nodes=CENTRALISED_NODES + 1, steps=3, graph="ring", cluster="none")
+    figures = summarise(simulate(setup, [0]), Cost(1.0, 1.0))
+    assert np.isnan(figures.rmse_centralised.value) and figures.rmse.value > 0
+    assert not any("centralised" in line for line in lines(figures))
+
+
+def run(*options: str) -> int:
+    try:
+        main(["run", "--scenario", "oscillator", "--nodes", "4", "--steps", "9", *options])
+    except SystemExit as left:
+        return int(left.code or 0)
+    return 0
+
+
+def test_the_command_writes_arrays_by_run_and_prints_intervals(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    options = ("--driver", "vectorised", "--runs", "3", "--run", "2", "--covariances", "--json")
+    assert run(*options, "--out", str(tmp_path / "many")) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["runs"] == 3 and said["first_run"] == 2
+    value, low, high = said["rmse"]
+    assert low < value < high
+    assert said["node_updates_per_second"] > 0 and said["peak_memory_mb"] > 10
+    with xarray.open_dataset(tmp_path / "many" / "run.nc") as dataset:
+        assert dict(dataset["mean"].sizes) == {"run": 3, "step": 9, "node": 4, "state": 2}
+        assert dataset["run"].values.tolist() == [2, 3, 4]
+        assert dataset["cov"].dims == ("run", "step", "node", "state", "other_state")
+        assert dataset.attrs["driver"] == "vectorised"
+        ages = dataset["ages"].values
+    setup = small(steps=9, run=2)
+    kept: Histories = simulate(setup, range(2, 5))
+    np.testing.assert_array_equal(ages, kept.ages)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--runs", "3"], "--runs 3 with --driver in-process"),
+        (["--runs", "0", "--driver", "vectorised"], "--runs 0: must be at least 1"),
+        (["--covariances"], "--covariances with --driver in-process"),
+        (["--port", "7000", "--driver", "vectorised"], "--port 7000 with --driver vectorised"),
+    ],
+)
+def test_options_of_another_driver_are_refused(
+    options: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    assert run(*options, "--out", str(tmp_path / "x")) == 2
+    captured = capsys.readouterr()
+    assert says in captured.err and captured.err.count("\n") == 1
+    assert not (tmp_path / "x").exists()
+
+
+def test_an_interrupted_monte_carlo_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("experiments.run_many.simulate", interrupted)
+    assert run("--driver", "vectorised", "--out", str(tmp_path / "many")) == 130
+    assert "is removed" in capsys.readouterr().err
+    assert not (tmp_path / "many").exists()
