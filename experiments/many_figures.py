@@ -8,12 +8,13 @@ from rich.markup import escape
 from rich.table import Table
 
 from experiments.intervals import Interval, mean_t, ratio_t
+from experiments.run_figures import scored_steps
 from experiments.vectorised import Histories
 from filters.gaussian import Gaussian
 from filters.metrics import nees, rmse
 from nodes.messages import Array
 from scenarios.baselines import centralised_of_runs, local_only_of_runs
-from scenarios.catalogue import Score, kind_of
+from scenarios.catalogue import kind_of
 from scenarios.rules import is_certain
 
 # One filter that hears everything inverts a matrix of all readings of a step.
@@ -70,7 +71,7 @@ def summarise(histories: Histories, cost: Cost) -> ManyFigures:
     setup, scenario = histories.setup, histories.setup.scenario
     assert histories.readings is not None, "keep the readings"
     score = kind_of(scenario.name).score
-    counted = _counted(score, histories.readings)
+    counted = scored_steps(score, histories.readings)
     runs, nodes = histories.runs.tolist(), scenario.nodes
     alone = local_only_of_runs(setup, runs, histories.readings, histories.control)
     known = histories.truth[:, :, None]
@@ -141,14 +142,6 @@ def _centralised(histories: Histories, counted: np.ndarray) -> tuple[Array, Arra
     part = list(score.nees_states)
     normalised = nees(errors[..., part], Gaussian(*belief).cov[..., part, :][..., part])
     return errors[..., list(score.states)], _mean(normalised, (1,)) / len(part)
-
-
-def _counted(score: Score, readings: Array) -> np.ndarray:
-    """Which steps (R, S) count: from the scenario's on, but not before the first reading."""
-    seen = np.logical_not(np.isnan(readings).all(axis=(-1, -2, -3)))
-    steps = readings.shape[1]
-    first = np.minimum(np.maximum(score.first_step, seen.argmax(axis=1)), steps - 1)
-    return np.arange(steps) >= first[:, None]
 
 
 def _where(counted: np.ndarray, values: Array) -> Array:

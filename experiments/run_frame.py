@@ -12,10 +12,10 @@ import numpy as np
 from experiments.posterior_bound import Truths, posterior_bound
 from experiments.vectorised import Histories
 from nodes.messages import Array
-from scenarios.baselines import centralised, listens_step_by_step
+from scenarios.baselines import centralised_of_runs, listens_step_by_step
 from scenarios.catalogue import kind_of
 from scenarios.scenario import Scenario
-from scenarios.setup import Setup, setup_of_run
+from scenarios.setup import Setup
 
 # What a network is made of: fields that no filter that hears everything depends on.
 _OF_THE_NETWORK = (
@@ -66,17 +66,8 @@ def _key(setup: Setup, runs: range, histories: Histories) -> bytes:
 def _frame(setup: Setup, runs: range, histories: Histories) -> Frame:
     control, readings = histories.control, histories.readings
     assert readings is not None, "keep the readings"
-    alone = [
-        centralised(
-            setup_of_run(setup, run), readings[place], None if control is None else control[place]
-        )
-        for place, run in enumerate(runs)
-    ]
-    return Frame(
-        np.stack([belief.mean for belief in alone]),
-        np.stack([belief.cov for belief in alone]),
-        _bound(setup, histories),
-    )
+    alone = centralised_of_runs(setup, runs, readings, control)
+    return Frame(alone.mean, alone.cov, _bound(setup, histories))
 
 
 def _bound(setup: Setup, histories: Histories) -> Array:
