@@ -13,6 +13,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from nodes.bounds import MAX_MESSAGE_BYTES, Group, Instant, NodeIndex, NodeList
+
 Array = NDArray[np.float64]
 
 
@@ -22,8 +24,8 @@ class Measured(msgspec.Struct, frozen=True):
     `readings` has shape (readings, d); `control` (p,) is what drove the plant into this step.
     """
 
-    node: int
-    step: int
+    node: NodeIndex
+    step: Instant
     readings: list[list[float | None]]
     control: list[float] | None = None
 
@@ -31,8 +33,8 @@ class Measured(msgspec.Struct, frozen=True):
 class ShareSent(msgspec.Struct, frozen=True):
     """Node to its neighbours: one FlexRay frame on the bus in communication cycle `cycle`."""
 
-    node: int
-    cycle: int
+    node: NodeIndex
+    cycle: Instant
     frame: bytes
 
 
@@ -43,25 +45,25 @@ class Bid(msgspec.Struct, frozen=True):
     is composed at once (`bus.schedule.Schedule.groups`).
     """
 
-    node: int
-    cycle: int
+    node: NodeIndex
+    cycle: Instant
     bid: int | None
-    payload_bytes: int
-    group: int = 0
+    payload_bytes: Instant
+    group: Group = 0
 
 
 class Grant(msgspec.Struct, frozen=True):
     """World to all: who may send in the dynamic slots of this part of the cycle, in bus order."""
 
-    cycle: int
-    winners: list[int]
-    group: int = 0
+    cycle: Instant
+    winners: NodeList
+    group: Group = 0
 
 
 class Truth(msgspec.Struct, frozen=True):
     """World to whoever records: the plant's state (n,) at a step, null where nobody knows it."""
 
-    step: int
+    step: Instant
     state: list[float | None]
 
 
@@ -72,8 +74,8 @@ class Estimate(msgspec.Struct, frozen=True):
     (-1: never heard); `counters` are totals since the start.
     """
 
-    node: int
-    step: int
+    node: NodeIndex
+    step: Instant
     mean: list[float | None]
     cov: list[float | None]
     ages: list[int]
@@ -107,6 +109,8 @@ _TYPES: dict[str, type] = {
     "truth": Truth,
     "estimate": Estimate,
 }
+# One node's topics, by name; what they carry must be of that node.
+_OWNED = ("measured", "bid", "estimate")
 _encoder = msgspec.json.Encoder()
 _decoders = {topic: msgspec.json.Decoder(type_) for topic, type_ in _TYPES.items()}
 
@@ -146,16 +150,26 @@ def decode(topic_name: str, data: bytes) -> Any:
     """The message that `data` on `topic_name` (not a share) means.
 
     Raises:
-        MalformedMessage: unknown topic, or bytes that do not fit it.
+        MalformedMessage: unknown topic, bytes that do not fit it, or are beyond all bounds, or a
+            node that speaks of another on its own topic.
     """
-    kind = topic_name.partition("/")[0]
+    kind, _, owner = topic_name.partition("/")
     decoder = _decoders.get(kind)
     if decoder is None:
         raise MalformedMessage(f"no message travels on topic {topic_name!r}")
+    if len(data) > MAX_MESSAGE_BYTES:
+        raise MalformedMessage(
+            f"topic {topic_name!r} carried {len(data)} bytes, at most {MAX_MESSAGE_BYTES}"
+        )
     try:
-        return decoder.decode(data)
-    except msgspec.MsgspecError as error:
+        message = decoder.decode(data)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise MalformedMessage(f"topic {topic_name!r} carried {data[:60]!r}: {error}") from None
+    if kind in _OWNED and str(message.node) != owner:
+        raise MalformedMessage(f"topic {topic_name!r} carried what is of node {message.node}")
+    if kind == "measured" and len({len(reading) for reading in message.readings}) > 1:
+        raise MalformedMessage(f"topic {topic_name!r} carried readings of different lengths")
+    return message
 
 
 def to_wire(values: Array) -> list[Any]:

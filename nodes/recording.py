@@ -18,6 +18,7 @@ from mcap.records import Message as McapMessage
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC, Writer
 
+from nodes.bounds import Instant
 from nodes.messages import message_types
 from nodes.share import cycle_of
 
@@ -53,8 +54,8 @@ class MemoryRecorder:
 class _Stamp(msgspec.Struct):
     """The part of any JSON message that says when it was."""
 
-    step: int | None = None
-    cycle: int | None = None
+    step: Instant | None = None
+    cycle: Instant | None = None
 
 
 _stamp = msgspec.json.Decoder(_Stamp)
@@ -106,7 +107,11 @@ class McapRecorder:
     def _time_ns(self, topic: str, data: bytes) -> int:
         if topic.startswith("share/"):
             return cycle_of(data) // self._rounds * self._step_ns
-        stamp = _stamp.decode(data)
+        try:
+            stamp = _stamp.decode(data)
+        except (msgspec.MsgspecError, UnicodeDecodeError):
+            # Kept as it came, for whoever looks for its sender; nobody knows when it was.
+            return 0
         step = stamp.step if stamp.step is not None else (stamp.cycle or 0) // self._rounds
         return step * self._step_ns
 

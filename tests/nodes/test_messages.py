@@ -104,7 +104,12 @@ def test_any_bytes_are_a_message_or_malformed(kind: str, data: bytes):
         assert type(message) is message_types()[kind]
 
 
-@given(COUNTS, COUNTS, st.dictionaries(st.text(max_size=8), COUNTS), st.lists(NUMBERS))
+@given(
+    st.integers(0, 2**16 - 1),
+    COUNTS,
+    st.dictionaries(st.text(max_size=8), COUNTS),
+    st.lists(NUMBERS),
+)
 def test_an_estimate_comes_back_whole(node: int, step: int, counters: dict, mean: list):
     numbers = to_wire(np.array(mean))
     estimate = Estimate(node, step, numbers, numbers, [-1, step], counters)

@@ -1,0 +1,187 @@
+"""Malformed frames and messages by the thousand and the million: all counted, nothing changed."""
+
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from nodes.bounds import MAX_FRAME_BYTES, MAX_MESSAGE_BYTES
+from nodes.messages import Bid, Estimate, MalformedMessage, Measured, ShareHeard, decode, encode
+from nodes.recording import McapRecorder, read_recording
+from nodes.share import to_frames
+from nodes.state_machine import EARLY_STEPS, NodeConfig, Phase, initial_state, step
+from tests.nodes.one_node import (
+    ROUNDS,
+    STEPS,
+    STRANGER,
+    clean_events,
+    estimates,
+    feed,
+    middle_node,
+    share,
+)
+
+FLIPS = 5
+TOPICS = {
+    "measured/1": encode(Measured(1, 2, [[1.0, None]], [0.5])),
+    "bid/1": encode(Bid(1, 3, 7, 24)),
+    "estimate/1": encode(Estimate(1, 2, [1.0], [2.0], [0], {"missed": 1})),
+}
+# Whole JSON that is no message: wrong types, out of range, of somebody else, or absurd.
+WRONG_JSON = [
+    ("bid/1", {"node": 2, "cycle": 3, "bid": 1, "payload_bytes": 24}),
+    ("bid/1", {"node": -1, "cycle": 3, "bid": 1, "payload_bytes": 24}),
+    ("bid/1", {"node": 1, "cycle": -3, "bid": 1, "payload_bytes": 24}),
+    ("bid/1", {"node": 1, "cycle": 1 << 32, "bid": 1, "payload_bytes": 24}),
+    ("bid/1", {"node": 1, "cycle": 3, "bid": "much", "payload_bytes": 24}),
+    ("bid/1", {"node": 1, "cycle": 3, "bid": 1, "payload_bytes": -24}),
+    ("grant", {"cycle": 1, "winners": [-1]}),
+    ("grant", {"cycle": 1, "winners": [1.5]}),
+    ("grant", {"cycle": 1, "winners": [0], "group": -1}),
+    ("measured/1", {"node": 3, "step": 0, "readings": []}),
+    ("measured/1", {"node": 1, "step": -1, "readings": []}),
+    ("measured/1", {"node": 1, "step": 0, "readings": [1.0]}),
+    ("measured/1", {"node": 1, "step": 0, "readings": [[1.0], [1.0, 2.0]]}),
+    ("measured/1", {"node": 1, "step": 0, "readings": [["a"]]}),
+    ("estimate/1", {"node": 1, "step": 0}),
+    ("estimate/1", []),
+    ("estimate/1", None),
+    ("share/1", {}),
+    ("", {}),
+]
+
+
+def malformed_frames(config: NodeConfig, seed: int, count: int) -> Iterator[ShareHeard]:
+    """Frames that no sound neighbour sends at any time of a run, by kind in turn."""
+    rng = np.random.default_rng(seed)
+    sound = [share(config, j, cycle) for j in (0, 2) for cycle in range(STEPS * ROUNDS)]
+    far = (STEPS + EARLY_STEPS) * ROUNDS + 1
+    future = [
+        to_frames(sound[0][9:40], far + more, config.slots(0, far + more))[0]
+        for more in (0, 1, 999, 2**31)
+    ]
+    sizes = rng.integers(0, MAX_FRAME_BYTES + 8, count).tolist()
+    picks = rng.integers(0, len(sound), count).tolist()
+    for number, (size, pick) in enumerate(zip(sizes, picks, strict=True)):
+        sender, frame = (0, 2)[pick % 2], sound[pick]
+        match number % 6:
+            case 0:
+                frame = rng.bytes(size)
+            case 1:
+                frame = frame[: size % len(frame)]
+            case 2:
+                frame = frame + rng.bytes(1 + size % 9)
+            case 3:
+                damaged = bytearray(frame)
+                for place in set(rng.bytes(FLIPS)):
+                    damaged[place % len(frame)] ^= 1 << (place % 8)
+                frame = bytes(damaged) if bytes(damaged) != frame else b""
+            case 4:
+                sender = (STRANGER, 1, -1)[size % 3]
+            case _:
+                frame = future[pick % len(future)]
+        yield ShareHeard(sender, frame)
+
+
+def malformed_messages(seed: int, count: int) -> Iterator[tuple[str, bytes]]:
+    """Bytes on a topic that cannot be a message of it."""
+    rng = np.random.default_rng(seed)
+    topics = list(TOPICS)
+    wrong = [(topic, msgspec.json.encode(value)) for topic, value in WRONG_JSON]
+    picks = rng.integers(0, 1 << 30, count).tolist()
+    for number, pick in enumerate(picks):
+        topic = topics[pick % len(topics)]
+        whole = TOPICS[topic]
+        match number % 4:
+            case 0:
+                # No JSON object begins so.
+                yield topic, b"\xff" + rng.bytes(pick % 200)
+            case 1:
+                yield topic, whole[: pick % len(whole)]
+            case 2:
+                yield wrong[pick % len(wrong)]
+            case _:
+                place = pick % len(whole)
+                yield topic, whole[:place] + b"\x00" + whole[place + 1 :]
+
+
+def refused(count: int, seed: int) -> int:
+    """How many malformed messages are refused."""
+    total = 0
+    for topic, data in malformed_messages(seed, count):
+        try:
+            decode(topic, data)
+        except MalformedMessage:
+            total += 1
+    return total
+
+
+def storm(count: int, seed: int) -> tuple[int, bool]:
+    """A run with `count` malformed frames in between: how many were counted, and whether the
+    estimates are those of a run without."""
+    config = middle_node()
+    clean = clean_events(config)
+    _, undisturbed = feed(config, clean)
+    flood = malformed_frames(config, seed, count)
+    state, sent = initial_state(config), []
+    for number, event in enumerate(clean):
+        share_of = count * (number + 1) // len(clean) - count * number // len(clean)
+        for _ in range(share_of):
+            state, messages = step(config, state, next(flood))
+            assert not messages
+        state, messages = step(config, state, event)
+        sent += messages
+    assert state.phase is Phase.FINISHED
+    counted = sum(n for name, n in state.counters.items() if name.startswith("rejected"))
+    assert len(state.inbox.shares) + len(state.inbox.parts) == 0
+    return counted, estimates(sent) == estimates(undisturbed)
+
+
+def test_malformed_frames_are_counted_and_change_nothing():
+    assert storm(3000, 1) == (3000, True)
+
+
+def test_malformed_messages_are_refused():
+    assert refused(4000, 2) == 4000
+
+
+@pytest.mark.slow
+def test_a_million_malformed_frames_and_messages():
+    """Bounded time: a tenth of a millisecond each on average, on a busy machine too."""
+    began = time.process_time()
+    assert storm(700_000, 3) == (700_000, True)
+    assert refused(300_000, 4) == 300_000
+    assert time.process_time() - began < 100
+
+
+@pytest.mark.parametrize(("topic", "value"), WRONG_JSON)
+def test_wrong_json_is_named(topic: str, value: object):
+    with pytest.raises(MalformedMessage, match=repr(topic)):
+        decode(topic, msgspec.json.encode(value))
+
+
+def test_what_is_too_long_is_not_even_read():
+    padded = TOPICS["bid/1"] + b" " * MAX_MESSAGE_BYTES
+    with pytest.raises(MalformedMessage, match="at most"):
+        decode("bid/1", padded)
+    assert decode("bid/1", TOPICS["bid/1"] + b" " * 100).bid == 7
+    with pytest.raises(MalformedMessage):
+        decode("bid/1", b"[" * (MAX_MESSAGE_BYTES - 1))
+
+
+@given(st.sampled_from(sorted(TOPICS)), st.binary(max_size=40) | st.just(b'{"step":1e30}'))
+def test_any_bytes_can_be_recorded(topic: str, data: bytes):
+    """What a stranger says is kept as it came, and what comes after it too."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "run.mcap"
+        recorder = McapRecorder(path, 2, 0.1)
+        recorder.record(topic, data)
+        recorder.record("bid/1", TOPICS["bid/1"])
+        recorder.close()
+        assert list(read_recording(path)) == [(topic, data), ("bid/1", TOPICS["bid/1"])]
