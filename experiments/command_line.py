@@ -19,6 +19,8 @@ from experiments.report_command import report
 from experiments.reproduce_command import reproduce
 from experiments.run_command import run
 from experiments.sweep_command import sweep
+from experiments.topology_command import SUMMARY as TOPOLOGY_SUMMARY
+from experiments.topology_command import topology_commands
 
 COMMANDS = {
     "run": run,
@@ -42,6 +44,7 @@ def main(arguments: list[str] | None = None) -> None:
     for name, command in COMMANDS.items():
         commands.command(command, name=name)
     commands.command(flexray_commands(), name="flexray", help=SUMMARY)
+    commands.command(topology_commands(), name="topology", help=TOPOLOGY_SUMMARY)
     try:
         # A polite end is an interruption: whatever cleans up after Ctrl-C cleans up then too.
         signal.signal(signal.SIGTERM, _interrupt)

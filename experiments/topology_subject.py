@@ -11,8 +11,16 @@ from scipy.sparse import csr_array
 from experiments.options import ScenarioOptions
 from nodes.messages import Array
 from scenarios.catalogue import kind_of
+from scenarios.links import link_up
 from scenarios.setup import Setup, prepare
-from topology.adjacency import from_links, is_symmetric
+from topology.adjacency import (
+    Adjacency,
+    from_links,
+    is_symmetric,
+    links_of,
+    nodes_of,
+    union,
+)
 from topology.analysis import require_connected
 from topology.graph_files import read_network
 from topology.graphs import build_network
@@ -45,7 +53,11 @@ class SubjectOptions:
 
 
 class Subject(NamedTuple):
-    """A graph under weights (n, n); `setup` where it comes from a scenario."""
+    """A graph under weights (n, n).
+
+    `setup` where it comes from a scenario; `phases` are the graphs that follow each other and begin
+    again, one per step, where links switch or nodes move.
+    """
 
     name: str
     weights_name: str
@@ -53,6 +65,7 @@ class Subject(NamedTuple):
     network: Network
     weights: csr_array
     setup: Setup | None
+    phases: tuple[Adjacency, ...] = ()
 
     @property
     def plan(self) -> LinkPlan:
@@ -73,12 +86,14 @@ def subject_of(source: str, options: SubjectOptions, *, connected: bool = False)
     """
     if options.scenario is not None:
         return _of_scenario(source, options)
-    if not source:
+    asked = parse_links(options.links or "static")
+    if not source and not asked.graphs:
         raise ValueError(
             "which graph? Give a name (ring, geometric, ...), a graph file, the folder of the "
             "Intel lab data, or --scenario"
         )
-    network = _network(source, options)
+    turns = tuple(_network(name, options).adjacency for name in asked.graphs)
+    network = Network(union(turns)) if turns else _network(source, options)
     if connected:
         require_connected(network.adjacency)
     symmetric = is_symmetric(network.adjacency)
@@ -96,7 +111,8 @@ def subject_of(source: str, options: SubjectOptions, *, connected: bool = False)
             "target-tracking"
         )
     weights = build_weights(weights_name, network.adjacency)
-    return Subject(source, weights_name, links, network, weights, None)
+    phases = tuple(turn for turn in turns for _ in range(int(asked.numbers[0])))
+    return Subject(source or links, weights_name, links, network, weights, None, phases)
 
 
 def graph_name(source: str) -> str:
@@ -111,7 +127,9 @@ def graph_name(source: str) -> str:
         return f"intel-lab-directed:{source}"
     if path.is_file():
         directed = not is_symmetric(read_network(path, directed=True).adjacency)
-        return f"directed:{source}" if directed and path.suffix != ".edges" else f"file:{source}"
+        # In a list each edge may stand for both directions: one-way lists are asked for by name.
+        listed = path.suffix in (".edges", ".edgelist", ".txt")
+        return f"directed:{source}" if directed and not listed else f"file:{source}"
     return source
 
 
@@ -145,4 +163,21 @@ def _of_scenario(source: str, options: SubjectOptions) -> Subject:
         delivery = 1 - np.array([loss for losses in setup.losses for loss in losses])
     network = Network(adjacency, delivery, None if positions is None else positions[:, :2])
     weights = from_per_node(setup.weights, neighbours)
-    return Subject(scenario.graph, scenario.weights, scenario.links, network, weights, setup)
+    phases = _phases(setup, adjacency)
+    return Subject(
+        scenario.graph, scenario.weights, scenario.links, network, weights, setup, phases
+    )
+
+
+def _phases(setup: Setup, adjacency: Adjacency) -> tuple[Adjacency, ...]:
+    """The graph of each step of a scenario in which graphs take turns or nodes move."""
+    plan = parse_links(setup.scenario.links)
+    up = link_up(setup)
+    if up is None or plan.kind not in ("switching", "moving"):
+        return ()
+    steps = setup.scenario.steps
+    if plan.kind == "switching":
+        steps = len(plan.graphs) * int(plan.numbers[0])
+    hearer, heard = links_of(adjacency)
+    found = (np.asarray(up(np.full(len(hearer), k), heard, hearer), bool) for k in range(steps))
+    return tuple(from_links(nodes_of(adjacency), hearer[on], heard[on]) for on in found)

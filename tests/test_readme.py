@@ -1,4 +1,4 @@
-"""Every command of README.md runs as it is printed.
+"""Every command of README.md and docs/topology.md runs as it is printed.
 
 Commands are the lines of its ```sh blocks. They run one after the other in a folder that looks like
 a checkout with nothing in `runs/` yet, in the project's environment, as a reader would do it.
@@ -12,7 +12,8 @@ import pytest
 from tests.pages import ROOT, commands, link_checkout, run_as_reader
 
 README = ROOT / "README.md"
-COMMANDS = commands(README.read_text(encoding="utf-8"))
+PAGES = (README, ROOT / "docs/topology.md")
+COMMANDS = [command for page in PAGES for command in commands(page.read_text(encoding="utf-8"))]
 
 
 @pytest.fixture(scope="module")

@@ -143,12 +143,14 @@ def measured_factor(
     runs: int,
     rounds: int,
     generator: np.random.Generator,
+    redrawn: Callable[[NDArray[np.intp]], None] = lambda chosen: None,
 ) -> Measured:
     """The factor per round of an averaging that is carried out.
 
     `one_round(values (n, runs), round)` is the averaging. The runs begin at random and are carried
     through `rounds` rounds, of which the second half counts. So that few runs do not come to stand
-    for all, runs are drawn anew by their mean square when they have grown unlike.
+    for all, runs are drawn anew by their mean square when they have grown unlike; `redrawn` is told
+    which (runs,), for averagings that remember something of their runs.
     """
     values = generator.normal(size=(nodes, runs))
     growth = np.empty(rounds)
@@ -164,7 +166,9 @@ def measured_factor(
         weight = weight * size / growth[number]
         values = _of_unit_size(values)
         if 1 / (weight**2).sum() < runs / 2:
-            values = values[:, _systematic(weight, generator)]
+            chosen = _systematic(weight, generator)
+            redrawn(chosen)
+            values = values[:, chosen]
             weight = np.full(runs, 1 / runs)
     rates = np.log(growth[rounds // 2 :]) / 2
     means = np.array([batch.mean() for batch in np.array_split(rates, _BATCHES)])
@@ -174,11 +178,43 @@ def measured_factor(
     return Measured(math.exp(middle), low, high, rounds, runs)
 
 
+class MarkovLinks:
+    """Rounds of averaging on links that are Markov chains, in equilibrium at the start.
+
+    Both ends of a link share its state; each run has states of its own, which follow it when runs
+    are drawn anew.
+    """
+
+    def __init__(
+        self,
+        links: Links,
+        failure: float,
+        repair: float,
+        runs: int,
+        generator: np.random.Generator,
+    ) -> None:
+        self._links, self._failure, self._repair = links, failure, repair
+        self._generator = generator
+        self._gather = _gather(links)
+        pairs = int(links.pair.max(initial=-1)) + 1
+        self._up = generator.random((pairs, runs)) < repair / (failure + repair)
+
+    def one_round(self, values: Array, number: int) -> Array:
+        """Values (n, runs) after the links have moved on and all have averaged."""
+        drawn = self._generator.random(self._up.shape)
+        self._up = np.where(self._up, drawn >= self._failure, drawn < self._repair)
+        heard, hearer = values[self._links.heard], values[self._links.hearer]
+        return values + self._gather @ ((heard - hearer) * self._up[self._links.pair])
+
+    def redrawn(self, chosen: NDArray[np.intp]) -> None:
+        """The links go with their runs."""
+        self._up = self._up[:, chosen]
+
+
 def averaging(links: Links, generator: np.random.Generator) -> Callable[[Array, int], Array]:
     """Rounds of averaging in which links come and go, for `measured_factor`."""
     pairs = int(links.pair.max(initial=-1)) + 1
-    place = (links.hearer, np.arange(len(links.hearer)))
-    gather = csr_array((links.weight, place), shape=(links.nodes, len(links.hearer)))
+    gather = _gather(links)
 
     def one_round(values: Array, number: int) -> Array:
         draws = generator.random((pairs, values.shape[1]))[links.pair]
@@ -186,6 +222,12 @@ def averaging(links: Links, generator: np.random.Generator) -> Callable[[Array, 
         return values + gather @ heard
 
     return one_round
+
+
+def _gather(links: Links) -> csr_array:
+    """What a link brings to whom, (n, links)."""
+    place = (links.hearer, np.arange(len(links.hearer)))
+    return csr_array((links.weight, place), shape=(links.nodes, len(links.hearer)))
 
 
 def _mean_weights(links: Links) -> csr_array:

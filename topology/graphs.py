@@ -102,6 +102,12 @@ _SOURCES: dict[str, Callable[[str, int | None], Network]] = {
 _LABS = ("intel-lab", "intel-lab-directed")
 
 
+def is_random(name: str) -> bool:
+    """Whether the graph of a name depends on the seed."""
+    drawn = ("erdos-renyi", "small-world", "scale-free", "geometric")
+    return name in drawn or name.endswith("-regular")
+
+
 def graph_names() -> tuple[str, ...]:
     """What `build_network` knows: K stands for a number, PATH for a file of `graph_files`."""
     return (*_BUILDERS, "K-regular", "geometric", "file:PATH", "directed:PATH", *_LABS)

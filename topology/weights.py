@@ -247,6 +247,12 @@ def from_per_node(
     return csr_array((np.concatenate(values), (rows, columns)), shape=(nodes, nodes))
 
 
+def masked(weights: Weights, adjacency: Adjacency) -> Weights:
+    """Weights (n, n) while only the links of a graph (n, n) are up: each node keeps to itself what
+    the others would have given."""
+    return _completed(adjacency, entries(weights, *links_of(adjacency)))
+
+
 def _require_both_ways(name: str, adjacency: Adjacency) -> None:
     if is_symmetric(adjacency):
         return

@@ -1,0 +1,154 @@
+"""`concord topology`: what it prints is what theory says, and what cannot be is refused."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.__main__ import main
+from experiments.topology_convergence import convergence
+from experiments.topology_subject import SubjectOptions, subject_of
+from scenarios.observability import observability, rank
+from tests.experiments.support import small
+from topology.graph_files import read_network
+
+LAB = Path(__file__).resolve().parents[3] / "shared/data/intel_lab"
+
+
+@pytest.fixture
+def answer(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+
+    def run(arguments: str) -> dict:
+        main(["topology", *arguments.split(), "--json"])
+        return json.loads(capsys.readouterr().out)
+
+    return run
+
+
+@pytest.fixture
+def complaint(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+
+    def said(arguments: str) -> str:
+        with pytest.raises(SystemExit) as left:
+            main(["topology", *arguments.split()])
+        captured = capsys.readouterr()
+        assert left.value.code == 2 and captured.out == "" and not list(tmp_path.iterdir())
+        return captured.err.strip()
+
+    return said
+
+
+@pytest.mark.skipif(not LAB.is_dir(), reason="no ../shared/data/intel_lab to read")
+def test_the_lab_converges_as_predicted(answer):
+    report = answer(f"analyse {LAB} --seed 3")
+    found = report["convergence"]
+    assert report["analysis"]["nodes"] == 53 and report["analysis"]["directed"]
+    assert found["difference_percent"] < 5 and found["rate_difference_percent"] < 5
+    assert abs(found["measured"] / found["predicted"] - 1) < 0.05
+    assert len(report["losses"]) == 53
+
+
+@pytest.mark.parametrize(
+    ("source", "links"),
+    [("ring", "static"), ("star", "bernoulli:0.3"), ("", "switching:ring,path:3")],
+)
+def test_predicted_and_measured_rates_agree(source: str, links: str):
+    subject = subject_of(source, SubjectOptions(nodes=9, links=links))
+    found = convergence(subject, seed=4)
+    assert found.rate_difference_percent is not None and found.rate_difference_percent < 5
+
+
+def test_failures_with_memory_are_slower_than_as_many_without():
+    """Markov links that stay down cost more; with failure + repair = 1 they have no memory."""
+    forgetful = convergence(subject_of("ring", SubjectOptions(nodes=8, links="markov:0.3,0.7")), 1)
+    plain = convergence(subject_of("ring", SubjectOptions(nodes=8, links="bernoulli:0.3")), 1)
+    lasting = convergence(subject_of("ring", SubjectOptions(nodes=8, links="markov:0.03,0.07")), 1)
+    assert plain.predicted is not None and forgetful.predicted is None
+    assert np.log(forgetful.measured) == pytest.approx(np.log(plain.predicted), rel=0.05)
+    assert lasting.measured > plain.predicted + 0.01
+
+
+def test_the_hub_of_a_star_hurts_most_and_nobody_in_a_ring_more_than_another(answer):
+    star = answer("analyse star --nodes 7")
+    assert star["losses"][0] == {"node": "0", "pieces": 6, "factor": None, "error_growth": None}
+    assert star["analysis"]["cut_nodes"] == [0] and len(star["analysis"]["cut_links"]) == 6
+    ring = answer("analyse ring --nodes 7")
+    assert [loss["node"] for loss in ring["losses"]] == [str(node) for node in range(7)]
+
+
+def test_what_is_seen_of_a_plant_is_what_theory_says():
+    """../shared/spec/consensus.md section 1: all plants are observable from their controlled
+    output; pitch is not from pitch rate or angle of attack alone."""
+    for name, expected in (
+        ("aircraft-pitch", [3, 2, 2, 0, 2, 2, 3, 0]),
+        ("dc-motor-position", [3, 2, 2, 0, 2, 2, 3, 0]),
+        ("suspension", [4, 4, 4, 0, 4, 4, 4, 0]),
+    ):
+        found = observability(small(name, nodes=8, steps=60))
+        joint = found.gramian.sum(axis=0)
+        assert [rank(own, joint) for own in found.gramian] == expected
+        assert found.blind == (3, 7)
+
+
+def test_a_scenario_is_analysed_with_its_plant(answer):
+    report = answer("analyse --scenario oscillator --nodes 5")
+    seen = report["observability"]
+    assert seen["joint_rank"] == 2 and seen["states"] == ["x", "vx"]
+    assert all(loss["error_growth"] >= 1 - 1e-9 for loss in report["losses"])
+
+
+def test_a_comparison_has_intervals_where_graphs_are_random(answer):
+    rows = answer(
+        "compare ring geometric --nodes 10 --weights metropolis,maximum-degree --seeds 4"
+    )["rows"]
+    assert [(row["graph"], row["graphs"]) for row in rows] == [
+        ("ring", 1), ("ring", 1), ("geometric", 4), ("geometric", 4),
+    ]  # fmt: skip
+    factor = rows[2]["factor"]
+    assert factor["low"] < factor["mean"] < factor["high"]
+    assert rows[0]["factor"]["low"] == rows[0]["factor"]["high"]
+
+
+@pytest.mark.parametrize("suffix", [".graphml", ".edges", ".csv"])
+def test_a_generated_graph_is_read_back(answer, tmp_path: Path, suffix: str):
+    written = answer(f"generate small-world --nodes 12 --seed 5 --out net{suffix}")
+    network = read_network(tmp_path / f"net{suffix}")
+    assert network.adjacency.nnz == written["links"] == 48
+    report = answer(f"analyse net{suffix}")
+    assert report["analysis"]["links"] == 24
+
+
+@pytest.mark.parametrize("suffix", [".png", ".svg"])
+def test_pictures_are_drawn(answer, tmp_path: Path, suffix: str):
+    for source in ("ring --nodes 6", "geometric --nodes 9", "--scenario target-tracking"):
+        name = f"{len(list(tmp_path.iterdir()))}{suffix}"
+        drawn = answer(f"show {source} --out {name}")
+        assert drawn["file"] == name
+        assert (tmp_path / name).stat().st_size > 5000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ("analyse rign", "unknown graph 'rign': did you mean 'ring'"),
+        ("analyse", "which graph?"),
+        ("analyse ring --links bernouli:0.1", "did you mean 'bernoulli:P'"),
+        ("analyse ring --links measured", "no chances of delivery"),
+        ("analyse ring --links moving:100", "add --scenario"),
+        ("analyse ring --weights metropolys", "did you mean 'metropolis'"),
+        ("analyse /tmp", "no folder of the Intel lab data"),
+        ("compare ring rign", "unknown graph 'rign'"),
+        ("compare ring --seeds 0", "--seeds 0: must be at least 1"),
+        ("generate ring --out ring.dot", "rename it to end in one of"),
+        ("generate ring --out nowhere/ring.csv", "no such folder"),
+        ("show ring --out ring.gif", "a picture ends in .png, .svg, .pdf"),
+        ("show ring --out ring.png --layout places", "has none; use auto"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(complaint, arguments: str, says: str):
+    message = complaint(arguments)
+    assert message.startswith("concord: ") and "\n" not in message
+    assert says in message
