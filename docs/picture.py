@@ -12,7 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 
 from experiments.drivers import in_memory
+from experiments.notebook import plots, sweep
 from experiments.options import ScenarioOptions
+from experiments.palette import save, use_house_style
 from experiments.trace import Trace, read_trace
 from scenarios.baselines import centralised
 from scenarios.catalogue import kind_of
@@ -58,14 +60,29 @@ def draw_errors(axes: Axes, setup: Setup, trace: Trace) -> None:
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=2, fontsize=8, frameon=False)
 
 
+def draw_sweep() -> None:
+    """What the share of the bus does to three rules on three graphs: docs/sweep.png."""
+    use_house_style()
+    swept = sweep(
+        scenario="target-tracking",
+        nodes=20,
+        graph=["geometric", "ring", "complete"],
+        rule=["ci", "wac", "hcmci"],
+        occupancy=[1.0, 0.5, 0.25, 0.1],
+        runs=50,
+    )
+    save(plots(swept)["error-against"], Path(__file__).parent / "sweep.png")
+
+
 def main() -> None:
-    """Write docs/network.png."""
+    """Write docs/network.png and docs/sweep.png."""
     setup = prepare(ScenarioOptions(nodes=20, seed=7).resolve())
     trace = read_trace(setup, in_memory(setup))
     figure, (left, right) = plt.subplots(1, 2, figsize=(12, 5.5), layout="constrained")
     draw_map(left, setup, trace)
     draw_errors(right, setup, trace)
     figure.savefig(Path(__file__).parent / "network.png", dpi=110)
+    draw_sweep()
 
 
 if __name__ == "__main__":

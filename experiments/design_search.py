@@ -22,7 +22,7 @@ from experiments.workers import Engine
 
 LOOK_RUNS = 4
 RACE_RUNS = (8, 16, 32)
-LOOKS_CLOSER = 4
+LOOKS_CLOSER = 6
 CENTRES = 4
 MOST_ON_FRONT = 8
 ATTEMPTS = 4

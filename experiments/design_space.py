@@ -22,7 +22,7 @@ OPEN: dict[str, tuple[Value, ...]] = {
 COARSE: dict[str, tuple[Value, ...]] = {
     "weights": ("metropolis",),
     "rounds": (1, 3),
-    "occupancy": (0.1, 0.3, 1.0),
+    "occupancy": (0.05, 0.2, 1.0),
     "schedule": ("hybrid",),
 }
 _ORDERED = ("rounds", "occupancy")

@@ -1,7 +1,12 @@
 """`concord sweep` end to end: the file, going on, refusals, the same from any number of workers."""
 
 import json
+import os
 import shutil
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +19,7 @@ from experiments.sweep_specification import Specification, specify
 from experiments.sweep_store import folder_of
 from experiments.sweep_summary import figures_of
 from experiments.workers import engine_for, in_this_process
+from tests.pages import ROOT
 
 ASKED = {"scenario": "oscillator", "nodes": "3", "steps": "24", "graph": "ring,path",
          "occupancy": "1,.5"}  # fmt: skip
@@ -210,3 +216,42 @@ def test_the_best_cell_is_compared_with_itself_and_the_others_with_it(result: Pa
     assert min(ratios) == 1 and max(ratios) > 1
     best = cells[ratios.index(1)]
     assert best.rmse.value == min(cell.rmse.value for cell in cells)
+
+
+def group_ends(group: int, within_s: float) -> bool:
+    """Whether no process of the group is left; Python's own helpers notice a moment later."""
+    until = time.monotonic() + within_s
+    while time.monotonic() < until:
+        try:
+            os.killpg(group, 0)
+        except ProcessLookupError:
+            return True
+        time.sleep(0.05)
+    return False
+
+
+@pytest.mark.slow
+def test_ctrl_c_keeps_finished_cells_and_ends_every_worker(tmp_path: Path):
+    command = [
+        sys.executable, "-m", "experiments", "sweep", "--scenario", "oscillator", "--nodes", "4",
+        "--steps", "40", "--seed", "1..30", "--runs", "4", "--workers", "2",
+        "-o", str(tmp_path / "s.nc"),
+    ]  # fmt: skip
+    # A session of its own: the interruption reaches the whole group, as from a terminal.
+    started = subprocess.Popen(
+        command, cwd=ROOT, start_new_session=True, stderr=subprocess.PIPE, text=True
+    )
+    folder = folder_of(tmp_path / "s.nc")
+    until = time.monotonic() + 60
+    while not list(folder.glob("*.npz")) and time.monotonic() < until:
+        time.sleep(0.05)
+    os.killpg(started.pid, signal.SIGINT)
+    _, said = started.communicate(timeout=30)
+    assert started.returncode == 130
+    assert "the same command goes on" in said and "Traceback" not in said
+    kept = len(list(folder.glob("*.npz")))
+    assert 0 < kept < 30 and not (tmp_path / "s.nc").exists()
+    assert group_ends(started.pid, within_s=10)
+    again = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    assert f"goes on: {kept} of 30 cells were finished before" in again.stderr
+    assert (tmp_path / "s.nc").exists() and not folder.exists()
