@@ -45,8 +45,19 @@ class SigmaPointRule:
 
     @cached_property
     def weighted_unit_points(self) -> np.ndarray:
-        """Unit points beyond the first, times `roots`, one per column: (n, S - 1)."""
-        return np.ascontiguousarray((self.roots[:, None] * self.unit_points[1:]).T)
+        """Unit points beyond the first, times their weights, one per column: (n, S - 1)."""
+        return np.ascontiguousarray((self.cov_weights[1:, None] * self.unit_points[1:]).T)
+
+    @cached_property
+    def moment_root(self) -> np.ndarray | None:
+        """T (S - 1, S - 1) with P = (T D)' T D for D of rows D_s; None where P need not be positive
+        semi-definite, as the first point weighs too little."""
+        quadratic = np.diag(self.cov_weights[1:])
+        quadratic += self.curvature * np.outer(self.mean_weights[1:], self.mean_weights[1:])
+        try:
+            return np.ascontiguousarray(np.linalg.cholesky(quadratic).T)
+        except np.linalg.LinAlgError:
+            return None
 
     @cached_property
     def curvature(self) -> float:

@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from filters.gaussian import Gaussian
+from filters.linalg import symmetrise
 from filters.moments import Model, Residual, evaluate
 from filters.sigma_points import SigmaPointRule, check_rule
 
@@ -45,13 +46,13 @@ def expect(
     lanes, n = belief.mean.shape[:-1], belief.mean.shape[-1]
     points, factor = _spread(belief, rule)
     values = evaluate(measure, points, m, "measure")
-    predicted, cov, rows, shift = _moments(values, m, noise_cov, rule, residual)
+    predicted, cov, away, shift = _moments(values, m, noise_cov, rule, residual)
     if state_residual is np.subtract:
-        cross_cov = factor.dot(rule.weighted_unit_points.dot(rows))
+        cross_cov = factor.dot(rule.weighted_unit_points.dot(away))
     else:
-        away = state_residual(points, belief.mean).reshape(-1, n)
-        cross_cov = (away[1:].T * rule.roots).dot(rows)
-        cross_cov -= np.outer(rule.cov_weights.dot(away), shift)
+        state_away = state_residual(points, belief.mean).reshape(-1, n)
+        cross_cov = (state_away[1:].T * rule.cov_weights[1:]).dot(away)
+        cross_cov -= np.outer(rule.cov_weights.dot(state_away), shift)
     return (
         predicted.reshape(*lanes, m),
         cov.reshape(*lanes, m, m),
@@ -89,14 +90,19 @@ def _spread(belief: Gaussian, rule: SigmaPointRule) -> tuple[np.ndarray, np.ndar
 def _moments(
     values: np.ndarray, size: int, noise_cov: np.ndarray, rule: SigmaPointRule, residual: Residual
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Mean (size,), cov (size, size), weighted differences (S - 1, size), shift of the mean."""
+    """Mean (size,), cov (size, size), differences (S - 1, size), shift of the mean."""
     first = values[0]
-    rows = residual(values[1:], first).reshape(-1, size) * rule.roots[:, None]
-    shift = rule.roots.dot(rows)
-    cov = rows.T.dot(rows)
-    cov += (rule.curvature * shift)[:, None] * shift
+    away = residual(values[1:], first).reshape(-1, size)
+    shift = rule.mean_weights[1:].dot(away)
+    root = rule.moment_root
+    if root is None:
+        cov = (away.T * rule.cov_weights[1:]).dot(away)
+        cov = symmetrise(cov + rule.curvature * np.outer(shift, shift))
+    else:
+        rows = root.dot(away)
+        cov = rows.T.dot(rows)
     cov += noise_cov.reshape(size, size)
-    return first.reshape(size) + shift, cov, rows, shift
+    return first.reshape(size) + shift, cov, away, shift
 
 
 def _factor(cov: np.ndarray) -> np.ndarray:

@@ -40,7 +40,7 @@ def expect(
     values = evaluate(measure, points, m, "measure")
     predicted, cov, rows, shift = _moments(values, noise_cov, rule, residual)
     if state_residual is np.subtract:
-        return predicted, cov, factor @ (rule.weighted_unit_points @ rows)
+        return predicted, cov, factor @ (rule.weighted_unit_points / rule.roots @ rows)
     away = points_last(state_residual(points, belief.mean))
     cross_cov = (rule.roots[:, None] * away[..., 1:, :]).mT @ rows
     cross_cov -= (rule.cov_weights @ away)[..., :, None] * shift[..., None, :]

@@ -1,5 +1,6 @@
 """What a measurement did to a belief; entries that were not taken, lanes that keep their belief."""
 
+import math
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -28,6 +29,8 @@ class Update(NamedTuple, Generic[Belief]):
 
 def missing_entries(measurement: np.ndarray) -> np.ndarray | None:
     """True (..., m) where an entry is NaN, that is, was not taken; None when all were."""
+    if measurement.ndim == 1 and not math.isnan(measurement.dot(measurement)):
+        return None
     missing = np.isnan(measurement)
     return missing if missing.any() else None
 

@@ -8,7 +8,7 @@ import pytest
 from filters import compiled, linalg, paths, ukf, ukf_columns, ukf_compiled, ukf_lane, ukf_stack
 from filters.columns import MANY_LANES
 from filters.gaussian import Gaussian
-from filters.sigma_points import SigmaPointRule, gauss_hermite
+from filters.sigma_points import SigmaPointRule, gauss_hermite, scaled_unscented
 from tests.filters.support import (
     RULE_NAMES,
     bearing_residual,
@@ -237,3 +237,17 @@ def test_kernels_that_are_demanded_and_missing_are_named(monkeypatch):
 def test_a_rule_with_other_weights_for_the_covariance_beyond_its_first_point_is_refused():
     with pytest.raises(ValueError, match="positive and alike"):
         SigmaPointRule(np.zeros((3, 1)), np.array([0.0, 0.5, 0.5]), np.array([0.0, 1.0, 1.0]))
+
+
+@pytest.mark.parametrize("beta", [0.0, 2.0])
+def test_one_lane_with_a_centre_that_weighs_less_than_nothing(beta):
+    """Then the covariance is no square of anything, and may not be positive definite."""
+    generator, rule = np.random.default_rng(9), scaled_unscented(5, beta=beta)
+    assert (rule.moment_root is None) == (beta == 0.0)
+    belief = random_belief(generator, (), 5)
+    ours = ukf_lane.predict(belief, bend, np.eye(5), rule, np.subtract)
+    for one, other in zip(
+        ours, ukf_stack.predict(belief, bend, np.eye(5), rule, np.subtract), strict=True
+    ):
+        agree(one, other)
+    np.testing.assert_array_equal(ours.cov, ours.cov.T)
