@@ -10,8 +10,8 @@ ORDER = (
     "filterpy",
     "numpy, one",
     "compiled, one",
-    "C loop",
     "numpy, many",
+    "C loop",
     "compiled, many",
 )
 LABELS = {

@@ -1,0 +1,58 @@
+"""What `make bench-compare` calls worse."""
+
+import msgspec
+import pytest
+
+from benchmarks import compare
+from benchmarks.measure import Figure, figure, in_turns, ratio
+
+
+def kept(value, spread, better="less"):
+    table = {"one": Figure(value, value - spread, value + spread, "us", better)}
+    return compare.Kept({"cpu": "a"}, {"ukf": table})
+
+
+@pytest.mark.parametrize(
+    ("base", "new", "better", "worse"),
+    [
+        (kept(10, 1), kept(11.5, 1), "less", False),  # the spreads meet
+        (kept(10, 1), kept(13, 1), "less", True),
+        (kept(10, 1), kept(7, 1), "less", False),
+        (kept(10, 1, "more"), kept(7, 1, "more"), "more", True),
+        (kept(10, 1, "more"), kept(13, 1, "more"), "more", False),
+    ],
+)
+def test_worse_is_beyond_both_spreads(base, new, better, worse, tmp_path, monkeypatch, capsys):
+    for name, value in (("base", base), ("new", new)):
+        (tmp_path / name).write_bytes(msgspec.json.encode(value))
+    monkeypatch.setattr("sys.argv", ["compare", str(tmp_path / "base"), str(tmp_path / "new")])
+    with pytest.raises(SystemExit) as ended:
+        compare.main()
+    assert ended.value.code == int(worse)
+    assert ("WORSE" in capsys.readouterr().out) == worse
+
+
+def test_a_file_that_is_none_is_refused_in_a_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["compare", str(tmp_path / "a"), str(tmp_path / "b")])
+    with pytest.raises(SystemExit) as ended:
+        compare.main()
+    assert ended.value.code == 2
+    assert "cannot read" in capsys.readouterr().err
+
+
+def test_contestants_take_turns_and_the_first_turn_is_left_out():
+    order = []
+
+    def contestant(name, seconds):
+        def run():
+            order.append(name)
+            return seconds[order.count(name) - 1]
+
+        return run
+
+    given = in_turns(
+        {"a": contestant("a", [9.0, 2.0, 4.0]), "b": contestant("b", [9.0, 1.0, 1.0])}, 2
+    )
+    assert order == ["a", "b"] * 3
+    assert given == {"a": [2.0, 4.0], "b": [1.0, 1.0]}
+    assert ratio(given["a"], given["b"]) == figure([2.0, 4.0], "x", "more")
