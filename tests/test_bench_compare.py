@@ -4,10 +4,10 @@ import msgspec
 import pytest
 
 from benchmarks import compare
-from benchmarks.measure import Figure, figure, in_turns, ratio
+from benchmarks.measure import Better, Figure, figure, in_turns, ratio
 
 
-def kept(value, spread, better="less"):
+def kept(value: float, spread: float, better: Better = "less") -> compare.Kept:
     table = {"one": Figure(value, value - spread, value + spread, "us", better)}
     return compare.Kept({"cpu": "a"}, {"ukf": table})
 
