@@ -124,6 +124,14 @@ def test_rules_of_fresh_shares_agree_on_a_limited_bus(rule: str):
     check_agreement(scenario("target-tracking", rule=rule, nodes=7, stretch=100.0, **LIMITED))
 
 
+@pytest.mark.parametrize("links", ["bernoulli:0.7", "markov:0.2,0.5", "switching:ring,path:2"])
+@pytest.mark.parametrize("rule", ["ci", "hcmci", "kcf"])
+def test_graphs_that_change_agree(links: str, rule: str):
+    check_agreement(
+        scenario("oscillator", links=links, rule=rule, nodes=5, steps=6, graph="complete")
+    )
+
+
 def test_the_centralised_rule_agrees():
     only = {"rule": "centralised", "graph": "complete", "rounds": 1}
     check_agreement(scenario("target-tracking", nodes=6, steps=8, **only))
