@@ -16,6 +16,7 @@ from experiments.drivers import in_memory
 from experiments.trace import read_trace
 from filters.gaussian import Gaussian
 from filters.metrics import nees
+from nodes.memory import keep_freed_memory
 from nodes.messages import Array
 from nodes.vectorised import Instant, run
 from scenarios.build import build_plan
@@ -104,6 +105,7 @@ def simulate(
         raise ValueError(f"runs {list(runs)[:9]}: give at least one number, each of them once")
     if unknown := set(keep) - OPTIONAL:
         raise ValueError(f"keep {sorted(unknown)}: choose from {sorted(OPTIONAL)}")
+    keep_freed_memory()
     messages = without_array_form(setup.scenario) is not None
     together = 1 if messages else max(1, LANES // setup.scenario.nodes)
     arrays: dict[str, np.ndarray] = {}
