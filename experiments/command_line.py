@@ -9,6 +9,7 @@ from tyro.extras import SubcommandApp
 from experiments.agree_command import agree
 from experiments.collect_command import collect
 from experiments.design_command import design
+from experiments.doctor_command import doctor
 from experiments.flexray_command import SUMMARY, flexray_commands
 from experiments.identify_command import identify_tyres
 from experiments.keys_command import keys
@@ -35,6 +36,7 @@ COMMANDS = {
     "plot": plot,
     "report": report,
     "keys": keys,
+    "doctor": doctor,
 }
 
 

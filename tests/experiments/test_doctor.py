@@ -1,0 +1,187 @@
+"""`concord doctor`: each check on a machine that is well, poor or broken."""
+
+import errno
+import resource
+import socket
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from experiments import doctor, doctor_machine
+from experiments.command_line import main
+from experiments.finding import Finding, Verdict
+from nodes.zenoh_transport import LinkError
+
+OK, WARNING, FAILING = Verdict.OK, Verdict.WARNING, Verdict.FAILING
+
+
+@pytest.mark.parametrize(
+    ("nodes", "free_mb", "verdict"),
+    [
+        (16, 8000, OK),
+        (16, 1000, WARNING),
+        (16, 500, FAILING),
+        (4000, 8000, FAILING),
+        (4, None, WARNING),
+    ],
+)
+def test_memory_is_weighed_against_the_nodes(nodes: int, free_mb: float | None, verdict: Verdict):
+    assert doctor_machine.memory(nodes, free_mb).verdict is verdict
+
+
+def test_the_nodes_that_are_said_to_fit_do_fit():
+    seen = doctor_machine.memory(1000, 2000)
+    fit = int(seen.cure.split("at most ")[1].split()[0])
+    assert doctor_machine.memory(fit, 2000).verdict is not FAILING
+    assert doctor_machine.memory(fit + 1, 2000).verdict is FAILING
+
+
+def test_a_container_s_limit_counts(tmp_path: Path):
+    (tmp_path / "meminfo").write_text("MemTotal: 9000000 kB\nMemAvailable: 4194304 kB\n")
+    assert doctor_machine.available_memory_mb(tmp_path, tmp_path) == 4096
+    (tmp_path / "memory.current").write_text(str(200 << 20))
+    (tmp_path / "memory.max").write_text("max\n")
+    assert doctor_machine.available_memory_mb(tmp_path, tmp_path) == 4096
+    (tmp_path / "memory.max").write_text(str(1000 << 20))
+    assert doctor_machine.available_memory_mb(tmp_path, tmp_path) == 800
+    assert doctor_machine.available_memory_mb(tmp_path / "none", tmp_path) is None
+
+
+@pytest.mark.parametrize(
+    ("limit", "verdict"), [(1024, OK), (300, FAILING), (resource.RLIM_INFINITY, OK)]
+)
+def test_the_limit_of_open_files(limit: int, verdict: Verdict):
+    assert doctor_machine.files(16, limit).verdict is verdict
+
+
+def test_no_ports_is_a_failure(monkeypatch: pytest.MonkeyPatch):
+    def none(names):
+        raise OSError(errno.EADDRNOTAVAIL, "none left")
+
+    assert doctor_machine.ports(8).verdict is OK
+    monkeypatch.setattr(doctor_machine, "free_ports", none)
+    assert doctor_machine.ports(8).verdict is FAILING
+
+
+def test_a_taken_page_port_is_a_warning():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        assert doctor_machine.page_port(port).verdict is WARNING
+    assert doctor_machine.page_port(port).verdict is OK
+
+
+def test_many_threads_of_linear_algebra_are_named():
+    many = doctor_machine.blas({"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "8"}, 2)
+    assert many.verdict is WARNING and "unset OMP_NUM_THREADS:" in many.cure
+    assert doctor_machine.blas({"OPENBLAS_NUM_THREADS": "1"}, None).verdict is OK
+
+
+def test_late_and_wrong_clocks():
+    assert doctor_machine.clock([1e-4, 2e-4, 0.5], 2026).verdict is OK
+    assert doctor_machine.clock([0.01, 0.02, 0.01], 2026).verdict is WARNING
+    assert doctor_machine.clock([1e-4], 1970).verdict is FAILING
+    assert len(doctor_machine.measured_lateness_s(3)) == 3
+
+
+def test_a_folder_that_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    assert doctor_machine.disk(tmp_path).verdict is not FAILING
+    monkeypatch.setattr(doctor_machine.os, "access", lambda *_: False)
+    assert doctor_machine.disk(tmp_path).verdict is FAILING
+
+
+def test_a_silent_or_shut_zenoh_is_a_failure():
+    def silent():
+        raise TimeoutError("nothing comes back")
+
+    def shut():
+        raise LinkError("cannot join")
+
+    assert doctor.zenoh(lambda: 1e-4).verdict is OK
+    assert doctor.zenoh(silent).verdict is FAILING
+    assert "cannot join" in doctor.zenoh(shut).seen
+
+
+def test_browsers():
+    assert doctor.browser(lambda name: None).verdict is WARNING
+    assert doctor.browser({"chromium": "/opt/chromium"}.get).seen == "/opt/chromium"
+
+
+def test_extras_say_how_to_get_them(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(doctor.importlib.util, "find_spec", lambda name: None)
+    assert doctor.extra("secure").verdict is WARNING
+    assert "concord[secure]" in doctor.extra("secure").cure
+    monkeypatch.setattr(doctor.importlib.util, "find_spec", lambda name: object())
+    assert doctor.extra("secure").verdict is OK
+
+
+def test_the_extras_are_those_of_the_package():
+    import tomllib
+
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())
+    assert set(doctor.EXTRAS) == set(project["project"]["optional-dependencies"])
+
+
+def test_data_is_read_to_the_end(tmp_path: Path):
+    assert doctor.data_folder(tmp_path / "none").seen == "no such folder"
+    assert doctor.data_folder(tmp_path).verdict is FAILING
+    (tmp_path / "Barcodes.dat").write_text("1 5\n")
+    broken = doctor.data_folder(tmp_path)
+    assert broken.verdict is FAILING and "Groundtruth" in broken.seen
+
+
+def test_the_environment_names_folders():
+    named = doctor.folders_of({"CONCORD_MRCLAM": "a", "CONCORD_INTEL_LAB": ""})
+    assert named == [Path("a")]
+
+
+@pytest.mark.parametrize(("verdict", "code"), [(OK, 0), (WARNING, 0), (FAILING, 1)])
+@pytest.mark.parametrize("as_json", [True, False])
+def test_the_exit_code_tells(
+    verdict: Verdict,
+    code: int,
+    as_json: bool,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+):
+    from experiments import doctor_command
+
+    found = [Finding("this", OK, "fine"), Finding("that", verdict, "[seen]", "do something")]
+    monkeypatch.setattr(doctor_command, "look", lambda nodes, data: iter(found))
+    with pytest.raises(SystemExit) as end:
+        main(["doctor", *(["--json"] if as_json else [])])
+    assert end.value.code == code
+    out = capsys.readouterr().out
+    if as_json:
+        said = msgspec.json.decode(out)
+        assert said["healthy"] is (code == 0)
+        assert [one["verdict"] for one in said["findings"]] == ["ok", verdict.value]
+    else:
+        assert "that: [seen]" in out and "-> do something" in out
+
+
+def test_no_nodes_is_a_mistake(capsys: pytest.CaptureFixture[str]):
+    with pytest.raises(SystemExit) as end:
+        main(["doctor", "--nodes", "0"])
+    assert end.value.code == 2
+    assert "at least one node" in capsys.readouterr().err
+
+
+@pytest.mark.zenoh
+def test_this_machine_in_a_fresh_process(tmp_path: Path):
+    import subprocess
+    import sys
+
+    done = subprocess.run(
+        [sys.executable, "-m", "experiments", "doctor", "--nodes", "2", "--json"],
+        cwd=Path(__file__).parents[2],
+        capture_output=True,
+        timeout=60,
+    )
+    said = msgspec.json.decode(done.stdout)
+    assert said["healthy"] is (done.returncode == 0)
+    seen = {one["subject"]: one for one in said["findings"]}
+    assert seen["zenoh"]["verdict"] == "ok", seen["zenoh"]
+    assert {"ports", "memory", "threads", "clock", "disk", "browser", "page"} <= set(seen)
