@@ -19,7 +19,7 @@ from filters.fusion import covariance_intersection
 from filters.sigma_points import scaled_unscented
 from filters.ukf import predict, update
 from nodes.links import RECORDER, WORLD, Links, free_ports, names, plan_links
-from nodes.supervisor import Supervisor
+from nodes.supervisor import Ended, Supervisor
 from nodes.zenoh_transport import Transport, start_router
 
 
@@ -51,7 +51,7 @@ def main() -> None:
             supervisor.start(str(node), partial(_pass_on, run, links[str(node)], load, node))
         while True:
             ended = supervisor.wait(sys.stdin.fileno())
-            if ended is not None and (ended.name == WORLD or ended.code):
+            if isinstance(ended, Ended) and (ended.name == WORLD or ended.code):
                 return
     finally:
         supervisor.stop()

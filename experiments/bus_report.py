@@ -76,9 +76,9 @@ class BusTimes(NamedTuple):
 
 
 def figures_of(setup: Setup, trace: Trace) -> BusFigures | None:
-    """The figures of a run's bus; None where the bus has no time."""
+    """The figures of a run's bus; None where the bus has no time, or was another in the run."""
     plan = build_plan(setup)
-    if plan.cluster is None:
+    if plan.cluster is None or not trace.history.one_bus:
         return None
     tables = (*plan.schedule.static_table, *plan.schedule.contender_table)
     publishers = {node for row in tables for node in row}
@@ -90,9 +90,10 @@ def figures_of(setup: Setup, trace: Trace) -> BusFigures | None:
 
 
 def times_of(setup: Setup, trace: Trace) -> BusTimes | None:
-    """When what was on the bus in a run; None where the bus has no time."""
+    """When what was on the bus in a run; None where the bus has no time, or was another."""
     plan = build_plan(setup)
-    return None if plan.cluster is None else bus_times(plan, trace.payload_bytes)
+    timeless = plan.cluster is None or not trace.history.one_bus
+    return None if timeless else bus_times(plan, trace.payload_bytes)
 
 
 def bus_figures(
@@ -168,13 +169,14 @@ def longest_waits(asked: np.ndarray, sent: np.ndarray) -> np.ndarray:
 def capture(
     setup: Setup, trace: Trace, messages: Iterable[tuple[str, bytes]]
 ) -> list[Captured] | None:
-    """The frames of a recording in the order and at the time of the bus; None for one without time.
+    """The frames of a recording in the order and at the time of the bus; None for one without time,
+    or for one that was replaced by another in the run.
 
     Frames of steps that not every node completed are left out, and so are frames of shares of which
     the recording has lost a part. A cluster with two channels carries each frame on both.
     """
     plan = build_plan(setup)
-    if plan.cluster is None:
+    if plan.cluster is None or not trace.history.one_bus:
         return None
     rounds, cycle_us = setup.scenario.rounds, plan.cluster.cycle_us
     step_us = setup.time_step_s * setup.scenario.stretch * 1e6

@@ -1,7 +1,9 @@
 """The ways to run a setup: each leaves the messages of the run in a recorder or a file."""
 
+import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,7 +12,8 @@ from nodes import in_process
 from nodes.recording import McapRecorder, MemoryRecorder, Recorder
 from scenarios.build import build_node, build_world
 from scenarios.job import Happened
-from scenarios.setup import Setup
+from scenarios.script import script_of
+from scenarios.setup import Setup, complete_settings
 
 
 class Pace(NamedTuple):
@@ -46,7 +49,14 @@ def in_memory(setup: Setup) -> list[tuple[str, bytes]]:
 def drive(setup: Setup, recorder: Recorder, on_step: Callable[[int], None]) -> None:
     """Run a setup in this process."""
     nodes = [build_node(setup, node) for node in range(setup.scenario.nodes)]
-    in_process.run(build_world(setup), nodes, recorder, on_step=on_step)
+    in_process.run(
+        build_world(setup),
+        nodes,
+        recorder,
+        on_step=on_step,
+        script=script_of(setup.scenario),
+        check=partial(complete_settings, setup),
+    )
 
 
 def over_processes(
@@ -68,6 +78,8 @@ def over_processes(
             case "step":
                 last_s = happened.seconds
                 on_step(happened.step)
+            case "ended":
+                sys.stderr.write(f"{happened.detail}; the others go on\n")
 
     run_processes(setup, run, recording, port, on_event)
     return Pace(setup.scenario.steps / (last_s - ready_s), ready_s)

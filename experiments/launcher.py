@@ -8,10 +8,12 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import msgspec
 
+from nodes.network_file import Network, write_network
 from scenarios.job import Happened, Job
 from scenarios.setup import Setup
 
@@ -57,7 +59,7 @@ def run_processes(
     try:
         zygote.stdin.write(msgspec.json.encode(job) + b"\n")
         zygote.stdin.flush()
-        _follow(zygote.stdout, on_event)
+        _follow(zygote.stdout, partial(_note, run, recording.parent, on_event))
     finally:
         zygote.stdin.close()
         zygote.stdout.close()
@@ -66,6 +68,13 @@ def run_processes(
         except subprocess.TimeoutExpired:
             zygote.kill()
             zygote.wait()
+
+
+def _note(run: str, folder: Path, on_event: Callable[[Happened], None], happened: Happened) -> None:
+    """Leave word where the network is, for those who watch it."""
+    if happened.connect:
+        write_network(folder, Network(run, happened.connect, happened.pids))
+    on_event(happened)
 
 
 def _follow(lines, on_event: Callable[[Happened], None]) -> None:

@@ -74,6 +74,9 @@ class ScenarioOptions:
     markov:0.05,0.3, switching:ring,star:10, moving:300."""
     loss: float | None = None
     """Probability that a link loses a frame on its way to one receiver, at least 0 and below 1."""
+    changes: tuple[str, ...] | None = None
+    """What becomes of the network, each with its step: "10 kill 3" "20 restart 3" "25 cut 1 2"
+    "30 heal 1 2" "40 loss 0.2" "50 set rule=hcmci rounds=2"."""
     control: str | None = None
     """Whose knowledge closes the loop of a controlled plant: a node's number, truth, or open."""
     noise: str | None = None

@@ -14,7 +14,7 @@ import numpy as np
 from experiments.bus_report import times_of
 from experiments.record_spread import record_ages
 from experiments.trace import Trace
-from filters.metrics import nees
+from filters.metrics import consensus, nees
 from scenarios.catalogue import kind_of
 from scenarios.rules import is_certain
 from scenarios.setup import Setup
@@ -140,7 +140,7 @@ def write_arrays(folder: Path, description: Description, trace: Trace) -> None:
             nees(errors[..., score], trace.cov[..., score, :][..., score]),
             {"states": [names[i] for i in score], **_meaning(setup)},
         ),
-        "disagreement": (state, trace.mean - trace.mean.mean(1, keepdims=True)),
+        "disagreement": (state, trace.mean - consensus(trace.mean)),
         "readings": (("step", "node", "reading", "channel"), trace.readings),
         "published": (("step", "round", "node"), trace.published.astype(np.int8)),
         "ages": (("step", "node", "neighbour"), trace.ages, {"units": "communication cycles"}),

@@ -8,13 +8,17 @@ import numpy as np
 from bus.frame import OVERHEAD_BYTES
 from experiments.record_spread import RecordSpread, record_spread
 from filters.linalg import unpack_upper
+from nodes.changes import Event
+from nodes.history import History, history_of, without_lost_words
 from nodes.messages import Array, Bid, Estimate, Measured, Truth, decode, from_wire
 from nodes.share import Fragment, read_frame
 from scenarios.setup import Setup
 
 
 class Trace(NamedTuple):
-    """What happened in a run of N nodes, cut to the `steps` that every node completed.
+    """What happened in a run of N nodes, cut to the `steps` that all who took part completed.
+
+    While a node was out, its entries are NaN, its ages -1, and it sent nothing.
 
     Attributes:
         truth: (steps, n), NaN where nobody knows it. readings: (steps, N, r, d), NaN where a node
@@ -23,7 +27,9 @@ class Trace(NamedTuple):
         i holds of j was sent: (steps, N, N), -1 never, 0 for itself. payload_bytes: (steps, rounds,
         N), what a node sent in a communication cycle, all its frames together; 0 where it was
         silent. asked: (steps, rounds, N), which node asked for the dynamic segment. counters: per
-        node, totals at its last estimate. spread: of labelled records; None for rules without.
+        node, totals at its last estimate. history: who took part when, and in how many rounds; a
+        step with fewer than the most leaves the last ones empty. spread: of labelled records; None
+        for rules without, and where the network changed.
     """
 
     truth: Array
@@ -35,6 +41,7 @@ class Trace(NamedTuple):
     payload_bytes: np.ndarray
     asked: np.ndarray
     counters: list[dict[str, int]]
+    history: History
     spread: RecordSpread | None = None
 
     @property
@@ -56,6 +63,7 @@ def read_trace(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> Trace:
     estimates: dict[tuple[int, int], Estimate] = {}
     sent: list[tuple[int, Fragment, int]] = []
     asked: list[tuple[int, int, int]] = []
+    events: list[Event] = []
     for topic, data in messages:
         kind, _, node = topic.partition("/")
         if kind == "share":
@@ -70,16 +78,23 @@ def read_trace(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> Trace:
                 measured[message.step, message.node] = message
             case Estimate() as message:
                 estimates[message.step, message.node] = message
+            case Event() as message:
+                events.append(message)
+    history = without_lost_words(history_of(setup.scenario.rounds, events), estimates)
     steps = 0
     while steps in truths and all(
-        (steps, node) in kept for kept in (measured, estimates) for node in range(nodes)
+        (steps, node) in kept
+        for kept in (measured, estimates)
+        for node in range(nodes)
+        if history.is_in(node, steps)
     ):
         steps += 1
-    return _assemble(setup, steps, truths, measured, estimates, sent, asked)
+    return _assemble(setup, history, steps, truths, measured, estimates, sent, asked)
 
 
 def _assemble(
     setup: Setup,
+    history: History,
     steps: int,
     truths: dict[int, Truth],
     measured: dict[tuple[int, int], Measured],
@@ -87,23 +102,29 @@ def _assemble(
     sent: list[tuple[int, Fragment, int]],
     asked: list[tuple[int, int, int]],
 ) -> Trace:
-    nodes, rounds, n = setup.scenario.nodes, setup.scenario.rounds, len(setup.prior_mean)
-    rows = [[estimates[k, i] for i in range(nodes)] for k in range(steps)]
-    mean = np.array([[from_wire(e.mean) for e in row] for row in rows]).reshape(steps, nodes, n)
-    packed = np.array([[from_wire(e.cov) for e in row] for row in rows])
+    nodes, n = setup.scenario.nodes, len(setup.prior_mean)
+    mean = np.full((steps, nodes, n), np.nan)
+    packed = np.full((steps, nodes, n * (n + 1) // 2), np.nan)
     ages = np.full((steps, nodes, nodes), -1)
-    for i, heard in enumerate(setup.neighbours):
-        ages[:, i, i] = 0
-        ages[:, i, heard] = np.reshape([row[i].ages for row in rows], (steps, len(heard)))
-    controls = [measured[k, 0].control for k in range(steps)]
+    delivered = [from_wire(measured[k, i].readings) for k, i in sorted(measured)[:1]]
+    readings = np.full((steps, nodes, *(delivered[0].shape if delivered else (0, 0))), np.nan)
+    counters: list[dict[str, int]] = [{} for _ in range(nodes)]
+    controls: list[list[float] | None] = [None] * steps
+    for k, i in np.ndindex(steps, nodes):
+        if not history.is_in(i, k):
+            continue
+        estimate = estimates[k, i]
+        mean[k, i], packed[k, i] = from_wire(estimate.mean), from_wire(estimate.cov)
+        ages[k, i, i] = 0
+        ages[k, i, setup.neighbours[i]] = estimate.ages
+        counters[i] = estimate.counters
+        readings[k, i] = from_wire(measured[k, i].readings)
+        controls[k] = measured[k, i].control
     control = None
     if any(u is not None for u in controls):
         size = max(len(u) for u in controls if u is not None)
         control = np.array([np.full(size, np.nan) if u is None else u for u in controls])
     truth = np.array([from_wire(truths[k].state) for k in range(steps)])
-    readings = np.array(
-        [[from_wire(measured[k, i].readings) for i in range(nodes)] for k in range(steps)]
-    )
     lengths = [(fragment.cycle, node, size) for node, fragment, size in sent]
     fragments = [(node, fragment) for node, fragment, _ in sent]
     return Trace(
@@ -111,19 +132,23 @@ def _assemble(
         readings=readings,
         control=control,
         mean=mean,
-        cov=unpack_upper(packed.reshape(steps, nodes, n * (n + 1) // 2)),
+        cov=unpack_upper(packed),
         ages=ages,
-        payload_bytes=_summed(lengths, steps, rounds, nodes),
-        asked=_summed(asked, steps, rounds, nodes) > 0,
-        counters=[rows[-1][i].counters if rows else {} for i in range(nodes)],
-        spread=record_spread(setup, fragments, readings) if steps else None,
+        payload_bytes=_summed(lengths, steps, history, nodes),
+        asked=_summed(asked, steps, history, nodes) > 0,
+        counters=counters,
+        history=history,
+        spread=record_spread(setup, fragments, readings) if steps and not history.changed else None,
     )
 
 
-def _summed(counted: list[tuple[int, int, int]], steps: int, rounds: int, nodes: int) -> np.ndarray:
+def _summed(
+    counted: list[tuple[int, int, int]], steps: int, history: History, nodes: int
+) -> np.ndarray:
     """Counts (steps, rounds, N) of (cycle, node, count) in complete steps, added up."""
-    total = np.zeros((steps * rounds, nodes), dtype=np.int64)
+    total = np.zeros((steps, history.rounds, nodes), dtype=np.int64)
     for cycle, node, count in counted:
-        if cycle < len(total):
-            total[cycle, node] += count
-    return total.reshape(steps, rounds, nodes)
+        step, place = history.place(cycle)
+        if step < steps:
+            total[step, place, node] += count
+    return total

@@ -41,7 +41,14 @@ def anees(errors: Array, cov: Array, axes: tuple[int, ...]) -> Array:
     return np.divide(total, count, out=np.full(np.shape(total), np.nan), where=count > 0)
 
 
+def consensus(mean: Array) -> Array:
+    """The average (steps, 1, m) of the estimates (steps, N, m) of the nodes that have one."""
+    known = ~np.isnan(mean)
+    count = known.sum(axis=1, keepdims=True)
+    total = np.where(known, mean, 0.0).sum(axis=1, keepdims=True)
+    return np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
+
+
 def disagreement(mean: Array) -> float:
     """Root mean square distance of the nodes' estimates (steps, N, m) from their average."""
-    spread = mean - mean.mean(axis=1, keepdims=True)
-    return float(rmse(spread, (0, 1)))
+    return float(rmse(mean - consensus(mean), (0, 1)))

@@ -7,7 +7,9 @@ arguments. Tests make it hostile through `link` (what becomes of a frame on its 
 
 from collections.abc import Callable, Iterable, Sequence
 
-from nodes import state_machine, world
+from nodes import node_changes, state_machine
+from nodes.changes import Event, Gone, Settings, Welcome
+from nodes.conductor import Conductor, Scripted, Stage
 from nodes.messages import (
     CycleClosed,
     Grant,
@@ -21,8 +23,8 @@ from nodes.messages import (
     encode,
     topic,
 )
+from nodes.node_state import NodeConfig, NodeState, Phase
 from nodes.recording import Recorder
-from nodes.state_machine import NodeConfig, NodeState, Phase
 from nodes.world import WorldConfig
 
 WORLD = -1
@@ -40,6 +42,10 @@ def first_come(waiting: int) -> int:
     return 0
 
 
+def _as_they_are(settings: Settings) -> Settings:
+    return settings
+
+
 def run(
     world_config: WorldConfig,
     configs: Sequence[NodeConfig],
@@ -48,35 +54,53 @@ def run(
     link: Link = lossless,
     pick: Pick = first_come,
     on_step: Callable[[int], None] = lambda completed: None,
+    script: Sequence[Scripted] = (),
+    check: Callable[[Settings], Settings] = _as_they_are,
 ) -> list[NodeState]:
     """Run to the last step; returns the final states of the nodes.
 
-    `on_step` is told the number of completed steps whenever it grows.
+    `on_step` is told the number of completed steps whenever it grows; `script` is what becomes of
+    the network, in which `check` completes settings.
     """
     audience = [[c.index for c in configs if i in c.neighbours] for i in range(len(configs))]
+    beginnings, configs = list(configs), list(configs)
     states = [state_machine.initial_state(config) for config in configs]
     queue: list[tuple[int, NodeEvent | WorldEvent]] = []
+    out: set[int] = set()
+
+    def start(node: int) -> bool:
+        out.discard(node)
+        # What was on its way to its former life has missed it.
+        queue[:] = [one for one in queue if one[0] != node]
+        return True
 
     def post(messages: Sequence[Message]) -> None:
         for message in messages:
             recorder.record(topic(message), encode(message))
+            if isinstance(message, Welcome):
+                node = message.node
+                configs[node], states[node] = node_changes.begin_late(beginnings[node], message)
             queue.extend(_deliveries(message, audience, link))
 
-    world_state, messages = world.begin(world_config)
-    post(messages)
+    conductor = Conductor(world_config, script, Stage(out.add, start, check))
+    post(conductor.begin())
     completed = 0
-    while not world.finished(world_config, world_state):
+    while not conductor.finished:
         if not queue:
-            queue.extend(_close_oldest_cycle(states))
+            queue.extend(_close_oldest_cycle(states, out))
         destination, event = queue.pop(pick(len(queue)))
         if destination == WORLD:
-            world_state, messages = world.step(world_config, world_state, event)  # type: ignore[arg-type]
-        else:
-            config = configs[destination]
-            states[destination], messages = state_machine.step(config, states[destination], event)  # type: ignore[arg-type]
-        post(messages)
-        if world_state.completed > completed:
-            completed = world_state.completed
+            post(conductor.take(event))  # type: ignore[arg-type]
+        elif destination not in out:
+            config, state = configs[destination], states[destination]
+            state, messages = state_machine.step(config, state, event)  # type: ignore[arg-type]
+            if state.phase is Phase.CHANGE:
+                config, state, more = node_changes.apply(config, state)
+                messages += more
+            configs[destination], states[destination] = config, state
+            post(messages)
+        if conductor.state.completed > completed:
+            completed = conductor.state.completed
             on_step(completed)
     return states
 
@@ -96,18 +120,20 @@ def _deliveries(
             return [(message.node, message)]
         case Grant():
             return [(node, message) for node in range(len(audience))]
-        case Truth():
+        case Truth() | Event() | Gone() | Welcome():
             return []
         case _:
             return [(WORLD, message)]
 
 
-def _close_oldest_cycle(states: list[NodeState]) -> list[tuple[int, NodeEvent | WorldEvent]]:
+def _close_oldest_cycle(
+    states: list[NodeState], out: set[int]
+) -> list[tuple[int, NodeEvent | WorldEvent]]:
     """Nothing is under way and somebody still waits: the time of the oldest open cycle is over."""
     waiting = [
         (s.cycle, s.group, i)
         for i, s in enumerate(states)
-        if s.phase in (Phase.GRANT, Phase.SHARES)
+        if s.phase in (Phase.GRANT, Phase.SHARES) and i not in out
     ]
     assert waiting, "the network stands still although no node waits for a share"
     oldest = min(waiting)[:2]

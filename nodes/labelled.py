@@ -94,6 +94,8 @@ class LabelledFlooding:
     rounds: int
     gap_steps: int = 16
     gates: tuple[float, ...] = ()
+    first_step: int = 0
+    first_cycle: int = 0
 
     @property
     def share_bytes(self) -> int:
@@ -102,7 +104,7 @@ class LabelledFlooding:
 
     def start(self) -> Content:
         """The common prior, and no record."""
-        return self._empty(empty_window(-1, self.prior), 0)
+        return self._empty(empty_window(self.first_step - 1, self.prior), self.first_step)
 
     def restart(self, prior: Gaussian, heartbeats: Sequence[Measured]) -> Content:
         """A node that has lost everything, before the step after the last of `heartbeats`.
@@ -119,7 +121,7 @@ class LabelledFlooding:
 
     def _empty(self, window: Window, step: int) -> Content:
         nobody = (-1,) * len(self._near)
-        cycle = step * self.rounds
+        cycle = self.first_cycle + (step - self.first_step) * self.rounds
         nothing: tuple[RecordSet, ...] = (0,) * len(self._near)
         return Content(
             window,
@@ -321,7 +323,7 @@ class LabelledFlooding:
         if content.group + 1 < len(self.schedule.groups(content.cycle)):
             return content._replace(group=content.group + 1), tuple(troubles)
         content = content._replace(cycle=content.cycle + 1, group=0)
-        if content.cycle % self.rounds == 0:
+        if (content.cycle - self.first_cycle) % self.rounds == 0:
             window, failed = self.filter.filtered(content.window)
             content = content._replace(window=window)
             troubles += failed

@@ -35,7 +35,8 @@ class LinkState(NamedTuple):
         key: two words of 64 bits that belong to (seed, run).
         loss: probability in [0, 1) that a frame is lost on its way to one receiver.
         losses: of links (sender, receiver) that have another.
-        outages: links that are cut for a while.
+        outages: links that are cut for a while. cuts: (sender, receiver) that are cut until further
+        notice.
         link_up: (step, sender, receiver) -> whether there is a link at all, for graphs that change;
             takes arrays too. None for a graph that stays.
     """
@@ -44,12 +45,13 @@ class LinkState(NamedTuple):
     loss: float = 0.0
     losses: Mapping[tuple[int, int], float] = {}
     outages: tuple[Outage, ...] = ()
+    cuts: frozenset[tuple[int, int]] = frozenset()
     link_up: LinkUp | None = None
 
     @property
     def perfect(self) -> bool:
         """Nothing is ever lost."""
-        return not (self.loss or self.losses or self.outages or self.link_up)
+        return not (self.loss or self.losses or self.outages or self.cuts or self.link_up)
 
 
 PERFECT = LinkState()
@@ -61,6 +63,8 @@ def hears(
     """Whether a frame arrives: number `frame` of the sender's share in `cycle`, which lies in
     `step`."""
     if links.link_up is not None and not links.link_up(step, sender, receiver):
+        return False
+    if (sender, receiver) in links.cuts:
         return False
     if any(_cut(outage, step, sender, receiver) for outage in links.outages):
         return False
@@ -85,6 +89,8 @@ def hears_all(
         heard &= links.link_up(steps, senders, receivers)
     for outage in links.outages:
         heard &= ~_cut(outage, steps, senders, receivers)
+    for sender, receiver in links.cuts:
+        heard &= (senders != sender) | (receivers != receiver)
     if not (links.loss or links.losses):
         return heard
     limits = np.full(steps.shape, _limit(links.loss), dtype=np.uint64)

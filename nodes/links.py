@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 WORLD, RECORDER, ROUTER = "world", "recorder", "router"
+# Where the recorder lets others hear what it has recorded.
+WATCH = "watch"
 LOOPBACK = "127.0.0.1"
 # Beyond this many neighbours on average a router moves the same messages with fewer sockets.
 MESH_DEGREE_LIMIT = 8
@@ -13,14 +15,15 @@ MESH_DEGREE_LIMIT = 8
 class Links(NamedTuple):
     """How one process joins: zenoh mode and endpoints such as tcp/127.0.0.1:7447.
 
-    Joining fails when an endpoint does not answer within `connect_s`. `keys` is the file that
+    Joining fails when an endpoint does not answer within `connect_s`; with None it succeeds at
+    once, whoever is there, and goes on trying to reach the others. `keys` is the file that
     `concord keys` made for this process, for endpoints such as tls/localhost:7447.
     """
 
     mode: str
     listen: tuple[str, ...]
     connect: tuple[str, ...]
-    connect_s: float = 60.0
+    connect_s: float | None = 60.0
     keys: str | None = None
 
 
@@ -37,8 +40,8 @@ def peers_of(node: int, neighbours: Sequence[Sequence[int]]) -> list[int]:
 def names(neighbours: Sequence[Sequence[int]]) -> list[str]:
     """The processes that listen, in the order in which they are given ports."""
     if wants_router(neighbours):
-        return [ROUTER]
-    return [WORLD, RECORDER, *(str(node) for node in range(len(neighbours)))]
+        return [ROUTER, WATCH]
+    return [WORLD, RECORDER, *(str(node) for node in range(len(neighbours))), WATCH]
 
 
 def plan_links(neighbours: Sequence[Sequence[int]], ports: dict[str, int]) -> dict[str, Links]:
@@ -49,9 +52,11 @@ def plan_links(neighbours: Sequence[Sequence[int]], ports: dict[str, int]) -> di
     """
     at = {name: f"tcp/{LOOPBACK}:{port}" for name, port in ports.items()}
     everyone = [WORLD, RECORDER, *(str(node) for node in range(len(neighbours)))]
+    watch = {WATCH: Links("peer", (at[WATCH],), ())}
     if ROUTER in ports:
-        return {name: Links("client", (), (at[ROUTER],)) for name in everyone}
+        return {**watch, **{name: Links("client", (), (at[ROUTER],)) for name in everyone}}
     links = {
+        **watch,
         RECORDER: Links("peer", (at[RECORDER],), ()),
         WORLD: Links("peer", (at[WORLD],), (at[RECORDER],)),
     }
@@ -60,6 +65,12 @@ def plan_links(neighbours: Sequence[Sequence[int]], ports: dict[str, int]) -> di
         connect = (at[WORLD], at[RECORDER], *lower)
         links[str(node)] = Links("peer", (at[str(node)],), connect)
     return links
+
+
+def watchers_endpoints(ports: dict[str, int]) -> list[str]:
+    """Where a watcher connects to: what is recorded, and who answers."""
+    answers = ROUTER if ROUTER in ports else WORLD
+    return [f"tcp/{LOOPBACK}:{ports[name]}" for name in (WATCH, answers)]
 
 
 def free_ports(names: Sequence[str]) -> dict[str, int]:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nodes.bounds import MAX_MESSAGE_BYTES, Group, Instant, NodeIndex, NodeList
+from nodes.changes import Change, Event, Gone, Welcome
 
 Array = NDArray[np.float64]
 
@@ -21,13 +22,15 @@ Array = NDArray[np.float64]
 class Measured(msgspec.Struct, frozen=True):
     """World to node: the heartbeat that opens a step, with what the node's sensors delivered.
 
-    `readings` has shape (readings, d); `control` (p,) is what drove the plant into this step.
+    `readings` has shape (readings, d); `control` (p,) is what drove the plant into this step;
+    `changes` hold from this step on.
     """
 
     node: NodeIndex
     step: Instant
     readings: list[list[float | None]]
     control: list[float] | None = None
+    changes: tuple[Change, ...] = ()
 
 
 class ShareSent(msgspec.Struct, frozen=True):
@@ -96,10 +99,10 @@ class ShareHeard(msgspec.Struct, frozen=True):
     frame: bytes
 
 
-NodeEvent = Measured | ShareHeard | Grant | CycleClosed
+NodeEvent = Measured | ShareHeard | Grant | CycleClosed | Gone
 NodeMessage = ShareSent | Bid | Estimate
-WorldEvent = Bid | Estimate
-WorldMessage = Measured | Grant | Truth
+WorldEvent = Bid | Estimate | Gone
+WorldMessage = Measured | Grant | Truth | Event | Gone | Welcome
 Message = NodeMessage | WorldMessage
 
 _TYPES: dict[str, type] = {
@@ -108,6 +111,9 @@ _TYPES: dict[str, type] = {
     "grant": Grant,
     "truth": Truth,
     "estimate": Estimate,
+    "event": Event,
+    "gone": Gone,
+    "welcome": Welcome,
 }
 # One node's topics, by name; what they carry must be of that node.
 _OWNED = ("measured", "bid", "estimate")
@@ -131,6 +137,12 @@ def topic(message: Message) -> str:
             return "grant"
         case Truth():
             return "truth"
+        case Event():
+            return "event"
+        case Gone():
+            return "gone"
+        case Welcome():
+            return f"welcome/{message.node}"
         case Measured():
             return f"measured/{message.node}"
         case ShareSent():

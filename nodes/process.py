@@ -1,113 +1,241 @@
-"""What the processes of a network do: each is a loop around its state machine.
+"""What the processes of nodes and of the recorder do: each is a loop around its state machine.
 
 Lockstep is schedule-driven: a node always knows which message it needs next (its heartbeat, a
 grant, the share of one neighbour) and waits for that one alone. Nobody coordinates, nothing is
-timed.
+timed. What the world does is in `nodes/world_process.py`.
 """
 
-from collections.abc import Callable, Collection
+from collections import deque
+from collections.abc import Collection, Sequence
 
-from nodes import state_machine, world
+import msgspec
+
+from nodes import node_changes, state_machine
+from nodes.changes import Event, Gone, Joined, Left
 from nodes.links import RECORDER, WORLD, Links
-from nodes.messages import ShareHeard, decode, encode, topic
+from nodes.messages import (
+    MalformedMessage,
+    NodeEvent,
+    NodeMessage,
+    ShareHeard,
+    decode,
+    encode,
+    topic,
+)
+from nodes.node_state import NodeConfig, NodeState, Phase, count
 from nodes.recording import Recorder
-from nodes.state_machine import NodeConfig, Phase
-from nodes.world import WorldConfig
 from nodes.zenoh_transport import Transport
 
-NODE_QUEUE, WORLD_QUEUE, RECORDER_QUEUE = 1024, 16_384, 65_536
+NODE_QUEUE, RECORDER_QUEUE = 1024, 65_536
+# A fresh process looks so often who is there, and gives links so long to come up.
+_LOOK_S, _LINK_S = 0.5, 5.0
+_UNRECORDED = ("hello", "recorded", "finished", "end")
+
+
+class Situation(msgspec.Struct):
+    """The part of what the world says of a network that a node must know to join it."""
+
+    members: list[int]
 
 
 def run_node(
-    run: str, links: Links, config: NodeConfig, peers: Collection[int], fingerprint: str
+    run: str,
+    links: Links,
+    config: NodeConfig,
+    peers: Collection[int],
+    fingerprint: str,
+    late: bool = False,
 ) -> None:
     """Be one node until the recorder says that the run is over.
 
-    `peers` are those whom it hears or who hear it: all must be there before the first share.
+    `peers` are those whom it hears or who hear it: all must be there before the first share. A node
+    that is `late` joins a network that runs.
 
     Raises:
         LinkError: the network cannot be joined.
     """
-    heartbeat, grant = f"measured/{config.index}", "grant"
-    shares = {j: f"share/{j}" for j in config.neighbours}
-    transport = Transport(run, links, [heartbeat, grant, "end", *shares.values()], NODE_QUEUE)
-    transport.join(str(config.index), {WORLD, RECORDER, *map(str, peers)})
-    transport.send(f"hello/{config.index}", fingerprint.encode())
-    state = state_machine.initial_state(config)
-    while state.phase is not Phase.FINISHED:
+    seat = _Seat(run, links, config, peers)
+    if not late:
+        seat.transport.join(str(config.index), {WORLD, RECORDER, *map(str, peers)})
+        seat.transport.send(f"hello/{config.index}", fingerprint.encode())
+        stays = seat.take_part(config, state_machine.initial_state(config))
+    else:
+        seat.transport.join(str(config.index), {WORLD, RECORDER})
+        stays = False
+    while not stays:
+        # It is not, or no longer, one of those who are waited for.
+        stays = seat.take_part(*seat.rejoin(fingerprint))
+    while seat.transport.receive("end") is None:
+        pass
+    seat.transport.close()
+
+
+class _Seat:
+    """A node's place in the network of processes."""
+
+    def __init__(self, run: str, links: Links, config: NodeConfig, peers: Collection[int]) -> None:
+        index = config.index
+        self._beginning = config
+        self._peers = peers
+        self._heartbeat, self._welcome = f"measured/{index}", f"welcome/{index}"
+        self._shares = {j: f"share/{j}" for j in config.neighbours}
+        self._gone: deque[Gone] = deque()
+        topics = [self._heartbeat, "grant", self._welcome, "end", *self._shares.values()]
+        self.transport = Transport(run, links, topics, NODE_QUEUE)
+        self.transport.listen("gone", self._hear_of_end)
+        self.transport.listen(f"gone/{index}", self._hear_of_end)
+
+    def _hear_of_end(self, name: str, data: bytes) -> None:
+        """In zenoh's thread: whoever waits for that node must wait no longer."""
+        try:
+            gone: Gone = decode(name, data)
+        except MalformedMessage:
+            return
+        self._gone.append(gone)
+        if gone.node == self._beginning.index:
+            for subscription in (self._heartbeat, "grant", *self._shares.values()):
+                self.transport.wake(subscription)
+        elif gone.node in self._shares:
+            self.transport.wake(self._shares[gone.node])
+
+    def rejoin(self, fingerprint: str) -> tuple[NodeConfig, NodeState]:
+        """Ask to be let in, and wait until it is so."""
+        index = self._beginning.index
+        while True:
+            answer = self.transport.ask("state")
+            members = [] if answer is None else msgspec.json.decode(answer, type=Situation).members
+            linked = {str(j) for j in self._peers if j in members}
+            if answer is not None and self.transport.await_present(linked, _LOOK_S):
+                break
+        while self.transport.receive_at_once(self._welcome) is not None:
+            pass
+        self.transport.send(f"hello/{index}", fingerprint.encode())
+        while (received := self.transport.receive(self._welcome)) is None:
+            pass
+        # Whatever was said of this node's end was said of its former life.
+        self._gone.clear()
+        return node_changes.begin_late(self._beginning, decode(*received))
+
+    def take_part(self, config: NodeConfig, state: NodeState) -> bool:
+        """Go on to the last step; False if the others have given this node up meanwhile."""
+        while state.phase is not Phase.FINISHED:
+            try:
+                events = self._next_events(config, state)
+            except MalformedMessage:
+                state = count(state, "rejected message")
+                continue
+            # An end that was told before what we have just heard comes before it.
+            while self._gone:
+                gone = self._gone.popleft()
+                if gone.node == config.index:
+                    return False
+                events = [*self._last_words(gone), *events]
+            for event in events:
+                state, messages = state_machine.step(config, state, event)
+                self._send(messages)
+                if state.phase is Phase.CHANGE:
+                    self._await_joined(state)
+                    config, state, messages = node_changes.apply(config, state)
+                    self._send(messages)
+        return True
+
+    def _next_events(self, config: NodeConfig, state: NodeState) -> Sequence[NodeEvent]:
+        """What the node waits for; nothing if it was woken up."""
+        if self._gone:
+            return ()
         match state.phase:
             case Phase.MEASUREMENT:
-                event = decode(*transport.receive(heartbeat))
+                received = self.transport.receive(self._heartbeat)
             case Phase.GRANT:
-                event = decode(*transport.receive(grant))
+                received = self.transport.receive("grant")
             case _:
                 sender = state_machine.awaited_neighbour(config, state)
                 assert sender is not None, "a node in phase SHARES waits for somebody"
-                event = ShareHeard(sender, transport.receive(shares[sender])[1])
-        state, messages = state_machine.step(config, state, event)
+                received = self.transport.receive(self._shares[sender])
+                return () if received is None else (ShareHeard(sender, received[1]),)
+        return () if received is None else (decode(*received),)
+
+    def _last_words(self, gone: Gone) -> list[NodeEvent]:
+        """A node's end, after all that it said before."""
+        events: list[NodeEvent] = []
+        if gone.node in self._shares:
+            while (received := self.transport.receive_at_once(self._shares[gone.node])) is not None:
+                events.append(ShareHeard(gone.node, received[1]))
+        return [*events, gone]
+
+    def _await_joined(self, state: NodeState) -> None:
+        """Whoever joins must hear what is said to it from the first word on."""
+        changes = state.inbox.measured[state.step + 1].changes
+        joined = {change.node for change in changes if isinstance(change, Joined)}
+        self.transport.await_present({str(j) for j in joined & set(self._peers)}, _LINK_S)
+
+    def _send(self, messages: Sequence[NodeMessage]) -> None:
         for message in messages:
-            transport.send(topic(message), encode(message))
-    transport.receive("end")
-    transport.close()
+            self.transport.send(topic(message), encode(message))
 
 
-class Disagreement(Exception):
-    """A node was started with another configuration than the world."""
+class Finished(msgspec.Struct, frozen=True):
+    """World to recorder: nothing more will come but the last estimates of these nodes."""
+
+    step: int
+    members: list[int]
 
 
-def run_world(
-    run: str,
-    links: Links,
-    config: WorldConfig,
-    fingerprint: str,
-    on_step: Callable[[int], None],
-) -> None:
-    """Be the world: wait for all nodes, then run to the last step; `on_step(0)` means ready.
-
-    Raises:
-        LinkError: the network cannot be joined.
-        Disagreement: a node's configuration is not ours.
-    """
-    transport = Transport(run, links, ["hello/*", "bid/*", "estimate/*", "end"], WORLD_QUEUE)
-    transport.join(WORLD, {RECORDER, *(str(i) for i in range(config.nodes))})
-    for _ in range(config.nodes):
-        who, theirs = transport.receive("hello/*")
-        if theirs.decode(errors="replace") != fingerprint:
-            raise Disagreement(f"{who} runs configuration {theirs!r}, the world {fingerprint!r}")
-    on_step(0)
-    state, messages = world.begin(config)
-    while True:
-        for message in messages:
-            transport.send(topic(message), encode(message))
-        if world.finished(config, state):
-            break
-        completed = state.completed
-        source = "bid/*" if world.awaits_bids(config, state) else "estimate/*"
-        state, messages = world.step(config, state, decode(*transport.receive(source)))
-        if state.completed > completed:
-            on_step(state.completed)
-    transport.send("finished", b"")
-    transport.receive("end")
-    transport.close()
+class _Estimated(msgspec.Struct):
+    step: int
 
 
-def run_recorder(run: str, links: Links, recorder: Recorder, estimates: int) -> None:
-    """Record every message until the world has finished and all `estimates` have come.
+def run_recorder(run: str, links: Links, watch: Links, recorder: Recorder) -> None:
+    """Record every message until the world has finished and all last estimates have come.
+
+    What was recorded can be heard on `watch`.
 
     Raises:
         LinkError: the network cannot be joined.
     """
     transport = Transport(run, links, ["**"], RECORDER_QUEUE)
+    offered = Transport(run, watch, [], 1)
     transport.join(RECORDER, set())
-    finished, counted = False, 0
-    while not finished or counted < estimates:
-        name, data = transport.receive("**")
-        kind = name.partition("/")[0]
+    finished: Finished | None = None
+    latest: dict[int, bytes] = {}
+    leaving: dict[int, int] = {}
+    while finished is None or not _complete(finished, latest):
+        received = transport.receive("**")
+        if received is None:
+            continue
+        name, data = received
+        kind, _, node = name.partition("/")
         if kind == "finished":
-            finished = True
-        elif kind not in ("hello", "end"):
-            counted += kind == "estimate"
-            recorder.record(name, data)
+            finished = msgspec.json.decode(data, type=Finished)
+        if kind in _UNRECORDED:
+            continue
+        recorder.record(name, data)
+        offered.offer(f"watch/{name}", data)
+        if kind == "estimate":
+            latest[int(node)] = data
+        elif kind == "event":
+            leaving |= _leaving(decode(name, data))
+        for out in [i for i, step in leaving.items() if step < 0 or _has(latest, i, step)]:
+            # Who leaves on command may end now: nothing that it has said will be lost.
+            transport.send(f"recorded/{out}", b"{}")
+            del leaving[out]
     recorder.close()
-    transport.send("end", b"")
+    transport.send("end", b"{}")
+    offered.close()
     transport.close()
+
+
+def _leaving(event: Event) -> dict[int, int]:
+    """Who leaves on command, and the last step that it has estimated."""
+    return {event.change.node: event.step - 1} if isinstance(event.change, Left) else {}
+
+
+def _has(latest: dict[int, bytes], node: int, step: int) -> bool:
+    """Whether a node's estimate of a step is the latest that has come."""
+    data = latest.get(node)
+    return data is not None and msgspec.json.decode(data, type=_Estimated).step == step
+
+
+def _complete(finished: Finished, latest: dict[int, bytes]) -> bool:
+    """Whether the last estimate of every node has come."""
+    return all(_has(latest, node, finished.step) for node in finished.members)

@@ -19,7 +19,8 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC, Writer
 
 from nodes.bounds import Instant
-from nodes.messages import message_types
+from nodes.history import history_of, with_event
+from nodes.messages import decode, message_types
 from nodes.share import cycle_of
 
 _RECORD_HEADER = struct.Struct("<BQ")
@@ -52,7 +53,7 @@ class MemoryRecorder:
 
 
 class _Stamp(msgspec.Struct):
-    """The part of any JSON message that says when it was."""
+    """The part of any JSON message that says when it was; who does not was just now."""
 
     step: Instant | None = None
     cycle: Instant | None = None
@@ -65,7 +66,8 @@ class McapRecorder:
     """Keeps messages in an MCAP file; Foxglove opens it."""
 
     def __init__(self, path: Path, rounds: int, time_step_s: float) -> None:
-        self._rounds = rounds
+        self._history = history_of(rounds, ())
+        self._last_ns = 0
         self._step_ns = round(time_step_s * 1e9)
         self._file = path.open("wb")
         self._writer = Writer(self._file, use_chunking=False)
@@ -106,14 +108,19 @@ class McapRecorder:
 
     def _time_ns(self, topic: str, data: bytes) -> int:
         if topic.startswith("share/"):
-            return cycle_of(data) // self._rounds * self._step_ns
+            return self._history.place(cycle_of(data))[0] * self._step_ns
         try:
+            if topic == "event":
+                self._history = with_event(self._history, decode(topic, data))
             stamp = _stamp.decode(data)
-        except (msgspec.MsgspecError, UnicodeDecodeError):
+        except (msgspec.MsgspecError, ValueError):
             # Kept as it came, for whoever looks for its sender; nobody knows when it was.
             return 0
-        step = stamp.step if stamp.step is not None else (stamp.cycle or 0) // self._rounds
-        return step * self._step_ns
+        if stamp.step is not None:
+            self._last_ns = stamp.step * self._step_ns
+        elif stamp.cycle is not None:
+            self._last_ns = self._history.place(stamp.cycle)[0] * self._step_ns
+        return self._last_ns
 
     def close(self) -> None:
         """Write the index and close the file; a record that was interrupted is cut off instead."""

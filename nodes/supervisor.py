@@ -69,17 +69,23 @@ class Supervisor:
             # Never the parent's exit handlers, never a wait for zenoh's threads.
             os._exit(code)
 
-    def wait(self, also: int) -> Ended | None:
-        """Wait for the end of a child, or (None) until the file descriptor `also` can be read."""
+    def kill(self, name: str) -> None:
+        """End the child of that name, if there is one, without a word."""
+        for pid, called in self._children.items():
+            if called == name:
+                os.kill(pid, signal.SIGKILL)
+
+    def wait(self, *also: int) -> Ended | int:
+        """Wait for the end of a child, or until one of the file descriptors `also` can be read."""
         while True:
             ended = self._reap()
             if ended:
                 return ended
-            readable, _, _ = select.select([self._wake_read, also], [], [])
+            readable, _, _ = select.select([self._wake_read, *also], [], [])
             if self._wake_read in readable:
                 _drain(self._wake_read)
-            elif also in readable:
-                return None
+            elif readable:
+                return readable[0]
 
     def _reap(self) -> Ended | None:
         try:

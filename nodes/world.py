@@ -3,14 +3,16 @@
 The world sends each node its readings (the heartbeat of a step) and hears every node's estimate. It
 runs at most `lead` steps ahead of the slowest estimate: 1 where a controller closes the loop
 through the estimates, more where nothing flows back and the network need not wait for the round
-trip.
+trip. It never releases more than the driver allows, and every change is made while nothing is under
+way (`nodes/world_changes.py`).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 from bus.schedule import Schedule
+from nodes.changes import UNCHANGED, Change, Event, Gone, Joined, Standing, after
 from nodes.messages import (
     Array,
     Bid,
@@ -76,7 +78,9 @@ Arbitrate = Callable[[Any, int, tuple[Bid, ...]], tuple[Any, tuple[int, ...]]]
 class WorldConfig:
     """Everything the world knows before the start.
 
-    `arbitrate(state, cycle, bids) -> (state, winners)` serves the dynamic segment.
+    `arbitrate(state, cycle, bids) -> (state, winners)` serves the dynamic segment; `neighbours` are
+    whom each node hears. The configuration holds from `first_step` on, whose cycles begin at
+    `first_cycle`; `rebuild(standing)` makes the one that goes with other settings.
     """
 
     plant: Plant
@@ -91,10 +95,22 @@ class WorldConfig:
     arbiter_state: Any
     controller: Controller | None
     delivery: Delivery | None = None
+    neighbours: Sequence[Sequence[int]] = ()
+    first_step: int = 0
+    first_cycle: int = 0
+    rebuild: "Callable[[Standing], WorldConfig] | None" = None
+
+    def cycle_of(self, step: int) -> int:
+        """The first communication cycle of a step that is not before `first_step`."""
+        return self.first_cycle + (step - self.first_step) * self.rounds
 
 
 class WorldState(NamedTuple):
-    """The world between two events; `released` steps have been sent, `completed` estimated."""
+    """The world between two events.
+
+    `released` steps have been sent, of at most `limit`; `completed` ones estimated by all members,
+    which left `latest`. `announced` changes hold from the step that is released next.
+    """
 
     released: int
     completed: int
@@ -108,17 +124,53 @@ class WorldState(NamedTuple):
     bids: dict[tuple[int, int], dict[int, Bid]]
     arbiter: Any
     delivery: Any
+    limit: int
+    latest: dict[int, Estimate]
+    standing: Standing
+    announced: tuple[Change, ...]
+
+    @property
+    def idle(self) -> bool:
+        """Nothing is under way: all members have estimated every step that was released."""
+        return self.completed == self.released
 
 
-def begin(config: WorldConfig) -> tuple[WorldState, list[WorldMessage]]:
-    """The state after the first heartbeats, and those."""
+def begin(config: WorldConfig) -> WorldState:
+    """The state before the first heartbeats."""
     memory = config.controller.memory if config.controller else None
     delivery = config.delivery.memory if config.delivery else None
     state = WorldState(
-        0, 0, config.initial_state, memory, None, {}, 0, 0, (), {}, config.arbiter_state, delivery
+        released=0,
+        completed=0,
+        truth=config.initial_state,
+        memory=memory,
+        control=None,
+        estimates={},
+        next_cycle=0,
+        next_group=0,
+        won=(),
+        bids={},
+        arbiter=config.arbiter_state,
+        delivery=delivery,
+        limit=0,
+        latest={},
+        standing=UNCHANGED,
+        announced=(),
     )
+    return skip_quiet_cycles(config, state)
+
+
+def allow(
+    config: WorldConfig, state: WorldState, limit: int
+) -> tuple[WorldState, list[WorldMessage]]:
+    """Let the world release steps up to before `limit`; a smaller one holds it back."""
     outbox: list[WorldMessage] = []
-    return _release(config, _skip_quiet_cycles(config, state), outbox), outbox
+    return _release(config, state._replace(limit=limit), outbox), outbox
+
+
+def members(config: WorldConfig, state: WorldState) -> list[int]:
+    """The nodes that are not out, ascending."""
+    return [node for node in range(config.nodes) if node not in state.standing.absent]
 
 
 def step(
@@ -128,6 +180,8 @@ def step(
     outbox: list[WorldMessage] = []
     match event:
         case Estimate():
+            if event.node in state.standing.absent or event.step < state.completed:
+                return state, outbox
             heard = {**state.estimates.get(event.step, {}), event.node: event}
             state = state._replace(estimates={**state.estimates, event.step: heard})
             state = _complete(config, state, outbox)
@@ -136,6 +190,8 @@ def step(
             asked = {**state.bids.get(contest, {}), event.node: event}
             state = state._replace(bids={**state.bids, contest: asked})
             state = _grant(config, state, outbox)
+        case Gone():
+            state = _without(config, state, event, outbox)
     return state, outbox
 
 
@@ -149,15 +205,34 @@ def awaits_bids(config: WorldConfig, state: WorldState) -> bool:
 
     Otherwise the world waits for estimates alone.
     """
-    return state.next_cycle < state.released * config.rounds
+    return state.next_cycle < config.cycle_of(state.released)
+
+
+def _without(
+    config: WorldConfig, state: WorldState, gone: Gone, outbox: list[WorldMessage]
+) -> WorldState:
+    """Nobody waits for a node that is gone, from the first step on that it has not estimated."""
+    if gone.node in state.standing.absent:
+        return state
+    step = state.completed
+    while gone.node in state.estimates.get(step, ()):
+        step += 1
+    outbox += [gone, Event(step, gone)]
+    state = state._replace(standing=after(state.standing, step, gone))
+    return _complete(config, _grant(config, state, outbox), outbox)
 
 
 def _complete(config: WorldConfig, state: WorldState, outbox: list[WorldMessage]) -> WorldState:
-    while len(state.estimates.get(state.completed, ())) == config.nodes:
-        estimates = dict(state.estimates)
-        done = estimates.pop(state.completed)
-        state = state._replace(completed=state.completed + 1, estimates=estimates)
-        state = _release(config, state, outbox, done)
+    expected = members(config, state)
+    while state.completed < state.released and expected:
+        came = state.estimates.get(state.completed, {})
+        if any(node not in came for node in expected):
+            break
+        estimates = {
+            step: heard for step, heard in state.estimates.items() if step > state.completed
+        }
+        state = state._replace(completed=state.completed + 1, estimates=estimates, latest=came)
+        state = _release(config, state, outbox)
     return state
 
 
@@ -165,12 +240,11 @@ def _release(
     config: WorldConfig,
     state: WorldState,
     outbox: list[WorldMessage],
-    estimates: dict[int, Estimate] | None = None,
 ) -> WorldState:
     """Move the plant on and send heartbeats, as far as the lead over the estimates allows."""
-    while state.released < min(config.steps, state.completed + config.lead):
+    while state.released < min(config.steps, state.limit, state.completed + config.lead):
         if state.released > 0:
-            state = _advance(config, state, estimates)
+            state = _advance(config, state)
         number = state.released
         outbox.append(Truth(number, to_wire(state.truth)))
         delivered = config.plant.observe(state.truth, config.draws.measurement[number], number)
@@ -178,34 +252,41 @@ def _release(
             delivery, delivered = config.delivery.transmit(state.delivery, delivered, number)
             state = state._replace(delivery=delivery)
         control = None if state.control is None else state.control.tolist()
+        # A node that joins was told with its welcome what holds.
+        joined = {change.node for change in state.announced if isinstance(change, Joined)}
         outbox.extend(
-            Measured(node, number, to_wire(readings), control)
-            for node, readings in enumerate(delivered)
+            Measured(
+                node,
+                number,
+                to_wire(delivered[node]),
+                control,
+                () if node in joined else state.announced,
+            )
+            for node in members(config, state)
         )
-        state = state._replace(released=number + 1)
+        state = state._replace(released=number + 1, announced=())
     return state
 
 
-def _advance(
-    config: WorldConfig, state: WorldState, estimates: dict[int, Estimate] | None
-) -> WorldState:
+def _advance(config: WorldConfig, state: WorldState) -> WorldState:
     last = state.released - 1
     if config.controller is not None:
         law, _, node = config.controller
-        seen = state.truth
-        if node is not None:
-            assert estimates is not None, "a loop through the estimates needs lead = 1"
-            seen = from_wire(estimates[node].mean)
-        control, memory = law(seen, state.memory, last)
-        state = state._replace(control=control, memory=memory)
+        last_known = node is None or state.completed == state.released
+        assert last_known, "a loop through the estimates needs lead = 1"
+        # A node that is out leaves the actuator where it was.
+        if node is None or node in state.latest:
+            seen = state.truth if node is None else from_wire(state.latest[node].mean)
+            control, memory = law(seen, state.memory, last)
+            state = state._replace(control=control, memory=memory)
     noise = config.draws.process[last]
     return state._replace(truth=config.plant.advance(state.truth, state.control, noise, last))
 
 
-def _skip_quiet_cycles(config: WorldConfig, state: WorldState) -> WorldState:
+def skip_quiet_cycles(config: WorldConfig, state: WorldState) -> WorldState:
     """Go on to the next part of a cycle in which somebody may contend."""
     cycle, group, won = state.next_cycle, state.next_group, state.won
-    while cycle < config.steps * config.rounds:
+    while cycle < config.cycle_of(config.steps):
         groups = config.schedule.groups(cycle)
         contested = (
             number
@@ -224,15 +305,18 @@ def _grant(config: WorldConfig, state: WorldState, outbox: list[WorldMessage]) -
     while True:
         contest = (state.next_cycle, state.next_group)
         bids = state.bids.get(contest, {})
-        contenders = contenders_left(config.schedule, state.next_cycle, state.won)
-        if not bids or any(node not in bids for node in contenders):
+        left = contenders_left(config.schedule, state.next_cycle, state.won)
+        contenders = [node for node in left if node not in state.standing.absent]
+        if not awaits_bids(config, state) or any(node not in bids for node in contenders):
             return state
         # In node order: who asked first on the wire must not matter.
         requests = tuple(bids[node] for node in sorted(contenders))
-        arbiter, winners = config.arbitrate(state.arbiter, state.next_cycle, requests)
+        arbiter, winners = state.arbiter, ()
+        if requests:
+            arbiter, winners = config.arbitrate(arbiter, state.next_cycle, requests)
         outbox.append(Grant(state.next_cycle, list(winners), state.next_group))
         rest = {key: asked for key, asked in state.bids.items() if key != contest}
         state = state._replace(
             arbiter=arbiter, bids=rest, next_group=state.next_group + 1, won=state.won + winners
         )
-        state = _skip_quiet_cycles(config, state)
+        state = skip_quiet_cycles(config, state)

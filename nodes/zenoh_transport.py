@@ -6,7 +6,8 @@ router. No multicast, no gossip: two runs on one machine never find each other.
 """
 
 import os
-from collections.abc import Collection, Sequence
+import threading
+from collections.abc import Callable, Collection, Sequence
 
 import msgspec
 import zenoh
@@ -30,8 +31,8 @@ def _config(links: Links) -> zenoh.Config:
         "mode": links.mode,
         "listen/endpoints": list(links.listen),
         "connect/endpoints": list(links.connect),
-        "connect/timeout_ms": round(links.connect_s * 1000),
-        "connect/exit_on_failure": True,
+        "connect/timeout_ms": -1 if links.connect_s is None else round(links.connect_s * 1000),
+        "connect/exit_on_failure": links.connect_s is not None,
         "connect/retry": {
             "period_init_ms": 20,
             "period_max_ms": 200,
@@ -100,7 +101,11 @@ class Transport:
             for topic in subscriptions
         }
         self._publishers: dict[str, zenoh.Publisher] = {}
-        self._token: zenoh.LivelinessToken | None = None
+        # What was declared with a callback lives as long as somebody holds it.
+        self._declared: list[object] = []
+        self._present: set[str] = set()
+        self._presence = threading.Condition()
+        self._told = lambda name, is_there: None
 
     def join(self, name: str, awaited: Collection[str]) -> None:
         """Say that this process is ready, and wait until all of `awaited` have said so.
@@ -108,19 +113,54 @@ class Transport:
         Declarations keep their order on a link: who sees our token has our subscriptions too.
         """
         liveliness = self._session.liveliness()
-        ready = self._prefix + "ready/"
-        channel = zenoh.handlers.FifoChannel(4 * len(awaited) + 64)
-        watch = liveliness.declare_subscriber(ready + "*", channel, history=True)
-        self._token = liveliness.declare_token(ready + name)
-        missing = set(awaited)
-        while missing:
-            sample = watch.recv()
-            who = str(sample.key_expr).removeprefix(ready)
-            if sample.kind == zenoh.SampleKind.PUT:
-                missing.discard(who)
-            elif who in awaited:
-                missing.add(who)
-        watch.undeclare()
+        key = self._prefix + "ready/"
+        seen = zenoh.handlers.Callback(self._see, indirect=False)
+        self._declared.append(liveliness.declare_subscriber(key + "*", seen, history=True))
+        self._declared.append(liveliness.declare_token(key + name))
+        self.await_present(awaited)
+
+    def await_present(self, names: Collection[str], seconds: float | None = None) -> bool:
+        """Wait until all of `names` are ready: whether they are, after `seconds` at most."""
+        with self._presence:
+            return self._presence.wait_for(lambda: self._present.issuperset(names), seconds)
+
+    def watch(self, told: Callable[[str, bool], None]) -> None:
+        """Have `told(name, is_there)` called, in another thread, when a process comes or goes."""
+        self._told = told
+
+    def _see(self, sample: zenoh.Sample) -> None:
+        name = str(sample.key_expr).removeprefix(self._prefix + "ready/")
+        is_there = sample.kind == zenoh.SampleKind.PUT
+        with self._presence:
+            (self._present.add if is_there else self._present.discard)(name)
+            self._presence.notify_all()
+        self._told(name, is_there)
+
+    def listen(self, topic: str, heard: Callable[[str, bytes], None]) -> None:
+        """Have `heard(topic, bytes)` called, in another thread, for every message of a topic."""
+
+        def take(sample: zenoh.Sample) -> None:
+            heard(self._topic(sample), sample.payload.to_bytes())
+
+        callback = zenoh.handlers.Callback(take, indirect=False)
+        self._declared.append(self._session.declare_subscriber(self._prefix + topic, callback))
+
+    def answer(self, topic: str, reply: Callable[[bytes], bytes]) -> None:
+        """Answer questions on a topic with `reply(payload)`, in another thread."""
+        key = self._prefix + topic
+
+        def take(query: zenoh.Query) -> None:
+            query.reply(key, reply(query.payload.to_bytes() if query.payload else b""))
+
+        callback = zenoh.handlers.Callback(take, indirect=True)
+        self._declared.append(self._session.declare_queryable(key, callback))
+
+    def ask(self, topic: str, payload: bytes = b"", seconds: float = 2.0) -> bytes | None:
+        """The first answer to a question on a topic; None if there is none in time."""
+        for answer in self._session.get(self._prefix + topic, payload=payload, timeout=seconds):
+            if answer.ok is not None:
+                return answer.ok.payload.to_bytes()
+        return None
 
     def send(self, topic: str, data: bytes) -> None:
         """Publish; waits rather than loses when a receiver is slow."""
@@ -133,10 +173,40 @@ class Transport:
             )
         publisher.put(data)
 
-    def receive(self, subscription: str) -> tuple[str, bytes]:
-        """Wait for the next message of one subscription: (topic, bytes)."""
+    def offer(self, topic: str, data: bytes) -> None:
+        """Publish for those who care; loses rather than waits, and costs nothing for nobody."""
+        publisher = self._publishers.get(topic)
+        if publisher is None:
+            publisher = self._publishers[topic] = self._session.declare_publisher(
+                self._prefix + topic, congestion_control=zenoh.CongestionControl.DROP
+            )
+        publisher.put(data)
+
+    def receive(self, subscription: str) -> tuple[str, bytes] | None:
+        """Wait for the next message of one subscription: (topic, bytes); None if woken up."""
         sample = self._queues[subscription].recv()
-        return str(sample.key_expr)[len(self._prefix) :], sample.payload.to_bytes()
+        data = sample.payload.to_bytes()
+        return (self._topic(sample), data) if data else None
+
+    def receive_at_once(self, subscription: str) -> tuple[str, bytes] | None:
+        """The next message of one subscription if there is one already."""
+        while (sample := self._queues[subscription].try_recv()) is not None:
+            data = sample.payload.to_bytes()
+            if data:
+                return self._topic(sample), data
+        return None
+
+    def wake(self, subscription: str) -> None:
+        """Have whoever waits for this subscription in this process look up."""
+        # To ourselves only: an empty message is no message.
+        self._session.put(
+            self._prefix + subscription.replace("*", "-"),
+            b"",
+            allowed_destination=zenoh.Locality.SESSION_LOCAL,
+        )
+
+    def _topic(self, sample: zenoh.Sample) -> str:
+        return str(sample.key_expr)[len(self._prefix) :]
 
     def close(self) -> None:
         """Leave the network."""

@@ -1,26 +1,29 @@
 """From a setup to what the drivers run: the configuration of one node, or of the world."""
 
+import dataclasses
 from functools import partial
 
+import msgspec
 import numpy as np
 
 from bus.arbitration import ArbiterState
 from bus.schedule import Schedule
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
+from nodes.changes import UNCHANGED, Standing
 from nodes.estimator import Estimator
 from nodes.messages import from_wire
-from nodes.state_machine import NodeConfig
+from nodes.node_state import NodeConfig
 from nodes.world import Controller, WorldConfig
 from scenarios.bus_plan import BusPlan, arbitrate, plan_bus
 from scenarios.catalogue import kind_of
 from scenarios.control import control_node
-from scenarios.estimators import Seat
+from scenarios.estimators import Beginning, Seat
 from scenarios.labelled import Everybody
 from scenarios.links import link_state
 from scenarios.rules import build_estimator, hold_policy, wire_number
 from scenarios.scenario import Scenario
-from scenarios.setup import Setup, generator, share_bytes
+from scenarios.setup import Setup, generator, share_bytes, with_settings
 
 # Steps by which an undriven world may run ahead of the slowest estimate.
 OPEN_LOOP_LEAD = 4
@@ -33,8 +36,14 @@ def build_plan(setup: Setup) -> BusPlan:
 
 def build_node(setup: Setup, node: int) -> NodeConfig:
     """The configuration of one node."""
+    return _node(setup, node, UNCHANGED, 0)
+
+
+def _node(setup: Setup, node: int, standing: Standing, step: int) -> NodeConfig:
+    """That of a node which begins at a step, where `setup` holds by what has been set since."""
     scenario = setup.scenario
     plan = build_plan(setup)
+    cycle = standing.first_cycle + (step - standing.first_step) * scenario.rounds
     return NodeConfig(
         node,
         tuple(setup.neighbours[node]),
@@ -42,13 +51,31 @@ def build_node(setup: Setup, node: int) -> NodeConfig:
         scenario.steps,
         plan.schedule,
         plan.slots,
-        _estimator(setup, node, plan.schedule),
+        _estimator(setup, node, plan.schedule, Beginning(step, cycle)),
         plan.cycle_counts,
         link_state(setup),
+        standing.first_step,
+        standing.first_cycle,
+        standing,
+        partial(_rebuilt, setup, node),
     )
 
 
-def _estimator(setup: Setup, node: int, schedule: Schedule) -> Estimator:
+def _rebuilt(
+    setup: Setup, node: int, standing: Standing, step: int, belief: Gaussian | None
+) -> NodeConfig:
+    """The configuration of a node that begins anew, of a setup whose fields were not set yet."""
+    changed = with_settings(setup, standing.settings)
+    if belief is not None:
+        changed = msgspec.structs.replace(
+            changed, prior_mean=belief.mean.tolist(), prior_cov=belief.cov.tolist()
+        )
+    config = _node(changed, node, standing, step)
+    # What is set next is set beside what was set before.
+    return dataclasses.replace(config, rebuild=partial(_rebuilt, setup, node))
+
+
+def _estimator(setup: Setup, node: int, schedule: Schedule, beginning: Beginning) -> Estimator:
     scenario = setup.scenario
     kind = kind_of(scenario.name)
     if kind.wiring is not None:
@@ -65,6 +92,7 @@ def _estimator(setup: Setup, node: int, schedule: Schedule) -> Estimator:
         trigger=scenario.trigger,
         number=wire_number(scenario),
         everybody=partial(_everybody, setup, schedule),
+        beginning=beginning,
     )
     rule = build_estimator(scenario, seat)
     return kind.around(scenario, seat, rule) if kind.around else rule
@@ -101,6 +129,18 @@ def build_world(setup: Setup) -> WorldConfig:
         arbiter_state=ArbiterState(),
         controller=controller,
         delivery=kind.delivery(scenario) if kind.delivery else None,
+        neighbours=setup.neighbours,
+        rebuild=partial(_world_rebuilt, setup),
+    )
+
+
+def _world_rebuilt(setup: Setup, standing: Standing) -> WorldConfig:
+    changed = build_world(with_settings(setup, standing.settings))
+    return dataclasses.replace(
+        changed,
+        first_step=standing.first_step,
+        first_cycle=standing.first_cycle,
+        rebuild=partial(_world_rebuilt, setup),
     )
 
 

@@ -23,6 +23,13 @@ from nodes.window_filter import WindowFilter
 from scenarios.labelled import Everybody, frame_codec, gates_of
 
 
+class Beginning(NamedTuple):
+    """The first step of an estimator, and the communication cycle with which it begins."""
+
+    step: int = 0
+    cycle: int = 0
+
+
 class Seat(NamedTuple):
     """A node's place in the network: all that its estimator is built from.
 
@@ -42,6 +49,7 @@ class Seat(NamedTuple):
     trigger: float
     number: str
     everybody: Callable[[], Everybody] | None = None
+    beginning: Beginning = Beginning()
 
 
 def averaging(average: Callable[[Gaussian, Array], Gaussian], seat: Seat) -> Estimator:
@@ -115,6 +123,8 @@ def flooding(seat: Seat) -> Estimator:
         schedule=everybody.schedule,
         rounds=everybody.scenario.rounds,
         gates=gates_of(everybody.scenario, everybody.readings_shape[1]),
+        first_step=seat.beginning.step,
+        first_cycle=seat.beginning.cycle,
     )
 
 

@@ -15,10 +15,21 @@ class Job(msgspec.Struct, frozen=True):
 
 
 class Happened(msgspec.Struct, frozen=True, omit_defaults=True):
-    """What the launcher is told: started, ready, step, done, refused or failed."""
+    """What the launcher is told: started, ready, step, ended, done, refused or failed.
+
+    `pids` are all that live, by name; watchers connect to all of `connect`.
+    """
 
     what: str
     step: int = 0
     seconds: float = 0.0
     pids: dict[str, int] = {}
+    connect: list[str] = []
     detail: str = ""
+
+
+class Order(msgspec.Struct, frozen=True):
+    """What the world wants of the zygote: tolerate (ends of nodes, from now on), kill, start."""
+
+    what: str
+    node: int = 0

@@ -43,6 +43,8 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         links: what becomes of them: static, measured, bernoulli:P, markov:F,R, switching:A,B:STEPS,
             moving:RANGE (`topology/link_names.py`).
         loss: probability that a link loses a frame on its way to one receiver, in [0, 1).
+        changes: what becomes of the network in the run, each with the step from which it holds, in
+            the words of `nodes/commands.py`: "10 kill 3", "20 cut 1 2", "30 set rule=hcmci".
         control: whose knowledge closes the loop of a plant: a node's number, truth, or open.
         noise: what the sensors really do, for plants that have a choice: matched, paper, ...
         car: which car is simulated (vehicle-network).
@@ -81,6 +83,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     payload_bytes: int = 254
     links: str = "static"
     loss: float = 0.0
+    changes: tuple[str, ...] = ()
     control: str = "open"
     noise: str = "matched"
     car: str = "bmw-320i"

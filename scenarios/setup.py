@@ -13,12 +13,16 @@ from importlib.metadata import version
 import msgspec
 import numpy as np
 
+from nodes.changes import Settings
+from nodes.commands import MAX_ROUNDS, SETTINGS
 from nodes.messages import to_wire
 from scenarios.bus_plan import check_bus, plan_bus
 from scenarios.catalogue import kind_of
 from scenarios.links import losses_of, network_of, stream_of
-from scenarios.rules import check_rule, share_size
-from scenarios.scenario import Scenario, check_ranges
+from scenarios.rules import check_rule, is_certain, share_size
+from scenarios.scenario import Scenario, check_ranges, require
+from scenarios.script import check_script
+from topology.names import unknown_name
 
 
 class Setup(msgspec.Struct, frozen=True):
@@ -86,10 +90,8 @@ def prepare(scenario: Scenario) -> Setup:
     turns = [neighbours_of(phase) for phase in phases] or None
     unborn = Setup(scenario, neighbours, rows, [], [], [], plant.time_step_s, losses, turns)
     setup = setup_of_run(unborn, scenario.run)
-    if kind.wiring is None:
-        check_rule(scenario, neighbours, weights)
-    plan = plan_bus(scenario, share_bytes(setup), neighbours)
-    check_bus(plan, scenario, plant.time_step_s)
+    check_network(setup)
+    check_script(scenario, neighbours, partial(complete_settings, setup))
     return setup
 
 
@@ -106,6 +108,61 @@ def setup_of_run(setup: Setup, run: int) -> Setup:
         prior_mean=prior_mean.tolist(),
         prior_cov=prior_cov.tolist(),
     )
+
+
+def check_network(setup: Setup) -> None:
+    """Refuse values, a rule or a bus that this network cannot have.
+
+    Raises:
+        ValueError: naming the field, its value, the rule and the cure.
+    """
+    # Only here, as in `prepare`.
+    from topology.weights import from_per_node
+
+    scenario = setup.scenario
+    check_ranges(scenario)
+    kind = kind_of(scenario.name)
+    kind.check(scenario)
+    if kind.wiring is None:
+        check_rule(scenario, setup.neighbours, from_per_node(setup.weights, setup.neighbours))
+    plan = plan_bus(scenario, share_bytes(setup), setup.neighbours)
+    check_bus(plan, scenario, setup.time_step_s)
+
+
+def complete_settings(setup: Setup, settings: Settings) -> Settings:
+    """Settings of a network that runs, with what they entail, checked.
+
+    Raises:
+        ValueError: naming the field, its value, the rule and the cure.
+    """
+    scenario = setup.scenario
+    for name in settings:
+        if name not in SETTINGS:
+            raise unknown_name("setting", name, SETTINGS)
+    if kind_of(scenario.name).wiring is not None:
+        raise ValueError(f"set: {scenario.name} has one rule and schedule of its own; leave it out")
+    # A part of the bus is a wish for a schedule that can give it.
+    full = settings.get("schedule", scenario.schedule) == "full"
+    if full and settings.get("occupancy", scenario.occupancy) != 1:
+        settings = {**settings, "schedule": "hybrid"}
+    try:
+        changed = msgspec.convert({**msgspec.structs.asdict(scenario), **settings}, Scenario)
+    except msgspec.ValidationError as error:
+        raise ValueError(f"set: {error}") from None
+    require(changed.rounds <= MAX_ROUNDS, "rounds", changed.rounds, f"at most {MAX_ROUNDS} here")
+    check_network(msgspec.structs.replace(setup, scenario=changed))
+    if is_certain(changed) != is_certain(scenario):
+        raise ValueError(
+            f"set rule={changed.rule}: {scenario.rule} keeps "
+            f"{'sets' if is_certain(scenario) else 'covariances'}, which the other cannot take over"
+        )
+    return settings
+
+
+def with_settings(setup: Setup, settings: Settings) -> Setup:
+    """The setup of the same network and plant with other values for fields of its scenario."""
+    scenario = msgspec.structs.replace(setup.scenario, **settings)
+    return msgspec.structs.replace(setup, scenario=scenario)
 
 
 def share_bytes(setup: Setup) -> int:

@@ -46,6 +46,8 @@ def without_array_form(scenario: Scenario) -> str | None:
         return f"rule {scenario.rule}"
     if kind.around is not None and scenario.adaptive:
         return "noise that nodes learn (--adaptive)"
+    if scenario.changes:
+        return "a network that changes in the run (--changes)"
     return None
 
 

@@ -9,7 +9,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import Enum
 from functools import partial
 from pathlib import Path
@@ -19,6 +19,7 @@ import msgspec
 from nodes.links import (
     RECORDER,
     ROUTER,
+    WATCH,
     WORLD,
     Links,
     free_ports,
@@ -26,19 +27,23 @@ from nodes.links import (
     peers_of,
     plan_links,
     ports_from,
+    watchers_endpoints,
 )
-from nodes.process import run_node, run_recorder, run_world
+from nodes.node_state import NodeConfig
+from nodes.process import run_node, run_recorder
 from nodes.recording import McapRecorder
-from nodes.state_machine import NodeConfig
-from nodes.supervisor import TRY_AGAIN, Supervisor
+from nodes.supervisor import TRY_AGAIN, Ended, Supervisor
+from nodes.world_process import Deserted, Management, run_world
 from nodes.zenoh_transport import LinkError, start_router
 from scenarios.build import build_node, build_world
-from scenarios.job import Happened, Job
-from scenarios.setup import fingerprint
+from scenarios.job import Happened, Job, Order
+from scenarios.script import script_of
+from scenarios.setup import complete_settings, fingerprint
 
 _LAUNCH_TRIES = 3
 _PROGRESS_PERIOD_S = 0.05
 _LEAVE_S = 1.0
+_PORT_WAIT_S = 0.05
 
 
 def tell(happened: Happened) -> None:
@@ -81,37 +86,104 @@ def _serve(job: Job, ports: dict[str, int]) -> End:
     nodes = [build_node(job.setup, node) for node in range(job.setup.scenario.nodes)]
     supervisor = Supervisor()
     started = time.monotonic()
+    orders, give_orders = os.pipe()
     end = End.BROKEN
     try:
         if ROUTER in ports:
             supervisor.start(ROUTER, partial(_route, f"tcp/127.0.0.1:{ports[ROUTER]}"))
-        supervisor.start(RECORDER, partial(_record, job, links[RECORDER]))
-        supervisor.start(WORLD, partial(_be_world, job, links[WORLD], started))
+        supervisor.start(RECORDER, partial(_record, job, links))
+        supervisor.start(WORLD, partial(_be_world, job, links[WORLD], started, give_orders))
         for config in nodes:
             name = str(config.index)
             supervisor.start(name, partial(_be_node, job, links[name], config))
-        tell(Happened("started", pids=supervisor.pids))
-        end = _watch(supervisor)
+        connect = watchers_endpoints(ports)
+        tell(Happened("started", pids=supervisor.pids, connect=connect))
+        end = _Watch(supervisor, orders, job, links, nodes, connect).keep()
         return end
     finally:
         supervisor.stop(_LEAVE_S if end is End.DONE else 0.0)
+        os.close(orders)
+        os.close(give_orders)
 
 
-def _watch(supervisor: Supervisor) -> End:
-    """Wait for the recorder's good end, or for trouble."""
-    while True:
-        ended = supervisor.wait(sys.stdin.fileno())
-        if ended is None:
-            return End.BROKEN
+class _Watch:
+    """Waits for the recorder's good end, or for trouble; does what the world wants of nodes."""
+
+    def __init__(
+        self,
+        supervisor: Supervisor,
+        orders: int,
+        job: Job,
+        links: dict[str, Links],
+        nodes: Sequence[NodeConfig],
+        connect: list[str],
+    ) -> None:
+        self._connect = connect
+        self._supervisor, self._orders = supervisor, orders
+        self._job, self._links, self._nodes = job, links, nodes
+        # Until the network is ready it needs every node.
+        self._tolerant = False
+
+    def keep(self) -> End:
+        """Until the end."""
+        while True:
+            happened = self._supervisor.wait(sys.stdin.fileno(), self._orders)
+            if happened == self._orders:
+                self._obey()
+                continue
+            if isinstance(happened, int):
+                return End.BROKEN
+            end = self._judge(happened)
+            if end is not None:
+                return end
+
+    def _judge(self, ended: Ended) -> End | None:
+        """What the end of a child means for the network; None that it goes on."""
+        is_node = ended.name.isdigit()
+        if is_node and self._tolerant and ended.code == TRY_AGAIN:
+            # Its port was not free yet.
+            time.sleep(_PORT_WAIT_S)
+            self._start(int(ended.name))
+            return None
         if ended.code == TRY_AGAIN:
             return End.TRY_AGAIN
         if ended.code != 0:
-            who = f"node {ended.name}" if ended.name.isdigit() else f"the {ended.name}"
-            tell(Happened("failed", detail=f"{who} ended with {_in_words(ended.code)}"))
+            who = f"node {ended.name}" if is_node else f"the {ended.name}"
+            detail = f"{who} ended with {_in_words(ended.code)}"
+            # A node that was killed is a loss; one that has failed is a mistake of ours.
+            if is_node and self._tolerant and ended.code < 0:
+                self._tell("ended", detail)
+                return None
+            tell(Happened("failed", detail=detail))
             return End.BROKEN
         if ended.name == RECORDER:
             tell(Happened("done"))
             return End.DONE
+        return None
+
+    def _obey(self) -> None:
+        for line in os.read(self._orders, 4096).splitlines():
+            order = msgspec.json.decode(line, type=Order)
+            match order.what:
+                case "tolerate":
+                    self._tolerant = True
+                case "kill":
+                    self._supervisor.kill(str(order.node))
+                case "start":
+                    self._start(order.node)
+
+    def _tell(self, what: str, detail: str = "") -> None:
+        pids = self._supervisor.pids
+        tell(Happened(what, pids=pids, connect=self._connect, detail=detail))
+
+    def _start(self, node: int) -> None:
+        name = str(node)
+        # It may be there still, and hang.
+        self._supervisor.kill(name)
+        links = self._links[name]._replace(connect_s=None)
+        work = partial(_be_node, self._job, links, self._nodes[node], late=True)
+        self._supervisor.start(name, work)
+        self._tell("started")
 
 
 def _in_words(code: int) -> str:
@@ -128,20 +200,22 @@ def _route(endpoint: str) -> None:
     _joining(route)
 
 
-def _record(job: Job, links: Links) -> None:
-    scenario = job.setup.scenario
-    recorder = McapRecorder(Path(job.recording), scenario.rounds, job.setup.time_step_s)
-    estimates = scenario.nodes * scenario.steps
-    _joining(partial(run_recorder, job.run, links, recorder, estimates))
+def _record(job: Job, links: dict[str, Links]) -> None:
+    recorder = McapRecorder(Path(job.recording), job.setup.scenario.rounds, job.setup.time_step_s)
+    _joining(partial(run_recorder, job.run, links[RECORDER], links[WATCH], recorder))
 
 
-def _be_world(job: Job, links: Links, started: float) -> None:
+def _be_world(job: Job, links: Links, started: float, orders: int) -> None:
     told = 0.0
+
+    def give(order: Order) -> None:
+        os.write(orders, msgspec.json.encode(order) + b"\n")
 
     def on_step(step: int) -> None:
         nonlocal told
         now = time.monotonic()
         if step == 0:
+            give(Order("tolerate"))
             tell(Happened("ready", seconds=now - started))
         elif now - told > _PROGRESS_PERIOD_S or step == job.setup.scenario.steps:
             told = now
@@ -149,12 +223,25 @@ def _be_world(job: Job, links: Links, started: float) -> None:
 
     # Built here: the design of a controller loads much that no node needs.
     config = build_world(job.setup)
-    _joining(partial(run_world, job.run, links, config, fingerprint(job.setup), on_step))
+    management = Management(
+        kill=lambda node: give(Order("kill", node)),
+        start=lambda node: give(Order("start", node)),
+        check=partial(complete_settings, job.setup),
+        on_step=on_step,
+        setup=msgspec.json.encode(job.setup),
+    )
+    script = script_of(job.setup.scenario)
+    work = partial(run_world, job.run, links, config, fingerprint(job.setup), management, script)
+    try:
+        _joining(work)
+    except Deserted as end:
+        tell(Happened("failed", detail=str(end)))
+        sys.exit(1)
 
 
-def _be_node(job: Job, links: Links, config: NodeConfig) -> None:
+def _be_node(job: Job, links: Links, config: NodeConfig, late: bool = False) -> None:
     peers = peers_of(config.index, job.setup.neighbours)
-    _joining(partial(run_node, job.run, links, config, peers, fingerprint(job.setup)))
+    _joining(partial(run_node, job.run, links, config, peers, fingerprint(job.setup), late))
 
 
 def _joining(work: Callable[[], None]) -> None:

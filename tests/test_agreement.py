@@ -40,6 +40,24 @@ SMALL = {
     "links that lose parts of shares": {"loss": 0.2, "cluster": "audi", "graph": "path"},
     "links that fail and come back": {"links": "markov:0.2,0.4", "graph": "star"},
     "graphs that take turns": {"links": "switching:ring,path:2", "loss": 0.1},
+    "nodes that leave and come back, links and settings that change": {
+        "nodes": 6,
+        "steps": 24,
+        "changes": (
+            "3 kill 3",
+            "5 cut 1 2",
+            "7 loss 0.3",
+            "8 restart 3",
+            "9 heal 1 2",
+            "10 kill 0",
+            "10 kill 5",
+            "12 set rule=hcmci rounds=2 occupancy=0.5",
+            "14 restart 5",
+            "16 restart 0",
+            "18 set rule=labelled rounds=4",
+            "20 kill 2",
+        ),
+    },
     "another run of the same seed": {"seed": 9, "run": 3},
 }
 TRACKING = {

@@ -15,6 +15,7 @@ import pytest
 
 from experiments.results import ARRAYS, DESCRIPTION, RECORDING, read_description
 from experiments.trace import read_trace
+from nodes.network_file import read_network
 from nodes.recording import read_recording
 from tests.processes import CONCORD, PROC, Family, family
 
@@ -147,11 +148,10 @@ def test_a_killed_command_takes_its_network_with_it(tmp_path: Path, moment: str)
 
 
 def test_a_run_that_fails_says_where_its_remains_are(tmp_path: Path):
-    """A node is killed: exit code 1, its name, and figures of nothing."""
+    """The world is killed: exit code 1, its name, and figures of nothing."""
     with family(run_command("processes", 700), tmp_path) as run:
         run.await_line("oscillator: ")
-        victim = run.descendants()[-1]
-        os.kill(victim, signal.SIGKILL)
+        os.kill(read_network(tmp_path / "run").pids["world"], signal.SIGKILL)
         code, out, err = run.end(EXIT_S)
         assert code == 1
         assert "ended with signal 9" in err
@@ -159,6 +159,15 @@ def test_a_run_that_fails_says_where_its_remains_are(tmp_path: Path):
         assert out == ""
         assert run.gone_within(0.5)
     assert check_folder(tmp_path / "run") > 0
+
+
+def test_a_run_that_loses_a_node_says_so_and_goes_on(tmp_path: Path):
+    with family(run_command("processes", 300), tmp_path) as run:
+        run.await_line("oscillator: ")
+        os.kill(read_network(tmp_path / "run").pids["2"], signal.SIGKILL)
+        run.await_line("node 2 ended with signal 9; the others go on")
+        assert run.end(30)[0] == 0
+    assert check_folder(tmp_path / "run") == 300
 
 
 @pytest.mark.slow

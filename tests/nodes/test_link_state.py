@@ -24,6 +24,7 @@ def link_states(draw: st.DrawFn) -> LinkState:
         draw(loss),
         draw(st.dictionaries(st.tuples(SOME_NODE, SOME_NODE), loss, max_size=3)),
         tuple(draw(st.lists(outage, max_size=3))),
+        draw(st.frozensets(st.tuples(SOME_NODE, SOME_NODE), max_size=2)),
         draw(st.sampled_from([None, lambda step, sender, receiver: (step + sender) % 3 != 0])),
     )
 

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from nodes.links import (
     RECORDER,
     ROUTER,
+    WATCH,
     WORLD,
     free_ports,
     names,
@@ -61,8 +62,9 @@ def test_a_dense_graph_goes_through_a_router():
     dense = [[j for j in range(20) if j != i] for i in range(20)]
     assert wants_router(dense)
     links, ports = planned(dense)
-    assert list(ports) == [ROUTER]
-    assert set(links) == {WORLD, RECORDER, *map(str, range(20))}
+    assert list(ports) == [ROUTER, WATCH]
+    assert set(links) == {WORLD, RECORDER, WATCH, *map(str, range(20))}
+    assert links.pop(WATCH).connect == ()
     clients = {(link.mode, link.listen, link.connect) for link in links.values()}
     assert clients == {("client", (), (f"tcp/127.0.0.1:{ports[ROUTER]}",))}
 

@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from nodes.changes import Event, Gone, Joined, Left, Loss, Pace, Set, Standing, Welcome
 from nodes.messages import (
     Bid,
     Estimate,
@@ -63,6 +64,17 @@ MESSAGES = [
     (Grant(9, [1, 4]), "grant"),
     (Truth(5, [None, 2.0]), "truth"),
     (Estimate(2, 5, [1.0], [2.0], [-1, 0], {"missed": 3}), "estimate/2"),
+    (Measured(3, 5, [[1.0]], None, (Left(2), Set({"rounds": 2}, 9))), "measured/3"),
+    (Event(5, Joined(1, [1.0, None], [2.0])), "event"),
+    (Event(5, Loss(0.5, 1, 2)), "event"),
+    (Event(5, Pace(True, 20.0)), "event"),
+    (Gone(4), "gone"),
+    (
+        Welcome(
+            2, 7, Standing((1,), {"rule": "ci"}, 0.5, ((1, 2, 0.1),), ((0, 1),), 3, 9), Joined(2)
+        ),
+        "welcome/2",
+    ),
 ]
 
 

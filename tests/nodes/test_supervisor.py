@@ -61,13 +61,13 @@ def test_a_readable_descriptor_ends_the_wait(tmp_path: Path):
 read, write = os.pipe()
 supervisor.start("sleeper", signal.pause)
 supervisor.start("writer", lambda: (os.write(write, b"x"), time.sleep(0.2)))
-first = supervisor.wait(read)
-say(first)
+first = supervisor.wait(quiet, read)
+say(first == read)
 supervisor.stop()
 """
     with script(text, tmp_path) as run:
         code, out, _ = run.end(10)
-        assert (code, out) == (0, "None\n")
+        assert (code, out) == (0, "True\n")
         assert run.gone_within(0)
 
 
@@ -136,3 +136,17 @@ supervisor.wait(quiet)
         assert run.descendants() == [child]
         run.send(signal.SIGKILL)
         assert holds_within(1, lambda: not run.descendants())
+
+
+def test_a_child_is_killed_by_its_name(tmp_path: Path):
+    text = """
+supervisor.start("1", lambda: time.sleep(60))
+supervisor.start("2", lambda: time.sleep(60))
+supervisor.kill("1")
+supervisor.kill("nobody")
+say(*supervisor.wait(quiet))
+say(*supervisor.pids)
+supervisor.stop()
+"""
+    with script(text, tmp_path) as run:
+        assert run.end(10)[:2] == (0, "1 -9\n2\n")

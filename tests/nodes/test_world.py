@@ -11,11 +11,26 @@ from hypothesis import strategies as st
 from bus.schedule import Schedule, dynamic_only, hybrid
 from filters.gaussian import Gaussian
 from nodes import world
-from nodes.messages import Array, Bid, Estimate, Grant, Measured, Truth, decode, from_wire
+from nodes.messages import (
+    Array,
+    Bid,
+    Estimate,
+    Grant,
+    Measured,
+    Truth,
+    WorldMessage,
+    decode,
+    from_wire,
+)
 from nodes.world import Controller, WorldConfig, WorldState
 from tests.nodes.networks import DECAYED, DROP, Outcome, network, path, random_priors, ring, run
 
 PRIOR = Gaussian(np.zeros(1), np.eye(1))
+
+
+def started(config: WorldConfig) -> tuple[WorldState, list[WorldMessage]]:
+    """A world that may go as far as it likes."""
+    return world.allow(config, world.begin(config), config.steps)
 
 
 def world_of(nodes: int, steps: int, lead: int, schedule: Schedule | None = None) -> WorldConfig:
@@ -33,7 +48,7 @@ def test_the_lead_is_never_exceeded_and_every_step_is_sent_once(
     nodes: int, steps: int, lead: int, random
 ):
     config = world_of(nodes, steps, lead)
-    state, messages = world.begin(config)
+    state, messages = started(config)
     sent = list(messages)
     reached = [0] * nodes
     while not world.finished(config, state):
@@ -67,7 +82,7 @@ def test_the_lead_changes_no_number_of_an_undriven_plant(one: int, other: int, s
 
 def granted(config: WorldConfig, bids: list[Bid]) -> tuple[list[Grant], WorldState]:
     """What the world grants when these bids come in this order."""
-    state, _ = world.begin(config)
+    state, _ = started(config)
     grants = []
     for bid in bids:
         state, messages = world.step(config, state, bid)
@@ -120,7 +135,7 @@ def test_cycles_in_which_nobody_may_contend_need_no_bids():
     """Contention in every third cycle only."""
     schedule = Schedule(2, ((),), ((0, 1), (0, 1), (0, 1)), (0, 0, 1))
     config = world_of(2, 3, 3, schedule)
-    state, _ = world.begin(config)
+    state, _ = started(config)
     assert state.next_cycle == 2
     grants, state = granted(config, [Bid(0, 2, 1, 30), Bid(1, 2, 2, 30)])
     assert grants == [Grant(2, [1])]

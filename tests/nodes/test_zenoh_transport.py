@@ -96,7 +96,8 @@ def test_the_world_refuses_a_node_with_another_configuration(tmp_path: Path):
     text = """
 import signal
 from pathlib import Path
-from nodes.process import run_node, run_recorder, run_world
+from nodes.process import run_node, run_recorder
+from nodes.world_process import Management, run_world
 from nodes.recording import McapRecorder
 from scenarios.build import build_node, build_world
 from scenarios.catalogue import kind_of
@@ -107,13 +108,14 @@ setup = prepare(msgspec.structs.replace(defaults, nodes=2, graph="path", steps=3
 links = plan_links(setup.neighbours, free_ports(names(setup.neighbours)))
 def record():
     recorder = McapRecorder(Path("run.mcap"), 3, 0.1)
-    run_recorder("refuse", links[RECORDER], recorder, 6)
+    run_recorder("refuse", links[RECORDER], links[WATCH], recorder)
 def node(i, mark):
     run_node("refuse", links[str(i)], build_node(setup, i), setup.neighbours[i], mark)
 supervisor.start(RECORDER, record)
 supervisor.start("0", partial(node, 0, "same"))
 supervisor.start("1", partial(node, 1, "other"))
-world = partial(run_world, "refuse", links[WORLD], build_world(setup), "same", lambda step: None)
+management = Management(None, None, None, lambda step: None, b"{}")
+world = partial(run_world, "refuse", links[WORLD], build_world(setup), "same", management)
 supervisor.start(WORLD, world)
 say(*supervisor.wait(quiet))
 supervisor.stop()
@@ -121,4 +123,4 @@ supervisor.stop()
     with family([sys.executable, "-c", BEGINNING + text], tmp_path) as run:
         code, out, err = run.end(30)
     assert (code, out) == (0, "world 1\n")
-    assert "hello/1 runs configuration b'other', the world 'same'" in err
+    assert "node 1 runs configuration 'other', the world 'same'" in err

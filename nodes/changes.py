@@ -1,0 +1,137 @@
+"""What can become of a network while it runs: changes, each of which holds from a step on.
+
+The world announces a change with the first heartbeat of the step from which it holds, when every
+node has finished the step before; so all apply it at once, in every driver. `Standing` is what all
+changes so far amount to.
+"""
+
+from typing import Any
+
+import msgspec
+from msgspec.structs import replace
+
+Settings = dict[str, int | float | str]
+
+
+class Left(msgspec.Struct, frozen=True, tag="left", tag_field="what"):
+    """A node is out on command: nobody waits for it from this step on."""
+
+    node: int
+
+
+class Gone(msgspec.Struct, frozen=True, tag="gone", tag_field="what"):
+    """A node's process has died or hangs: whoever waits for it stops waiting at once."""
+
+    node: int
+
+
+class Joined(msgspec.Struct, frozen=True, tag="joined", tag_field="what"):
+    """A node is back, and begins the step with this belief: mean (n,), upper triangle of the
+    covariance; None for the scenario's own prior."""
+
+    node: int
+    mean: list[float | None] | None = None
+    cov: list[float | None] | None = None
+
+
+class Cut(msgspec.Struct, frozen=True, tag="cut", tag_field="what"):
+    """The link from a sender to a receiver loses everything."""
+
+    sender: int
+    receiver: int
+
+
+class Healed(msgspec.Struct, frozen=True, tag="healed", tag_field="what"):
+    """The link from a sender to a receiver is no longer cut."""
+
+    sender: int
+    receiver: int
+
+
+class Loss(msgspec.Struct, frozen=True, tag="loss", tag_field="what", omit_defaults=True):
+    """A link, or every link that has no loss of its own, loses this part of its frames."""
+
+    probability: float
+    sender: int | None = None
+    receiver: int | None = None
+
+
+class Set(msgspec.Struct, frozen=True, tag="settings", tag_field="what"):
+    """Fields of the scenario have other values: all that were ever set. Communication cycles of the
+    step begin at `first_cycle`."""
+
+    settings: Settings
+    first_cycle: int = 0
+
+
+class Pace(msgspec.Struct, frozen=True, tag="pace", tag_field="what"):
+    """How fast the network goes; 0 steps per second is as fast as possible."""
+
+    paused: bool
+    steps_per_second: float
+
+
+Change = Left | Gone | Joined | Cut | Healed | Loss | Set | Pace
+
+
+class Event(msgspec.Struct, frozen=True):
+    """World to whoever listens: a change, and the first step for which it holds."""
+
+    step: int
+    change: Change
+
+
+class Standing(msgspec.Struct, frozen=True):
+    """What changes have made of a network so far.
+
+    Attributes:
+        absent: nodes that are out. settings: fields of the scenario that were set.
+        loss: of every link that has none of its own, None for the scenario's.
+        losses: (sender, receiver, probability) of links that have. cuts: (sender, receiver).
+        first_step, first_cycle: where the present settings begin.
+    """
+
+    absent: tuple[int, ...] = ()
+    settings: Settings = {}
+    loss: float | None = None
+    losses: tuple[tuple[int, int, float], ...] = ()
+    cuts: tuple[tuple[int, int], ...] = ()
+    first_step: int = 0
+    first_cycle: int = 0
+
+
+UNCHANGED = Standing()
+
+
+class Welcome(msgspec.Struct, frozen=True):
+    """World to a node that is back: from which step on it takes part, and in what."""
+
+    node: int
+    step: int
+    standing: Standing
+    joined: Joined
+
+
+def after(standing: Standing, step: int, change: Change) -> Standing:
+    """What stands from `step` on, when a change holds from there."""
+    match change:
+        case Left(node) | Gone(node):
+            return replace(standing, absent=tuple(sorted({*standing.absent, node})))
+        case Joined(node):
+            return replace(standing, absent=tuple(i for i in standing.absent if i != node))
+        case Cut(sender, receiver):
+            return replace(standing, cuts=tuple(sorted({*standing.cuts, (sender, receiver)})))
+        case Healed(sender, receiver):
+            cuts = tuple(cut for cut in standing.cuts if cut != (sender, receiver))
+            return replace(standing, cuts=cuts)
+        case Loss(probability, None) | Loss(probability, _, None):
+            return replace(standing, loss=probability)
+        case Loss(probability, sender, receiver):
+            losses: dict[Any, float] = {(s, r): p for s, r, p in standing.losses}
+            losses[sender, receiver] = probability
+            links = tuple((s, r, p) for (s, r), p in sorted(losses.items()))
+            return replace(standing, losses=links)
+        case Set(settings, first_cycle):
+            return replace(standing, settings=settings, first_step=step, first_cycle=first_cycle)
+        case Pace():
+            return standing

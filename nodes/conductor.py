@@ -1,0 +1,240 @@
+"""Who decides how far the world may go, and what changes between which steps, in every driver.
+
+Commands wait for a step that nobody has begun: the conductor holds the world back until nothing is
+under way, applies what has come, and lets it go on. A script is commands with a step each, so that
+a run with changes is a value too, and every driver gives the same bits for it.
+"""
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from typing import NamedTuple
+
+from nodes import world, world_changes
+from nodes.changes import (
+    Change,
+    Cut,
+    Event,
+    Healed,
+    Joined,
+    Left,
+    Loss,
+    Pace,
+    Settings,
+)
+from nodes.commands import (
+    ChangeCommand,
+    Command,
+    Configure,
+    CutLink,
+    HealLink,
+    Kill,
+    LoseFrames,
+    Pause,
+    Restart,
+    Resume,
+    Speed,
+    Step,
+    check_command,
+)
+from nodes.messages import WorldEvent, WorldMessage
+from nodes.world import WorldConfig, WorldState
+
+
+class Scripted(NamedTuple):
+    """A command that holds from a step on."""
+
+    step: int
+    command: ChangeCommand
+
+
+class Stage(NamedTuple):
+    """What a conductor can do with the processes of nodes.
+
+    `kill(node)` ends one; `start(node)` starts a fresh one and says whether it is ready at once;
+    `check(settings)` refuses with a ValueError, or completes, what may not be set.
+    """
+
+    kill: Callable[[int], None]
+    start: Callable[[int], bool]
+    check: Callable[[Settings], Settings]
+
+
+class Conductor:
+    """The world of one run, and what is to become of it."""
+
+    def __init__(self, config: WorldConfig, script: Sequence[Scripted], stage: Stage) -> None:
+        self.config = config
+        self.state: WorldState = world.begin(config)
+        self._script = sorted(script, key=lambda one: one.step)
+        self._stage = stage
+        self._pending: list[ChangeCommand] = []
+        self._ready: set[int] = set()
+        self._awaited: set[int] = set()
+        self._pause_at: int | None = None
+        self._paced_to: int | None = None
+        self._rate = 0.0
+
+    @property
+    def finished(self) -> bool:
+        """Every member has estimated every step."""
+        return world.finished(self.config, self.state)
+
+    @property
+    def deserted(self) -> bool:
+        """No node is left that could go on."""
+        return not world.members(self.config, self.state)
+
+    @property
+    def paused(self) -> bool:
+        """No step begins but those that are asked for."""
+        return self._pause_at is not None
+
+    @property
+    def steps_per_second(self) -> float:
+        """The rate that was asked for; 0 is as fast as possible."""
+        return self._rate
+
+    def begin(self) -> list[WorldMessage]:
+        """The first heartbeats."""
+        return self._settle()
+
+    def take(self, event: WorldEvent) -> list[WorldMessage]:
+        """What a node says, or that it is gone."""
+        was_idle = self.state.idle
+        self.state, messages = world.step(self.config, self.state, event)
+        if self.state.idle and not was_idle:
+            messages += self._settle()
+        return messages
+
+    def command(self, command: Command) -> list[WorldMessage]:
+        """Obey.
+
+        Raises:
+            ValueError: the command cannot be obeyed.
+        """
+        self._check(command)
+        match command:
+            case Pause():
+                self._pause_at = self.state.released
+            case Resume():
+                self._pause_at = None
+            case Step(count):
+                self._pause_at = (self._pause_at or 0) + count
+            case Speed(rate):
+                self._rate, self._paced_to = rate, (self.state.released if rate else None)
+            case Restart(node):
+                # The network does not wait until the process is ready.
+                if self._stage.start(node):
+                    self._ready.add(node)
+                return self._settle()
+            case Configure(settings):
+                wanted = {**self.state.standing.settings, **settings}
+                self._pending.append(Configure(self._stage.check(wanted)))
+                return self._settle()
+            case _:
+                self._pending.append(command)
+                return self._settle()
+        told = Event(self.state.released, Pace(self.paused, self._rate))
+        return [told, *self._settle()]
+
+    def ready(self, node: int) -> list[WorldMessage]:
+        """A fresh process of a node waits to take part."""
+        if node not in self.state.standing.absent:
+            return []
+        self._ready.add(node)
+        return self._settle()
+
+    def lost(self, node: int) -> None:
+        """A process that was ready to take part is gone again."""
+        self._ready.discard(node)
+
+    def tick(self) -> list[WorldMessage]:
+        """At a limited speed: the time has come for one more step."""
+        if self._paced_to is None:
+            return []
+        self._paced_to = self.state.released + 1
+        return self._settle()
+
+    def _settle(self) -> list[WorldMessage]:
+        """Make what changes are due, and let the world go as far as it may."""
+        outbox: list[WorldMessage] = []
+        if self.state.idle and not self.finished:
+            for command in self._due():
+                with suppress(ValueError):
+                    # Two commands that were both in order may not be so together.
+                    self._check(command)
+                    outbox += self._apply(self._changes(command))
+            outbox += self._join()
+        self.state, messages = world.allow(self.config, self.state, self._limit())
+        return outbox + messages
+
+    def _check(self, command: Command) -> None:
+        check_command(command, self.config.neighbours, self.state.standing, self.paused)
+
+    def _due(self) -> list[ChangeCommand]:
+        """What waits for a step that nobody has begun."""
+        due, self._pending = self._pending, []
+        while self._script and self._script[0].step <= self.state.released:
+            due.append(self._script.pop(0).command)
+        return due
+
+    def _join(self) -> list[WorldMessage]:
+        """Let in who is ready, if somebody can tell it what to believe."""
+        able = self._able()
+        self._ready -= {joined.node for joined in able}
+        self._awaited -= {joined.node for joined in able} | self._ready
+        return self._apply(able)
+
+    def _able(self) -> list[Joined]:
+        joins = [
+            world_changes.joining(self.config, self.state, node) for node in sorted(self._ready)
+        ]
+        return [joined for joined in joins if joined is not None]
+
+    def _apply(self, changes: Sequence[Change]) -> list[WorldMessage]:
+        self.config, self.state, messages = world_changes.apply(self.config, self.state, changes)
+        return messages
+
+    def _changes(self, command: ChangeCommand) -> list[Change]:
+        """What a command changes in the network."""
+        match command:
+            case Kill(node):
+                self._ready.discard(node)
+                self._stage.kill(node)
+                return [Left(node)]
+            case Restart(node):
+                # In a script the step begins with the node in it, however long its start takes.
+                self._awaited.add(node)
+                if self._stage.start(node):
+                    self._ready.add(node)
+                return []
+            case CutLink(sender, receiver, both):
+                return [Cut(*link) for link in self._links(sender, receiver, both)]
+            case HealLink(sender, receiver, both):
+                return [Healed(*link) for link in self._links(sender, receiver, both)]
+            case LoseFrames(probability, int(sender), int(receiver), both):
+                links = self._links(sender, receiver, both)
+                return [Loss(probability, *link) for link in links]
+            case LoseFrames(probability):
+                return [Loss(probability)]
+            case Configure(settings):
+                # What entails what is for the scenario to say, in a script as well.
+                wanted = self._stage.check({**self.state.standing.settings, **settings})
+                return [world_changes.setting(self.config, self.state, wanted)]
+
+    def _links(self, sender: int, receiver: int, both: bool) -> list[tuple[int, int]]:
+        directions = [(sender, receiver), (receiver, sender)] if both else [(sender, receiver)]
+        return [(s, r) for s, r in directions if s in self.config.neighbours[r]]
+
+    def _limit(self) -> int:
+        """How far the world may go."""
+        limits = [self.config.steps]
+        if self._pending or self._awaited or self._able():
+            limits.append(self.state.released)
+        if self._script:
+            limits.append(self._script[0].step)
+        if self._pause_at is not None:
+            limits.append(self._pause_at)
+        if self._paced_to is not None:
+            limits.append(self._paced_to)
+        return min(limits)

@@ -1,0 +1,74 @@
+"""What a node does when the network changes: a new configuration, and a state that goes with it."""
+
+from dataclasses import replace
+
+import msgspec
+
+from filters.gaussian import Gaussian
+from filters.linalg import unpack_upper
+from nodes import state_machine
+from nodes.changes import Joined, Set, Standing, Welcome, after
+from nodes.link_state import LinkState
+from nodes.messages import NodeMessage, from_wire
+from nodes.node_state import NodeConfig, NodeState, Phase
+
+
+def apply(config: NodeConfig, state: NodeState) -> tuple[NodeConfig, NodeState, list[NodeMessage]]:
+    """Leave phase CHANGE: as `state_machine.step`, with the configuration from this step on.
+
+    Other settings begin anew from what the node believes, and hold nothing of its neighbours; all
+    other changes leave the estimator as it is.
+    """
+    assert state.phase is Phase.CHANGE, "changes come with the heartbeat of their first step"
+    step = state.step + 1
+    measured = state.inbox.measured[step]
+    standing = config.standing
+    for change in measured.changes:
+        standing = after(standing, step, change)
+    if any(isinstance(change, Set) for change in measured.changes):
+        belief = config.estimator.belief(state.content)
+        config = _rebuilt(config, standing, step, belief)
+        state = state._replace(cycle=config.first_cycle, content=config.estimator.start())
+    config = replace(config, standing=standing, links=with_standing(config.links, standing))
+    unchanged = {**state.inbox.measured, step: msgspec.structs.replace(measured, changes=())}
+    state = state._replace(
+        phase=Phase.MEASUREMENT,
+        absent=frozenset(standing.absent),
+        inbox=state.inbox._replace(measured=unchanged),
+    )
+    outbox: list[NodeMessage] = []
+    return config, state_machine.advance(config, state, outbox), outbox
+
+
+def begin_late(config: NodeConfig, welcome: Welcome) -> tuple[NodeConfig, NodeState]:
+    """A node that joins a network that runs: `config` is that of the beginning."""
+    standing, step = welcome.standing, welcome.step
+    config = _rebuilt(config, standing, step, _belief(welcome.joined))
+    config = replace(config, links=with_standing(config.links, standing))
+    cycle = config.first_cycle + (step - config.first_step) * config.rounds
+    return config, state_machine.initial_state(config)._replace(step=step - 1, cycle=cycle)
+
+
+def with_standing(links: LinkState, standing: Standing) -> LinkState:
+    """Links to which this has happened."""
+    return links._replace(
+        loss=links.loss if standing.loss is None else standing.loss,
+        losses={
+            **links.losses,
+            **{(sender, receiver): loss for sender, receiver, loss in standing.losses},
+        },
+        cuts=frozenset(standing.cuts),
+    )
+
+
+def _rebuilt(
+    config: NodeConfig, standing: Standing, step: int, belief: Gaussian | None
+) -> NodeConfig:
+    assert config.rebuild is not None, "whoever changes settings can rebuild"
+    return config.rebuild(standing, step, belief)
+
+
+def _belief(joined: Joined) -> Gaussian | None:
+    if joined.mean is None or joined.cov is None:
+        return None
+    return Gaussian(from_wire(joined.mean), unpack_upper(from_wire(joined.cov)))

@@ -1,0 +1,95 @@
+"""What a node knows before the start, and what it is between two events."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple
+
+from bus.publication import Slot
+from bus.schedule import Schedule
+from filters.gaussian import Gaussian
+from nodes.changes import UNCHANGED, Standing
+from nodes.estimator import Content, Estimator, Share
+from nodes.link_state import PERFECT, LinkState
+from nodes.messages import Measured
+from nodes.share import CYCLE_COUNTS, Fragment
+
+
+class Phase(Enum):
+    """What a node waits for."""
+
+    MEASUREMENT = "measurement"
+    CHANGE = "change"
+    GRANT = "grant"
+    SHARES = "shares"
+    FINISHED = "finished"
+
+
+@dataclass(frozen=True)
+class NodeConfig:
+    """Everything a node knows before the start.
+
+    `neighbours` ascend, as the weights do; `slots(node, cycle)` are those of a node's share;
+    the cluster's cycle counter wraps at `cycle_counts`; `links` says which frames do not arrive.
+
+    The configuration holds from `first_step` on, whose cycles begin at `first_cycle`. `standing` is
+    what changes have made of the network; `rebuild(standing, step, belief)` makes the configuration
+    that goes with it, of a node that begins anew at a step, from a belief or the scenario's prior.
+    """
+
+    index: int
+    neighbours: tuple[int, ...]
+    rounds: int
+    steps: int
+    schedule: Schedule
+    slots: Callable[[int, int], tuple[Slot, ...]]
+    estimator: Estimator
+    cycle_counts: int = CYCLE_COUNTS
+    links: LinkState = PERFECT
+    first_step: int = 0
+    first_cycle: int = 0
+    standing: Standing = UNCHANGED
+    rebuild: "Callable[[Standing, int, Gaussian | None], NodeConfig] | None" = None
+
+
+class Inbox(NamedTuple):
+    """What has come before its time: heartbeats by step, grants by (cycle, group), shares and their
+    parts by (cycle, sender). What the link has lost is None: nobody waits for it any more.
+
+    Frames of later steps wait in `early` by (sender, cycle, frame ID): changes may come before
+    them, and say what they are.
+    """
+
+    measured: dict[int, Measured]
+    grants: dict[tuple[int, int], tuple[int, ...]]
+    parts: dict[tuple[int, int], dict[int, bytes | None]]
+    shares: dict[tuple[int, int], Share | None]
+    early: dict[tuple[int, int, int], Fragment]
+
+
+class NodeState(NamedTuple):
+    """A node between two events.
+
+    `step` is the last begun, `cycle` the one that is open or next, `group` its open part; `won` are
+    the nodes that have had a dynamic slot in earlier parts of it; `absent` those that are out.
+    """
+
+    phase: Phase
+    step: int
+    cycle: int
+    group: int
+    won: tuple[int, ...]
+    content: Content
+    inbox: Inbox
+    counters: dict[str, int]
+    absent: frozenset[int] = frozenset()
+
+
+def count(state: NodeState, *names: str) -> NodeState:
+    """One more of each of these."""
+    if not names:
+        return state
+    counters = dict(state.counters)
+    for name in names:
+        counters[name] = counters.get(name, 0) + 1
+    return state._replace(counters=counters)

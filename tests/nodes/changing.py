@@ -1,0 +1,33 @@
+"""Runs of small scenarios in this process, with a script of changes."""
+
+import numpy as np
+
+from experiments.trace import Trace, read_trace
+from nodes import in_process
+from nodes.commands import in_words
+from nodes.conductor import Scripted
+from nodes.recording import MemoryRecorder
+from scenarios.build import build_node, build_world
+from scenarios.setup import Setup
+
+
+def script(*lines: str) -> list[Scripted]:
+    """From lines such as "10 kill 3"."""
+    return [Scripted(int(line.split()[0]), in_words(line.split()[1:])) for line in lines]  # type: ignore[arg-type]
+
+
+def run(setup: Setup, *lines: str, pick: in_process.Pick = in_process.first_come) -> Trace:
+    """The trace of a run in which this happens."""
+    recorder = MemoryRecorder()
+    nodes = [build_node(setup, node) for node in range(setup.scenario.nodes)]
+    in_process.run(build_world(setup), nodes, recorder, pick=pick, script=script(*lines))
+    return read_trace(setup, recorder.messages)
+
+
+def same_bits(one: Trace, other: Trace) -> bool:
+    """Whether all estimates and ages are equal, bit for bit."""
+    return (
+        one.mean.tobytes() == other.mean.tobytes()
+        and one.cov.tobytes() == other.cov.tobytes()
+        and np.array_equal(one.ages, other.ages)
+    )

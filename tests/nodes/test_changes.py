@@ -1,0 +1,169 @@
+"""What a change means, against networks in which the same comes about in another way."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from experiments.trace import Trace
+from filters.gaussian import Gaussian
+from nodes.changes import UNCHANGED, Cut, Event, Gone, Healed, Joined, Left, Loss, Pace, Set, after
+from nodes.history import Absence, Epoch, history_of
+from nodes.messages import Measured, to_wire
+from scenarios.build import build_node
+from scenarios.setup import Setup
+from tests.experiments.support import small
+from tests.nodes.changing import run, same_bits
+from tests.nodes.networks import last_come, shuffled
+
+STEPS = 16
+
+
+def ring(**changes) -> Setup:
+    return small(**{"nodes": 5, "graph": "ring", "steps": STEPS, **changes})
+
+
+def others(trace: Trace, node: int) -> Trace:
+    """The trace without a node."""
+    kept = [i for i in range(trace.mean.shape[1]) if i != node]
+    return trace._replace(
+        mean=trace.mean[:, kept], cov=trace.cov[:, kept], ages=trace.ages[:, kept][:, :, kept]
+    )
+
+
+@pytest.mark.parametrize("hold", ["decayed", "drop"])
+@pytest.mark.parametrize("schedule", [{}, {"schedule": "hybrid", "occupancy": 0.6}])
+def test_who_leaves_is_to_the_others_like_one_whose_links_are_cut(hold: str, schedule: dict):
+    setup = ring(hold=hold, **schedule)
+    left = run(setup, "6 kill 2")
+    assert left.steps == STEPS
+    assert np.isnan(left.mean[6:, 2]).all()
+    assert not np.isnan(left.mean[:6]).any()
+    assert (left.payload_bytes[6:, :, 2] == 0).all()
+    if not schedule:
+        # With a dynamic segment the node that is cut off still wins slots from the others.
+        cut = run(setup, "6 cut 2 1", "6 cut 2 3")
+        assert same_bits(others(left, 2), others(cut, 2))
+    assert not same_bits(others(left, 2), others(run(setup), 2))
+
+
+def test_nothing_changes_before_its_step():
+    setup = ring()
+    plain = run(setup)
+    for line in ("7 kill 2", "7 cut 1 2", "7 loss 0.5", "7 set rule=wac", "7 set rounds=1"):
+        changed = run(setup, line)
+        assert changed.mean[:7].tobytes() == plain.mean[:7].tobytes()
+        assert changed.mean[7].tobytes() != plain.mean[7].tobytes(), line
+
+
+def test_what_is_healed_is_as_before():
+    """With rules that hold nothing a cut that is healed leaves its trace in the beliefs alone."""
+    setup = ring()
+    assert same_bits(run(setup, "4 cut 1 2", "4 heal 1 2"), run(setup))
+    assert same_bits(run(setup, "4 loss 0.5", "4 loss 0"), run(setup))
+
+
+def test_loss_that_is_set_at_once_is_the_loss_of_the_scenario():
+    assert same_bits(run(ring(), "0 loss 0.4"), run(ring(loss=0.4)))
+    everywhere = [f"0 loss 0.4 {i} {(i + 1) % 5}" for i in range(5)]
+    assert same_bits(run(ring(), *everywhere), run(ring(loss=0.4)))
+
+
+@pytest.mark.parametrize("same", ["rule=ci", "rounds=3", "occupancy=1"])
+def test_setting_what_is_set_changes_nothing_where_nothing_is_held(same: str):
+    """Fusion begins again from the present belief; with fresh shares alone it makes no difference,
+    wherever the cycles of the next step begin."""
+    setup = ring(hold="drop")
+    assert same_bits(run(setup, f"5 set {same}"), run(setup))
+
+
+def test_settings_from_the_first_step_on_are_those_of_another_scenario():
+    changed = run(ring(), "0 set rule=hcmci rounds=2 occupancy=0.6 schedule=hybrid")
+    other = run(ring(rule="hcmci", rounds=2, occupancy=0.6, schedule="hybrid"))
+    assert same_bits(changed, other)
+
+
+@pytest.mark.parametrize("rule", ["ci", "hcmci", "labelled", "kcf", "icf"])
+def test_a_network_goes_on_under_any_rule(rule: str):
+    """Rounds grow and shrink, and rules follow each other: estimates stay near the truth."""
+    trace = run(ring(), f"4 set rule={rule} rounds=5", "7 set rounds=1", "10 set rule=ci rounds=2")
+    assert trace.steps == STEPS
+    assert (trace.published.sum((1, 2)) == [15] * 4 + [25] * 3 + [5] * 3 + [10] * 6).all()
+    assert np.abs(trace.mean - trace.truth[:, None])[8:].max() < 2
+    assert all(counts.keys() <= {"sent", "heard"} for counts in trace.counters)
+
+
+def test_who_comes_back_begins_with_its_neighbours_belief():
+    """Cut off at once, it predicts and updates that belief alone."""
+    setup = ring()
+    trace = run(setup, "6 kill 2", "11 restart 2", "11 cut 2 1", "11 cut 2 3")
+    assert np.isnan(trace.mean[6:11, 2]).all()
+    config = build_node(setup, 2)
+    assert config.rebuild is not None
+    belief = Gaussian(trace.mean[10, 1], trace.cov[10, 1])
+    alone = config.rebuild(UNCHANGED, 11, belief).estimator
+    content = alone.start()
+    for step in range(11, STEPS):
+        measured = Measured(2, step, to_wire(trace.readings[step, 2]))
+        content, _ = alone.begin_step(content, measured)
+        np.testing.assert_allclose(trace.mean[step, 2], alone.belief(content).mean, rtol=1e-9)
+        np.testing.assert_allclose(trace.cov[step, 2], alone.belief(content).cov, rtol=1e-9)
+
+
+def test_who_comes_back_agrees_again():
+    """Nodes that see, one of which is out for a while: 5 steps later it is as near as the rest."""
+    setup = ring(steps=40)
+    plain, trace = run(setup), run(setup, "10 kill 2", "20 restart 2")
+    away = np.abs(trace.mean - plain.mean).max((1, 2))
+    assert np.isnan(away[10:20]).all()
+    assert away[25:].max() < 0.1
+    assert away[39] < 1e-2
+
+
+LINES = st.sampled_from([
+    ["3 kill 1", "9 restart 1"], ["4 kill 0", "4 kill 2", "8 restart 2", "8 restart 0"],
+    ["5 cut 1 2", "9 heal 1 2"], ["2 cut 3 4 one-way"], ["6 loss 0.3"], ["6 loss 0.6 1 2 one-way"],
+    ["4 set rule=hcmci rounds=2"], ["7 set rounds=5 occupancy=0.5"], ["9 set rule=labelled"],
+    ["3 set hold=drop", "10 set rounds=1"],
+])  # fmt: skip
+
+
+@given(st.lists(LINES, min_size=1, max_size=3), st.integers(0, 2**32 - 1))
+@settings(max_examples=10)
+def test_any_order_of_arrival_gives_the_same_bits(lines: list[list[str]], order: int):
+    script = [line for some in {tuple(one) for one in lines} for line in some]
+    killed = [line.split()[2] for line in script if "kill" in line]
+    if len(killed) != len(set(killed)):
+        return
+    setup = ring(steps=12)
+    plain = run(setup, *script)
+    assert plain.steps == 12
+    for pick in (shuffled(order), last_come):
+        assert same_bits(run(setup, *script, pick=pick), plain)
+
+
+# --- what stands ---------------------------------------------------------------------------------
+
+
+def test_changes_add_up():
+    standing = UNCHANGED
+    for change in (
+        Left(3), Gone(1), Joined(3), Cut(1, 2), Cut(0, 1), Healed(1, 2), Loss(0.5), Loss(0.1, 1, 2),
+        Loss(0.2, 1, 2), Set({"rounds": 2}, 30), Pace(True, 0),
+    ):  # fmt: skip
+        standing = after(standing, 10, change)
+    assert standing.absent == (1,)
+    assert standing.cuts == ((0, 1),)
+    assert (standing.loss, standing.losses) == (0.5, ((1, 2, 0.2),))
+    assert (standing.settings, standing.first_step, standing.first_cycle) == ({"rounds": 2}, 10, 30)
+
+
+def test_a_history_knows_who_was_in_and_where_a_cycle_belongs():
+    events = [(4, Left(1)), (6, Joined(1)), (8, Gone(1)), (5, Set({"rounds": 2}, 15))]
+    history = history_of(3, [Event(step, change) for step, change in events])
+    assert history.epochs == (Epoch(0, 0, 3), Epoch(5, 15, 2))
+    assert history.absences == (Absence(1, 4, 6), Absence(1, 8, None))
+    assert [history.is_in(1, step) for step in range(3, 10)] == [1, 0, 0, 1, 1, 0, 0]
+    assert [history.place(cycle) for cycle in (0, 14, 15, 16, 17)] == [
+        (0, 0), (4, 2), (5, 0), (5, 1), (6, 0),
+    ]  # fmt: skip
