@@ -20,7 +20,7 @@ from scenarios.setup import Setup
 # What a network is made of: fields that no filter that hears everything depends on.
 _OF_THE_NETWORK = (
     "graph", "weights", "rule", "rounds", "schedule", "occupancy", "arbiter", "hold", "decay",
-    "determinant_weights", "trigger", "number", "run",
+    "determinant_weights", "trigger", "number", "links", "loss", "run",
 )  # fmt: skip
 _KEPT = 64
 

@@ -125,7 +125,7 @@ def _show(swept: Swept, options: SweepOptions, out: Path) -> None:
     console.print(table(figures, swept.dataset, console.width))
     if swept.computed_cells:
         console.print(
-            f"{swept.computed_cells} cells in {swept.seconds:.1f} s: {swept.node_updates} "
-            f"node-updates, {rate:.3g} per second", highlight=False,
+            f"computed {swept.computed_cells} of {len(figures.cells)} in {swept.seconds:.1f} s: "
+            f"{swept.node_updates} node-updates, {rate:.3g} per second", highlight=False,
         )  # fmt: skip
     console.print(f"result in {out}; `concord plot {out}` draws it", highlight=False)

@@ -119,9 +119,10 @@ def table(figures: SweepFigures, dataset: "xarray.Dataset", width: int) -> Table
     specification = specification_of(dataset)
     fields = specification.dimensions
     seed = figures.seed if isinstance(figures.seed, str) else f"seed {figures.seed}"
+    plural = "s" if len(figures.cells) > 1 else ""
     grid = Table(
-        title=f"{len(figures.cells)} cells of {figures.runs} runs, {seed}; ± half of the 95 % "
-        f"interval over runs ({figures.interval})",
+        title=f"{len(figures.cells)} cell{plural} of {figures.runs} runs, {seed}; ± half of the "
+        f"95 % interval over runs ({figures.interval})",
         title_justify="left",
         box=SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
