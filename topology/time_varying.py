@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 LinkUp = Callable[[Any, Any, Any], Any]
 Draw = Callable[[Any, Any, Any], Any]
@@ -102,15 +102,6 @@ def wandering(
     sense = np.where(draw(_BEFORE - 1, node, node) < 0.5, 1.0, -1.0)
     angle = begin + sense * (2 * math.pi / period) * np.arange(steps)[:, None]
     return homes + radius * np.stack((np.cos(angle), np.sin(angle)), axis=-1)
-
-
-def ever_up(up: LinkUp, one: ArrayLike, other: ArrayLike, steps: int) -> NDArray[np.bool_]:
-    """Whether links (k,) are up in at least one of the first `steps`."""
-    senders, receivers = np.asarray(other), np.asarray(one)
-    found = np.zeros(senders.shape, dtype=bool)
-    for step in range(steps):
-        found |= up(np.full(senders.shape, step), senders, receivers)
-    return found
 
 
 def _pair(one: Any, other: Any) -> tuple[Any, Any]:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from nodes.link_state import chance
 from topology.link_names import parse_links
-from topology.time_varying import bernoulli, ever_up, in_range, markov, switching, wandering
+from topology.time_varying import bernoulli, in_range, markov, switching, wandering
 
 KEY = (0x1234567, 0xFEDCBA9)
 RING = [[1, 3], [0, 2], [1, 3], [0, 2]]
@@ -109,14 +109,6 @@ def test_wanderers_stay_at_their_distance_and_come_round():
     np.testing.assert_allclose(np.linalg.norm(places - HOMES, axis=-1), 30)
     np.testing.assert_allclose(places[12], places[0], atol=1e-9)
     assert len({tuple(place) for place in np.round(places[0] - HOMES, 6).tolist()}) == 4
-
-
-def test_a_link_that_is_ever_up_is_found():
-    up = LINKS["moving"]
-    pairs = np.array([(i, j) for i in range(4) for j in range(4) if i != j])
-    found = ever_up(up, pairs[:, 0], pairs[:, 1], 60)
-    for (i, j), ever in zip(pairs.tolist(), found, strict=True):
-        assert ever == any(up(step, j, i) for step in range(60))
 
 
 @pytest.mark.parametrize(
