@@ -13,6 +13,7 @@ from typing import Any
 import msgspec
 
 from nodes.access_control import MONITOR, ROUTER_NAME, certificate_name
+from nodes.bounds import MAX_FRAME_BYTES
 from nodes.certificates import Authority, issue, new_authority, read_authority, zenoh_settings
 from nodes.links import LOOPBACK, RECORDER, WORLD, Links, free_ports
 from nodes.zenoh_transport import LinkError, Transport, start_router
@@ -105,17 +106,20 @@ def _writers(guarded: _Guarded) -> list[Attempt]:
     node = certificate_name(0)
     plan = [
         (node, "its own keys", own, _DELIVERED),
+        (node, "a share too long for a frame", ("share/0",), _REFUSED),
         (node, "another node's keys", of_another, _REFUSED),
         (node, "the world's keys", of_the_world, _REFUSED),
         (MONITOR, "a node's keys", own, _REFUSED),
         (MONITOR, "the world's keys", of_the_world, _REFUSED),
     ]
-    for number, (who, _, topics, _) in enumerate(plan):
-        _write_to(guarded, guarded.keys(who), topics, str(number).encode())
+    marks = [str(number).encode() for number in range(len(plan))]
+    marks[1] = b"1".ljust(MAX_FRAME_BYTES + 1)
+    for (who, _, topics, _), mark in zip(plan, marks, strict=True):
+        _write_to(guarded, guarded.keys(who), topics, mark)
     counts = guarded.arrived()
     attempts = []
-    for number, (who, what, topics, wanted) in enumerate(plan):
-        came = sum(counts.get((topic, str(number).encode()), 0) for topic in topics)
+    for (who, what, topics, wanted), mark in zip(plan, marks, strict=True):
+        came = sum(counts.get((topic, mark), 0) for topic in topics)
         tries = TRIES * len(topics)
         attempts.append(_attempt(who, f"publishes {what}", wanted, came, tries))
     return attempts

@@ -8,6 +8,7 @@ dropped. A rule holds where its key includes the key of the message, so that eac
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+from nodes.bounds import MAX_FRAME_BYTES, MAX_MESSAGE_BYTES
 from nodes.links import RECORDER, WORLD
 
 MONITOR, OPERATOR, ROUTER_NAME = "monitor", "operator", "router"
@@ -111,6 +112,23 @@ def access_control(nodes: int, routers: Sequence[str] = (ROUTER_NAME,)) -> dict[
         "subjects": subjects,
         "policies": policies,
     }
+
+
+def size_limits() -> list[dict[str, Any]]:
+    """The `low_pass_filter` part of a router's zenoh configuration: what is longer is dropped."""
+    return [
+        {
+            "id": name,
+            "flows": ["ingress"],
+            "messages": ["put"],
+            "key_exprs": [f"concord/*/{topics}"],
+            "size_limit": limit,
+        }
+        for name, topics, limit in (
+            ("frames", "share/*", MAX_FRAME_BYTES),
+            ("messages", "**", MAX_MESSAGE_BYTES),
+        )
+    ]
 
 
 def _rule(name: str, flow: str, messages: Sequence[str], topics: Sequence[str]) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 
-from nodes.access_control import ROUTER_NAME, access_control, rights
+from nodes.access_control import ROUTER_NAME, access_control, rights, size_limits
 
 if TYPE_CHECKING:
     from cryptography import x509
@@ -214,6 +214,7 @@ def make_keys(folder: Path, nodes: int, hosts: Sequence[str], days: int) -> list
         }
         if name in routers:
             config["access_control"] = access_control(nodes, tuple(routers))
+            config["low_pass_filter"] = size_limits()
         files[f"{name}.json"] = msgspec.json.format(msgspec.json.encode(config)) + b"\n"
     _write(folder, files)
     return sorted(files)

@@ -27,6 +27,7 @@ def test_nobody_gets_in_and_a_hole_is_found(tmp_path: Path):
     outcomes = {(one["who"], one["tried"]): one["outcome"] for one in attempts}
     assert outcomes == {
         ("node-0", "publishes its own keys"): "delivered",
+        ("node-0", "publishes a share too long for a frame"): "refused",
         ("node-0", "publishes another node's keys"): "refused",
         ("node-0", "publishes the world's keys"): "refused",
         ("monitor", "publishes a node's keys"): "refused",
@@ -43,10 +44,11 @@ def test_nobody_gets_in_and_a_hole_is_found(tmp_path: Path):
         ("false router", "lets node-0 join"): "refused",
     }
 
-    # The same without access control: certificates still hold, and what leaks is said.
+    # The same without access control and limits: certificates still hold, and what leaks is said.
     router = tmp_path / "keys" / "router.json"
     config = msgspec.json.decode(router.read_bytes())
     config["access_control"]["enabled"] = False
+    config.pop("low_pass_filter")
     router.write_bytes(msgspec.json.encode(config))
     code, out, _ = concord_keys(tmp_path, "--check", "--json")
     assert code == 1
@@ -55,6 +57,7 @@ def test_nobody_gets_in_and_a_hole_is_found(tmp_path: Path):
         for one in msgspec.json.decode(out)["attempts"]
         if one["outcome"] != one["wanted"]
     }
+    assert ("node-0", "publishes a share too long for a frame") in broken
     assert ("node-0", "publishes another node's keys") in broken
     assert ("monitor", "publishes the world's keys") in broken
     assert ("unlisted name", "joins, publishes share/0") in broken
