@@ -74,7 +74,8 @@ def round_trip_s() -> float:
 
     def answer() -> None:
         for _ in range(_ROUND_TRIPS):
-            echo.send("back", echo.receive("there")[1])
+            echo.receive("there")
+            echo.send("back", b"!")
 
     def call() -> None:
         join = threading.Thread(target=echo.join, args=("echo", {"caller"}), daemon=True)

@@ -76,10 +76,11 @@ class _Guarded:
     def arrived(self) -> dict[tuple[str, bytes], int]:
         """How often each (topic, bytes) has come since the last call."""
         time.sleep(_SETTLE_S)
-        self._world.send("end", b"")
+        self._world.send("end", b"end")
         counts: dict[tuple[str, bytes], int] = {}
-        while (message := self._recorder.receive("**"))[0] != "end":
-            counts[message] = counts.get(message, 0) + 1
+        while (message := self._recorder.receive("**")) != ("end", b"end"):
+            if message is not None:
+                counts[message] = counts.get(message, 0) + 1
         return counts
 
     def close(self) -> None:
@@ -135,11 +136,11 @@ def _reader(guarded: _Guarded) -> Attempt:
     monitor = guarded.join(guarded.keys(MONITOR), ("share/*",))
     time.sleep(_SETTLE_S)
     _write_to(guarded, guarded.keys(certificate_name(0)), ("share/0",), b"heard")
-    heard: queue.Queue[bytes] = queue.Queue()
+    heard: queue.Queue[object] = queue.Queue()
 
     def listen() -> None:
         for _ in range(TRIES):
-            heard.put(monitor.receive("share/*")[1])
+            heard.put(monitor.receive("share/*"))
 
     threading.Thread(target=listen, daemon=True).start()
     time.sleep(_SETTLE_S)
