@@ -110,7 +110,7 @@ def bus_figures(
     load = [_load(cluster, cycle) for cycle in cycles]
     delay_us = [fusion_delay_us(cluster, rounds, last) for last in cycles[rounds - 1 :: rounds]]
     sent_frames = [frame for cycle in cycles for frame in cycle]
-    wire_bytes = sum(frame.payload_bytes + OVERHEAD_BYTES for frame in sent_frames)
+    wire_bytes_per_step, wire_us_per_step = _on_the_wire(sent_frames, len(cycles) / rounds)
     asked, sent = asked.reshape(-1, nodes), payload_bytes.reshape(-1, nodes) > 0
     waits = longest_waits(asked, sent)
     starved = np.flatnonzero(asked.any(axis=0) & ~(asked & sent).any(axis=0))
@@ -122,8 +122,8 @@ def bus_figures(
         frames_per_cycle_max=max(frames),
         load_mean=float(np.mean(load)),
         load_max=max(load),
-        wire_bytes_per_step=wire_bytes * rounds / len(cycles),
-        wire_us_per_step=sum(f.end_us - f.start_us for f in sent_frames) * rounds / len(cycles),
+        wire_bytes_per_step=wire_bytes_per_step,
+        wire_us_per_step=wire_us_per_step,
         delay_us_mean=float(np.mean(delay_us)),
         delay_us_max=max(delay_us),
         contenders=int(asked.any(axis=0).sum()),
@@ -133,6 +133,18 @@ def bus_figures(
         share_ages=np.bincount(ages[ages >= 0]).tolist(),
         never_heard=int((ages < 0).sum()),
     )
+
+
+def wire_per_step(plan: BusPlan, payload_bytes: np.ndarray) -> tuple[float, float]:
+    """Bytes of all frames with headers and padding, and microseconds, per step: of a bus with time
+    on which was sent what `payload_bytes` (steps, rounds, N) says."""
+    cycles = timetable(plan, payload_bytes)
+    return _on_the_wire([frame for cycle in cycles for frame in cycle], len(payload_bytes))
+
+
+def _on_the_wire(frames: Sequence[Transmission], steps: float) -> tuple[float, float]:
+    wire_bytes = sum(frame.payload_bytes + OVERHEAD_BYTES for frame in frames)
+    return wire_bytes / steps, sum(frame.end_us - frame.start_us for frame in frames) / steps
 
 
 def bus_times(plan: BusPlan, payload_bytes: np.ndarray) -> BusTimes:

@@ -11,19 +11,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import stats
 
-from experiments import bus_report
-from experiments.drivers import in_memory
+from experiments.bus_report import wire_per_step
 from experiments.options import ScenarioOptions
 from experiments.progress import progress
 from experiments.record_spread import figures_of
-from experiments.trace import Trace, read_trace
+from experiments.vectorised import COV, READINGS, simulate
 from filters.gaussian import Gaussian
 from filters.metrics import nees
 from nodes.messages import Array
-from nodes.share import read_body, read_frame
-from scenarios.baselines import centralised
+from scenarios.baselines import centralised_of_runs
+from scenarios.build import build_plan
 from scenarios.catalogue import kind_of
-from scenarios.setup import Setup, prepare
+from scenarios.setup import Setup, prepare, share_bytes
 
 SEED = 1
 OCCUPANCIES = (1.0, 0.5, 0.25, 0.1)
@@ -56,11 +55,11 @@ FORMS = (
 
 
 class Job(NamedTuple):
-    """One run of one cell of the table."""
+    """Runs 0, 1, ... of one cell of the table."""
 
     form: Form
     occupancy: float
-    run: int
+    runs: int
 
 
 class Outcome(NamedTuple):
@@ -101,43 +100,46 @@ class Cell(NamedTuple):
     checkpoint_share: float
 
 
-def outcome(job: Job) -> Outcome:
-    """One run."""
+def outcomes(job: Job) -> list[Outcome]:
+    """What came of each run of a cell."""
     options = ScenarioOptions(
-        scenario="target-tracking", nodes=20, seed=SEED, run=job.run, occupancy=job.occupancy,
+        scenario="target-tracking", nodes=20, seed=SEED, occupancy=job.occupancy,
         **job.form.options,
     )  # fmt: skip
     setup = prepare(options.resolve())
-    messages = in_memory(setup)
-    trace = read_trace(setup, messages)
-    central = centralised(setup, trace.readings, trace.control)
-    squared, consistency = _scored(setup, trace, Gaussian(trace.mean, trace.cov))
-    squared_central, consistency_central = _scored(
-        setup, trace, Gaussian(central.mean[:, None], central.cov[:, None])
-    )
-    bus = bus_report.figures_of(setup, trace)
-    assert bus is not None, "the cluster is fitted"
-    spread = None if trace.spread is None else figures_of(trace.spread)
-    return Outcome(
-        squared.mean(),
-        squared_central.mean(),
-        consistency,
-        consistency_central.mean(),
-        _said_bytes(messages) / trace.steps,
-        bus.wire_bytes_per_step,
-        bus.wire_us_per_step,
-        np.nan if spread is None else spread.coverage,
-        np.nan if spread is None else spread.checkpoint_share,
-    )
+    histories = simulate(setup, range(job.runs), keep=(READINGS, COV))
+    assert histories.readings is not None and histories.cov is not None
+    central = centralised_of_runs(setup, range(job.runs), histories.readings, histories.control)
+    central = Gaussian(central.mean[:, :, None], central.cov[:, :, None])
+    network = Gaussian(histories.mean, histories.cov)
+    scores = (_scored(setup, histories.truth, belief) for belief in (network, central))
+    (squared, consistency), (squared_central, consistency_central) = scores
+    plan = build_plan(setup)
+    found = []
+    for run in range(job.runs):
+        spread = figures_of(histories.spreads[run]) if job.form.labelled else None
+        sent = histories.payload_bytes[run]
+        shares = np.count_nonzero(sent) * share_bytes(setup) / setup.scenario.steps
+        found.append(
+            Outcome(
+                squared[run].mean(),
+                squared_central[run].mean(),
+                consistency[run],
+                consistency_central[run].mean(),
+                shares if spread is None else spread.body_bytes_per_step,
+                *wire_per_step(plan, sent),
+                np.nan if spread is None else spread.coverage,
+                np.nan if spread is None else spread.checkpoint_share,
+            )
+        )
+    return found
 
 
 def cells(forms: Sequence[Form], runs: int) -> Iterator[tuple[Form, float, Cell]]:
     """All cells of the table, one after the other, as they get ready."""
-    jobs = [Job(form, part, run) for form in forms for part in OCCUPANCIES for run in range(runs)]
-    found = side_by_side("errors and bytes", outcome, jobs)
-    for form in forms:
-        for part in OCCUPANCIES:
-            yield form, part, cell([next(found) for _ in range(runs)])
+    jobs = [Job(form, part, runs) for form in forms for part in OCCUPANCIES]
+    for job, found in zip(jobs, side_by_side("errors and bytes", outcomes, jobs), strict=True):
+        yield job.form, job.occupancy, cell(found)
 
 
 def side_by_side(title: str, work: Callable[[Any], Any], jobs: Sequence[Any]) -> Iterator[Any]:
@@ -171,25 +173,16 @@ def cell(outcomes: Sequence[Outcome]) -> Cell:
     )
 
 
-def _scored(setup: Setup, trace: Trace, belief: Gaussian) -> tuple[Array, Array]:
-    """Mean squared error and mean NEES over dimension of each node (N,) of a belief."""
+def _scored(setup: Setup, truth: Array, belief: Gaussian) -> tuple[Array, Array]:
+    """Mean squared error and mean NEES over dimension of each node (R, N) of beliefs (R, steps, N,
+    n), against the truth (R, steps, n)."""
     score = kind_of(setup.scenario.name).score
-    first = score.first_step
-    errors = belief.mean[first:] - trace.truth[first:, None]
+    scored = slice(score.first_step, None)
+    errors = belief.mean[:, scored] - truth[:, scored, None]
     states = list(score.nees_states)
     squared = (errors[..., list(score.states)] ** 2).sum(-1)
-    values = nees(errors[..., states], belief.cov[first:][..., states, :][..., states])
-    return squared.mean(0), values.mean(0) / len(states)
-
-
-def _said_bytes(messages: Sequence[tuple[str, bytes]]) -> int:
-    """Bytes of all shares, before they are numbered, framed and padded."""
-    parts: dict[tuple[str, int], list[bytes]] = {}
-    for topic, data in messages:
-        if topic.startswith("share/"):
-            fragment = read_frame(data)
-            parts.setdefault((topic, fragment.cycle), []).append(fragment.data)
-    return sum(len(read_body(data)) for data in parts.values())
+    values = nees(errors[..., states], belief.cov[:, scored][..., states, :][..., states])
+    return squared.mean(1), values.mean(1) / len(states)
 
 
 def jackknife(squared: Array) -> tuple[float, float]:

@@ -13,6 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from experiments.drivers import in_memory
+from experiments.record_spread import RecordSpread
+from experiments.spread_history import SpreadHistory
 from experiments.trace import read_trace
 from filters.gaussian import Gaussian
 from filters.metrics import nees
@@ -22,7 +24,7 @@ from nodes.vectorised import Instant, run
 from scenarios.build import build_plan
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup, setup_of_run
-from scenarios.vectorised import build_network, frames_of, without_array_form
+from scenarios.vectorised import build_network, framed, without_array_form
 
 # Runs are taken so many at a time that this many nodes are computed at once: enough that numpy is
 # worth its calls, little enough for caches and memory.
@@ -52,6 +54,7 @@ class Histories(NamedTuple):
         ages: (R, S, E), cycles since what came over a link was sent, -1 never; links in order of
             receiver and then sender, as in `setup.neighbours`. If kept.
         cov: (R, S, N, n, n). If kept.
+        spreads: of labelled records, one of each run; empty for rules without.
     """
 
     setup: Setup
@@ -68,6 +71,7 @@ class Histories(NamedTuple):
     readings: Array | None
     ages: np.ndarray | None
     cov: Array | None
+    spreads: tuple[RecordSpread, ...]
 
 
 class _Recorded(NamedTuple):
@@ -111,6 +115,7 @@ def simulate(
     arrays: dict[str, np.ndarray] = {}
     counters: dict[str, np.ndarray] = {}
     prior_mean = np.empty((len(runs), len(setup.prior_mean)))
+    spreads: list[RecordSpread] = []
     done = 0
     for first in range(0, len(runs), together):
         place = slice(first, first + together)
@@ -123,19 +128,27 @@ def simulate(
         for name, counts in part.counters.items():
             shape = (len(runs), setup.scenario.nodes)
             counters.setdefault(name, np.zeros(shape, dtype=np.int64))[place] = counts
+        spreads += part.spreads()
     missing = dict.fromkeys(OPTIONAL | {"control"})
     fields: dict[str, Any] = {**missing, **arrays}
     return Histories(
-        setup=setup, runs=np.array(runs), counters=counters, prior_mean=prior_mean, **fields
+        setup=setup,
+        runs=np.array(runs),
+        counters=counters,
+        prior_mean=prior_mean,
+        spreads=tuple(spreads),
+        **fields,
     )
 
 
 class _Part(NamedTuple):
-    """Some runs: their steps, counters that are filled as the steps are taken, where they begin."""
+    """Some runs: their steps, counters that are filled as the steps are taken, where they begin,
+    and how records spread once all steps are taken."""
 
     steps: Iterable[_Recorded]
     counters: dict[str, np.ndarray]
     prior_mean: Array
+    spreads: Callable[[], Sequence[RecordSpread]]
 
 
 def _driven(setup: Setup, runs: Sequence[int]) -> _Part:
@@ -143,27 +156,35 @@ def _driven(setup: Setup, runs: Sequence[int]) -> _Part:
     network = build_network(setup, runs)
     plan, rounds = build_plan(setup), setup.scenario.rounds
     counters: dict[str, np.ndarray] = {}
+    spread = SpreadHistory(setup, len(runs))
 
     def steps() -> Iterable[_Recorded]:
         sent = np.zeros(network.prior.mean.shape[:2], dtype=np.int64)
         for instant in run(network):
             cycles = range(instant.step * rounds, (instant.step + 1) * rounds)
-            frames, payload = zip(*(frames_of(setup, plan, cycle) for cycle in cycles), strict=True)
-            sent += np.einsum("lrn,ln->rn", instant.sends, np.array(frames))
+            bodies = [None] * rounds if instant.spread is None else instant.spread.body_bytes
+            frames, payload = zip(
+                *(
+                    framed(setup, plan, cycle, sends, body)
+                    for cycle, sends, body in zip(cycles, instant.sends, bodies, strict=True)
+                ),
+                strict=True,
+            )
+            sent += np.sum(frames, axis=0)
             counters.update(instant.counters)
-            yield _recorded(instant, np.array(payload))
+            spread.add(instant)
+            yield _recorded(instant, np.stack(payload))
         counters["sent"] = sent
 
-    return _Part(steps(), counters, network.prior.mean[:, 0])
+    return _Part(steps(), counters, network.prior.mean[:, 0], spread.of_runs)
 
 
 def _recorded(instant: Instant, payload: np.ndarray) -> _Recorded:
-    sends = instant.sends.transpose(1, 0, 2)
     return _Recorded(
         instant.truth,
         instant.control,
         instant.belief,
-        np.where(sends, payload, 0),
+        payload.transpose(1, 0, 2),
         instant.asked.transpose(1, 0, 2),
         instant.readings,
         instant.ages,
@@ -193,7 +214,8 @@ def _replayed(setup: Setup, runs: Sequence[int]) -> _Part:
                 trace.ages[None, step, receiver, sender],
             )
 
-    return _Part(steps(), counters, np.array(own.prior_mean))
+    spreads = [] if trace.spread is None else [trace.spread]
+    return _Part(steps(), counters, np.array(own.prior_mean), lambda: spreads)
 
 
 def _write(

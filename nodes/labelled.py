@@ -40,10 +40,12 @@ from nodes.window_filter import (
 )
 
 # A record that one neighbour lacks, and what it loses of that urgency with every step of age.
-_URGENCY = 65536
+URGENCY = 65536
 _DISCOUNT = 0.9
 # Equal needs are served in the order of silence, up to so many cycles.
-_SILENCE = 4096
+SILENCE = 4096
+# Steps of silence after which a neighbour is owed a checkpoint.
+GAP_STEPS = 16
 
 
 class Content(NamedTuple):
@@ -92,7 +94,7 @@ class LabelledFlooding:
     frames: LabelledFrameCodec
     schedule: Schedule
     rounds: int
-    gap_steps: int = 16
+    gap_steps: int = GAP_STEPS
     gates: tuple[float, ...] = ()
     first_step: int = 0
     first_cycle: int = 0
@@ -153,7 +155,7 @@ class LabelledFlooding:
             delivered, gated = without_outliers(
                 belief, delivered, sensor, measured.step, self.filter.points, self.gates
             )
-            troubles += gated
+            troubles += ("gated",) * int(gated)
         codec = self.filter.codecs[self.node]
         record = None if codec is None else codec.encode(delivered)
         if codec is not None and codec.beyond(delivered):
@@ -179,12 +181,12 @@ class LabelledFlooding:
 
         An integer. A digest is worth a frame without records: its receivers learn what to resend.
         """
-        urgencies = self._urgencies[-len(content.window.heartbeats) :]
-        urgency = need(content.held, content.known, urgencies, self._nodes)
-        urgency += _URGENCY * (content.owed + content.needs)
+        of_places = self._urgencies[-len(content.window.heartbeats) :]
+        urgency = need(content.held, content.known, of_places, self._nodes)
+        urgency += URGENCY * (content.owed + content.needs)
         if urgency == 0 and self.frames.digest_steps == 0:
             return None
-        return urgency * _SILENCE + min(content.cycle - content.sent_cycle, _SILENCE - 1)
+        return urgency * SILENCE + min(content.cycle - content.sent_cycle, SILENCE - 1)
 
     def compose(self, content: Content) -> tuple[Content, bytes]:
         """A checkpoint if one is owed, and what some neighbour lacks, newest first."""
@@ -204,7 +206,7 @@ class LabelledFlooding:
         chosen: list[Labelled] = []
         for place, source in self._wanted(content):
             record = window.records[place][source]
-            room -= self.frames.cost(record)
+            room -= self.frames.cost(len(record))
             if room < 0:
                 break
             chosen.append(Labelled(source, newest - place, record))
@@ -363,8 +365,13 @@ class LabelledFlooding:
     @cached_property
     def _urgencies(self) -> tuple[int, ...]:
         """Of one lacked record, by age: the oldest that a window can hold first."""
-        ages = reversed(range(self.frames.window_steps))
-        return tuple(int(_URGENCY * _DISCOUNT**age + 0.5) for age in ages)
+        return urgencies(self.frames.window_steps)
+
+
+def urgencies(window_steps: int) -> tuple[int, ...]:
+    """Of one lacked record of each step of a window, the oldest first."""
+    ages = reversed(range(window_steps))
+    return tuple(int(URGENCY * _DISCOUNT**age + 0.5) for age in ages)
 
 
 def _positive_definite(belief: Gaussian) -> bool:

@@ -78,9 +78,9 @@ class LabelledFrameCodec:
         return self.limit_bytes - taken
 
     @staticmethod
-    def cost(record: bytes) -> int:
-        """Bytes that a record takes in a frame."""
-        return _LABEL_BYTES + len(record)
+    def cost(record_bytes: int) -> int:
+        """Bytes that a record of that length takes in a frame."""
+        return _LABEL_BYTES + record_bytes
 
     def encode(self, share: LabelledShare) -> bytes:
         """The bytes of a share with at most 255 records."""

@@ -57,35 +57,48 @@ class RecordCodec:
 
         An entry beyond the range of an integer is left out, as if it had not been taken.
         """
-        entries = delivered = delivered[:, : self.channels]
-        if self.resolution is not None:
-            most = np.iinfo(self.number).max
-            codes = np.round(delivered / self.resolution)
-            entries = np.where(np.abs(codes) <= most, codes, -most - 1)
-            taken = (entries >= -most).any(axis=-1)
-        else:
-            taken = ~np.isnan(delivered).all(axis=-1)
+        entries, taken = self._entries(delivered)
         if not taken.any():
             return None
         mask = b"" if self.readings == 1 else np.packbits(taken, bitorder="little").tobytes()
         return mask + entries[taken].astype(self.number).tobytes()
 
-    def beyond(self, delivered: Array) -> int:
-        """How many entries of readings (r, d) no integer can say."""
+    def received(self, delivered: Array) -> Array:
+        """What readers of the record of readings (..., r, d) have: NaN where none is written."""
+        entries, taken = self._entries(delivered)
+        found = np.full(delivered.shape, np.nan)
+        data = np.where(taken[..., None], entries, 0).astype(self.number)
+        found[..., : self.channels] = np.where(taken[..., None], self._values(data), np.nan)
+        return found
+
+    def _entries(self, delivered: Array) -> tuple[Array, np.ndarray]:
+        """What is written of readings (..., r, d), and of which (..., r)."""
+        delivered = delivered[..., : self.channels]
         if self.resolution is None:
-            return 0
-        codes = np.abs(np.round(delivered[:, : self.channels] / self.resolution))
-        return int((codes > np.iinfo(self.number).max).sum())
+            return delivered, np.asarray(~np.isnan(delivered).all(axis=-1))
+        most = np.iinfo(self.number).max
+        codes = np.round(delivered / self.resolution)
+        entries = np.where(np.abs(codes) <= most, codes, -most - 1)
+        return entries, np.asarray((entries >= -most).any(axis=-1))
+
+    def _values(self, data: np.ndarray) -> Array:
+        """What written entries (..., channels) mean."""
+        values = data.astype(np.float64)
+        if self.resolution is None:
+            return values
+        return np.where(data == np.iinfo(self.number).min, np.nan, values) * self.resolution
+
+    def beyond(self, delivered: Array) -> np.ndarray:
+        """How many entries of readings (..., r, d) no integer can say, (...)."""
+        if self.resolution is None:
+            return np.zeros(delivered.shape[:-2], dtype=np.int64)
+        codes = np.abs(np.round(delivered[..., : self.channels] / self.resolution))
+        return (codes > np.iinfo(self.number).max).sum(axis=(-1, -2))
 
     def decode(self, record: bytes) -> Array:
         """The readings (r, d) that a whole record means."""
         data = np.frombuffer(record, self.number, offset=self._mask_bytes)
-        values = data.astype(np.float64)
-        if self.resolution is not None:
-            values[data == np.iinfo(self.number).min] = np.nan
-        values = values.reshape(-1, self.channels)
-        if self.resolution is not None:
-            values = values * self.resolution
+        values = self._values(data.reshape(-1, self.channels))
         if self.readings == 1 and not self.padding:
             return values
         delivered = np.full((self.readings, self.channels + self.padding), np.nan)

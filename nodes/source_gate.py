@@ -12,7 +12,7 @@ import numpy as np
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule
 from filters.ukf import update
-from nodes.local_filter import Sensor, finite, with_state_noise
+from nodes.local_filter import Sensor, finite_lanes, where, with_state_noise
 from nodes.messages import Array
 
 
@@ -23,22 +23,21 @@ def without_outliers(
     step: int,
     points: SigmaPointRule,
     gates: Sequence[float] = (),
-) -> tuple[Array, tuple[str, ...]]:
-    """Readings (r, d) with NaN for those beyond the gate, and a name for each of these.
+) -> tuple[Array, np.ndarray]:
+    """Readings (..., r, d) with NaN for those beyond the gate, and how many (...) those are.
 
     The gate is the sensor's own, else that of `gates` for as many entries as were taken.
-    `belief` is that before the readings; each is judged given the ones before it that passed.
+    `belief` (..., n) is that before the readings; each is judged given the ones before it that
+    passed.
     """
     kept = delivered.copy()
-    gated: list[str] = []
-    for place, reading in enumerate(delivered):
+    gated = np.zeros(delivered.shape[:-2], dtype=np.int64)
+    for place in range(delivered.shape[-2]):
+        reading = delivered[..., place, :]
         if np.isnan(reading).all():
             continue
         value, noise_cov = sensor.interpret(reading)
         noise_cov = with_state_noise(noise_cov, sensor, belief, step)
-        gate = sensor.gate
-        if gate is None and len(gates) > 0:
-            gate = gates[int(np.count_nonzero(~np.isnan(value))) - 1]
         result = update(
             belief,
             value,
@@ -47,9 +46,16 @@ def without_outliers(
             points,
             residual=sensor.residual,
         )
-        if gate is not None and result.normalised_innovation_squared > gate:
-            kept[place] = np.nan
-            gated.append("gated")
-        elif finite(result.belief):
-            belief = result.belief
-    return kept, tuple(gated)
+        refused = result.normalised_innovation_squared > _gates(value, sensor, gates)
+        kept[..., place, :] = np.where(refused[..., None], np.nan, reading)
+        gated += refused
+        belief = where(~refused & finite_lanes(result.belief), result.belief, belief)
+    return kept, gated
+
+
+def _gates(value: Array, sensor: Sensor, gates: Sequence[float]) -> Array:
+    """The threshold (...) for each of some readings (..., m); what was not taken passes."""
+    taken = np.count_nonzero(~np.isnan(value), axis=-1)
+    if sensor.gate is not None:
+        return np.where(taken > 0, sensor.gate, np.inf)
+    return np.array([np.inf, *gates])[taken] if len(gates) else np.full(np.shape(taken), np.inf)

@@ -19,9 +19,22 @@ from nodes.state_machine import contenders_left
 from nodes.vectorised_filter import Counters
 from nodes.world import Controller, Delivery, Plant
 
-Contest = Callable[[Any, int, np.ndarray, np.ndarray], tuple[Any, np.ndarray]]
-"""The arbiter of all runs: (memory, cycle, nodes (C,) that may ask, bids (R, C)) -> (memory, wins
-(R, C)); `bids.NO_BID` does not ask."""
+Contest = Callable[[Any, int, int, np.ndarray, np.ndarray], tuple[Any, np.ndarray]]
+"""The arbiter of all runs: (memory, cycle, group of it, nodes (C,) that may ask, bids (R, C)) ->
+(memory, wins (R, C)); `bids.NO_BID` does not ask."""
+
+
+class Spread(NamedTuple):
+    """What the shares of a step carried, of a rule that passes on records.
+
+    body_bytes, checkpoints, records: (rounds, R, N), of what a node sent in a cycle. held: (R, N,
+    W, N) bool, whether a node holds what a source took in each of the last W steps, this one last.
+    """
+
+    body_bytes: np.ndarray
+    checkpoints: np.ndarray
+    records: np.ndarray
+    held: np.ndarray
 
 
 class Fleet(Protocol):
@@ -43,7 +56,8 @@ class Fleet(Protocol):
         ...
 
     def exchange(self, content: Any, sends: np.ndarray, lost: np.ndarray | None) -> Any:
-        """A communication cycle in which nodes `sends` (R, N) share and all fuse.
+        """A communication cycle, or with relays a part of one, in which nodes `sends` (R, N) share
+        and all fuse.
 
         `lost` (R, E) counts the frames that each link loses of a share; None where none does.
         """
@@ -59,6 +73,10 @@ class Fleet(Protocol):
 
     def counters(self, content: Any) -> Counters:
         """What was counted since the start."""
+        ...
+
+    def spread(self, content: Any) -> Spread | None:
+        """What the shares of the step carried; None for a rule whose shares have one length."""
         ...
 
 
@@ -92,7 +110,8 @@ class Instant(NamedTuple):
 
     truth: (R, n). readings: (R, N, r, d). control: (R, p) that drove into the step. belief: after
     the last round, (R, N, n), (R, N, n, n). ages: (R, E). sends, asked: (rounds, R, N), who sent in
-    a cycle and who asked for the dynamic segment. counters: totals (R, N) by name.
+    a cycle and who asked for the dynamic segment. counters: totals (R, N) by name. spread: what
+    shares carried, where they have no length of their own.
     """
 
     step: int
@@ -104,6 +123,7 @@ class Instant(NamedTuple):
     sends: np.ndarray
     asked: np.ndarray
     counters: Counters
+    spread: Spread | None
 
 
 def run(network: Network) -> Iterator[Instant]:
@@ -121,9 +141,7 @@ def run(network: Network) -> Iterator[Instant]:
         content = fleet.begin_step(content, readings, control, step)
         sends, asked = [], []
         for cycle in range(step * network.rounds, (step + 1) * network.rounds):
-            arbiter, speak, ask = _access(network, arbiter, content, cycle)
-            lost = None if network.lost is None else network.lost(cycle)
-            content = fleet.exchange(content, speak, lost)
+            content, arbiter, speak, ask = _cycle(network, content, arbiter, cycle)
             sends.append(speak)
             asked.append(ask)
         yield Instant(
@@ -136,6 +154,7 @@ def run(network: Network) -> Iterator[Instant]:
             np.stack(sends),
             np.stack(asked),
             fleet.counters(content),
+            fleet.spread(content),
         )
 
 
@@ -165,18 +184,35 @@ def _delivery(delivery: Delivery | None, runs: int) -> Callable[[Array, int], Ar
     return deliver
 
 
+def _cycle(
+    network: Network, content: Any, arbiter: Any, cycle: int
+) -> tuple[Any, Any, np.ndarray, np.ndarray]:
+    """A cycle, group by group; and who sent in it and asked for its dynamic segment: (R, N)."""
+    shape = (len(network.initial_state), network.schedule.nodes)
+    spoke, asked = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
+    lost = None if network.lost is None else network.lost(cycle)
+    for number in range(len(network.schedule.groups(cycle))):
+        arbiter, speak, ask = _access(network, arbiter, content, (cycle, number), spoke)
+        content = network.fleet.exchange(content, speak, lost)
+        spoke, asked = spoke | speak, asked | ask
+    return content, arbiter, spoke, asked
+
+
 def _access(
-    network: Network, arbiter: Any, content: Any, cycle: int
+    network: Network, arbiter: Any, content: Any, part: tuple[int, int], spoke: np.ndarray
 ) -> tuple[Any, np.ndarray, np.ndarray]:
-    """Who sends in a cycle and who asked for its dynamic segment: (R, N) each."""
+    """Who sends in a part (cycle, group) and who asks for its dynamic slots: (R, N) each; nobody
+    sends twice in a cycle, and nodes `spoke` (R, N) have."""
+    cycle, number = part
     schedule = network.schedule
-    shape = (len(network.initial_state), schedule.nodes)
-    sends, asked = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
-    sends[:, list(schedule.static_senders(cycle))] = True
+    group = schedule.groups(cycle)[number]
+    sends, asked = np.zeros((2, *spoke.shape), dtype=bool)
+    sends[:, list(group.senders)] = True
     contenders = np.array(contenders_left(schedule, cycle, ()), dtype=np.int64)
-    if len(contenders):
+    if group.dynamic_slots and len(contenders):
         bids = network.fleet.bids(content, contenders)
-        arbiter, wins = network.contest(arbiter, cycle, contenders, bids)
+        bids = np.where(spoke[:, contenders], NO_BID, bids)
+        arbiter, wins = network.contest(arbiter, cycle, number, contenders, bids)
         asked[:, contenders] = bids != NO_BID
         sends[:, contenders] = wins
     return arbiter, sends, asked

@@ -240,3 +240,7 @@ class BeliefFleet:
     def counters(self, content: Content) -> Counters:
         """What was counted."""
         return content.counters
+
+    def spread(self, content: Content) -> None:
+        """Shares have one length."""
+        return

@@ -228,3 +228,7 @@ class FreshFleet:
     def counters(self, content: Content) -> Counters:
         """What was counted."""
         return content.counters
+
+    def spread(self, content: Content) -> None:
+        """Shares have one length."""
+        return

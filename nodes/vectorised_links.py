@@ -85,6 +85,28 @@ class Shares(NamedTuple):
     link: Array
 
 
+class Padded(NamedTuple):
+    """Some links for each of K nodes or links, (K, J), filled up; `real` (K, J) says which are."""
+
+    links: np.ndarray
+    real: np.ndarray
+
+
+def neighbourhoods(links: Links) -> Padded:
+    """The links of each node."""
+    degrees = np.diff(links.offsets)
+    real = np.arange(max(int(degrees.max(initial=0)), 1)) < degrees[:, None]
+    return Padded(np.where(real, links.offsets[:-1, None] + np.arange(real.shape[1]), 0), real)
+
+
+def overhearing(links: Links) -> Padded:
+    """For each link, those of its receiver to the sender and to whoever else hears that."""
+    hears = np.eye(links.nodes, dtype=bool)
+    hears[links.receiver, links.sender] = True
+    near, real = (one[links.receiver] for one in neighbourhoods(links))
+    return Padded(near, real & hears[links.sender[near], links.sender[:, None]])
+
+
 def links_of(neighbours: Sequence[Sequence[int]], perfect: bool) -> Links:
     """The links of a network in which node i hears neighbours[i]; perfect ones lose nothing."""
     degrees = np.array([len(heard) for heard in neighbours])

@@ -91,14 +91,14 @@ def _estimator(setup: Setup, node: int, schedule: Schedule, beginning: Beginning
         hold=hold_policy(scenario),
         trigger=scenario.trigger,
         number=wire_number(scenario),
-        everybody=partial(_everybody, setup, schedule),
+        everybody=partial(everybody_of, setup, schedule),
         beginning=beginning,
     )
     rule = build_estimator(scenario, seat)
     return kind.around(scenario, seat, rule) if kind.around else rule
 
 
-def _everybody(setup: Setup, schedule: Schedule) -> Everybody:
+def everybody_of(setup: Setup, schedule: Schedule) -> Everybody:
     """What every node knows of all nodes."""
     scenario = setup.scenario
     kind = kind_of(scenario.name)

@@ -1,5 +1,6 @@
 """How a rule is built at all nodes of many runs at once: `scenarios.estimators` in arrays."""
 
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -8,6 +9,7 @@ import numpy as np
 from filters import diffusion, hold, hybrid_consensus, information_weighted, kalman_consensus
 from filters.fusion import MOMENTS, Averaging
 from nodes.belief_consensus import HoldPolicy, alike
+from nodes.labelled import GAP_STEPS
 from nodes.novelty_rounds import NoveltyRounds
 from nodes.vectorised import Fleet
 from nodes.vectorised_beliefs import BeliefFleet
@@ -18,14 +20,18 @@ from nodes.vectorised_fresh import (
     InformationExchange,
     NoveltyExchange,
 )
+from nodes.vectorised_labelled import LabelledFleet
 from nodes.vectorised_links import Links, Shares
+from nodes.vectorised_window import WindowFilters
+from scenarios.labelled import Everybody, frame_codec, gates_of
 
 
 class FleetSeat(NamedTuple):
     """All that the array form of a rule is built from.
 
     `base` are the weights of a run, `contenders` (C,) the nodes that may ask for the dynamic
-    segment; `number` is "<f8" or "<f4".
+    segment; `number` is "<f8" or "<f4"; `neighbours` and `everybody` are as in
+    `scenarios.estimators.Seat`.
     """
 
     filters: LocalFilters
@@ -36,6 +42,8 @@ class FleetSeat(NamedTuple):
     contenders: np.ndarray
     trigger: float
     number: str
+    neighbours: Sequence[Sequence[int]]
+    everybody: Callable[[], Everybody]
 
 
 def local_fleet(seat: FleetSeat) -> Fleet:
@@ -108,6 +116,25 @@ def pulled_fleet(seat: FleetSeat) -> Fleet:
         partial(kalman_consensus.average, rate=rate),
     )
     return _fresh(NoveltyExchange((rule,) * len(seat.links.classes), seat.links), seat)
+
+
+def flooding_fleet(seat: FleetSeat) -> Fleet:
+    """For labelled measurements, in scenarios that `scenarios.labelled.without_arrays` has none
+    to name of."""
+    everybody = seat.everybody()
+    states = seat.filters.points.unit_points.shape[-1]
+    frames = frame_codec(everybody, seat.neighbours, states)
+    codecs = tuple(codec for codec in frames.codecs if codec is not None)
+    channels = everybody.readings_shape[1]
+    return LabelledFleet(
+        WindowFilters(seat.filters, codecs, frames.window_steps, channels),
+        frames,
+        seat.links,
+        everybody.schedule,
+        seat.rounds,
+        GAP_STEPS,
+        gates_of(everybody.scenario, channels),
+    )
 
 
 def _fresh(rule: FreshExchange, seat: FleetSeat) -> Fleet:

@@ -14,9 +14,10 @@ from nodes.labelled_frame import (
     LabelledFrameCodec,
     check_limit,
 )
-from nodes.local_filter import Sensor
-from nodes.record_codec import record_codec
+from nodes.local_filter import Sensor, StateNoise
+from nodes.record_codec import Calibrated, record_codec
 from nodes.share import PREFIX_BYTES as CYCLE_BYTES
+from scenarios.catalogue import kind_of
 from scenarios.scenario import Scenario
 from topology.names import unknown_name
 
@@ -86,6 +87,24 @@ def digest_of(scenario: Scenario) -> int:
     if scenario.links == "static" and scenario.loss <= _NEGLIGIBLE_LOSS:
         return 0
     return min(_LOSSY_DIGEST_STEPS, scenario.window_steps or _LOSSY_DIGEST_STEPS)
+
+
+def without_arrays(scenario: Scenario) -> str | None:
+    """What of a scenario has no array form under this rule; None if all has."""
+    kind = kind_of(scenario.name)
+    if kind.sensors is None:
+        return f"rule labelled where sensors are unlike (scenario {scenario.name})"
+    if not all(_is_plain(kind.sensor(scenario, node)) for node in range(scenario.nodes)):
+        return f"rule labelled with such sensors as those of scenario {scenario.name}"
+    # Elsewhere a share may take several frames, or not fit beside others: that hangs on its length.
+    if scenario.cluster not in ("fitted", "none"):
+        return f"rule labelled on a cluster of its own (--cluster {scenario.cluster})"
+    return None
+
+
+def _is_plain(sensor: Sensor | None) -> bool:
+    """Reads what it measures, and is as noisy whatever the state is."""
+    return isinstance(sensor, Calibrated) and not isinstance(sensor, StateNoise)
 
 
 def gates_of(scenario: Scenario, channels: int) -> tuple[float, ...]:

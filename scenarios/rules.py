@@ -36,12 +36,13 @@ from scenarios.fleets import (
     FleetSeat,
     averaging_fleet,
     diffused_fleet,
+    flooding_fleet,
     hybrid_fleet,
     local_fleet,
     pulled_fleet,
     weighted_information_fleet,
 )
-from scenarios.labelled import check_labelled, largest_share
+from scenarios.labelled import check_labelled, largest_share, without_arrays
 from scenarios.scenario import Scenario, lossy_links
 from topology.names import unknown_name
 
@@ -69,6 +70,7 @@ class Rule(NamedTuple):
             (steps,) of one filter that takes the readings of these nodes; None for the Gaussian
             filter of the scenario.
         fleet: builds the rule at all nodes of many runs; None for a rule without an array form.
+        lacking: what of a scenario the array form does not have; None if it has all.
     """
 
     summary: str
@@ -80,6 +82,7 @@ class Rule(NamedTuple):
     certain: bool = False
     listen: "Callable[[Setup, Sequence[int], Array, Array | None], Gaussian] | None" = None
     fleet: Callable[[FleetSeat], Fleet] | None = None
+    lacking: Callable[[Scenario], str | None] = lambda _: None
 
 
 def rule_names() -> tuple[str, ...]:
@@ -308,6 +311,8 @@ _RULES: dict[str, Rule] = {
         flooding,
         relays=True,
         check=check_labelled,
+        fleet=flooding_fleet,
+        lacking=without_arrays,
     ),
     "local": Rule(
         "every node alone: publishes, but fuses nothing",

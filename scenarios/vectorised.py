@@ -21,7 +21,7 @@ from nodes.state_machine import contenders_left
 from nodes.vectorised import Contest, Network
 from nodes.vectorised_filter import LocalFilters, SensorGroup
 from nodes.vectorised_links import Links, Shares, links_of
-from scenarios.build import build_controller, build_plan
+from scenarios.build import build_controller, build_plan, everybody_of
 from scenarios.bus_plan import BusPlan, arbitrate
 from scenarios.catalogue import kind_of
 from scenarios.fleets import FleetSeat
@@ -48,7 +48,7 @@ def without_array_form(scenario: Scenario) -> str | None:
         return "noise that nodes learn (--adaptive)"
     if scenario.changes:
         return "a network that changes in the run (--changes)"
-    return None
+    return rule_of(scenario).lacking(scenario)
 
 
 def build_network(setup: Setup, runs: Sequence[int]) -> Network:
@@ -116,6 +116,8 @@ def _seat(setup: Setup, plan: BusPlan, links: Links) -> FleetSeat:
         np.array(sorted(contenders), dtype=np.int64),
         scenario.trigger,
         wire_number(scenario),
+        setup.neighbours,
+        partial(everybody_of, setup, plan.schedule),
     )
 
 
@@ -143,6 +145,25 @@ def frames_of(setup: Setup, plan: BusPlan, cycle: int) -> tuple[np.ndarray, np.n
             lengths = frame_payloads(share_bytes(setup), plan.slots(nodes[0], cycle))
             frames[list(nodes)], payload[list(nodes)] = len(lengths), sum(lengths)
     return frames, payload
+
+
+def framed(
+    setup: Setup, plan: BusPlan, cycle: int, sends: np.ndarray, body_bytes: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Number of frames and bytes of payload (R, N) of those that send (R, N) in a cycle, shares of
+    `body_bytes` (R, N); None where all have one length."""
+    if body_bytes is None:
+        frames, payload = frames_of(setup, plan, cycle)
+        return np.where(sends, frames, 0), np.where(sends, payload, 0)
+    frames = np.zeros(sends.shape, dtype=np.int64)
+    payload = np.zeros_like(frames)
+    for node in np.flatnonzero(sends.any(axis=0)).tolist():
+        slots = plan.slots(node, cycle)
+        lengths, which = np.unique(body_bytes[:, node], return_inverse=True)
+        made = [frame_payloads(length, slots) for length in lengths.tolist()]
+        frames[:, node] = np.array([len(sizes) for sizes in made])[which]
+        payload[:, node] = np.array([sum(sizes) for sizes in made])[which]
+    return np.where(sends, frames, 0), np.where(sends, payload, 0)
 
 
 def _lost(
@@ -188,6 +209,7 @@ def _serve(
     plan: BusPlan,
     last: np.ndarray,
     cycle: int,
+    group: int,
     nodes: np.ndarray,
     bids: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -199,7 +221,7 @@ def _serve(
         frame_ids[ascending],
         bids[:, ascending],
         bids[:, ascending] >= 0,
-        plan.schedule.dynamic_slots(cycle),
+        plan.schedule.groups(cycle)[group].dynamic_slots,
     )
     wins = np.empty_like(ordered)
     wins[:, ascending] = ordered
@@ -211,6 +233,7 @@ def _serve_one_by_one(
     plan: BusPlan,
     states: tuple[ArbiterState, ...],
     cycle: int,
+    group: int,
     nodes: np.ndarray,
     bids: np.ndarray,
 ) -> tuple[tuple[ArbiterState, ...], np.ndarray]:
@@ -221,7 +244,7 @@ def _serve_one_by_one(
     after = []
     for run, state in enumerate(states):
         requests = tuple(
-            Bid(node, cycle, asked(bid), payload[node])
+            Bid(node, cycle, asked(bid), payload[node], group)
             for node, bid in zip(nodes.tolist(), bids[run], strict=True)
         )
         state, winners = decide(state, cycle, requests)

@@ -7,7 +7,8 @@ import pytest
 from scipy import stats
 
 from experiments.labelled_cases import Case, CaseOutcome, halves, run_case
-from experiments.labelled_study import FORMS, OCCUPANCIES, Form, Job, Outcome, cell, outcome
+from experiments.labelled_study import FORMS, OCCUPANCIES, Form, Job, Outcome, cell
+from experiments.labelled_study import outcomes as runs_of
 from experiments.options import ScenarioOptions
 from experiments.reproduce_command import carry_out
 from experiments.reproduce_labelled import draw, error_section, reproduction
@@ -40,7 +41,7 @@ def test_the_interval_is_that_of_the_delta_method():
 
 def test_a_run_is_what_a_summary_would_say():
     form = Form("labelled", {"rule": "labelled", "schedule": "dynamic", "steps": 30})
-    found = outcome(Job(form, 0.25, 3))
+    (found, _) = runs_of(Job(form, 0.25, 2))
     assert 1.0 < np.sqrt(found.squared / found.squared_centralised) < 3.0
     assert found.consistency.shape == (20,)
     # Fifteen frames a step at most, each of at least ten bytes and at most 254, and 8 around.

@@ -55,11 +55,11 @@ def test_a_gate_counts_the_noise_that_grows_with_the_state():
     cases = [(WholeState(np.eye(2), 9.0), 1), (Louder(np.eye(2), 9.0), 0)]
     for sensor, expected in cases:
         _, gated = without_outliers(PRIOR, far, sensor, 0, points)
-        assert len(gated) == expected
+        assert gated == expected
     # A sensor without a gate is judged by the thresholds for as many entries as were taken.
     for gates, expected in (((1e3, 9.0), 1), ((9.0, 1e3), 0), ((), 0)):
         _, gated = without_outliers(PRIOR, far, WholeState(np.eye(2)), 0, points, gates)
-        assert len(gated) == expected
+        assert gated == expected
 
 
 def test_a_node_that_knows_nothing_refuses_nothing():

@@ -1,0 +1,117 @@
+"""Labelled records in the vectorised driver: the numbers of the in-process driver."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from experiments.drivers import in_memory
+from experiments.trace import read_trace
+from experiments.vectorised import simulate
+from scenarios.scenario import Scenario
+from scenarios.setup import prepare, setup_of_run
+from scenarios.vectorised import build_network, without_array_form
+from tests.experiments.support import scenario
+from tests.test_vectorised_agreement import check_agreement
+
+RUNS = (0, 3)
+
+
+def labelled(name: str = "target-tracking", **options: Any) -> Scenario:
+    # The time of the bus is not what is compared here.
+    return scenario(name, **{"rule": "labelled", "stretch": 100.0, **options})
+
+
+def check(asked: Scenario) -> None:
+    """Beliefs, bytes, ages, counters; and how records spread."""
+    check_agreement(asked, RUNS)
+    setup = prepare(asked)
+    spreads = simulate(setup, RUNS, keep=()).spreads
+    for spread, run in zip(spreads, RUNS, strict=True):
+        own = setup_of_run(setup, run)
+        expected = read_trace(own, in_memory(own)).spread
+        assert expected is not None
+        for name, value in spread._asdict().items():
+            np.testing.assert_array_equal(value, getattr(expected, name), err_msg=name)
+
+
+@st.composite
+def scenarios(draw: st.DrawFn) -> Scenario:
+    """Small networks; of every schedule, relaying or not, with windows that are too short, frames
+    that are, links that lose some, gates and record sizes."""
+    schedule = draw(st.sampled_from(["full", "round-robin", "hybrid", "hybrid-leaves", "dynamic"]))
+    name = draw(st.sampled_from(["target-tracking", "target-crossing", "oscillator"]))
+    loss = draw(st.sampled_from([0.0, 0.0, 0.3]))
+    window = draw(st.sampled_from([None, 2, 4]))
+    return labelled(
+        name,
+        nodes=draw(st.integers(1, 9)),
+        graph=draw(st.sampled_from(["ring", "path", "star", "complete"])),
+        rounds=draw(st.integers(1, 3)),
+        steps=draw(st.integers(1, 9)),
+        seed=draw(st.integers(0, 99)),
+        schedule=schedule,
+        occupancy=1.0 if schedule == "full" else draw(st.sampled_from([0.1, 0.3, 0.6])),
+        relay=draw(st.booleans()),
+        arbiter=draw(st.sampled_from(["wtod", "minislot", "round-robin"])),
+        loss=loss,
+        window_steps=window,
+        digest_steps=draw(st.sampled_from([None, 0, 2])),
+        record_number=draw(st.sampled_from(["int16", "float32", "float64"])),
+        gate_probability=draw(st.sampled_from([0.0, 0.2])),
+        payload_bytes=draw(st.sampled_from([120, 254])),
+    )
+
+
+@given(scenarios())
+@settings(max_examples=15)
+def test_random_networks_agree(asked: Scenario):
+    check(asked)
+
+
+@pytest.mark.slow
+@given(scenarios())
+@settings(max_examples=300)
+def test_many_more_random_networks_agree(asked: Scenario):
+    check(asked)
+
+
+@pytest.mark.parametrize("relay", [False, True])
+def test_the_study_agrees(relay: bool):
+    check(labelled(nodes=20, steps=5, schedule="hybrid", occupancy=0.25, relay=relay))
+
+
+def test_frames_that_are_short_and_checkpoints_agree():
+    """Twelve sources share frames of few records, and what is late leaves the window."""
+    asked = labelled(
+        nodes=12, graph="path", steps=10, rounds=1, window_steps=3, payload_bytes=100,
+        schedule="dynamic", occupancy=0.3, record_number="float64",
+    )  # fmt: skip
+    check(asked)
+    counters = simulate(prepare(asked), RUNS, keep=()).counters
+    assert counters["checkpoint-fused"].sum() > 0
+
+
+@pytest.mark.parametrize("name", ["dc-motor-position", "cruise-control"])
+def test_driven_plants_agree(name: str):
+    bus = {"schedule": "hybrid", "occupancy": 0.4}
+    check(labelled(name, nodes=4, graph="ring", steps=6, control="0", **bus))
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "says"),
+    [
+        ("mrclam", {}, "sensors as those of scenario mrclam"),
+        ("liu2021-network", {}, "unlike"),
+        ("target-tracking", {"cluster": "bosch"}, "--cluster bosch"),
+    ],
+)
+def test_what_has_no_array_form_is_named(name: str, options: dict[str, Any], says: str):
+    asked = labelled(name, **options)
+    lacking = without_array_form(asked)
+    assert lacking is not None and says in lacking
+    if name == "target-tracking":
+        with pytest.raises(ValueError, match="use --driver in-process"):
+            build_network(prepare(labelled(nodes=4, graph="ring", steps=2, **options)), [0])
