@@ -12,10 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nodes.bounds import MAX_FRAME_BYTES, MAX_MESSAGE_BYTES
+from nodes.hearing import EARLY_CYCLES, EARLY_STEPS
 from nodes.messages import Bid, Estimate, MalformedMessage, Measured, ShareHeard, decode, encode
 from nodes.recording import McapRecorder, read_recording
 from nodes.share import to_frames
-from nodes.state_machine import EARLY_STEPS, NodeConfig, Phase, initial_state, step
+from nodes.state_machine import NodeConfig, Phase, initial_state, step
 from tests.nodes.one_node import (
     ROUNDS,
     STEPS,
@@ -61,7 +62,7 @@ def malformed_frames(config: NodeConfig, seed: int, count: int) -> Iterator[Shar
     """Frames that no sound neighbour sends at any time of a run, by kind in turn."""
     rng = np.random.default_rng(seed)
     sound = [share(config, j, cycle) for j in (0, 2) for cycle in range(STEPS * ROUNDS)]
-    far = (STEPS + EARLY_STEPS) * ROUNDS + 1
+    far = STEPS * ROUNDS + max(EARLY_STEPS * ROUNDS, EARLY_CYCLES) + 1
     future = [
         to_frames(sound[0][9:40], far + more, config.slots(0, far + more))[0]
         for more in (0, 1, 999, 2**31)
