@@ -12,7 +12,7 @@ from typing import Any
 
 import msgspec
 
-from nodes.access_control import MONITOR, ROUTER_NAME, certificate_name
+from nodes.access_control import MONITOR, OPERATOR, ROUTER_NAME, certificate_name
 from nodes.bounds import MAX_FRAME_BYTES
 from nodes.certificates import Authority, issue, new_authority, read_authority, zenoh_settings
 from nodes.links import LOOPBACK, RECORDER, WORLD, Links, free_ports
@@ -83,6 +83,10 @@ class _Guarded:
                 counts[message] = counts.get(message, 0) + 1
         return counts
 
+    def answer(self, topic: str) -> None:
+        """Have the world answer questions on a topic."""
+        self._world.answer(topic, lambda question: question)
+
     def close(self) -> None:
         for session in (self._world, self._recorder, self._router):
             session.close()
@@ -145,6 +149,23 @@ def _reader(guarded: _Guarded) -> Attempt:
     threading.Thread(target=listen, daemon=True).start()
     time.sleep(_SETTLE_S)
     return _attempt(MONITOR, "hears a node's shares", _DELIVERED, heard.qsize(), TRIES)
+
+
+def _commands(guarded: _Guarded) -> list[Attempt]:
+    """Who may command the network: the world answers whoever gets through."""
+    guarded.answer("control")
+    attempts = []
+    for who, wanted in (
+        (OPERATOR, _DELIVERED),
+        (MONITOR, _REFUSED),
+        (certificate_name(0), _REFUSED),
+    ):
+        session = guarded.join(guarded.keys(who))
+        time.sleep(_SETTLE_S)
+        came = int(session.ask("control", b"pause", _JOIN_S) is not None)
+        attempts.append(_attempt(who, "commands the network", wanted, came, 1))
+        session.close()
+    return attempts
 
 
 def _tokens(guarded: _Guarded) -> list[Attempt]:
@@ -243,6 +264,7 @@ def check(folder: Path) -> list[Attempt]:
                 *_writers(guarded),
                 _reader(guarded),
                 *_tokens(guarded),
+                *_commands(guarded),
                 *_joiners(guarded, authority, Path(scratch)),
                 _false_router(guarded, Path(scratch)),
             ]

@@ -35,6 +35,9 @@ def test_nobody_gets_in_and_a_hole_is_found(tmp_path: Path):
         ("monitor", "hears a node's shares"): "delivered",
         ("node-0", "says that node 1 is ready"): "refused",
         ("node-1", "says that node 1 is ready"): "delivered",
+        ("operator", "commands the network"): "delivered",
+        ("monitor", "commands the network"): "refused",
+        ("node-0", "commands the network"): "refused",
         ("new certificate", "joins, publishes share/0"): "delivered",
         ("unknown certificate", "joins, publishes share/0"): "refused",
         ("expired certificate", "joins, publishes share/0"): "refused",
@@ -60,6 +63,7 @@ def test_nobody_gets_in_and_a_hole_is_found(tmp_path: Path):
     assert ("node-0", "publishes a share too long for a frame") in broken
     assert ("node-0", "publishes another node's keys") in broken
     assert ("monitor", "publishes the world's keys") in broken
+    assert ("monitor", "commands the network") in broken
     assert ("unlisted name", "joins, publishes share/0") in broken
     assert not {who for who, _ in broken} & {"expired certificate", "no TLS", "false router"}
 
