@@ -2,7 +2,8 @@
 
     python launch_local.py --scenario target-tracking --nodes 8
 
-Takes every option of `concord run`; stops what it started on Ctrl-C, SIGTERM or a crash.
+Takes every option of `concord run`, --dashboard among them; stops what it started on Ctrl-C,
+SIGTERM or a crash.
 """
 
 import sys

@@ -18,6 +18,7 @@ BENCHMARKS = {
     "launch": "launch",
     "lockstep": "lockstep",
     "set-membership": "set_membership",
+    "dashboard": "dashboard",
 }
 # A study of errors, not of time; it is run by name alone.
 STUDIES = {"occupancy": "occupancy"}

@@ -1,10 +1,11 @@
-"""Opens a page on a recorded run."""
+"""Opens a page on a recording or on a network that runs."""
 
 from pathlib import Path
 
 from dashboard.app import Dashboard
 from dashboard.charts import Band
 from dashboard.frame import Array
+from dashboard.live import LiveNetwork
 from dashboard.source import Recorded
 from dashboard.stage import set_stage
 from dashboard.theme import DARK, LIGHT
@@ -29,3 +30,15 @@ def open_recording(
     next(iter(read_recording(recording)), None)
     source = Recorded(set_stage(setup), recording)
     return Dashboard(source, host, port, LIGHT if light else DARK, recording.parent, band)
+
+
+def open_network(
+    source: LiveNetwork,
+    folder: Path | None,
+    host: str,
+    port: int,
+    light: bool,
+    band: Band = no_band,
+) -> Dashboard:
+    """A page on a network that runs; `folder` is that of its run, if it is known."""
+    return Dashboard(source, host, port, LIGHT if light else DARK, folder, band)

@@ -9,6 +9,7 @@ from tyro.extras import SubcommandApp
 from experiments.agree_command import agree
 from experiments.collect_command import collect
 from experiments.control_command import control
+from experiments.dashboard_command import dashboard
 from experiments.design_command import design
 from experiments.doctor_command import doctor
 from experiments.flexray_command import SUMMARY, flexray_commands
@@ -27,6 +28,7 @@ from experiments.topology_command import topology_commands
 COMMANDS = {
     "run": run,
     "collect": collect,
+    "dashboard": dashboard,
     "replay": replay,
     "control": control,
     "list": list_all,

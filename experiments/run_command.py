@@ -11,6 +11,7 @@ from experiments.collect_command import completed, finish
 from experiments.drivers import DRIVERS, Pace
 from experiments.launcher import NetworkFailed
 from experiments.options import ScenarioOptions
+from experiments.page_process import PageProcess
 from experiments.progress import progress
 from experiments.results import (
     RECORDING,
@@ -44,6 +45,10 @@ class RunOptions:
     """Folder for the results; runs/<name> when left out. It must not exist."""
     port: int | None = None
     """First of consecutive loopback ports for --driver processes; free ones when left out."""
+    dashboard: bool = False
+    """Show a run over processes in the browser; it waits for whoever opens the page, a minute."""
+    http_port: int = 8080
+    """Port of the dashboard; the next free one if it is taken."""
     json: bool = False
     """Print one JSON object instead of a table."""
 
@@ -71,10 +76,16 @@ def run(
         run_many(setup, options.runs, folder, description, *many)
         return
     pace = Pace(None, None)
+    page = PageProcess(folder, options.http_port)
     try:
         with progress(f"{setup.scenario.name}", setup.scenario.steps) as on_step, user_errors():
             driver = DRIVERS[options.driver]
+            if options.dashboard:
+                on_step = page.beside(on_step)
             pace = driver(setup, name, folder / RECORDING, options.port, on_step)
+            if options.dashboard:
+                # A network that waits for people has no pace of its own.
+                pace = pace._replace(steps_per_second=None)
     except NetworkFailed as error:
         sys.stderr.write(f"concord: {error}; `concord collect {folder}` shows what was done\n")
         sys.exit(1)
@@ -82,6 +93,8 @@ def run(
         # Who is in a hurry is not made to wait for arrays and figures.
         sys.stderr.write(f"interrupted; `concord collect {folder}` shows what was done\n")
         raise
+    finally:
+        page.close()
     finish(folder, description, completed(folder, description), pace, options.json)
 
 
@@ -98,6 +111,11 @@ def _check(options: RunOptions) -> None:
         raise ValueError(
             f"{option} with --driver {options.driver}: it goes through one run, message by "
             f"message; use --driver {VECTORISED}, or leave it out"
+        )
+    if options.dashboard and options.driver != "processes":
+        raise ValueError(
+            f"--dashboard with --driver {options.driver}: only a network of processes can be "
+            "watched as it runs; use --driver processes, or show the run with concord replay"
         )
     if options.port is not None and options.driver != "processes":
         raise ValueError(

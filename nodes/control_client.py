@@ -72,10 +72,10 @@ class Client:
         answer = self._ask(self._transport, "control", msgspec.json.encode(command))
         return msgspec.json.decode(answer, type=Answer)
 
-    def listen(self, topic: str, heard: Callable[[str, bytes], None]) -> None:
+    def listen(self, topic: str, heard: Callable[[str, bytes], None]) -> Callable[[], None]:
         """Have `heard(topic, bytes)` called, in another thread, for what is recorded on a topic
-        such as `estimate/*` or `event`."""
-        self._transport.listen(
+        such as `estimate/*` or `event`; returns what ends it."""
+        return self._transport.listen(
             f"watch/{topic}", lambda name, data: heard(name.removeprefix("watch/"), data)
         )
 

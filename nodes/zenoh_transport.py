@@ -136,14 +136,24 @@ class Transport:
             self._presence.notify_all()
         self._told(name, is_there)
 
-    def listen(self, topic: str, heard: Callable[[str, bytes], None]) -> None:
-        """Have `heard(topic, bytes)` called, in another thread, for every message of a topic."""
+    def listen(self, topic: str, heard: Callable[[str, bytes], None]) -> Callable[[], None]:
+        """Have `heard(topic, bytes)` called, in another thread, for every message of a topic.
+
+        Returns what ends it.
+        """
 
         def take(sample: zenoh.Sample) -> None:
             heard(self._topic(sample), sample.payload.to_bytes())
 
         callback = zenoh.handlers.Callback(take, indirect=False)
-        self._declared.append(self._session.declare_subscriber(self._prefix + topic, callback))
+        subscriber = self._session.declare_subscriber(self._prefix + topic, callback)
+        self._declared.append(subscriber)
+
+        def stop() -> None:
+            self._declared.remove(subscriber)
+            subscriber.undeclare()
+
+        return stop
 
     def answer(self, topic: str, reply: Callable[[bytes], bytes]) -> None:
         """Answer questions on a topic with `reply(payload)`, in another thread."""

@@ -1,0 +1,166 @@
+"""What the dashboard costs: its own processor time per update, and what it takes from a network.
+
+The first is measured on a page with every panel drawn at 10 Hz from a recorded run, without a
+browser; the second on a network that runs with and without a page attached to it, in turns.
+"""
+
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import msgspec
+
+from benchmarks.measure import Figures, figure, ratio, say
+from dashboard.app import Dashboard
+from dashboard.serve import open_recording
+from experiments.drivers import drive, over_processes
+from nodes.commands import Pause, Resume
+from nodes.control_client import Client
+from nodes.network_file import read_network
+from nodes.recording import McapRecorder
+from scenarios.catalogue import kind_of
+from scenarios.setup import Setup, prepare
+
+SIZES = (24, 100, 400)
+UPDATES_HZ, SECONDS = 10.0, 4.0
+NODES, STEPS, REPETITIONS = 16, 500, 5
+
+
+def main() -> Figures:
+    """Print both and return them."""
+    results: Figures = {}
+    for nodes in SIZES:
+        cost = figure(_update_ms(nodes), "ms of processor time per update", "less")
+        results[f"dashboard-update-{nodes}"] = cost
+        say(
+            f"{nodes:>4} nodes: {cost.value:.1f} ms of processor time per update, "
+            f"{cost.value * UPDATES_HZ / 10:.0f} % of a core at {UPDATES_HZ:g} Hz"
+        )
+    setup = _setup(NODES, STEPS)
+    rates: dict[bool, list[float]] = {False: [], True: []}
+    for number in range(REPETITIONS):
+        # Whoever is first has the quieter moment: in turns.
+        for attached in (False, True) if number % 2 == 0 else (True, False):
+            rates[attached].append(_steps_per_second(setup, attached))
+    alone = figure(rates[False], "steps per second", "more")
+    watched = figure(rates[True], "steps per second", "more")
+    kept = ratio(rates[True], rates[False])
+    results |= {"lockstep-alone": alone, "lockstep-watched": watched, "watched-to-alone": kept}
+    say(
+        f"{NODES} nodes in lockstep: {alone.value:.0f} steps per second alone, "
+        f"{watched.value:.0f} with a page attached, ratio {kept.value:.2f} "
+        f"({kept.low:.2f} to {kept.high:.2f}, {REPETITIONS} in turns)"
+    )
+    return results
+
+
+def _setup(nodes: int, steps: int) -> Setup:
+    # A neighbourhood of a few nodes at every size; half of 24 publish in a cycle, fewer of more.
+    defaults = kind_of("target-tracking").defaults
+    return prepare(
+        msgspec.structs.replace(
+            defaults,
+            nodes=nodes,
+            steps=steps,
+            graph="4-regular",
+            schedule="hybrid",
+            occupancy=min(0.5, 12 / nodes),
+        )
+    )
+
+
+def _update_ms(nodes: int) -> list[float]:
+    """Processor time of one update of everything, at `UPDATES_HZ`."""
+    setup = _setup(nodes, 30)
+    with tempfile.TemporaryDirectory() as folder:
+        recording = Path(folder) / "run.mcap"
+        recorder = McapRecorder(recording, setup.scenario.rounds, setup.time_step_s)
+        drive(setup, recorder, lambda _: None)
+        recorder.close()
+        page = open_recording(setup, recording, "127.0.0.1", 0, light=False)
+        try:
+            return _paced_ms(page)
+        finally:
+            page.close()
+
+
+def _paced_ms(page: Dashboard) -> list[float]:
+    clock_s = 1.0
+    page.view.playing = page.view.follow = False
+    while page.source.pace().state == "LOADING":
+        clock_s += 1
+        page.tick(clock_s)
+    updates = round(SECONDS * UPDATES_HZ)
+    began_s = time.monotonic()
+    spent_ms: list[float] = []
+    spent_s = time.process_time()
+    for number in range(updates):
+        page.view.step, page.view.cursor = number % len(page.history), 0.5
+        page.pick(number % page.stage.nodes)
+        # Late enough that every panel is due.
+        clock_s += 1
+        page.tick(clock_s)
+        time.sleep(max(0.0, began_s + (number + 1) / UPDATES_HZ - time.monotonic()))
+        # With what the server's own thread has spent on sending.
+        spent_ms.append(1e3 * (time.process_time() - spent_s))
+        spent_s = time.process_time()
+    return spent_ms
+
+
+def _steps_per_second(setup: Setup, attached: bool) -> float:
+    """Lockstep rate from when the page is there, or might be, to the end of the run."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        attaching: list[threading.Thread] = []
+        marks: list[tuple[int, float]] = []
+        begin_s = [float("inf")]
+
+        def attach() -> None:
+            network = read_network(folder)
+            client = Client(network.connect, network.run)
+            client.command(Pause())
+            page = _page(folder) if attached else None
+            begin_s[0] = time.monotonic()
+            client.command(Resume())
+            over.wait()
+            client.close()
+            if page is not None:
+                page.terminate()
+                page.wait()
+
+        def on_step(step: int) -> None:
+            if not attaching:
+                attaching.append(threading.Thread(target=attach))
+                attaching[0].start()
+            marks.append((step, time.monotonic()))
+
+        over = threading.Event()
+        run = f"bench-{time.time_ns()}"
+        over_processes(setup, run, folder / "run.mcap", None, on_step)
+        over.set()
+        attaching[0].join()
+        measured = [mark for mark in marks if mark[1] > begin_s[0]]
+        (first, first_s), (last, last_s) = measured[0], measured[-1]
+        return (last - first) / (last_s - first_s)
+
+
+def _page(folder: Path) -> "subprocess.Popen[bytes]":
+    """A page that is attached and has drawn."""
+    command = ("dashboard", "--folder", str(folder), "--http-port", "8090")
+    page = subprocess.Popen(
+        [sys.executable, "-m", "experiments", *command],
+        stderr=subprocess.PIPE,
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+    )
+    assert page.stderr is not None, "it was started with a pipe"
+    page.stderr.readline()
+    time.sleep(1.0)
+    return page
+
+
+if __name__ == "__main__":
+    main()
