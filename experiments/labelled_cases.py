@@ -1,7 +1,9 @@
 """What the rule `labelled` makes of links that lose frames, a dead hub, a cut, a long path, and of
 readings that are wrong. The network is TRACK's."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,18 +12,19 @@ from experiments.options import ScenarioOptions
 from experiments.trace import read_trace
 from filters.gaussian import Gaussian
 from filters.metrics import nees
-from nodes import in_process
+from nodes import in_process, vectorised
 from nodes.labelled import Content, LabelledFlooding
-from nodes.link_state import LinkState, Outage
+from nodes.link_state import Outage
 from nodes.messages import Array, Measured
 from nodes.recording import MemoryRecorder
 from nodes.state_machine import NodeConfig
-from nodes.world import WorldConfig
+from nodes.vectorised_links import links_of
 from scenarios.baselines import centralised
 from scenarios.build import build_node, build_world
 from scenarios.catalogue import kind_of
 from scenarios.links import link_state
-from scenarios.setup import Setup, generator, prepare
+from scenarios.setup import Setup, generator, prepare, setup_of_run
+from scenarios.vectorised import build_network
 
 HUB, HUB_DEAD = 13, range(40, 70)
 CUT = range(50, 70)
@@ -60,36 +63,91 @@ class CaseOutcome(NamedTuple):
     right_refused: int
 
 
-def run_case(case: Case, run: int, seed: int = 1) -> CaseOutcome:
-    """One run of TRACK in which this goes wrong."""
+def runs_of_case(case: Case, runs: int, seed: int = 1) -> list[CaseOutcome]:
+    """Runs 0, 1, ... of TRACK in which this goes wrong: all at once, but for a node that dies."""
     chosen = {"scenario": "target-tracking", "nodes": 20, "rule": "labelled", **case.options}
-    setup = prepare(ScenarioOptions(**chosen, run=run, seed=seed).resolve())
-    recorded: set[tuple[int, int]] = set()
-    nodes = [_node(case, setup, node, recorded) for node in range(setup.scenario.nodes)]
-    world, wrong = _spoiled(build_world(setup), case.outliers, setup)
-    recorder = MemoryRecorder()
-    in_process.run(world, nodes, recorder)
-    trace = read_trace(setup, recorder.messages)
-    taken = np.logical_not(np.isnan(trace.readings).all(axis=(2, 3)))
-    right = np.where((wrong & taken)[..., None, None], np.nan, trace.readings)
-    central = centralised(setup, right, trace.control)
+    setup = prepare(ScenarioOptions(**chosen, seed=seed).resolve())
+    if case.hub_dies:
+        return [
+            outcome(setup_of_run(setup, run), _with_dead_hub(setup, run)) for run in range(runs)
+        ]
+    return _at_once(case, setup, runs)
+
+
+class Course(NamedTuple):
+    """What happened in a run: truth (steps, n), readings (steps, N, r, d), beliefs (steps, N, n);
+    which readings were `kept`, and which were `wrong` (steps, N); bytes said (steps,)."""
+
+    truth: Array
+    readings: Array
+    belief: Gaussian
+    kept: np.ndarray
+    wrong: np.ndarray
+    body_bytes: np.ndarray
+
+
+def outcome(setup: Setup, course: Course) -> CaseOutcome:
+    """What came of a run."""
+    wrong = course.wrong
+    taken = np.logical_not(np.isnan(course.readings).all(axis=(2, 3)))
+    right = np.where((wrong & taken)[..., None, None], np.nan, course.readings)
+    central = centralised(setup, right, None)
     score = kind_of("target-tracking").score
-    errors = trace.mean - trace.truth[:, None]
+    errors = course.belief.mean - course.truth[:, None]
     scored, place = list(score.nees_states), list(score.states)
-    assert trace.spread is not None
-    kept = np.zeros(taken.shape, dtype=bool)
-    kept[tuple(np.array(sorted(recorded)).T)] = True
-    refused = taken & ~kept
+    refused = taken & ~course.kept
     return CaseOutcome(
         (errors[..., place] ** 2).sum(-1),
-        nees(errors[..., scored], trace.cov) / len(scored),
-        ((central.mean - trace.truth)[:, place] ** 2).sum(-1),
-        float(trace.spread.body_bytes.mean()),
+        nees(errors[..., scored], course.belief.cov) / len(scored),
+        ((central.mean - course.truth)[:, place] ** 2).sum(-1),
+        float(course.body_bytes.mean()),
         int((wrong & taken).sum()),
         int((wrong & refused).sum()),
         int((~wrong & taken).sum()),
         int((~wrong & refused).sum()),
     )
+
+
+def _at_once(case: Case, setup: Setup, runs: int) -> list[CaseOutcome]:
+    own = [setup_of_run(setup, run) for run in range(runs)]
+    network = build_network(setup, range(runs))
+    measurement, wrong = _spoiled(network.measurement, case.outliers, own)
+    network = replace(network, measurement=measurement)
+    if case.cut:
+        network = replace(network, lost=partial(_lost_in_cut, setup, runs))
+    instants = list(vectorised.run(network))
+    truth, readings, mean, cov = (
+        np.stack(values, axis=1)
+        for values in zip(*((i.truth, i.readings, *i.belief) for i in instants), strict=True)
+    )
+    kept, said = (
+        np.stack(some, axis=1) for some in zip(*map(_kept_and_said, instants), strict=True)
+    )
+    courses = zip(truth, readings, map(Gaussian, mean, cov), kept, wrong, said, strict=True)
+    return [outcome(one, Course(*course)) for one, course in zip(own, courses, strict=True)]
+
+
+def _kept_and_said(instant: vectorised.Instant) -> tuple[np.ndarray, np.ndarray]:
+    """Who recorded what it read (R, N), and what all nodes said in a step in bytes (R,)."""
+    spread = instant.spread
+    assert spread is not None, "the rule is labelled"
+    recorded = np.diagonal(spread.held[:, :, -1], axis1=1, axis2=2)
+    return recorded, spread.body_bytes.sum(axis=(0, 2))
+
+
+def _with_dead_hub(setup: Setup, run: int) -> Course:
+    setup = setup_of_run(setup, run)
+    recorded: set[tuple[int, int]] = set()
+    nodes = [_node(setup, node, recorded) for node in range(setup.scenario.nodes)]
+    recorder = MemoryRecorder()
+    in_process.run(build_world(setup), nodes, recorder)
+    trace = read_trace(setup, recorder.messages)
+    assert trace.spread is not None
+    kept = np.zeros(trace.readings.shape[:2], dtype=bool)
+    kept[tuple(np.array(sorted(recorded)).T)] = True
+    belief = Gaussian(trace.mean, trace.cov)
+    wrong = np.zeros_like(kept)
+    return Course(trace.truth, trace.readings, belief, kept, wrong, trace.spread.body_bytes)
 
 
 def halves(setup: Setup) -> np.ndarray:
@@ -112,40 +170,41 @@ def _reached(setup: Setup, root: int, allowed: set[int]) -> list[int]:
     return found
 
 
-def _node(case: Case, setup: Setup, node: int, recorded: set[tuple[int, int]]) -> NodeConfig:
+def _node(setup: Setup, node: int, recorded: set[tuple[int, int]]) -> NodeConfig:
     config = build_node(setup, node)
     assert isinstance(config.estimator, LabelledFlooding)
-    lost_at = HUB_DEAD.stop if case.hub_dies and node == HUB else None
+    lost_at = HUB_DEAD.stop if node == HUB else None
     estimator = Observed(config.estimator, recorded, lost_at)
-    return replace(config, estimator=estimator, links=_links(case, setup))
+    outages = [
+        Outage(sender, receiver, HUB_DEAD.start, HUB_DEAD.stop)
+        for receiver, heard in enumerate(setup.neighbours)
+        for sender in heard
+        if HUB in (sender, receiver)
+    ]
+    links = link_state(setup)._replace(outages=tuple(outages))
+    return replace(config, estimator=estimator, links=links)
 
 
-def _links(case: Case, setup: Setup) -> LinkState:
-    """The links of the scenario, and what is cut for a while."""
-    side = halves(setup) if case.cut else np.zeros(setup.scenario.nodes, dtype=bool)
-    outages = []
-    for receiver, heard in enumerate(setup.neighbours):
-        for sender in heard:
-            if case.hub_dies and HUB in (sender, receiver):
-                outages.append(Outage(sender, receiver, HUB_DEAD.start, HUB_DEAD.stop))
-            if side[sender] != side[receiver]:
-                outages.append(Outage(sender, receiver, CUT.start, CUT.stop))
-    return link_state(setup)._replace(outages=tuple(outages))
+def _lost_in_cut(setup: Setup, runs: int, cycle: int) -> np.ndarray:
+    """How many frames each link loses in a cycle (R, E): those between the halves, all."""
+    links = links_of(setup.neighbours, perfect=False)
+    side = halves(setup)
+    across = side[links.sender] != side[links.receiver]
+    cut = across & (cycle // setup.scenario.rounds in CUT)
+    return np.broadcast_to(cut.astype(np.int64), (runs, len(cut)))
 
 
-class _Spoiled(NamedTuple):
-    process: Array
-    measurement: Array
-
-
-def _spoiled(world: WorldConfig, share: float, setup: Setup) -> tuple[WorldConfig, np.ndarray]:
-    """The world in which this share of the readings is wrong, and which those are (steps, N)."""
-    noise = world.draws.measurement
-    draw = generator(setup.scenario, "outliers", 0)
-    wrong = draw.random(noise.shape[:2]) < share
-    side = np.where(draw.random(noise.shape) < 0.5, -1.0, 1.0)
-    spoiled = np.where(wrong[..., None, None], noise + _OUTLIER_DEVIATIONS * side, noise)
-    return replace(world, draws=_Spoiled(world.draws.process, spoiled)), wrong
+def _spoiled(noise: Array, share: float, own: Sequence[Setup]) -> tuple[Array, np.ndarray]:
+    """Noise (steps, R, N, r, d) of these runs with this share of it wrong, and which (R, steps, N)
+    that is."""
+    spoiled, wrong = noise.copy(), []
+    for run, setup in enumerate(own):
+        draw = generator(setup.scenario, "outliers", 0)
+        there = draw.random(noise[:, run].shape[:2]) < share
+        side = np.where(draw.random(noise[:, run].shape) < 0.5, -1.0, 1.0)
+        spoiled[:, run] += np.where(there[..., None, None], _OUTLIER_DEVIATIONS * side, 0.0)
+        wrong.append(there)
+    return spoiled, np.stack(wrong)
 
 
 @dataclass(frozen=True)

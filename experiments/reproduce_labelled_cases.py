@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.labelled_cases import CUT, HUB, HUB_DEAD, Case, CaseOutcome, run_case
+from experiments.labelled_cases import CUT, HUB, HUB_DEAD, Case, CaseOutcome, runs_of_case
 from experiments.labelled_study import jackknife, side_by_side
 from experiments.reproduce_report import Check, Section, at_most, markdown_table
 
@@ -72,14 +72,12 @@ Found = Mapping[str, Sequence[CaseOutcome]]
 
 def case_outcomes(runs: int) -> Iterator[tuple[str, list[CaseOutcome]]]:
     """Every case by name, with its runs."""
-    jobs = [(case, run) for case in CASES.values() for run in range(runs)]
-    found = side_by_side("special cases", _run, jobs)
-    for name in CASES:
-        yield name, [next(found) for _ in range(runs)]
+    jobs = [(case, runs) for case in CASES.values()]
+    yield from zip(CASES, side_by_side("special cases", _runs, jobs), strict=True)
 
 
-def _run(job: tuple[Case, int]) -> CaseOutcome:
-    return run_case(*job)
+def _runs(job: tuple[Case, int]) -> list[CaseOutcome]:
+    return runs_of_case(*job)
 
 
 def cases_section(found: Found) -> Section:

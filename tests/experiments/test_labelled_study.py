@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from experiments.labelled_cases import Case, CaseOutcome, halves, run_case
+from experiments.labelled_cases import Case, CaseOutcome, halves, runs_of_case
 from experiments.labelled_study import FORMS, OCCUPANCIES, Form, Job, Outcome, cell
 from experiments.labelled_study import outcomes as runs_of
 from experiments.options import ScenarioOptions
@@ -65,7 +65,7 @@ def test_the_halves_of_the_cut_hang_together():
 
 def test_a_case_loses_what_it_says():
     options = {"occupancy": 1.0, "steps": 12}
-    clean, lossy = (run_case(Case({**options, "loss": loss}), 0) for loss in (0.0, 0.8))
+    (clean,), (lossy,) = (runs_of_case(Case({**options, "loss": loss}), 1) for loss in (0.0, 0.8))
     assert lossy.squared[6:].mean() > 1.5 * clean.squared[6:].mean()
     np.testing.assert_array_equal(clean.squared_centralised, lossy.squared_centralised)
 
