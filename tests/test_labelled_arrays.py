@@ -94,6 +94,14 @@ def test_frames_that_are_short_and_checkpoints_agree():
     assert counters["checkpoint-fused"].sum() > 0
 
 
+def test_a_neighbour_that_was_long_unheard_is_sent_a_checkpoint():
+    """Nothing leaves the window in so few steps, so nothing else asks for one."""
+    asked = labelled(nodes=4, graph="ring", steps=28, rounds=1, loss=0.9, schedule="full")
+    check(asked)
+    counters = simulate(prepare(asked), RUNS, keep=()).counters
+    assert sum(counters[name].sum() for name in counters if name.startswith("checkpoint")) > 0
+
+
 @pytest.mark.parametrize("name", ["dc-motor-position", "cruise-control"])
 def test_driven_plants_agree(name: str):
     bus = {"schedule": "hybrid", "occupancy": 0.4}
