@@ -12,7 +12,7 @@ from scipy import stats
 
 from experiments.agree_command import first_difference
 from experiments.drivers import DRIVERS, in_memory
-from experiments.labelled_cases import Case, run_case
+from experiments.labelled_cases import Case, runs_of_case
 from experiments.labelled_exact import FULL_INFORMATION, audit, full_information
 from experiments.options import ScenarioOptions
 from experiments.reproduce_labelled_exact import NETWORKS, exact_section
@@ -156,9 +156,9 @@ def test_a_gate_lets_pass_what_is_as_likely_as_it_should_be():
 def test_a_wrong_reading_is_used_by_nobody():
     """Behind the gate errors are as without outliers; without it they are many times that."""
     part = {"occupancy": 0.5, "schedule": "hybrid", "steps": 40}
-    clean = run_case(Case(part), 0)
-    gated = run_case(Case({**part, "gate_probability": 1e-4}, outliers=0.1), 0)
-    open_to_all = run_case(Case(part, outliers=0.1), 0)
+    (clean,) = runs_of_case(Case(part), 1)
+    (gated,) = runs_of_case(Case({**part, "gate_probability": 1e-4}, outliers=0.1), 1)
+    (open_to_all,) = runs_of_case(Case(part, outliers=0.1), 1)
     assert gated.wrong_refused >= 0.9 * gated.wrong > 0 and gated.right_refused <= 2
     assert open_to_all.wrong_refused == 0
     errors = [np.sqrt(one.squared[20:].mean()) for one in (clean, gated, open_to_all)]
