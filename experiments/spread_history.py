@@ -8,7 +8,7 @@ from scenarios.setup import Setup
 
 
 class SpreadHistory:
-    """Takes the steps of R runs, one after the other; knows nothing of rules without records."""
+    """Takes the steps of R runs of a rule with records, one after the other."""
 
     def __init__(self, setup: Setup, runs: int) -> None:
         steps, nodes = setup.scenario.steps, setup.scenario.nodes
@@ -17,14 +17,12 @@ class SpreadHistory:
         self._body_bytes = np.zeros((runs, steps), dtype=np.int64)
         # Of each run: shares, checkpoints, records.
         self._sent = np.zeros((3, runs), dtype=np.int64)
-        self._window_steps: int | None = None
+        self._window_steps = 0
 
     def add(self, instant: Instant) -> None:
         """One step more."""
-        spread = instant.spread
-        if spread is None:
-            return
-        step = instant.step
+        spread, step = instant.spread, instant.step
+        assert spread is not None, "the rule has records"
         self._window_steps = window_steps = spread.held.shape[2]
         self._taken[:, step] = ~np.isnan(instant.readings).all(axis=(2, 3))
         first = max(step + 1 - window_steps, 0)
@@ -39,12 +37,9 @@ class SpreadHistory:
         self._sent += [one.sum(axis=(0, 2)) for one in said]
 
     def of_runs(self) -> tuple[RecordSpread, ...]:
-        """Of each run, after its last step; none for a rule without records."""
-        window_steps = self._window_steps
-        if window_steps is None:
-            return ()
+        """Of each run, after its last step."""
         return tuple(
-            RecordSpread(taken, arrival, window_steps, body_bytes, *sent)
+            RecordSpread(taken, arrival, self._window_steps, body_bytes, *sent)
             for taken, arrival, body_bytes, sent in zip(
                 self._taken, self._arrival, self._body_bytes, self._sent.T.tolist(), strict=True
             )

@@ -156,7 +156,8 @@ def _driven(setup: Setup, runs: Sequence[int]) -> _Part:
     network = build_network(setup, runs)
     plan, rounds = build_plan(setup), setup.scenario.rounds
     counters: dict[str, np.ndarray] = {}
-    spread = SpreadHistory(setup, len(runs))
+    # Nodes times nodes times steps: nothing that a rule without records could afford.
+    spreads: list[SpreadHistory] = []
 
     def steps() -> Iterable[_Recorded]:
         sent = np.zeros(network.prior.mean.shape[:2], dtype=np.int64)
@@ -172,11 +173,15 @@ def _driven(setup: Setup, runs: Sequence[int]) -> _Part:
             )
             sent += np.sum(frames, axis=0)
             counters.update(instant.counters)
-            spread.add(instant)
+            if instant.spread is not None:
+                spreads[:] = spreads or [SpreadHistory(setup, len(runs))]
+                spreads[0].add(instant)
             yield _recorded(instant, np.stack(payload))
         counters["sent"] = sent
 
-    return _Part(steps(), counters, network.prior.mean[:, 0], spread.of_runs)
+    return _Part(
+        steps(), counters, network.prior.mean[:, 0], lambda: spreads[0].of_runs() if spreads else ()
+    )
 
 
 def _recorded(instant: Instant, payload: np.ndarray) -> _Recorded:
