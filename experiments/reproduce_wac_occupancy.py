@@ -79,7 +79,7 @@ HOLDS = {
     "renorm": HoldPolicy(partial(_by_age, hold.renormalise), carried=False),
     "instep": HoldPolicy(_in_step, carried=False),
     PLAIN: HoldPolicy(_decayed, carried=True),
-    SHARP: HoldPolicy(_decayed, carried=True, sharpness=hold.sharpness),
+    SHARP: HoldPolicy(_decayed, carried=True, by_sharpness=True),
 }
 HELD = [
     *(Variant("wac", name) for name in ("raw", "predict", "drop", "renorm", SHARP)),

@@ -62,7 +62,12 @@ def cholesky(matrix: np.ndarray) -> np.ndarray:
 
 def inverse_spd(matrix: np.ndarray) -> np.ndarray:
     """Inverses (n, n, L) of symmetric positive definite matrices; NaN in a lane that is not."""
-    whitener = inverse_triangle(cholesky(matrix))
+    return inverse_of_factor(cholesky(matrix))
+
+
+def inverse_of_factor(factor: np.ndarray) -> np.ndarray:
+    """Inverses (n, n, L) of the matrices of which these are the lower triangular factors."""
+    whitener = inverse_triangle(factor)
     return square(whitener.transpose(1, 0, 2))
 
 

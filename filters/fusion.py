@@ -1,14 +1,40 @@
 """Rules that fuse the beliefs of several nodes whose errors are correlated in an unknown way."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from filters.gaussian import Gaussian, Information, to_gaussian
-from filters.hold import check_weights, sharpness
-from filters.linalg import inverse_spd, multiply
+from filters.hold import check_weights, sharpness, sharpness_of_factor
+from filters.linalg import factor_and_inverse, inverse_spd, multiply
 from filters.packed import pack, unpack
+
+
+class Averaged(Protocol):
+    """A rule that averages beliefs, as who has several of them at hand goes through it.
+
+    `weigh_up(belief, origin)` gives what is averaged of beliefs (..., J, n) and their sharpness
+    (..., J), NaN where one is not positive definite; `average` the belief that it comes to.
+    """
+
+    def weigh_up(self, belief: Gaussian, origin: np.ndarray, /) -> tuple[Any, np.ndarray]: ...
+
+    def average(self, numbers: Any, weights: np.ndarray, origin: np.ndarray, /) -> Gaussian: ...
+
+
+class Directly(NamedTuple):
+    """A rule that is given as a function of beliefs and weights, such as those of this file."""
+
+    of: Callable[[Gaussian, np.ndarray], Gaussian]
+
+    def weigh_up(self, belief: Gaussian, _origin: np.ndarray) -> tuple[Gaussian, np.ndarray]:
+        """The beliefs as they are, and their sharpness."""
+        return belief, sharpness(belief.cov)
+
+    def average(self, beliefs: Gaussian, weights: np.ndarray, _origin: np.ndarray) -> Gaussian:
+        """The belief that beliefs (..., J, n) come to with weights (..., J)."""
+        return self.of(beliefs, weights)
 
 
 class Averaging(NamedTuple):
@@ -17,12 +43,25 @@ class Averaging(NamedTuple):
     `express(belief, origin)` gives the numbers, `conclude(numbers, origin)` the belief that an
     average of such numbers comes to, `sharpness(numbers)` its `hold.sharpness` (...). Means are
     taken about an `origin` (..., n), any point near them, which spares their digits; beliefs that
-    are averaged must have the same.
+    are averaged must have the same. `weigh_up(belief, origin)` gives numbers and sharpness of a
+    belief from one factorisation; sharpness is NaN where it is not positive definite.
     """
 
     express: Callable[[Gaussian, np.ndarray], np.ndarray]
     conclude: Callable[[np.ndarray, np.ndarray], Gaussian]
     sharpness: Callable[[np.ndarray], np.ndarray]
+    weigh_up: Callable[[Gaussian, np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+    def average(self, numbers: np.ndarray, weights: np.ndarray, origin: np.ndarray) -> Gaussian:
+        """The belief that numbers (..., J, m) about one origin come to with weights (..., J).
+
+        Numbers of weight zero may be anything, NaN included.
+        """
+        unused = weights == 0
+        if unused.any():
+            # 0 * NaN would let them through.
+            numbers = np.where(unused[..., None], 0.0, numbers)
+        return self.conclude(multiply(numbers.mT, weights), origin)
 
 
 def weighted_average(beliefs: Gaussian, weights: np.ndarray) -> Gaussian:
@@ -82,8 +121,22 @@ def _of_moments(numbers: np.ndarray, origin: np.ndarray) -> Gaussian:
     return Gaussian(origin + offset, cov)
 
 
+def _moments_and_sharpness(belief: Gaussian, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return _moments(belief, origin), sharpness(belief.cov)
+
+
 def _information(belief: Gaussian, origin: np.ndarray) -> np.ndarray:
-    matrix = inverse_spd(belief.cov)
+    return _with_matrix(inverse_spd(belief.cov), belief, origin)
+
+
+def _information_and_sharpness(
+    belief: Gaussian, origin: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    factor, matrix = factor_and_inverse(belief.cov)
+    return _with_matrix(matrix, belief, origin), sharpness_of_factor(factor)
+
+
+def _with_matrix(matrix: np.ndarray, belief: Gaussian, origin: np.ndarray) -> np.ndarray:
     return pack(Information(multiply(matrix, belief.mean - origin), matrix))
 
 
@@ -92,9 +145,17 @@ def _of_information(numbers: np.ndarray, origin: np.ndarray) -> Gaussian:
     return Gaussian(origin + offset, cov)
 
 
-MOMENTS = Averaging(_moments, _of_moments, lambda numbers: sharpness(unpack(numbers).matrix))
+MOMENTS = Averaging(
+    _moments,
+    _of_moments,
+    lambda numbers: sharpness(unpack(numbers).matrix),
+    _moments_and_sharpness,
+)
 INFORMATION = Averaging(
-    _information, _of_information, lambda numbers: 1.0 / sharpness(unpack(numbers).matrix)
+    _information,
+    _of_information,
+    lambda numbers: 1.0 / sharpness(unpack(numbers).matrix),
+    _information_and_sharpness,
 )
 
 
@@ -102,12 +163,11 @@ def _averaged(rule: Averaging, beliefs: Gaussian, weights: np.ndarray) -> Gaussi
     check_weights(weights)
     beliefs = _without_unweighted(beliefs, weights)
     origin = beliefs.mean[..., 0, :]
-    numbers = rule.express(beliefs, origin[..., None, :])
-    return rule.conclude(multiply(numbers.mT, weights), origin)
+    return rule.average(rule.express(beliefs, origin[..., None, :]), weights, origin)
 
 
 def _without_unweighted(beliefs: Gaussian, weights: np.ndarray) -> Gaussian:
-    """Harmless stand-ins for entries of weight zero, which 0 * NaN would let through."""
+    """Harmless stand-ins for entries of weight zero, of which nothing may come through."""
     unused = weights == 0
     if not unused.any():
         return beliefs

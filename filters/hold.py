@@ -66,9 +66,14 @@ def sharpness(covs: np.ndarray) -> np.ndarray:
     As a factor of a weight it favours sharp beliefs; only ratios matter there, so it does not
     depend on the units of the state.
     """
+    return sharpness_of_factor(cholesky(covs))
+
+
+def sharpness_of_factor(factor: np.ndarray) -> np.ndarray:
+    """The same of covariances whose Cholesky factors (..., n, n) are known."""
     # The determinant itself could overflow.
-    diagonal = np.diagonal(cholesky(covs), axis1=-2, axis2=-1)
-    return np.exp(-2.0 / covs.shape[-1] * np.log(diagonal).sum(axis=-1))
+    diagonal = np.diagonal(factor, axis1=-2, axis2=-1)
+    return np.exp(-2.0 / factor.shape[-1] * np.log(diagonal).sum(axis=-1))
 
 
 def full(base_weights: np.ndarray, ages: np.ndarray) -> np.ndarray:

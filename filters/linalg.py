@@ -50,10 +50,20 @@ def inverse_spd(matrix: np.ndarray) -> np.ndarray:
     """Inverse (..., n, n) of symmetric positive definite matrices; NaN in a lane that is not."""
     if _square(matrix) and compiled.serves(matrix.shape[-1]):
         return compiled.inverse_spd(matrix)
+    return factor_and_inverse(matrix)[1]
+
+
+def factor_and_inverse(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What `cholesky` and `inverse_spd` give, for little more than the price of the second."""
+    if _square(matrix) and compiled.serves(matrix.shape[-1]):
+        return compiled.cholesky(matrix), compiled.inverse_spd(matrix)
     if _many(matrix):
-        return in_rows(columns.inverse_spd(in_columns(matrix, 2)), matrix.shape[:-2])
-    whitener = np.linalg.inv(cholesky(matrix))
-    return whitener.mT @ whitener
+        factors = columns.cholesky(in_columns(matrix, 2))
+        inverses = columns.inverse_of_factor(factors)
+        return in_rows(factors, matrix.shape[:-2]), in_rows(inverses, matrix.shape[:-2])
+    factor = cholesky(matrix)
+    whitener = np.linalg.inv(factor)
+    return factor, whitener.mT @ whitener
 
 
 def solve_spd(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -76,10 +86,11 @@ def multiply(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
 
 def pack_upper(matrix: np.ndarray) -> np.ndarray:
     """Upper triangle, row by row, of symmetric matrices: (..., n, n) -> (..., n (n + 1) / 2)."""
-    rows, columns = _upper_triangle(matrix.shape[-1])
+    n = matrix.shape[-1]
     if _along_lanes(matrix, 2):
+        rows, columns = _upper_triangle(n)
         return in_rows(in_columns(matrix, 2)[rows, columns], matrix.shape[:-2])
-    return matrix[..., rows, columns]
+    return matrix.reshape(*matrix.shape[:-2], n * n).take(_places_of_packed(n), axis=-1)
 
 
 def unpack_upper(packed: np.ndarray) -> np.ndarray:
@@ -95,21 +106,34 @@ def unpack_upper(packed: np.ndarray) -> np.ndarray:
             f"packed triangle has length {length}, which is not n (n + 1) / 2 for any n: "
             "pass what pack_upper returned, its last axis uncut"
         )
-    rows, columns = _upper_triangle(n)
     if _along_lanes(packed, 1):
+        rows, columns = _upper_triangle(n)
         given = in_columns(packed, 1)
         square = np.empty((n, n, given.shape[-1]), packed.dtype)
         square[rows, columns] = square[columns, rows] = given
         return in_rows(square, packed.shape[:-1])
-    matrix = np.empty((*packed.shape[:-1], n, n), packed.dtype)
-    matrix[..., rows, columns] = packed
-    matrix[..., columns, rows] = packed
-    return matrix
+    return packed.take(_places_of_square(n), axis=-1)
 
 
 @functools.cache
 def _upper_triangle(n: int) -> tuple[np.ndarray, np.ndarray]:
     return np.triu_indices(n)
+
+
+@functools.cache
+def _places_of_packed(n: int) -> np.ndarray:
+    """Where the numbers of a packed triangle are in the matrix, read row by row."""
+    rows, columns = _upper_triangle(n)
+    return rows * n + columns
+
+
+@functools.cache
+def _places_of_square(n: int) -> np.ndarray:
+    """Where the numbers (n, n) of a symmetric matrix are in its packed triangle."""
+    places = np.empty((n, n), dtype=np.intp)
+    rows, columns = _upper_triangle(n)
+    places[rows, columns] = places[columns, rows] = np.arange(len(rows))
+    return places
 
 
 def _many(matrix: np.ndarray) -> bool:

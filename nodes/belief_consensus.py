@@ -4,24 +4,21 @@ A neighbour that was silent in a round is represented by its last share. Shares 
 policy says whether a held share is carried through the plant and what it still weighs.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from filters.fusion import Averaged
 from filters.gaussian import Gaussian
-from filters.linalg import cholesky, symmetrise
+from filters.linalg import symmetrise
 from filters.sigma_points import SigmaPointRule
 from nodes.belief_codec import BeliefCodec
 from nodes.bids import FIRST_BID, asked, bid_for_change
 from nodes.local_filter import Model, Sensor, carry, control_of, finite, stacked, take_own
 from nodes.messages import Array, Measured
-
-
-def alike(covs: Array) -> Array:
-    """Sharpness 1 (...) of all covariances (..., n, n)."""
-    return np.ones(covs.shape[:-2])
 
 
 class HoldPolicy(NamedTuple):
@@ -30,12 +27,12 @@ class HoldPolicy(NamedTuple):
     `weigh(base_weights (..., J), ages (..., J), sharpness (..., J), cycles_in_step)` gives weights
     (..., J) that sum to one; entry 0 is the node itself; `cycles_in_step` is 0 in the first round
     of a step. `carried` says that held shares are predicted once per step like the own belief.
-    `sharpness` of covariances (..., n, n) is what beliefs weigh beside their age.
+    `by_sharpness`: beliefs weigh by `hold.sharpness` beside their age; else it is 1 for all.
     """
 
     weigh: Callable[[Array, np.ndarray, Array, int], Array]
     carried: bool
-    sharpness: Callable[[Array], Array] = alike
+    by_sharpness: bool = False
 
 
 class Content(NamedTuple):
@@ -56,7 +53,7 @@ class BeliefConsensus:
     sensor: Sensor | None
     prior: Gaussian
     points: SigmaPointRule
-    average: Callable[[Gaussian, Array], Gaussian]
+    rule: Averaged
     hold: HoldPolicy
     weights: Array
     codec: BeliefCodec
@@ -130,23 +127,33 @@ class BeliefConsensus:
         self, content: Content, shares: tuple[Gaussian | None, ...]
     ) -> tuple[Content, tuple[str, ...]]:
         """Average the own pair with the neighbours' pairs, fresh or held, in sender order."""
+        held = [Gaussian(*pair) for pair in zip(*content.held, strict=True)]
+        heard = [j for j, share in enumerate(shares) if share is not None]
+        pairs = zip(shares, held, strict=True)
+        everyone = stacked([content.belief, *(old if new is None else new for new, old in pairs)])
+        own = content.belief.mean
+        numbers, sharpness = self.rule.weigh_up(everyone, own)
+        unsound = [j for j in heard if math.isnan(sharpness[1 + j])]
+        if unsound:
+            # Few shares fail this check, and what is held instead is weighed up in a second go.
+            usable = [None if j in unsound else share for j, share in enumerate(shares)]
+            content, troubles = self.fuse(content, tuple(usable))
+            return content, ("rejected not-positive-definite",) * len(unsound) + troubles
         ages = np.where(content.ages < 0, -1, content.ages + 1)
-        means, covs = content.held.mean.copy(), content.held.cov.copy()
-        heard, troubles = _usable(shares)
-        for j, share in heard:
-            means[j], covs[j], ages[j] = share.mean, share.cov, 0
-        everyone = Gaussian(
-            np.concatenate((content.belief.mean[None], means)),
-            np.concatenate((content.belief.cov[None], covs)),
-        )
+        ages[heard] = 0
         cycles = content.cycles_in_step
-        sharpness = self.hold.sharpness(everyone.cov)
+        if not self.hold.by_sharpness:
+            sharpness = np.ones(len(self.weights))
         weights = self.hold.weigh(self.weights, np.concatenate(([0], ages)), sharpness, cycles)
-        fused = self.average(everyone, weights)
-        content = content._replace(held=Gaussian(means, covs), ages=ages, cycles_in_step=cycles + 1)
+        fused = self.rule.average(numbers, weights, own)
+        content = content._replace(
+            held=Gaussian(everyone.mean[1:], everyone.cov[1:]),
+            ages=ages,
+            cycles_in_step=cycles + 1,
+        )
         if not finite(fused):
-            return content, (*troubles, "fuse-failed")
-        return content._replace(belief=Gaussian(fused.mean, symmetrise(fused.cov))), troubles
+            return content, ("fuse-failed",)
+        return content._replace(belief=Gaussian(fused.mean, symmetrise(fused.cov))), ()
 
     def belief(self, content: Content) -> Gaussian:
         """The own pair."""
@@ -155,17 +162,3 @@ class BeliefConsensus:
     def ages(self, content: Content) -> Array:
         """Cycles since each neighbour's held pair was sent."""
         return content.ages
-
-
-def _usable(
-    shares: tuple[Gaussian | None, ...],
-) -> tuple[list[tuple[int, Gaussian]], tuple[str, ...]]:
-    """The shares that came, with their places; what is no covariance is dropped and named."""
-    came = [(j, share) for j, share in enumerate(shares) if share is not None]
-    if not came:
-        return [], ()
-    # All in one call: a check for each share as it comes would cost more than the fusion.
-    factors = cholesky(np.stack([share.cov for _, share in came]))
-    sound = np.isfinite(factors[:, -1, -1])
-    usable = [one for one, good in zip(came, sound, strict=True) if good]
-    return usable, ("rejected not-positive-definite",) * (len(came) - len(usable))

@@ -76,7 +76,7 @@ def carry(
 
 def stacked(beliefs: list[Gaussian]) -> Gaussian:
     """Beliefs (n,) as one (K, n): the plant's functions cost more to enter than to evaluate."""
-    return Gaussian(np.stack([b.mean for b in beliefs]), np.stack([b.cov for b in beliefs]))
+    return Gaussian(np.array([b.mean for b in beliefs]), np.array([b.cov for b in beliefs]))
 
 
 def control_of(measured: Measured) -> Array | None:

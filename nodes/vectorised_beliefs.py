@@ -13,7 +13,7 @@ import numpy as np
 from filters.fusion import INFORMATION, Averaging
 from filters.gaussian import Gaussian
 from filters.linalg import symmetrise
-from nodes.belief_consensus import HoldPolicy, alike
+from nodes.belief_consensus import HoldPolicy
 from nodes.local_filter import carry, finite_lanes, where
 from nodes.messages import Array
 from nodes.vectorised_filter import (
@@ -147,7 +147,7 @@ class BeliefFleet:
             self.links,
             self.base,
             content.ages,
-            None if self.hold.sharpness is alike else sharpness,
+            sharpness if self.hold.by_sharpness else None,
             lambda base, ages, sharpness: self.hold.weigh(base, ages, sharpness, turn),
         )
         unsound = np.isnan(own.sharpness)
@@ -182,8 +182,7 @@ class BeliefFleet:
         return self._expressed(belief, content.origin), finite_lanes(belief)
 
     def _expressed(self, belief: Gaussian, origin: Array) -> Numbers:
-        values = self.averaging.express(belief, origin)
-        return Numbers(values, self.averaging.sharpness(values))
+        return Numbers(*self.averaging.weigh_up(belief, origin))
 
     def _caught_up(self, content: Content, fresh: np.ndarray) -> tuple[Numbers, np.ndarray]:
         """What is held of those who do not replace it now, at this step and about its origin."""

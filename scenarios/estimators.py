@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from filters import diffusion, hybrid_consensus, information_weighted, kalman_consensus
+from filters.fusion import Averaged, Directly
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule
 from nodes.belief_codec import BeliefCodec
@@ -54,13 +55,18 @@ class Seat(NamedTuple):
 
 def averaging(average: Callable[[Gaussian, Array], Gaussian], seat: Seat) -> Estimator:
     """For rules that average beliefs, fresh ones and held ones."""
+    return averaging_numbers(Directly(average), seat)
+
+
+def averaging_numbers(rule: Averaged, seat: Seat) -> Estimator:
+    """For those of them whose averages are of numbers, which one factorisation gives."""
     states = len(seat.prior.mean)
     return BeliefConsensus(
         model=seat.model,
         sensor=seat.sensor,
         prior=seat.prior,
         points=seat.points,
-        average=average,
+        rule=rule,
         hold=seat.hold,
         weights=seat.weights,
         codec=BeliefCodec(states, seat.number),

@@ -8,7 +8,7 @@ import numpy as np
 
 from filters import diffusion, hold, hybrid_consensus, information_weighted, kalman_consensus
 from filters.fusion import MOMENTS, Averaging
-from nodes.belief_consensus import HoldPolicy, alike
+from nodes.belief_consensus import HoldPolicy
 from nodes.labelled import GAP_STEPS
 from nodes.novelty_rounds import NoveltyRounds
 from nodes.vectorised import Fleet
@@ -49,7 +49,7 @@ class FleetSeat(NamedTuple):
 def local_fleet(seat: FleetSeat) -> Fleet:
     """For the rule that fuses nothing."""
     nobody = seat.hold._replace(
-        weigh=lambda base, ages, _sharpness, _cycles: hold.alone(base, ages), sharpness=alike
+        weigh=lambda base, ages, _sharpness, _cycles: hold.alone(base, ages), by_sharpness=False
     )
     return averaging_fleet(MOMENTS, seat._replace(hold=nobody))
 

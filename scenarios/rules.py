@@ -10,14 +10,12 @@ from filters import hold
 from filters.fusion import (
     INFORMATION,
     MOMENTS,
-    covariance_intersection,
-    weighted_average,
 )
 from filters.gaussian import Gaussian
 from filters.hybrid_consensus import classical_gain, safe_gain
 from filters.local import keep_own
 from filters.packed import packed_length
-from nodes.belief_consensus import HoldPolicy, alike
+from nodes.belief_consensus import HoldPolicy
 from nodes.estimator import Estimator
 from nodes.messages import Array
 from nodes.set_shapes import Ellipsoids, Zonotopes
@@ -26,6 +24,7 @@ from scenarios import set_rules
 from scenarios.estimators import (
     Seat,
     averaging,
+    averaging_numbers,
     diffused,
     flooding,
     hybrid,
@@ -202,7 +201,7 @@ _HOLDS: dict[str, Callable[[Scenario], HoldPolicy]] = {
     "decayed": lambda s: HoldPolicy(
         partial(_decayed, s.decay),
         carried=True,
-        sharpness=hold.sharpness if s.determinant_weights else alike,
+        by_sharpness=s.determinant_weights,
     ),
     "predict": lambda _: HoldPolicy(partial(_by_age, hold.full), carried=True),
     "raw": lambda _: HoldPolicy(partial(_by_age, hold.full), carried=False),
@@ -262,14 +261,14 @@ _RULES: dict[str, Rule] = {
     "ci": Rule(
         "covariance intersection: consistent for any correlation, never less tight than wac",
         lambda n, _: packed_length(n),
-        partial(averaging, covariance_intersection),
+        partial(averaging_numbers, INFORMATION),
         holds=True,
         fleet=partial(averaging_fleet, INFORMATION),
     ),
     "wac": Rule(
         "weighted average of means and covariances (the paper's): no inverse, may diverge",
         lambda n, _: packed_length(n),
-        partial(averaging, weighted_average),
+        partial(averaging_numbers, MOMENTS),
         holds=True,
         fleet=partial(averaging_fleet, MOMENTS),
     ),

@@ -1,7 +1,7 @@
 """Small networks for the tests of nodes/: a linear plant, chosen priors, links that lose frames."""
 
 import zlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -14,7 +14,7 @@ from scipy.sparse import csr_array
 from bus.publication import Slot
 from bus.schedule import Schedule, full_publish
 from filters import hold
-from filters.fusion import weighted_average
+from filters.fusion import MOMENTS, Averaged
 from filters.gaussian import Gaussian
 from filters.linalg import unpack_upper
 from filters.sigma_points import scaled_unscented
@@ -36,7 +36,7 @@ PREDICT = HoldPolicy(lambda base, ages, sharpness, cycles: hold.full(base, ages)
 DECAYED = HoldPolicy(
     lambda base, ages, sharpness, cycles: hold.held_weights(base, ages, 0.5, sharpness),
     carried=True,
-    sharpness=hold.sharpness,
+    by_sharpness=True,
 )
 
 
@@ -115,7 +115,7 @@ def network(
     rounds: int,
     matrix: Array | None = None,
     process_noise_cov: Array | None = None,
-    average: Callable[[Gaussian, Array], Gaussian] = weighted_average,
+    average: Averaged = MOMENTS,
     hold_policy: HoldPolicy = DROP,
     schedule: Schedule | None = None,
     number: str = "<f8",
@@ -144,7 +144,7 @@ def network(
             sensor=WholeState(0.5 * np.eye(n)) if i in seeing else None,
             prior=priors[i],
             points=scaled_unscented(n),
-            average=average,
+            rule=average,
             hold=hold_policy,
             weights=weights[i, [i, *heard]],
             codec=codec,

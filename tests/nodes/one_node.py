@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from bus.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
-from filters.fusion import covariance_intersection
+from filters.fusion import INFORMATION
 from filters.gaussian import Gaussian
 from nodes.messages import Estimate, Grant, Measured, NodeEvent, NodeMessage, ShareHeard
 from nodes.share import to_frames
@@ -25,7 +25,7 @@ def middle_node(schedule: Schedule | None = None) -> NodeConfig:
         steps=STEPS,
         rounds=ROUNDS,
         process_noise_cov=0.1 * np.eye(2),
-        average=covariance_intersection,
+        average=INFORMATION,
         hold_policy=DECAYED,
         schedule=schedule,
     )

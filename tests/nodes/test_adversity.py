@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bus.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
-from filters.fusion import covariance_intersection, weighted_average
+from filters.fusion import INFORMATION, MOMENTS
 from filters.gaussian import Gaussian
 from nodes.belief_consensus import HoldPolicy
 from nodes.in_process import first_come
@@ -66,7 +66,7 @@ def networks(draw: st.DrawFn) -> Network:
         rounds=draw(st.integers(1, 3)),
         matrix=TURN,
         process_noise_cov=0.1 * np.eye(2),
-        average=draw(st.sampled_from([weighted_average, covariance_intersection])),
+        average=draw(st.sampled_from([MOMENTS, INFORMATION])),
         hold_policy=HOLDS[draw(st.sampled_from(sorted(HOLDS)))],
         schedule=draw(schedules(count)),
         seeing=draw(st.lists(st.sampled_from(range(count)), unique=True)),
@@ -137,7 +137,7 @@ def test_repeated_stale_and_broken_frames_change_nothing_but_counters(net: Netwo
 
 @given(graphs(least=2), st.integers(0, 2), SEEDS, st.floats(0, 1), SEEDS)
 @pytest.mark.parametrize("name", sorted(HOLDS))
-@pytest.mark.parametrize("average", [weighted_average, covariance_intersection])
+@pytest.mark.parametrize("average", [MOMENTS, INFORMATION])
 @settings(max_examples=15)
 def test_equal_beliefs_stay_equal_under_any_loss(
     average, name: str, adjacency: Adjacency, kind: int, seed: int, loss: float, fate: int

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from filters.fusion import covariance_intersection
+from filters.fusion import INFORMATION
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
 from nodes.belief_codec import BeliefCodec
@@ -29,7 +29,7 @@ def estimator(hold: HoldPolicy = PREDICT, sees: bool = False, gate: float | None
         sensor=WholeState(R, gate) if sees else None,
         prior=PRIOR,
         points=scaled_unscented(2),
-        average=covariance_intersection,
+        rule=INFORMATION,
         hold=hold,
         weights=np.array([0.4, 0.3, 0.3]),
         codec=BeliefCodec(2),

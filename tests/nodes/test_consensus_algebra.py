@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bus.schedule import full_publish, hybrid, round_robin
-from filters.fusion import covariance_intersection, weighted_average
+from filters.fusion import INFORMATION, MOMENTS, Averaged
 from filters.gaussian import Gaussian
 from nodes.messages import Array
 from nodes.share import read_frame
@@ -50,10 +50,10 @@ def metropolis_weights(adjacency: Adjacency) -> Array:
 
 
 @given(graphs(), st.integers(1, 6), SEEDS)
-@pytest.mark.parametrize("average", [weighted_average, covariance_intersection])
+@pytest.mark.parametrize("average", [MOMENTS, INFORMATION])
 @settings(max_examples=30)
 def test_rounds_of_messages_are_powers_of_the_weight_matrix(
-    average: Callable, adjacency: Adjacency, rounds: int, seed: int
+    average: Averaged, adjacency: Adjacency, rounds: int, seed: int
 ):
     generator = np.random.default_rng(seed)
     steps, cov = 3, random_priors(generator, 1, 2)[0].cov
@@ -84,9 +84,7 @@ def test_covariance_intersection_is_the_power_acting_on_information(
     adjacency: Adjacency, rounds: int, seed: int
 ):
     priors = random_priors(np.random.default_rng(seed), len(adjacency), 3)
-    net = network(
-        adjacency, priors, steps=1, rounds=rounds, average=covariance_intersection, hold_policy=DROP
-    )
+    net = network(adjacency, priors, steps=1, rounds=rounds, average=INFORMATION, hold_policy=DROP)
     outcome = run(net)
     power = np.linalg.matrix_power(metropolis_weights(adjacency), rounds)
     matrices = np.einsum("ij,jab->iab", power, [np.linalg.inv(p.cov) for p in priors])

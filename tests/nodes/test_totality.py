@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from filters.fusion import covariance_intersection, weighted_average
+from filters.fusion import INFORMATION, MOMENTS, Directly, covariance_intersection
 from nodes.messages import (
     CycleClosed,
     Estimate,
@@ -108,12 +108,12 @@ ABSURD = [-1.7e308, 1e-200, 1.0, 1e8, 1.7e308]
 
 
 @pytest.mark.parametrize("hold", [DECAYED, DROP], ids=["decayed", "drop"])
-@pytest.mark.parametrize("average", [covariance_intersection, weighted_average])
+@pytest.mark.parametrize("average", [INFORMATION, MOMENTS, Directly(covariance_intersection)])
 @pytest.mark.parametrize("name", ["full", "dynamic"])
 def test_absurd_beliefs_with_right_checksums_stop_nobody(name: str, average, hold):
     """A peer that has lost its mind: any size of mean and variances, in the right slot and time."""
     config = middle_node(SCHEDULES[name])
-    estimator = replace(config.estimator, average=average, hold=hold)  # type: ignore[type-var]
+    estimator = replace(config.estimator, rule=average, hold=hold)  # type: ignore[type-var]
     config = replace(config, estimator=estimator)
     events = clean_events(config)
     places = [i for i, e in enumerate(events) if isinstance(e, ShareHeard)][:2]
