@@ -43,14 +43,19 @@ class Averaging(NamedTuple):
     `express(belief, origin)` gives the numbers, `conclude(numbers, origin)` the belief that an
     average of such numbers comes to, `sharpness(numbers)` its `hold.sharpness` (...). Means are
     taken about an `origin` (..., n), any point near them, which spares their digits; beliefs that
-    are averaged must have the same. `weigh_up(belief, origin)` gives numbers and sharpness of a
-    belief from one factorisation; sharpness is NaN where it is not positive definite.
+    are averaged must have the same. `both(belief, origin)` gives numbers and sharpness of a belief
+    from one factorisation.
     """
 
     express: Callable[[Gaussian, np.ndarray], np.ndarray]
     conclude: Callable[[np.ndarray, np.ndarray], Gaussian]
     sharpness: Callable[[np.ndarray], np.ndarray]
-    weigh_up: Callable[[Gaussian, np.ndarray], tuple[np.ndarray, np.ndarray]]
+    both: Callable[[Gaussian, np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+    def weigh_up(self, belief: Gaussian, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Numbers (..., m) of a belief and its sharpness (...), NaN where it is not positive
+        definite."""
+        return self.both(belief, origin)
 
     def average(self, numbers: np.ndarray, weights: np.ndarray, origin: np.ndarray) -> Gaussian:
         """The belief that numbers (..., J, m) about one origin come to with weights (..., J).
