@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from filters.fusion import covariance_intersection, weighted_average
+from filters.fusion import INFORMATION, MOMENTS, covariance_intersection, weighted_average
 from filters.gaussian import Gaussian
 from tests.filters.support import BATCHES, random_belief, random_spd
 
@@ -37,6 +37,19 @@ def test_both_rules_are_their_formulas(lanes, count, n, seed):
         cov = np.linalg.inv(matrix)
         np.testing.assert_allclose(intersection.cov[lane], cov, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(intersection.mean[lane], cov @ vector, rtol=1e-8, atol=1e-9)
+
+
+@pytest.mark.parametrize("rule", [MOMENTS, INFORMATION])
+@pytest.mark.parametrize("lanes", BATCHES)
+def test_one_factorisation_gives_the_numbers_and_the_determinant(rule, lanes):
+    belief = random_belief(np.random.default_rng(5), (*lanes, 3), 4)
+    belief.cov[..., 1, :, :] = np.diag([1.0, -1.0, 1.0, 1.0])
+    origin = belief.mean[..., :1, :]
+    numbers, sharpness = rule.weigh_up(belief, origin)
+    np.testing.assert_allclose(numbers, rule.express(belief, origin), rtol=1e-12)
+    determinants = np.linalg.det(belief.cov[..., ::2, :, :])
+    np.testing.assert_allclose(sharpness[..., ::2], determinants**-0.25, rtol=1e-10)
+    assert np.isnan(sharpness[..., 1]).all()
 
 
 @settings(deadline=None)
