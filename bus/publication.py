@@ -1,6 +1,7 @@
 """The slots that one node's share takes in one cycle, looked up fast."""
 
 from collections import defaultdict
+from math import lcm
 from typing import NamedTuple
 
 from bus.cluster import Cluster
@@ -20,7 +21,7 @@ class Slot(NamedTuple):
 
 
 class Publications:
-    """A slot table seen from its nodes; immutable."""
+    """A slot table seen from its nodes; it never changes."""
 
     def __init__(self, table: SlotTable, cluster: Cluster) -> None:
         self._static: dict[int, list[SlotAssignment]] = defaultdict(list)
@@ -31,6 +32,9 @@ class Publications:
             else:
                 dynamic[slot.node].append(slot.frame_id)
         self._static_payload_bytes = cluster.static_payload_bytes
+        self._period = lcm(*(slot.repetition for slot in table.assignments))
+        # What was looked up before; a table repeats within few cycles.
+        self._known: dict[tuple[int, int], tuple[Slot, ...]] = {}
         self._dynamic = {
             node: tuple(
                 Slot(frame_id, payload_bytes, fixed=False)
@@ -44,6 +48,13 @@ class Publications:
 
         Every static frame has the cluster's static payload length.
         """
+        key = (node, cycle % self._period)
+        slots = self._known.get(key)
+        if slots is None:
+            slots = self._known[key] = self._look_up(*key)
+        return slots
+
+    def _look_up(self, node: int, cycle: int) -> tuple[Slot, ...]:
         static = tuple(
             Slot(slot.frame_id, self._static_payload_bytes)
             for slot in self._static.get(node, ())

@@ -33,9 +33,10 @@ class BeliefCodec(NamedTuple):
             Rejected: `belief-length` or `belief-not-finite`.
         """
         # A static slot may pad the body; anything shorter is not a belief of this network.
-        if len(body) < self.size:
+        size = self.size
+        if len(body) < size:
             raise Rejected("belief-length")
-        values = np.frombuffer(body[: self.size], dtype=self.number).astype(np.float64)
+        values = np.frombuffer(body[:size], dtype=self.number).astype(np.float64)
         if not np.isfinite(values).all():
             raise Rejected("belief-not-finite")
         return Gaussian(values[: self.states], unpack_upper(values[self.states :]))

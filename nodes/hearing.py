@@ -3,10 +3,12 @@
 Nothing here is waited for, used or answered, and nothing raises for a peer's fault.
 """
 
+from collections.abc import Collection
+
 from nodes.estimator import Rejected
 from nodes.link_state import hears
 from nodes.messages import ShareHeard
-from nodes.node_state import NodeConfig, NodeState, count
+from nodes.node_state import NodeConfig, NodeState, count, counted
 from nodes.share import Fragment, fragments_of, read_body, read_frame
 
 # How many steps a neighbour's share may be ahead of us and still be kept: bounds the inbox. The
@@ -65,7 +67,7 @@ def _file(config: NodeConfig, state: NodeState, sender: int, fragment: Fragment)
     except Rejected as rejected:
         return count(state, f"rejected {rejected.reason}")
     schedule = config.schedule
-    if sender not in schedule.static_senders(cycle) + schedule.contenders(cycle):
+    if sender not in schedule.static_senders(cycle) and sender not in schedule.contenders(cycle):
         return count(state, "rejected unscheduled")
     frame_ids = [slot.frame_id for slot in config.slots(sender, cycle)]
     # A share takes the first of its sender's slots, as many as it needs.
@@ -84,22 +86,24 @@ def _file(config: NodeConfig, state: NodeState, sender: int, fragment: Fragment)
     if not arrives:
         state = count(state, "lost")
     if len(parts) == parts_needed:
-        return _complete(config, state, key, list(parts.values()))
+        return _complete(config, state, key, parts.values())
     return state._replace(inbox=state.inbox._replace(parts={**state.inbox.parts, key: parts}))
 
 
 def _complete(
-    config: NodeConfig, state: NodeState, key: tuple[int, int], fragments: list[bytes | None]
+    config: NodeConfig, state: NodeState, key: tuple[int, int], fragments: Collection[bytes | None]
 ) -> NodeState:
     """All frames of a share are there or lost: keep what it means; None marks one of no use."""
-    share = None
+    share, counters, inbox = None, state.counters, state.inbox
     whole = [fragment for fragment in fragments if fragment is not None]
     if len(whole) == len(fragments):
         try:
             share = config.estimator.accept(read_body(whole))
-            state = count(state, "heard")
+            counters = counted(counters, "heard")
         except Rejected as rejected:
-            state = count(state, f"rejected {rejected.reason}")
-    parts = {k: v for k, v in state.inbox.parts.items() if k != key}
-    shares = {**state.inbox.shares, key: share}
-    return state._replace(inbox=state.inbox._replace(parts=parts, shares=shares))
+            counters = counted(counters, f"rejected {rejected.reason}")
+    parts = inbox.parts
+    if key in parts:
+        parts = {k: v for k, v in parts.items() if k != key}
+    inbox = inbox._replace(parts=parts, shares={**inbox.shares, key: share})
+    return state._replace(counters=counters, inbox=inbox)

@@ -151,7 +151,7 @@ def finite_lanes(beliefs: Gaussian) -> np.ndarray:
 
 def finite(belief: Gaussian) -> bool:
     """Whether every number of one belief is finite."""
-    return bool(finite_lanes(belief))
+    return bool(np.isfinite(belief.mean).all() and np.isfinite(belief.cov).all())
 
 
 def with_state_noise(noise_cov: Array, owner: object, belief: Gaussian, step: int) -> Array:

@@ -87,9 +87,12 @@ class NodeState(NamedTuple):
 
 def count(state: NodeState, *names: str) -> NodeState:
     """One more of each of these."""
-    if not names:
-        return state
-    counters = dict(state.counters)
+    return state._replace(counters=counted(state.counters, *names)) if names else state
+
+
+def counted(counters: dict[str, int], *names: str) -> dict[str, int]:
+    """Counters with one more of each of these."""
+    counters = counters.copy()
     for name in names:
         counters[name] = counters.get(name, 0) + 1
-    return state._replace(counters=counters)
+    return counters

@@ -12,6 +12,9 @@ This file never does I/O, reads a clock or draws a number, and never raises for 
 share that is late, early, repeated, missing or malformed is dropped, kept or counted here.
 """
 
+from functools import lru_cache
+from typing import Any
+
 from bus.schedule import Schedule
 from filters.linalg import pack_upper
 from nodes.changes import Gone
@@ -146,11 +149,17 @@ def _due(config: NodeConfig, state: NodeState) -> tuple[int, ...]:
     out there is what came before its end."""
     senders = config.schedule.groups(state.cycle)[state.group].senders
     senders += state.inbox.grants.get((state.cycle, state.group), ())
-    due = tuple(j for j in config.neighbours if j in senders)
+    due = _among(config.neighbours, senders)
     if not state.absent:
         return due
     came = state.inbox.shares
     return tuple(j for j in due if j not in state.absent or (state.cycle, j) in came)
+
+
+@lru_cache
+def _among(neighbours: tuple[int, ...], senders: tuple[int, ...]) -> tuple[int, ...]:
+    # Kept: a node asks with every event, and turns repeat.
+    return tuple(j for j in neighbours if j in senders)
 
 
 def _close_group(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> NodeState:
@@ -209,7 +218,11 @@ def _keep_grant(state: NodeState, event: Grant) -> NodeState:
 def _forget_before(state: NodeState, cycle: int) -> Inbox:
     inbox = state.inbox
     return inbox._replace(
-        grants={key: winners for key, winners in inbox.grants.items() if key[0] >= cycle},
-        parts={key: parts for key, parts in inbox.parts.items() if key[0] >= cycle},
-        shares={key: share for key, share in inbox.shares.items() if key[0] >= cycle},
+        grants=_since(cycle, inbox.grants),
+        parts=_since(cycle, inbox.parts),
+        shares=_since(cycle, inbox.shares),
     )
+
+
+def _since(cycle: int, kept: dict[tuple[int, int], Any]) -> dict[tuple[int, int], Any]:
+    return {key: value for key, value in kept.items() if key[0] >= cycle} if kept else kept
