@@ -145,7 +145,7 @@ def test_silence_is_prediction_and_control_is_heard():
     node = receiver()
     content, _ = step_of(node, node.start(), 1, None, None, control=[0.5, 0.0])
     np.testing.assert_allclose(node.belief(content).mean, 0.9 * PRIOR.mean + [0.5, 0.0])
-    np.testing.assert_allclose(node.belief(content).cov, (0.81 + 0.1) * np.eye(2))
+    np.testing.assert_allclose(node.belief(content).cov, (0.81 + 0.1) * np.eye(2), atol=1e-15)
 
 
 def test_a_share_moves_the_belief_and_ages_count_slots():
