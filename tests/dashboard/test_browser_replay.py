@@ -88,8 +88,13 @@ def test_a_row_of_the_table_selects(page: Page):
 def test_a_frame_on_the_bus_selects(page: Page):
     slot = page.page.locator('[data-testid="timeline"] .slot').first
     node = int(slot.get_attribute("data-node") or -1)
-    slot.click()
-    page.until(lambda: page.dashboard.view.selected == node)
+
+    def selects() -> bool:
+        # A page that is still busy with its first pictures may miss a click.
+        slot.click()
+        return page.dashboard.view.selected == node
+
+    page.until(selects)
 
 
 def test_a_click_on_a_node_in_the_scene_selects(page: Page):
