@@ -73,18 +73,19 @@ def join(payloads: Sequence[bytes]) -> bytes:
     """
     if not payloads:
         raise FragmentError("empty", "no payload")
-    count = fragment_count(payloads[0])
+    first = payloads[0]
+    count = fragment_count(first)
     parts: dict[int, bytes] = {}
     for payload in payloads:
-        if fragment_count(payload) != count or payload[2:4] != payloads[0][2:4]:
+        if fragment_count(payload) != count or payload[2:4] != first[2:4]:
             raise FragmentError("mixed", "payloads of different wholes")
         if payload[0] in parts:
             raise FragmentError("repeated", f"fragment {payload[0]} came twice")
         parts[payload[0]] = payload[PREFIX_BYTES:]
-    if sorted(parts) != list(range(count)):
+    if len(parts) != count or max(parts) >= count:
         raise FragmentError("incomplete", f"{len(parts)} of {count} fragments came")
-    length = int.from_bytes(payloads[0][2:4], "little")
-    data = b"".join(part for _, part in sorted(parts.items()))
+    length = int.from_bytes(first[2:4], "little")
+    data = parts[0] if count == 1 else b"".join(parts[number] for number in range(count))
     if len(data) < length:
         raise FragmentError("length", f"{length} bytes announced, but {len(data)} came")
     return data[:length]

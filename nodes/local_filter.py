@@ -1,7 +1,7 @@
 """What every rule does before it hears anybody: predict, and take the node's own readings."""
 
-from functools import partial
-from typing import NamedTuple, Protocol, runtime_checkable
+from functools import lru_cache, partial
+from typing import NamedTuple, Protocol, cast, runtime_checkable
 
 import numpy as np
 
@@ -156,6 +156,12 @@ def finite(belief: Gaussian) -> bool:
 
 def with_state_noise(noise_cov: Array, owner: object, belief: Gaussian, step: int) -> Array:
     """Noise covariance of a model or a sensor, with what comes to it at a belief."""
-    if isinstance(owner, StateNoise):
-        return noise_cov + owner.state_noise_cov(belief, step)
+    if _has_state_noise(type(owner)):
+        return noise_cov + cast(StateNoise, owner).state_noise_cov(belief, step)
     return noise_cov
+
+
+@lru_cache
+def _has_state_noise(kind: type) -> bool:
+    # Kept: to ask a protocol takes longer than to add the noise.
+    return issubclass(kind, StateNoise)
