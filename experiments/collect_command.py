@@ -24,6 +24,7 @@ from experiments.results import (
     write_arrays,
 )
 from experiments.summary import Figures, lines, summarise, table
+from experiments.timing_figures import TimingFigures, figures_of
 from experiments.trace import Trace, read_trace
 from experiments.user_errors import user_errors
 from nodes.recording import read_recording
@@ -55,10 +56,17 @@ def finish(folder: Path, description: Description, trace: Trace, pace: Pace, as_
         write_pcap(folder / CAPTURE, frames)
     figures = msgspec.structs.replace(
         summarise(description.setup, trace),
+        timing=_timing(folder, description, trace),
         steps_per_second=pace.steps_per_second,
         ready_s=pace.ready_s,
     )
     _show(figures, description, as_json)
+
+
+def _timing(folder: Path, description: Description, trace: Trace) -> TimingFigures | None:
+    if description.tempo is None:
+        return None
+    return figures_of(description.tempo, read_recording(folder / RECORDING), trace.counters)
 
 
 def completed(folder: Path, description: Description) -> Trace:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 from experiments.launcher import run_processes
 from nodes import in_process
 from nodes.recording import McapRecorder, MemoryRecorder, Recorder
+from nodes.tempo import Tempo
 from scenarios.build import build_node, build_world
 from scenarios.job import Happened
 from scenarios.script import script_of
@@ -60,9 +61,15 @@ def drive(setup: Setup, recorder: Recorder, on_step: Callable[[int], None]) -> N
 
 
 def over_processes(
-    setup: Setup, run: str, recording: Path, port: int | None, on_step: Callable[[int], None]
+    setup: Setup,
+    run: str,
+    recording: Path,
+    port: int | None,
+    on_step: Callable[[int], None],
+    tempo: Tempo | None = None,
 ) -> Pace:
-    """One operating-system process per node, messages over zenoh, in lockstep.
+    """One operating-system process per node, messages over zenoh, in lockstep; with a
+    `tempo` in real time.
 
     Raises:
         NetworkFailed: a process died.
@@ -81,8 +88,9 @@ def over_processes(
             case "ended":
                 sys.stderr.write(f"{happened.detail}; the others go on\n")
 
-    run_processes(setup, run, recording, port, on_event)
+    run_processes(setup, run, recording, port, on_event, tempo)
     return Pace(setup.scenario.steps / (last_s - ready_s), ready_s)
 
 
+# Those that give equal bits.
 DRIVERS: dict[str, Driver] = {"in-process": in_this_process, "processes": over_processes}

@@ -14,6 +14,7 @@ from pathlib import Path
 import msgspec
 
 from nodes.network_file import Network, write_network
+from nodes.tempo import Tempo
 from scenarios.job import Happened, Job
 from scenarios.setup import Setup
 
@@ -30,6 +31,7 @@ def run_processes(
     recording: Path,
     port: int | None,
     on_event: Callable[[Happened], None],
+    tempo: Tempo | None = None,
 ) -> None:
     """Run `setup` with one process per node; its messages are in `recording` when this returns.
 
@@ -39,12 +41,13 @@ def run_processes(
         recording: the MCAP file to write.
         port: first of consecutive loopback ports, or None for free ones.
         on_event: told when the network is ready and as steps complete.
+        tempo: that of real time, None for lockstep.
 
     Raises:
         NetworkFailed: a process died; its last words are on standard error.
         ValueError: `port` cannot be used.
     """
-    job = Job(setup, run, str(recording), port)
+    job = Job(setup, run, str(recording), port, tempo)
     # A network of many small processes: one BLAS thread each, or they fight for the cores.
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     zygote = subprocess.Popen(

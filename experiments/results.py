@@ -15,6 +15,7 @@ from experiments.bus_report import times_of
 from experiments.record_spread import record_ages
 from experiments.trace import Trace
 from filters.metrics import consensus, nees
+from nodes.tempo import Tempo
 from scenarios.catalogue import kind_of
 from scenarios.rules import is_certain
 from scenarios.setup import Setup
@@ -27,7 +28,7 @@ _VERSIONED = ("concord", "numpy", "scipy", "networkx", "eclipse-zenoh", "msgspec
 
 
 class Description(msgspec.Struct, frozen=True):
-    """What was run and with what: enough to run it again."""
+    """What was run and with what: enough to run it again; `tempo` where that was in real time."""
 
     run: str
     driver: str
@@ -35,6 +36,7 @@ class Description(msgspec.Struct, frozen=True):
     setup: Setup
     versions: dict[str, str]
     commit: str | None
+    tempo: Tempo | None = None
 
 
 def new_name(scenario: str) -> str:
@@ -74,9 +76,9 @@ def make_folder(out: Path | None, run: str) -> Path:
     return folder
 
 
-def describe(run: str, driver: str, setup: Setup) -> Description:
+def describe(run: str, driver: str, setup: Setup, tempo: Tempo | None = None) -> Description:
     """The description of a run by this version of the program."""
-    return Description(run, driver, setup.scenario.seed, setup, versions(), commit())
+    return Description(run, driver, setup.scenario.seed, setup, versions(), commit(), tempo)
 
 
 def versions() -> dict[str, str]:

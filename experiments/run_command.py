@@ -2,13 +2,14 @@
 
 import sys
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
 from experiments.collect_command import completed, finish
-from experiments.drivers import DRIVERS, Pace
+from experiments.drivers import DRIVERS, Pace, over_processes
 from experiments.launcher import NetworkFailed
 from experiments.options import ScenarioOptions
 from experiments.page_process import PageProcess
@@ -23,20 +24,25 @@ from experiments.results import (
 from experiments.run_many import run_many
 from experiments.user_errors import user_errors
 from nodes.links import names, ports_from
+from nodes.tempo import Tempo
 from scenarios.scenario import require
-from scenarios.setup import prepare
+from scenarios.setup import Setup, prepare
+from scenarios.tempo import tempo_of
 from scenarios.warnings import known_failures
 
-VECTORISED = "vectorised"
+VECTORISED, REALTIME = "vectorised", "realtime"
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions:
     """How and where to run."""
 
-    driver: Literal["in-process", "processes", "vectorised"] = "in-process"
+    driver: Literal["in-process", "processes", "vectorised", "realtime"] = "in-process"
     """in-process: everything in one process; processes: one per node, over zenoh, in lockstep;
-    vectorised: many runs at once as arrays."""
+    vectorised: many runs at once as arrays; realtime: processes that keep the bus's time."""
+    cycle_stretch: float | None = None
+    """How many times longer a cycle lasts on the clock than on the bus, for --driver realtime; so
+    that it lasts 20 ms when left out."""
     runs: int = 1
     """Number of runs, from --run on, for --driver vectorised."""
     covariances: bool = False
@@ -44,7 +50,8 @@ class RunOptions:
     out: Path | None = None
     """Folder for the results; runs/<name> when left out. It must not exist."""
     port: int | None = None
-    """First of consecutive loopback ports for --driver processes; free ones when left out."""
+    """First of consecutive loopback ports for --driver processes or realtime; free ones when left
+    out."""
     dashboard: bool = False
     """Show a run over processes in the browser; it waits for whoever opens the page, a minute."""
     http_port: int = 8080
@@ -64,11 +71,17 @@ def run(
         if options.port is not None:
             ports_from(options.port, names(setup.neighbours))
         name = new_name(setup.scenario.name)
-        description = describe(name, options.driver, setup)
+        tempo = _tempo(options, setup)
+        description = describe(name, options.driver, setup, tempo)
         # Described first: a folder is never without its description.
         folder = make_folder(options.out, name)
         write_description(folder, description)
     sys.stderr.write(f"seed {setup.scenario.seed}; results in {folder}\n")
+    if tempo is not None:
+        sys.stderr.write(
+            f"real time: a cycle every {tempo.cycle_s * 1e3:.3g} ms ({tempo.stretch:.3g} x the "
+            f"bus's), a step every {tempo.step_s * 1e3:.4g} ms\n"
+        )
     for failure in known_failures(setup):
         sys.stderr.write(f"warning: {failure}\n")
     if options.driver == VECTORISED:
@@ -79,7 +92,9 @@ def run(
     page = PageProcess(folder, options.http_port)
     try:
         with progress(f"{setup.scenario.name}", setup.scenario.steps) as on_step, user_errors():
-            driver = DRIVERS[options.driver]
+            driver = (
+                DRIVERS[options.driver] if tempo is None else partial(over_processes, tempo=tempo)
+            )
             if options.dashboard:
                 on_step = page.beside(on_step)
             pace = driver(setup, name, folder / RECORDING, options.port, on_step)
@@ -96,6 +111,10 @@ def run(
     finally:
         page.close()
     finish(folder, description, completed(folder, description), pace, options.json)
+
+
+def _tempo(options: RunOptions, setup: Setup) -> Tempo | None:
+    return tempo_of(setup, options.cycle_stretch) if options.driver == REALTIME else None
 
 
 def _check(options: RunOptions) -> None:
@@ -117,7 +136,12 @@ def _check(options: RunOptions) -> None:
             f"--dashboard with --driver {options.driver}: only a network of processes can be "
             "watched as it runs; use --driver processes, or show the run with concord replay"
         )
-    if options.port is not None and options.driver != "processes":
+    if options.cycle_stretch is not None and options.driver != REALTIME:
+        raise ValueError(
+            f"--cycle-stretch {options.cycle_stretch:g} with --driver {options.driver}: nothing is "
+            f"timed there; use --driver {REALTIME}, or leave it out"
+        )
+    if options.port is not None and options.driver not in ("processes", REALTIME):
         raise ValueError(
             f"--port {options.port} with --driver {options.driver}: only processes talk over "
             "ports; use --driver processes, or leave --port out"

@@ -5,10 +5,11 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-from experiments import bus_report, record_spread
+from experiments import bus_report, record_spread, timing_figures
 from experiments.bus_report import BusFigures
 from experiments.containment import Containment, containment
 from experiments.record_spread import SpreadFigures
+from experiments.timing_figures import TimingFigures
 from experiments.trace import Trace
 from filters.gaussian import Gaussian
 from filters.metrics import anees, disagreement, rmse
@@ -37,7 +38,7 @@ class NodeFigures(msgspec.Struct, frozen=True):
 
 class Figures(msgspec.Struct, frozen=True):
     """What a run amounts to. RMSE, disagreement in `unit`, from step `first_step` on; `bus` is None
-    on a bus without time."""
+    on a bus without time, `timing` but in real time."""
 
     scenario: str
     unit: str
@@ -61,6 +62,7 @@ class Figures(msgspec.Struct, frozen=True):
     containment: Containment | None = None
     containment_centralised: Containment | None = None
     spread: SpreadFigures | None = None
+    timing: TimingFigures | None = None
     steps_per_second: float | None = None
     ready_s: float | None = None
 
@@ -233,6 +235,8 @@ def lines(figures: Figures) -> list[str]:
         text += bus_report.lines(figures.bus)
     if figures.spread is not None:
         text += record_spread.lines(figures.spread)
+    if figures.timing is not None:
+        text += timing_figures.lines(figures.timing)
     if figures.ready_s is not None:
         text.append(f"ready after {figures.ready_s:.2f} s")
     if figures.steps_per_second is not None:

@@ -47,7 +47,7 @@ def rights(nodes: int) -> dict[str, Rights]:
     table = {certificate_name(node): _rights_of_node(node) for node in range(nodes)}
     table[WORLD] = Rights(
         says=(
-            "measured/*", "grant", "truth", "finished", "end", "event", "gone", "gone/*",
+            "start", "measured/*", "grant", "truth", "finished", "end", "event", "gone", "gone/*",
             "welcome/*",
         ),
         is_ready=(f"ready/{WORLD}",),
@@ -67,11 +67,11 @@ def rights(nodes: int) -> dict[str, Rights]:
 
 def _rights_of_node(node: int) -> Rights:
     return Rights(
-        says=tuple(f"{kind}/{node}" for kind in ("hello", "bid", "share", "estimate")),
+        says=tuple(f"{kind}/{node}" for kind in ("hello", "bid", "share", "estimate", "timing")),
         is_ready=(f"ready/{node}",),
         hears=(
-            f"measured/{node}", "grant", "share/*", "end", "ready/*", "gone", f"gone/{node}",
-            f"welcome/{node}", f"recorded/{node}",
+            "start", f"measured/{node}", "grant", "share/*", "end", "ready/*", "gone",
+            f"gone/{node}", f"welcome/{node}", f"recorded/{node}",
         ),
         asks=("state",),
     )  # fmt: skip

@@ -85,6 +85,29 @@ class Estimate(msgspec.Struct, frozen=True):
     counters: dict[str, int]
 
 
+class Start(msgspec.Struct, frozen=True):
+    """World to nodes, in real time: when step 0 begins, on this machine's monotonic clock."""
+
+    at_s: float
+
+
+class Timing(msgspec.Struct, frozen=True):
+    """Node to whoever records, in real time: how well a step kept its time.
+
+    `heartbeat_late_s` and `cycle_late_s` (rounds,) are behind the timetable; `delay_s` is from the
+    sampling instant of the timetable to the estimate. `incomplete` cycles ended at their deadline
+    without something that was due; `overrun` ones began after their own deadline.
+    """
+
+    node: NodeIndex
+    step: Instant
+    heartbeat_late_s: float
+    cycle_late_s: list[float]
+    incomplete: Instant
+    overrun: Instant
+    delay_s: float
+
+
 class CycleClosed(msgspec.Struct, frozen=True):
     """Driver to node: the time of this part of the cycle is over; go on with what has come."""
 
@@ -103,7 +126,7 @@ NodeEvent = Measured | ShareHeard | Grant | CycleClosed | Gone
 NodeMessage = ShareSent | Bid | Estimate
 WorldEvent = Bid | Estimate | Gone
 WorldMessage = Measured | Grant | Truth | Event | Gone | Welcome
-Message = NodeMessage | WorldMessage
+Message = NodeMessage | WorldMessage | Start | Timing
 
 _TYPES: dict[str, type] = {
     "measured": Measured,
@@ -114,9 +137,11 @@ _TYPES: dict[str, type] = {
     "event": Event,
     "gone": Gone,
     "welcome": Welcome,
+    "start": Start,
+    "timing": Timing,
 }
 # One node's topics, by name; what they carry must be of that node.
-_OWNED = ("measured", "bid", "estimate")
+_OWNED = ("measured", "bid", "estimate", "timing")
 _encoder = msgspec.json.Encoder()
 _decoders = {topic: msgspec.json.Decoder(type_) for topic, type_ in _TYPES.items()}
 
@@ -141,6 +166,8 @@ def topic(message: Message) -> str:
             return "event"
         case Gone():
             return "gone"
+        case Start():
+            return "start"
         case Welcome():
             return f"welcome/{message.node}"
         case Measured():
@@ -151,6 +178,8 @@ def topic(message: Message) -> str:
             return f"bid/{message.node}"
         case Estimate():
             return f"estimate/{message.node}"
+        case Timing():
+            return f"timing/{message.node}"
 
 
 def encode(message: Message) -> bytes:

@@ -5,6 +5,18 @@ import time
 from collections.abc import Callable
 
 
+def beat_on_time(start_s: float, period_s: float, beats: int, beat: Callable[[], None]) -> None:
+    """Call `beat()` so many times in a thread of its own: at `start_s` of the monotonic clock, and
+    a period later each; one that comes late takes nothing from the next."""
+
+    def run() -> None:
+        for number in range(beats):
+            time.sleep(max(0.0, start_s + number * period_s - time.monotonic()))
+            beat()
+
+    threading.Thread(target=run, daemon=True).start()
+
+
 class Metronome:
     """Calls `beat()` in a thread of its own, so many times a second; never twice to catch up."""
 

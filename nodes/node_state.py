@@ -30,7 +30,9 @@ class NodeConfig:
     """Everything a node knows before the start.
 
     `neighbours` ascend, as the weights do; `slots(node, cycle)` are those of a node's share;
-    the cluster's cycle counter wraps at `cycle_counts`; `links` says which frames do not arrive.
+    the cluster's cycle counter wraps at `cycle_counts`; `links` says which frames do not arrive. In
+    a `timed` network a part of a cycle ends when its time is over (`CycleClosed`), and not when all
+    has come.
 
     The configuration holds from `first_step` on, whose cycles begin at `first_cycle`. `standing` is
     what changes have made of the network; `rebuild(standing, step, belief)` makes the configuration
@@ -50,6 +52,7 @@ class NodeConfig:
     first_cycle: int = 0
     standing: Standing = UNCHANGED
     rebuild: "Callable[[Standing, int, Gaussian | None], NodeConfig] | None" = None
+    timed: bool = False
 
 
 class Inbox(NamedTuple):

@@ -29,7 +29,7 @@ from nodes.zenoh_transport import Transport
 NODE_QUEUE, RECORDER_QUEUE = 1024, 65_536
 # A fresh process looks so often who is there, and gives links so long to come up.
 _LOOK_S, _LINK_S = 0.5, 5.0
-_UNRECORDED = ("hello", "recorded", "finished", "end")
+_UNRECORDED = ("hello", "recorded", "start", "finished", "end")
 
 
 class Situation(msgspec.Struct):

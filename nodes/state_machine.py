@@ -79,6 +79,11 @@ def awaited_neighbour(config: NodeConfig, state: NodeState) -> int | None:
     return None
 
 
+def is_complete(config: NodeConfig, state: NodeState) -> bool:
+    """Whether the open part of a cycle lacks nothing that is due."""
+    return state.phase is Phase.SHARES and awaited_neighbour(config, state) is None
+
+
 def advance(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> NodeState:
     """Go on as far as what has come allows; what there is to say goes to the outbox."""
     while True:
@@ -92,7 +97,7 @@ def advance(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> 
             state = state._replace(phase=Phase.SHARES, won=state.won + winners)
             if config.index in winners:
                 state = _send(config, state, outbox)
-        elif state.phase is Phase.SHARES and awaited_neighbour(config, state) is None:
+        elif is_complete(config, state) and not config.timed:
             state = _close_group(config, state, outbox)
         else:
             return state

@@ -1,7 +1,9 @@
 """What the world's process does: it drives the conductor with what nodes say, with who comes and
 goes, and with what people ask for."""
 
+import dataclasses
 import sys
+import time
 from collections.abc import Callable, Sequence
 from queue import Empty, SimpleQueue
 from typing import NamedTuple
@@ -10,17 +12,20 @@ import msgspec
 
 from nodes import world
 from nodes.changes import Gone, Settings, Standing
-from nodes.commands import Answer, read_command
+from nodes.commands import Answer, Speed, read_command
 from nodes.conductor import Conductor, Scripted, Stage
 from nodes.links import RECORDER, WORLD, Links
-from nodes.messages import MalformedMessage, WorldMessage, decode, encode, topic
-from nodes.metronome import Metronome
+from nodes.messages import MalformedMessage, Start, WorldMessage, decode, encode, topic
+from nodes.metronome import Metronome, beat_on_time
 from nodes.process import Finished
+from nodes.tempo import Tempo
 from nodes.world import WorldConfig
 from nodes.zenoh_transport import Transport
 
 WORLD_QUEUE = 16_384
 _ANSWER_S = 5.0
+# From the announcement of the common start to the start: every node must have heard it.
+_HEAD_START_S = 0.2
 
 
 class Disagreement(Exception):
@@ -96,15 +101,18 @@ def run_world(
     fingerprint: str,
     management: Management,
     script: Sequence[Scripted] = (),
+    tempo: Tempo | None = None,
 ) -> None:
     """Be the world: wait for all nodes, then run to the last step; `on_step(0)` means ready.
+
+    With a `tempo` steps begin when their time has come, whoever has estimated the last one.
 
     Raises:
         LinkError: the network cannot be joined.
         Disagreement: a node's configuration is not ours.
         Deserted: no node is left.
     """
-    _Office(run, links, config, fingerprint, management, script).work()
+    _Office(run, links, config, fingerprint, management, script, tempo).work()
 
 
 class _Office:
@@ -118,11 +126,14 @@ class _Office:
         fingerprint: str,
         management: Management,
         script: Sequence[Scripted],
+        tempo: Tempo | None,
     ) -> None:
         self._run, self._nodes, self._fingerprint = run, config.nodes, fingerprint
-        self._management = management
+        self._management, self._tempo = management, tempo
         self._doomed: set[int] = set()
         stage = Stage(self._doomed.add, self._start, management.check)
+        if tempo is not None:
+            config = dataclasses.replace(config, lead=config.steps)
         self._conductor = Conductor(config, script, stage)
         self._notices: SimpleQueue[Notice] = SimpleQueue()
         self._source = "estimate/*"
@@ -146,7 +157,7 @@ class _Office:
                 self._notify(Presence(node, False))
         self._management.on_step(0)
         conductor, completed = self._conductor, 0
-        self._send(conductor.begin())
+        self._send(conductor.begin() if self._tempo is None else self._announce(self._tempo))
         while not conductor.finished:
             self._take(self._next_message())
             if conductor.state.completed > completed:
@@ -159,6 +170,15 @@ class _Office:
         while self._transport.receive("end") is None:
             pass
         self._transport.close()
+
+    def _announce(self, tempo: Tempo) -> list[WorldMessage]:
+        """In real time: from a common start on, a step at each beat."""
+        start_s = time.monotonic() + _HEAD_START_S
+        steps = self._conductor.config.steps
+        beat_on_time(start_s, tempo.step_s, steps, lambda: self._notify(Beat()))
+        start = Start(start_s)
+        self._transport.send(topic(start), encode(start))
+        return self._conductor.command(Speed(1 / tempo.step_s))
 
     def _await_hellos(self) -> None:
         missing = set(range(self._nodes))
@@ -230,6 +250,8 @@ class _Office:
             self._transport.send(f"gone/{node}", encode(Gone(node)))
 
     def _obey(self, payload: bytes) -> Answer:
+        if self._tempo is not None:
+            return Answer(False, "a network in real time takes no commands; use --driver processes")
         try:
             self._send(self._conductor.command(read_command(payload)))
         except ValueError as refused:

@@ -2,16 +2,19 @@
 
 import msgspec
 
+from nodes.tempo import Tempo
 from scenarios.setup import Setup
 
 
 class Job(msgspec.Struct, frozen=True):
-    """What the launcher asks for; `port` is the first of the user's choice, None for free ones."""
+    """What the launcher asks for; `port` is the first of the user's choice, None for free ones;
+    `tempo` that of real time, None for lockstep."""
 
     setup: Setup
     run: str
     recording: str
     port: int | None
+    tempo: Tempo | None = None
 
 
 class Happened(msgspec.Struct, frozen=True, omit_defaults=True):

@@ -31,6 +31,7 @@ from nodes.links import (
 )
 from nodes.node_state import NodeConfig
 from nodes.process import run_node, run_recorder
+from nodes.realtime_process import run_node_in_real_time
 from nodes.recording import McapRecorder
 from nodes.supervisor import TRY_AGAIN, Ended, Supervisor
 from nodes.world_process import Deserted, Management, run_world
@@ -231,7 +232,8 @@ def _be_world(job: Job, links: Links, started: float, orders: int) -> None:
         setup=msgspec.json.encode(job.setup),
     )
     script = script_of(job.setup.scenario)
-    work = partial(run_world, job.run, links, config, fingerprint(job.setup), management, script)
+    known = (config, fingerprint(job.setup), management, script, job.tempo)
+    work = partial(run_world, job.run, links, *known)
     try:
         _joining(work)
     except Deserted as end:
@@ -241,7 +243,11 @@ def _be_world(job: Job, links: Links, started: float, orders: int) -> None:
 
 def _be_node(job: Job, links: Links, config: NodeConfig, late: bool = False) -> None:
     peers = peers_of(config.index, job.setup.neighbours)
-    _joining(partial(run_node, job.run, links, config, peers, fingerprint(job.setup), late))
+    known = (job.run, links, config, peers, fingerprint(job.setup))
+    if job.tempo is None:
+        _joining(partial(run_node, *known, late))
+    else:
+        _joining(partial(run_node_in_real_time, *known, job.tempo))
 
 
 def _joining(work: Callable[[], None]) -> None:

@@ -15,6 +15,8 @@ from nodes.messages import (
     MalformedMessage,
     Measured,
     ShareSent,
+    Start,
+    Timing,
     Truth,
     decode,
     encode,
@@ -69,6 +71,8 @@ MESSAGES = [
     (Event(5, Loss(0.5, 1, 2)), "event"),
     (Event(5, Pace(True, 20.0)), "event"),
     (Gone(4), "gone"),
+    (Start(12345.678), "start"),
+    (Timing(2, 5, 0.001, [0.002, 1e-5], 1, 0, 0.04), "timing/2"),
     (
         Welcome(
             2, 7, Standing((1,), {"rule": "ci"}, 0.5, ((1, 2, 0.1),), ((0, 1),), 3, 9), Joined(2)

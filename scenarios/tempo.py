@@ -1,0 +1,50 @@
+"""How fast a network runs in real time: the bus of a scenario, stretched to what processes hold."""
+
+from nodes.tempo import Tempo
+from scenarios.build import build_controller, build_plan
+from scenarios.scenario import require
+from scenarios.setup import Setup
+
+# Processes that share a machine keep such times; a cycle on the bus is some ten times shorter.
+SHORTEST_PART_S = 0.02
+
+
+def tempo_of(setup: Setup, stretch: float | None) -> Tempo:
+    """The timetable of a setup in real time.
+
+    Sampling instants keep the plant's time where the stretched cycles of a step fit between them,
+    and otherwise follow when these are over.
+
+    Args:
+        setup: the network.
+        stretch: how many times longer a cycle lasts than on the bus; None for the least, 1 or more,
+            with which what is sent at once has 20 ms.
+
+    Raises:
+        ValueError: the scenario has no time to be kept, or cannot be run against the clock.
+    """
+    scenario = setup.scenario
+    plan = build_plan(setup)
+    if plan.cluster is None:
+        raise ValueError(
+            f"--driver realtime --cluster {scenario.cluster}: a bus without time sets no pace; "
+            "choose a cluster (fitted, a preset, a file), or --driver processes"
+        )
+    if scenario.changes:
+        raise ValueError(
+            "--driver realtime --changes: changes wait until nothing is under way, and time does "
+            "not; leave --changes out, or use --driver processes"
+        )
+    controller = build_controller(scenario)
+    if controller is not None and controller.node is not None:
+        raise ValueError(
+            f"--driver realtime --control {scenario.control}: the plant would wait for a node's "
+            "estimate; use --control truth, or --driver processes"
+        )
+    if stretch is None:
+        parts = max(len(plan.schedule.groups(cycle)) for cycle in range(plan.schedule.period))
+        stretch = max(1.0, parts * SHORTEST_PART_S / plan.cluster.cycle_time_s)
+    require(stretch >= 1, "cycle-stretch", stretch, "at least 1")
+    cycle_s = plan.cluster.cycle_time_s * stretch
+    step_s = max(setup.time_step_s * scenario.stretch, scenario.rounds * cycle_s)
+    return Tempo(stretch, cycle_s, step_s)

@@ -1,0 +1,208 @@
+"""A network in real time: it keeps its timetable, says what it missed, and waits for nobody."""
+
+import os
+import signal
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from experiments.agree_command import first_difference
+from experiments.drivers import in_this_process
+from experiments.launcher import run_processes
+from experiments.results import describe
+from experiments.timing_figures import TimingFigures, figures_of, lines
+from nodes.commands import Pause
+from nodes.control_client import Client
+from nodes.messages import Timing, decode, encode, topic
+from nodes.recording import read_recording
+from nodes.tempo import Tempo
+from scenarios.job import Happened
+from scenarios.setup import Setup
+from scenarios.tempo import tempo_of
+from tests.experiments.support import small, trace_of
+from tests.processes import CONCORD, PROC, family, lives
+
+STOPPED_S = 0.6
+
+
+def timings(recording: Path) -> list[Timing]:
+    return [decode(t, data) for t, data in read_recording(recording) if t.startswith("timing/")]
+
+
+def play(
+    setup: Setup, folder: Path, on_event: Callable[[Happened], None] = lambda happened: None
+) -> TimingFigures:
+    tempo = tempo_of(setup, None)
+    recording = folder / "run.mcap"
+    run_processes(setup, "realtime", recording, None, on_event, tempo)
+    return figures_of(tempo, read_recording(recording), trace_of(setup, recording).counters)
+
+
+class Strike:
+    """Does something to the process of node 1 when a step is reached; keeps what happened."""
+
+    def __init__(self, strike: Callable[[int], None], step: int) -> None:
+        self.happened: list[Happened] = []
+        self._strike, self._step, self._pid = strike, step, 0
+
+    def __call__(self, happened: Happened) -> None:
+        self.happened.append(happened)
+        self._pid = self._pid or happened.pids.get("1", 0)
+        if happened.what == "step" and happened.step >= self._step:
+            self._step = 1 << 30
+            self._strike(self._pid)
+
+
+def stop_for(seconds: float) -> Callable[[int], None]:
+    def strike(pid: int) -> None:
+        os.kill(pid, signal.SIGSTOP)
+        threading.Timer(seconds, lambda: lives(pid) and os.kill(pid, signal.SIGCONT)).start()
+
+    return strike
+
+
+@pytest.mark.zenoh
+def test_a_short_run_keeps_its_timetable(tmp_path: Path):
+    setup = small(steps=10)
+    figures = play(setup, tmp_path)
+    assert figures.step_ms == pytest.approx(100)
+    assert figures.cycle_ms == pytest.approx(20)
+    assert figures.cycles == 4 * 10 * 3
+    # The estimate follows the deadline of the last round, however fast everybody is.
+    assert figures.delay.p50_ms > 3 * figures.cycle_ms
+    assert 0 < figures.cycle_jitter.p50_ms <= figures.cycle_jitter.p99_ms
+    assert figures.deadline_misses == figures.incomplete + figures.overrun < figures.cycles / 2
+    trace = trace_of(setup, tmp_path / "run.mcap")
+    assert trace.steps == 10
+    if sum(c.get("missed", 0) for c in trace.counters) == 0:
+        # Who missed nothing has computed what lockstep computes.
+        in_this_process(setup, "reference", tmp_path / "reference.mcap", None, lambda step: None)
+        reference = trace_of(setup, tmp_path / "reference.mcap")
+        assert first_difference(reference, trace, "realtime") is None
+
+
+@pytest.mark.zenoh
+@pytest.mark.skipif(not PROC.is_dir(), reason="finds processes in /proc, which is not there")
+def test_nobody_waits_for_a_stopped_node(tmp_path: Path):
+    setup = small(steps=14, graph="ring")
+    strike = Strike(stop_for(STOPPED_S), 3)
+    figures = play(setup, tmp_path, strike)
+    said = timings(tmp_path / "run.mcap")
+    assert trace_of(setup, tmp_path / "run.mcap").steps == 14
+    # Its neighbours missed a share in most cycles of that time, three to a tenth of a second.
+    for neighbour in (0, 2):
+        assert sum(one.incomplete for one in said if one.node == neighbour) >= 6
+    stopped = [one for one in said if one.node == 1]
+    assert sum(one.overrun for one in stopped) >= 6
+    assert max(one.delay_s for one in stopped) > STOPPED_S / 2
+    assert max(one.delay_s for one in said if one.node != 1) < STOPPED_S / 2
+    assert figures.deadline_misses >= 18
+    assert figures.late_shares > 0
+    last = strike.happened[-2] if strike.happened[-1].what != "step" else strike.happened[-1]
+    ready = next(happened for happened in strike.happened if happened.what == "ready")
+    assert last.seconds - ready.seconds < 14 * 0.1 + 0.2 + STOPPED_S
+
+
+@pytest.mark.zenoh
+@pytest.mark.slow
+@pytest.mark.skipif(not PROC.is_dir(), reason="finds processes in /proc, which is not there")
+@pytest.mark.parametrize("strike", [lambda pid: os.kill(pid, signal.SIGKILL), stop_for(3.0)])
+def test_a_node_that_is_given_up_ends_nothing(tmp_path: Path, strike: Callable[[int], None]):
+    setup = small(steps=45, graph="ring")
+    play(setup, tmp_path, Strike(strike, 5))
+    said = timings(tmp_path / "run.mcap")
+    for node in (0, 2, 3):
+        assert [one.step for one in said if one.node == node] == list(range(45))
+    assert len([one for one in said if one.node == 1]) < 40
+
+
+@pytest.mark.zenoh
+def test_contenders_get_their_grants_in_time(tmp_path: Path):
+    setup = small(steps=8, schedule="hybrid", occupancy=0.5)
+    figures = play(setup, tmp_path)
+    assert figures.incomplete < figures.cycles / 2
+    published = trace_of(setup, tmp_path / "run.mcap").published.sum()
+    assert published > 8 * 3 * 2 / 2
+
+
+@pytest.mark.zenoh
+def test_commands_are_refused(tmp_path: Path):
+    answers = []
+
+    def ask(happened: Happened) -> None:
+        if happened.what == "started":
+            connect.extend(happened.connect)
+        if happened.what == "step" and not answers:
+            client = Client(connect, "realtime")
+            answers.append(client.command(Pause()))
+            client.close()
+
+    connect: list[str] = []
+    play(small(steps=20), tmp_path, ask)
+    assert not answers[0].accepted
+    assert "real time" in answers[0].detail
+
+
+@pytest.mark.parametrize(
+    ("changed", "stretch", "named"),
+    [
+        ({"cluster": "none"}, None, "--cluster none: a bus without time sets no pace"),
+        ({"changes": ("3 kill 1",)}, None, "--changes"),
+        ({}, 0.5, "--cycle-stretch 0.5: must be at least 1"),
+    ],
+)
+def test_what_cannot_be_timed_is_refused(changed: dict, stretch: float | None, named: str):
+    with pytest.raises(ValueError, match=named):
+        tempo_of(small(**changed), stretch)
+
+
+def test_a_loop_through_an_estimate_is_refused():
+    setup = small("cruise-control", control="0")
+    with pytest.raises(ValueError, match="--control 0"):
+        tempo_of(setup, None)
+
+
+def test_a_bus_without_time_is_refused_before_anything_starts(tmp_path: Path):
+    out = ["--out", str(tmp_path / "out")]
+    command = [*CONCORD, "run", "--driver", "realtime", "--cluster", "none", *out]
+    with family(command, Path.cwd()) as concord:
+        code, _, error = concord.end(20)
+    assert code == 2
+    assert "sets no pace" in error
+    assert len(error.strip().splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_cycles_last_as_long_as_processes_can_hold():
+    setup = small(steps=2)
+    tempo = tempo_of(setup, None)
+    assert tempo.cycle_s == pytest.approx(0.02)
+    assert tempo.step_s == pytest.approx(0.1)
+    # Where cycles do not fit between sampling instants, these follow when cycles are over.
+    slow = tempo_of(setup, 10 * tempo.stretch)
+    assert slow.cycle_s == pytest.approx(0.2)
+    assert slow.step_s == pytest.approx(3 * 0.2)
+    assert slow.part_ends_s(2, 2, 0, 1) == pytest.approx(slow.step_begins_s(3))
+    assert slow.part_ends_s(0, 1, 0, 4) == pytest.approx(0.25)
+
+
+def test_the_description_keeps_the_tempo():
+    setup = small(steps=2)
+    described = describe("name", "realtime", setup, tempo_of(setup, None))
+    assert msgspec.json.decode(msgspec.json.encode(described), type=type(described)) == described
+
+
+def test_figures_count_what_was_said():
+    said = [
+        Timing(0, 0, 0.001, [0.001, 0.002, 0.003], 1, 0, 0.061),
+        Timing(1, 0, 0.050, [0.050, 0.030, 0.010], 0, 2, 0.071),
+    ]
+    messages = [(topic(one), encode(one)) for one in said]
+    figures = figures_of(Tempo(10.0, 0.02, 0.1), messages, [{"late": 2}, {}])
+    assert (figures.cycles, figures.deadline_misses, figures.late_shares) == (6, 3, 2)
+    assert figures.cycle_jitter.largest_ms == pytest.approx(50)
+    assert figures.delay.p50_ms == pytest.approx(66)
+    assert "deadline misses 3 of 6 cycles" in lines(figures)[1]

@@ -1,0 +1,49 @@
+"""A timed network: a part of a cycle ends by the clock, and gives what lockstep gives."""
+
+import dataclasses
+
+from nodes import state_machine, world
+from nodes.messages import CycleClosed, Estimate, Measured, NodeMessage, ShareHeard, ShareSent
+from nodes.node_state import Phase
+from scenarios.build import build_node, build_world
+from tests.experiments.support import small
+
+
+def heartbeats(setup) -> list[Measured]:
+    config = build_world(setup)
+    _, messages = world.allow(config, world.begin(config), 1)
+    return [message for message in messages if isinstance(message, Measured)]
+
+
+def estimates(timed: bool, reverse: bool) -> list[Estimate]:
+    """One step of four nodes, by hand: whatever was sent is heard, then every cycle is closed."""
+    setup = small(steps=1)
+    configs = [dataclasses.replace(build_node(setup, node), timed=timed) for node in range(4)]
+    states = [state_machine.initial_state(config) for config in configs]
+    sent: list[NodeMessage] = []
+
+    def give(node: int, event) -> None:
+        states[node], messages = state_machine.step(configs[node], states[node], event)
+        sent.extend(messages)
+
+    for node, heartbeat in enumerate(heartbeats(setup)):
+        give(node, heartbeat)
+    for cycle in range(setup.scenario.rounds):
+        due = [one for one in sent if isinstance(one, ShareSent) and one.cycle == cycle]
+        for share in reversed(due) if reverse else due:
+            for node in range(4):
+                if share.node in configs[node].neighbours:
+                    give(node, ShareHeard(share.node, share.frame))
+        if timed:
+            # All has come, and nobody goes on before the time is over.
+            assert all(state.cycle == cycle for state in states)
+            for node in range(4):
+                give(node, CycleClosed(cycle))
+    assert all(state.phase is Phase.FINISHED for state in states)
+    said = [one for one in sent if isinstance(one, Estimate)]
+    return sorted(said, key=lambda one: one.node)
+
+
+def test_the_clock_changes_nothing_where_all_comes_in_time():
+    assert estimates(timed=True, reverse=True) == estimates(timed=False, reverse=False)
+    assert all(one.counters.get("missed", 0) == 0 for one in estimates(timed=True, reverse=True))
