@@ -14,12 +14,13 @@ from nodes.messages import (
     CycleClosed,
     Grant,
     Measured,
-    Message,
     NodeEvent,
+    NodeMessage,
     ShareHeard,
     ShareSent,
     Truth,
     WorldEvent,
+    WorldMessage,
     encode,
     topic,
 )
@@ -74,7 +75,7 @@ def run(
         queue[:] = [one for one in queue if one[0] != node]
         return True
 
-    def post(messages: Sequence[Message]) -> None:
+    def post(messages: Sequence[NodeMessage | WorldMessage]) -> None:
         for message in messages:
             recorder.record(topic(message), encode(message))
             if isinstance(message, Welcome):
@@ -106,7 +107,7 @@ def run(
 
 
 def _deliveries(
-    message: Message, audience: list[list[int]], link: Link
+    message: NodeMessage | WorldMessage, audience: list[list[int]], link: Link
 ) -> Iterable[tuple[int, NodeEvent | WorldEvent]]:
     """Who gets a message, as events."""
     match message:
