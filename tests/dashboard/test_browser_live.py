@@ -13,9 +13,7 @@ from tests.dashboard.browser_page import Page
 from tests.processes import CONCORD, family, holds_within, lives
 
 # A press on the page is now and then lost (a known fault of the bridge): apart from the fast suite.
-pytestmark = pytest.mark.slow
-
-pytestmark = pytest.mark.zenoh
+pytestmark = [pytest.mark.slow, pytest.mark.zenoh]
 ROOT = Path(__file__).resolve().parents[2]
 NETWORK = ["--scenario", "target-tracking", "--nodes", "8", "--steps", "20000", "--seed", "3"]
 
