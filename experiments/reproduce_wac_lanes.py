@@ -15,6 +15,7 @@ from bus.schedule import Schedule
 from experiments.reproduce_wac_runs import Runs
 from filters import hybrid_consensus, information_weighted
 from filters.gaussian import Gaussian, Information, to_gaussian, to_information
+from filters.hold import sharpness
 from filters.linalg import symmetrise
 from filters.packed import pack, unpack
 from filters.sigma_points import scaled_unscented
@@ -239,7 +240,8 @@ def _fuse(state: _State, wiring: Wiring, averaging: Averaging, turn: int) -> _St
     """One round at every node."""
     ages, covs = state.ages[:, wiring.heard], state.published.cov[:, wiring.heard]
     ages[..., 0], covs[:, :, 0] = 0, state.belief.cov
-    weights = wiring.policy.weigh(wiring.weights, ages, wiring.policy.sharpness(covs), turn)
+    sharp = sharpness(covs) if wiring.policy.by_sharpness else np.ones(covs.shape[:-2])
+    weights = wiring.policy.weigh(wiring.weights, ages, sharp, turn)
     others = np.zeros((*state.ages.shape, state.ages.shape[1]))
     # Filled-up places have weight zero and point at the node itself, whose entry is not used.
     places = np.broadcast_to(wiring.heard, weights.shape)[..., 1:]
