@@ -11,6 +11,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from experiments.places import make_folder
 from experiments.user_errors import user_errors
 from plants.drive_log import CAR, COLUMNS, DRIVE, LoggedDrive, read_folder, write_drive
 from plants.tyre_identification import Identified, identify
@@ -125,12 +126,7 @@ def _require_new(option: str, path: Path) -> None:
     """Refuse a path that is taken, or below a file; make the folders above it."""
     if path.exists():
         raise ValueError(f"{option} {path}: there is something of that name; choose another")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ValueError(
-            f"{option} {path}: its folder cannot be made ({error.strerror}); choose another place"
-        ) from None
+    make_folder(path.parent, option, path)
 
 
 def _findings(found: Identified) -> Findings:

@@ -11,7 +11,7 @@ from experiments.intervals import Interval, mean_t, ratio_t
 from experiments.run_figures import scored_steps
 from experiments.vectorised import Histories
 from filters.gaussian import Gaussian
-from filters.metrics import nees, rmse
+from filters.metrics import largest_of_known, mean_of_known, nees, rmse
 from nodes.messages import Array
 from scenarios.baselines import centralised_of_runs, local_only_of_runs
 from scenarios.catalogue import kind_of
@@ -96,9 +96,9 @@ def summarise(histories: Histories, cost: Cost) -> ManyFigures:
         rmse_local_only=mean_t(rmse(of_alone, (1, 2))),
         rmse_centralised=mean_t(central),
         to_centralised=ratio_t(whole**2, central**2),
-        worst_node_to_centralised=mean_t(_largest(per_node) / central),
+        worst_node_to_centralised=mean_t(largest_of_known(per_node) / central),
         disagreement=mean_t(rmse(spread, (1, 2))),
-        anees=mean_t(_mean(consistency, (1, 2))),
+        anees=mean_t(mean_of_known(consistency, (1, 2))),
         anees_centralised=mean_t(anees_central),
         shares_sent=float(_frames(histories, "sent").sum()),
         shares_missed=float(_frames(histories, "missed").sum()),
@@ -106,7 +106,7 @@ def summarise(histories: Histories, cost: Cost) -> ManyFigures:
             ManyNode(
                 mean_t(per_node[:, node]),
                 mean_t(per_alone[:, node]),
-                mean_t(_mean(consistency[:, :, node], (1,))),
+                mean_t(mean_of_known(consistency[:, :, node], (1,))),
                 *(float(_frames(histories, name)[node]) for name in _TRAFFIC),
             )
             for node in range(nodes)
@@ -141,25 +141,12 @@ def _centralised(histories: Histories, counted: np.ndarray) -> tuple[Array, Arra
         return errors[..., list(score.states)], np.full(shape[0], np.nan)
     part = list(score.nees_states)
     normalised = nees(errors[..., part], Gaussian(*belief).cov[..., part, :][..., part])
-    return errors[..., list(score.states)], _mean(normalised, (1,)) / len(part)
+    return errors[..., list(score.states)], mean_of_known(normalised, (1,)) / len(part)
 
 
 def _where(counted: np.ndarray, values: Array) -> Array:
     """Values (R, S, ...), NaN in steps that do not count."""
     return np.where(counted.reshape(*counted.shape, *(1,) * (values.ndim - 2)), values, np.nan)
-
-
-def _mean(values: Array, axes: tuple[int, ...]) -> Array:
-    known = np.logical_not(np.isnan(values))
-    count = known.sum(axes)
-    total = np.where(known, values, 0.0).sum(axes)
-    return np.divide(total, count, out=np.full(np.shape(total), np.nan), where=count > 0)
-
-
-def _largest(values: Array) -> Array:
-    known = np.logical_not(np.isnan(values))
-    largest = np.where(known, values, -np.inf).max(axis=-1)
-    return np.where(known.any(axis=-1), largest, np.nan)
 
 
 def table(figures: ManyFigures, title: str) -> Table:

@@ -10,6 +10,7 @@ import tyro
 from rich.console import Console
 
 from experiments.palette import save, use_house_style
+from experiments.places import make_folder
 from experiments.user_errors import user_errors
 
 if TYPE_CHECKING:
@@ -36,12 +37,7 @@ def plot(options: Annotated[PlotOptions, tyro.conf.arg(name="")]) -> None:
     with user_errors():
         figures = figures_of(options.result)
         folder = options.out or plots_of(options.result)
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ValueError(
-                f"--out {folder}: cannot be made ({error.strerror}); choose another place"
-            ) from None
+        make_folder(folder, "--out")
     written = []
     for name, figure in figures.items():
         path = folder / f"{name}.{options.format}"

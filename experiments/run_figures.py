@@ -15,7 +15,7 @@ from experiments.energy import energy_per_bit_nj
 from experiments.run_frame import Frame
 from experiments.vectorised import Histories
 from filters.linalg import symmetrise
-from filters.metrics import nees, rmse
+from filters.metrics import largest_of_known, mean_of_known, nees, rmse
 from nodes.messages import Array
 from scenarios.build import build_plan
 from scenarios.catalogue import Score, kind_of
@@ -81,11 +81,11 @@ def figures_of(setup: Setup, histories: Histories, frame: Frame) -> dict[str, Ar
         "rmse": rmse(position, (1, 2)),
         "rmse_centralised": rmse(np.where(counted[..., None], central, np.nan)[..., states], (1,)),
         "rmse_blind": rmse(np.where(read[..., None], np.nan, position), (1, 2)),
-        "rmse_worst_node": _largest(per_node),
+        "rmse_worst_node": largest_of_known(per_node),
         "disagreement": rmse(
             np.where(counted[..., None, None], spread, np.nan)[..., states], (1, 2)
         ),
-        "rmse_state": np.sqrt(_mean(scored**2, (1, 2))),
+        "rmse_state": np.sqrt(mean_of_known(scored**2, (1, 2))),
         "rmse_node": per_node,
         "error": rmse(errors[..., states], (2,)),
         "error_centralised": rmse(central[..., None, states], (2,)),
@@ -122,9 +122,9 @@ def _consistency(setup: Setup, values: Array, counted: np.ndarray) -> dict[str, 
     within = np.where(np.isnan(values), np.nan, values <= chdtri(len(states), 1 - COVERED))
     here = counted[..., None]
     return {
-        "anees": _mean(np.where(here, values, np.nan), (1, 2)) / len(states),
-        "coverage": _mean(np.where(here, within, np.nan), (1, 2)),
-        "nees": _mean(values, (2,)) / len(states),
+        "anees": mean_of_known(np.where(here, values, np.nan), (1, 2)) / len(states),
+        "coverage": mean_of_known(np.where(here, within, np.nan), (1, 2)),
+        "nees": mean_of_known(values, (2,)) / len(states),
     }
 
 
@@ -133,7 +133,7 @@ def _anees_central(setup: Setup, errors: Array, cov: Array, counted: np.ndarray)
         return np.full(len(errors), np.nan)
     states = list(kind_of(setup.scenario.name).score.nees_states)
     values = nees(errors[..., states], symmetrise(_part(cov, states)))
-    return _mean(np.where(counted, values, np.nan), (1,)) / len(states)
+    return mean_of_known(np.where(counted, values, np.nan), (1,)) / len(states)
 
 
 def _traffic(setup: Setup, histories: Histories) -> dict[str, Array]:
@@ -151,8 +151,8 @@ def _traffic(setup: Setup, histories: Histories) -> dict[str, Array]:
         "energy_per_step": (8 * sent * energy_nj).sum(axis=2).mean(axis=1) * 1e-6,
         "bus_load": load,
         "delay_us": delay_us,
-        "share_age": _mean(np.where(heard < 0, np.nan, heard), (1,)),
-        "share_age_max": _largest(np.where(heard < 0, np.nan, heard)),
+        "share_age": mean_of_known(np.where(heard < 0, np.nan, heard), (1,)),
+        "share_age_max": largest_of_known(np.where(heard < 0, np.nan, heard)),
         "never_heard": (heard < 0).mean(axis=1) if heard.shape[1] else np.zeros(len(payload)),
     }
 
@@ -184,19 +184,4 @@ def _part(cov: Array, states: list[int]) -> Array:
 
 def _average(mean: Array) -> Array:
     """The average of the nodes that believe something, over axis 2, kept."""
-    return _mean(mean, (2,))[:, :, None]
-
-
-def _mean(values: Array, axes: tuple[int, ...]) -> Array:
-    """Mean over `axes` of what is known; NaN where nothing is."""
-    known = ~np.isnan(values)
-    count = known.sum(axes)
-    total = np.where(known, values, 0.0).sum(axes)
-    return np.divide(total, count, out=np.full(np.shape(total), np.nan), where=count > 0)
-
-
-def _largest(values: Array) -> Array:
-    """Maximum over the last axis of what is known; NaN where nothing is."""
-    known = ~np.isnan(values)
-    top = np.where(known, values, -np.inf).max(axis=-1, initial=-np.inf)
-    return np.where(known.any(axis=-1), top, np.nan)
+    return mean_of_known(mean, (2,))[:, :, None]

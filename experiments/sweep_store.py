@@ -11,6 +11,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from experiments.places import make_folder
 from experiments.results import commit, versions
 from experiments.sweep_cells import difference
 from experiments.sweep_specification import Specification
@@ -40,12 +41,7 @@ def open_store(result: Path, specification: Specification) -> Path:
     """
     folder = folder_of(result)
     now = Begun(specification, versions(), commit())
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ValueError(
-            f"--out {result}: its folder cannot be made ({error.strerror}); choose another place"
-        ) from None
+    make_folder(folder, "--out", result)
     described = folder / SPECIFICATION
     if not described.exists():
         _write(described, msgspec.json.format(msgspec.json.encode(now), indent=2))

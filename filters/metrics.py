@@ -8,16 +8,27 @@ from filters.linalg import solve_spd
 Array = NDArray[np.float64]
 
 
+def mean_of_known(values: Array, axes: tuple[int, ...]) -> Array:
+    """Mean over `axes` of what is not NaN; NaN where nothing is."""
+    known = np.logical_not(np.isnan(values))
+    count = known.sum(axes)
+    total = np.where(known, values, 0.0).sum(axes)
+    return np.divide(total, count, out=np.full(np.shape(total), np.nan), where=count > 0)
+
+
+def largest_of_known(values: Array) -> Array:
+    """Largest over the last axis of what is not NaN; NaN where nothing is."""
+    known = np.logical_not(np.isnan(values))
+    largest = np.where(known, values, -np.inf).max(axis=-1, initial=-np.inf)
+    return np.where(known.any(axis=-1), largest, np.nan)
+
+
 def rmse(errors: Array, axes: tuple[int, ...]) -> Array:
     """Root mean square length of error vectors (..., m) over `axes`; unknown truth left out.
 
     A vector with a NaN entry says nothing; where no vector is left the result is NaN.
     """
-    squared = (errors**2).sum(-1)
-    known = ~np.isnan(squared)
-    count = known.sum(axes)
-    total = np.where(known, squared, 0.0).sum(axes)
-    return np.sqrt(np.divide(total, count, out=np.full(np.shape(total), np.nan), where=count > 0))
+    return np.sqrt(mean_of_known((errors**2).sum(-1), axes))
 
 
 def nees(errors: Array, cov: Array) -> Array:
@@ -34,19 +45,12 @@ def nees(errors: Array, cov: Array) -> Array:
 
 def anees(errors: Array, cov: Array, axes: tuple[int, ...]) -> Array:
     """Average NEES over `axes` divided by the dimension: 1 is consistent, above overconfident."""
-    values = nees(errors, cov) / errors.shape[-1]
-    known = ~np.isnan(values)
-    count = known.sum(axes)
-    total = np.where(known, values, 0.0).sum(axes)
-    return np.divide(total, count, out=np.full(np.shape(total), np.nan), where=count > 0)
+    return mean_of_known(nees(errors, cov) / errors.shape[-1], axes)
 
 
 def consensus(mean: Array) -> Array:
     """The average (steps, 1, m) of the estimates (steps, N, m) of the nodes that have one."""
-    known = ~np.isnan(mean)
-    count = known.sum(axis=1, keepdims=True)
-    total = np.where(known, mean, 0.0).sum(axis=1, keepdims=True)
-    return np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
+    return mean_of_known(mean, (1,))[:, None]
 
 
 def disagreement(mean: Array) -> float:

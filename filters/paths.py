@@ -1,4 +1,4 @@
-"""Which way of computing suits a batch: by its size, three files that do the same thing.
+"""Which way of computing suits a batch: by its size, four files that do the same thing.
 
 They agree to rounding (`tests/filters/test_paths.py`). A batch of the same size always takes the
 same way, so that drivers with equal batches give equal bits.

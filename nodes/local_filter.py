@@ -8,6 +8,7 @@ import numpy as np
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule
 from filters.ukf import predict, update
+from filters.update import Update
 from nodes.messages import Array, Measured, from_wire
 
 
@@ -97,16 +98,8 @@ def take_readings(
         delivered = readings[..., place, :]
         if np.isnan(delivered).all():
             continue
-        value, noise_cov = sensor.interpret(delivered)
-        noise_cov = with_state_noise(noise_cov, sensor, belief, step)
-        result = update(
-            belief,
-            value,
-            partial(sensor.measure, step=step),
-            noise_cov,
-            points,
-            residual=sensor.residual,
-            gate=sensor.gate,
+        result = take_reading(
+            belief, sensor.interpret(delivered), step, sensor, points, sensor.gate
         )
         sound = finite_lanes(result.belief)
         _count(troubles, "update-failed", ~sound)
@@ -114,6 +107,28 @@ def take_readings(
             _count(troubles, "gated", sound & (result.normalised_innovation_squared > sensor.gate))
         belief = where(sound, result.belief, belief)
     return belief, troubles
+
+
+def take_reading(
+    belief: Gaussian,
+    interpreted: tuple[Array, Array],
+    step: int,
+    sensor: Sensor,
+    points: SigmaPointRule,
+    gate: float | None = None,
+) -> Update[Gaussian]:
+    """Beliefs (..., n) after one reading of values (..., m) and noise covariances (..., m, m),
+    unless it lies beyond the gate."""
+    value, noise_cov = interpreted
+    return update(
+        belief,
+        value,
+        partial(sensor.measure, step=step),
+        with_state_noise(noise_cov, sensor, belief, step),
+        points,
+        residual=sensor.residual,
+        gate=gate,
+    )
 
 
 def take_own(

@@ -5,14 +5,12 @@ that its source refused does not exist: it is refused alike everywhere.
 """
 
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule
-from filters.ukf import update
-from nodes.local_filter import Sensor, finite_lanes, where, with_state_noise
+from nodes.local_filter import Sensor, finite_lanes, take_reading, where
 from nodes.messages import Array
 
 
@@ -36,17 +34,9 @@ def without_outliers(
         reading = delivered[..., place, :]
         if np.isnan(reading).all():
             continue
-        value, noise_cov = sensor.interpret(reading)
-        noise_cov = with_state_noise(noise_cov, sensor, belief, step)
-        result = update(
-            belief,
-            value,
-            partial(sensor.measure, step=step),
-            noise_cov,
-            points,
-            residual=sensor.residual,
-        )
-        refused = result.normalised_innovation_squared > _gates(value, sensor, gates)
+        interpreted = sensor.interpret(reading)
+        result = take_reading(belief, interpreted, step, sensor, points)
+        refused = result.normalised_innovation_squared > _gates(interpreted[0], sensor, gates)
         kept[..., place, :] = np.where(refused[..., None], np.nan, reading)
         gated += refused
         belief = where(~refused & finite_lanes(result.belief), result.belief, belief)
