@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-SHARED = "../shared"
+# Recorded data, no part of the checkout; pages say `data/...` for wherever a reader keeps it.
+DATA = ROOT.parent / "shared" / "data"
 # What a reader has done before, and what the tests of the project are run by.
 SKIPPED = ("make", "git clone", "cd ", ". .venv")
 TIMEOUT_S = 120
@@ -32,22 +33,22 @@ def commands(text: str) -> list[str]:
 
 
 def link_checkout(above: Path) -> Path:
-    """A folder below `above` with links to all that the checkout holds but results, beside the
-    shared data."""
+    """A folder below `above` with links to all that the checkout holds but results, and to recorded
+    data."""
     folder = above / "concord"
     folder.mkdir()
     for entry in ROOT.iterdir():
         if entry.name not in ("runs", ".git"):
             (folder / entry.name).symlink_to(entry)
-    if (ROOT / SHARED).is_dir():
-        (above / "shared").symlink_to((ROOT / SHARED).resolve())
+    if DATA.is_dir():
+        (folder / "data").symlink_to(DATA)
     return folder
 
 
 def run_as_reader(command: str, checkout: Path) -> None:
     """Run a command in the project's environment; fails unless it succeeds."""
-    if SHARED in command and not (ROOT / SHARED).is_dir():
-        pytest.skip(f"needs {SHARED}, which is no part of the checkout")
+    if " data/" in command and not DATA.is_dir():
+        pytest.skip("needs recorded data in ../shared/data, which is no part of the checkout")
     binaries = Path(sys.executable).parent
     done = subprocess.run(
         command,
