@@ -2,7 +2,8 @@
 
 It is the reference: no process, no clock, one order of events that depends on nothing but its
 arguments. Tests make it hostile through `link` (what becomes of a frame on its way) and `pick`
-(which waiting message is delivered next); the result must not depend on `pick`.
+(which waiting message is delivered next), and look on through `watch`; the result must not depend
+on `pick`.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -31,6 +32,7 @@ from nodes.world import WorldConfig
 WORLD = -1
 Link = Callable[[int, int, bytes], Iterable[bytes]]
 Pick = Callable[[int], int]
+Watch = Callable[[NodeConfig, NodeEvent | Welcome, NodeState], None]
 
 
 def lossless(sender: int, receiver: int, frame: bytes) -> Iterable[bytes]:
@@ -41,6 +43,10 @@ def lossless(sender: int, receiver: int, frame: bytes) -> Iterable[bytes]:
 def first_come(waiting: int) -> int:
     """Deliver in the order of sending."""
     return 0
+
+
+def unwatched(config: NodeConfig, event: NodeEvent | Welcome, state: NodeState) -> None:
+    """Nobody looks on."""
 
 
 def _as_they_are(settings: Settings) -> Settings:
@@ -54,6 +60,7 @@ def run(
     *,
     link: Link = lossless,
     pick: Pick = first_come,
+    watch: Watch = unwatched,
     on_step: Callable[[int], None] = lambda completed: None,
     script: Sequence[Scripted] = (),
     check: Callable[[Settings], Settings] = _as_they_are,
@@ -61,7 +68,8 @@ def run(
     """Run to the last step; returns the final states of the nodes.
 
     `on_step` is told the number of completed steps whenever it grows; `script` is what becomes of
-    the network, in which `check` completes settings.
+    the network, in which `check` completes settings. `watch` is shown what every event made of its
+    node, and of a node that is back its welcome.
     """
     audience = [[c.index for c in configs if i in c.neighbours] for i in range(len(configs))]
     beginnings, configs = list(configs), list(configs)
@@ -81,6 +89,7 @@ def run(
             if isinstance(message, Welcome):
                 node = message.node
                 configs[node], states[node] = node_changes.begin_late(beginnings[node], message)
+                watch(configs[node], message, states[node])
             queue.extend(_deliveries(message, audience, link))
 
     conductor = Conductor(world_config, script, Stage(out.add, start, check))
@@ -100,6 +109,7 @@ def run(
                 messages += more
             configs[destination], states[destination] = config, state
             post(messages)
+            watch(config, event, state)  # type: ignore[arg-type]
         if conductor.state.completed > completed:
             completed = conductor.state.completed
             on_step(completed)

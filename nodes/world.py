@@ -265,7 +265,8 @@ def _release(
             for node in members(config, state)
         )
         state = state._replace(released=number + 1, announced=())
-    return state
+    # Where all who might contend are out, nobody's bid will ask for the grant that others await.
+    return _grant(config, state, outbox)
 
 
 def _advance(config: WorldConfig, state: WorldState) -> WorldState:

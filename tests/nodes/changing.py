@@ -16,11 +16,18 @@ def script(*lines: str) -> list[Scripted]:
     return [Scripted(int(line.split()[0]), in_words(line.split()[1:])) for line in lines]  # type: ignore[arg-type]
 
 
-def run(setup: Setup, *lines: str, pick: in_process.Pick = in_process.first_come) -> Trace:
+def run(
+    setup: Setup,
+    *lines: str,
+    pick: in_process.Pick = in_process.first_come,
+    watch: in_process.Watch = in_process.unwatched,
+) -> Trace:
     """The trace of a run in which this happens."""
     recorder = MemoryRecorder()
     nodes = [build_node(setup, node) for node in range(setup.scenario.nodes)]
-    in_process.run(build_world(setup), nodes, recorder, pick=pick, script=script(*lines))
+    in_process.run(
+        build_world(setup), nodes, recorder, pick=pick, watch=watch, script=script(*lines)
+    )
     return read_trace(setup, recorder.messages)
 
 

@@ -9,7 +9,7 @@ from experiments.trace import Trace
 from filters.gaussian import Gaussian
 from nodes.changes import UNCHANGED, Cut, Event, Gone, Healed, Joined, Left, Loss, Pace, Set, after
 from nodes.history import Absence, Epoch, history_of
-from nodes.messages import Measured, to_wire
+from nodes.messages import CycleClosed, Measured, to_wire
 from scenarios.build import build_node
 from scenarios.setup import Setup
 from tests.experiments.support import small
@@ -45,6 +45,25 @@ def test_who_leaves_is_to_the_others_like_one_whose_links_are_cut(hold: str, sch
         cut = run(setup, "6 cut 2 1", "6 cut 2 3")
         assert same_bits(others(left, 2), others(cut, 2))
     assert not same_bits(others(left, 2), others(run(setup), 2))
+
+
+@pytest.mark.parametrize("relay", [False, True])
+def test_nobody_waits_for_a_grant_that_no_bid_will_ask_for(relay: bool):
+    """All who may contend are out, and come back; in lockstep who waits in vain stands still."""
+    setup = small(nodes=3, steps=STEPS, schedule="hybrid", occupancy=0.6, rule="labelled",
+                  relay=relay)  # fmt: skip
+    assert build_node(setup, 0).schedule.contenders(0) == (2,)
+    closed: list[CycleClosed] = []
+
+    def watch(_config: object, event: object, _state: object) -> None:
+        if isinstance(event, CycleClosed):
+            closed.append(event)
+
+    trace = run(setup, "3 kill 2", "8 restart 2", watch=watch)
+    assert trace.steps == STEPS
+    assert not closed
+    # Whoever is back wins slots again.
+    assert trace.payload_bytes[8:, :, 2].any()
 
 
 def test_nothing_changes_before_its_step():
