@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from dashboard.frame import Event
+from nodes.fault_words import CHANNELS, EVERY_FAULT
 
 SETTINGS = (
     "rule", "rounds", "occupancy", "schedule", "arbiter", "hold", "decay", "trigger",
@@ -81,6 +82,11 @@ def changed(network: Network, change: Change, names: tuple[str, ...]) -> tuple[N
             return network._replace(cut=cut), Event(change.step, text, link[0], is_cut)
         case "loss":
             return _loss(network, change, names)
+        case "fault":
+            return network, _fault(change, names)
+        case "calm":
+            calm = network._replace(cut=frozenset(), losses={}, loss=0.0)
+            return calm, Event(change.step, "all faults are withdrawn")
         case "settings":
             return _settings(network, change)
         case "pace":
@@ -110,6 +116,17 @@ def _loss(network: Network, change: Change, names: tuple[str, ...]) -> tuple[Net
     text = f"link {names[link[0]]} → {names[link[1]]} loses {100 * chance:.0f} % of its frames"
     losses = {**network.losses, link: chance}
     return network._replace(losses=losses), Event(change.step, text, link[0], chance > 0)
+
+
+def _fault(change: Change, names: tuple[str, ...]) -> Event:
+    """What is wrong from now on, in the words in which it was asked for."""
+    kind, facts = str(change.facts["kind"]), change.facts
+    place, nodes = EVERY_FAULT[kind].place, [int(node) for node in facts["nodes"]]
+    known = CHANNELS if place == "channel" else names
+    numbers = [f"{float(number):g}" for number in facts["numbers"]]
+    text = " ".join((kind, *(known[node] for node in nodes), *numbers))
+    node = nodes[0] if nodes and place != "channel" else None
+    return Event(change.step, text, node, float(numbers[0]) != 0)
 
 
 def _settings(network: Network, change: Change) -> tuple[Network, Event]:

@@ -21,7 +21,8 @@ class ControlOptions:
     """Folder of the run, in which the launcher has written network.json."""
     words: tyro.conf.Positional[tuple[str, ...]]
     """state, pause, resume, step N, speed N, kill NODE, restart NODE, cut FROM TO [one-way],
-    heal FROM TO [one-way], loss P [FROM TO [one-way]], set rule=NAME rounds=N ..."""
+    heal FROM TO [one-way], loss P [FROM TO [one-way]], set rule=NAME rounds=N ...,
+    partition NODE ..., corrupt P [FROM TO [one-way]] and the other words of docs/faults.md, calm"""
     json: bool = False
     """Print one JSON object."""
 

@@ -8,6 +8,7 @@ import msgspec
 
 from scenarios.catalogue import kind_of
 from scenarios.scenario import Scenario
+from scenarios.script import with_files
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +77,8 @@ class ScenarioOptions:
     """Probability that a link loses a frame on its way to one receiver, at least 0 and below 1."""
     changes: tuple[str, ...] | None = None
     """What becomes of the network, each with its step: "10 kill 3" "20 restart 3" "25 cut 1 2"
-    "30 heal 1 2" "40 loss 0.2" "50 set rule=hcmci rounds=2"."""
+    "30 heal 1 2" "40 loss 0.2" "50 corrupt 0.05" "60 set rule=hcmci rounds=2" (docs/faults.md has
+    all words); file:PATH reads them from a file, one in each line."""
     control: str | None = None
     """Whose knowledge closes the loop of a controlled plant: a node's number, truth, or open."""
     noise: str | None = None
@@ -120,6 +122,8 @@ def scenario_of(name: str, asked: dict[str, Any]) -> Scenario:
     # A part of the bus is a wish for a schedule that can give it.
     if asked.get("occupancy", 1.0) < 1.0 and "schedule" not in asked:
         asked = {**asked, "schedule": "hybrid"}
+    if "changes" in asked:
+        asked = {**asked, "changes": with_files(asked["changes"])}
     scenario = msgspec.structs.replace(kind.defaults, **asked)
     if kind.all_steps is not None and "steps" not in asked:
         scenario = msgspec.structs.replace(scenario, steps=kind.all_steps(scenario))

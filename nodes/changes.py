@@ -56,6 +56,25 @@ class Loss(msgspec.Struct, frozen=True, tag="loss", tag_field="what", omit_defau
     receiver: int | None = None
 
 
+class Fault(msgspec.Struct, frozen=True, tag="fault", tag_field="what"):
+    """Something is wrong from a step on, in the words of `nodes/fault_words.py`.
+
+    It holds for `nodes` (a node; sender and receiver; the number of a channel), or for every link
+    where there are none. `numbers` say how much of it; it is off where the first of them is 0.
+    """
+
+    kind: str
+    nodes: tuple[int, ...]
+    numbers: tuple[float, ...]
+    first_step: int = 0
+    first_cycle: int = 0
+
+
+class Calm(msgspec.Struct, frozen=True, tag="calm", tag_field="what"):
+    """All that is wrong with links, sensors, nodes and the bus is withdrawn; who is out stays out,
+    and what the scenario's own links lose they still lose."""
+
+
 class Set(msgspec.Struct, frozen=True, tag="settings", tag_field="what"):
     """Fields of the scenario have other values: all that were ever set. Communication cycles of the
     step begin at `first_cycle`."""
@@ -71,7 +90,7 @@ class Pace(msgspec.Struct, frozen=True, tag="pace", tag_field="what"):
     steps_per_second: float
 
 
-Change = Left | Gone | Joined | Cut | Healed | Loss | Set | Pace
+Change = Left | Gone | Joined | Cut | Healed | Loss | Fault | Calm | Set | Pace
 
 
 class Event(msgspec.Struct, frozen=True):
@@ -89,6 +108,7 @@ class Standing(msgspec.Struct, frozen=True):
         loss: of every link that has none of its own, None for the scenario's.
         losses: (sender, receiver, probability) of links that have. cuts: (sender, receiver).
         first_step, first_cycle: where the present settings begin.
+        faults: the last of each kind and place, in that order.
     """
 
     absent: tuple[int, ...] = ()
@@ -98,6 +118,7 @@ class Standing(msgspec.Struct, frozen=True):
     cuts: tuple[tuple[int, int], ...] = ()
     first_step: int = 0
     first_cycle: int = 0
+    faults: tuple[Fault, ...] = ()
 
 
 UNCHANGED = Standing()
@@ -131,6 +152,12 @@ def after(standing: Standing, step: int, change: Change) -> Standing:
             losses[sender, receiver] = probability
             links = tuple((s, r, p) for (s, r), p in sorted(losses.items()))
             return replace(standing, losses=links)
+        case Fault(kind, nodes):
+            others = [one for one in standing.faults if (one.kind, one.nodes) != (kind, nodes)]
+            faults = sorted([*others, change], key=lambda one: (one.kind, one.nodes))
+            return replace(standing, faults=tuple(faults))
+        case Calm():
+            return replace(standing, loss=None, losses=(), cuts=(), faults=())
         case Set(settings, first_cycle):
             return replace(standing, settings=settings, first_step=step, first_cycle=first_cycle)
         case Pace():

@@ -1,18 +1,18 @@
 """What a person may ask of a network that runs: commands, their bytes, and their words.
 
 The words are those of `concord control` and of scripts: `kill 3`, `cut 1 2`, `loss 0.1 1 2`,
-`set rule=hcmci rounds=2`.
+`corrupt 0.05`, `set rule=hcmci rounds=2`; those of faults are in `nodes/fault_words.py`.
 """
 
+import difflib
 from collections.abc import Callable, Sequence
 
 import msgspec
 
-from nodes.changes import Settings, Standing
+from nodes.changes import Settings
+from nodes.fault_words import CHANNELS, COMMANDS, FAULTS, usage
 
 MAX_COMMAND_BYTES = 4096
-MAX_STEPS_AT_ONCE = 1000
-MAX_STEPS_PER_SECOND = 1000.0
 MAX_ROUNDS = 100
 SETTINGS = ("rule", "rounds", "occupancy", "schedule", "arbiter", "hold", "decay", "trigger")
 
@@ -60,11 +60,32 @@ class CutLink(msgspec.Struct, frozen=True, tag="cut", tag_field="do", forbid_unk
 
 
 class HealLink(msgspec.Struct, frozen=True, tag="heal", tag_field="do", forbid_unknown_fields=True):
-    """A link is no longer cut."""
+    """A link is no longer cut; without nodes no link is."""
 
-    sender: int
-    receiver: int
+    sender: int | None = None
+    receiver: int | None = None
     both: bool = True
+
+
+class Partition(
+    msgspec.Struct, frozen=True, tag="partition", tag_field="do", forbid_unknown_fields=True
+):
+    """Cut every link between these nodes and the others."""
+
+    nodes: tuple[int, ...]
+
+
+class Inject(msgspec.Struct, frozen=True, tag="fault", tag_field="do", forbid_unknown_fields=True):
+    """A fault of this kind, at these nodes or this link (`nodes/fault_words.py`)."""
+
+    kind: str
+    nodes: tuple[int, ...] = ()
+    numbers: tuple[float, ...] = ()
+    both: bool = True
+
+
+class Soothe(msgspec.Struct, frozen=True, tag="calm", tag_field="do", forbid_unknown_fields=True):
+    """Withdraw every fault, cut and loss that was ever asked for."""
 
 
 class LoseFrames(
@@ -85,7 +106,9 @@ class Configure(msgspec.Struct, frozen=True, tag="set", tag_field="do", forbid_u
 
 
 PaceCommand = Pause | Resume | Step | Speed
-ChangeCommand = Kill | Restart | CutLink | HealLink | LoseFrames | Configure
+ChangeCommand = (
+    Kill | Restart | CutLink | HealLink | LoseFrames | Partition | Inject | Soothe | Configure
+)
 Command = PaceCommand | ChangeCommand
 
 _decoder = msgspec.json.Decoder(Command)
@@ -116,46 +139,6 @@ def read_command(data: bytes) -> Command:
         raise Refused(f"not a command: {error}") from None
 
 
-def check_command(
-    command: Command, neighbours: Sequence[Sequence[int]], standing: Standing, paused: bool
-) -> None:
-    """Refuse what cannot be obeyed in a network that stands so.
-
-    Raises:
-        Refused: naming the command, its value and the rule.
-    """
-    match command:
-        case Pause() | Resume() | Configure():
-            pass
-        case Step(count):
-            _require(paused, f"step {count}", "the network runs; pause it first")
-            allowed = 1 <= count <= MAX_STEPS_AT_ONCE
-            _require(allowed, f"step {count}", f"must be 1 to {MAX_STEPS_AT_ONCE}")
-        case Speed(rate):
-            allowed = 0 <= rate <= MAX_STEPS_PER_SECOND
-            _require(allowed, f"speed {rate:g}", f"must be 0 to {MAX_STEPS_PER_SECOND:g} steps/s")
-        case Kill(node):
-            _check_node(f"kill {node}", node, neighbours)
-            _require(node not in standing.absent, f"kill {node}", "the node is out already")
-            alone = len(standing.absent) + 1 == len(neighbours)
-            _require(not alone, f"kill {node}", "it is the last one; end the run instead")
-        case Restart(node):
-            _check_node(f"restart {node}", node, neighbours)
-            _require(node in standing.absent, f"restart {node}", "the node is not out")
-        case CutLink(sender, receiver, both):
-            _check_link("cut", sender, receiver, both, neighbours)
-        case HealLink(sender, receiver, both):
-            _check_link("heal", sender, receiver, both, neighbours)
-        case LoseFrames(probability, sender, receiver, both):
-            allowed = 0 <= probability < 1
-            _require(allowed, f"loss {probability:g}", "must be at least 0 and below 1")
-            if sender is not None and receiver is not None:
-                _check_link("loss on", sender, receiver, both, neighbours)
-            else:
-                whole = sender is None and receiver is None
-                _require(whole, f"loss {probability:g}", "name both ends of the link, or neither")
-
-
 def in_words(words: Sequence[str]) -> Command:
     """The command that a person has written, word by word.
 
@@ -164,14 +147,16 @@ def in_words(words: Sequence[str]) -> Command:
     """
     both = list(words[-1:]) != [_ONE_WAY]
     said = list(words if both else words[:-1])
-    try:
-        return _VERBS[said[0]](said[1:], both)
-    except (LookupError, TypeError, ValueError):
+    verb = said[0] if said else ""
+    if verb not in VERBS:
+        nearest = difflib.get_close_matches(verb, VERBS, n=1, cutoff=0.0)[0]
         raise Refused(
-            f"{' '.join(words)!r} is no command; say pause, resume, step N, speed N, kill NODE, "
-            "restart NODE, cut FROM TO [one-way], heal FROM TO [one-way], "
-            "loss P [FROM TO [one-way]] or set rule=NAME rounds=N ..."
-        ) from None
+            f"{verb!r} is no command: did you mean {nearest!r}? Commands are {', '.join(VERBS)}"
+        )
+    try:
+        return _fault(said, both) if verb in FAULTS else _READERS[verb](said[1:], both)
+    except (LookupError, TypeError, ValueError):
+        raise Refused(f"{' '.join(words)!r}: say {VERBS[verb]}") from None
 
 
 def _setting(pair: str) -> tuple[str, int | float | str]:
@@ -186,43 +171,56 @@ def _setting(pair: str) -> tuple[str, int | float | str]:
     return name, value
 
 
-def _check_node(what: str, node: int, neighbours: Sequence[Sequence[int]]) -> None:
-    there = 0 <= node < len(neighbours)
-    _require(there, what, f"there are nodes 0 to {len(neighbours) - 1}")
-
-
-def _check_link(
-    verb: str, sender: int, receiver: int, both: bool, neighbours: Sequence[Sequence[int]]
-) -> None:
-    what = f"{verb} {sender} {receiver}"
-    for node in (sender, receiver):
-        _check_node(what, node, neighbours)
-    heard = sender in neighbours[receiver] or (both and receiver in neighbours[sender])
-    _require(heard, what, f"node {receiver} does not hear node {sender}")
-
-
-def _require(holds: bool, what: str, why: str) -> None:
-    if not holds:
-        raise Refused(f"{what}: {why}")
-
-
 _ONE_WAY = "one-way"
 # Too few, too many or wrong words raise TypeError, ValueError or IndexError.
-_VERBS: dict[str, Callable[[list[str], bool], Command]] = {
+_READERS: dict[str, Callable[[list[str], bool], Command]] = {
     "pause": lambda rest, _: Pause(*rest),
     "resume": lambda rest, _: Resume(*rest),
     "step": lambda rest, _: Step(*map(int, rest)),
     "speed": lambda rest, _: Speed(*map(float, rest)),
     "kill": lambda rest, _: Kill(*map(int, rest)),
     "restart": lambda rest, _: Restart(*map(int, rest)),
-    "cut": lambda rest, both: _of_link(CutLink, *map(int, rest), both=both),
-    "heal": lambda rest, both: _of_link(HealLink, *map(int, rest), both=both),
+    "cut": lambda rest, both: _of_link(CutLink, rest, both),
+    "heal": lambda rest, both: _of_link(HealLink, rest, both) if rest else HealLink(),
     "loss": lambda rest, both: LoseFrames(float(rest[0]), *map(int, rest[1:]), both=both),
+    "partition": lambda rest, _: Partition(tuple(map(int, rest))),
+    "calm": lambda rest, _: Soothe(*rest),
     "set": lambda rest, _: Configure(dict(map(_setting, rest))),
+}
+# Every first word of a command, and how it goes on.
+VERBS: dict[str, str] = {
+    "pause": "pause",
+    "resume": "resume",
+    "step": "step N",
+    "speed": "speed N",
+    "restart": "restart NODE",
+    "heal": "heal [FROM TO [one-way]]",
+    "calm": "calm",
+    "set": "set rule=NAME rounds=N ...",
+    **{word: usage(word) for word in (*COMMANDS, *FAULTS)},
 }
 
 
 def _of_link(
-    make: type[CutLink] | type[HealLink], sender: int, receiver: int, *, both: bool
-) -> Command:
+    make: type[CutLink] | type[HealLink], nodes: Sequence[str], both: bool
+) -> CutLink | HealLink:
+    sender, receiver = map(int, nodes)
     return make(sender, receiver, both)
+
+
+def _fault(said: Sequence[str], both: bool) -> Inject:
+    """Numbers come after the nodes, but before those of a link, which may be left out."""
+    kind, rest = said[0], list(said[1:])
+    place, numbers = FAULTS[kind].place, len(FAULTS[kind].numbers)
+    if place == "link":
+        nodes, values = rest[numbers:], rest[:numbers]
+    else:
+        named = {"node": 1, "two nodes": 2, "channel": 1, "bus": 0}[place]
+        nodes, values = rest[:named], rest[named:]
+    if place == "channel":
+        nodes = [str(CHANNELS.index(name)) for name in nodes]
+    named_link = place == "link" and len(nodes) == 2
+    half_a_link = place == "link" and nodes and not named_link
+    if len(values) != numbers or half_a_link or not (both or named_link):
+        raise ValueError(said)
+    return Inject(kind, tuple(map(int, nodes)), tuple(map(float, values)), both)

@@ -11,9 +11,11 @@ from typing import NamedTuple
 
 from nodes import world, world_changes
 from nodes.changes import (
+    Calm,
     Change,
     Cut,
     Event,
+    Fault,
     Healed,
     Joined,
     Left,
@@ -21,21 +23,25 @@ from nodes.changes import (
     Pace,
     Settings,
 )
+from nodes.command_checks import check_command
 from nodes.commands import (
     ChangeCommand,
     Command,
     Configure,
     CutLink,
     HealLink,
+    Inject,
     Kill,
     LoseFrames,
+    Partition,
     Pause,
     Restart,
     Resume,
+    Soothe,
     Speed,
     Step,
-    check_command,
 )
+from nodes.fault_words import FAULTS
 from nodes.messages import WorldEvent, WorldMessage
 from nodes.world import WorldConfig, WorldState
 
@@ -169,7 +175,9 @@ class Conductor:
         return outbox + messages
 
     def _check(self, command: Command) -> None:
-        check_command(command, self.config.neighbours, self.state.standing, self.paused)
+        config = self.config
+        equipment = config.faults.equipment
+        check_command(command, config.neighbours, self.state.standing, self.paused, equipment)
 
     def _due(self) -> list[ChangeCommand]:
         """What waits for a step that nobody has begun."""
@@ -208,19 +216,51 @@ class Conductor:
                 if self._stage.start(node):
                     self._ready.add(node)
                 return []
+            case Configure(settings):
+                # What entails what is for the scenario to say, in a script as well.
+                wanted = self._stage.check({**self.state.standing.settings, **settings})
+                return [world_changes.setting(self.config, self.state, wanted)]
+            case Soothe():
+                return [Calm()]
+            case Inject():
+                return self._faults(command)
+            case _:
+                return self._link_changes(command)
+
+    def _link_changes(self, command: CutLink | HealLink | LoseFrames | Partition) -> list[Change]:
+        """What a command changes of links."""
+        match command:
             case CutLink(sender, receiver, both):
                 return [Cut(*link) for link in self._links(sender, receiver, both)]
-            case HealLink(sender, receiver, both):
+            case HealLink(int(sender), int(receiver), both):
                 return [Healed(*link) for link in self._links(sender, receiver, both)]
+            case HealLink():
+                return [Healed(*link) for link in self.state.standing.cuts]
+            case Partition(nodes):
+                return [Cut(*link) for link in self._crossing(set(nodes))]
             case LoseFrames(probability, int(sender), int(receiver), both):
                 links = self._links(sender, receiver, both)
                 return [Loss(probability, *link) for link in links]
             case LoseFrames(probability):
                 return [Loss(probability)]
-            case Configure(settings):
-                # What entails what is for the scenario to say, in a script as well.
-                wanted = self._stage.check({**self.state.standing.settings, **settings})
-                return [world_changes.setting(self.config, self.state, wanted)]
+
+    def _faults(self, command: Inject) -> list[Change]:
+        """What a fault changes: two of them where a link has it both ways."""
+        kind, nodes = command.kind, command.nodes
+        is_link = FAULTS[kind].place == "link" and len(nodes) == 2
+        places = self._links(nodes[0], nodes[1], command.both) if is_link else [nodes]
+        released = self.state.released
+        cycle = self.config.cycle_of(released)
+        return [Fault(kind, tuple(place), command.numbers, released, cycle) for place in places]
+
+    def _crossing(self, nodes: set[int]) -> list[tuple[int, int]]:
+        """Links between these nodes and the others, either way."""
+        return [
+            (sender, receiver)
+            for receiver, heard in enumerate(self.config.neighbours)
+            for sender in heard
+            if (sender in nodes) != (receiver in nodes)
+        ]
 
     def _links(self, sender: int, receiver: int, both: bool) -> list[tuple[int, int]]:
         directions = [(sender, receiver), (receiver, sender)] if both else [(sender, receiver)]

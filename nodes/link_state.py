@@ -112,6 +112,14 @@ def chance(key: tuple[int, int], count: Any, one: Any, other: Any) -> Any:
         return _draw(key, *words).astype(float) / (1 << _FRACTION_BITS)
 
 
+def fraction(key: tuple[int, int], cycle: int, sender: int, receiver: int, frame: int = 0) -> float:
+    """A number in [0, 1) that belongs to plain numbers and a key: 40, 24, 24 and 16 bits of them.
+
+    `chance` for one: frames come one by one.
+    """
+    return _draw(key, cycle, sender, receiver, frame) / (1 << _FRACTION_BITS)
+
+
 def _cut(outage: Outage, step: Any, sender: Any, receiver: Any) -> Any:
     """Works on numbers and arrays alike."""
     here = (sender == outage.sender) & (receiver == outage.receiver)

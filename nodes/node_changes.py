@@ -22,14 +22,15 @@ def apply(config: NodeConfig, state: NodeState) -> tuple[NodeConfig, NodeState, 
     assert state.phase is Phase.CHANGE, "changes come with the heartbeat of their first step"
     step = state.step + 1
     measured = state.inbox.measured[step]
-    standing = config.standing
+    # Who was missed meanwhile is out too.
+    standing = msgspec.structs.replace(config.standing, absent=tuple(sorted(state.absent)))
     for change in measured.changes:
         standing = after(standing, step, change)
     if any(isinstance(change, Set) for change in measured.changes):
         belief = config.estimator.belief(state.content)
         config = _rebuilt(config, standing, step, belief)
         state = state._replace(cycle=config.first_cycle, content=config.estimator.start())
-    config = replace(config, standing=standing, links=with_standing(config.links, standing))
+    config = _with_standing(config, standing)
     unchanged = {**state.inbox.measured, step: msgspec.structs.replace(measured, changes=())}
     state = state._replace(
         phase=Phase.MEASUREMENT,
@@ -44,9 +45,18 @@ def begin_late(config: NodeConfig, welcome: Welcome) -> tuple[NodeConfig, NodeSt
     """A node that joins a network that runs: `config` is that of the beginning."""
     standing, step = welcome.standing, welcome.step
     config = _rebuilt(config, standing, step, _belief(welcome.joined))
-    config = replace(config, links=with_standing(config.links, standing))
+    config = _with_standing(config, standing)
     cycle = config.first_cycle + (step - config.first_step) * config.rounds
     return config, state_machine.initial_state(config)._replace(step=step - 1, cycle=cycle)
+
+
+def _with_standing(config: NodeConfig, standing: Standing) -> NodeConfig:
+    return replace(
+        config,
+        standing=standing,
+        links=with_standing(config.scenario_links, standing),
+        faults=config.faults.stand(standing),
+    )
 
 
 def with_standing(links: LinkState, standing: Standing) -> LinkState:

@@ -10,6 +10,7 @@ from bus.schedule import Schedule
 from filters.gaussian import Gaussian
 from nodes.changes import UNCHANGED, Standing
 from nodes.estimator import Content, Estimator, Share
+from nodes.faults import HEALTHY, Faults
 from nodes.link_state import PERFECT, LinkState
 from nodes.messages import Measured
 from nodes.share import CYCLE_COUNTS, Fragment
@@ -30,8 +31,9 @@ class NodeConfig:
     """Everything a node knows before the start.
 
     `neighbours` ascend, as the weights do; `slots(node, cycle)` are those of a node's share;
-    the cluster's cycle counter wraps at `cycle_counts`; `links` says which frames do not arrive. In
-    a `timed` network a part of a cycle ends when its time is over (`CycleClosed`), and not when all
+    the cluster's cycle counter wraps at `cycle_counts`; `links` says which frames do not arrive,
+    `scenario_links` which would not if nothing had changed, `faults` what else is wrong. In a
+    `timed` network a part of a cycle ends when its time is over (`CycleClosed`), and not when all
     has come.
 
     The configuration holds from `first_step` on, whose cycles begin at `first_cycle`. `standing` is
@@ -53,6 +55,8 @@ class NodeConfig:
     standing: Standing = UNCHANGED
     rebuild: "Callable[[Standing, int, Gaussian | None], NodeConfig] | None" = None
     timed: bool = False
+    faults: Faults = HEALTHY
+    scenario_links: LinkState = PERFECT
 
 
 class Inbox(NamedTuple):
@@ -60,14 +64,18 @@ class Inbox(NamedTuple):
     parts by (cycle, sender). What the link has lost is None: nobody waits for it any more.
 
     Frames of later steps wait in `early` by (sender, cycle, frame ID): changes may come before
-    them, and say what they are.
+    them, and say what they are. `overtaken` shares by (cycle, sender) come after all others of
+    their cycle: their fragments when these have all come, () before. `late` frames are under way
+    with the cycle in which they come.
     """
 
     measured: dict[int, Measured]
     grants: dict[tuple[int, int], tuple[int, ...]]
     parts: dict[tuple[int, int], dict[int, bytes | None]]
     shares: dict[tuple[int, int], Share | None]
-    early: dict[tuple[int, int, int], Fragment]
+    early: dict[tuple[int, int, int], tuple[Fragment, bytes]]
+    overtaken: dict[tuple[int, int], tuple[bytes | None, ...]]
+    late: tuple[tuple[int, bytes], ...] = ()
 
 
 class NodeState(NamedTuple):

@@ -95,6 +95,27 @@ def read_frame(data: bytes) -> Fragment:
     return Fragment(frame.frame_id, cycle, frame.cycle_count, frame.payload[PREFIX_BYTES:])
 
 
+def renumbered(frame: bytes, cycle: int, cycle_counts: int = CYCLE_COUNTS) -> bytes:
+    """The frame with the number of another cycle, in payload and header, and its checksums right.
+
+    Raises:
+        FrameError: it is no frame.
+    """
+    told = decode_frame(frame)
+    payload = _CYCLE.pack(cycle) + told.payload[PREFIX_BYTES:]
+    return encode_frame(Frame(told.frame_id, cycle % cycle_counts, payload))
+
+
+def in_slot(frame: bytes, frame_id: int) -> bytes:
+    """The frame with the ID of another slot, its checksums right.
+
+    Raises:
+        FrameError: it is no frame.
+    """
+    told = decode_frame(frame)
+    return encode_frame(Frame(frame_id, told.cycle_count, told.payload))
+
+
 def fragments_of(data: bytes) -> int:
     """How many frames the share takes that a fragment belongs to.
 

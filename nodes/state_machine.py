@@ -18,7 +18,8 @@ from typing import Any
 from bus.schedule import Schedule
 from filters.linalg import pack_upper
 from nodes.changes import Gone
-from nodes.hearing import file_early, hear
+from nodes.faults import hangs, is_silent
+from nodes.hearing import file_early, hear, hear_late, let_in_overtaken
 from nodes.messages import (
     Bid,
     CycleClosed,
@@ -32,6 +33,7 @@ from nodes.messages import (
     to_wire,
 )
 from nodes.node_state import Inbox, NodeConfig, NodeState, Phase, count
+from nodes.sender_faults import spoken
 from nodes.share import payload_bytes, to_frames
 
 
@@ -44,7 +46,7 @@ def initial_state(config: NodeConfig) -> NodeState:
         0,
         (),
         config.estimator.start(),
-        Inbox({}, {}, {}, {}, {}),
+        Inbox({}, {}, {}, {}, {}, {}),
         {},
         frozenset(config.standing.absent),
     )
@@ -74,7 +76,9 @@ def step(
 def awaited_neighbour(config: NodeConfig, state: NodeState) -> int | None:
     """In phase SHARES: the first neighbour whose share is due and has not come."""
     for neighbour in _due(config, state):
-        if (state.cycle, neighbour) not in state.inbox.shares:
+        key = (state.cycle, neighbour)
+        has_come = key in state.inbox.shares or state.inbox.overtaken.get(key)
+        if not has_come and not is_silent(config.faults, state.step, state.cycle, neighbour):
             return neighbour
     return None
 
@@ -116,6 +120,8 @@ def _begin_step(config: NodeConfig, state: NodeState) -> NodeState:
 
 def _open_group(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> NodeState:
     """Begin a part of a cycle: bid where there are slots to win, send where a slot is owned."""
+    if state.inbox.late:
+        state = hear_late(config, state)
     group = config.schedule.groups(state.cycle)[state.group]
     contenders = contenders_left(config.schedule, state.cycle, state.won)
     contest = group.dynamic_slots > 0 and bool(contenders)
@@ -137,15 +143,21 @@ def _bid(config: NodeConfig, state: NodeState) -> Bid:
     slots = config.slots(config.index, state.cycle)
     # Composing changes nothing here: it says how long the share would be.
     _, body = config.estimator.compose(state.content)
-    bid = config.estimator.bid(state.content)
+    hung = hangs(config.faults, state.step, config.index)
+    bid = None if hung else config.estimator.bid(state.content)
     return Bid(config.index, state.cycle, bid, payload_bytes(body, slots), state.group)
 
 
 def _send(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> NodeState:
+    faults, step, cycle = config.faults, state.step, state.cycle
+    if is_silent(faults, step, cycle, config.index):
+        return count(state, "silent")
     content, body = config.estimator.compose(state.content)
-    slots = config.slots(config.index, state.cycle)
-    frames = to_frames(body, state.cycle, slots, config.cycle_counts)
-    outbox.extend(ShareSent(config.index, state.cycle, frame) for frame in frames)
+    if faults.standing:
+        body = spoken(faults, step, cycle, config.index, body)
+    slots = config.slots(config.index, cycle)
+    frames = to_frames(body, cycle, slots, config.cycle_counts)
+    outbox.extend(ShareSent(config.index, cycle, frame) for frame in frames)
     return count(state._replace(content=content), *["sent"] * len(frames))
 
 
@@ -168,6 +180,8 @@ def _among(neighbours: tuple[int, ...], senders: tuple[int, ...]) -> tuple[int, 
 
 
 def _close_group(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> NodeState:
+    if state.inbox.overtaken:
+        state = let_in_overtaken(config, state)
     due = _due(config, state)
     # Without a grant nobody knows who won: what came from a contender then stands as sent.
     usable = due if state.phase is Phase.SHARES else config.neighbours
@@ -226,6 +240,7 @@ def _forget_before(state: NodeState, cycle: int) -> Inbox:
         grants=_since(cycle, inbox.grants),
         parts=_since(cycle, inbox.parts),
         shares=_since(cycle, inbox.shares),
+        overtaken=_since(cycle, inbox.overtaken),
     )
 
 

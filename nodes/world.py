@@ -11,8 +11,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
+import numpy as np
+
 from bus.schedule import Schedule
 from nodes.changes import UNCHANGED, Change, Event, Gone, Joined, Standing, after
+from nodes.faults import HEALTHY, Faults, hangs
 from nodes.messages import (
     Array,
     Bid,
@@ -25,6 +28,7 @@ from nodes.messages import (
     from_wire,
     to_wire,
 )
+from nodes.sensor_faults import delivered as delivered_by_faulty
 from nodes.state_machine import contenders_left
 
 
@@ -71,6 +75,10 @@ class Delivery(NamedTuple):
     memory: Any
 
 
+def _exact(readings: Array) -> Array:
+    return np.zeros_like(readings)
+
+
 Arbitrate = Callable[[Any, int, tuple[Bid, ...]], tuple[Any, tuple[int, ...]]]
 
 
@@ -79,8 +87,9 @@ class WorldConfig:
     """Everything the world knows before the start.
 
     `arbitrate(state, cycle, bids) -> (state, winners)` serves the dynamic segment; `neighbours` are
-    whom each node hears. The configuration holds from `first_step` on, whose cycles begin at
-    `first_cycle`; `rebuild(standing)` makes the one that goes with other settings.
+    whom each node hears; `faults` decide what is wrong; `spread` gives the standard deviations
+    (nodes, r, d) of readings of that shape. The configuration holds from `first_step` on, whose
+    cycles begin at `first_cycle`; `rebuild(standing)` makes the one that goes with other settings.
     """
 
     plant: Plant
@@ -99,6 +108,8 @@ class WorldConfig:
     first_step: int = 0
     first_cycle: int = 0
     rebuild: "Callable[[Standing], WorldConfig] | None" = None
+    faults: Faults = HEALTHY
+    spread: Callable[[Array], Array] = _exact
 
     def cycle_of(self, step: int) -> int:
         """The first communication cycle of a step that is not before `first_step`."""
@@ -109,7 +120,8 @@ class WorldState(NamedTuple):
     """The world between two events.
 
     `released` steps have been sent, of at most `limit`; `completed` ones estimated by all members,
-    which left `latest`. `announced` changes hold from the step that is released next.
+    which left `latest`. `announced` changes hold from the step that is released next; `delivered`
+    (nodes, r, d) is what the sensors did in the step that was released last.
     """
 
     released: int
@@ -128,6 +140,7 @@ class WorldState(NamedTuple):
     latest: dict[int, Estimate]
     standing: Standing
     announced: tuple[Change, ...]
+    delivered: Array | None
 
     @property
     def idle(self) -> bool:
@@ -156,6 +169,7 @@ def begin(config: WorldConfig) -> WorldState:
         latest={},
         standing=UNCHANGED,
         announced=(),
+        delivered=None,
     )
     return skip_quiet_cycles(config, state)
 
@@ -247,7 +261,8 @@ def _release(
             state = _advance(config, state)
         number = state.released
         outbox.append(Truth(number, to_wire(state.truth)))
-        delivered = config.plant.observe(state.truth, config.draws.measurement[number], number)
+        delivered = _read_sensors(config, state)
+        state = state._replace(delivered=delivered)
         if config.delivery is not None:
             delivery, delivered = config.delivery.transmit(state.delivery, delivered, number)
             state = state._replace(delivery=delivery)
@@ -269,14 +284,25 @@ def _release(
     return _grant(config, state, outbox)
 
 
+def _read_sensors(config: WorldConfig, state: WorldState) -> Array:
+    """What the sensors of all nodes deliver (nodes, r, d) in the step that is released next."""
+    step = state.released
+    readings = config.plant.observe(state.truth, config.draws.measurement[step], step)
+    faults = config.faults.stand(state.standing)
+    if not faults.standing:
+        return readings
+    return delivered_by_faulty(faults, step, readings, state.delivered, config.spread(readings))
+
+
 def _advance(config: WorldConfig, state: WorldState) -> WorldState:
     last = state.released - 1
     if config.controller is not None:
         law, _, node = config.controller
         last_known = node is None or state.completed == state.released
         assert last_known, "a loop through the estimates needs lead = 1"
-        # A node that is out leaves the actuator where it was.
-        if node is None or node in state.latest:
+        # A node that is out or stands still leaves the actuator where it was.
+        hung = node is not None and hangs(config.faults.stand(state.standing), last, node)
+        if node is None or (node in state.latest and not hung):
             seen = state.truth if node is None else from_wire(state.latest[node].mean)
             control, memory = law(seen, state.memory, last)
             state = state._replace(control=control, memory=memory)

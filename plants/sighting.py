@@ -23,6 +23,11 @@ class Sighting:
     bearing_std_rad: float = 0.02
     gate: float | None = 11.0  # greatest normalised innovation squared: misread barcodes fail it
 
+    @property
+    def noise_std(self) -> Array:
+        """Standard deviations (2,) of range at no distance, in m, and bearing, in rad."""
+        return np.array([self.range_std_m, self.bearing_std_rad])
+
     def for_node(self, node: int) -> "Sighting":
         """The same for every node: the reading itself carries the observer's pose."""
         return self

@@ -18,6 +18,7 @@ from nodes.world import Controller, WorldConfig
 from scenarios.bus_plan import BusPlan, arbitrate, plan_bus
 from scenarios.catalogue import kind_of
 from scenarios.control import control_node
+from scenarios.equipment import build_faults, spread_of
 from scenarios.estimators import Beginning, Seat
 from scenarios.labelled import Everybody
 from scenarios.links import link_state
@@ -58,6 +59,8 @@ def _node(setup: Setup, node: int, standing: Standing, step: int) -> NodeConfig:
         standing.first_cycle,
         standing,
         partial(_rebuilt, setup, node),
+        faults=build_faults(setup, plan),
+        scenario_links=link_state(setup),
     )
 
 
@@ -131,6 +134,8 @@ def build_world(setup: Setup) -> WorldConfig:
         delivery=kind.delivery(scenario) if kind.delivery else None,
         neighbours=setup.neighbours,
         rebuild=partial(_world_rebuilt, setup),
+        faults=build_faults(setup, plan),
+        spread=partial(spread_of, scenario),
     )
 
 

@@ -45,7 +45,7 @@ def link_state(setup: "Setup") -> LinkState:
             for receiver, heard in enumerate(setup.neighbours)
             for sender, own in zip(heard, setup.losses[receiver], strict=True)
         }
-    return LinkState(_key(scenario, "links"), scenario.loss, losses, link_up=link_up(setup))
+    return LinkState(key_of(scenario, "links"), scenario.loss, losses, link_up=link_up(setup))
 
 
 def link_up(setup: "Setup") -> LinkUp | None:
@@ -66,7 +66,7 @@ def link_up(setup: "Setup") -> LinkUp | None:
 
 def draw_of(scenario: Scenario) -> Callable[[Any, Any, Any], Any]:
     """(step, one, other) -> numbers in [0, 1) that belong to the run, by counting."""
-    key = _key(scenario, "link states")
+    key = key_of(scenario, "link states")
     return lambda step, one, other: chance(key, np.add(step, _FIRST_COUNT), one, other)
 
 
@@ -139,6 +139,7 @@ def losses_of(
     return [part.tolist() for part in np.split(1 - network.delivery, ends)]
 
 
-def _key(scenario: Scenario, purpose: str) -> tuple[int, int]:
+def key_of(scenario: Scenario, purpose: str) -> tuple[int, int]:
+    """Two words of 64 bits that belong to a purpose in one run of a scenario."""
     first, second = stream_of(scenario, purpose, 0).generate_state(2, np.uint64).tolist()
     return first, second

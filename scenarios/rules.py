@@ -70,6 +70,7 @@ class Rule(NamedTuple):
             filter of the scenario.
         fleet: builds the rule at all nodes of many runs; None for a rule without an array form.
         lacking: what of a scenario the array form does not have; None if it has all.
+        shares_beliefs: a share is a mean and a covariance.
     """
 
     summary: str
@@ -82,6 +83,7 @@ class Rule(NamedTuple):
     listen: "Callable[[Setup, Sequence[int], Array, Array | None], Gaussian] | None" = None
     fleet: Callable[[FleetSeat], Fleet] | None = None
     lacking: Callable[[Scenario], str | None] = lambda _: None
+    shares_beliefs: bool = False
 
 
 def rule_names() -> tuple[str, ...]:
@@ -264,6 +266,7 @@ _RULES: dict[str, Rule] = {
         partial(averaging_numbers, INFORMATION),
         holds=True,
         fleet=partial(averaging_fleet, INFORMATION),
+        shares_beliefs=True,
     ),
     "wac": Rule(
         "weighted average of means and covariances (the paper's): no inverse, may diverge",
@@ -271,6 +274,7 @@ _RULES: dict[str, Rule] = {
         partial(averaging_numbers, MOMENTS),
         holds=True,
         fleet=partial(averaging_fleet, MOMENTS),
+        shares_beliefs=True,
     ),
     "hcmci": Rule(
         "consensus on prior and novelty, safe gain: consistent, near centralised with more rounds",
@@ -318,6 +322,7 @@ _RULES: dict[str, Rule] = {
         lambda n, _: packed_length(n),
         partial(averaging, keep_own),
         fleet=local_fleet,
+        shares_beliefs=True,
     ),
     "centralised": Rule(
         "all readings at every node: the optimum; complete graph, full schedule, one round",

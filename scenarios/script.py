@@ -1,23 +1,58 @@
 """What becomes of a network in a run, checked before it starts: changes with their steps."""
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 from nodes.changes import UNCHANGED, Joined, Left, Set, Settings, Standing, after
+from nodes.command_checks import check_command
 from nodes.commands import (
     ChangeCommand,
     Configure,
+    Inject,
     Kill,
     Pause,
-    Refused,
     Restart,
     Resume,
     Speed,
     Step,
-    check_command,
     in_words,
 )
 from nodes.conductor import Scripted
+from nodes.faults import Equipment
 from scenarios.scenario import Scenario
+
+_FILE = "file:"
+
+
+def with_files(changes: Sequence[str]) -> tuple[str, ...]:
+    """The lines of a script, where `file:PATH` stands for those of a file: one change in each,
+    empty ones and what comes after `#` left out.
+
+    Raises:
+        ValueError: a file that cannot be read, or a line of one that is no change: which, and why.
+    """
+    return tuple(line for change in changes for line in _expanded(change))
+
+
+def _expanded(change: str) -> list[str]:
+    if not change.startswith(_FILE):
+        return [change]
+    path = Path(change.removeprefix(_FILE))
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        why = error.strerror if isinstance(error, OSError) else "is no text"
+        raise ValueError(f"--changes {change}: cannot be read ({why})") from None
+    lines = []
+    for number, whole in enumerate(text.splitlines(), 1):
+        line = whole.partition("#")[0].strip()
+        if line:
+            try:
+                _read(line)
+            except ValueError as error:
+                raise ValueError(f"{path}, line {number}: {line!r}: {error}") from None
+            lines.append(line)
+    return lines
 
 
 def script_of(scenario: Scenario) -> tuple[Scripted, ...]:
@@ -31,17 +66,27 @@ def script_of(scenario: Scenario) -> tuple[Scripted, ...]:
 
 
 def _line(line: str, steps: int) -> Scripted:
-    number, _, words = line.strip().partition(" ")
-    if not number.isdecimal() or int(number) >= steps:
-        raise ValueError(
-            f"--changes {line!r}: must begin with a step, 0 to {steps - 1}, as in '10 kill 3'"
-        )
     try:
-        command = in_words(words.split())
-    except Refused as refused:
-        raise ValueError(f"--changes {line!r}: {refused}") from None
+        scripted = _read(line)
+        if scripted.step >= steps:
+            raise ValueError(f"must begin with a step, 0 to {steps - 1}, as in '10 kill 3'")
+    except ValueError as error:
+        raise ValueError(f"--changes {line!r}: {error}") from None
+    return scripted
+
+
+def _read(line: str) -> Scripted:
+    """A change and its step.
+
+    Raises:
+        ValueError: why it is none.
+    """
+    number, _, words = line.strip().partition(" ")
+    if not (number.isascii() and number.isdecimal()):
+        raise ValueError("must begin with the number of a step, as in '10 kill 3'")
+    command = in_words(words.split())
     if isinstance(command, Pause | Resume | Step | Speed):
-        raise ValueError(f"--changes {line!r}: changes no number; say it to a network that runs")
+        raise ValueError("changes no number; say it to a network that runs")
     return Scripted(int(number), command)
 
 
@@ -49,8 +94,10 @@ def check_script(
     scenario: Scenario,
     neighbours: Sequence[Sequence[int]],
     complete: Callable[[Settings], Settings],
+    equip: Callable[[Settings], Equipment],
 ) -> None:
-    """Refuse changes that cannot follow upon one another; `complete` refuses settings.
+    """Refuse changes that cannot follow upon one another; `complete` refuses settings, `equip` says
+    what a network with such settings has that can be wrong.
 
     Raises:
         ValueError: naming the line, and why not.
@@ -58,7 +105,8 @@ def check_script(
     standing = UNCHANGED
     for line, (step, command) in zip(_in_order(scenario), script_of(scenario), strict=True):
         try:
-            check_command(command, neighbours, standing, paused=False)
+            equipment = equip(standing.settings) if isinstance(command, Inject) else Equipment()
+            check_command(command, neighbours, standing, False, equipment)
             standing = _stands(standing, step, command, neighbours, complete)
         except ValueError as refused:
             raise ValueError(f"--changes {line!r}: {refused}") from None

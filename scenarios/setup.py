@@ -15,9 +15,11 @@ import numpy as np
 
 from nodes.changes import Settings
 from nodes.commands import MAX_ROUNDS, SETTINGS
+from nodes.faults import Equipment
 from nodes.messages import to_wire
 from scenarios.bus_plan import check_bus, plan_bus
 from scenarios.catalogue import kind_of
+from scenarios.equipment import equipment_of
 from scenarios.links import losses_of, network_of, stream_of
 from scenarios.rules import check_rule, is_certain, share_size
 from scenarios.scenario import Scenario, check_ranges, require
@@ -91,8 +93,17 @@ def prepare(scenario: Scenario) -> Setup:
     unborn = Setup(scenario, neighbours, rows, [], [], [], plant.time_step_s, losses, turns)
     setup = setup_of_run(unborn, scenario.run)
     check_network(setup)
-    check_script(scenario, neighbours, partial(complete_settings, setup))
+    check_script(
+        scenario, neighbours, partial(complete_settings, setup), partial(_equipment, setup)
+    )
     return setup
+
+
+def _equipment(setup: Setup, settings: Settings) -> Equipment:
+    """What a network has that can be wrong, when these fields of its scenario are set."""
+    changed = with_settings(setup, settings)
+    plan = plan_bus(changed.scenario, share_bytes(changed), changed.neighbours)
+    return equipment_of(changed, plan)
 
 
 def setup_of_run(setup: Setup, run: int) -> Setup:

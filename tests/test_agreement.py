@@ -18,6 +18,7 @@ from nodes.links import wants_router
 from scenarios.setup import Setup, prepare
 from tests.experiments.support import scenario, small, trace_of
 
+# fmt: off
 SMALL = {
     "oscillator on a ring": {"graph": "ring"},
     "one node": {"nodes": 1, "graph": "complete"},
@@ -58,8 +59,31 @@ SMALL = {
             "20 kill 2",
         ),
     },
+    "every kind of fault at once": {
+        "steps": 17,
+        "changes": (
+            "1 corrupt 0.1", "1 delay 0.2 2 1 2", "2 jitter 1 0 1 one-way", "2 duplicate 0.3",
+            "2 reorder 0.4", "3 hang 3 2", "3 slow 0 1", "4 drift 2 700", "4 dropout 1 0.4",
+            "5 missing 1 0.3", "5 crc 2 0.3", "5 null 0 0.3", "6 babble 3 0.2", "7 guardian 1",
+            "7 spoof 0 1 0.5", "7 wrong-step 1 0.3 2", "7 replay 2 0.5 2", "8 nan 0 0.3",
+            "8 indefinite 1 0.3", "8 lie 3 5 4", "8 outlier 1 0.5 20", "9 bias 2 3",
+            "9 stuck 0 2", "9 partition 0 1", "10 heal", "10 kill 1", "11 calm", "11 restart 1",
+            "13 corrupt 0.2", "14 set rule=hcmci rounds=2", "15 delay 0.5 1",
+        ),
+    },
+    "faults in contention, in several frames": {
+        "nodes": 6,
+        "cluster": "audi",
+        "schedule": "hybrid",
+        "occupancy": 0.5,
+        "changes": (
+            "1 corrupt 0.2", "1 reorder 0.5", "2 hang 5 3", "2 missing 4 0.5", "3 jitter 2",
+            "3 duplicate 0.5", "4 spoof 0 5 1", "5 replay 1 0.5 3", "6 calm",
+        ),
+    },
     "another run of the same seed": {"seed": 9, "run": 3},
 }
+# fmt: on
 TRACKING = {
     "target-tracking": {"nodes": 6, "graph": "geometric", "steps": 6, "seed": 7},
     "target-crossing": {"nodes": 5, "graph": "path", "steps": 6},

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from experiments.trace import Trace
 from filters.gaussian import Gaussian
+from nodes import node_changes, state_machine
 from nodes.changes import UNCHANGED, Cut, Event, Gone, Healed, Joined, Left, Loss, Pace, Set, after
 from nodes.history import Absence, Epoch, history_of
 from nodes.messages import CycleClosed, Measured, to_wire
@@ -186,3 +187,16 @@ def test_a_history_knows_who_was_in_and_where_a_cycle_belongs():
     assert [history.place(cycle) for cycle in (0, 14, 15, 16, 17)] == [
         (0, 0), (4, 2), (5, 0), (5, 1), (6, 0),
     ]  # fmt: skip
+
+
+def test_who_was_missed_is_not_waited_for_after_a_change():
+    """A node has died unasked; then something else changes."""
+    config = build_node(ring(), 1)
+    state = state_machine.initial_state(config)
+    state, _ = state_machine.step(config, state, Gone(2))
+    state, _ = state_machine.step(config, state, Measured(1, 0, [[None]], None, (Cut(0, 1),)))
+    config, state, _ = node_changes.apply(config, state)
+    assert state.absent == {2}
+    assert state_machine.awaited_neighbour(config, state) == 0
+    ends = state_machine.step(config, state, Measured(1, 1, [[None]]))[0]
+    assert ends.absent == {2}
