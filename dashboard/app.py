@@ -23,6 +23,7 @@ from dashboard.controls import MAGNIFIED, Controls
 from dashboard.export_buttons import ExportButtons
 from dashboard.frame import BusCycle, Frame
 from dashboard.history import History
+from dashboard.inputs import Inputs, at_once
 from dashboard.layout import lay_out
 from dashboard.player import Extent, play_live, play_recorded
 from dashboard.scene import Scene
@@ -62,6 +63,7 @@ class Dashboard:
         rich.get_console().quiet = True
         self._server = viser.ViserServer(host=host, port=port, verbose=False)
         self._changed = Flag()
+        self.inputs = Inputs(self._server.get_event_loop(), self._changed.set)
         self._ended = Flag()
         self._next_scene_s = self._next_panel_s = self._last_s = 0.0
         self._stale = True
@@ -101,11 +103,10 @@ class Dashboard:
         self._aim()
         gui.set_panel_label("concord")
         self.controls = Controls(
-            gui, stage, view, self._source.ask, self._tell, self._mark_changed, self._source.live
+            gui, self.inputs, stage, view, self._source.ask, self._tell, self._source.live
         )
         self.exports = ExportButtons(gui, self, self._folder)
         panels = lay_out(server)
-        self._bridge = Bridge(gui, stage.nodes, self.pick, self.point)
         with panels.charts:
             self.charts = Charts(gui, stage, view.theme, _CHART_HEIGHT)
         with panels.state:
@@ -113,15 +114,15 @@ class Dashboard:
         with panels.log:
             self._log: Any = gui.add_html("")
         with panels.nodes:
-            self._table: Any = gui.add_html("")
+            self._table = Bridge(gui, stage.nodes, self.pick, self.point)
         with panels.selected:
             self._selected: Any = gui.add_html("")
         with panels.bus:
-            self._bus: Any = gui.add_html("")
+            self._bus = Bridge(gui, stage.nodes, self.pick, self.point)
             self.slider: Any = gui.add_slider("Step", 0, 1, 1, 0)
         with panels.zoom:
-            self._zoom: Any = gui.add_html("")
-        self.slider.on_update(self._scrub)
+            self._zoom = Bridge(gui, stage.nodes, self.pick, self.point)
+        self.slider.on_update(at_once(self._scrub))
         self._timeline = TimelineView(stage)
         self.scene = Scene(server.scene, stage, view.theme, self.pick)
         panels.arrange(1600, 900)
@@ -159,7 +160,7 @@ class Dashboard:
     def _shortcuts(self) -> None:
         def bind(label: str, key: Any, act: Callable[[Any], None]) -> None:
             command = self._server.gui.add_command(label, hotkey=key)
-            command.on_trigger(act)
+            command.on_trigger(at_once(act))
 
         bind("Pause or resume", "P", lambda event: self.controls.toggle(event.client))
         bind("One step", "N", lambda event: self.controls.step_once(event.client))
@@ -173,36 +174,31 @@ class Dashboard:
 
     def pick(self, node: int | None) -> None:
         """Select a node, everywhere."""
-        with self.view.lock:
-            self.view.selected = node
-        self._mark_changed()
+        self.inputs.alter(lambda view: setattr(view, "selected", node))
 
-    def point(self, node: int) -> None:
-        """The pointer rests on a node."""
-        if node == self.view.hovered:
-            return
-        with self.view.lock:
-            self.view.hovered = node
-        self._mark_changed()
+    def point(self, node: int | None) -> None:
+        """The pointer rests on a node, or on none."""
+        if node != self.view.hovered:
+            self.inputs.alter(lambda view: setattr(view, "hovered", node))
 
     def _select_next(self, by: int) -> None:
-        now = self.view.selected
-        first = 0 if by > 0 else self._stage.nodes - 1
-        self.pick(first if now is None else (now + by) % self._stage.nodes)
+        def select(view: View) -> None:
+            first = 0 if by > 0 else self._stage.nodes - 1
+            now = view.selected
+            view.selected = first if now is None else (now + by) % self._stage.nodes
+
+        self.inputs.alter(select)
 
     def _toggle_theme(self) -> None:
-        with self.view.lock:
-            self.view.theme = LIGHT if self.view.theme.dark else DARK
-            self.controls.dark.value = self.view.theme.dark
-        self._mark_changed()
+        def toggle(view: View) -> None:
+            view.theme = LIGHT if view.theme.dark else DARK
+            self.inputs.show(self.controls.dark, value=view.theme.dark)
 
-    def _scrub(self, event: Any) -> None:
-        if event.client is None:
-            return
-        with self.view.lock:
-            self.view.follow, self.view.playing = False, False
-            self.view.step, self.view.cursor = int(self.slider.value), 0.0
-        self._mark_changed()
+        self.inputs.alter(toggle)
+
+    def _scrub(self, _: Any) -> None:
+        step = int(self.slider.value)
+        self.inputs.alter(lambda view: view.look_at(step))
 
     def _tell(self, client: Any, title: str, body: str, is_trouble: bool) -> None:
         """A short message in the corner, for whoever did something or, failing that, for all."""
@@ -212,9 +208,6 @@ class Dashboard:
                 title, body, auto_close_seconds=8.0 if is_trouble else 3.0,
                 color="red" if is_trouble else "green",
             )  # fmt: skip
-
-    def _mark_changed(self) -> None:
-        self._changed.set()
 
     # --- drawing ------------------------------------------------------------------------------
 
@@ -230,13 +223,15 @@ class Dashboard:
         self.history_add()
         elapsed_s = min(now_s - self._last_s, 0.5) if self._last_s else 0.0
         self._last_s = now_s
-        if not len(self.history):
-            self._show("status", self.controls, self._status(None))
-            return
         with self.view.lock:
-            moved = self._advance(elapsed_s)
-            self._stale |= moved or self._changed.is_set()
+            # Cleared before: what comes from now on is for the next turn.
+            self._stale |= self._changed.is_set()
             self._changed.clear()
+            self.inputs.apply(self.view)
+            if not len(self.history):
+                self._show("status", self.controls.status, self._status(None))
+                return
+            self._stale |= self._advance(elapsed_s)
             if self._stale and now_s >= self._next_scene_s:
                 self._next_scene_s = now_s + 1 / _SCENE_HZ
                 self._draw_scene()
@@ -261,14 +256,14 @@ class Dashboard:
             self._timeline = TimelineView(self._stage)
             self.controls.set_stage(self._stage)
         if frames:
-            self.slider.max = max(1, self.history.last_step)
-            self.slider.min = self.history.first_step
+            first, last = self.history.first_step, max(1, self.history.last_step)
+            self.inputs.show(self.slider, max=last, min=first)
             self._changed.set()
 
     def _magnify(self, frame: Frame) -> None:
         if self._stage.picture is Picture.PLANE:
             self.view.magnify = _magnification(frame, self._stage.scale)
-            self.controls.magnify.value = f"{self.view.magnify:g}"
+            self.inputs.show(self.controls.magnify, value=f"{self.view.magnify:g}")
 
     def _advance(self, elapsed_s: float) -> bool:
         """Move the shown step and the cursor on; True where something moved."""
@@ -297,8 +292,8 @@ class Dashboard:
         )
         with self._server.atomic():
             assign()
-            self._show("bus", self._bus, self._pressable(timeline))
-            self.slider.value = frame.step
+            self._show("bus", self._bus, timeline)
+        self.inputs.show(self.slider, value=frame.step)
 
     def _past_cycles(self, shown: BusCycle) -> list[BusCycle]:
         """Cycles before the shown one, the newest first."""
@@ -310,7 +305,7 @@ class Dashboard:
     def _draw_panels(self) -> None:
         view, stage = self.view, self._stage
         frame = self.history.at(view.step)
-        rows = node_table(stage, view, frame, self._bridge.press)
+        rows = node_table(stage, view, frame)
         picture = zoom(stage, view.theme, frame, view.pair, view.selected)
         events = [event for event in reversed(self.history.log) if event.step <= view.step]
         about = selected_panel(stage, view, frame)
@@ -318,10 +313,10 @@ class Dashboard:
         self.controls.show_selected(view.selected)
         with self._server.atomic():
             self._show("table", self._table, rows)
-            self._show("zoom", self._zoom, self._pressable(picture))
+            self._show("zoom", self._zoom, picture)
             self._show("log", self._log, log(view.theme, events))
             self._show("selected", self._selected, about)
-            self._show("status", self.controls, state)
+            self._show("status", self.controls.status, state)
             self.charts.draw(view, self.history, self._band)
             self._state_chart.draw(view, self.history)
         self._repaint()
@@ -336,19 +331,12 @@ class Dashboard:
             self.controls.show_paused(state == "PAUSED")
         return status(self._stage, self.view.theme, frame, state, pace.detail)
 
-    def _pressable(self, html: str) -> str:
-        return (
-            f'<div onpointerdown="{self._bridge.press}" onpointerover="{self._bridge.hover}">'
-            f"{html}</div>"
-        )
-
     def _show(self, name: str, handle: Any, html: str) -> None:
         """Assign HTML; what is equal to what is shown is not sent again."""
         if self._drawn.get(name) == html:
             return
         self._drawn[name] = html
-        target = handle.status if isinstance(handle, Controls) else handle
-        target.content = html
+        handle.content = html
 
     def _repaint(self) -> None:
         theme = self.view.theme
@@ -377,6 +365,7 @@ class Dashboard:
 
     def close(self) -> None:
         """End the page."""
+        self.controls.close()
         self._source.close()
         self._server.stop()
 

@@ -1,10 +1,12 @@
 """The left panel: run, network, node, link, view, export; each button says what came of it."""
 
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import viser
 
+from dashboard.inputs import Inputs, at_once
 from dashboard.source import Answer
 from dashboard.stage import Picture, Stage
 from dashboard.theme import DARK, LIGHT
@@ -22,23 +24,27 @@ MAGNIFIED = (1, 2, 5, 10, 20, 50, 100)
 class Controls:
     """The widgets of the left panel.
 
-    `ask` commands the network, `tell` says something to the person, `changed` redraws. For a
-    recording there is no network to command: `live` is False and those widgets are not made.
+    `ask` commands the network, `tell` says something to the person. Commands are asked for one
+    after the other, in a thread of their own. For a recording there is no network to command:
+    `live` is False and those widgets are not made.
     """
 
     def __init__(
-        self, gui: viser.GuiApi, stage: Stage, view: View, ask: Ask,
-        tell: Callable[[Any, str, str, bool], None], changed: Callable[[], None], live: bool,
+        self, gui: viser.GuiApi, inputs: Inputs, stage: Stage, view: View, ask: Ask,
+        tell: Callable[[Any, str, str, bool], None], live: bool,
     ) -> None:  # fmt: skip
-        self._gui, self._stage, self._view = gui, stage, view
-        self._ask, self._tell, self._changed, self._live = ask, tell, changed, live
+        self._gui, self._inputs, self._stage = gui, inputs, stage
+        self._ask, self._tell, self._live = ask, tell, live
+        self._commands = ThreadPoolExecutor(1, "commands")
+        self._newest: dict[str, dict[str, Any]] = {}
+        self._shown_node = 0
         self.paused = False
         self.status: Any = gui.add_html("")
         self._run_folder()
         if live:
             self._network_folder()
             self._node_folder()
-        self._view_folder()
+        self._view_folder(view)
 
     # --- the run ------------------------------------------------------------------------------
 
@@ -56,48 +62,61 @@ class Controls:
             self.go_live: Any = gui.add_button(
                 "Go live" if self._live else "Go to the end", color=QUIET, icon=viser.Icon.BROADCAST
             )
-        self.pause.on_click(lambda event: self.toggle(event.client))
-        self.one.on_click(lambda event: self.step_once(event.client))
-        self.speed.on_update(self._set_speed)
-        self.go_live.on_click(lambda _: self.follow())
+        self.pause.on_click(at_once(lambda event: self.toggle(event.client)))
+        self.one.on_click(at_once(lambda event: self.step_once(event.client)))
+        self.speed.on_update(at_once(self._set_speed))
+        self.go_live.on_click(at_once(lambda _: self.follow()))
 
     def toggle(self, client: Any) -> None:
         """Pause what runs, resume what is paused."""
         if self._live:
-            self._command({"do": "resume" if self.paused else "pause"}, client)
-            return
-        with self._view.lock:
-            self._view.playing = not self._view.playing
-        self._changed()
+            self._soon(self._toggle_network, client)
+        else:
+            self._inputs.alter(lambda view: setattr(view, "playing", not view.playing))
+
+    def _toggle_network(self, client: Any) -> None:
+        self._command({"do": "resume" if self.paused else "pause"}, client)
 
     def step_once(self, client: Any) -> None:
         """One step more; a network that runs is paused first."""
         if self._live:
-            if not self.paused and not self._command({"do": "pause"}, client).accepted:
-                return
+            self._soon(self._step_network, client)
+        else:
+            self._inputs.alter(lambda view: view.look_at(view.step + 1))
+
+    def _step_network(self, client: Any) -> None:
+        if self.paused or self._command({"do": "pause"}, client).accepted:
             self._command({"do": "step", "count": 1}, client)
             self.follow()
-            return
-        with self._view.lock:
-            self._view.playing, self._view.follow = False, False
-            self._view.step, self._view.cursor = self._view.step + 1, 0.0
-        self._changed()
 
     def follow(self) -> None:
         """Show the newest step, and what comes."""
-        with self._view.lock:
-            self._view.follow = True
-        self._changed()
+        self._inputs.alter(lambda view: setattr(view, "follow", True))
 
     def _set_speed(self, event: Any) -> None:
-        if event.client is None:
-            return
+        rate = float(self.speed.value)
         if self._live:
-            rate = float(self.speed.value)
-            self._command({"do": "speed", "steps_per_second": rate}, event.client)
-            return
-        with self._view.lock:
-            self._view.speed = float(self.speed.value)
+            command = {"do": "speed", "steps_per_second": rate}
+            self._newest_only("speed", command, event.client)
+        else:
+            self._inputs.alter(lambda view: setattr(view, "speed", rate))
+
+    def _soon(self, act: Callable[..., object], *values: Any) -> None:
+        self._commands.submit(act, *values).add_done_callback(_raise)
+
+    def _newest_only(self, what: str, command: dict[str, Any], client: Any) -> None:
+        """Of what a slider passes on its way, the network is asked for the last."""
+        self._newest[what] = command
+
+        def ask() -> None:
+            if newest := self._newest.pop(what, None):
+                self._command(newest, client)
+
+        self._soon(ask)
+
+    def close(self) -> None:
+        """Ask for nothing more."""
+        self._commands.shutdown(wait=False, cancel_futures=True)
 
     def _command(self, command: dict[str, Any], client: Any) -> Answer:
         answer = self._ask(command)
@@ -125,13 +144,13 @@ class Controls:
             rules = _RULES if scenario.rule in _RULES else (scenario.rule, *_RULES)
             self.rule: Any = gui.add_dropdown("Rule", rules, initial_value=scenario.rule)
             self.occupancy: Any = gui.add_slider(
-                "Occupancy", 0.05, 1.0, 0.05, max(0.05, round(scenario.occupancy * 20) / 20)
+                "Occupancy", 0.05, 1.0, 0.05, _on_slider(scenario.occupancy)
             )
             self.arbiter: Any = gui.add_dropdown(
                 "Arbiter", arbiter_names(), initial_value=scenario.arbiter
             )
             self.apply: Any = gui.add_button("Apply at the next step", icon=viser.Icon.CHECK)
-        self.apply.on_click(self._apply)
+        self.apply.on_click(at_once(self._apply))
 
     def _apply(self, event: Any) -> None:
         scenario = self._stage.setup.scenario
@@ -139,25 +158,27 @@ class Controls:
             "rounds": int(self.rounds.value), "rule": self.rule.value,
             "occupancy": float(self.occupancy.value), "arbiter": self.arbiter.value,
         }  # fmt: skip
-        changed = {
-            name: value for name, value in wanted.items() if getattr(scenario, name) != value
-        }
+        there = {name: getattr(scenario, name) for name in wanted}
+        there["occupancy"] = _on_slider(scenario.occupancy)
+        changed = {name: value for name, value in wanted.items() if there[name] != value}
         # A full schedule has no room for less; half of the slots static is the house's default.
         if changed.get("occupancy", 1.0) < 1.0 and scenario.schedule == "full":
             changed["schedule"] = "hybrid"
         if not changed:
             self._tell(event.client, "Nothing to apply", "the network has these settings", False)
             return
-        self._command({"do": "set", "settings": changed}, event.client)
+        self._soon(self._command, {"do": "set", "settings": changed}, event.client)
 
     def set_stage(self, stage: Stage) -> None:
         """The settings as the network has them now."""
         self._stage = stage
         if self._live:
             scenario = stage.setup.scenario
-            self.rounds.value, self.arbiter.value = scenario.rounds, scenario.arbiter
+            self._inputs.show(self.rounds, value=scenario.rounds)
+            self._inputs.show(self.arbiter, value=scenario.arbiter)
+            self._inputs.show(self.occupancy, value=_on_slider(scenario.occupancy))
             if scenario.rule in self.rule.options:
-                self.rule.value = scenario.rule
+                self._inputs.show(self.rule, value=scenario.rule)
 
     # --- nodes and links ----------------------------------------------------------------------
 
@@ -171,10 +192,10 @@ class Controls:
             )
             self.link: Any = gui.add_button_group("Link", ("cut", "heal"))
             self.loss: Any = gui.add_slider("Loss", 0.0, 0.95, 0.05, 0.0)
-        self.node.on_update(self._choose_node)
-        self.life.on_click(self._kill_or_restart)
-        self.link.on_click(self._cut_or_heal)
-        self.loss.on_update(self._set_loss)
+        self.node.on_update(at_once(self._choose_node))
+        self.life.on_click(at_once(self._kill_or_restart))
+        self.link.on_click(at_once(self._cut_or_heal))
+        self.loss.on_update(at_once(self._set_loss))
 
     def _peers(self, node: int) -> tuple[str, ...]:
         edges = self._stage.edges[(self._stage.edges == node).any(axis=1)]
@@ -182,24 +203,21 @@ class Controls:
         return tuple(self._stage.names[i] for i in peers) or ("-",)
 
     def show_selected(self, node: int | None) -> None:
-        """The dropdowns follow the selection."""
-        if not self._live or node is None or self.node.value == self._stage.names[node]:
+        """The dropdowns follow the selection, when that changes."""
+        if not self._live or node is None or self._shown_node == node:
             return
-        self.node.value = self._stage.names[node]
-        self.peer.options = self._peers(node)
+        self._shown_node = node
+        self._inputs.show(self.node, value=self._stage.names[node])
+        self._inputs.show(self.peer, options=self._peers(node))
 
     def _choose_node(self, event: Any) -> None:
-        if event.client is None:
-            return
         node = self._stage.names.index(self.node.value)
         self.peer.options = self._peers(node)
-        with self._view.lock:
-            self._view.selected = node
-        self._changed()
+        self._inputs.alter(lambda view: setattr(view, "selected", node))
 
     def _kill_or_restart(self, event: Any) -> None:
         node = self._stage.names.index(self.node.value)
-        self._command({"do": self.life.value, "node": node}, event.client)
+        self._soon(self._command, {"do": self.life.value, "node": node}, event.client)
 
     def _link(self) -> dict[str, int]:
         names = self._stage.names
@@ -209,17 +227,18 @@ class Controls:
 
     def _cut_or_heal(self, event: Any) -> None:
         if self.peer.value in self._stage.names:
-            self._command({"do": self.link.value, **self._link()}, event.client)
+            self._soon(self._command, {"do": self.link.value, **self._link()}, event.client)
 
     def _set_loss(self, event: Any) -> None:
-        if event.client is not None and self.peer.value in self._stage.names:
-            chance = float(self.loss.value)
-            self._command({"do": "loss", "probability": chance, **self._link()}, event.client)
+        if self.peer.value in self._stage.names:
+            command = {"do": "loss", "probability": float(self.loss.value), **self._link()}
+            what = f"loss {command['sender']} {command['receiver']}"
+            self._newest_only(what, command, event.client)
 
     # --- the view -----------------------------------------------------------------------------
 
-    def _view_folder(self) -> None:
-        gui, view, stage = self._gui, self._view, self._stage
+    def _view_folder(self, view: View) -> None:
+        gui, stage = self._gui, self._stage
         with gui.add_folder("View"):
             self.dark: Any = gui.add_checkbox("Dark", view.theme.dark)
             if stage.picture is Picture.PLANE:
@@ -243,18 +262,29 @@ class Controls:
             state: Any = gui.add_dropdown("State chart", states, initial_value=states[view.state])
         self._bind(labels, "labels", bool)
         self._bind(order, "order", str)
-        self._bind(across, "pair", lambda name: (states.index(name), view.pair[1]))
-        self._bind(up, "pair", lambda name: (view.pair[0], states.index(name)))
+        self._bind(across, "pair", lambda _: self._pair(across, up))
+        self._bind(up, "pair", lambda _: self._pair(across, up))
         self._bind(state, "state", states.index)
         self._bind(self.dark, "theme", lambda dark: DARK if dark else LIGHT)
 
-    def _bind(self, widget: Any, name: str, meaning: Callable[[Any], Any]) -> None:
-        def take(event: Any) -> None:
-            if event.client is None:
-                return
-            value = meaning(widget.value)
-            with self._view.lock:
-                setattr(self._view, name, value)
-            self._changed()
+    def _pair(self, across: Any, up: Any) -> tuple[int, int]:
+        states = self._stage.state_names
+        return states.index(across.value), states.index(up.value)
 
-        widget.on_update(take)
+    def _bind(self, widget: Any, name: str, meaning: Callable[[Any], Any]) -> None:
+        def take(_: Any) -> None:
+            value = meaning(widget.value)
+            self._inputs.alter(lambda view: setattr(view, name, value))
+
+        widget.on_update(at_once(take))
+
+
+def _on_slider(occupancy: float) -> float:
+    """The place of the slider that is nearest to an occupancy."""
+    return max(1, round(occupancy * 20)) / 20
+
+
+def _raise(done: "Future[object]") -> None:
+    """What went wrong in a thread that nobody waits for is said, not lost."""
+    if not done.cancelled():
+        done.result()

@@ -26,8 +26,8 @@ def colour_of(theme: Theme, condition: str) -> Colour:
     }[condition]
 
 
-def node_table(stage: Stage, view: View, frame: Frame, press: str) -> str:
-    """A row per node; `press` is what a browser does when the table is pressed."""
+def node_table(stage: Stage, view: View, frame: Frame) -> str:
+    """A row per node."""
     theme, words, ages = view.theme, conditions(stage, frame), oldest(stage, frame)
     width = (1.0 if stage.certain else 3.0) * frame.scores.width
     rows = chosen_rows(stage.nodes, view, frame.scores.error, ages)
@@ -72,7 +72,7 @@ def node_table(stage: Stage, view: View, frame: Frame, press: str) -> str:
         f"white-space:nowrap}}.nodes th{{color:"
         f"{css(theme.quiet)};font-weight:600;position:sticky;top:0;background:{css(theme.panel)}}}"
         f".nodes tr{{cursor:pointer}}.nodes tr:hover td{{background-color:{css(theme.faint, 0.6)}}}"
-        f'</style><div onpointerdown="{press}" style="font-size:11px;color:{css(theme.text)};'
+        f'</style><div style="font-size:11px;color:{css(theme.text)};'
         f'overflow-x:auto;padding-right:8px">'
         f'<table class="nodes" data-testid="nodes" style="border-collapse:'
         f'collapse;width:100%;font-variant-numeric:tabular-nums"><tr>{heads}</tr>{"".join(cells)}'

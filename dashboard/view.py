@@ -14,7 +14,7 @@ MANY_NODES, MOST_LABELS = 40, 60
 
 @dataclass
 class View:
-    """The state of the page; callbacks and the loop that draws share it under `lock`.
+    """The state of the page. The loop that draws changes it, under `lock`: others copy it.
 
     Attributes:
         step: the one that is shown; `follow` keeps it at the newest.
@@ -41,3 +41,8 @@ class View:
     pair: tuple[int, int] = (0, 1)
     state: int = 0
     lock: RLock = field(default_factory=RLock, repr=False)
+
+    def look_at(self, step: int) -> None:
+        """Show this step from its beginning, and stay there."""
+        self.follow, self.playing = False, False
+        self.step, self.cursor = step, 0.0

@@ -3,7 +3,6 @@
 import os
 import sys
 import threading
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -78,10 +77,10 @@ def dashboard(
 
 def _begin(page: "Dashboard") -> None:
     """Let the network go on, slowly enough to see it, once there is somebody to see it."""
-    deadline = time.monotonic() + _LONGEST_WAIT_S
-    while not page.server.get_clients() and time.monotonic() < deadline:
-        time.sleep(0.1)
-    if page.server.get_clients():
+    somebody = threading.Event()
+    # Called for those who have come already, too.
+    page.server.on_client_connect(lambda _: somebody.set())
+    if somebody.wait(_LONGEST_WAIT_S):
         page.ask({"do": "speed", "steps_per_second": _FIRST_STEPS_PER_S})
     page.ask({"do": "resume"})
 

@@ -12,6 +12,12 @@ _READY = (
     " && window.__viserTestpoints.rendererInfo.render.frame>2"
 )
 _SCENE = "()=>Object.keys(window.__viserSceneTree.getState())"
+_PART = (
+    "name=>{const part=window.__viserSceneTree.getState()[name];"
+    "const props=Object.entries(part.message.props).map(([key,value])=>"
+    "[key,ArrayBuffer.isView(value)?Array.from(value):value]);"
+    "return {shown:part.visibility,...Object.fromEntries(props)}}"
+)
 _CHARTS = "()=>Object.values(window.__viserTestpoints.uplots).map(u=>u.chart.data[0].length)"
 _CLOSE = "()=>document.querySelectorAll('.mantine-Notification-closeButton').forEach(b=>b.click())"
 # One in three pages says so when the pointer passes a batched mesh; nothing is wrong on screen.
@@ -70,6 +76,17 @@ class Page:
         """Names of what is in the scene."""
         return self.page.evaluate(_SCENE)
 
+    def part(self, name: str) -> dict[str, Any]:
+        """What the browser knows of a part of the scene: its properties, and whether it is shown.
+
+        Arrays are flat lists.
+        """
+        return self.page.evaluate(_PART, name)
+
+    def slot(self, node: int) -> Any:
+        """The frame of a node in the shown cycle of the bus."""
+        return self.page.locator(f'[data-testid="timeline"] .slot[data-node="{node}"]').first
+
     def chart_points(self) -> list[int]:
         """How many points each chart shows."""
         return self.page.evaluate(_CHARTS)
@@ -83,6 +100,14 @@ class Page:
         """The row of a widget by its label."""
         found = self.page.locator("label").get_by_text(label, exact=True)
         return self.page.locator(".mantine-Flex-root", has=found).last
+
+    def enter(self, label: str, value: float) -> None:
+        """Enter a number into a field or beside a slider."""
+        self.widget(label).locator("input[type=text], input[inputmode]").last.fill(f"{value:g}")
+
+    def chosen(self, label: str) -> str:
+        """What a dropdown shows."""
+        return self.widget(label).locator("input").first.input_value()
 
     def download(self, button: str, seconds: float = 30.0) -> bytes:
         """What a button hands over."""

@@ -92,18 +92,18 @@ def test_the_beliefs_lie_around_the_truth():
 def test_an_unknown_truth_is_no_picture_of_nan():
     blind = FRAME._replace(truth=np.full_like(FRAME.truth, np.nan))
     assert "nan" not in zoom(STAGE, DARK, blind, (0, 2), None).lower()
-    assert "nan" not in node_table(STAGE, View(), blind, "").lower()
+    assert "nan" not in node_table(STAGE, View(), blind).lower()
 
 
 def test_the_table_tells_who_is_down_and_who_is_selected():
     view = View(selected=2)
     down = FRAME._replace(alive=np.arange(8) != 5)
-    html = node_table(STAGE, view, down, "press()")
+    html = node_table(STAGE, view, down)
     rows = re.findall(r'<tr data-node="(\d+)" data-state="(\w+)"', html)
     assert [int(node) for node, _ in rows] == list(range(8))
     assert dict(rows)["5"] == "down"
     assert "DOWN" in html
-    assert "DOWN" not in node_table(STAGE, view, FRAME, "press()")
+    assert "DOWN" not in node_table(STAGE, view, FRAME)
 
 
 def test_large_networks_show_the_worst_and_the_selected():
@@ -121,7 +121,7 @@ def test_text_from_outside_is_escaped(theme):
     told = Event(3, "node <script>alert(2)</script> is down", 0, True)
     bad = FRAME._replace(rejection=("<script>x</script>",) * 8)
     pages = [
-        node_table(EVIL, view, bad, ""), log(theme, [told]), selected_panel(EVIL, view, FRAME),
+        node_table(EVIL, view, bad), log(theme, [told]), selected_panel(EVIL, view, FRAME),
         zoom(EVIL, theme, FRAME, (0, 2), 0), timeline(stage=EVIL),
         status(EVIL, theme, FRAME, "RUNNING", "<script>"),
     ]  # fmt: skip
