@@ -7,6 +7,7 @@ an average per round. No frame is made or checked, nothing is counted, and no st
 """
 
 import secrets
+import signal
 import sys
 import time
 from functools import partial
@@ -59,7 +60,7 @@ def main() -> None:
 
 def _route(port: int) -> None:
     session = start_router(f"tcp/127.0.0.1:{port}")
-    time.sleep(600)
+    signal.pause()
     session.close()
 
 
@@ -80,7 +81,7 @@ def _pass_on(run: str, links: Links, load: Load, node: int) -> None:
                 transport.receive(topic)
             filters.fuse()
         transport.send(f"estimate/{node}", estimate)
-    time.sleep(600)
+    signal.pause()
 
 
 class _Filters:

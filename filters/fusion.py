@@ -6,16 +6,17 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from filters.gaussian import Gaussian, Information, to_gaussian
-from filters.hold import check_weights, sharpness, sharpness_of_factor
-from filters.linalg import factor_and_inverse, inverse_spd, multiply
+from filters.hold import check_weights, sharpness
+from filters.linalg import cholesky, factor_and_inverse, inverse_spd, multiply
 from filters.packed import pack, unpack
 
 
 class Averaged(Protocol):
     """A rule that averages beliefs, as who has several of them at hand goes through it.
 
-    `weigh_up(belief, origin)` gives what is averaged of beliefs (..., J, n) and their sharpness
-    (..., J), NaN where one is not positive definite; `average` the belief that it comes to.
+    `weigh_up(belief, origin)` gives what is averaged of beliefs (..., J, n), and the Cholesky
+    factors (..., J, n, n) of their covariances, NaN where there is none, from which their sharpness
+    comes (`hold.sharpness_of_factor`); `average` the belief that all come to.
     """
 
     def weigh_up(self, belief: Gaussian, origin: np.ndarray, /) -> tuple[Any, np.ndarray]: ...
@@ -29,8 +30,8 @@ class Directly(NamedTuple):
     of: Callable[[Gaussian, np.ndarray], Gaussian]
 
     def weigh_up(self, belief: Gaussian, _origin: np.ndarray) -> tuple[Gaussian, np.ndarray]:
-        """The beliefs as they are, and their sharpness."""
-        return belief, sharpness(belief.cov)
+        """The beliefs as they are, and the factors of their covariances."""
+        return belief, cholesky(belief.cov)
 
     def average(self, beliefs: Gaussian, weights: np.ndarray, _origin: np.ndarray) -> Gaussian:
         """The belief that beliefs (..., J, n) come to with weights (..., J)."""
@@ -43,8 +44,8 @@ class Averaging(NamedTuple):
     `express(belief, origin)` gives the numbers, `conclude(numbers, origin)` the belief that an
     average of such numbers comes to, `sharpness(numbers)` its `hold.sharpness` (...). Means are
     taken about an `origin` (..., n), any point near them, which spares their digits; beliefs that
-    are averaged must have the same. `both(belief, origin)` gives numbers and sharpness of a belief
-    from one factorisation.
+    are averaged must have the same. `both(belief, origin)` gives numbers and Cholesky factor of a
+    belief from one factorisation.
     """
 
     express: Callable[[Gaussian, np.ndarray], np.ndarray]
@@ -53,8 +54,8 @@ class Averaging(NamedTuple):
     both: Callable[[Gaussian, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
     def weigh_up(self, belief: Gaussian, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Numbers (..., m) of a belief and its sharpness (...), NaN where it is not positive
-        definite."""
+        """Numbers (..., m) of a belief, and the Cholesky factor (..., n, n) of its covariance, NaN
+        where there is none."""
         return self.both(belief, origin)
 
     def average(self, numbers: np.ndarray, weights: np.ndarray, origin: np.ndarray) -> Gaussian:
@@ -62,10 +63,9 @@ class Averaging(NamedTuple):
 
         Numbers of weight zero may be anything, NaN included.
         """
-        unused = weights == 0
-        if unused.any():
+        if not weights.all():
             # 0 * NaN would let them through.
-            numbers = np.where(unused[..., None], 0.0, numbers)
+            numbers = np.where((weights == 0)[..., None], 0.0, numbers)
         return self.conclude(multiply(numbers.mT, weights), origin)
 
 
@@ -126,19 +126,17 @@ def _of_moments(numbers: np.ndarray, origin: np.ndarray) -> Gaussian:
     return Gaussian(origin + offset, cov)
 
 
-def _moments_and_sharpness(belief: Gaussian, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return _moments(belief, origin), sharpness(belief.cov)
+def _moments_and_factor(belief: Gaussian, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return _moments(belief, origin), cholesky(belief.cov)
 
 
 def _information(belief: Gaussian, origin: np.ndarray) -> np.ndarray:
     return _with_matrix(inverse_spd(belief.cov), belief, origin)
 
 
-def _information_and_sharpness(
-    belief: Gaussian, origin: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _information_and_factor(belief: Gaussian, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     factor, matrix = factor_and_inverse(belief.cov)
-    return _with_matrix(matrix, belief, origin), sharpness_of_factor(factor)
+    return _with_matrix(matrix, belief, origin), factor
 
 
 def _with_matrix(matrix: np.ndarray, belief: Gaussian, origin: np.ndarray) -> np.ndarray:
@@ -154,13 +152,13 @@ MOMENTS = Averaging(
     _moments,
     _of_moments,
     lambda numbers: sharpness(unpack(numbers).matrix),
-    _moments_and_sharpness,
+    _moments_and_factor,
 )
 INFORMATION = Averaging(
     _information,
     _of_information,
     lambda numbers: 1.0 / sharpness(unpack(numbers).matrix),
-    _information_and_sharpness,
+    _information_and_factor,
 )
 
 

@@ -56,7 +56,12 @@ def held_weights(
     if not 0 <= decay <= 1:
         raise ValueError(f"decay is {decay}, but a share does not gain by age: choose 0 to 1")
     worth = _left_to_self(_where_heard(base_weights, ages) * decay ** np.maximum(ages, 0.0))
-    worth = worth * np.where(worth > 0, sharpness, 0.0)
+    return sharpened(worth, sharpness)
+
+
+def sharpened(weights: np.ndarray, sharpness: np.ndarray | float) -> np.ndarray:
+    """Weights (..., J) times the sharpness (..., J) of those that have any, scaled to sum 1."""
+    worth = weights * np.where(weights > 0, sharpness, 0.0)
     return worth / worth.sum(axis=-1, keepdims=True)
 
 
@@ -72,7 +77,7 @@ def sharpness(covs: np.ndarray) -> np.ndarray:
 def sharpness_of_factor(factor: np.ndarray) -> np.ndarray:
     """The same of covariances whose Cholesky factors (..., n, n) are known."""
     # The determinant itself could overflow.
-    diagonal = np.diagonal(factor, axis1=-2, axis2=-1)
+    diagonal = factor.diagonal(axis1=-2, axis2=-1)
     return np.exp(-2.0 / factor.shape[-1] * np.log(diagonal).sum(axis=-1))
 
 

@@ -42,8 +42,10 @@ def lose_failed(factor: np.ndarray) -> np.ndarray:
 
     Elimination carries a NaN of any column into every later one, so the last pivot tells.
     """
-    failed = np.isnan(factor[..., -1:, -1:])
-    return np.where(failed, np.nan, factor) if failed.any() else factor
+    pivots = factor[..., -1, -1]
+    if not math.isnan(pivots.sum()):
+        return factor
+    return np.where(np.isnan(pivots)[..., None, None], np.nan, factor)
 
 
 def inverse_spd(matrix: np.ndarray) -> np.ndarray:

@@ -1,6 +1,8 @@
 """A Gaussian as bytes: the mean, then the upper triangle of the covariance row by row."""
 
-from typing import NamedTuple
+import math
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -9,22 +11,27 @@ from filters.linalg import pack_upper, unpack_upper
 from nodes.estimator import Rejected
 
 
-class BeliefCodec(NamedTuple):
+@dataclass(frozen=True)
+class BeliefCodec:
     """How a belief of `states` dimensions is written; `number` is "<f8" or "<f4"."""
 
     states: int
     number: str = "<f8"
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Length in bytes of an encoded belief."""
         n = self.states
-        return (n + n * (n + 1) // 2) * np.dtype(self.number).itemsize
+        return (n + n * (n + 1) // 2) * self._dtype.itemsize
+
+    @cached_property
+    def _dtype(self) -> np.dtype:
+        return np.dtype(self.number)
 
     def encode(self, belief: Gaussian) -> bytes:
         """The bytes of mean (n,) and cov (n, n)."""
         packed = np.concatenate((belief.mean, pack_upper(belief.cov)))
-        return packed.astype(self.number, copy=False).tobytes()
+        return packed.astype(self._dtype, copy=False).tobytes()
 
     def decode(self, body: bytes) -> Gaussian:
         """The belief that `encode` wrote.
@@ -36,7 +43,8 @@ class BeliefCodec(NamedTuple):
         size = self.size
         if len(body) < size:
             raise Rejected("belief-length")
-        values = np.frombuffer(body[:size], dtype=self.number).astype(np.float64)
-        if not np.isfinite(values).all():
+        values = np.frombuffer(body[:size], self._dtype).astype(np.float64, copy=False)
+        # Finite numbers may have an infinite sum, but no sum of others is finite.
+        if not (math.isfinite(sum(values.tolist())) or np.isfinite(values).all()):
             raise Rejected("belief-not-finite")
         return Gaussian(values[: self.states], unpack_upper(values[self.states :]))

@@ -7,17 +7,31 @@ policy says whether a held share is carried through the plant and what it still 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from filters.fusion import Averaged
 from filters.gaussian import Gaussian
+from filters.hold import sharpened, sharpness_of_factor
 from filters.linalg import symmetrise
 from filters.sigma_points import SigmaPointRule
 from nodes.belief_codec import BeliefCodec
 from nodes.bids import FIRST_BID, asked, bid_for_change
-from nodes.local_filter import Model, Sensor, carry, control_of, finite, stacked, take_own
+from nodes.local_filter import (
+    Model,
+    Sensor,
+    carry,
+    control_of,
+    finite,
+    listed,
+    stacked,
+    take_own,
+    where,
+)
 from nodes.messages import Array, Measured
 
 
@@ -27,7 +41,8 @@ class HoldPolicy(NamedTuple):
     `weigh(base_weights (..., J), ages (..., J), sharpness (..., J), cycles_in_step)` gives weights
     (..., J) that sum to one; entry 0 is the node itself; `cycles_in_step` is 0 in the first round
     of a step. `carried` says that held shares are predicted once per step like the own belief.
-    `by_sharpness`: beliefs weigh by `hold.sharpness` beside their age; else it is 1 for all.
+    `by_sharpness`: beliefs weigh by `hold.sharpness` beside their age, each weight multiplied by it
+    (`hold.sharpened`); else it is 1 for all.
     """
 
     weigh: Callable[[Array, np.ndarray, Array, int], Array]
@@ -35,12 +50,12 @@ class HoldPolicy(NamedTuple):
     by_sharpness: bool = False
 
 
-class Content(NamedTuple):
+class Content(msgspec.Struct, frozen=True):
     """A node's knowledge: its own pair, the held pairs of its neighbours, what it last sent."""
 
     belief: Gaussian
     held: Gaussian
-    ages: Array
+    ages: tuple[int, ...]
     published: Gaussian | None
     cycles_in_step: int
 
@@ -71,43 +86,38 @@ class BeliefConsensus:
             np.repeat(self.prior.mean[None], neighbours, axis=0),
             np.repeat(self.prior.cov[None], neighbours, axis=0),
         )
-        return Content(self.prior, held, np.full(neighbours, -1), None, 0)
+        return Content(self.prior, held, (-1,) * neighbours, None, 0)
 
     def begin_step(self, content: Content, measured: Measured) -> tuple[Content, tuple[str, ...]]:
         """Predict everything that is carried, then take the own readings one by one."""
-        troubles: list[str] = []
+        troubles: tuple[str, ...] = ()
         if measured.step > 0:
             content, troubles = self._carry(content, measured)
         belief, troubled = take_own(content.belief, measured, self.sensor, self.points)
-        content = content._replace(belief=belief, cycles_in_step=0)
-        return content, (*troubles, *troubled)
+        return replace(content, belief=belief, cycles_in_step=0), troubles + troubled
 
-    def _carry(self, content: Content, measured: Measured) -> tuple[Content, list[str]]:
-        beliefs = [content.belief]
+    def _carry(self, content: Content, measured: Measured) -> tuple[Content, tuple[str, ...]]:
+        beliefs, published = [content.belief], content.published
         if self.hold.carried:
-            beliefs += [Gaussian(*pair) for pair in zip(*content.held, strict=True)]
-        if self.hold.carried and content.published is not None:
-            beliefs.append(content.published)
-        carried = carry(
-            stacked(beliefs), control_of(measured), measured.step, self.model, self.points
-        )
+            beliefs += listed(content.held)
+            beliefs += [] if published is None else [published]
+        control = control_of(measured)
+        carried = carry(stacked(beliefs), control, measured.step, self.model, self.points)
         moved, sound = carried
-        troubles = [] if sound[0] else ["predict-failed"]
+        troubles = () if sound[0] else ("predict-failed",)
         if sound[0]:
-            content = content._replace(belief=carried.at(0))
+            content = replace(content, belief=carried.at(0))
         if not self.hold.carried:
             return content, troubles
         last = 1 + len(content.ages)
-        # A held pair that cannot be carried on is forgotten, not used at a wrong time.
-        ages = np.where(sound[1:last], content.ages, -1)
-        held = Gaussian(
-            np.where(sound[1:last, None], moved.mean[1:last], self.prior.mean),
-            np.where(sound[1:last, None, None], moved.cov[1:last], self.prior.cov),
-        )
-        content = content._replace(held=held, ages=ages)
-        if content.published is not None:
-            content = content._replace(published=carried.at(last) if sound[last] else None)
-        return content, troubles
+        if published is not None:
+            published = carried.at(last) if sound[last] else None
+        held, ages = Gaussian(moved.mean[1:last], moved.cov[1:last]), content.ages
+        if not sound.all():
+            # A held pair that cannot be carried on is forgotten, not used at a wrong time.
+            held = where(sound[1:last], held, self.prior)
+            ages = tuple(age if sound[1 + j] else -1 for j, age in enumerate(ages))
+        return replace(content, held=held, ages=ages, published=published), troubles
 
     def bid(self, content: Content) -> int | None:
         """How far the belief has moved since it was last published (`bids.bid_for_change`)."""
@@ -117,7 +127,7 @@ class BeliefConsensus:
 
     def compose(self, content: Content) -> tuple[Content, bytes]:
         """The pair before the iteration; the node remembers what its neighbours now hold of it."""
-        return content._replace(published=content.belief), self.codec.encode(content.belief)
+        return replace(content, published=content.belief), self.codec.encode(content.belief)
 
     def accept(self, body: bytes) -> Gaussian:
         """The belief in a share (`BeliefCodec.decode`)."""
@@ -127,33 +137,48 @@ class BeliefConsensus:
         self, content: Content, shares: tuple[Gaussian | None, ...]
     ) -> tuple[Content, tuple[str, ...]]:
         """Average the own pair with the neighbours' pairs, fresh or held, in sender order."""
-        held = [Gaussian(*pair) for pair in zip(*content.held, strict=True)]
-        heard = [j for j, share in enumerate(shares) if share is not None]
-        pairs = zip(shares, held, strict=True)
-        everyone = stacked([content.belief, *(old if new is None else new for new, old in pairs)])
+        fresh = [share is not None for share in shares]
+        everyone = stacked([content.belief, *_with_held(shares, content.held)])
         own = content.belief.mean
-        numbers, sharpness = self.rule.weigh_up(everyone, own)
-        unsound = [j for j in heard if math.isnan(sharpness[1 + j])]
+        numbers, factors = self.rule.weigh_up(everyone, own)
+        pivots = factors[1:, -1, -1].tolist()
+        unsound = [j for j, pivot in enumerate(pivots) if fresh[j] and math.isnan(pivot)]
         if unsound:
             # Few shares fail this check, and what is held instead is weighed up in a second go.
             usable = [None if j in unsound else share for j, share in enumerate(shares)]
             content, troubles = self.fuse(content, tuple(usable))
             return content, ("rejected not-positive-definite",) * len(unsound) + troubles
-        ages = np.where(content.ages < 0, -1, content.ages + 1)
-        ages[heard] = 0
-        cycles = content.cycles_in_step
-        if not self.hold.by_sharpness:
-            sharpness = np.ones(len(self.weights))
-        weights = self.hold.weigh(self.weights, np.concatenate(([0], ages)), sharpness, cycles)
-        fused = self.rule.average(numbers, weights, own)
-        content = content._replace(
+        ages = tuple(
+            0 if new else age if age < 0 else age + 1
+            for new, age in zip(fresh, content.ages, strict=True)
+        )
+        fused = self.rule.average(numbers, self._weights(factors, ages, content), own)
+        sound = finite(fused)
+        after = Content(
+            belief=Gaussian(fused.mean, symmetrise(fused.cov)) if sound else content.belief,
             held=Gaussian(everyone.mean[1:], everyone.cov[1:]),
             ages=ages,
-            cycles_in_step=cycles + 1,
+            published=content.published,
+            cycles_in_step=content.cycles_in_step + 1,
         )
-        if not finite(fused):
-            return content, ("fuse-failed",)
-        return content._replace(belief=Gaussian(fused.mean, symmetrise(fused.cov))), ()
+        return after, () if sound else ("fuse-failed",)
+
+    def _weights(self, factors: Array, ages: tuple[int, ...], content: Content) -> Array:
+        """What the own pair and each neighbour's weigh in this round: (1 + J,)."""
+        weights = self._weights_of_ages(ages, content.cycles_in_step)
+        return (
+            sharpened(weights, sharpness_of_factor(factors)) if self.hold.by_sharpness else weights
+        )
+
+    @cached_property
+    def _weights_of_ages(self) -> Callable[[tuple[int, ...], int], Array]:
+        # Kept: few patterns of ages come again and again.
+        @lru_cache
+        def weigh(ages: tuple[int, ...], cycles: int) -> Array:
+            alike = np.ones(len(self.weights))
+            return self.hold.weigh(self.weights, np.array((0, *ages)), alike, cycles)
+
+        return weigh
 
     def belief(self, content: Content) -> Gaussian:
         """The own pair."""
@@ -161,4 +186,13 @@ class BeliefConsensus:
 
     def ages(self, content: Content) -> Array:
         """Cycles since each neighbour's held pair was sent."""
-        return content.ages
+        return np.array(content.ages, dtype=int)
+
+
+def _with_held(shares: tuple[Gaussian | None, ...], held: Gaussian) -> list[Gaussian]:
+    """The shares, and in the place of every one that is missing the held pair."""
+    came = [share for share in shares if share is not None]
+    if len(came) == len(shares):
+        return came
+    pairs = zip(shares, listed(held), strict=True)
+    return [old if new is None else new for new, old in pairs]

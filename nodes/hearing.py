@@ -4,7 +4,9 @@ Nothing here is waited for, used or answered, and nothing raises for a peer's fa
 """
 
 from collections.abc import Collection
-from typing import NamedTuple
+
+import msgspec
+from msgspec.structs import replace
 
 from nodes.estimator import Rejected
 from nodes.link_faults import Arrival, Passage, arrival
@@ -22,7 +24,7 @@ EARLY_CYCLES = 512
 _LATE = "late"
 
 
-class _Place(NamedTuple):
+class _Place(msgspec.Struct, frozen=True):
     """A frame is number `number` of `frames` of a share."""
 
     number: int
@@ -45,7 +47,7 @@ def hear(config: NodeConfig, state: NodeState, event: ShareHeard) -> NodeState:
         if key in state.inbox.early:
             return count(state, "repeated")
         early = {**state.inbox.early, key: (fragment, event.frame)}
-        return state._replace(inbox=state.inbox._replace(early=early))
+        return replace(state, inbox=replace(state.inbox, early=early))
     return _file(config, state, event.sender, fragment, event.frame)
 
 
@@ -55,7 +57,7 @@ def file_early(config: NodeConfig, state: NodeState) -> NodeState:
     early = state.inbox.early
     due = [(key[0], *kept) for key, kept in early.items() if key[1] < end]
     early = {key: kept for key, kept in early.items() if key[1] >= end}
-    state = state._replace(inbox=state.inbox._replace(early=early))
+    state = replace(state, inbox=replace(state.inbox, early=early))
     for sender, fragment, frame in due:
         state = _file(config, state, sender, fragment, frame)
     return state
@@ -65,7 +67,7 @@ def hear_late(config: NodeConfig, state: NodeState) -> NodeState:
     """Frames that were under way and come in the cycle that has just begun."""
     now = [frame for cycle, frame in state.inbox.late if cycle <= state.cycle]
     late = tuple(kept for kept in state.inbox.late if kept[0] > state.cycle)
-    state = state._replace(inbox=state.inbox._replace(late=late))
+    state = replace(state, inbox=replace(state.inbox, late=late))
     for frame in now:
         try:
             _read(config, state.cycle, frame)
@@ -79,7 +81,7 @@ def let_in_overtaken(config: NodeConfig, state: NodeState) -> NodeState:
     inbox = state.inbox
     overtaken = {key: kept for key, kept in inbox.overtaken.items() if key[0] == state.cycle}
     rest = {key: kept for key, kept in inbox.overtaken.items() if key not in overtaken}
-    state = state._replace(inbox=inbox._replace(overtaken=rest))
+    state = replace(state, inbox=replace(inbox, overtaken=rest))
     for key, fragments in overtaken.items():
         if fragments:
             state = _complete(config, state, key, fragments)
@@ -174,7 +176,7 @@ def _hear_faulty(
     if came.is_overtaken:
         state = count(state, "reordered")
         overtaken = {key: (), **state.inbox.overtaken}
-        state = state._replace(inbox=state.inbox._replace(overtaken=overtaken))
+        state = replace(state, inbox=replace(state.inbox, overtaken=overtaken))
     state = _keep(config, state, key, place, fragment.frame_id, data)
     again = [came.frame] * came.copies
     if came.in_slot:
@@ -225,7 +227,7 @@ def _remember(state: NodeState, came: Arrival, cycle: int) -> NodeState:
     if not came.later:
         return state
     late = tuple((cycle + cycles, came.frame) for cycles in came.later)
-    return state._replace(inbox=state.inbox._replace(late=state.inbox.late + late))
+    return replace(state, inbox=replace(state.inbox, late=state.inbox.late + late))
 
 
 def _keep(
@@ -240,13 +242,15 @@ def _keep(
     inbox = state.inbox
     parts = {**inbox.parts.get(key, {}), frame_id: data}
     if len(parts) < place.frames:
-        return state._replace(inbox=inbox._replace(parts={**inbox.parts, key: parts}))
+        return replace(state, inbox=replace(inbox, parts={**inbox.parts, key: parts}))
     if key in inbox.overtaken:
-        return state._replace(
-            inbox=inbox._replace(
+        return replace(
+            state,
+            inbox=replace(
+                inbox,
                 parts={**inbox.parts, key: parts},
                 overtaken={**inbox.overtaken, key: tuple(parts.values())},
-            )
+            ),
         )
     return _complete(config, state, key, parts.values())
 
@@ -266,5 +270,5 @@ def _complete(
     parts = inbox.parts
     if key in parts:
         parts = {k: v for k, v in parts.items() if k != key}
-    inbox = inbox._replace(parts=parts, shares={**inbox.shares, key: share})
-    return state._replace(counters=counters, inbox=inbox)
+    inbox = replace(inbox, parts=parts, shares={**inbox.shares, key: share})
+    return replace(state, counters=counters, inbox=inbox)

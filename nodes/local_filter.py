@@ -80,6 +80,11 @@ def stacked(beliefs: list[Gaussian]) -> Gaussian:
     return Gaussian(np.array([b.mean for b in beliefs]), np.array([b.cov for b in beliefs]))
 
 
+def listed(beliefs: Gaussian) -> list[Gaussian]:
+    """Beliefs (K, n) one by one: the inverse of `stacked`."""
+    return [Gaussian(mean, cov) for mean, cov in zip(*beliefs, strict=True)]
+
+
 def control_of(measured: Measured) -> Array | None:
     """What drove the plant into the step, (p,)."""
     return None if measured.control is None else np.array(measured.control)
@@ -160,12 +165,14 @@ def where(chosen: np.ndarray, one: Gaussian, other: Gaussian) -> Gaussian:
 
 def finite_lanes(beliefs: Gaussian) -> np.ndarray:
     """Where every number of a belief is finite: (...) bool."""
+    if finite(beliefs):
+        return np.ones(beliefs.mean.shape[:-1], dtype=bool)
     finite_mean = np.isfinite(beliefs.mean).all(axis=-1)
     return np.logical_and(finite_mean, np.isfinite(beliefs.cov).all(axis=(-1, -2)))
 
 
 def finite(belief: Gaussian) -> bool:
-    """Whether every number of one belief is finite."""
+    """Whether every number of all beliefs (..., n) is finite."""
     return bool(np.isfinite(belief.mean).all() and np.isfinite(belief.cov).all())
 
 

@@ -1,8 +1,8 @@
 """What a node does when the network changes: a new configuration, and a state that goes with it."""
 
-from dataclasses import replace
+import dataclasses
 
-import msgspec
+from msgspec.structs import replace
 
 from filters.gaussian import Gaussian
 from filters.linalg import unpack_upper
@@ -23,19 +23,20 @@ def apply(config: NodeConfig, state: NodeState) -> tuple[NodeConfig, NodeState, 
     step = state.step + 1
     measured = state.inbox.measured[step]
     # Who was missed meanwhile is out too.
-    standing = msgspec.structs.replace(config.standing, absent=tuple(sorted(state.absent)))
+    standing = replace(config.standing, absent=tuple(sorted(state.absent)))
     for change in measured.changes:
         standing = after(standing, step, change)
     if any(isinstance(change, Set) for change in measured.changes):
         belief = config.estimator.belief(state.content)
         config = _rebuilt(config, standing, step, belief)
-        state = state._replace(cycle=config.first_cycle, content=config.estimator.start())
+        state = replace(state, cycle=config.first_cycle, content=config.estimator.start())
     config = _with_standing(config, standing)
-    unchanged = {**state.inbox.measured, step: msgspec.structs.replace(measured, changes=())}
-    state = state._replace(
+    unchanged = {**state.inbox.measured, step: replace(measured, changes=())}
+    state = replace(
+        state,
         phase=Phase.MEASUREMENT,
         absent=frozenset(standing.absent),
-        inbox=state.inbox._replace(measured=unchanged),
+        inbox=replace(state.inbox, measured=unchanged),
     )
     outbox: list[NodeMessage] = []
     return config, state_machine.advance(config, state, outbox), outbox
@@ -47,11 +48,11 @@ def begin_late(config: NodeConfig, welcome: Welcome) -> tuple[NodeConfig, NodeSt
     config = _rebuilt(config, standing, step, _belief(welcome.joined))
     config = _with_standing(config, standing)
     cycle = config.first_cycle + (step - config.first_step) * config.rounds
-    return config, state_machine.initial_state(config)._replace(step=step - 1, cycle=cycle)
+    return config, replace(state_machine.initial_state(config), step=step - 1, cycle=cycle)
 
 
 def _with_standing(config: NodeConfig, standing: Standing) -> NodeConfig:
-    return replace(
+    return dataclasses.replace(
         config,
         standing=standing,
         links=with_standing(config.scenario_links, standing),

@@ -3,7 +3,9 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple
+
+import msgspec
+from msgspec.structs import replace
 
 from bus.publication import Slot
 from bus.schedule import Schedule
@@ -59,7 +61,7 @@ class NodeConfig:
     scenario_links: LinkState = PERFECT
 
 
-class Inbox(NamedTuple):
+class Inbox(msgspec.Struct, frozen=True):
     """What has come before its time: heartbeats by step, grants by (cycle, group), shares and their
     parts by (cycle, sender). What the link has lost is None: nobody waits for it any more.
 
@@ -78,7 +80,7 @@ class Inbox(NamedTuple):
     late: tuple[tuple[int, bytes], ...] = ()
 
 
-class NodeState(NamedTuple):
+class NodeState(msgspec.Struct, frozen=True):
     """A node between two events.
 
     `step` is the last begun, `cycle` the one that is open or next, `group` its open part; `won` are
@@ -98,7 +100,7 @@ class NodeState(NamedTuple):
 
 def count(state: NodeState, *names: str) -> NodeState:
     """One more of each of these."""
-    return state._replace(counters=counted(state.counters, *names)) if names else state
+    return replace(state, counters=counted(state.counters, *names)) if names else state
 
 
 def counted(counters: dict[str, int], *names: str) -> dict[str, int]:

@@ -149,11 +149,19 @@ class _Seat:
             case Phase.GRANT:
                 received = self.transport.receive("grant")
             case _:
-                sender = state_machine.awaited_neighbour(config, state)
-                assert sender is not None, "a node in phase SHARES waits for somebody"
-                received = self.transport.receive(self._shares[sender])
-                return () if received is None else (ShareHeard(sender, received[1]),)
+                return self._await_shares(state_machine.awaited_neighbours(config, state))
         return () if received is None else (decode(*received),)
+
+    def _await_shares(self, senders: Sequence[int]) -> Sequence[NodeEvent]:
+        """A frame of each, or of as many as came before the node was woken up."""
+        assert senders, "a node in phase SHARES waits for somebody"
+        events = []
+        for sender in senders:
+            received = self.transport.receive(self._shares[sender])
+            if received is None:
+                break
+            events.append(ShareHeard(sender, received[1]))
+        return events
 
     def _last_words(self, gone: Gone) -> list[NodeEvent]:
         """A node's end, after all that it said before."""

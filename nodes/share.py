@@ -7,7 +7,8 @@ bits. Then comes its fragment of the body (`bus/fragments.py`). Two checksums gu
 
 import struct
 from collections.abc import Sequence
-from typing import NamedTuple
+
+import msgspec
 
 from bus.fragments import FragmentError, fragment_count, join, payload_sizes, split
 from bus.frame import MAX_PAYLOAD_BYTES, Frame, FrameError
@@ -22,7 +23,7 @@ _CYCLE = struct.Struct("<I")
 PREFIX_BYTES = _CYCLE.size
 
 
-class Fragment(NamedTuple):
+class Fragment(msgspec.Struct, frozen=True):
     """What one frame carries of a share, in which cycle since the start it was sent, and what the
     counter in its header says."""
 

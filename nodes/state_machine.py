@@ -15,6 +15,8 @@ share that is late, early, repeated, missing or malformed is dropped, kept or co
 from functools import lru_cache
 from typing import Any
 
+from msgspec.structs import replace
+
 from bus.schedule import Schedule
 from filters.linalg import pack_upper
 from nodes.changes import Gone
@@ -32,7 +34,7 @@ from nodes.messages import (
     ShareSent,
     to_wire,
 )
-from nodes.node_state import Inbox, NodeConfig, NodeState, Phase, count
+from nodes.node_state import Inbox, NodeConfig, NodeState, Phase, count, counted
 from nodes.sender_faults import spoken
 from nodes.share import payload_bytes, to_frames
 
@@ -65,7 +67,7 @@ def step(
         case Grant():
             state = _keep_grant(state, event)
         case Gone():
-            state = state._replace(absent=state.absent | {event.node})
+            state = replace(state, absent=state.absent | {event.node})
         case CycleClosed():
             is_open = state.phase in (Phase.GRANT, Phase.SHARES)
             if is_open and (event.cycle, event.group) == (state.cycle, state.group):
@@ -73,19 +75,23 @@ def step(
     return advance(config, state, outbox), outbox
 
 
-def awaited_neighbour(config: NodeConfig, state: NodeState) -> int | None:
-    """In phase SHARES: the first neighbour whose share is due and has not come."""
-    for neighbour in _due(config, state):
-        key = (state.cycle, neighbour)
-        has_come = key in state.inbox.shares or state.inbox.overtaken.get(key)
-        if not has_come and not is_silent(config.faults, state.step, state.cycle, neighbour):
-            return neighbour
-    return None
+def awaited_neighbours(config: NodeConfig, state: NodeState) -> list[int]:
+    """In phase SHARES: the neighbours whose shares are due and have not come, ascending."""
+    cycle, came = state.cycle, state.inbox.shares
+    missing = [j for j in _due(config, state) if (cycle, j) not in came]
+    if not (missing and config.faults.standing):
+        return missing
+    overtaken = state.inbox.overtaken
+    return [
+        j
+        for j in missing
+        if not overtaken.get((cycle, j)) and not is_silent(config.faults, state.step, cycle, j)
+    ]
 
 
 def is_complete(config: NodeConfig, state: NodeState) -> bool:
     """Whether the open part of a cycle lacks nothing that is due."""
-    return state.phase is Phase.SHARES and awaited_neighbour(config, state) is None
+    return state.phase is Phase.SHARES and not awaited_neighbours(config, state)
 
 
 def advance(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> NodeState:
@@ -93,12 +99,12 @@ def advance(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> 
     while True:
         if state.phase is Phase.MEASUREMENT and state.step + 1 in state.inbox.measured:
             if state.inbox.measured[state.step + 1].changes:
-                return state._replace(phase=Phase.CHANGE)
+                return replace(state, phase=Phase.CHANGE)
             state = _begin_step(config, state)
             state = _open_group(config, state, outbox)
         elif state.phase is Phase.GRANT and (state.cycle, state.group) in state.inbox.grants:
             winners = state.inbox.grants[state.cycle, state.group]
-            state = state._replace(phase=Phase.SHARES, won=state.won + winners)
+            state = replace(state, phase=Phase.SHARES, won=state.won + winners)
             if config.index in winners:
                 state = _send(config, state, outbox)
         elif is_complete(config, state) and not config.timed:
@@ -111,9 +117,8 @@ def _begin_step(config: NodeConfig, state: NodeState) -> NodeState:
     number = state.step + 1
     measured = dict(state.inbox.measured)
     content, troubles = config.estimator.begin_step(state.content, measured.pop(number))
-    state = state._replace(
-        step=number, content=content, inbox=state.inbox._replace(measured=measured)
-    )
+    inbox = replace(state.inbox, measured=measured)
+    state = replace(state, step=number, content=content, inbox=inbox)
     state = count(state, *troubles)
     return file_early(config, state) if state.inbox.early else state
 
@@ -123,11 +128,12 @@ def _open_group(config: NodeConfig, state: NodeState, outbox: list[NodeMessage])
     if state.inbox.late:
         state = hear_late(config, state)
     group = config.schedule.groups(state.cycle)[state.group]
-    contenders = contenders_left(config.schedule, state.cycle, state.won)
-    contest = group.dynamic_slots > 0 and bool(contenders)
-    if contest and config.index in contenders:
+    contenders: tuple[int, ...] = ()
+    if group.dynamic_slots:
+        contenders = contenders_left(config.schedule, state.cycle, state.won)
+    if config.index in contenders:
         outbox.append(_bid(config, state))
-    state = state._replace(phase=Phase.GRANT if contest else Phase.SHARES)
+    state = replace(state, phase=Phase.GRANT if contenders else Phase.SHARES)
     if config.index in group.senders:
         state = _send(config, state, outbox)
     return state
@@ -158,15 +164,16 @@ def _send(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> No
     slots = config.slots(config.index, cycle)
     frames = to_frames(body, cycle, slots, config.cycle_counts)
     outbox.extend(ShareSent(config.index, cycle, frame) for frame in frames)
-    return count(state._replace(content=content), *["sent"] * len(frames))
+    counters = counted(state.counters, *["sent"] * len(frames))
+    return replace(state, content=content, counters=counters)
 
 
 def _due(config: NodeConfig, state: NodeState) -> tuple[int, ...]:
     """Neighbours that send in the open part of the cycle, as far as the node knows. Of one that is
     out there is what came before its end."""
     senders = config.schedule.groups(state.cycle)[state.group].senders
-    senders += state.inbox.grants.get((state.cycle, state.group), ())
-    due = _among(config.neighbours, senders)
+    granted = state.inbox.grants.get((state.cycle, state.group))
+    due = _among(config.neighbours, senders + granted if granted else senders)
     if not state.absent:
         return due
     came = state.inbox.shares
@@ -189,21 +196,21 @@ def _close_group(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]
     shares = tuple(came.get((state.cycle, j)) if j in usable else None for j in config.neighbours)
     missed = sum(came.get((state.cycle, j)) is None for j in due)
     content, troubles = config.estimator.fuse(state.content, shares)
-    state = count(state._replace(content=content), *troubles, *["missed"] * missed)
+    state = count(replace(state, content=content), *troubles, *["missed"] * missed)
     if state.group + 1 < len(config.schedule.groups(state.cycle)):
-        return _open_group(config, state._replace(group=state.group + 1), outbox)
+        return _open_group(config, replace(state, group=state.group + 1), outbox)
     return _close_cycle(config, state, outbox)
 
 
 def _close_cycle(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> NodeState:
     following = state.cycle + 1
     inbox = _forget_before(state, following)
-    state = state._replace(cycle=following, group=0, won=(), inbox=inbox)
+    state = replace(state, cycle=following, group=0, won=(), inbox=inbox)
     if (following - config.first_cycle) % config.rounds:
         return _open_group(config, state, outbox)
     outbox.append(_estimate(config, state))
     finished = state.step + 1 == config.steps
-    return state._replace(phase=Phase.FINISHED if finished else Phase.MEASUREMENT)
+    return replace(state, phase=Phase.FINISHED if finished else Phase.MEASUREMENT)
 
 
 def _estimate(config: NodeConfig, state: NodeState) -> Estimate:
@@ -223,7 +230,7 @@ def _keep_measured(state: NodeState, event: Measured) -> NodeState:
     if event.step <= state.step or event.step in state.inbox.measured:
         return count(state, "repeated measured")
     measured = {**state.inbox.measured, event.step: event}
-    return state._replace(inbox=state.inbox._replace(measured=measured))
+    return replace(state, inbox=replace(state.inbox, measured=measured))
 
 
 def _keep_grant(state: NodeState, event: Grant) -> NodeState:
@@ -231,12 +238,13 @@ def _keep_grant(state: NodeState, event: Grant) -> NodeState:
     if key < (state.cycle, state.group) or key in state.inbox.grants:
         return count(state, "repeated grant")
     grants = {**state.inbox.grants, key: tuple(event.winners)}
-    return state._replace(inbox=state.inbox._replace(grants=grants))
+    return replace(state, inbox=replace(state.inbox, grants=grants))
 
 
 def _forget_before(state: NodeState, cycle: int) -> Inbox:
     inbox = state.inbox
-    return inbox._replace(
+    return replace(
+        inbox,
         grants=_since(cycle, inbox.grants),
         parts=_since(cycle, inbox.parts),
         shares=_since(cycle, inbox.shares),

@@ -12,6 +12,7 @@ import numpy as np
 
 from filters.fusion import INFORMATION, Averaging
 from filters.gaussian import Gaussian
+from filters.hold import sharpness_of_factor
 from filters.linalg import symmetrise
 from nodes.belief_consensus import HoldPolicy
 from nodes.local_filter import carry, finite_lanes, where
@@ -182,7 +183,8 @@ class BeliefFleet:
         return self._expressed(belief, content.origin), finite_lanes(belief)
 
     def _expressed(self, belief: Gaussian, origin: Array) -> Numbers:
-        return Numbers(*self.averaging.weigh_up(belief, origin))
+        numbers, factors = self.averaging.weigh_up(belief, origin)
+        return Numbers(numbers, sharpness_of_factor(factors))
 
     def _caught_up(self, content: Content, fresh: np.ndarray) -> tuple[Numbers, np.ndarray]:
         """What is held of those who do not replace it now, at this step and about its origin."""

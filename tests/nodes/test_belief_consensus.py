@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
@@ -134,7 +135,7 @@ def test_a_share_that_is_no_covariance_is_dropped_and_named():
 def moved_by(rule: BeliefConsensus, change: Array):
     """A content that has published its prior and then moved on by `change`."""
     content, _ = rule.compose(rule.start())
-    return content._replace(belief=Gaussian(PRIOR.mean + change, PRIOR.cov))
+    return msgspec.structs.replace(content, belief=Gaussian(PRIOR.mean + change, PRIOR.cov))
 
 
 def test_who_has_never_published_bids_highest():
@@ -174,7 +175,7 @@ def test_what_was_published_is_carried_on_too():
 def test_what_is_composed_is_what_is_accepted(seed: int):
     (belief,) = random_priors(np.random.default_rng(seed), 1, 2)
     rule = estimator()
-    content, body = rule.compose(rule.start()._replace(belief=belief))
+    content, body = rule.compose(msgspec.structs.replace(rule.start(), belief=belief))
     assert len(body) == rule.share_bytes
     accepted = rule.accept(body)
     np.testing.assert_array_equal(accepted.mean, belief.mean)

@@ -197,6 +197,6 @@ def test_who_was_missed_is_not_waited_for_after_a_change():
     state, _ = state_machine.step(config, state, Measured(1, 0, [[None]], None, (Cut(0, 1),)))
     config, state, _ = node_changes.apply(config, state)
     assert state.absent == {2}
-    assert state_machine.awaited_neighbour(config, state) == 0
+    assert state_machine.awaited_neighbours(config, state)[0] == 0
     ends = state_machine.step(config, state, Measured(1, 1, [[None]]))[0]
     assert ends.absent == {2}
