@@ -114,7 +114,8 @@ def _at_once(case: Case, setup: Setup, runs: int) -> list[CaseOutcome]:
     measurement, wrong = _spoiled(network.measurement, case.outliers, own)
     network = replace(network, measurement=measurement)
     if case.cut:
-        network = replace(network, lost=partial(_lost_in_cut, setup, runs))
+        (era,) = network.eras
+        network = replace(network, eras=(era._replace(lost=partial(_lost_in_cut, setup, runs)),))
     instants = list(vectorised.run(network))
     truth, readings, mean, cov = (
         np.stack(values, axis=1)
@@ -185,12 +186,12 @@ def _node(setup: Setup, node: int, recorded: set[tuple[int, int]]) -> NodeConfig
     return replace(config, estimator=estimator, links=links)
 
 
-def _lost_in_cut(setup: Setup, runs: int, cycle: int) -> np.ndarray:
+def _lost_in_cut(setup: Setup, runs: int, step: int, cycle: int) -> np.ndarray:
     """How many frames each link loses in a cycle (R, E): those between the halves, all."""
     links = links_of(setup.neighbours, perfect=False)
     side = halves(setup)
     across = side[links.sender] != side[links.receiver]
-    cut = across & (cycle // setup.scenario.rounds in CUT)
+    cut = across & (step in CUT)
     return np.broadcast_to(cut.astype(np.int64), (runs, len(cut)))
 
 

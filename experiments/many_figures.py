@@ -84,7 +84,8 @@ def summarise(histories: Histories, cost: Cost) -> ManyFigures:
     values = np.full_like(histories.nees, np.nan) if is_certain(scenario) else histories.nees
     consistency = _where(counted, values) / states
     spread = _where(counted, histories.mean)[..., list(score.states)]
-    spread = spread - np.mean(spread, axis=2, keepdims=True)
+    # Of those nodes that believe something: some may be out.
+    spread = spread - mean_of_known(spread, (2,))[:, :, None]
     whole = rmse(of_node, (1, 2))
     return ManyFigures(
         scenario=scenario.name,

@@ -22,6 +22,7 @@ from scenarios.catalogue import Score, kind_of
 from scenarios.rules import is_certain
 from scenarios.setup import Setup
 from scenarios.timetable import placement
+from scenarios.vectorised import turnings_of
 
 COVERED = 0.95
 
@@ -146,7 +147,7 @@ def _traffic(setup: Setup, histories: Histories) -> dict[str, Array]:
     heard = kept(histories)[1].reshape(len(payload), -1)
     load, delay_us = _bus(setup, payload)
     return {
-        "published": (payload > 0).mean(axis=(1, 2, 3)),
+        "published": (payload > 0).sum(axis=(1, 2, 3)) / (_cycles(setup) * payload.shape[-1]),
         "bytes_per_step": sent.sum(axis=2).mean(axis=1),
         "energy_per_step": (8 * sent * energy_nj).sum(axis=2).mean(axis=1) * 1e-6,
         "bus_load": load,
@@ -157,11 +158,21 @@ def _traffic(setup: Setup, histories: Histories) -> dict[str, Array]:
     }
 
 
+def _cycles(setup: Setup) -> int:
+    """Communication cycles of a run."""
+    steps, turnings = setup.scenario.steps, turnings_of(setup)
+    ends = [*(turning.step for turning in turnings[1:]), steps]
+    return sum(
+        (end - turning.step) * int(turning.standing.settings.get("rounds", setup.scenario.rounds))
+        for turning, end in zip(turnings, ends, strict=True)
+    )
+
+
 def _bus(setup: Setup, payload: np.ndarray) -> tuple[Array, Array]:
-    """Mean load (R,) and mean delay (R,); NaN on a bus without time."""
+    """Mean load (R,) and mean delay (R,); NaN on a bus without time, or of several settings."""
     plan = build_plan(setup)
     runs, steps, rounds, nodes = payload.shape
-    if plan.cluster is None:
+    if plan.cluster is None or any(turning.anew for turning in turnings_of(setup)):
         return np.full(runs, np.nan), np.full(runs, np.nan)
     cluster, place = plan.cluster, placement(plan)
     cycles = np.arange(steps * rounds) % plan.schedule.period

@@ -33,7 +33,7 @@ class SpreadHistory:
         own = np.arange(held.shape[-1])
         self._arrival[:, own, step, own] = np.where(self._taken[:, step], step, NEVER)
         self._body_bytes[:, step] = spread.body_bytes.sum(axis=(0, 2))
-        said = (instant.sends, spread.checkpoints, spread.records)
+        said = (instant.payload_bytes > 0, spread.checkpoints, spread.records)
         self._sent += [one.sum(axis=(0, 2)) for one in said]
 
     def of_runs(self) -> tuple[RecordSpread, ...]:

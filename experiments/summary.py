@@ -12,7 +12,7 @@ from experiments.record_spread import SpreadFigures
 from experiments.timing_figures import TimingFigures
 from experiments.trace import Trace
 from filters.gaussian import Gaussian
-from filters.metrics import anees, disagreement, rmse
+from filters.metrics import anees, disagreement, largest_of_known, rmse
 from nodes.messages import Array
 from scenarios.baselines import centralised, local_only
 from scenarios.catalogue import Score, kind_of
@@ -96,7 +96,7 @@ def summarise(setup: Setup, trace: Trace) -> Figures:
         rmse=float(rmse(of_node, (0, 1))),
         rmse_local_only=float(rmse(of_alone[:, who], (0, 1))),
         rmse_centralised=central_rmse,
-        worst_node_to_centralised=float(per_node[who].max() / central_rmse),
+        worst_node_to_centralised=float(largest_of_known(per_node[who]) / central_rmse),
         disagreement=disagreement(network.mean[first:, who][..., list(score.states)]),
         anees=_unless(certain, _consistency(network, trace.truth, score, first, (0, 1))),
         anees_centralised=_unless(certain, _consistency(central, trace.truth, score, first, (0,))),

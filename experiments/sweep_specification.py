@@ -22,6 +22,7 @@ FIELDS = {
     if field.name != "run"
 }
 _TRUE, _FALSE = ("true", "yes"), ("false", "no")
+_NO_CHANGES = "none"
 
 
 class Range(msgspec.Struct, frozen=True):
@@ -139,8 +140,17 @@ def cells_of(specification: Specification) -> list[Cell]:
     for number, values in enumerate(combinations):
         fields = {**specification.base, **values}
         name = str(fields.pop("scenario", "target-tracking"))
-        cells.append(Cell(number, values, scenario_of(name, fields)))
+        if "changes" in fields:
+            asked: dict[str, Any] = {**fields, "changes": _changes(str(fields["changes"]))}
+        else:
+            asked = fields
+        cells.append(Cell(number, values, scenario_of(name, asked)))
     return cells
+
+
+def _changes(text: str) -> tuple[str, ...]:
+    """What becomes of the network in one cell: as a comma ends the cell, semicolons part lines."""
+    return () if text == _NO_CHANGES else tuple(line.strip() for line in text.split(";"))
 
 
 def _factorial(specification: Specification) -> list[dict[str, Value]]:

@@ -21,10 +21,9 @@ from filters.metrics import nees
 from nodes.memory import keep_freed_memory
 from nodes.messages import Array
 from nodes.vectorised import Instant, run
-from scenarios.build import build_plan
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup, setup_of_run
-from scenarios.vectorised import build_network, framed, without_array_form
+from scenarios.vectorised import build_network, without_array_form
 
 # Runs are taken so many at a time that this many nodes are computed at once: enough that numpy is
 # worth its calls, little enough for caches and memory.
@@ -154,43 +153,33 @@ class _Part(NamedTuple):
 def _driven(setup: Setup, runs: Sequence[int]) -> _Part:
     """Some runs at once."""
     network = build_network(setup, runs)
-    plan, rounds = build_plan(setup), setup.scenario.rounds
+    most_rounds = max(era.regime.rounds for era in network.eras)
     counters: dict[str, np.ndarray] = {}
     # Nodes times nodes times steps: nothing that a rule without records could afford.
     spreads: list[SpreadHistory] = []
 
     def steps() -> Iterable[_Recorded]:
-        sent = np.zeros(network.prior.mean.shape[:2], dtype=np.int64)
         for instant in run(network):
-            cycles = range(instant.step * rounds, (instant.step + 1) * rounds)
-            bodies = [None] * rounds if instant.spread is None else instant.spread.body_bytes
-            frames, payload = zip(
-                *(
-                    framed(setup, plan, cycle, sends, body)
-                    for cycle, sends, body in zip(cycles, instant.sends, bodies, strict=True)
-                ),
-                strict=True,
-            )
-            sent += np.sum(frames, axis=0)
             counters.update(instant.counters)
-            if instant.spread is not None:
+            if instant.spread is not None and not setup.scenario.changes:
                 spreads[:] = spreads or [SpreadHistory(setup, len(runs))]
                 spreads[0].add(instant)
-            yield _recorded(instant, np.stack(payload))
-        counters["sent"] = sent
+            yield _recorded(instant, most_rounds)
 
     return _Part(
         steps(), counters, network.prior.mean[:, 0], lambda: spreads[0].of_runs() if spreads else ()
     )
 
 
-def _recorded(instant: Instant, payload: np.ndarray) -> _Recorded:
+def _recorded(instant: Instant, rounds: int) -> _Recorded:
+    lacking = ((0, rounds - len(instant.payload_bytes)), (0, 0), (0, 0))
+    payload, asked = (np.pad(one, lacking) for one in (instant.payload_bytes, instant.asked))
     return _Recorded(
         instant.truth,
         instant.control,
         instant.belief,
         payload.transpose(1, 0, 2),
-        instant.asked.transpose(1, 0, 2),
+        asked.transpose(1, 0, 2),
         instant.readings,
         instant.ages,
     )

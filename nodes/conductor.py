@@ -7,6 +7,7 @@ a run with changes is a value too, and every driver gives the same bits for it.
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
 from typing import NamedTuple
 
 from nodes import world, world_changes
@@ -22,6 +23,7 @@ from nodes.changes import (
     Loss,
     Pace,
     Settings,
+    Standing,
 )
 from nodes.command_checks import check_command
 from nodes.commands import (
@@ -188,10 +190,14 @@ class Conductor:
 
     def _join(self) -> list[WorldMessage]:
         """Let in who is ready, if somebody can tell it what to believe."""
-        able = self._able()
-        self._ready -= {joined.node for joined in able}
-        self._awaited -= {joined.node for joined in able} | self._ready
-        return self._apply(able)
+        outbox: list[WorldMessage] = []
+        # One that joins may have left in this step alone, and can tell others what it believed.
+        while able := self._able():
+            self._ready -= {joined.node for joined in able}
+            self._awaited -= {joined.node for joined in able}
+            outbox += self._apply(able)
+        self._awaited -= self._ready
+        return outbox
 
     def _able(self) -> list[Joined]:
         joins = [
@@ -220,57 +226,32 @@ class Conductor:
                 # What entails what is for the scenario to say, in a script as well.
                 wanted = self._stage.check({**self.state.standing.settings, **settings})
                 return [world_changes.setting(self.config, self.state, wanted)]
-            case Soothe():
-                return [Calm()]
             case Inject():
                 return self._faults(command)
             case _:
-                return self._link_changes(command)
-
-    def _link_changes(self, command: CutLink | HealLink | LoseFrames | Partition) -> list[Change]:
-        """What a command changes of links."""
-        match command:
-            case CutLink(sender, receiver, both):
-                return [Cut(*link) for link in self._links(sender, receiver, both)]
-            case HealLink(int(sender), int(receiver), both):
-                return [Healed(*link) for link in self._links(sender, receiver, both)]
-            case HealLink():
-                return [Healed(*link) for link in self.state.standing.cuts]
-            case Partition(nodes):
-                return [Cut(*link) for link in self._crossing(set(nodes))]
-            case LoseFrames(probability, int(sender), int(receiver), both):
-                links = self._links(sender, receiver, both)
-                return [Loss(probability, *link) for link in links]
-            case LoseFrames(probability):
-                return [Loss(probability)]
+                return link_changes(command, self.config.neighbours, self.state.standing)
 
     def _faults(self, command: Inject) -> list[Change]:
         """What a fault changes: two of them where a link has it both ways."""
         kind, nodes = command.kind, command.nodes
         is_link = FAULTS[kind].place == "link" and len(nodes) == 2
-        places = self._links(nodes[0], nodes[1], command.both) if is_link else [nodes]
+        links = partial(_links, self.config.neighbours, both=command.both)
+        places = links(*nodes) if is_link else [nodes]
         released = self.state.released
         cycle = self.config.cycle_of(released)
         return [Fault(kind, tuple(place), command.numbers, released, cycle) for place in places]
 
-    def _crossing(self, nodes: set[int]) -> list[tuple[int, int]]:
-        """Links between these nodes and the others, either way."""
-        return [
-            (sender, receiver)
-            for receiver, heard in enumerate(self.config.neighbours)
-            for sender in heard
-            if (sender in nodes) != (receiver in nodes)
-        ]
-
-    def _links(self, sender: int, receiver: int, both: bool) -> list[tuple[int, int]]:
-        directions = [(sender, receiver), (receiver, sender)] if both else [(sender, receiver)]
-        return [(s, r) for s, r in directions if s in self.config.neighbours[r]]
+    def _has_company(self, node: int) -> bool:
+        return any(j not in self.state.standing.absent for j in self.config.neighbours[node])
 
     def _limit(self) -> int:
         """How far the world may go."""
         limits = [self.config.steps]
         if self._pending or self._awaited or self._able():
             limits.append(self.state.released)
+        if any(self._has_company(node) for node in self._ready):
+            # A neighbour that has come back with it can say what to believe one step later.
+            limits.append(self.state.released + 1)
         if self._script:
             limits.append(self._script[0].step)
         if self._pause_at is not None:
@@ -278,3 +259,46 @@ class Conductor:
         if self._paced_to is not None:
             limits.append(self._paced_to)
         return min(limits)
+
+
+LinkCommand = CutLink | HealLink | LoseFrames | Partition | Soothe
+
+
+def link_changes(
+    command: LinkCommand, neighbours: Sequence[Sequence[int]], standing: Standing
+) -> list[Change]:
+    """What a command changes of links, in a network that stands so and in which node i hears
+    neighbours[i]."""
+    match command:
+        case CutLink(sender, receiver, both):
+            return [Cut(*link) for link in _links(neighbours, sender, receiver, both=both)]
+        case HealLink(int(sender), int(receiver), both):
+            return [Healed(*link) for link in _links(neighbours, sender, receiver, both=both)]
+        case HealLink():
+            return [Healed(*link) for link in standing.cuts]
+        case Partition(nodes):
+            return [Cut(*link) for link in _crossing(neighbours, set(nodes))]
+        case LoseFrames(probability, int(sender), int(receiver), both):
+            links = _links(neighbours, sender, receiver, both=both)
+            return [Loss(probability, *link) for link in links]
+        case LoseFrames(probability):
+            return [Loss(probability)]
+        case Soothe():
+            return [Calm()]
+
+
+def _links(
+    neighbours: Sequence[Sequence[int]], sender: int, receiver: int, *, both: bool
+) -> list[tuple[int, int]]:
+    directions = [(sender, receiver), (receiver, sender)] if both else [(sender, receiver)]
+    return [(s, r) for s, r in directions if s in neighbours[r]]
+
+
+def _crossing(neighbours: Sequence[Sequence[int]], nodes: set[int]) -> list[tuple[int, int]]:
+    """Links between these nodes and the others, either way."""
+    return [
+        (sender, receiver)
+        for receiver, heard in enumerate(neighbours)
+        for sender in heard
+        if (sender in nodes) != (receiver in nodes)
+    ]

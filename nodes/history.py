@@ -40,7 +40,9 @@ class History(NamedTuple):
     @property
     def rounds(self) -> int:
         """The most rounds that a step has."""
-        return max(epoch.rounds for epoch in self.epochs)
+        ends = (*(epoch.first_step for epoch in self.epochs[1:]), None)
+        pairs = zip(self.epochs, ends, strict=True)
+        return max(epoch.rounds for epoch, end in pairs if epoch.first_step != end)
 
     def is_in(self, node: int, step: int) -> bool:
         """Whether a node takes part in a step."""

@@ -25,8 +25,9 @@ from nodes.vectorised_filter import (
     nothing_published,
     received,
     traffic,
+    with_lanes,
 )
-from nodes.vectorised_links import Links, Shares, mixed, weighed
+from nodes.vectorised_links import Links, Shares, mixed, unheard, weighed
 
 
 class Numbers(NamedTuple):
@@ -90,6 +91,14 @@ class BeliefFleet:
         ages = np.full((len(prior.mean), len(self.links.sender)), -1)
         published = nothing_published(self.contenders, prior)
         return Content(prior, own, held, origin, origin, ages, published, 0, None, 0, {})
+
+    def restarted(self, content: Content, nodes: np.ndarray, belief: Gaussian) -> Content:
+        """Nodes begin anew; what they held of others is held of nobody now."""
+        return content._replace(
+            belief=with_lanes(content.belief, nodes, belief),
+            ages=unheard(self.links, content.ages, nodes),
+            published=content.published.forgotten(nodes),
+        )
 
     def begin_step(
         self, content: Content, readings: Array, control: Array | None, step: int

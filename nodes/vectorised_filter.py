@@ -85,6 +85,13 @@ def received(values: Array, number: str) -> Array:
     return values if number == "<f8" else values.astype(number).astype(np.float64)
 
 
+def with_lanes(beliefs: Gaussian, nodes: np.ndarray, others: Gaussian) -> Gaussian:
+    """Beliefs (R, N, n), of nodes (J,) those others (R, J, n)."""
+    mean, cov = beliefs.mean.copy(), beliefs.cov.copy()
+    mean[:, nodes], cov[:, nodes] = others
+    return Gaussian(mean, cov)
+
+
 class Published(NamedTuple):
     """What those who may contend (`nodes` (C,)) believed when they last sent: (R, C, n), (..., n).
 
@@ -101,6 +108,10 @@ class Published(NamedTuple):
             return self
         belief, sound = filters.carry(self.belief, control, step)
         return self._replace(belief=belief, known=self.known & sound)
+
+    def forgotten(self, nodes: np.ndarray) -> "Published":
+        """After nodes (J,) have begun anew."""
+        return self._replace(known=self.known & ~np.isin(self.nodes, nodes))
 
     def sent(self, belief: Gaussian, sends: np.ndarray) -> "Published":
         """After nodes `sends` (R, N) have sent their beliefs (R, N, n)."""

@@ -21,8 +21,9 @@ from nodes.vectorised_filter import (
     nothing_published,
     received,
     traffic,
+    with_lanes,
 )
-from nodes.vectorised_links import Links, Shares, mixed, weighed
+from nodes.vectorised_links import Links, Shares, mixed, unheard, weighed
 
 
 class Turn(NamedTuple):
@@ -172,6 +173,14 @@ class FreshFleet:
         ages = np.full((len(prior.mean), len(self.links.sender)), -1)
         known = self.rule.begin(prior, prior)
         return Content(prior, prior, known, ages, nothing_published(self.contenders, prior), 0, {})
+
+    def restarted(self, content: Content, nodes: np.ndarray, belief: Gaussian) -> Content:
+        """Nodes begin anew, and have heard nobody."""
+        return content._replace(
+            belief=with_lanes(content.belief, nodes, belief),
+            ages=unheard(self.links, content.ages, nodes),
+            published=content.published.forgotten(nodes),
+        )
 
     def begin_step(
         self, content: Content, readings: Array, control: Array | None, step: int

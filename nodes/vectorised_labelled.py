@@ -20,9 +20,9 @@ from nodes.labelled_frame import LabelledFrameCodec
 from nodes.local_filter import finite_lanes
 from nodes.messages import Array
 from nodes.source_gate import without_outliers
-from nodes.vectorised import Spread
 from nodes.vectorised_filter import Counters, added, received, traffic
 from nodes.vectorised_links import Links, Padded, neighbourhoods, overhearing
+from nodes.vectorised_network import Spread
 from nodes.vectorised_records import (
     RecordSets,
     first_places,
@@ -111,6 +111,10 @@ class LabelledFleet:
             carried=np.zeros((3, self.rounds, runs, self._nodes), dtype=np.int64),
             counters={},
         )
+
+    def restarted(self, content: Content, nodes: np.ndarray, belief: Gaussian) -> Content:
+        """Windows would begin at steps of their own: `scenarios.labelled.without_arrays`."""
+        raise NotImplementedError
 
     def begin_step(
         self, content: Content, readings: Array, control: Array | None, step: int

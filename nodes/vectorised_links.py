@@ -78,6 +78,11 @@ class Links(NamedTuple):
         return before[:, self.offsets[1:]] - before[:, self.offsets[:-1]]
 
 
+def unheard(links: Links, ages: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """Ages (R, E) or (1, E) of what came over links, of which nodes (J,) have never heard one."""
+    return np.where(np.isin(links.receiver, nodes), -1, ages)
+
+
 class Shares(NamedTuple):
     """A weight for each node's own numbers (R, N), and for those of each link (R, E)."""
 

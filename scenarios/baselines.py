@@ -139,6 +139,9 @@ def _through(
     means, covs = [], []
     for step in range(readings.shape[1]):
         driven = None if control is None else control[:, step]
+        if driven is not None and np.isnan(driven).all():
+            # Whoever closes the loop was not there yet.
+            driven = None
         belief = listen(belief, step, readings[:, step], driven)
         means.append(belief.mean)
         covs.append(belief.cov)

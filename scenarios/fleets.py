@@ -11,7 +11,6 @@ from filters.fusion import MOMENTS, Averaging
 from nodes.belief_consensus import HoldPolicy
 from nodes.labelled import GAP_STEPS
 from nodes.novelty_rounds import NoveltyRounds
-from nodes.vectorised import Fleet
 from nodes.vectorised_beliefs import BeliefFleet
 from nodes.vectorised_filter import LocalFilters
 from nodes.vectorised_fresh import (
@@ -22,6 +21,7 @@ from nodes.vectorised_fresh import (
 )
 from nodes.vectorised_labelled import LabelledFleet
 from nodes.vectorised_links import Links, Shares
+from nodes.vectorised_network import Fleet
 from nodes.vectorised_window import WindowFilters
 from scenarios.labelled import Everybody, frame_codec, gates_of
 

@@ -8,6 +8,7 @@ import numpy as np
 from bus.fragments import PREFIX_BYTES as FRAGMENT_BYTES
 from bus.schedule import Schedule, publishers_per_cycle
 from nodes.belief_codec import BeliefCodec
+from nodes.commands import Configure, Restart
 from nodes.labelled_frame import (
     MAX_SOURCES,
     MAX_WINDOW_STEPS,
@@ -19,6 +20,7 @@ from nodes.record_codec import Calibrated, record_codec
 from nodes.share import PREFIX_BYTES as CYCLE_BYTES
 from scenarios.catalogue import kind_of
 from scenarios.scenario import Scenario
+from scenarios.script import script_of
 from topology.names import unknown_name
 
 RECORD_NUMBERS = {"int16": "<i2", "float32": "<f4", "float64": "<f8"}
@@ -99,6 +101,9 @@ def without_arrays(scenario: Scenario) -> str | None:
     # Elsewhere a share may take several frames, or not fit beside others: that hangs on its length.
     if scenario.cluster not in ("fitted", "none"):
         return f"rule labelled on a cluster of its own (--cluster {scenario.cluster})"
+    if any(isinstance(one.command, Restart | Configure) for one in script_of(scenario)):
+        # Windows of one network would begin at different steps.
+        return "rule labelled where nodes come back or settings change (--changes restart, set)"
     return None
 
 

@@ -19,7 +19,7 @@ from nodes.belief_consensus import HoldPolicy
 from nodes.estimator import Estimator
 from nodes.messages import Array
 from nodes.set_shapes import Ellipsoids, Zonotopes
-from nodes.vectorised import Fleet
+from nodes.vectorised_network import Fleet
 from scenarios import set_rules
 from scenarios.estimators import (
     Seat,

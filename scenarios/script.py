@@ -102,8 +102,8 @@ def check_script(
     Raises:
         ValueError: naming the line, and why not.
     """
-    standing = UNCHANGED
-    for line, (step, command) in zip(_in_order(scenario), script_of(scenario), strict=True):
+    standing, script = UNCHANGED, script_of(scenario)
+    for line, (step, command) in zip(_in_order(scenario), script, strict=True):
         try:
             equipment = equip(standing.settings) if isinstance(command, Inject) else Equipment()
             check_command(command, neighbours, standing, False, equipment)

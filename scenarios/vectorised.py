@@ -1,6 +1,6 @@
 """From a setup to what the vectorised driver runs: many runs of it as one value."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -14,13 +14,17 @@ from bus.dynamic_segment import walk
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
 from nodes.bids import asked
+from nodes.changes import UNCHANGED, Standing
+from nodes.commands import Configure, Inject
 from nodes.link_state import LinkState, hears_all
 from nodes.messages import Bid
+from nodes.node_changes import with_standing
 from nodes.share import frame_payloads
 from nodes.state_machine import contenders_left
-from nodes.vectorised import Contest, Network
+from nodes.vectorised_changes import Turning, foreseen
 from nodes.vectorised_filter import LocalFilters, SensorGroup
 from nodes.vectorised_links import Links, Shares, links_of
+from nodes.vectorised_network import Contest, Era, Network, Regime
 from scenarios.build import build_controller, build_plan, everybody_of
 from scenarios.bus_plan import BusPlan, arbitrate
 from scenarios.catalogue import kind_of
@@ -28,7 +32,8 @@ from scenarios.fleets import FleetSeat
 from scenarios.links import link_state
 from scenarios.rules import hold_policy, rule_of, wire_number
 from scenarios.scenario import Scenario
-from scenarios.setup import Setup, generator, share_bytes
+from scenarios.script import script_of
+from scenarios.setup import Setup, complete_settings, generator, share_bytes, with_settings
 
 _ORDERS: dict[str, Order] = {
     "wtod": arbitration_lanes.wtod,
@@ -42,13 +47,40 @@ def without_array_form(scenario: Scenario) -> str | None:
     kind = kind_of(scenario.name)
     if kind.wiring is not None:
         return f"scenario {scenario.name}"
-    if rule_of(scenario).fleet is None:
-        return f"rule {scenario.rule}"
     if kind.around is not None and scenario.adaptive:
         return "noise that nodes learn (--adaptive)"
-    if scenario.changes:
-        return "a network that changes in the run (--changes)"
-    return rule_of(scenario).lacking(scenario)
+    if any(isinstance(one.command, Inject) for one in script_of(scenario)):
+        return "faults but kills, cuts and losses (--changes)"
+    for held in (scenario, *_set_in(scenario)):
+        rule = rule_of(held)
+        if rule.fleet is None:
+            return f"rule {held.rule}"
+        if (lacking := rule.lacking(held)) is not None:
+            return lacking
+    return None
+
+
+def _set_in(scenario: Scenario) -> Iterator[Scenario]:
+    """The scenario each time that its changes have set something."""
+    for _, command in script_of(scenario):
+        if isinstance(command, Configure):
+            scenario = msgspec.structs.replace(scenario, **command.settings)
+            yield scenario
+
+
+def turnings_of(setup: Setup) -> tuple[Turning, ...]:
+    """What becomes of the network of a setup, from its first step on."""
+    scenario = setup.scenario
+    turnings = foreseen(
+        script_of(scenario),
+        setup.neighbours,
+        scenario.steps,
+        scenario.rounds,
+        partial(complete_settings, setup),
+    )
+    if turnings and turnings[0].step == 0:
+        return turnings
+    return (Turning(0, UNCHANGED, (), False), *turnings)
 
 
 def build_network(setup: Setup, runs: Sequence[int]) -> Network:
@@ -60,7 +92,7 @@ def build_network(setup: Setup, runs: Sequence[int]) -> Network:
     if (lacking := without_array_form(setup.scenario)) is not None:
         raise ValueError(f"{lacking} has no array form; use --driver in-process")
     scenarios = [msgspec.structs.replace(setup.scenario, run=run) for run in runs]
-    scenario, plan = setup.scenario, build_plan(setup)
+    scenario = setup.scenario
     kind = kind_of(scenario.name)
     plant = kind.plant(scenario)
     draws = [plant.draw(partial(generator, one), scenario.steps) for one in scenarios]
@@ -70,18 +102,8 @@ def build_network(setup: Setup, runs: Sequence[int]) -> Network:
         np.repeat(np.stack(means)[:, None], nodes, axis=1),
         np.broadcast_to(covs[0], (len(runs), nodes, n, n)),
     )
-    links = links_of(setup.neighbours, link_state(setup).perfect)
-    lost = None
-    if not links.perfect:
-        states_of_links = [
-            link_state(msgspec.structs.replace(setup, scenario=one)) for one in scenarios
-        ]
-        lost = partial(
-            _lost, states_of_links, links, partial(frames_of, setup, plan), scenario.rounds
-        )
-    contest, memory = _contest(setup, plan, len(runs))
-    rule = rule_of(scenario)
-    assert rule.fleet is not None, "without_array_form has looked"
+    # Who comes back has forgotten what others still hold of the same node: links differ then.
+    links = links_of(setup.neighbours, link_state(setup).perfect and not scenario.changes)
     return Network(
         plant=plant,
         initial_state=np.stack(states),
@@ -89,14 +111,46 @@ def build_network(setup: Setup, runs: Sequence[int]) -> Network:
         process=np.stack([one.process for one in draws], axis=1),
         measurement=np.stack([one.measurement for one in draws], axis=1),
         steps=scenario.steps,
-        rounds=scenario.rounds,
-        schedule=plan.schedule,
-        contest=contest,
-        contest_memory=memory,
         controller=build_controller(scenario),
         delivery=kind.delivery(scenario) if kind.delivery else None,
-        lost=lost,
-        fleet=rule.fleet(_seat(setup, plan, links)),
+        receivers=links.receiver,
+        eras=tuple(_eras(setup, scenarios, links)),
+    )
+
+
+def _eras(setup: Setup, scenarios: Sequence[Scenario], links: Links) -> Iterator[Era]:
+    """What holds when, in runs of these scenarios."""
+    scenario = setup.scenario
+    states = [link_state(msgspec.structs.replace(setup, scenario=one)) for one in scenarios]
+    changed, plan, regime = setup, build_plan(setup), None
+    for step, standing, joined, anew in turnings_of(setup):
+        if regime is None or anew:
+            changed = with_settings(setup, standing.settings)
+            plan = build_plan(changed)
+            regime = _regime(changed, plan, links, standing, len(scenarios))
+        present = np.ones(scenario.nodes, dtype=bool)
+        present[list(standing.absent)] = False
+        standing_states = [with_standing(state, standing) for state in states]
+        lost = None
+        if not standing_states[0].perfect:
+            lost = partial(_lost, standing_states, links, partial(frames_of, changed, plan))
+        yield Era(step, regime, present, joined, lost)
+
+
+def _regime(setup: Setup, plan: BusPlan, links: Links, standing: Standing, runs: int) -> Regime:
+    """Rule and bus of a setup whose settings are those that stand."""
+    rule = rule_of(setup.scenario)
+    assert rule.fleet is not None, "without_array_form has looked"
+    contest, memory = _contest(setup, plan, runs)
+    return Regime(
+        standing.first_step,
+        standing.first_cycle,
+        setup.scenario.rounds,
+        plan.schedule,
+        contest,
+        memory,
+        partial(framed, setup, plan),
+        rule.fleet(_seat(setup, plan, links)),
     )
 
 
@@ -170,16 +224,16 @@ def _lost(
     states: list[LinkState],
     links: Links,
     frames_in: Callable[[int], tuple[np.ndarray, np.ndarray]],
-    rounds: int,
+    step: int,
     cycle: int,
 ) -> np.ndarray:
     """How many frames of a share each link loses in a cycle, (R, E)."""
     of_sender = frames_in(cycle)[0][links.sender]
     lost = np.zeros((len(states), len(links.sender)), dtype=np.int64)
-    step, now = np.array(cycle // rounds), np.array(cycle)
+    part = (np.array(step), np.array(cycle), links.sender, links.receiver)
     for number in range(int(of_sender.max(initial=0))):
         for run, state in enumerate(states):
-            arrives = hears_all(state, step, now, links.sender, links.receiver, number)
+            arrives = hears_all(state, *part, number)
             lost[run] += ~arrives & (number < of_sender)
     return lost
 

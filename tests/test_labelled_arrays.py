@@ -13,10 +13,13 @@ from experiments.vectorised import simulate
 from scenarios.scenario import Scenario
 from scenarios.setup import prepare, setup_of_run
 from scenarios.vectorised import build_network, without_array_form
+from tests.changing_networks import changing
 from tests.experiments.support import scenario
 from tests.test_vectorised_agreement import check_agreement
 
 RUNS = (0, 3)
+# Who comes back has a window of its own, which has no array form.
+FINAL = ("kill", "cut", "heal", "loss", "loss on")
 
 
 def labelled(name: str = "target-tracking", **options: Any) -> Scenario:
@@ -71,11 +74,24 @@ def test_random_networks_agree(asked: Scenario):
     check(asked)
 
 
+@given(changing(scenarios(), verbs=FINAL))
+@settings(max_examples=15)
+def test_random_networks_that_change_agree(asked: Scenario):
+    check_agreement(asked)
+
+
 @pytest.mark.slow
 @given(scenarios())
 @settings(max_examples=300)
 def test_many_more_random_networks_agree(asked: Scenario):
     check(asked)
+
+
+@pytest.mark.slow
+@given(changing(scenarios(), verbs=FINAL))
+@settings(max_examples=300)
+def test_many_more_random_networks_that_change_agree(asked: Scenario):
+    check_agreement(asked)
 
 
 @pytest.mark.parametrize("relay", [False, True])
@@ -114,6 +130,8 @@ def test_driven_plants_agree(name: str):
         ("mrclam", {}, "sensors as those of scenario mrclam"),
         ("liu2021-network", {}, "unlike"),
         ("target-tracking", {"cluster": "bosch"}, "--cluster bosch"),
+        ("oscillator", {"changes": ("3 kill 1", "4 restart 1")}, "--changes restart, set"),
+        ("oscillator", {"changes": ("3 set rounds=2",)}, "--changes restart, set"),
     ],
 )
 def test_what_has_no_array_form_is_named(name: str, options: dict[str, Any], says: str):

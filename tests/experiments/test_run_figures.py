@@ -15,11 +15,14 @@ from experiments.trace import read_trace
 from experiments.vectorised import simulate
 from scenarios.setup import prepare, setup_of_run
 
+CHANGES = ("3 kill 1", "10 loss 0.3", "12 restart 1", "14 kill 2")
 CASES = [
     ("target-tracking", {"nodes": 8, "steps": 25, "occupancy": 0.5}),
     ("target-tracking", {"nodes": 8, "steps": 25, "cluster": "none", "graph": "ring"}),
     ("oscillator", {"nodes": 4, "steps": 24, "rule": "hcmci"}),
     ("dc-motor-speed", {"nodes": 4, "steps": 62}),
+    ("oscillator", {"nodes": 5, "steps": 30, "changes": CHANGES}),
+    ("oscillator", {"nodes": 5, "steps": 30, "changes": (*CHANGES, "18 set rounds=1")}),
 ]
 
 
@@ -52,6 +55,16 @@ def test_each_run_has_the_figures_of_a_single_run(name: str, fields: dict):
         for figure, value in expected.items():
             assert many[figure][place] == pytest.approx(value, rel=1e-9, nan_ok=True), figure
         np.testing.assert_allclose(many["rmse_node"][place], [n.rmse for n in single.nodes])
+
+
+def test_who_publishes_is_counted_in_the_cycles_that_there_were():
+    """Four nodes that always do, one for half of the time; in steps of three rounds and of one."""
+    changes = ("5 kill 0", "5 set rounds=1")
+    setup = prepare(scenario_of("oscillator", {"nodes": 5, "steps": 10, "changes": changes}))
+    histories = simulate(setup, range(2))
+    figures = figures_of(setup, histories, frame_of(setup, range(2), histories))
+    assert figures["published"].tolist() == pytest.approx([(5 * 15 + 4 * 5) / (5 * 20)] * 2)
+    assert np.isnan(figures["bus_load"]).all()
 
 
 def test_shapes_are_those_that_are_promised():

@@ -30,6 +30,12 @@ def test_a_part_of_the_bus_asks_for_a_schedule_as_in_a_run():
     assert schedules == {1.0: "full", 0.5: "hybrid"}
 
 
+def test_what_becomes_of_the_network_is_swept_with_semicolons_between_changes():
+    cells = cells_of(specify({"changes": "none,3 kill 1;5 restart 1,4 loss 0.2"}))
+    changes = [cell.scenario.changes for cell in cells]
+    assert changes == [(), ("3 kill 1", "5 restart 1"), ("4 loss 0.2",)]
+
+
 def test_every_field_of_a_scenario_can_be_swept():
     assert set(FIELDS) == {*Scenario.__struct_fields__, "scenario"} - {"name", "run"}
     options = FieldOptions(rounds="1,2", relay="true,false", window_steps="none,3")  # type: ignore[call-arg]
@@ -91,6 +97,10 @@ BAD_CELLS = [
     ({"rule": "ci,icf", "weights": "metropolis,equal-neighbour"}, "weights=equal-neighbour"),
     ({"occupancy": ".5,1", "schedule": "full"}, "cell occupancy=0.5 .1 of 2."),
     ({"nodes": "20,60", "number": "float64", "cluster": "bosch"}, "cell nodes=60|cell nodes=20"),
+    (
+        {"changes": "none,3 kill 1;"},
+        "cell changes=3 kill 1; .2 of 2.: .*must begin with the number",
+    ),
     ({"rounds": "0..2"}, "cell rounds=0 .1 of 3.: --rounds 0: must be at least 1"),
 ]
 

@@ -12,8 +12,8 @@ from nodes.changes import UNCHANGED, Cut, Event, Gone, Healed, Joined, Left, Los
 from nodes.history import Absence, Epoch, history_of
 from nodes.messages import CycleClosed, Measured, to_wire
 from scenarios.build import build_node
-from scenarios.setup import Setup
-from tests.experiments.support import small
+from scenarios.setup import Setup, prepare
+from tests.experiments.support import scenario, small
 from tests.nodes.changing import run, same_bits
 from tests.nodes.networks import last_come, shuffled
 
@@ -140,6 +140,24 @@ def test_who_comes_back_agrees_again():
     assert away[39] < 1e-2
 
 
+@pytest.mark.parametrize("again", [3, 5])
+def test_who_needs_a_neighbour_that_comes_back_too_is_told_what_that_believed(again: int):
+    """At once where the neighbour left in the same step, else one step later."""
+    setup = prepare(scenario("oscillator", nodes=4, graph="path", steps=10))
+    trace = run(setup, "3 kill 1", "3 kill 0", f"{again} restart 1", f"{again} restart 0")
+    out = np.isnan(trace.mean[..., 0])
+    assert np.flatnonzero(out[:, 1]).tolist() == list(range(3, again))
+    assert np.flatnonzero(out[:, 0]).tolist() == ([] if again == 3 else [3, 4, 5])
+
+
+def test_a_dynamic_segment_serves_again_after_all_who_may_ask_were_out():
+    bus = {"schedule": "hybrid-leaves", "occupancy": 0.5, "rounds": 1, "stretch": 100.0}
+    setup = prepare(scenario("oscillator", nodes=3, graph="path", steps=8, **bus))
+    trace = run(setup, "2 kill 1", "5 restart 1")
+    assert trace.published[:, 0, 1].tolist() == [True] * 2 + [False] * 3 + [True] * 3
+    assert all("missed" not in counters for counters in trace.counters)
+
+
 LINES = st.sampled_from([
     ["3 kill 1", "9 restart 1"], ["4 kill 0", "4 kill 2", "8 restart 2", "8 restart 0"],
     ["5 cut 1 2", "9 heal 1 2"], ["2 cut 3 4 one-way"], ["6 loss 0.3"], ["6 loss 0.6 1 2 one-way"],
@@ -200,3 +218,12 @@ def test_who_was_missed_is_not_waited_for_after_a_change():
     assert state_machine.awaited_neighbours(config, state)[0] == 0
     ends = state_machine.step(config, state, Measured(1, 1, [[None]]))[0]
     assert ends.absent == {2}
+
+
+def test_rounds_that_no_step_had_are_not_in_the_history():
+    first, second, third = (
+        Event(step, Set({"rounds": rounds}, 2 * step)) for step, rounds in [(0, 2), (4, 9), (4, 1)]
+    )
+    assert history_of(5, [first]).rounds == 2
+    assert history_of(5, [first, second, third]).rounds == 2
+    assert history_of(5, [first, second]).rounds == 9
