@@ -24,7 +24,7 @@ class Sighting:
     gate: float | None = 11.0  # greatest normalised innovation squared: misread barcodes fail it
 
     @property
-    def noise_std(self) -> Array:
+    def delivered_std(self) -> Array:
         """Standard deviations (2,) of range at no distance, in m, and bearing, in rad."""
         return np.array([self.range_std_m, self.bearing_std_rad])
 

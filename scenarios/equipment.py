@@ -25,6 +25,14 @@ class _Rated(Protocol):
     def noise_std(self) -> Array: ...
 
 
+@runtime_checkable
+class _Uncalibrated(Protocol):
+    """One whose raw readings are not the measurement that is made of them."""
+
+    @property
+    def delivered_std(self) -> Array: ...
+
+
 def build_faults(setup: "Setup", plan: BusPlan) -> Faults:
     """What decides of the faults of a run, of which none stands yet."""
     return Faults(key_of(setup.scenario, "faults"), equipment_of(setup, plan))
@@ -56,7 +64,9 @@ def spread_of(scenario: Scenario, readings: Array) -> Array:
         for number, delivered in enumerate(readings[node]):
             if sensor is None or np.isnan(delivered).all():
                 continue
-            if isinstance(sensor, _Rated):
+            if isinstance(sensor, _Uncalibrated):
+                deviations = sensor.delivered_std
+            elif isinstance(sensor, _Rated):
                 deviations = np.atleast_1d(sensor.noise_std)
             else:
                 deviations = np.sqrt(np.diagonal(sensor.interpret(delivered)[1]))
