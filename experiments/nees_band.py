@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 
 import msgspec
 import numpy as np
@@ -65,8 +66,14 @@ class RunningBand:
 
     def _await(self, setup: Setup) -> None:
         assert self._process is not None, "a process was started"
-        out, _ = self._process.communicate(msgspec.json.encode(setup))
-        if self._process.returncode == 0:
+        with self._process as process:
+            assert process.stdin is not None and process.stdout is not None, "it has pipes"
+            with suppress(BrokenPipeError):
+                process.stdin.write(msgspec.json.encode(setup) + b"\n")
+                process.stdin.flush()
+            # Its standard input stays open: it ends with us, however we end.
+            out = process.stdout.read()
+        if process.returncode == 0:
             self._limits = msgspec.json.decode(out, type=Limits)
 
     def __call__(self, times: Array) -> tuple[Array, Array] | None:
@@ -85,11 +92,20 @@ class RunningBand:
 
 
 def main() -> None:
-    """The process: a setup on standard input, its limits on standard output."""
+    """The process: a setup on a line of standard input, its limits on standard output; ends when
+    standard input does."""
     os.nice(19)
-    setup = msgspec.json.decode(sys.stdin.buffer.read(), type=Setup)
+    setup = msgspec.json.decode(sys.stdin.buffer.readline(), type=Setup)
+    threading.Thread(target=_end_with_input, daemon=True).start()
     runs = RUNS if without_array_form(setup.scenario) is None else _FEWER_RUNS
     sys.stdout.buffer.write(msgspec.json.encode(limits(setup, runs)))
+
+
+def _end_with_input() -> None:
+    # Without a buffer, whose lock would be held when the interpreter ends.
+    while os.read(0, 1):
+        pass
+    os._exit(1)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,96 @@
+"""Network and page in one command: the network waits for somebody to look, and needs nobody."""
+
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from nodes.control_client import Client
+from nodes.network_file import read_network
+from tests.processes import PROC, Family, family, holds_within, lives
+
+pytestmark = pytest.mark.zenoh
+ROOT = Path(__file__).resolve().parents[2]
+NETWORK = ["--scenario", "target-tracking", "--nodes", "4", "--steps", "3000", "--seed", "3"]
+
+
+@pytest.fixture
+def launched(chromium, tmp_path: Path) -> Iterator[tuple[Family, Path]]:
+    folder = tmp_path / "run"
+    started = family(
+        (
+            sys.executable,
+            "launch_local.py",
+            *NETWORK,
+            "--out",
+            str(folder),
+            "--dashboard",
+            "--http-port",
+            "0",
+        ),
+        ROOT,
+    )
+    with started as command:
+        yield command, folder
+
+
+def page_process(command: Family) -> int:
+    """The process of the page that a launcher has started."""
+    pages = [
+        pid for pid in command.descendants()
+        if b"\0dashboard\0" in (PROC / str(pid) / "cmdline").read_bytes()
+    ]  # fmt: skip
+    assert len(pages) == 1
+    return pages[0]
+
+
+def test_a_network_waits_for_who_looks_and_goes_on_without(chromium, launched: tuple[Family, Path]):
+    command, folder = launched
+    url = command.await_line("dashboard at ").split()[2]
+    reach = read_network(folder)
+    client = Client(reach.connect, reach.run)
+
+    def state() -> dict[str, Any]:
+        return client.state()
+
+    assert state()["paused"]
+    page = chromium.new_page(viewport={"width": 1280, "height": 720})
+    page.goto(f"{url}/?fixedDpr=0.5")
+    assert holds(page, lambda: not state()["paused"])
+    assert state()["steps_per_second"] == 5
+    assert holds(page, lambda: page.get_by_test_id("run-state").first.text_content() == "RUNNING")
+
+    # Every panel is drawn several times a second while it is pressed.
+    for node in (2, 0, 3):
+        page.locator(f'[data-testid="timeline"] .slot[data-node="{node}"]').first.click()
+        row = page.locator(f'[data-testid="nodes"] tr[data-node="{node}"]')
+        assert holds(page, lambda row=row: "background" in (row.get_attribute("style") or ""))
+    page.get_by_role("button", name="Pause", exact=True).click()
+    assert holds(page, lambda: state()["paused"])
+    page.get_by_role("button", name="Resume", exact=True).click()
+    assert holds(page, lambda: not state()["paused"])
+
+    # Without a word, as if its terminal were gone.
+    number = page_process(command)
+    os.kill(number, signal.SIGKILL)
+    assert holds_within(5, lambda: not lives(number))
+    page.close()
+    completed = state()["completed"]
+    assert holds_within(20, lambda: state()["completed"] > completed + 5)
+    assert state()["members"] == [0, 1, 2, 3]
+    client.close()
+    command.send(signal.SIGTERM)
+    assert command.gone_within(10)
+
+
+def holds(page, condition: Callable[[], bool]) -> bool:
+    """Whether something comes to hold while the browser works."""
+    for _ in range(600):
+        if condition():
+            return True
+        page.wait_for_timeout(50)
+    return False
