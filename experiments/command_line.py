@@ -13,6 +13,7 @@ from experiments.dashboard_command import dashboard
 from experiments.design_command import design
 from experiments.doctor_command import doctor
 from experiments.flexray_command import SUMMARY, flexray_commands
+from experiments.host_commands import node, router, setup, world
 from experiments.identify_command import identify_tyres
 from experiments.keys_command import keys
 from experiments.list_command import list_all
@@ -40,6 +41,10 @@ COMMANDS = {
     "plot": plot,
     "report": report,
     "keys": keys,
+    "setup": setup,
+    "router": router,
+    "world": world,
+    "node": node,
     "doctor": doctor,
 }
 

@@ -47,7 +47,16 @@ def run_processes(
         NetworkFailed: a process died; its last words are on standard error.
         ValueError: `port` cannot be used.
     """
-    job = Job(setup, run, str(recording), port, tempo)
+    run_job(Job(setup, run, str(recording), port, tempo), recording.parent, on_event)
+
+
+def run_job(job: Job, folder: Path | None, on_event: Callable[[Happened], None]) -> None:
+    """Run the processes of a job until the end; where the network is stands in `folder`.
+
+    Raises:
+        NetworkFailed: a process died; its last words are on standard error.
+        ValueError: the job cannot be done.
+    """
     # A network of many small processes: one BLAS thread each, or they fight for the cores.
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     zygote = subprocess.Popen(
@@ -62,7 +71,7 @@ def run_processes(
     try:
         zygote.stdin.write(msgspec.json.encode(job) + b"\n")
         zygote.stdin.flush()
-        _follow(zygote.stdout, partial(_note, run, recording.parent, on_event))
+        _follow(zygote.stdout, partial(_note, job.run, folder, on_event))
     finally:
         zygote.stdin.close()
         zygote.stdout.close()
@@ -73,9 +82,11 @@ def run_processes(
             zygote.wait()
 
 
-def _note(run: str, folder: Path, on_event: Callable[[Happened], None], happened: Happened) -> None:
+def _note(
+    run: str, folder: Path | None, on_event: Callable[[Happened], None], happened: Happened
+) -> None:
     """Leave word where the network is, for those who watch it."""
-    if happened.connect:
+    if happened.connect and folder is not None:
         write_network(folder, Network(run, happened.connect, happened.pids))
     on_event(happened)
 

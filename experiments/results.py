@@ -110,7 +110,15 @@ def read_description(folder: Path) -> Description:
     Raises:
         ValueError: there is none, or it is not one of ours.
     """
-    path = folder / DESCRIPTION
+    return read_description_file(folder / DESCRIPTION)
+
+
+def read_description_file(path: Path) -> Description:
+    """Read what run.json holds from a file of any name.
+
+    Raises:
+        ValueError: there is none, or it is not one of ours.
+    """
     try:
         return msgspec.json.decode(path.read_bytes(), type=Description)
     except OSError as error:

@@ -21,6 +21,7 @@ _DELIVERED = (
     "query",
     "reply",
 )
+_KINDS = ("hello", "bid", "share", "estimate", "timing", "unreachable")
 _EVERYTHING = tuple(dict.fromkeys((*_HEARING, *_DELIVERED)))
 
 
@@ -51,7 +52,9 @@ def rights(nodes: int) -> dict[str, Rights]:
             "welcome/*",
         ),
         is_ready=(f"ready/{WORLD}",),
-        hears=("hello/*", "bid/*", "estimate/*", "recorded/*", "end", "ready/*"),
+        hears=(
+            "hello/*", "bid/*", "estimate/*", "recorded/*", "unreachable/*", "end", "ready/*",
+        ),
         answers=("state", "control"),
     )  # fmt: skip
     table[RECORDER] = Rights(
@@ -67,7 +70,7 @@ def rights(nodes: int) -> dict[str, Rights]:
 
 def _rights_of_node(node: int) -> Rights:
     return Rights(
-        says=tuple(f"{kind}/{node}" for kind in ("hello", "bid", "share", "estimate", "timing")),
+        says=tuple(f"{kind}/{node}" for kind in _KINDS),
         is_ready=(f"ready/{node}",),
         hears=(
             "start", f"measured/{node}", "grant", "share/*", "end", "ready/*", "gone",

@@ -1,5 +1,6 @@
-"""Who connects to whom: the zenoh links of one run on one machine, as data."""
+"""Who connects to whom: the zenoh links of one run, on one machine or several, as data."""
 
+import re
 import socket
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -10,6 +11,10 @@ WATCH = "watch"
 LOOPBACK = "127.0.0.1"
 # Beyond this many neighbours on average a router moves the same messages with fewer sockets.
 MESH_DEGREE_LIMIT = 8
+# How long a process on one of several hosts looks for its router.
+ROUTER_S = 30.0
+_ENDPOINT = re.compile(r"(tcp|tls)/(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9][A-Za-z0-9.-]*):([0-9]{1,5})")
+_RUN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 
 class Links(NamedTuple):
@@ -65,6 +70,48 @@ def plan_links(neighbours: Sequence[Sequence[int]], ports: dict[str, int]) -> di
         connect = (at[WORLD], at[RECORDER], *lower)
         links[str(node)] = Links("peer", (at[str(node)],), connect)
     return links
+
+
+def links_to_routers(connect: Sequence[str], keys: str | None) -> Links:
+    """How a process on one of several hosts joins: through the first router that answers."""
+    return Links("client", (), tuple(connect), ROUTER_S, keys)
+
+
+def checked_endpoints(option: str, endpoints: Sequence[str], has_keys: bool) -> tuple[str, ...]:
+    """Endpoints such as tcp/10.0.0.1:7447 that a user has given for an option.
+
+    Raises:
+        ValueError: there is none, one is no endpoint, or keys and TLS do not go together.
+    """
+    if not endpoints:
+        raise ValueError(f"{option}: there is no endpoint; give one such as tcp/10.0.0.1:7447")
+    for endpoint in endpoints:
+        parts = _ENDPOINT.fullmatch(endpoint)
+        if parts is None or not 1 <= int(parts[3]) <= 65535:
+            raise ValueError(
+                f"{option} {endpoint}: not an endpoint; write tcp/HOST:PORT or tls/HOST:PORT with "
+                "a port from 1 to 65535"
+            )
+        if has_keys != (parts[1] == "tls"):
+            cure = "write tls/HOST:PORT" if has_keys else "give --keys, or write tcp/HOST:PORT"
+            raise ValueError(
+                f"{option} {endpoint}: keys are shown over TLS and nowhere else; {cure}"
+            )
+    return tuple(endpoints)
+
+
+def checked_run(run: str) -> str:
+    """The name of a run, which is a part of every zenoh key.
+
+    Raises:
+        ValueError: it is none.
+    """
+    if not _RUN.fullmatch(run):
+        raise ValueError(
+            f"run {run!r}: a name has 1 to 100 letters, digits, '.', '_' or '-' and begins with a "
+            "letter or digit; choose another"
+        )
+    return run
 
 
 def watchers_endpoints(ports: dict[str, int]) -> list[str]:

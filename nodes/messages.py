@@ -108,6 +108,13 @@ class Timing(msgspec.Struct, frozen=True):
     delay_s: float
 
 
+class Unreachable(msgspec.Struct, frozen=True):
+    """Node to world: the link to a neighbour is broken, though both may still reach the world."""
+
+    node: NodeIndex
+    neighbour: NodeIndex
+
+
 class CycleClosed(msgspec.Struct, frozen=True):
     """Driver to node: the time of this part of the cycle is over; go on with what has come."""
 
@@ -126,7 +133,7 @@ NodeEvent = Measured | ShareHeard | Grant | CycleClosed | Gone
 NodeMessage = ShareSent | Bid | Estimate
 WorldEvent = Bid | Estimate | Gone
 WorldMessage = Measured | Grant | Truth | Event | Gone | Welcome
-Message = NodeMessage | WorldMessage | Start | Timing
+Message = NodeMessage | WorldMessage | Start | Timing | Unreachable
 
 _TYPES: dict[str, type] = {
     "measured": Measured,
@@ -139,9 +146,11 @@ _TYPES: dict[str, type] = {
     "welcome": Welcome,
     "start": Start,
     "timing": Timing,
+    "unreachable": Unreachable,
 }
+_KINDS: dict[type, str] = {ShareSent: "share", **{type_: kind for kind, type_ in _TYPES.items()}}
 # One node's topics, by name; what they carry must be of that node.
-_OWNED = ("measured", "bid", "estimate", "timing")
+_OWNED = ("measured", "bid", "estimate", "timing", "unreachable")
 _encoder = msgspec.json.Encoder()
 _decoders = {topic: msgspec.json.Decoder(type_) for topic, type_ in _TYPES.items()}
 
@@ -157,29 +166,11 @@ class MalformedMessage(ValueError):
 
 def topic(message: Message) -> str:
     """Where a message travels: `share/3`, `grant`, ... (the key below `concord/<run>/`)."""
-    match message:
-        case Grant():
-            return "grant"
-        case Truth():
-            return "truth"
-        case Event():
-            return "event"
-        case Gone():
-            return "gone"
-        case Start():
-            return "start"
-        case Welcome():
-            return f"welcome/{message.node}"
-        case Measured():
-            return f"measured/{message.node}"
-        case ShareSent():
-            return f"share/{message.node}"
-        case Bid():
-            return f"bid/{message.node}"
-        case Estimate():
-            return f"estimate/{message.node}"
-        case Timing():
-            return f"timing/{message.node}"
+    kind = _KINDS[type(message)]
+    # What tells everybody of a node, or is of nobody, has one topic for all.
+    if isinstance(message, Grant | Truth | Event | Gone | Start):
+        return kind
+    return f"{kind}/{message.node}"
 
 
 def encode(message: Message) -> bytes:

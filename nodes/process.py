@@ -5,6 +5,7 @@ grant, the share of one neighbour) and waits for that one alone. Nobody coordina
 timed. What the world does is in `nodes/world_process.py`.
 """
 
+import time
 from collections import deque
 from collections.abc import Collection, Sequence
 
@@ -12,30 +13,34 @@ import msgspec
 
 from nodes import node_changes, state_machine
 from nodes.changes import Event, Gone, Joined, Left
-from nodes.links import RECORDER, WORLD, Links
+from nodes.links import RECORDER, WATCH, WORLD, Links
 from nodes.messages import (
     MalformedMessage,
     NodeEvent,
     NodeMessage,
     ShareHeard,
+    Unreachable,
     decode,
     encode,
     topic,
 )
 from nodes.node_state import NodeConfig, NodeState, Phase, count
+from nodes.patience import Patience
 from nodes.recording import Recorder
 from nodes.zenoh_transport import Transport
 
 NODE_QUEUE, RECORDER_QUEUE = 1024, 65_536
 # A fresh process looks so often who is there, and gives links so long to come up.
 _LOOK_S, _LINK_S = 0.5, 5.0
-_UNRECORDED = ("hello", "recorded", "start", "finished", "end")
+# Through a router the recorder hears itself, too.
+_UNRECORDED = ("hello", "recorded", "start", "finished", "end", WATCH)
 
 
 class Situation(msgspec.Struct):
     """The part of what the world says of a network that a node must know to join it."""
 
     members: list[int]
+    begun: bool
 
 
 def run_node(
@@ -45,16 +50,18 @@ def run_node(
     peers: Collection[int],
     fingerprint: str,
     late: bool = False,
+    patience_s: float | None = None,
 ) -> None:
     """Be one node until the recorder says that the run is over.
 
     `peers` are those whom it hears or who hear it: all must be there before the first share. A node
-    that is `late` joins a network that runs.
+    that is `late` joins a network that may run already. Where nobody else does, `patience_s` ends
+    the process of a node that has been without the world for so long.
 
     Raises:
         LinkError: the network cannot be joined.
     """
-    seat = _Seat(run, links, config, peers)
+    seat = _Seat(run, links, config, peers, patience_s)
     if not late:
         seat.transport.join(str(config.index), {WORLD, RECORDER, *map(str, peers)})
         seat.transport.send(f"hello/{config.index}", fingerprint.encode())
@@ -73,17 +80,36 @@ def run_node(
 class _Seat:
     """A node's place in the network of processes."""
 
-    def __init__(self, run: str, links: Links, config: NodeConfig, peers: Collection[int]) -> None:
+    def __init__(
+        self,
+        run: str,
+        links: Links,
+        config: NodeConfig,
+        peers: Collection[int],
+        patience_s: float | None,
+    ) -> None:
         index = config.index
         self._beginning = config
         self._peers = peers
+        self._patience = None if patience_s is None else Patience(WORLD, patience_s)
         self._heartbeat, self._welcome = f"measured/{index}", f"welcome/{index}"
         self._shares = {j: f"share/{j}" for j in config.neighbours}
         self._gone: deque[Gone] = deque()
+        self._unreachable: deque[int] = deque()
         topics = [self._heartbeat, "grant", self._welcome, "end", *self._shares.values()]
         self.transport = Transport(run, links, topics, NODE_QUEUE)
         self.transport.listen("gone", self._hear_of_end)
         self.transport.listen(f"gone/{index}", self._hear_of_end)
+        self.transport.watch(self._see)
+
+    def _see(self, name: str, is_there: bool) -> None:
+        """In zenoh's thread: who is out of our reach may not be out of the world's."""
+        if self._patience is not None:
+            self._patience.see(name, is_there)
+        if not is_there and name.isdecimal() and int(name) in self._shares:
+            self._unreachable.append(int(name))
+            for subscription in (self._heartbeat, self._shares[int(name)]):
+                self.transport.wake(subscription)
 
     def _hear_of_end(self, name: str, data: bytes) -> None:
         """In zenoh's thread: whoever waits for that node must wait no longer."""
@@ -101,20 +127,30 @@ class _Seat:
     def rejoin(self, fingerprint: str) -> tuple[NodeConfig, NodeState]:
         """Ask to be let in, and wait until it is so."""
         index = self._beginning.index
-        while True:
-            answer = self.transport.ask("state")
-            members = [] if answer is None else msgspec.json.decode(answer, type=Situation).members
-            linked = {str(j) for j in self._peers if j in members}
-            if answer is not None and self.transport.await_present(linked, _LOOK_S):
-                break
+        begun = self._await_links()
         while self.transport.receive_at_once(self._welcome) is not None:
             pass
+        self._unreachable.clear()
         self.transport.send(f"hello/{index}", fingerprint.encode())
+        if not begun:
+            return self._beginning, state_machine.initial_state(self._beginning)
         while (received := self.transport.receive(self._welcome)) is None:
             pass
         # Whatever was said of this node's end was said of its former life.
         self._gone.clear()
         return node_changes.begin_late(self._beginning, decode(*received))
+
+    def _await_links(self) -> bool:
+        """Wait until all are there whom a node hears or who hear it; whether the run has begun."""
+        while True:
+            answer = self.transport.ask("state")
+            if answer is None:
+                time.sleep(_LOOK_S)
+                continue
+            there = msgspec.json.decode(answer, type=Situation)
+            linked = {str(j) for j in self._peers if j in there.members}
+            if self.transport.await_present(linked, _LOOK_S):
+                return there.begun
 
     def take_part(self, config: NodeConfig, state: NodeState) -> bool:
         """Go on to the last step; False if the others have given this node up meanwhile."""
@@ -143,6 +179,9 @@ class _Seat:
         """What the node waits for; nothing if it was woken up."""
         if self._gone:
             return ()
+        while self._unreachable:
+            lost = Unreachable(config.index, self._unreachable.popleft())
+            self.transport.send(topic(lost), encode(lost))
         match state.phase:
             case Phase.MEASUREMENT:
                 received = self.transport.receive(self._heartbeat)
@@ -204,12 +243,14 @@ def run_recorder(run: str, links: Links, watch: Links, recorder: Recorder) -> No
     transport = Transport(run, links, ["**"], RECORDER_QUEUE)
     offered = Transport(run, watch, [], 1)
     transport.join(RECORDER, set())
+    ends = _Ends(transport)
     finished: Finished | None = None
     latest: dict[int, bytes] = {}
     leaving: dict[int, int] = {}
-    while finished is None or not _complete(finished, latest):
+    while finished is None or not _complete(finished, latest, ends.silent):
         received = transport.receive("**")
         if received is None:
+            ends.look()
             continue
         name, data = received
         kind, _, node = name.partition("/")
@@ -233,6 +274,28 @@ def run_recorder(run: str, links: Links, watch: Links, recorder: Recorder) -> No
     transport.close()
 
 
+class _Ends:
+    """Nodes whose last word has come, as they are gone."""
+
+    def __init__(self, transport: Transport) -> None:
+        self.silent: set[int] = set()
+        self._transport = transport
+        self._seen: deque[tuple[int, bool]] = deque()
+        transport.watch(self._see)
+
+    def _see(self, name: str, is_there: bool) -> None:
+        """In zenoh's thread; what the node said before is ahead of our call in the queue."""
+        if name.isdecimal():
+            self._seen.append((int(name), is_there))
+            self._transport.wake("**")
+
+    def look(self) -> None:
+        """All that came before a call has been heard."""
+        while self._seen:
+            node, is_there = self._seen.popleft()
+            (self.silent.discard if is_there else self.silent.add)(node)
+
+
 def _leaving(event: Event) -> dict[int, int]:
     """Who leaves on command, and the last step that it has estimated."""
     return {event.change.node: event.step - 1} if isinstance(event.change, Left) else {}
@@ -244,6 +307,7 @@ def _has(latest: dict[int, bytes], node: int, step: int) -> bool:
     return data is not None and msgspec.json.decode(data, type=_Estimated).step == step
 
 
-def _complete(finished: Finished, latest: dict[int, bytes]) -> bool:
-    """Whether the last estimate of every node has come."""
-    return all(_has(latest, node, finished.step) for node in finished.members)
+def _complete(finished: Finished, latest: dict[int, bytes], silent: set[int]) -> bool:
+    """Whether the last estimate of every node has come that may still say something."""
+    members = (node for node in finished.members if node not in silent)
+    return all(_has(latest, node, finished.step) for node in members)

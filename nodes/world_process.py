@@ -12,10 +12,18 @@ import msgspec
 
 from nodes import world
 from nodes.changes import Gone, Settings, Standing
-from nodes.commands import Answer, Speed, read_command
+from nodes.commands import Answer, Kill, Restart, Speed, read_command
 from nodes.conductor import Conductor, Scripted, Stage
 from nodes.links import RECORDER, WORLD, Links
-from nodes.messages import MalformedMessage, Start, WorldMessage, decode, encode, topic
+from nodes.messages import (
+    MalformedMessage,
+    Start,
+    Unreachable,
+    WorldMessage,
+    decode,
+    encode,
+    topic,
+)
 from nodes.metronome import Metronome, beat_on_time
 from nodes.process import Finished
 from nodes.tempo import Tempo
@@ -24,6 +32,9 @@ from nodes.zenoh_transport import Transport
 
 WORLD_QUEUE = 16_384
 _ANSWER_S = 5.0
+# How often the world says for whom it waits.
+_TELL_S = 10.0
+_NOT_OURS = "nodes run on hosts of their own; end and start `concord node` there"
 # From the announcement of the common start to the start: every node must have heard it.
 _HEAD_START_S = 0.2
 
@@ -67,7 +78,7 @@ class Beat(NamedTuple):
     """At a limited speed: the time has come for a step."""
 
 
-Notice = Presence | Hello | Recorded | Asked | Beat
+Notice = Presence | Hello | Recorded | Asked | Beat | Unreachable
 
 
 class State(msgspec.Struct, frozen=True):
@@ -75,6 +86,7 @@ class State(msgspec.Struct, frozen=True):
 
     run: str
     setup: msgspec.Raw
+    begun: bool
     completed: int
     released: int
     paused: bool
@@ -85,13 +97,15 @@ class State(msgspec.Struct, frozen=True):
 
 class Management(NamedTuple):
     """What the world needs beside the network: `kill(node)` and `start(node)` its process,
-    `check(settings)` what people want to set, `on_step(completed)`; `setup` is JSON to be shown."""
+    `check(settings)` what people want to set, `on_step(completed)`; `setup` is JSON to be shown.
+    Where it `keeps_nodes` it can kill and start them; others' processes are on other hosts."""
 
     kill: Callable[[int], None]
     start: Callable[[int], None]
     check: Callable[[Settings], Settings]
     on_step: Callable[[int], None]
     setup: bytes
+    keeps_nodes: bool = True
 
 
 def run_world(
@@ -131,6 +145,7 @@ class _Office:
         self._run, self._nodes, self._fingerprint = run, config.nodes, fingerprint
         self._management, self._tempo = management, tempo
         self._doomed: set[int] = set()
+        self._begun = False
         stage = Stage(self._doomed.add, self._start, management.check)
         if tempo is not None:
             config = dataclasses.replace(config, lead=config.steps)
@@ -139,22 +154,25 @@ class _Office:
         self._source = "estimate/*"
         self._metronome = Metronome(lambda: self._notify(Beat()))
         topics = ["bid/*", "estimate/*", "end"]
-        self._transport = Transport(run, links, topics, WORLD_QUEUE)
+        self._transport = Transport(run, links, topics, WORLD_QUEUE, answers=True)
         self._transport.listen("hello/*", self._hear_hello)
         self._transport.listen("recorded/*", self._hear_recorded)
+        self._transport.listen("unreachable/*", self._hear_unreachable)
         self._transport.answer("state", self._state)
         self._transport.answer("control", self._ask)
 
     def work(self) -> None:
         """From the first hello to the end."""
         nodes = [str(node) for node in range(self._nodes)]
-        self._transport.join(WORLD, {RECORDER, *nodes})
-        self._await_hellos()
+        self._transport.join(WORLD, ())
+        self._await_all([RECORDER, *nodes])
         self._transport.watch(lambda name, is_there: self._notify(Presence(name, is_there)))
         for node in nodes:
             # Who was gone again before we watched.
             if not self._transport.await_present({node}, 0):
                 self._notify(Presence(node, False))
+        self._await_hellos()
+        self._begun = True
         self._management.on_step(0)
         conductor, completed = self._conductor, 0
         self._send(conductor.begin() if self._tempo is None else self._announce(self._tempo))
@@ -180,19 +198,30 @@ class _Office:
         self._transport.send(topic(start), encode(start))
         return self._conductor.command(Speed(1 / tempo.step_s))
 
+    def _await_all(self, names: Sequence[str]) -> None:
+        """Wait for everybody, and say for whom."""
+        while not self._transport.await_present(names, _TELL_S):
+            missing = self._transport.missing(names)
+            sys.stderr.write(f"the world waits for {', '.join(map(_in_words, missing))}\n")
+
     def _await_hellos(self) -> None:
         missing = set(range(self._nodes))
         while missing:
-            notice = self._notices.get()
-            if isinstance(notice, Hello):
-                self._compare(notice)
-                missing.discard(notice.node)
+            match self._notices.get():
+                case Hello() as hello:
+                    self._compare(hello)
+                    missing.discard(hello.node)
+                case Presence(name, False) if name.isdecimal() and int(name) < self._nodes:
+                    # Its next life has to say hello again.
+                    missing.add(int(name))
+                case Asked(_, answer):
+                    answer.put(Answer(False, "the run has not begun; try again"))
 
     def _compare(self, hello: Hello) -> None:
         if hello.fingerprint != self._fingerprint:
             raise Disagreement(
-                f"node {hello.node} runs configuration {hello.fingerprint!r}, the world "
-                f"{self._fingerprint!r}"
+                f"node {hello.node} runs configuration {hello.fingerprint[:12]!r}, the world "
+                f"{self._fingerprint[:12]!r}; give all the same setup, version and kernels"
             )
 
     def _next_message(self) -> tuple[str, bytes] | None:
@@ -223,8 +252,10 @@ class _Office:
         match notice:
             case Presence(name, is_there) if name.isdecimal() and int(name) < self._nodes:
                 self._see(int(name), is_there)
+            case Hello(node, fingerprint) if fingerprint != self._fingerprint:
+                # One that comes late with something else is not let in, and ends nothing.
+                sys.stderr.write(f"world: node {node} comes with another setup; refused\n")
             case Hello():
-                self._compare(notice)
                 if notice.node not in conductor.state.standing.absent:
                     # It was started again before anybody had seen its end.
                     self._send(conductor.take(Gone(notice.node)))
@@ -236,24 +267,35 @@ class _Office:
                 notice.answer.put(self._obey(notice.payload))
             case Beat():
                 self._send(conductor.tick())
+            case Unreachable(node, neighbour):
+                # Frames between them are lost. One of them is out until there is a link again.
+                absent = conductor.state.standing.absent
+                if node not in absent and neighbour not in absent:
+                    self._give_up(neighbour)
 
     def _see(self, node: int, is_there: bool) -> None:
         conductor = self._conductor
         absent = conductor.state.standing.absent
         if not is_there:
             conductor.lost(node)
-            self._send(conductor.take(Gone(node)))
-            if conductor.deserted:
-                raise Deserted("no node is left")
+            self._give_up(node)
         elif node in absent:
             # A node that was given up may have been out of reach only: it must know.
             self._transport.send(f"gone/{node}", encode(Gone(node)))
+
+    def _give_up(self, node: int) -> None:
+        self._send(self._conductor.take(Gone(node)))
+        if self._conductor.deserted:
+            raise Deserted("no node is left")
 
     def _obey(self, payload: bytes) -> Answer:
         if self._tempo is not None:
             return Answer(False, "a network in real time takes no commands; use --driver processes")
         try:
-            self._send(self._conductor.command(read_command(payload)))
+            command = read_command(payload)
+            if isinstance(command, Kill | Restart) and not self._management.keeps_nodes:
+                return Answer(False, _NOT_OURS)
+            self._send(self._conductor.command(command))
         except ValueError as refused:
             return Answer(False, str(refused))
         self._metronome.set(self._conductor.steps_per_second)
@@ -284,6 +326,15 @@ class _Office:
         if node.isdecimal():
             self._notify(Recorded(int(node)))
 
+    def _hear_unreachable(self, name: str, data: bytes) -> None:
+        try:
+            lost: Unreachable = decode(name, data)
+        except MalformedMessage as error:
+            sys.stderr.write(f"world: {error}\n")
+            return
+        if max(lost.node, lost.neighbour) < self._nodes:
+            self._notify(lost)
+
     def _ask(self, payload: bytes) -> bytes:
         answer: SimpleQueue[Answer] = SimpleQueue()
         self._notify(Asked(payload, answer))
@@ -299,6 +350,7 @@ class _Office:
             State(
                 self._run,
                 msgspec.Raw(self._management.setup),
+                self._begun,
                 state.completed,
                 state.released,
                 conductor.paused,
@@ -307,3 +359,7 @@ class _Office:
                 state.standing,
             )
         )
+
+
+def _in_words(name: str) -> str:
+    return f"node {name}" if name.isdecimal() else f"the {name}"

@@ -6,6 +6,7 @@ router. No multicast, no gossip: two runs on one machine never find each other.
 """
 
 import os
+import re
 import threading
 from collections.abc import Callable, Collection, Sequence
 
@@ -19,6 +20,9 @@ _ONE_THREAD = (
     "(rx:(handover:app),acc:(handover:app),tx:(handover:app),net:(handover:app),"
     "app:(worker_threads:1))"
 )
+# Who answers questions does so in the thread that receives: it must not be the one that sends, or a
+# full queue stands still for ever.
+_TWO_THREADS = _ONE_THREAD.replace("tx:(handover:app)", "tx:(worker_threads:1)")
 _LEASE_MS = 2000
 
 
@@ -57,20 +61,25 @@ def _open(links: Links) -> zenoh.Session:
         return zenoh.open(_config(links))
     except zenoh.ZError as error:
         where = ", ".join(links.listen + links.connect)
-        raise LinkError(f"cannot join the network at {where}: {error}") from None
+        # Where in its own source zenoh found out is of no use to anybody here.
+        why = re.sub(r" at /\S+?\.rs:\d+", "", str(error))
+        raise LinkError(f"cannot join the network at {where}: {why}") from None
 
 
-def start_router(endpoint: str, keys: str | None = None) -> zenoh.Session:
+def start_router(
+    endpoint: str, keys: str | None = None, others: Sequence[str] = ()
+) -> zenoh.Session:
     """A router that listens at `endpoint`; keep the session for as long as it shall run.
 
-    `keys`: its file of `concord keys`, with which it lets nobody in that cannot prove who it is.
+    `keys`: its file of `concord keys`, with which it lets nobody in that cannot prove who it is;
+    `others`: endpoints of routers to which it keeps a link, whenever they are there.
 
     Raises:
         LinkError: the port is taken.
     """
     # With a single worker thread a router was seen to hang at the start of a network.
     os.environ.pop("ZENOH_RUNTIME", None)
-    return _open(Links("router", (endpoint,), (), keys=keys))
+    return _open(Links("router", (endpoint,), tuple(others), None if others else 60.0, keys))
 
 
 class Transport:
@@ -79,7 +88,14 @@ class Transport:
     Each subscription has its own queue, so a node can wait for exactly the neighbour it needs.
     """
 
-    def __init__(self, run: str, links: Links, subscriptions: Sequence[str], queue: int) -> None:
+    def __init__(
+        self,
+        run: str,
+        links: Links,
+        subscriptions: Sequence[str],
+        queue: int,
+        answers: bool = False,
+    ) -> None:
         """Open a session and subscribe.
 
         Args:
@@ -87,11 +103,12 @@ class Transport:
             links: how to join.
             subscriptions: topics, or patterns such as `estimate/*`.
             queue: messages that may wait in each subscription before senders are held up.
+            answers: whether this process will answer questions; the first of a process decides.
 
         Raises:
             LinkError: a port is taken or a peer does not answer.
         """
-        os.environ.setdefault("ZENOH_RUNTIME", _ONE_THREAD)
+        os.environ.setdefault("ZENOH_RUNTIME", _TWO_THREADS if answers else _ONE_THREAD)
         self._prefix = f"concord/{run}/"
         self._session = _open(links)
         self._queues = {
@@ -123,6 +140,11 @@ class Transport:
         """Wait until all of `names` are ready: whether they are, after `seconds` at most."""
         with self._presence:
             return self._presence.wait_for(lambda: self._present.issuperset(names), seconds)
+
+    def missing(self, names: Collection[str]) -> list[str]:
+        """Those of `names` that are not ready, in order."""
+        with self._presence:
+            return [name for name in names if name not in self._present]
 
     def watch(self, told: Callable[[str, bool], None]) -> None:
         """Have `told(name, is_there)` called, in another thread, when a process comes or goes."""

@@ -13,6 +13,7 @@ from importlib.metadata import version
 import msgspec
 import numpy as np
 
+from filters import compiled
 from nodes.changes import Settings
 from nodes.commands import MAX_ROUNDS, SETTINGS
 from nodes.faults import Equipment
@@ -185,6 +186,8 @@ def share_bytes(setup: Setup) -> int:
 
 
 def fingerprint(setup: Setup) -> str:
-    """Digest of a setup and of the version that runs it: equal where two processes agree."""
-    data = msgspec.json.encode(setup) + version("concord").encode()
+    """Digest of a setup, and of the version and the kernels that run it: equal where two processes
+    agree to the last bit."""
+    kernels = "numpy" if compiled.KERNELS is None else "compiled"
+    data = msgspec.json.encode(setup) + f"{version('concord')} {kernels}".encode()
     return hashlib.sha256(data).hexdigest()

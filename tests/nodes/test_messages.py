@@ -18,6 +18,7 @@ from nodes.messages import (
     Start,
     Timing,
     Truth,
+    Unreachable,
     decode,
     encode,
     from_wire,
@@ -73,6 +74,7 @@ MESSAGES = [
     (Gone(4), "gone"),
     (Start(12345.678), "start"),
     (Timing(2, 5, 0.001, [0.002, 1e-5], 1, 0, 0.04), "timing/2"),
+    (Unreachable(2, 5), "unreachable/2"),
     (
         Welcome(
             2, 7, Standing((1,), {"rule": "ci"}, 0.5, ((1, 2, 0.1),), ((0, 1),), 3, 9), Joined(2)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from experiments.drivers import in_memory
+from filters import compiled
 from scenarios.catalogue import kinds
 from scenarios.scenario import Scenario
 from scenarios.setup import Setup, fingerprint, prepare
@@ -79,3 +80,12 @@ def test_every_scenario_runs_as_it_comes(name: str):
     setup = prepare(msgspec.structs.replace(kinds()[name].defaults, steps=2))
     assert len(setup.neighbours) == setup.scenario.nodes
     assert any(topic.startswith("estimate/") for topic, _ in in_memory(setup))
+
+
+def test_the_fingerprint_tells_other_kernels(monkeypatch: pytest.MonkeyPatch):
+    """They agree with numpy to rounding, so a network of both would not give the bits of either."""
+    setup = small(graph="path")
+    monkeypatch.setattr(compiled, "KERNELS", None)
+    plain = fingerprint(setup)
+    monkeypatch.setattr(compiled, "KERNELS", object())
+    assert fingerprint(setup) != plain

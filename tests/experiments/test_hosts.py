@@ -1,0 +1,152 @@
+"""One network on several hosts, here as several commands on one: the same bits, clear refusals."""
+
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from experiments.__main__ import main
+from experiments.agree_command import first_difference
+from experiments.drivers import in_this_process
+from experiments.results import read_description, read_description_file
+from nodes.control_client import Client, NotThere
+from nodes.links import checked_endpoints, checked_run, free_ports
+from tests.experiments.hosts import Hosts, hosts
+from tests.experiments.support import trace_of
+from tests.processes import PROC, holds_within
+
+needs_proc = pytest.mark.skipif(not PROC.is_dir(), reason="finds processes in /proc")
+
+
+def write_setup(folder: Path, *words: object, steps: int = 40) -> Path:
+    file = folder / "setup.json"
+    scenario = ("--scenario", "oscillator", "--nodes", 4, "--graph", "ring", "--steps", steps)
+    main(["setup", *map(str, (*scenario, "--out", file, "--name", "hosts", *words))])
+    return file
+
+
+def two_routers(there: Hosts) -> tuple[str, str]:
+    ports = free_ports(["a", "b"])
+    a, b = (f"tcp/127.0.0.1:{ports[name]}" for name in "ab")
+    there.router(a)
+    there.router(b, a)
+    return a, b
+
+
+def await_network(endpoint: str) -> Client:
+    """Somebody who watches, as soon as the world answers."""
+    client = Client([endpoint], "hosts")
+    for _ in range(10):
+        with suppress(NotThere):
+            client.state()
+            break
+    return client
+
+
+@needs_proc
+@pytest.mark.zenoh
+def test_commands_on_several_hosts_give_the_bits_of_one_process(tmp_path: Path):
+    setup = write_setup(tmp_path)
+    with hosts(tmp_path) as there:
+        a, b = two_routers(there)
+        nodes = [
+            there.concord("node", setup, 0, 1, "--connect", b),
+            there.concord("node", setup, 2, 3, "--connect", a),
+        ]
+        world = there.concord("world", setup, "--connect", a, "--out", tmp_path / "run", "--json")
+        code, out, err = world.end(60)
+        assert (code, out[:1]) == (0, "{"), err
+        assert [node.end(10)[0] for node in nodes] == [0, 0]
+    description = read_description(tmp_path / "run")
+    assert description.run == "hosts"
+    in_this_process(description.setup, "one", tmp_path / "one.mcap", None, lambda step: None)
+    one = trace_of(description.setup, tmp_path / "one.mcap")
+    several = trace_of(description.setup, tmp_path / "run" / "run.mcap")
+    assert several.steps == 40
+    assert first_difference(one, several, "hosts") is None
+
+
+@needs_proc
+@pytest.mark.zenoh
+def test_a_node_that_is_started_again_joins_by_itself(tmp_path: Path):
+    setup = write_setup(tmp_path, steps=100_000)
+    with hosts(tmp_path) as there:
+        endpoint, _ = two_routers(there)
+        there.concord("node", setup, 0, 1, 2, "--connect", endpoint)
+        lonely = there.concord("node", setup, 3, "--connect", endpoint)
+        there.concord("world", setup, "--connect", endpoint, "--out", tmp_path / "run")
+        client = await_network(endpoint)
+        try:
+            assert holds_within(30, lambda: client.state()["completed"] > 5)
+            lonely.kill_all()
+            assert holds_within(10, lambda: client.state()["members"] == [0, 1, 2])
+            there.concord("node", setup, 3, "--connect", endpoint)
+            assert holds_within(20, lambda: client.state()["members"] == [0, 1, 2, 3])
+            now = client.state()["completed"]
+            assert holds_within(10, lambda: client.state()["completed"] > now + 5)
+        finally:
+            client.close()
+
+
+@needs_proc
+@pytest.mark.zenoh
+def test_a_node_with_another_setup_ends_the_run_and_is_named(tmp_path: Path):
+    setup = write_setup(tmp_path)
+    other = tmp_path / "other.json"
+    other.write_text(setup.read_text().replace('"seed": 1', '"seed": 2'))
+    assert read_description_file(other).setup != read_description_file(setup).setup
+    with hosts(tmp_path) as there:
+        endpoint, _ = two_routers(there)
+        there.concord("node", setup, 0, 1, 2, "--connect", endpoint)
+        there.concord("node", other, 3, "--connect", endpoint)
+        world = there.concord("world", setup, "--connect", endpoint, "--out", tmp_path / "run")
+        code, _, err = world.end(40)
+    assert code == 1
+    assert "node 3 runs configuration" in err
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["node", "{setup}", "--connect", "tcp/127.0.0.1:1"], "nodes"),
+        (["node", "{setup}", "4", "--connect", "tcp/127.0.0.1:1"], "has nodes 0 to 3"),
+        (["node", "{setup}", "1", "1", "--connect", "tcp/127.0.0.1:1"], "named twice"),
+        (["node", "{setup}", "1"], "--connect: there is no endpoint"),
+        (["node", "{setup}", "1", "--connect", "here:1"], "--connect here:1: not an endpoint"),
+        (["node", "{setup}", "1", "--connect", "tls/a:1"], "give --keys"),
+        (["node", "{setup}.no", "1", "--connect", "tcp/a:1"], "cannot be read"),
+        (["node", "{setup}", "1", "--connect", "tls/a:1", "--keys", "."], "no node-1.json"),
+        (["node", "{setup}", "1", "--connect", "tcp/a:1", "--keys", "."], "over TLS"),
+        (["node", "{setup}", "1", "--connect", "tcp/a:1", "--patience", "0"], "--patience 0"),
+        (["world", "{setup}", "--connect", "tcp/a:99999"], "1 to 65535"),
+        (["world", "{setup}", "--connect", "tls/a:1", "--keys", "."], "recorder.json"),
+        (["router", "--listen", "tcp/*:1"], "--listen tcp/*:1: not an endpoint"),
+        (["router", "--listen", "tls/a:1", "--keys", "none.json"], "--keys none.json: no such"),
+        (["setup", "--out", "{setup}"], "cannot be written"),
+        (["setup", "--out", "x", "--name", "a/b"], "run 'a/b'"),
+        (["setup", "--out", "x", "--cycle-stretch", "2"], "--cycle-stretch 2"),
+        (["setup", "--out", "x", "--changes", "3 kill 1"], "leave kill and restart out"),
+    ],
+)
+def test_what_cannot_be_is_refused(
+    words: list[str],
+    named: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+):
+    setup = write_setup(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as left:
+        main([word.format(setup=setup) for word in words])
+    assert left.value.code == 2
+    assert named in capsys.readouterr().err
+
+
+def test_names_that_could_be_patterns_are_refused():
+    for run in ("*", "a/*", "", "a b", "-a", "x" * 101):
+        with pytest.raises(ValueError, match="a name has"):
+            checked_run(run)
+    assert checked_run("target-tracking-20260101-1.b_c") == "target-tracking-20260101-1.b_c"
+    good = ("tcp/10.0.0.1:7447", "tcp/alpha.example.org:1", "tcp/[::1]:65535")
+    assert checked_endpoints("--connect", good, False) == good
