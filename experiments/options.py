@@ -53,6 +53,8 @@ class ScenarioOptions:
     """Weight factor of a held share per cycle of age, in [0, 1]."""
     determinant_weights: bool | None = None
     """Weigh beliefs by the size of their covariance too."""
+    liars: int | None = None
+    """How many of a node's neighbours may say anything at all (rule trimmed-ci)."""
     number: str | None = None
     """float64 or float32 on the wire."""
     relay: bool | None = None

@@ -94,6 +94,7 @@ def _estimator(setup: Setup, node: int, schedule: Schedule, beginning: Beginning
         hold=hold_policy(scenario),
         trigger=scenario.trigger,
         number=wire_number(scenario),
+        liars=scenario.liars,
         everybody=partial(everybody_of, setup, schedule),
         beginning=beginning,
     )

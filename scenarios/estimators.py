@@ -10,6 +10,7 @@ from filters import diffusion, hybrid_consensus, information_weighted, kalman_co
 from filters.fusion import Averaged, Directly
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule
+from filters.trimmed import trimmed_intersection
 from nodes.belief_codec import BeliefCodec
 from nodes.belief_consensus import BeliefConsensus, HoldPolicy
 from nodes.estimator import Estimator
@@ -35,8 +36,8 @@ class Seat(NamedTuple):
     """A node's place in the network: all that its estimator is built from.
 
     `neighbours` are whom each node of the network hears; `weights` (1 + J,) the node's own weight
-    first, then those of its neighbours; `number` is "<f8" or "<f4"; `everybody` tells what rules
-    need to know that use the readings of others.
+    first, then those of its neighbours; `number` is "<f8" or "<f4"; so many of its neighbours may
+    be `liars`; `everybody` tells what rules need to know that use the readings of others.
     """
 
     node: int
@@ -49,6 +50,7 @@ class Seat(NamedTuple):
     hold: HoldPolicy
     trigger: float
     number: str
+    liars: int = 0
     everybody: Callable[[], Everybody] | None = None
     beginning: Beginning = Beginning()
 
@@ -72,6 +74,12 @@ def averaging_numbers(rule: Averaged, seat: Seat) -> Estimator:
         codec=BeliefCodec(states, seat.number),
         trigger=seat.trigger,
     )
+
+
+def trimmed(seat: Seat) -> Estimator:
+    """For covariance intersection among liars: what they claim of themselves gives no weight."""
+    average = partial(trimmed_intersection, liars=seat.liars)
+    return averaging(average, seat._replace(hold=seat.hold._replace(by_sharpness=False)))
 
 
 def hybrid(gain: hybrid_consensus.Gain, seat: Seat) -> Estimator:

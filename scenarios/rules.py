@@ -29,6 +29,7 @@ from scenarios.estimators import (
     flooding,
     hybrid,
     pulled,
+    trimmed,
     weighted_information,
 )
 from scenarios.fleets import (
@@ -231,6 +232,20 @@ def _require_the_average(
         ) from None
 
 
+def _require_honest_majorities(
+    scenario: Scenario, neighbours: Sequence[Sequence[int]], weights: "Weights"
+) -> None:
+    # A node that is alone has nobody to fear.
+    needed = 2 * scenario.liars if len(neighbours) > 1 else 0
+    few = [node for node, heard in enumerate(neighbours) if len(heard) < needed]
+    if few:
+        raise ValueError(
+            f"rule trimmed-ci --liars {scenario.liars} on graph {scenario.graph}: node {few[0]} "
+            f"hears {len(neighbours[few[0]])} neighbours and must hear {needed} to tell liars from "
+            "others; use a denser --graph, fewer --liars, or rule ci, which believes everybody"
+        )
+
+
 def _require_all_at_once(
     scenario: Scenario, neighbours: Sequence[Sequence[int]], weights: "Weights"
 ) -> None:
@@ -266,6 +281,14 @@ _RULES: dict[str, Rule] = {
         partial(averaging_numbers, INFORMATION),
         holds=True,
         fleet=partial(averaging_fleet, INFORMATION),
+        shares_beliefs=True,
+    ),
+    "trimmed-ci": Rule(
+        "ci that --liars of a node's neighbours cannot drag away; needs twice as many neighbours",
+        lambda n, _: packed_length(n),
+        trimmed,
+        holds=True,
+        check=_require_honest_majorities,
         shares_beliefs=True,
     ),
     "wac": Rule(

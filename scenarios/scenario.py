@@ -30,6 +30,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         hold: what becomes of the last share of a silent neighbour, e.g. decayed.
         decay: weight factor of a held share per cycle of age, in [0, 1].
         determinant_weights: weigh beliefs by the size of their covariance too.
+        liars: rule trimmed-ci: so many of a node's neighbours may say anything at all.
         number: float64 or float32 on the wire.
         relay: a node composes its share at its own slot, with what earlier slots of the cycle
             brought; `latch_delay_us` is what its host needs for that, from the last bit of a frame.
@@ -73,6 +74,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     hold: str = "decayed"
     decay: float = 0.5
     determinant_weights: bool = True
+    liars: int = 1
     number: str = "float64"
     relay: bool = False
     latch_delay_us: float = 5.0
@@ -109,6 +111,7 @@ def check_ranges(scenario: Scenario) -> None:
     require(scenario.stretch >= 1, "stretch", scenario.stretch, "at least 1")
     require(0 <= scenario.decay <= 1, "decay", scenario.decay, "in [0, 1]")
     require(0 <= scenario.loss < 1, "loss", scenario.loss, "at least 0 and below 1")
+    require(scenario.liars >= 0, "liars", scenario.liars, "0 or more")
     require(scenario.latch_delay_us >= 0, "latch-delay-us", scenario.latch_delay_us, "0 or more")
     digest = scenario.digest_steps
     require(digest is None or digest >= 0, "digest-steps", digest, "0 or more")

@@ -13,6 +13,7 @@ from scenarios.rules import rule_of
 from scenarios.scenario import lossy_links
 from scenarios.setup import Setup, generator
 from topology.analysis import rounds_to
+from topology.robustness import is_robust
 from topology.spectrum import second_eigenvalue_modulus, vote_of
 from topology.weights import Weights, from_per_node
 
@@ -36,6 +37,7 @@ def known_failures(setup: Setup) -> tuple[str, ...]:
         *_too_few_rounds(setup),
         *_raw_hold(setup),
         *_inconsistent(setup),
+        *_liars_in_between(setup),
         *_short_window(setup),
         *_never_resent(setup),
         *_ideal_relay(setup),
@@ -122,6 +124,23 @@ def _inconsistent(setup: Setup) -> Iterator[str]:
             f"rule {scenario.rule} with --rounds 1: the only round exchanges readings, and means "
             "are not averaged afterwards; use --rounds 2 or more"
         )
+
+
+def _liars_in_between(setup: Setup) -> Iterator[str]:
+    """trimmed-ci: what a node is promised holds anywhere, that nodes agree on robust graphs."""
+    scenario = setup.scenario
+    if scenario.rule != "trimmed-ci":
+        return
+    reach = 2 * scenario.liars + 1
+    robust = is_robust(setup.neighbours, reach)
+    if robust:
+        return
+    what = "is not" if robust is False else "is too large to be shown to be"
+    yield (
+        f"rule trimmed-ci --liars {scenario.liars}: the graph {what} {reach}-robust, so that "
+        "honest nodes may not agree with each other while liars speak, though each stays among "
+        "what its honest neighbours say; use a denser --graph, such as complete, or fewer --liars"
+    )
 
 
 def _short_window(setup: Setup) -> Iterator[str]:

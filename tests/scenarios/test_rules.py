@@ -20,10 +20,13 @@ from scenarios.rules import RULE_SUMMARIES, hold_policy
 from scenarios.scenario import Scenario
 from scenarios.setup import Setup, prepare, share_bytes
 
-NEEDS: dict[str, dict] = {"centralised": {"graph": "complete", "rounds": 1}}
+NEEDS: dict[str, dict] = {
+    "centralised": {"graph": "complete", "rounds": 1},
+    "trimmed-ci": {"graph": "complete"},
+}
 FRESH = ("hcmci", "hcmci-classical", "icf", "diffusion", "kcf", "centralised")
 # Those that fuse beliefs or information; rules of other kinds have tests of their own.
-FUSING = ("ci", "wac", "local", *FRESH)
+FUSING = ("ci", "trimmed-ci", "wac", "local", *FRESH)
 EACH = pytest.mark.parametrize("rule", FUSING)
 
 
