@@ -178,8 +178,7 @@ class Dashboard:
 
     def point(self, node: int | None) -> None:
         """The pointer rests on a node, or on none."""
-        if node != self.view.hovered:
-            self.inputs.alter(lambda view: setattr(view, "hovered", node))
+        self.inputs.alter(lambda view: setattr(view, "hovered", node))
 
     def _select_next(self, by: int) -> None:
         def select(view: View) -> None:

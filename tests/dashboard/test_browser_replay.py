@@ -173,6 +173,20 @@ def test_a_frame_on_the_bus_selects(page: Page):
         page.until(lambda node=node: is_selected(page, node))
 
 
+def test_a_belief_selects(page: Page):
+    # Beliefs lie upon each other; one whose middle is on top of the others.
+    find = """belief => {
+        const box = belief.getBoundingClientRect();
+        const top = document.elementFromPoint(box.x + box.width / 2, box.y + box.height / 2);
+        return belief.contains(top);
+    }"""
+    beliefs = page.page.locator('[data-testid="zoom"] [data-node]').all()
+    belief = next(belief for belief in reversed(beliefs) if belief.evaluate(find))
+    node = int(belief.get_attribute("data-node") or -1)
+    belief.click()
+    page.until(lambda: is_selected(page, node))
+
+
 def test_a_press_is_not_lost_among_what_the_pointer_does_around_it(page: Page):
     nodes = nodes_on_the_bus(page)[:3]
     assert len(set(nodes)) == 3
@@ -203,6 +217,11 @@ def test_the_pointer_on_a_frame_or_a_row_shows_its_node_and_leaves_no_trace(page
         page.page.mouse.move(400, 20)
         page.until(lambda: not page.part("/network/hovered")["shown"])
         page.until(lambda: not is_marked(page, node))
+    # Faster than any picture.
+    page.dashboard.point(node)
+    page.dashboard.point(None)
+    page.draw()
+    assert page.dashboard.view.hovered is None
 
 
 def test_what_anybody_writes_into_the_bridge_is_a_node_or_nothing(page: Page):
