@@ -14,7 +14,7 @@ from rich.console import Console
 from experiments.many_figures import Cost, ManyFigures, lines, summarise, table
 from experiments.progress import progress
 from experiments.results import Description, write_whole
-from experiments.vectorised import AGES, COV, READINGS, Histories, simulate
+from experiments.vectorised import AGES, COV, READINGS, Histories, Interrupted, simulate
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup
 from scenarios.vectorised import without_array_form
@@ -34,19 +34,29 @@ def run_many(
         sys.stderr.write(f"{lacking} has no array form: runs go one by one, message by message\n")
     started = time.monotonic()
     keep = (READINGS, AGES, *((COV,) if covariances else ()))
+    stopped: KeyboardInterrupt | None = None
     try:
         with progress(setup.scenario.name, runs * setup.scenario.steps) as on_progress:
             histories = simulate(setup, numbers, keep=keep, on_progress=on_progress)
-    except KeyboardInterrupt:
-        # Runs go on side by side, so none of them is complete.
-        shutil.rmtree(folder)
-        sys.stderr.write(f"interrupted before the runs were complete; {folder} is removed\n")
-        raise
+    except KeyboardInterrupt as interrupted:
+        kept = interrupted.histories if isinstance(interrupted, Interrupted) else None
+        if kept is None:
+            # Runs go on side by side, and of these none is complete.
+            shutil.rmtree(folder)
+            sys.stderr.write(f"interrupted before a run was complete; {folder} is removed\n")
+            raise
+        histories, stopped = kept, interrupted
+        sys.stderr.write(
+            f"interrupted: {len(histories.runs)} of {runs} runs are complete, {numbers[0]} to "
+            f"{histories.runs[-1]}; {folder} keeps them\n"
+        )
     seconds = time.monotonic() - started
     peak_memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    figures = summarise(histories, Cost(seconds, peak_memory_mb))
+    # Written first: who presses Ctrl-C again may leave without the table.
     write_histories(folder, description, histories)
-    _show(figures, setup, as_json)
+    _show(summarise(histories, Cost(seconds, peak_memory_mb)), setup, as_json)
+    if stopped is not None:
+        raise stopped
 
 
 def write_histories(folder: Path, description: Description, histories: Histories) -> None:

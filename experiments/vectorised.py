@@ -28,6 +28,8 @@ from scenarios.vectorised import build_network, without_array_form
 # Runs are taken so many at a time that this many nodes are computed at once: enough that numpy is
 # worth its calls, little enough for caches and memory.
 LANES = 16_384
+# And no more than take some tens of seconds: what is interrupted keeps those that are complete.
+LANE_STEPS = 12_000_000
 
 READINGS, AGES, COV = "readings", "ages", "cov"
 OPTIONAL = frozenset((READINGS, AGES, COV))
@@ -103,41 +105,83 @@ def simulate(
 
     Raises:
         ValueError: no runs, or a name in `keep` that is none.
+        Interrupted: by Ctrl-C, with the runs that were complete.
     """
     if not len(runs) or len(set(runs)) < len(runs):
         raise ValueError(f"runs {list(runs)[:9]}: give at least one number, each of them once")
     if unknown := set(keep) - OPTIONAL:
         raise ValueError(f"keep {sorted(unknown)}: choose from {sorted(OPTIONAL)}")
     keep_freed_memory()
-    messages = without_array_form(setup.scenario) is not None
-    together = 1 if messages else max(1, LANES // setup.scenario.nodes)
-    arrays: dict[str, np.ndarray] = {}
-    counters: dict[str, np.ndarray] = {}
-    prior_mean = np.empty((len(runs), len(setup.prior_mean)))
-    spreads: list[RecordSpread] = []
-    done = 0
-    for first in range(0, len(runs), together):
-        place = slice(first, first + together)
-        part = (_replayed if messages else _driven)(setup, runs[place])
-        prior_mean[place] = part.prior_mean
+    collected = _Collected(setup, runs, frozenset(keep))
+    first = 0
+    try:
+        while first < len(runs):
+            place = slice(first, first + _together(setup))
+            collected.take(place, on_progress)
+            first = place.stop
+    except KeyboardInterrupt:
+        raise Interrupted(collected.histories(first) if first else None) from None
+    return collected.histories(len(runs))
+
+
+def _together(setup: Setup) -> int:
+    """How many runs are taken at once."""
+    scenario = setup.scenario
+    if without_array_form(scenario) is not None:
+        return 1
+    lanes = min(LANES, LANE_STEPS // scenario.steps)
+    return max(1, lanes // scenario.nodes)
+
+
+class Interrupted(KeyboardInterrupt):
+    """Somebody would not wait; `histories` are those of the first runs, which are complete, None
+    where there is none."""
+
+    def __init__(self, histories: Histories | None) -> None:
+        super().__init__()
+        self.histories = histories
+
+
+class _Collected:
+    """The histories of some runs, as they come to be known."""
+
+    def __init__(self, setup: Setup, runs: Sequence[int], keep: frozenset[str]) -> None:
+        self._setup, self._runs, self._keep = setup, runs, keep
+        self._arrays: dict[str, np.ndarray] = {}
+        self._counters: dict[str, np.ndarray] = {}
+        self._prior_mean = np.empty((len(runs), len(setup.prior_mean)))
+        self._spreads: list[RecordSpread] = []
+        self._done = 0
+
+    def take(self, place: slice, on_progress: Callable[[int], None]) -> None:
+        """Run those of a place, and keep what comes of them."""
+        setup, runs = self._setup, self._runs[place]
+        messages = without_array_form(setup.scenario) is not None
+        part = (_replayed if messages else _driven)(setup, runs)
+        self._prior_mean[place] = part.prior_mean
         for step, recorded in enumerate(part.steps):
-            _write(setup, arrays, (len(runs), place, step), recorded, frozenset(keep))
-            done += len(runs[place])
-            on_progress(done)
+            at = (len(self._runs), place, step)
+            _write(setup, self._arrays, at, recorded, self._keep)
+            self._done += len(runs)
+            on_progress(self._done)
         for name, counts in part.counters.items():
-            shape = (len(runs), setup.scenario.nodes)
-            counters.setdefault(name, np.zeros(shape, dtype=np.int64))[place] = counts
-        spreads += part.spreads()
-    missing = dict.fromkeys(OPTIONAL | {"control"})
-    fields: dict[str, Any] = {**missing, **arrays}
-    return Histories(
-        setup=setup,
-        runs=np.array(runs),
-        counters=counters,
-        prior_mean=prior_mean,
-        spreads=tuple(spreads),
-        **fields,
-    )
+            shape = (len(self._runs), setup.scenario.nodes)
+            self._counters.setdefault(name, np.zeros(shape, dtype=np.int64))[place] = counts
+        self._spreads += part.spreads()
+
+    def histories(self, count: int) -> Histories:
+        """Of the first so many runs."""
+        missing = dict.fromkeys(OPTIONAL | {"control"})
+        arrays = {name: values[:count] for name, values in self._arrays.items()}
+        fields: dict[str, Any] = {**missing, **arrays}
+        return Histories(
+            setup=self._setup,
+            runs=np.array(self._runs[:count]),
+            counters={name: counts[:count] for name, counts in self._counters.items()},
+            prior_mean=self._prior_mean[:count],
+            spreads=tuple(self._spreads[:count]),
+            **fields,
+        )
 
 
 class _Part(NamedTuple):

@@ -11,10 +11,13 @@ import subprocess
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
+import xarray
 
 from experiments.results import ARRAYS, DESCRIPTION, RECORDING, read_description
 from experiments.trace import read_trace
+from experiments.vectorised import simulate
 from nodes.network_file import read_network
 from nodes.recording import read_recording
 from tests.processes import CONCORD, PROC, Family, family
@@ -46,8 +49,6 @@ def check_folder(folder: Path) -> int:
     if (folder / RECORDING).exists():
         steps = read_trace(description.setup, read_recording(folder / RECORDING)).steps
     if (folder / ARRAYS).exists():
-        import xarray
-
         with xarray.open_dataset(folder / ARRAYS, engine="h5netcdf") as dataset:
             assert dataset.sizes["step"] == steps
     return steps
@@ -106,6 +107,29 @@ def test_an_interrupted_run_in_one_process_leaves_its_folder(tmp_path: Path):
     assert json.loads(asked.stdout)["steps"] == steps
     assert (tmp_path / "run" / ARRAYS).exists()
     assert check_folder(tmp_path / "run") == steps
+
+
+@pytest.mark.parametrize(
+    "scenario",
+    ["oscillator --graph ring --nodes 8200 --cluster none", "liu2021-network --nodes 4"],
+    ids=["one run at a time is as much as fits", "message by message"],
+)
+def test_interrupted_runs_of_many_keep_those_that_are_complete(tmp_path: Path, scenario: str):
+    options = f"--scenario {scenario} --steps 2 --driver vectorised --runs 20 --out run --json"
+    with family([*CONCORD, "run", *options.split()], tmp_path) as run:
+        run.await_line("8 of 40")  # after a fifth of the runs
+        run.send_to_group(signal.SIGINT)
+        code, said, err = run.end(60.0)
+    assert code == INTERRUPTED and "Traceback" not in err, err
+    runs = json.loads(said)["runs"]
+    assert f"interrupted: {runs} of 20 runs are complete, 0 to {runs - 1}; " in err
+    with xarray.open_dataset(tmp_path / "run" / ARRAYS, engine="h5netcdf") as dataset:
+        kept = dataset["mean"].values
+        assert dataset["run"].values.tolist() == list(range(runs))
+    assert 3 <= runs < 20  # the fourth may not be whole when its last step is said to be done
+    # What is kept is what a command for so many runs leaves.
+    setup = read_description(tmp_path / "run").setup
+    np.testing.assert_array_equal(kept[-1:], simulate(setup, [runs - 1]).mean)
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
