@@ -150,7 +150,7 @@ def _steps_per_second(setup: Setup, attached: bool) -> float:
 
 def _page(folder: Path) -> "subprocess.Popen[bytes]":
     """A page that is attached and has drawn."""
-    command = ("dashboard", "--folder", str(folder), "--http-port", "8090")
+    command = ("dashboard", "--folder", str(folder), "--http-port", "0")
     page = subprocess.Popen(
         [sys.executable, "-m", "experiments", *command],
         stderr=subprocess.PIPE,
@@ -158,7 +158,6 @@ def _page(folder: Path) -> "subprocess.Popen[bytes]":
     )
     assert page.stderr is not None, "it was started with a pipe"
     page.stderr.readline()
-    time.sleep(1.0)
     return page
 
 

@@ -17,9 +17,11 @@ import rich
 import viser
 
 from dashboard.bridge import Bridge
-from dashboard.charts import Band, Charts, StateChart
+from dashboard.camera import FIELD_OF_VIEW_RAD, Free, aimed
+from dashboard.charts import Charts, StateChart
 from dashboard.conditions import sender_at
 from dashboard.controls import MAGNIFIED, Controls
+from dashboard.expected import Expectation
 from dashboard.export_buttons import ExportButtons
 from dashboard.frame import BusCycle, Frame
 from dashboard.history import History
@@ -31,6 +33,7 @@ from dashboard.scene_plants import TRAIL
 from dashboard.selected import selected_panel
 from dashboard.source import Answer, Source
 from dashboard.stage import SCENE_WIDTH, Picture
+from dashboard.states import states
 from dashboard.table import log, node_table, status
 from dashboard.theme import DARK, LIGHT, Theme, css
 from dashboard.timeline import RASTER_ROWS, TimelineView
@@ -38,26 +41,22 @@ from dashboard.view import MANY_NODES, View
 from dashboard.zoom import zoom
 
 _SCENE_HZ, _PANEL_HZ = 12.0, 4.0
-_CHART_HEIGHT = 132
+_CHART_HEIGHT = 78
 _CAR_TRAIL = 3000
 _SETTLED_FRAMES = 20
-_FIELD_OF_VIEW_RAD = 0.85
-# Off the middle: panels cover the right and the lower part of the scene.
-_LOOK_AT = (1.4, -4.4, 0.0)
-_DISTANCE = {Picture.PLANE: 1.42, Picture.GRAPH: 1.3, Picture.TRACK: 1.0}
 
 
 class Dashboard:
     """One page on one source."""
 
     def __init__(
-        self, source: Source, host: str, port: int, theme: Theme, folder: Path | None, band: Band
-    ) -> None:
-        self._source, self._folder, self._band = source, folder, band
+        self, source: Source, host: str, port: int, theme: Theme, folder: Path | None,
+        expected: Expectation,
+    ) -> None:  # fmt: skip
+        self._source, self._folder, self._expected = source, folder, expected
         self._stage = source.stage
         self.view = View(theme=theme)
         self._choose_view()
-        self._distance = _DISTANCE[self._stage.picture]
         self.history = History(self._stage)
         # The only line that this process says is ours.
         rich.get_console().quiet = True
@@ -100,13 +99,12 @@ class Dashboard:
         server, stage, view = self._server, self._stage, self.view
         gui = server.gui
         self._set_theme(view.theme)
-        self._aim()
         gui.set_panel_label("concord")
         self.controls = Controls(
             gui, self.inputs, stage, view, self._source.ask, self._tell, self._source.live
         )
         self.exports = ExportButtons(gui, self, self._folder)
-        panels = lay_out(server)
+        panels = lay_out(server, stage.picture is not Picture.PLANE)
         with panels.charts:
             self.charts = Charts(gui, stage, view.theme, _CHART_HEIGHT)
         with panels.state:
@@ -122,23 +120,24 @@ class Dashboard:
             self.slider: Any = gui.add_slider("Step", 0, 1, 1, 0)
         with panels.zoom:
             self._zoom = Bridge(gui, stage.nodes, self.pick, self.point)
+        with panels.states:
+            self._states: Any = gui.add_html("")
         self.slider.on_update(at_once(self._scrub))
         self._timeline = TimelineView(stage)
         self.scene = Scene(server.scene, stage, view.theme, self.pick)
-        panels.arrange(1600, 900)
+        self._aim(panels.arrange(1600, 900))
         server.on_client_connect(self._fit(panels.arrange))
         self._shortcuts()
 
-    def _fit(self, arrange: Callable[[int, int], float]) -> Callable[[viser.ClientHandle], None]:
+    def _fit(self, arrange: Callable[[int, int], Free]) -> Callable[[viser.ClientHandle], None]:
         """The panels fit the window of whoever came last, and the scene what they leave."""
 
         def fit(client: viser.ClientHandle) -> None:
             camera = client.camera
             with contextlib.suppress(AssertionError):
                 if camera.image_width and camera.image_height:
-                    aspect = arrange(camera.image_width, camera.image_height)
-                    camera.position = tuple(_eye(self._distance * max(0.85, 1.05 / aspect)))
-                    camera.look_at = _LOOK_AT
+                    free = arrange(camera.image_width, camera.image_height)
+                    camera.position, camera.look_at = aimed(self.scene.extent(), free)
 
         return fit
 
@@ -150,12 +149,11 @@ class Dashboard:
             brand_color=(0, 114, 178),
         )
 
-    def _aim(self) -> None:
-        """Look at the whole network from above and aside; the bus panel covers the lower part."""
+    def _aim(self, free: Free) -> None:
+        """What whoever comes sees first."""
         camera = self._server.initial_camera
-        camera.position = tuple(_eye(self._distance))
-        camera.look_at = _LOOK_AT
-        camera.fov = _FIELD_OF_VIEW_RAD
+        camera.position, camera.look_at = aimed(self.scene.extent(), free)
+        camera.fov = FIELD_OF_VIEW_RAD
 
     def _shortcuts(self) -> None:
         def bind(label: str, key: Any, act: Callable[[Any], None]) -> None:
@@ -308,15 +306,17 @@ class Dashboard:
         picture = zoom(stage, view.theme, frame, view.pair, view.selected)
         events = [event for event in reversed(self.history.log) if event.step <= view.step]
         about = selected_panel(stage, view, frame)
+        over_time = states(stage, view, self.history)
         state = self._status(frame)
         self.controls.show_selected(view.selected)
         with self._server.atomic():
             self._show("table", self._table, rows)
             self._show("zoom", self._zoom, picture)
+            self._show("states", self._states, over_time)
             self._show("log", self._log, log(view.theme, events))
             self._show("selected", self._selected, about)
             self._show("status", self.controls.status, state)
-            self.charts.draw(view, self.history, self._band)
+            self.charts.draw(view, self.history, self._expected)
             self._state_chart.draw(view, self.history)
         self._repaint()
 
@@ -367,11 +367,6 @@ class Dashboard:
         self.controls.close()
         self._source.close()
         self._server.stop()
-
-
-def _eye(distance: float) -> np.ndarray:
-    """Where the scene is looked at from; at 1 the whole network fits a square."""
-    return np.array(_LOOK_AT) + distance * SCENE_WIDTH * np.array([0.0, -0.726, 0.99])
 
 
 def _magnification(frame: Frame, scale: float) -> float:

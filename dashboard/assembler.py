@@ -60,6 +60,7 @@ class Assembler:
             self._listen = listener(stage.setup, list(range(nodes)))
         self._central: Gaussian | None = prior
         self._belief = Gaussian(np.full((nodes, n), np.nan), np.full((nodes, n, n), np.nan))
+        self._zonotopes: list[Array | None] = [None] * nodes
         self._alive = np.ones(nodes, dtype=bool)
         self._ages = np.full(len(stage.heard), -1)
         self._counters: list[dict[str, int]] = [{} for _ in range(nodes)]
@@ -185,6 +186,7 @@ class Assembler:
             time_s=number * stage.setup.time_step_s,
             truth=truth,
             belief=self._belief,
+            zonotopes=tuple(self._zonotopes),
             fused=fuse(self._belief, alive),
             seen=self._seen(step),
             alive=alive,
@@ -212,6 +214,7 @@ class Assembler:
                 continue
             mean[node] = from_wire(estimate.mean)
             cov[node] = unpack_upper(from_wire(estimate.cov))
+            self._zonotopes[node] = _generators(estimate, mean.shape[-1])
             if len(estimate.ages) == len(neighbours):
                 self._ages[part] = estimate.ages
             self._note_rejections(number, node, estimate.counters)
@@ -286,3 +289,11 @@ class Assembler:
         ]
         sent, heard, missed = (total(name) for name in _COUNTED)
         return Traffic(sent, heard, missed, np.array(rejected))
+
+
+def _generators(estimate: Estimate, states: int) -> Array | None:
+    """The generators (n, q) that a node tells; None of what is no zonotope of so many states."""
+    rows = estimate.generators
+    if rows is None or len(rows) != states or len({len(row) for row in rows}) != 1:
+        return None
+    return from_wire(rows)

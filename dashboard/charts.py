@@ -1,13 +1,13 @@
 """Charts over time: error, disagreement, consistency, traffic, one state; thinned to what a screen
 can show."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import viser
 from viser import uplot
 
+from dashboard.expected import Expectation
 from dashboard.frame import Array
 from dashboard.history import History
 from dashboard.stage import Stage
@@ -15,27 +15,33 @@ from dashboard.theme import Colour, Theme, css
 from dashboard.view import View
 
 MOST_POINTS = 600
-Band = Callable[[Array], tuple[Array, Array] | None]
+# Titles and legends take no more of a small screen than they need.
+_DENSE = (
+    "<style>.uplot-container{margin:3px 6px!important}.u-title{font-size:12px!important;"
+    "line-height:15px!important}.u-legend{font-size:10.5px!important;line-height:13px!important;"
+    "margin-top:-2px!important}</style>"
+)
 
 
 class Chart:
     """One uplot with named lines; a line without a single number is drawn as nothing."""
 
     def __init__(
-        self, gui: viser.GuiApi, title: str, lines: dict[str, Colour], theme: Theme, height: int,
-        dashed: tuple[str, ...] = (),
+        self, gui: viser.GuiApi, name: str, unit: str, lines: dict[str, Colour], theme: Theme,
+        height: int, dashed: tuple[str, ...] = (),
     ) -> None:  # fmt: skip
-        self.title, self._lines, self._dashed = title, lines, dashed
+        self._name, self._unit, self._lines, self._dashed = name, unit, lines, dashed
+        self._power = 0
         self._present = list(range(len(lines)))
         nothing = np.array([0.0, 1.0])
         self._handle: Any = gui.add_uplot(
             data=(nothing, *(nothing * 0 for _ in lines)),
             series=self._series(),
-            title=title,
+            title=self.title,
             scales={"x": uplot.Scale(time=False), "y": uplot.Scale(auto=True)},
-            axes=(self._axis(theme, 36), self._axis(theme, 54)),
+            axes=self._axes(theme),
             legend=uplot.Legend(show=True, live=False),
-            padding=(4, 10, 0, 0),
+            padding=(8, 14, 0, 0),
             height=height,
             aspect=2.0,
         )
@@ -52,13 +58,24 @@ class Chart:
             drawn.append(uplot.Series(**line, points={"show": False}))
         return tuple(drawn)
 
-    def _axis(self, theme: Theme, size: int) -> Any:
-        return uplot.Axis(
-            size=size,
-            stroke=css(theme.quiet),
-            grid={"stroke": css(theme.faint), "width": 1},
-            ticks={"stroke": css(theme.faint), "width": 1},
+    def _axes(self, theme: Theme) -> tuple[Any, Any]:
+        """Of time and of the values: how much room they take, how near to each other ticks are."""
+        line: Any = {"stroke": css(theme.faint), "width": 1}
+        across, up = (
+            uplot.Axis(size=size, space=space, stroke=css(theme.quiet), grid=line, ticks=line)
+            for size, space in ((28, 50), (48, 16))
         )
+        return across, up
+
+    @property
+    def title(self) -> str:
+        """Of the values as they are."""
+        return titled(self._name, self._unit, 0)
+
+    @property
+    def dashed(self) -> tuple[str, ...]:
+        """Names of the lines that are."""
+        return self._dashed
 
     @property
     def names(self) -> list[str]:
@@ -73,7 +90,7 @@ class Chart:
     def set_theme(self, theme: Theme, lines: dict[str, Colour]) -> None:
         """Repaint."""
         self._lines = lines
-        self._handle.axes = (self._axis(theme, 36), self._axis(theme, 54))
+        self._handle.axes = self._axes(theme)
         self._handle.series = self._series()
 
     def show(self, times: Array, columns: list[Array]) -> None:
@@ -82,12 +99,37 @@ class Chart:
             return
         self.rows = (times, *columns)
         present = [index for index, column in enumerate(columns) if np.isfinite(column).any()]
+        self._handle.visible = bool(present)
         if not present:
             return
         if present != self._present:
             self._present = present
             self._handle.series = self._series()
-        self._handle.data = (times, *(_bridged(times, columns[index]) for index in present))
+        drawn = [_bridged(times, columns[index]) for index in present]
+        power = shown_power(drawn)
+        if power != self._power:
+            self._power = power
+            self._handle.title = titled(self._name, self._unit, power)
+        self._handle.data = (times, *(10.0**-power * column for column in drawn))
+
+
+def shown_power(columns: list[Array]) -> int:
+    """The power of ten, a multiple of three, in which values are shown that uplot would round to
+    nothing: it writes three decimals at most."""
+    largest = max(float(np.abs(column).max()) for column in columns)
+    if largest >= 0.1 or largest == 0.0:
+        return 0
+    return 3 * int(np.floor(np.log10(largest) / 3))
+
+
+def titled(name: str, unit: str, power: int) -> str:
+    """A name with its unit, and the power of ten that is part of it."""
+    exponent = f"10{str(power).translate(_RAISED)} " if power else ""
+    of = exponent + ("" if unit == "1" else unit)
+    return f"{name} [{of.strip()}]" if of else name
+
+
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def _bridged(times: Array, column: Array) -> Array:
@@ -96,19 +138,19 @@ def _bridged(times: Array, column: Array) -> Array:
     return column if known.all() else np.interp(times, times[known], column[known])
 
 
-def chart_lines(stage: Stage, theme: Theme) -> dict[str, dict[str, Colour]]:
-    """The charts by title, each with its lines and their colours."""
+def chart_lines(stage: Stage, theme: Theme) -> dict[tuple[str, str], dict[str, Colour]]:
+    """The charts by name and unit, each with its lines and their colours."""
     unit = stage.score.unit
     return {
-        f"RMSE of the nodes [{unit}]": {
-            "nodes": theme.seeing, "fused": theme.fused, "centralised": theme.truth,
-            "its own √tr P": theme.quiet,
+        ("RMSE of the nodes", unit): {
+            "nodes": theme.seeing, "fused": theme.fused, "centralised": theme.text,
+            "Cramér-Rao bound": theme.quiet,
         },
-        f"Disagreement of the nodes [{unit}]": {"rms spread": theme.estimate},
-        "NEES, mean of the nodes": {
-            "NEES": theme.sending, "95 % of runs from": theme.quiet, "to": theme.quiet,
+        ("Disagreement of the nodes", unit): {"rms spread": theme.estimate},
+        ("NEES, mean of the nodes", "1"): {
+            "NEES": theme.estimate, "95 % of runs from": theme.quiet, "to": theme.quiet,
         },
-        "Payload on the bus [kB/s]": {"payload": theme.seeing},
+        ("Payload on the bus", "kB/s"): {"payload": theme.seeing},
     }  # fmt: skip
 
 
@@ -117,10 +159,11 @@ class Charts:
 
     def __init__(self, gui: viser.GuiApi, stage: Stage, theme: Theme, height: int) -> None:
         self._stage = stage
-        dashed = ("its own √tr P", "95 % of runs from", "to")
+        gui.add_html(_DENSE)
+        dashed = ("Cramér-Rao bound", "95 % of runs from", "to")
         self._charts = [
-            Chart(gui, title, lines, theme, height, dashed)
-            for title, lines in chart_lines(stage, theme).items()
+            Chart(gui, name, unit, lines, theme, height, dashed)
+            for (name, unit), lines in chart_lines(stage, theme).items()
         ]
 
     def set_theme(self, theme: Theme) -> None:
@@ -135,16 +178,15 @@ class Charts:
         """The charts with what they show."""
         return self._charts
 
-    def draw(self, view: View, history: History, band: Band) -> None:
+    def draw(self, view: View, history: History, expectation: Expectation) -> None:
         """Everything up to the shown step."""
         times, columns = history.columns(view.step, MOST_POINTS)
-        nees = columns["nees"]
-        limits = band(times) or (np.full_like(nees, np.nan),) * 2
+        expected = expectation(times)
         rate = columns["payload_bytes"] / self._stage.setup.time_step_s / 1e3
         kept = [
-            [columns["rmse"], columns["fused"], columns["central"], columns["bound"]],
+            [columns["rmse"], columns["fused"], columns["central"], expected.bound],
             [columns["spread"]],
-            [nees, *limits],
+            [columns["nees"], expected.nees_low, expected.nees_high],
             [rate],
         ]
         for chart, rows in zip(self._charts, kept, strict=True):
@@ -158,9 +200,9 @@ class StateChart:
 
     def __init__(self, gui: viser.GuiApi, stage: Stage, theme: Theme, height: int) -> None:
         self._stage = stage
-        self._chart = Chart(gui, "State", self._colours(theme), theme, height, ("−3σ", "+3σ"))
+        self._chart = Chart(gui, "State", "1", self._colours(theme), theme, height, ("−3σ", "+3σ"))
         self._error = Chart(
-            gui, "Error", {"error": theme.estimate, "−3σ": theme.quiet, "+3σ": theme.quiet},
+            gui, "Error", "1", {"error": theme.estimate, "−3σ": theme.quiet, "+3σ": theme.quiet},
             theme, height, ("−3σ", "+3σ"),
         )  # fmt: skip
 

@@ -5,8 +5,10 @@ from typing import TYPE_CHECKING, Any
 
 import viser
 
+from dashboard.camera import Camera
+from dashboard.chart_export import charts_page, charts_picture
 from dashboard.controls import QUIET
-from dashboard.export import Camera, animated_scene, charts_page, screenshot, zipped
+from dashboard.export import animated_scene, screenshot, zipped
 
 if TYPE_CHECKING:
     from dashboard.app import Dashboard
@@ -22,12 +24,14 @@ class ExportButtons:
             self.picture: Any = gui.add_button("Scene (.png)", color=QUIET, icon=icon.CAMERA)
             self.scene: Any = gui.add_button("Animated scene (.html)", color=QUIET, icon=icon.MOVIE)
             self.charts: Any = gui.add_button("Charts (.html)", color=QUIET, icon=icon.CHART_LINE)
+            self.chart_picture: Any = gui.add_button("Charts (.png)", color=QUIET, icon=icon.PHOTO)
             if folder is not None:
                 self.run: Any = gui.add_button("Run folder (.zip)", color=QUIET, icon=icon.FILE_ZIP)
                 self.run.on_click(self._give_run)
         self.picture.on_click(self._give_picture)
         self.scene.on_click(self._give_scene)
         self.charts.on_click(self._give_charts)
+        self.chart_picture.on_click(self._give_chart_picture)
 
     def _give_picture(self, event: Any) -> None:
         if event.client is not None:
@@ -49,6 +53,12 @@ class ExportButtons:
             page = self._page
             html = charts_page(page.stage, page.charts.drawn, page.snapshot())
             self._give(event.client, "charts.html", html.encode())
+
+    def _give_chart_picture(self, event: Any) -> None:
+        if event.client is not None:
+            page = self._page
+            picture = charts_picture(page.stage, page.charts.drawn, page.snapshot())
+            self._give(event.client, "charts.png", picture)
 
     def _give_run(self, event: Any) -> None:
         if event.client is not None and self._folder is not None:

@@ -46,9 +46,8 @@ class Scores(NamedTuple):
     """How good the estimates of a step are; NaN where the truth is not known.
 
     error, width (N,): of the scored states, and what the node believes of it (square root of the
-    trace of its covariance). nees: mean over the nodes. central, bound: error of a filter that
-    hears everything, and what it believes of itself. spread: root mean square distance of the
-    nodes' estimates from their mean.
+    trace of its covariance). nees: mean over the nodes. central: error of a filter that hears
+    everything. spread: root mean square distance of the nodes' estimates from their mean.
     """
 
     error: Array
@@ -57,7 +56,6 @@ class Scores(NamedTuple):
     spread: float
     nees: float
     central: float
-    bound: float
     fused: float
 
 
@@ -66,17 +64,19 @@ class Frame(NamedTuple):
 
     Attributes:
         truth: (n,), NaN where unknown. belief: of every node, (N, n) and (N, n, n); the last known
-        of a node that is down. fused: the mean of all in information form. seen: (N,), who took a
-        reading. alive: (N,), who estimated this step. ages: (H,), communication cycles since what
-        a node holds of a neighbour was sent, -1 never, in the order of `Stage.heard`. lost: (H,),
-        whose newest share did not arrive. cut: (E,), links that are cut. rejection: per node, why
-        it last rejected a frame.
+        of a node that is down. zonotopes: generators (n, q) of those that keep a zonotope around
+        their mean. fused: the mean of all in information form. seen: (N,), who took a reading.
+        alive: (N,), who estimated this step. ages: (H,), communication cycles since what a node
+        holds of a neighbour was sent, -1 never, in the order of `Stage.heard`. lost: (H,), whose
+        newest share did not arrive. cut: (E,), links that are cut. rejection: per node, why it last
+        rejected a frame.
     """
 
     step: int
     time_s: float
     truth: Array
     belief: Gaussian
+    zonotopes: tuple[Array | None, ...]
     fused: Gaussian
     seen: NDArray[np.bool_]
     alive: NDArray[np.bool_]

@@ -97,3 +97,17 @@ def post() -> tuple[Array, np.ndarray]:
     sides = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (1, 3, 7, 5), (3, 2, 6, 7), (2, 0, 4, 6)]
     faces = [face for a, b, c, d in sides for face in ((a, b, c), (a, c, d))]
     return corners, np.array(faces, dtype=np.uint32)
+
+
+def zonotope_corners(centre: Array, generators: Array) -> Array:
+    """Corners (2q, 2), in order round about, of {centre (2,) + generators (2, q) c : |c_i| <= 1}.
+
+    Its edges are the generators, twice each, in order of their direction.
+    """
+    upward = np.where((generators[1] < 0) | ((generators[1] == 0) & (generators[0] < 0)), -1.0, 1.0)
+    turned = generators * upward
+    edges = 2 * turned[:, np.argsort(np.arctan2(turned[1], turned[0]), kind="stable")]
+    lowest = centre - turned.sum(axis=1)
+    up = lowest + np.cumsum(edges.T, axis=0)
+    # The other half is the same, point by point through the centre.
+    return np.concatenate([up, 2 * centre - up])

@@ -14,7 +14,7 @@ _MOST_FRAMES = 20_000
 _LOG_LINES = 500
 _ENOUGH = 15
 
-CHARTED = ("rmse", "fused", "central", "bound", "spread", "nees", "payload_bytes")
+CHARTED = ("rmse", "fused", "central", "spread", "nees", "payload_bytes")
 """What `History.columns` gives of each step."""
 
 
@@ -80,10 +80,13 @@ class History:
         table = np.array([self._rows[index] for index in chosen]).reshape(-1, len(CHARTED))
         return times, dict(zip(CHARTED, table.T, strict=True))
 
-    def states(self, step: int, most: int, node: int, state: int) -> tuple[Array, Array]:
-        """Times (T,) and (T, 3) of one state: the truth, a node's estimate, its deviation."""
+    def states(
+        self, step: int, most: int, node: int, state: int, steps: int = _MOST_FRAMES
+    ) -> tuple[Array, Array]:
+        """Times (T,) and (T, 3) of one state: the truth, a node's estimate, its deviation; of the
+        last so many steps, thinned to at most `most`."""
         count = self._index(step) + 1
-        begin = self._unscored(count)
+        begin = max(self._unscored(count), count - steps)
         stride = max(1, -(-(count - begin) // most))
         frames = self._frames[begin + (count - 1 - begin) % stride : count : stride]
         rows = [
@@ -108,6 +111,6 @@ def _row(frame: Frame) -> tuple[float, ...]:
     scores = frame.scores
     payload_bytes = sum(cycle.payload_bytes for cycle in frame.cycles)
     return (
-        scores.rmse, scores.fused, scores.central, scores.bound, scores.spread, scores.nees,
+        scores.rmse, scores.fused, scores.central, scores.spread, scores.nees,
         float(payload_bytes),
     )  # fmt: skip

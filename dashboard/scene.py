@@ -9,14 +9,16 @@ import viser
 from dashboard import geometry
 from dashboard.conditions import DOWN, REJECTED, STALE, conditions
 from dashboard.frame import Array, Frame
-from dashboard.scene_plants import CarTrack, ErrorPosts, Plane, PlantPicture
+from dashboard.scene_plane import Plane
+from dashboard.scene_plants import HIDDEN, PlantPicture, add_lines, paint
+from dashboard.scene_posts import ErrorPosts
+from dashboard.scene_track import CarTrack
 from dashboard.stage import SCENE_WIDTH, Picture, Stage
 from dashboard.table import colour_of
-from dashboard.theme import Theme, css, linear, mixed
+from dashboard.theme import Theme, linear, mixed
 from dashboard.view import MOST_LABELS, View
 
 _NODE_HEIGHT = 0.02
-_HIDDEN = 1e-4
 PLANTS: dict[Picture, Callable[..., PlantPicture]] = {
     Picture.PLANE: Plane,
     Picture.TRACK: CarTrack,
@@ -42,9 +44,9 @@ class Scene:
         if pick is not None:
             self._nodes.on_click(lambda event: pick(event.instance_index))
         self._halo = self._make_rings("/network/attention")
-        self._edges = self._lines("/network/links", 1.6 if len(stage.edges) < 600 else 1.0)
-        self._cut = self._lines("/network/cut", 2.2)
-        self._sending = self._lines("/network/sending", 4.5)
+        self._edges = add_lines(scene, "/network/links", 1.6 if len(stage.edges) < 600 else 1.0)
+        self._cut = add_lines(scene, "/network/cut", 2.2)
+        self._sending = add_lines(scene, "/network/sending", 4.5)
         vertices, faces = geometry.ring(0.84)
         self._selected = scene.add_mesh_simple(
             "/network/selected", vertices, faces, side="double", visible=False
@@ -105,18 +107,17 @@ class Scene:
             faces,
             batched_wxyzs=np.tile([1.0, 0.0, 0.0, 0.0], (nodes, 1)),
             batched_positions=self._stage.in_scene(self._stage.positions(0), _NODE_HEIGHT),
-            batched_scales=np.full(nodes, _HIDDEN),
+            batched_scales=np.full(nodes, HIDDEN),
             batched_colors=np.full((nodes, 3), 128, dtype=np.uint8),
             side="double",
             lod="off",
         )
 
-    def _lines(self, name: str, thickness: float) -> Any:
-        nothing = np.zeros((1, 2, 3), dtype=np.float32)
-        return self._scene.add_line_segments(
-            name, nothing, np.zeros((1, 2, 3), np.uint8), thickness=thickness,
-            thickness_units="screen", visible=False,
-        )  # fmt: skip
+    def extent(self) -> Array:
+        """Points of the scene (P, 3) between which all of it lies, nodes and their names too."""
+        points, air = self.plant.extent(), 2.0 * self._radius
+        around = np.array([(x, y, 0.0) for x in (-air, air) for y in (-air, air)])
+        return (points[:, None] + around).reshape(-1, 3)
 
     def draw(
         self, view: View, frame: Frame, past: Sequence[Frame], sender: int
@@ -132,7 +133,7 @@ class Scene:
             colours[sender] = theme.sending
             scales[sender] *= 1.35
         alarmed = np.array([word in (DOWN, REJECTED, STALE) for word in words])
-        halo = np.where(alarmed, 1.55 * self._radius, _HIDDEN)
+        halo = np.where(alarmed, 1.55 * self._radius, HIDDEN)
         links, link_colours, cut = self._links(view, frame, at)
         sending = self._sending_links(frame, at, sender)
         plant = self.plant.draw(view, frame, past)
@@ -145,11 +146,9 @@ class Scene:
             self._halo.batched_positions = (at - [0, 0, 0.5 * self._radius]).astype(np.float32)
             self._halo.batched_scales = halo.astype(np.float32)
             self._halo.batched_colors = linear([colour_of(theme, word) for word in words])
-            set_lines(self._edges, links, link_colours)
-            set_lines(self._cut, cut, np.broadcast_to(theme.down, (*cut.shape[:2], 3)))
-            set_lines(
-                self._sending, sending, np.broadcast_to(theme.sending, (*sending.shape[:2], 3))
-            )
+            paint(self._edges, links, link_colours)
+            paint(self._cut, cut, np.broadcast_to(theme.down, (*cut.shape[:2], 3)))
+            paint(self._sending, sending, np.broadcast_to(theme.sending, (*sending.shape[:2], 3)))
             self._mark(self._selected, view.selected, at, theme.selection, 1.75)
             self._mark(self._hovered, view.hovered, at, theme.quiet, 2.0)
             plant()
@@ -196,28 +195,23 @@ class Scene:
         if shown == self._shown_labels:
             return
         self._shown_labels = shown
+        # Above a node of a graph stands its post.
+        below = self._stage.picture is Picture.GRAPH
+        anchor, off = ("top-center", (0, -1.2, 0)) if below else ("bottom-center", (0, 0, 1.5))
         if wanted and not self._labels:
             self._labels = [
                 self._scene.add_label(
-                    f"/labels/{node}", name, position=tuple(at[node]), anchor="bottom-center",
+                    f"/labels/{node}", name, position=tuple(at[node]), anchor=anchor,
                     font_screen_scale=0.75, font_size_mode="screen",
                 )
                 for node, name in enumerate(self._stage.names)
             ]  # fmt: skip
         for node, label in enumerate(self._labels):
             label.visible = wanted
-            label.position = tuple(at[node] + [0, 0, 1.5 * self._radius])
+            label.position = tuple(at[node] + self._radius * np.array(off))
 
 
 _NO_LINES = np.zeros((0, 2, 3))
-
-
-def set_lines(handle: Any, segments: Array, colours: np.ndarray) -> None:
-    """Assign segments (S, 2, 3) with their colours (S, 2, 3); nothing hides the lines."""
-    handle.visible = len(segments) > 0
-    if len(segments):
-        handle.points = segments.astype(np.float32)
-        handle.colors = linear(colours)
 
 
 def _round_cell(stage: Stage) -> float:
@@ -229,11 +223,3 @@ def _round_cell(stage: Stage) -> float:
     return (
         float(min((1, 2, 5, 10), key=lambda step: abs(step * power - metres)) * power) * stage.scale
     )
-
-
-def grid_note(stage: Stage, theme: Theme) -> str:
-    """How large a cell of the grid is, in words."""
-    if stage.picture is not Picture.PLANE:
-        return ""
-    cell = _round_cell(stage) / stage.scale
-    return f'<span style="color:{css(theme.quiet)}">grid {cell:g} m</span>'

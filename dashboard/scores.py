@@ -40,7 +40,7 @@ def score(
     )
     means = belief.mean[living][:, states]
     spread = _root_mean_square(
-        np.linalg.norm(means - means.mean(0), axis=-1) if living.any() else means
+        np.linalg.norm(means - means.mean(0), axis=-1) if len(means) > 1 else means[:0]
     )
     fused = fuse(belief, alive)
     return Scores(
@@ -50,9 +50,6 @@ def score(
         spread=spread,
         nees=float(np.nan) if stage.certain else _mean(consistency),
         central=_error(central, truth, states),
-        bound=float("nan")
-        if central is None
-        else float(np.sqrt(np.diagonal(central.cov)[states].sum())),
         fused=_error(fused, truth, states),
     )
 

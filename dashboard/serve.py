@@ -3,8 +3,7 @@
 from pathlib import Path
 
 from dashboard.app import Dashboard
-from dashboard.charts import Band
-from dashboard.frame import Array
+from dashboard.expected import Expectation, nothing_expected
 from dashboard.live import LiveNetwork
 from dashboard.source import Recorded
 from dashboard.stage import set_stage
@@ -13,15 +12,15 @@ from nodes.recording import read_recording
 from scenarios.setup import Setup
 
 
-def no_band(times: Array) -> tuple[Array, Array] | None:
-    """Nobody has computed a band."""
-    return None
-
-
 def open_recording(
-    setup: Setup, recording: Path, host: str, port: int, light: bool, band: Band = no_band
+    setup: Setup,
+    recording: Path,
+    host: str,
+    port: int,
+    light: bool,
+    expected: Expectation = nothing_expected,
 ) -> Dashboard:
-    """A page on a recorded run; `band` is that of its NEES.
+    """A page on a recorded run; `expected` is what other runs tell of it.
 
     Raises:
         ValueError: the file is not a recording.
@@ -29,7 +28,7 @@ def open_recording(
     # Its first message tells whether it is one, before a page is opened on it.
     next(iter(read_recording(recording)), None)
     source = Recorded(set_stage(setup), recording)
-    return Dashboard(source, host, port, LIGHT if light else DARK, recording.parent, band)
+    return Dashboard(source, host, port, LIGHT if light else DARK, recording.parent, expected)
 
 
 def open_network(
@@ -38,7 +37,7 @@ def open_network(
     host: str,
     port: int,
     light: bool,
-    band: Band = no_band,
+    expected: Expectation = nothing_expected,
 ) -> Dashboard:
     """A page on a network that runs; `folder` is that of its run, if it is known."""
-    return Dashboard(source, host, port, LIGHT if light else DARK, folder, band)
+    return Dashboard(source, host, port, LIGHT if light else DARK, folder, expected)

@@ -79,15 +79,21 @@ class Stage:
         return 1.0 if self.certain else 3.0
 
     @cached_property
+    def whereabouts(self) -> Array:
+        """Where nodes are in the course of the run (P, 2), in the network's own units."""
+        last = max(self.setup.scenario.steps - 1, 0)
+        return np.concatenate([self.positions(step) for step in range(0, last + 1, last // 20 + 1)])
+
+    @cached_property
     def centre(self) -> Array:
         """Middle of the drawn network (2,), in its own units."""
-        corners = self.positions(0)
+        corners = self.whereabouts
         return (corners.min(0) + corners.max(0)) / 2
 
     @cached_property
     def scale(self) -> float:
         """Units of the scene per metre (or unit of the layout)."""
-        corners = self.positions(0)
+        corners = self.whereabouts
         extent = float((corners.max(0) - corners.min(0)).max())
         return SCENE_WIDTH / extent if extent > 0 else 1.0
 

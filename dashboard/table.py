@@ -55,7 +55,8 @@ def node_table(stage: Stage, view: View, frame: Frame) -> str:
             f"{words[node].upper() if words[node] == DOWN else words[node]}</td>"
             + "".join(f"<td>{number}</td>" for number in numbers)
             + f"<td>{age}</td>"
-            f'<td style="background:linear-gradient(to right,{css(bar_colour, 0.35)} {bar:.0f}%,'
+            f'<td style="padding-left:12px;background:linear-gradient(to right,'
+            f"{css(bar_colour, 0.35)} {bar:.0f}%,"
             f'transparent {bar:.0f}%)">{_number(error)}</td><td>{_number(width[node])}</td>'
             + (f'<td style="text-align:left">{escape(frame.rejection[node])}</td>' if told else "")
             + "</tr>"
@@ -127,8 +128,11 @@ def status(stage: Stage, theme: Theme, frame: Frame | None, state: str, detail: 
             ("alive", "alive", f"{int(frame.alive.sum())} / {stage.nodes}"),
             ("links cut", "cut", f"{int(frame.cut.sum())} / {len(stage.edges)}"),
             ("RMSE", "rmse", f"{_number(frame.scores.rmse)} {unit}".strip()),
-            ("centralised", "central", f"{_number(frame.scores.central)} {unit}".strip()),
         ]
+        if np.isfinite(frame.scores.central):
+            rows.append(
+                ("centralised", "central", f"{_number(frame.scores.central)} {unit}".strip())
+            )
     lines = "".join(
         f'<div style="display:flex;justify-content:space-between"><span style="color:'
         f'{css(theme.quiet)}">{name}</span><b data-testid="{key}">{escape(value)}</b></div>'

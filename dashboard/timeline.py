@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from html import escape
+from itertools import groupby
 
 from bus.timing import SegmentTime, bus_load, segments
 from dashboard.frame import BusCycle, Frame
@@ -77,8 +78,8 @@ class TimelineView:
     ) -> str:
         """The cycle to scale: segments, slots with their owners, minislots, the time."""
         parts = [
-            f'<text x="0" y="{TOP + 15:g}" font-size="11.5" fill="{css(theme.text)}">cycle</text>'
-            f'<text x="0" y="{TOP + 29:g}" font-size="11.5" fill="{css(theme.text)}" '
+            f'<text x="6" y="{TOP + 15:g}" font-size="11.5" fill="{css(theme.text)}">cycle</text>'
+            f'<text x="6" y="{TOP + 29:g}" font-size="11.5" fill="{css(theme.text)}" '
             f'data-testid="bus-cycle">{cycle.cycle}</text>'
         ]
         for part in self._segments:
@@ -99,6 +100,7 @@ class TimelineView:
             parts.append(
                 self._slot(theme, frame, state, frame.node == selected, frame.node in lost)
             )
+        parts.append(self._names_of_trains(cycle, theme))
         if now_us > 0:
             x = self._x(now_us)
             parts.append(
@@ -122,6 +124,22 @@ class TimelineView:
             path.append(f"M{self._x(cluster.minislot_start_us(number)):.1f} {TOP + BAR - 5:g}v5")
         return f'<path d="{"".join(path)}" stroke="{css(theme.panel)}" stroke-width="1"/>'
 
+    def _names_of_trains(self, cycle: BusCycle, theme: Theme) -> str:
+        """The name of whoever sends many frames in a row, each too short for it."""
+        text = []
+        for node, frames in groupby(cycle.frames, key=lambda frame: frame.node):
+            train, name = list(frames), self._stage.names[node]
+            x, right = self._x(train[0].start_us), self._x(train[-1].end_us)
+            single = self._x(train[0].end_us) - x
+            if len(train) > 1 and single < _room(_short(name)) and right - x > _room(name):
+                text.append(
+                    f'<text x="{(x + right) / 2:.1f}" y="{TOP + BAR / 2 + 4:g}" font-size="11" '
+                    f'text-anchor="middle" fill="{css(theme.text)}" stroke="{css(theme.panel)}" '
+                    f'stroke-width="3" paint-order="stroke" pointer-events="none">'
+                    f"{escape(name)}</text>"
+                )
+        return "".join(text)
+
     def _slot(self, theme: Theme, frame, state: str, is_selected: bool, is_lost: bool) -> str:
         name = self._stage.names[frame.node]
         x, right = self._x(frame.start_us), self._x(frame.end_us)
@@ -133,7 +151,7 @@ class TimelineView:
         stroke = f' stroke="{css(theme.selection)}" stroke-width="2"' if is_selected else ""
         note = "; did not reach everybody" if is_lost else ""
         text = ""
-        if wide > 6.0 * min(len(name), 3) + 3:
+        if wide > _room(_short(name)):
             size = 10 if wide < 22 else 11
             ink = theme.panel if state != "future" else theme.quiet
             text = (
@@ -187,7 +205,7 @@ class TimelineView:
             share = 1.0 - 0.065 * number
             if number in (0, len(past[:RASTER_ROWS]) - 1, RASTER_ROWS // 2):
                 parts.append(
-                    f'<text x="0" y="{y + ROW - 2:g}" font-size="9" fill="{css(theme.quiet)}">'
+                    f'<text x="6" y="{y + ROW - 2:g}" font-size="9" fill="{css(theme.quiet)}">'
                     f"{cycle.cycle}</text>"
                 )
             for segment, colour in (("static", theme.seeing), ("dynamic", theme.estimate)):
@@ -246,6 +264,11 @@ class TimelineView:
 
 
 _INK = {"past": (20, 30, 40), "now": (20, 30, 40), "future": (120, 126, 138)}
+
+
+def _room(text: str) -> float:
+    """Pixels that a text takes."""
+    return 6.0 * len(text) + 3
 
 
 def _short(name: str) -> str:

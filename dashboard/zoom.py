@@ -5,7 +5,7 @@ from html import escape
 import numpy as np
 
 from dashboard.frame import Array, Frame
-from dashboard.geometry import ellipse_axes
+from dashboard.geometry import ellipse_axes, zonotope_corners
 from dashboard.stage import Stage
 from dashboard.theme import Colour, Theme, css
 from dashboard.view import MANY_NODES
@@ -45,11 +45,12 @@ def zoom(
         for c, text in legend
     )
     return (
-        f'<div style="font-size:11px;color:{css(theme.text)}"><svg data-testid="zoom" '
+        f'<div style="font-size:11px;padding-right:8px;color:{css(theme.text)}">'
+        '<svg data-testid="zoom" '
         f'viewBox="0 0 {SIZE:g} {SIZE:g}" width="100%" style="display:block">{body}</svg>'
-        f'<div style="padding:2px 4px">{spans_html} {sigma}</div>'
+        f'<div style="padding:2px 4px">{spans_html}</div>'
         f'<div style="padding:0 4px 2px;color:{css(theme.quiet)}">{name[0]} [{unit[0]}] →, '
-        f"{name[1]} [{unit[1]}] ↑</div></div>"
+        f"{name[1]} [{unit[1]}] ↑, {sigma}</div></div>"
     )
 
 
@@ -78,14 +79,16 @@ class _Drawing:
         mean, cov = frame.belief.mean[:, states], frame.belief.cov[:, states][:, :, states]
         faint = 0.35 if len(nodes) > MANY_NODES else 0.7
         parts = [self._rings()]
+        shape = self._set
         others = [node for node in nodes if node != selected]
-        parts += [self._ellipse(mean[i], cov[i], theme.estimate, faint, 1.0) for i in others]
+        parts += [shape(i, mean[i], cov[i], theme.estimate, faint, 1.0) for i in others]
         fused, fused_cov = frame.fused.mean[states], frame.fused.cov[states][:, states]
         if np.isfinite(fused).all():
             parts.append(self._ellipse(fused, fused_cov, theme.fused, 1.0, 2.0, fill=0.22))
         parts += [self._dot(mean[i], theme.estimate, 2.4, int(i)) for i in others]
         if selected is not None and np.isfinite(mean[selected]).all():
-            parts.append(self._ellipse(mean[selected], cov[selected], theme.selection, 1.0, 2.0))
+            chosen = (mean[selected], cov[selected], theme.selection, 1.0, 2.0)
+            parts.append(shape(selected, *chosen))
             parts.append(self._dot(mean[selected], theme.selection, 3.5, selected))
         if self._known:
             x, y = self._pixel(self._centre)
@@ -93,6 +96,8 @@ class _Drawing:
                 f'<path d="M{x - 7:.1f} {y:.1f}h14M{x:.1f} {y - 7:.1f}v14" '
                 f'stroke="{css(theme.truth)}" stroke-width="2.5"/>'
             )
+        # Above all else, or nobody can read it.
+        parts.append(self._scale_marks())
         return "".join(parts)
 
     def _pixel(self, point: Array) -> tuple[float, float]:
@@ -101,25 +106,57 @@ class _Drawing:
 
     def _rings(self) -> str:
         """Circles of round radius, or a cross of axes where the two states differ in kind."""
-        theme, middle = self._theme, SIZE / 2
-        step = _round_number(float(self._spans[0]) / 3)
-        if len(set(self._stage.place)) == 2:
-            count = int(self._spans[0] / step)
+        middle, faint = SIZE / 2, css(self._theme.faint)
+        if not self._is_map:
+            return f'<path d="M0 {middle:g}H{SIZE:g}M{middle:g} 0V{SIZE:g}" stroke="{faint}"/>'
+        return "".join(
+            f'<circle cx="{middle:g}" cy="{middle:g}" r="{radius * self._scale[0]:.1f}" '
+            f'fill="none" stroke="{faint}"/>'
+            for radius in self._radii()
+        )
+
+    @property
+    def _is_map(self) -> bool:
+        return len(set(self._stage.place)) == 2
+
+    def _radii(self) -> list[float]:
+        """Of the circles: a few round numbers."""
+        span = float(self._spans[0])
+        step = _round_number(span / 2)
+        return [k * step for k in range(1, int(span / step) + 1)]
+
+    def _scale_marks(self) -> str:
+        """What the circles or the ends of the axes measure."""
+        middle = SIZE / 2
+        if self._is_map:
             unit = escape(self._stage.state_units[self._states[0]])
             return "".join(
-                f'<circle cx="{middle:g}" cy="{middle:g}" r="{k * step * self._scale[0]:.1f}" '
-                f'fill="none" stroke="{css(theme.faint)}"/><text x="{middle + 3:g}" '
-                f'y="{middle - k * step * self._scale[0] + 11:.1f}" font-size="10" '
-                f'fill="{css(theme.quiet)}">{k * step:.3g} {unit}</text>'
-                for k in range(1, count + 1)
+                self._mark(middle + 3, middle - r * self._scale[0] + 11, f"{r:.3g} {unit}")
+                for r in self._radii()
             )
-        lines = (
-            f'<path d="M0 {middle:g}H{SIZE:g}M{middle:g} 0V{SIZE:g}" stroke="{css(theme.faint)}"/>'
+        across, up = (f"±{span:.2g}" for span in self._spans)
+        return self._mark(SIZE - 46, middle - 4, across) + self._mark(middle + 4, 12.0, up)
+
+    def _mark(self, x: float, y: float, text: str) -> str:
+        theme = self._theme
+        return (
+            f'<text x="{x:g}" y="{y:.1f}" font-size="11" fill="{css(theme.text)}" '
+            f'stroke="{css(theme.panel)}" stroke-width="3" paint-order="stroke" '
+            f'pointer-events="none">{text}</text>'
         )
-        ends = [(SIZE - 46, middle - 4, self._spans[0]), (middle + 4, 12.0, self._spans[1])]
-        return lines + "".join(
-            f'<text x="{x:g}" y="{y:g}" font-size="10" fill="{css(theme.quiet)}">±{span:.2g}</text>'
-            for x, y, span in ends
+
+    def _set(
+        self, node: int, mean: Array, cov: Array, colour: Colour, opacity: float, width: float
+    ) -> str:
+        """What a node believes: its zonotope, where it keeps one, or its ellipse."""
+        generators = self._frame.zonotopes[node]
+        if generators is None:
+            return self._ellipse(mean, cov, colour, opacity, width)
+        corners = zonotope_corners(mean, generators[self._states])
+        points = " ".join(f"{x:.1f},{y:.1f}" for x, y in map(self._pixel, corners))
+        return (
+            f'<polygon points="{points}" fill="none" stroke="{css(colour, opacity)}" '
+            f'stroke-width="{width:g}" stroke-linejoin="round"/>'
         )
 
     def _ellipse(

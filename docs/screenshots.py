@@ -13,12 +13,15 @@ from typing import Any, NamedTuple
 import msgspec
 
 from dashboard.app import Dashboard
+from dashboard.expected import Expectation, nothing_expected
 from dashboard.serve import open_recording
 from experiments.drivers import drive
-from experiments.nees_band import limits
+from experiments.other_runs import expected, told_by
 from nodes.recording import McapRecorder
 from scenarios.catalogue import kind_of
+from scenarios.rules import is_certain
 from scenarios.setup import Setup, prepare
+from scenarios.vectorised import without_array_form
 
 _FLAGS = (
     "--no-sandbox",
@@ -59,12 +62,22 @@ SHOTS = {
         44,
         {"selected": 21, "order": "error"},
     ),
-    "vehicle": Shot("vehicle-network", {"steps": 700}, 690, {"selected": 1}, tab="State"),
+    "vehicle": Shot("vehicle-network", {"steps": 700}, 690, {"selected": 1}),
     "replay": Shot(
         "oscillator", {"nodes": 12, "steps": 80, "graph": "small-world"}, 40, {"selected": 4},
         light=True, size=(1280, 720),
     ),
-    "sets": Shot("liu2021-network", {"steps": 60}, 40, {"selected": 2}, size=(1920, 1080)),
+    "400-nodes": Shot(
+        "target-tracking",
+        {"nodes": 400, "steps": 40, "graph": "4-regular", "schedule": "hybrid", "occupancy": 0.05},
+        39,
+        {"selected": 21, "order": "age"},
+        size=(1920, 1080),
+    ),
+    "sets": Shot(
+        "liu2021-network", {"steps": 60, "rule": "zonotope"}, 40, {"selected": 2},
+        size=(1920, 1080), tab="Beliefs",
+    ),
 }  # fmt: skip
 
 
@@ -98,28 +111,19 @@ def _take(browser: Any, shot: Shot, file: Path) -> None:
         recorder = McapRecorder(recording, setup.scenario.rounds, setup.time_step_s)
         drive(setup, recorder, lambda _: None)
         recorder.close()
-        page = open_recording(setup, recording, "127.0.0.1", 0, shot.light, _band(setup))
+        page = open_recording(setup, recording, "127.0.0.1", 0, shot.light, _expectation(setup))
         try:
             _shoot(browser, page, shot, file)
         finally:
             page.close()
 
 
-def _band(setup: Setup):
-    import numpy as np
-
-    from scenarios.rules import is_certain
-    from scenarios.vectorised import without_array_form
-
+def _expectation(setup: Setup) -> Expectation:
+    """What other runs tell; of what takes minutes to run again, nothing."""
     if is_certain(setup.scenario) or without_array_form(setup.scenario) is not None:
-        return lambda _: None
-    found = limits(setup, 40 if setup.scenario.nodes < 100 else 10)
-
-    def band(times):
-        steps = np.round(times / setup.time_step_s).astype(int)
-        return np.array(found.low)[steps], np.array(found.high)[steps]
-
-    return band
+        return nothing_expected
+    told = told_by(setup, 40 if setup.scenario.nodes < 100 else 20)
+    return lambda times: expected(told, setup.time_step_s, times)
 
 
 def _shoot(browser: Any, page: Dashboard, shot: Shot, file: Path) -> None:

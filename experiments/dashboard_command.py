@@ -1,6 +1,5 @@
 """`concord dashboard`: a network that runs, in the browser; attaches and detaches unnoticed."""
 
-import os
 import sys
 import threading
 from dataclasses import dataclass
@@ -9,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from experiments.nees_band import RunningBand
+from experiments.other_runs import OtherRuns
+from experiments.priority import give_way
 from experiments.replay_command import PageOptions
 from experiments.user_errors import user_errors
 from nodes.network_file import read_network
@@ -43,7 +43,7 @@ def dashboard(
 ) -> None:
     """Watch and control a network that runs, in the browser."""
     # The network comes first, on a machine that has too little for both.
-    os.nice(_NICENESS)
+    give_way(_NICENESS)
     from dashboard.live import LiveNetwork
     from dashboard.serve import open_network
 
@@ -58,9 +58,9 @@ def dashboard(
                 "run, or --folder with that folder"
             )
         source = LiveNetwork(connect, run)
-    band = RunningBand(source.stage.setup)
+    others = OtherRuns(source.stage.setup, sparing=True)
     page = open_network(
-        source, network.folder, options.host, options.http_port, options.light, band
+        source, network.folder, options.host, options.http_port, options.light, others
     )
     sys.stderr.write(f"dashboard at http://{options.host}:{page.port}  (Ctrl-C leaves)\n")
     sys.stderr.flush()
@@ -71,7 +71,7 @@ def dashboard(
     try:
         page.run(launcher_gone.is_set)
     finally:
-        band.close()
+        others.close()
         page.close()
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from experiments.nees_band import RunningBand
+from experiments.other_runs import OtherRuns
 from experiments.results import RECORDING, read_description
 from experiments.user_errors import user_errors
 
@@ -37,14 +37,14 @@ def replay(
         file = folder / RECORDING if recording.is_dir() else recording
         if not file.is_file():
             raise ValueError(f"{file}: there is none; name the run.mcap of a run, or its folder")
-        band = RunningBand(description.setup)
+        others = OtherRuns(description.setup, sparing=False)
         page = open_recording(
-            description.setup, file, options.host, options.http_port, options.light, band
+            description.setup, file, options.host, options.http_port, options.light, others
         )
     sys.stderr.write(f"http://{options.host}:{page.port}  (Ctrl-C ends)\n")
     try:
         with user_errors():
             page.run(lambda: False)
     finally:
-        band.close()
+        others.close()
         page.close()

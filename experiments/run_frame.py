@@ -67,10 +67,12 @@ def _frame(setup: Setup, runs: range, histories: Histories) -> Frame:
     control, readings = histories.control, histories.readings
     assert readings is not None, "keep the readings"
     alone = centralised_of_runs(setup, runs, readings, control)
-    return Frame(alone.mean, alone.cov, _bound(setup, histories))
+    return Frame(alone.mean, alone.cov, bound_of(setup, histories))
 
 
-def _bound(setup: Setup, histories: Histories) -> Array:
+def bound_of(setup: Setup, histories: Histories) -> Array:
+    """The posterior Cramer-Rao bound (steps, n, n) of these runs, which have kept their readings;
+    NaN where it is not defined."""
     kind = kind_of(setup.scenario.name)
     steps, n = histories.truth.shape[1:]
     # What a network of another wiring, a rule of sets or a gate does is outside the bound's model.

@@ -5,7 +5,7 @@
 only the estimator reads.
 """
 
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from filters.gaussian import Gaussian
 from nodes.messages import Array, Measured
@@ -69,4 +69,13 @@ class Estimator(Protocol):
 
     def ages(self, content: Content) -> Array:
         """Communication cycles since the last share of each neighbour was sent; -1 is never."""
+        ...
+
+
+@runtime_checkable
+class KeepsZonotope(Protocol):
+    """An estimator that may keep a zonotope around the centre that `belief` tells."""
+
+    def generators(self, content: Content) -> Array | None:
+        """Its generators (n, q); None of another set."""
         ...

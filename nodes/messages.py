@@ -70,11 +70,12 @@ class Truth(msgspec.Struct, frozen=True):
     state: list[float | None]
 
 
-class Estimate(msgspec.Struct, frozen=True):
+class Estimate(msgspec.Struct, frozen=True, omit_defaults=True):
     """Node to world: its belief after the last round of a step, and what it was made of.
 
     `mean` (n,), `cov` the upper triangle row by row; `ages` per neighbour in communication cycles
-    (-1: never heard); `counters` are totals since the start.
+    (-1: never heard); `counters` are totals since the start; `generators` (n, q) are those of a
+    node that keeps a zonotope with the centre `mean`; the ellipsoid of `cov` is around it then.
     """
 
     node: NodeIndex
@@ -83,6 +84,7 @@ class Estimate(msgspec.Struct, frozen=True):
     cov: list[float | None]
     ages: list[int]
     counters: dict[str, int]
+    generators: list[list[float]] | None = None
 
 
 class Start(msgspec.Struct, frozen=True):

@@ -144,6 +144,10 @@ class SetMembership:
         """Centre and shape matrix of an ellipsoid around the own set."""
         return self.shape.bounds(content.own)
 
+    def generators(self, content: Content) -> Array | None:
+        """Of the own set, where it is a zonotope."""
+        return self.shape.generators_of(content.own)
+
     def ages(self, content: Content) -> Array:
         """Cycles since each neighbour's set was sent."""
         return content.ages

@@ -55,6 +55,10 @@ class Shape(Protocol):
         """Centre and shape matrix of an ellipsoid around it."""
         ...
 
+    def generators_of(self, own: HeldSet) -> Array | None:
+        """The generators (n, q) of a zonotope; None of another shape."""
+        ...
+
     def size(self, own: HeldSet) -> float:
         """Sum of the squared half-widths."""
         ...
@@ -111,6 +115,9 @@ class Ellipsoids:
     def bounds(self, own: Ellipsoid) -> Gaussian:
         """Its own centre and shape matrix."""
         return Gaussian(own.centre, _rounded_up(ellipsoid.shape_matrix(own), 0.0))
+
+    def generators_of(self, own: Ellipsoid) -> None:
+        """It has none."""
 
     def size(self, own: Ellipsoid) -> float:
         """The trace of the shape matrix."""
@@ -184,6 +191,10 @@ class Zonotopes:
         """An ellipsoid around it."""
         around = zonotope.enclosing_ellipsoid(own)
         return Gaussian(around.centre, _rounded_up(ellipsoid.shape_matrix(around), 0.0))
+
+    def generators_of(self, own: Zonotope) -> Array:
+        """Its own."""
+        return own.generators
 
     def size(self, own: Zonotope) -> float:
         """Sum of the squared half-widths."""

@@ -20,6 +20,7 @@ from msgspec.structs import replace
 from bus.schedule import Schedule
 from filters.linalg import pack_upper
 from nodes.changes import Gone
+from nodes.estimator import KeepsZonotope
 from nodes.faults import hangs, is_silent
 from nodes.hearing import file_early, hear, hear_late, let_in_overtaken
 from nodes.messages import (
@@ -216,6 +217,9 @@ def _close_cycle(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]
 def _estimate(config: NodeConfig, state: NodeState) -> Estimate:
     belief = config.estimator.belief(state.content)
     ages = config.estimator.ages(state.content)
+    generators = None
+    if isinstance(config.estimator, KeepsZonotope):
+        generators = config.estimator.generators(state.content)
     return Estimate(
         config.index,
         state.step,
@@ -223,6 +227,7 @@ def _estimate(config: NodeConfig, state: NodeState) -> Estimate:
         to_wire(pack_upper(belief.cov)),
         ages.tolist(),
         state.counters,
+        None if generators is None else to_wire(generators),
     )
 
 

@@ -327,6 +327,7 @@ def test_exports(page: Page):
     charts = page.download("Charts (.html)").decode()
     assert charts.count("<svg") == 4
     assert "<script" not in charts
+    assert page.download("Charts (.png)").startswith(b"\x89PNG")
     archive = zipfile.ZipFile(io.BytesIO(page.download("Run folder (.zip)")))
     assert {Path(name).name for name in archive.namelist()} == {"run.mcap", "run.json"}
     assert page.download("Scene (.png)").startswith(b"\x89PNG")

@@ -1,0 +1,123 @@
+"""What charts say in words, and what becomes of them on paper."""
+
+import io
+from types import SimpleNamespace
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from dashboard.chart_export import charts_page, charts_picture
+from dashboard.charts import chart_lines, shown_power, titled
+from dashboard.history import History
+from dashboard.states import states
+from dashboard.theme import DARK
+from dashboard.view import View
+from tests.dashboard.runs import frames_of, run_of
+
+STAGE, MESSAGES = run_of("oscillator", nodes=4, steps=60)
+FRAMES = frames_of(STAGE, MESSAGES)
+
+
+def chart(title: str, *columns: np.ndarray, dashed: tuple[str, ...] = ()) -> Any:
+    """What an export reads of a chart."""
+    names = [f"line {number}" for number in range(len(columns))]
+    times = np.arange(len(columns[0])) * 0.1
+    return SimpleNamespace(
+        title=title, rows=(times, *columns), names=names, dashed=dashed,
+        colours=[(230, 159, 0)] * len(columns),
+    )  # fmt: skip
+
+
+RISING, NOTHING = np.linspace(0, 3, 50), np.full(50, np.nan)
+VIEW = View(step=41)
+
+
+@pytest.mark.parametrize(
+    ("largest", "power"), [(12.0, 0), (0.1, 0), (0.02, -3), (0.0011, -3), (4e-5, -6), (0.0, 0)]
+)
+def test_what_is_small_is_shown_in_a_power_of_ten_that_leaves_digits(largest: float, power: int):
+    shown = shown_power([np.array([0.0, largest]), np.zeros(2)])
+    assert shown == power
+    assert largest == 0 or 0.1 <= largest * 10.0**-shown < 1000
+
+
+def test_titles_name_the_unit_and_the_power():
+    assert titled("RMSE", "m", 0) == "RMSE [m]"
+    assert titled("RMSE", "rad", -3) == "RMSE [10⁻³ rad]"
+    assert titled("NEES", "1", 0) == "NEES"
+    assert titled("RMSE", "1", -12) == "RMSE [10⁻¹² ]".replace(" ]", "]")
+
+
+def test_a_colour_means_one_thing_in_a_chart():
+    for lines in chart_lines(STAGE, DARK).values():
+        solid = [colour for colour in lines.values() if colour != DARK.quiet]
+        assert len(set(solid)) == len(solid)
+
+
+def test_the_page_has_a_drawing_with_text_per_chart_that_shows_anything():
+    charts = [chart("Error <of> all", RISING, NOTHING), chart("None", NOTHING)]
+    page = charts_page(STAGE, charts, VIEW)
+    assert page.count("<svg") == 1
+    assert "<script" not in page
+    assert "up to step 41" in page
+    drawing = ElementTree.fromstring(page[page.index("<svg") : page.index("</svg>") + 6])
+    said = " ".join(drawing.itertext())
+    assert "Error <of> all" in said
+    assert "line 0" in said
+    assert "line 1" not in said
+
+
+def test_equal_charts_are_equal_bytes():
+    charts = [chart("Error", RISING)]
+    assert charts_page(STAGE, charts, VIEW) == charts_page(STAGE, charts, VIEW)
+
+
+def test_the_picture_has_all_charts_below_each_other():
+    from matplotlib.image import imread
+
+    one, three = (
+        imread(io.BytesIO(charts_picture(STAGE, [chart("Error", RISING)] * count, VIEW)))
+        for count in (1, 3)
+    )
+    assert one.shape[1] == three.shape[1] >= 1200
+    assert three.shape[0] == pytest.approx(3 * one.shape[0], abs=3)
+    orange = (np.abs(one[..., :3] - np.array([230, 159, 0]) / 255) < 0.02).all(-1)
+    assert orange.sum() > 500
+
+
+def kept() -> History:
+    history = History(STAGE)
+    history.add(FRAMES)
+    return history
+
+
+def lines_of(html: str) -> list[np.ndarray]:
+    drawing = ElementTree.fromstring(html[html.index("<svg") : html.index("</svg>") + 6])
+    return [
+        np.array([point.split(",") for point in line.attrib["points"].split()], float)
+        for line in drawing.iter("polyline")
+    ]
+
+
+def test_states_show_truth_and_estimate_of_every_state():
+    drawn = lines_of(states(STAGE, View(step=59, selected=2), kept()))
+    assert len(drawn) == 2 * len(STAGE.state_names)
+    first = STAGE.score.first_step
+    for number in range(len(STAGE.state_names)):
+        truth, mean = drawn[2 * number : 2 * number + 2]
+        scored = FRAMES[first:]
+        # Pixels downwards: where the one is higher, its y is less.
+        above = [f.belief.mean[2, number] - f.truth[number] for f in scored]
+        shown = truth[:, 1] - mean[:, 1]
+        assert len(shown) == len(scored)
+        assert np.corrcoef(above, shown)[0, 1] > 0.99
+
+
+def test_states_of_an_unknown_truth_are_estimates_alone():
+    unknown = History(STAGE)
+    unknown.add(f._replace(truth=np.full_like(f.truth, np.nan)) for f in FRAMES)
+    html = states(STAGE, View(step=59), unknown)
+    assert "nan" not in html.lower()
+    assert [len(line) for line in lines_of(html)][::2] == [0] * len(STAGE.state_names)

@@ -1,0 +1,131 @@
+"""What other runs tell of a run, and that telling it takes nothing from a network beside it."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from dashboard.assembler import Assembler
+from dashboard.stage import set_stage
+from experiments import other_runs
+from experiments.drivers import in_memory
+from experiments.other_runs import OtherRuns, Question, expected, told_by
+from experiments.priority import give_way
+from filters.gaussian import Gaussian
+from scenarios.baselines import listener
+from scenarios.catalogue import kind_of
+from scenarios.setup import prepare, setup_of_run
+from tests.dashboard.runs import setup_of
+from tests.processes import holds_within
+
+ROOT = Path(__file__).resolve().parents[2]
+SETUP = setup_of("oscillator", nodes=4, steps=25)
+NICENESS = 15
+
+
+def test_the_band_is_that_of_runs_message_by_message():
+    runs = 4
+    nees = []
+    for number in range(1000, 1000 + runs):
+        setup = setup_of_run(SETUP, number)
+        assembler = Assembler(set_stage(setup))
+        frames = [frame for said in in_memory(setup) for frame in assembler.take(*said)]
+        nees.append([frame.scores.nees for frame in frames])
+    told = told_by(SETUP, runs)
+    low, high = np.quantile(nees, [0.025, 0.975], axis=0)
+    np.testing.assert_allclose(np.array(told.nees_low, float), low, rtol=1e-8)
+    np.testing.assert_allclose(np.array(told.nees_high, float), high, rtol=1e-8)
+
+
+def test_the_bound_of_a_linear_plant_is_the_covariance_of_the_kalman_filter():
+    told = told_by(SETUP, 3)
+    listen = listener(SETUP, list(range(4)))
+    belief = Gaussian(np.array(SETUP.prior_mean), np.array(SETUP.prior_cov))
+    taken = {}
+    for topic, data in in_memory(SETUP):
+        if topic.startswith("measured/"):
+            said = json.loads(data)
+            taken[said["step"], said["node"]] = said["readings"]
+    states = list(kind_of("oscillator").score.states)
+    for step in range(25):
+        readings = np.array([taken[step, node] for node in range(4)], dtype=float)
+        belief = listen(belief, step, readings, None)
+        bound = np.sqrt(np.diagonal(belief.cov)[states].sum())
+        assert told.bound[step] == pytest.approx(bound, rel=1e-6)
+
+
+def test_what_is_told_is_found_by_time_and_unknown_steps_are_the_last():
+    told = told_by(SETUP, 3)
+    at = expected(told, 0.1, np.array([0.0, 0.7, 99.0]))
+    assert at.nees_high.tolist() == [told.nees_high[0], told.nees_high[7], told.nees_high[24]]
+
+
+def test_runs_of_what_was_recorded_once_are_no_band():
+    data = ROOT.parent / "shared" / "data" / "mrclam6"
+    if not data.is_dir():
+        pytest.skip("needs the recorded robots in ../shared/data/mrclam6")
+    defaults = kind_of("mrclam").defaults
+    setup = prepare(msgspec.structs.replace(defaults, data=str(data), target=4, steps=30))
+    told = told_by(setup, 3)
+    assert told.nees_low == told.nees_high == [None] * 30
+
+
+def test_the_process_tells_and_of_sets_nothing(monkeypatch: pytest.MonkeyPatch):
+    # On a machine at its limit, who gives way may wait for minutes.
+    monkeypatch.setattr(other_runs, "give_way", lambda *_: None)
+    others = OtherRuns(setup_of("oscillator", nodes=4, steps=10), sparing=True)
+    times = np.array([0.0, 0.5])
+    assert np.isnan(others(times).nees_low).all()
+    assert holds_within(30.0, lambda: bool(np.isfinite(others(times).nees_low).all()))
+    others.close()
+    certain = OtherRuns(setup_of("liu2021-network", steps=10), sparing=True)
+    assert np.isnan(certain(times).bound).all()
+    certain.close()
+
+
+def test_the_process_ends_with_whoever_asked():
+    question = Question(setup_of("oscillator", nodes=8, steps=5000), sparing=True)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "experiments.other_runs"], cwd=ROOT, stdin=subprocess.PIPE
+    )
+    assert process.stdin
+    process.stdin.write(msgspec.json.encode(question) + b"\n")
+    process.stdin.flush()
+    time.sleep(0.5)
+    assert process.poll() is None
+    process.stdin.close()
+    assert process.wait(10.0) == 1
+
+
+def test_who_gives_way_does_so_against_other_sessions_too():
+    asleep = [sys.executable, "-c", "import time; time.sleep(60)"]
+    process = subprocess.Popen(asleep, start_new_session=True)
+    try:
+        give_way(NICENESS, process.pid)
+        assert os.getpriority(os.PRIO_PROCESS, process.pid) == NICENESS
+        session = Path(f"/proc/{process.pid}/autogroup")
+        if not session.exists():
+            pytest.skip("sessions have no priority on this system")
+        assert session.read_text().split()[-1] == str(NICENESS)
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_a_session_that_is_shared_is_left_alone():
+    asleep = [sys.executable, "-c", "import time; time.sleep(60)"]
+    process = subprocess.Popen(asleep)
+    session = Path(f"/proc/{process.pid}/autogroup")
+    try:
+        before = session.read_text() if session.exists() else ""
+        give_way(NICENESS, process.pid)
+        assert (session.read_text() if session.exists() else "") == before
+    finally:
+        process.kill()
+        process.wait()
