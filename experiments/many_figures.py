@@ -36,7 +36,8 @@ class ManyNode(msgspec.Struct, frozen=True):
 
 class ManyFigures(msgspec.Struct, frozen=True):
     """What R runs amount to; RMSE and disagreement in `unit`. The centralised filter is NaN beyond
-    `CENTRALISED_NODES`; frames are those of one run in the mean."""
+    `CENTRALISED_NODES`; frames, and what nodes `noticed` beside them, are those of one run in the
+    mean."""
 
     scenario: str
     unit: str
@@ -53,6 +54,7 @@ class ManyFigures(msgspec.Struct, frozen=True):
     anees_centralised: Interval
     shares_sent: float
     shares_missed: float
+    noticed: dict[str, float]
     nodes: list[ManyNode]
     seconds: float
     node_updates_per_second: float
@@ -103,6 +105,11 @@ def summarise(histories: Histories, cost: Cost) -> ManyFigures:
         anees_centralised=mean_t(anees_central),
         shares_sent=float(_frames(histories, "sent").sum()),
         shares_missed=float(_frames(histories, "missed").sum()),
+        noticed={
+            name: float(count.sum(axis=1).mean())
+            for name, count in sorted(histories.counters.items())
+            if name not in ("sent", "heard", "missed")
+        },
         nodes=[
             ManyNode(
                 mean_t(per_node[:, node]),
@@ -183,9 +190,11 @@ def lines(figures: ManyFigures) -> list[str]:
         if np.isnan(ratios[0].value)
         else f"network {shown(ratios[0])} x centralised, worst node {shown(ratios[1])} x; "
     )
+    counts = ", ".join(f"{name} {count:.4g}" for name, count in figures.noticed.items())
     return [
         f"{figures.runs} runs from run {figures.first_run} on; ± is the 95 % interval of the mean",
         f"{framed}disagreement {shown(figures.disagreement)} {figures.unit}",
+        *([f"nodes noticed per run: {counts}"] if counts else []),
         f"{figures.seconds:.2f} s, {figures.node_updates_per_second:,.0f} node updates per second, "
         f"peak memory {figures.peak_memory_mb:.0f} MB",
     ]

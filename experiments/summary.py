@@ -1,5 +1,8 @@
 """The figures of one run: a value for machines, a table for people."""
 
+from collections import Counter
+from collections.abc import Iterable, Mapping
+
 import msgspec
 import numpy as np
 from rich.markup import escape
@@ -18,6 +21,8 @@ from scenarios.baselines import centralised, local_only
 from scenarios.catalogue import Score, kind_of
 from scenarios.rules import is_certain
 from scenarios.setup import Setup
+
+_TRAFFIC = ("sent", "heard", "missed")
 
 
 class NodeFigures(msgspec.Struct, frozen=True):
@@ -38,7 +43,8 @@ class NodeFigures(msgspec.Struct, frozen=True):
 
 class Figures(msgspec.Struct, frozen=True):
     """What a run amounts to. RMSE, disagreement in `unit`, from step `first_step` on; `bus` is None
-    on a bus without time, `timing` but in real time."""
+    on a bus without time, `timing` but in real time. `noticed` is what nodes counted beside
+    traffic, all of them together: frames lost, late, repeated, rejected and why."""
 
     scenario: str
     unit: str
@@ -57,6 +63,7 @@ class Figures(msgspec.Struct, frozen=True):
     rmse_near_centralised: float
     shares_sent: int
     shares_missed: int
+    noticed: dict[str, int]
     bus: BusFigures | None
     nodes: list[NodeFigures]
     containment: Containment | None = None
@@ -106,6 +113,7 @@ def summarise(setup: Setup, trace: Trace) -> Figures:
         rmse_near_centralised=float(rmse(of_central[near], (0,))),
         shares_sent=sum(c.get("sent", 0) for c in counters),
         shares_missed=sum(c.get("missed", 0) for c in counters),
+        noticed=noticed(counters),
         bus=bus_report.figures_of(setup, trace),
         nodes=[
             NodeFigures(
@@ -124,6 +132,12 @@ def summarise(setup: Setup, trace: Trace) -> Figures:
         containment_centralised=_contained(certain, central, trace.truth),
         spread=None if trace.spread is None else record_spread.figures_of(trace.spread),
     )
+
+
+def noticed(counters: Iterable[Mapping[str, int]]) -> dict[str, int]:
+    """What nodes counted beside the shares that were sent, heard and missed, added up; by name."""
+    total = sum((Counter(one) for one in counters), Counter())
+    return {name: total[name] for name in sorted(total) if name not in _TRAFFIC}
 
 
 def _unless(certain: bool, anees_: Array) -> float:
@@ -224,6 +238,9 @@ def lines(figures: Figures) -> list[str]:
             f"√tr P in the mean {_short(held.half_width)}; nodes alone: RMSE "
             f"{_short(figures.rmse_local_only)} {unit}"
         )
+    if figures.noticed:
+        counts = ", ".join(f"{name} {count}" for name, count in figures.noticed.items())
+        text.append(f"nodes noticed: {counts}")
     if figures.near_s is not None:
         central = figures.rmse_near_centralised
         text.append(

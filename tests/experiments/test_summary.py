@@ -56,6 +56,15 @@ def test_traffic_is_that_of_the_last_estimates():
     assert [node.heard for node in FIGURES.nodes] == [180] * 4
     assert FIGURES.shares_sent == 360
     assert FIGURES.shares_missed == 0
+    assert FIGURES.noticed == {}
+
+
+def test_what_nodes_notice_of_faults_is_said():
+    setup = small(steps=30, nodes=4, changes=("10 missing 1 1", "20 duplicate 1 2 3"))
+    figures = summarise(setup, read_trace(setup, in_memory(setup)))
+    assert figures.noticed == {"silent": 20 * 3, "repeated": 10 * 3 * 2}
+    assert figures.shares_missed == 20 * 3 * 2
+    assert "nodes noticed: repeated 60, silent 60" in lines(figures)
 
 
 def test_the_worst_node_is_named_against_the_centralised_filter():
