@@ -11,6 +11,8 @@ from experiments.options import ScenarioOptions
 from scenarios.job import Happened
 from scenarios.setup import Setup, prepare
 
+# As many steps as let every process be weighed before the first one leaves.
+STEPS = 80
 SIZES, REPETITIONS, GRAPH = (4, 16, 64), 3, "4-regular"
 
 
@@ -19,7 +21,7 @@ def main() -> Figures:
     results: Figures = {}
     for nodes in SIZES:
         graph = "complete" if nodes < 5 else GRAPH
-        options = ScenarioOptions(scenario="oscillator", nodes=nodes, graph=graph, steps=20)
+        options = ScenarioOptions(scenario="oscillator", nodes=nodes, graph=graph, steps=STEPS)
         setup = prepare(options.resolve())
         ready, memory = zip(*(_launch(setup) for _ in range(REPETITIONS)), strict=True)
         results[f"{nodes} nodes ready s"] = figure(list(ready), "s", "less")
