@@ -7,7 +7,10 @@ from pathlib import Path
 
 import msgspec
 
+from benchmarks.compare import Kept
 from benchmarks.measure import Figures, machine, peak_mb, say
+from benchmarks.picture import draw
+from benchmarks.table import table
 
 # Modules with a `main() -> Figures`; loaded when they are run, as some need much.
 BENCHMARKS = {
@@ -32,27 +35,32 @@ def main() -> None:
     parser.add_argument("names", nargs="*", help=f"any of {', '.join(known)}")
     parser.add_argument("--json", action="store_true", help="print one JSON object at the end")
     parser.add_argument("--output", type=Path, default=KEPT, help="where figures are kept")
-    parser.add_argument("--picture", type=Path, help="also draw the UKF's figures (PNG)")
+    parser.add_argument("--picture", type=Path, help="also draw the figures (PNG)")
     arguments = parser.parse_args()
     if wrong := set(arguments.names) - set(known):
         parser.error(f"no benchmark {', '.join(wrong)}; there are {', '.join(known)}")
     about = machine()
     say("; ".join(f"{name} {value}" for name, value in about.items()))
     results: dict[str, Figures] = {}
+    figures: dict[str, Figures] = {}
     for name in arguments.names or BENCHMARKS:
         results[name] = importlib.import_module(f"benchmarks.{known[name]}").main()
-    say(f"peak memory {peak_mb():.0f} MB")
-    figures = {name: table for name, table in results.items() if name in BENCHMARKS}
-    kept = msgspec.json.encode({"machine": about, "results": figures})
-    arguments.output.parent.mkdir(parents=True, exist_ok=True)
-    arguments.output.write_bytes(msgspec.json.format(kept))
-    say(f"kept in {arguments.output}")
-    if arguments.picture and "ukf" in results:
-        from benchmarks.picture import draw
-
-        draw(results["ukf"], arguments.picture)
+        # Kept at once: a later one may fail.
+        figures = {one: found for one, found in results.items() if one in BENCHMARKS}
+        _keep(Kept(about, figures), arguments.output)
+    about["load"] += f" at the start, {machine()['load']} at the end"
+    _keep(Kept(about, figures), arguments.output)
+    say("\n" + table(figures))
+    say(f"\nload {about['load']}; peak memory {peak_mb():.0f} MB; kept in {arguments.output}")
+    if arguments.picture:
+        draw(figures, arguments.picture)
     if arguments.json:
         sys.stdout.write(msgspec.json.encode(results).decode() + "\n")
+
+
+def _keep(kept: Kept, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(msgspec.json.format(msgspec.json.encode(kept)))
 
 
 if __name__ == "__main__":

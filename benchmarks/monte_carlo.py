@@ -12,9 +12,10 @@ from functools import partial
 import numpy as np
 
 from benchmarks.fusion import fuse
-from benchmarks.measure import Figures, figure, in_turns, peak_mb, say
+from benchmarks.measure import Figures, figure, in_turns, peak_mb, say, without_kernels
 from experiments.options import ScenarioOptions
 from experiments.vectorised import READINGS, simulate
+from filters import compiled
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
 from filters.ukf import predict, update
@@ -22,33 +23,51 @@ from plants.targets import Target
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup, prepare
 
-SCENARIO, NODES, RUNS, STEPS, KERNEL_STEPS, TURNS = "target-tracking", 20, 500, 100, 10, 3
+SCENARIO, NODES, RUNS, STEPS, KERNEL_STEPS, TURNS = "target-tracking", 20, 500, 100, 10, 5
 
 
 def main() -> Figures:
     """Print and return seconds of the processor, and the ratio of the whole to its kernels."""
     options = ScenarioOptions(scenario=SCENARIO, nodes=NODES, steps=STEPS, seed=1)
     setup = prepare(options.resolve())
-    given = in_turns(
-        {
-            "end to end": partial(_whole, setup),
-            "UKF": _filters(setup),
-            "fusion": _fusions(setup),
-        },
-        TURNS,
-    )
-    kernels = [a + b for a, b in zip(given["UKF"], given["fusion"], strict=True)]
-    over = [whole / part for whole, part in zip(given["end to end"], kernels, strict=True)]
-    results = {f"{name} s": figure(spent, "s", "less") for name, spent in given.items()}
-    results["end to end over kernels"] = figure(over, "x", "less")
-    results["peak MB"] = figure([peak_mb()], "MB", "less")
-    steps = NODES * RUNS * STEPS
-    whole, ratio = results["end to end s"].value, results["end to end over kernels"]
+    parts = {
+        "end to end": partial(_whole, setup),
+        "UKF": _filters(setup),
+        "fusion": _fusions(setup),
+    }
+    contestants = {f"numpy, {name}": without_kernels(run) for name, run in parts.items()}
+    if compiled.KERNELS is not None:
+        contestants |= {f"compiled, {name}": run for name, run in parts.items()}
+    given = in_turns(contestants, TURNS)
     say(
         f"Monte Carlo, {NODES} nodes x {RUNS} runs x {STEPS} steps x {setup.scenario.rounds} "
-        f"rounds: {whole:.2f} s end to end, {1e6 * whole / steps:.2f} us a node and step; kernels "
-        f"{results['UKF s'].value:.2f} s of UKF and {results['fusion s'].value:.2f} s of fusion; "
-        f"ratio {ratio.value:.2f} ({ratio.low:.2f} - {ratio.high:.2f}); peak {peak_mb():.0f} MB"
+        f"rounds, {TURNS} turns"
+    )
+    results: Figures = {}
+    for kind in ("numpy", "compiled"):
+        if f"{kind}, end to end" in given:
+            results |= _beside_kernels(kind, given)
+    results["peak MB"] = figure([peak_mb()], "MB", "less")
+    say(f"  peak {peak_mb():.0f} MB")
+    return results
+
+
+def _beside_kernels(kind: str, given: dict[str, list[float]]) -> Figures:
+    """Seconds of the whole and of its filter steps and fusions, and their ratio."""
+    whole, filters, fusions = (given[f"{kind}, {name}"] for name in ("end to end", "UKF", "fusion"))
+    over = [a / (b + c) for a, b, c in zip(whole, filters, fusions, strict=True)]
+    results = {
+        f"{kind}, end to end s": figure(whole, "s", "less"),
+        f"{kind}, UKF s": figure(filters, "s", "less"),
+        f"{kind}, fusion s": figure(fusions, "s", "less"),
+        f"{kind}, end to end over kernels": figure(over, "x", "less"),
+    }
+    all_told, ukf, fusion, ratio = results.values()
+    say(
+        f"  {kind}: {all_told.value:.2f} s end to end, "
+        f"{1e6 * all_told.value / (NODES * RUNS * STEPS):.2f} us a node and step; kernels "
+        f"{ukf.value:.2f} s of UKF and {fusion.value:.2f} s of fusion; ratio {ratio.value:.2f} "
+        f"({ratio.low:.2f} - {ratio.high:.2f})"
     )
     return results
 

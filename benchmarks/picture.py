@@ -1,52 +1,176 @@
-"""What `make bench` measured as a picture, for the page on performance."""
+"""What `make bench` measured as a picture, for the page on performance and the README.
 
+python -m benchmarks.picture runs/bench.json docs/performance.png draws it again.
+"""
+
+import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from benchmarks.measure import Figures
+import msgspec
 
-COLOURS = {"A": "#2a6f97", "B": "#e07a1f"}
-ORDER = (
-    "Stone Soup",
-    "filterpy",
-    "numpy, one",
-    "compiled, one",
-    "numpy, many",
-    "C loop",
-    "compiled, many",
-)
-LABELS = {
+from benchmarks.compare import Kept
+from benchmarks.measure import Figure, Figures
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Results = dict[str, Figures]
+
+CASES = {
+    "A": ("straight line, n = 4", "#2a6f97"),
+    "B": ("turn by range and bearing, n = 5", "#e07a1f"),
+}
+FILTERS = {
+    "Stone Soup": "Stone Soup",
+    "filterpy": "filterpy",
     "numpy, one": "concord, one filter",
     "compiled, one": "concord + kernels, one filter",
-    "C loop": "loop in C, models in C",
     "numpy, many": "concord, 10,000 filters",
+    "C loop": "loop in C, models in C",
     "compiled, many": "concord + kernels, 10,000 filters",
 }
+# Label, benchmark, figure.
+TIMES_AS_FAST = (
+    ("fusion, kernels / Python loop", "fusion", "compiled, 1 round x loop"),
+    ("fusion, numpy / Python loop", "fusion", "numpy, 1 round x loop"),
+    ("set membership, exact / solver", "set-membership", "exact x generic"),
+    ("set membership, closed form / solver", "set-membership", "fast x generic"),
+)
+# And whether the figure should be above or below the aim.
+RATIOS = (
+    ("five rounds of fusion / one", "fusion", "numpy, five rounds over one", 1.4),
+    ("Monte Carlo / its kernels", "monte-carlo", "numpy, end to end over kernels", 1.5),
+    ("10,000 nodes / 100, per edge", "scale", "10000 over 100 nodes", 1.3),
+    ("lockstep / bare loop, rate", "lockstep", "lockstep over bare", 0.8),
+    ("with a page attached / without", "dashboard", "watched-to-alone", None),
+)
+INK, GREY = "#2a6f97", "#6b6b6b"
 
 
-def draw(ukf: Figures, path: Path) -> None:
-    """Steps per second of the UKF, both cases, on a logarithmic scale."""
+def draw(results: Results, path: Path) -> None:
+    """All that was measured, one panel a question; what was not measured is left out."""
     import matplotlib.pyplot as plt
 
-    names = [name for name in ORDER if f"A {name} us" in ukf]
-    figure, axes = plt.subplots(figsize=(8, 3.6), layout="constrained")
-    for place, case in enumerate(COLOURS):
-        for row, name in enumerate(names):
-            spent = ukf[f"{case} {name} us"]
-            rate = 1e6 / spent.value
-            height = row + 0.2 - 0.4 * place
-            axes.barh(height, rate, 0.36, color=COLOURS[case], label=None if row else _title(case))
-            beside = ukf[f"{case} {name} x filterpy"].value
-            text = f"{beside:,.0f} x" if beside >= 10 else f"{beside:.1f} x"
-            axes.annotate(text, (rate, height), (4, 0), textcoords="offset points", va="center")
-    axes.set_xscale("log")
-    axes.set_xlim(300, 1e8)
-    axes.set_yticks(range(len(names)), [LABELS.get(name, name) for name in names])
-    axes.set_xlabel("filter steps per second on one core (numbers: times filterpy)")
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(loc="lower right", frameon=False)
-    figure.savefig(path, dpi=130)
+    figure = plt.figure(figsize=(9.5, 7.2), layout="constrained")
+    grid = figure.add_gridspec(3, 2, height_ratios=(1.7, 1, 1))
+    if "ukf" in results:
+        _draw_filters(figure.add_subplot(grid[0, :]), results["ukf"])
+    _draw_ratios(figure.add_subplot(grid[1, 0]), results)
+    _draw_times(figure.add_subplot(grid[2, 0]), results)
+    _draw_growth(
+        figure.add_subplot(grid[1, 1]),
+        results.get("scale", {}),
+        " nodes, ns per edge",
+        "vectorised: ns per edge, run and round",
+    )
+    _draw_growth(
+        figure.add_subplot(grid[2, 1]),
+        results.get("launch", {}),
+        " nodes ready s",
+        "processes: seconds until ready",
+    )
+    figure.savefig(path, dpi=120)
     plt.close(figure)
 
 
-def _title(case: str) -> str:
-    return {"A": "straight line, n = 4", "B": "turn by range and bearing, n = 5"}[case]
+def _draw_filters(axes: "Axes", ukf: Figures) -> None:
+    """Steps per second of the UKF, both cases, on a logarithmic scale."""
+    names = [name for name in FILTERS if f"A {name} us" in ukf]
+    for place, (case, (title, colour)) in enumerate(CASES.items()):
+        for row, name in enumerate(names):
+            rate = 1e6 / ukf[f"{case} {name} us"].value
+            height = row + 0.2 - 0.4 * place
+            axes.barh(height, rate, 0.36, color=colour, label=None if row else title)
+            text = f"{_in_short(ukf[f'{case} {name} x filterpy'].value)} x"
+            axes.annotate(text, (rate, height), (4, 0), textcoords="offset points", va="center")
+    axes.set_xscale("log")
+    axes.set_xlim(300, 1e8)
+    axes.set_yticks(range(len(names)), [FILTERS[name] for name in names])
+    axes.set_title("UKF steps per second on one core (numbers: times filterpy)", fontsize=10)
+    axes.legend(loc="lower right", frameon=False)
+    _plain(axes)
+
+
+def _draw_ratios(axes: "Axes", results: Results) -> None:
+    """Ratios of two times or rates beside what they should be."""
+    found = [
+        (label, aim, figure)
+        for label, bench, name, aim in RATIOS
+        if (figure := results.get(bench, {}).get(name)) is not None
+    ]
+    for row, (_, aim, figure) in enumerate(found):
+        _bar(axes, row, figure, f"{figure.value:.2f}")
+        if aim is not None:
+            axes.plot([aim, aim], [row - 0.4, row + 0.4], color="black")
+    axes.set_xlim(0, 2)
+    axes.set_yticks(range(len(found)), [label for label, *_ in found])
+    axes.set_title("ratios; black: the aim", fontsize=10)
+    _plain(axes)
+
+
+def _draw_times(axes: "Axes", results: Results) -> None:
+    """How many times as fast as the plain way."""
+    found = [
+        (label, figure)
+        for label, bench, name in TIMES_AS_FAST
+        if (figure := results.get(bench, {}).get(name)) is not None
+    ]
+    for row, (_, figure) in enumerate(found):
+        _bar(axes, row, figure, f"{_in_short(figure.value)} x")
+    axes.set_xscale("log")
+    axes.set_xlim(1, 1e5)
+    axes.set_yticks(range(len(found)), [label for label, _ in found])
+    axes.set_title("times as fast", fontsize=10)
+    _plain(axes)
+
+
+def _bar(axes: "Axes", row: int, figure: Figure, text: str) -> None:
+    """A median, and its quartiles as a line."""
+    axes.barh(row, figure.value, 0.6, color=INK, alpha=0.75)
+    axes.plot([figure.low, figure.high], [row, row], color=GREY)
+    axes.annotate(text, (figure.high, row), (5, 0), textcoords="offset points", va="center")
+
+
+def _draw_growth(axes: "Axes", figures: Figures, ending: str, title: str) -> None:
+    """A figure over the number of nodes, both logarithmic, with quartiles."""
+    found = {
+        int(name.removesuffix(ending)): one
+        for name, one in figures.items()
+        if name.endswith(ending)
+    }
+    nodes, values = list(found), [one.value for one in found.values()]
+    axes.plot(nodes, values, "o-", color=INK)
+    axes.vlines(
+        nodes, [one.low for one in found.values()], [one.high for one in found.values()], color=GREY
+    )
+    for place, value in zip(nodes, values, strict=True):
+        axes.annotate(
+            f"{value:.3g}", (place, value), (0, 8), textcoords="offset points", ha="center"
+        )
+    axes.set_xscale("log")
+    axes.set_xticks(nodes, [f"{place:,}" for place in nodes])
+    axes.minorticks_off()
+    axes.margins(x=0.12)
+    axes.set_ylim(0, 1.4 * max([one.high for one in found.values()], default=1))
+    axes.set_xlabel("nodes")
+    axes.set_title(title, fontsize=10)
+    _plain(axes)
+
+
+def _plain(axes: "Axes") -> None:
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def _in_short(times: float) -> str:
+    return f"{times:,.0f}" if times >= 10 else f"{times:.1f}"
+
+
+def main() -> None:
+    """Draw what a file says that `make bench` kept."""
+    kept, path = (Path(name) for name in sys.argv[1:3])
+    draw(msgspec.json.decode(kept.read_bytes(), type=Kept).results, path)
+
+
+if __name__ == "__main__":
+    main()

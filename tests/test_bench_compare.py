@@ -5,6 +5,8 @@ import pytest
 
 from benchmarks import compare
 from benchmarks.measure import Better, Figure, figure, in_turns, ratio
+from benchmarks.picture import draw
+from benchmarks.table import table
 
 
 def kept(value: float, spread: float, better: Better = "less") -> compare.Kept:
@@ -56,3 +58,20 @@ def test_contestants_take_turns_and_the_first_turn_is_left_out():
     assert order == ["a", "b"] * 3
     assert given == {"a": [2.0, 4.0], "b": [1.0, 1.0]}
     assert ratio(given["a"], given["b"]) == figure([2.0, 4.0], "x", "more")
+
+
+def test_the_picture_and_the_table_take_what_was_measured(tmp_path):
+    scale = {
+        f"{nodes} nodes, ns per edge": Figure(500.0, 490.0, 510.0, "ns", "less")
+        for nodes in (10, 100)
+    }
+    slope = Figure(1.0, 1.0, 1.0, "", "less")
+    results = {"scale": scale | {"slope": slope}, "lockstep": {"lockstep over bare": slope}}
+    draw(results, tmp_path / "some.png")
+    assert (tmp_path / "some.png").read_bytes().startswith(b"\x89PNG")
+    text = table(results)
+    for bench, figures in results.items():
+        assert f"\n{bench}\n" in text
+        for name in figures:
+            assert f"\n  {name} " in text
+    assert "490 - 510  ns" in text
