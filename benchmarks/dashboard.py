@@ -27,7 +27,7 @@ from scenarios.setup import Setup, prepare
 
 SIZES = (24, 100, 400)
 UPDATES_HZ, SECONDS = 10.0, 4.0
-NODES, STEPS, REPETITIONS = 16, 500, 5
+NODES, STEPS, REPETITIONS = 16, 400, 7
 
 
 def main() -> Figures:
@@ -149,12 +149,13 @@ def _steps_per_second(setup: Setup, attached: bool) -> float:
 
 
 def _page(folder: Path) -> "subprocess.Popen[bytes]":
-    """A page that is attached and has drawn."""
+    """A page that is attached, in a session of its own, as the launcher starts it."""
     command = ("dashboard", "--folder", str(folder), "--http-port", "0")
     page = subprocess.Popen(
         [sys.executable, "-m", "experiments", *command],
         stderr=subprocess.PIPE,
         env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+        start_new_session=True,
     )
     assert page.stderr is not None, "it was started with a pipe"
     page.stderr.readline()

@@ -117,7 +117,7 @@ def shown_power(columns: list[Array]) -> int:
     """The power of ten, a multiple of three, in which values are shown that uplot would round to
     nothing: it writes three decimals at most."""
     largest = max(float(np.abs(column).max()) for column in columns)
-    if largest >= 0.1 or largest == 0.0:
+    if largest >= 0.02 or largest == 0.0:
         return 0
     return 3 * int(np.floor(np.log10(largest) / 3))
 

@@ -1,0 +1,122 @@
+"""What was taken away, opened as people would: in a browser, from a file, with no one to ask."""
+
+import io
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dashboard.camera import Free, aimed
+from dashboard.chart_export import charts_page
+from dashboard.charts import Charts
+from dashboard.expected import nothing_expected
+from dashboard.export import animated_scene, zipped
+from dashboard.history import History
+from dashboard.replay import replayed
+from dashboard.theme import LIGHT
+from dashboard.view import View
+from experiments.drivers import drive
+from nodes.recording import McapRecorder
+from tests.dashboard.runs import frames_of, run_of
+
+STAGE, MESSAGES = run_of("target-tracking", nodes=6, steps=30)
+FRAMES = frames_of(STAGE, MESSAGES)
+VIEW = View(theme=LIGHT, step=29, selected=2)
+_DRAWN = (
+    "()=>window.__viserTestpoints && window.__viserTestpoints.rendererInfo"
+    " && window.__viserTestpoints.rendererInfo.render.frame>2"
+)
+_BELIEVED = (
+    "()=>Array.from(window.__viserSceneTree.getState()['/plant/estimates']"
+    "?.message.props.batched_positions ?? []).join()"
+)
+
+
+def opened(chromium: Any, file: Path) -> tuple[Any, list[str]]:
+    """A page on a file, and what it complains of; nothing but files may be loaded."""
+    page = chromium.new_page(viewport={"width": 800, "height": 600})
+    troubles: list[str] = []
+    page.on("pageerror", lambda error: troubles.append(str(error)))
+    page.on("request", lambda request: _note_outside(request.url, troubles))
+    page.goto(file.as_uri())
+    return page, troubles
+
+
+def _note_outside(url: str, troubles: list[str]) -> None:
+    if url.startswith(("http:", "https:", "ws:", "wss:")):
+        troubles.append(url)
+
+
+def test_the_animated_scene_is_a_page_that_moves_by_itself(chromium, tmp_path: Path):
+    file = tmp_path / "scene.html"
+    around = STAGE.in_scene(STAGE.whereabouts)
+    camera = aimed(around, Free(800.0, 600.0, 20.0, 20.0, 780.0, 580.0))
+    file.write_text(animated_scene(STAGE, VIEW, FRAMES, camera))
+    page, troubles = opened(chromium, file)
+    try:
+        page.wait_for_function(_DRAWN, timeout=60_000)
+        before = page.evaluate(_BELIEVED)
+        assert before, "what the nodes believe is in the scene"
+        page.wait_for_function(f"(before)=>({_BELIEVED})() !== before", arg=before, timeout=60_000)
+        # A picture needs a scene that rests: the space bar stops it.
+        page.keyboard.press("Space")
+        picture = _pixels(page.screenshot(timeout=60_000))
+        assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 20, "it is not blank"
+        assert troubles == []
+    finally:
+        page.close()
+
+
+def _pixels(picture: bytes) -> np.ndarray:
+    from matplotlib.image import imread
+
+    return (255 * imread(io.BytesIO(picture))[..., :3]).astype(int)
+
+
+def test_the_charts_are_a_page_with_all_that_the_page_showed(chromium, tmp_path: Path):
+    import viser
+
+    history = History(STAGE)
+    history.add(FRAMES)
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    try:
+        charts = Charts(server.gui, STAGE, LIGHT, 80)
+        charts.draw(VIEW, history, nothing_expected)
+        file = tmp_path / "charts.html"
+        file.write_text(charts_page(STAGE, charts.drawn, VIEW))
+    finally:
+        server.stop()
+    page, troubles = opened(chromium, file)
+    try:
+        said = page.locator("svg").all_text_contents()
+        assert len(said) == 4
+        for title, text in zip(("RMSE", "Disagreement", "NEES", "Payload"), said, strict=True):
+            assert title in text
+        box = page.locator("svg").first.bounding_box()
+        assert box
+        assert 700 < box["width"] <= 800
+        # Of the bound and the band nobody has told anything.
+        assert "bound" not in said[0]
+        assert troubles == []
+    finally:
+        page.close()
+
+
+def test_the_folder_of_a_run_can_be_replayed_from_its_archive(tmp_path: Path):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    recorder = McapRecorder(folder / "run.mcap", STAGE.rounds, STAGE.setup.time_step_s)
+    drive(STAGE.setup, recorder, lambda _: None)
+    recorder.close()
+    (folder / "run.json").write_text("{}")
+    zipfile.ZipFile(io.BytesIO(zipped(folder))).extractall(tmp_path / "elsewhere")
+    again = list(replayed(STAGE, tmp_path / "elsewhere" / "run" / "run.mcap"))
+    assert [frame.step for frame in again] == list(range(30))
+    np.testing.assert_array_equal(again[-1].belief.mean, FRAMES[-1].belief.mean)
+
+
+def test_a_folder_that_cannot_be_read_is_said(tmp_path: Path):
+    with pytest.raises(ValueError, match="cannot be read"):
+        zipped(tmp_path / "none")
