@@ -1,6 +1,7 @@
 """What each fault means, against networks in which the same comes about in another way."""
 
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -11,7 +12,10 @@ from hypothesis import strategies as st
 
 from bus.cluster_files import cluster_to_toml
 from experiments.trace import Trace
+from nodes import state_machine
+from nodes.changes import Fault, Standing
 from nodes.fault_words import EVERY_FAULT, FAULTS
+from nodes.messages import Measured, ShareHeard
 from nodes.share import read_frame
 from scenarios.build import build_node, build_plan, build_world
 from scenarios.setup import Setup
@@ -155,6 +159,27 @@ def test_who_is_overtaken_is_used_all_the_same(share: dict):
     assert total(mixed)["reordered"] > 20
 
 
+def test_who_is_overtaken_waits_until_the_others_are_there():
+    config = build_node(ring(), 1)
+    standing = Standing(faults=(Fault("reorder", (0, 1), (1.0,)),))
+    config = replace(config, faults=config.faults.stand(standing))
+    state = state_machine.initial_state(config)
+    state, _ = state_machine.step(config, state, Measured(1, 0, [[None]]))
+    frames = {}
+    for node in (0, 2):
+        other = build_node(ring(), node)
+        _, said = state_machine.step(
+            other, state_machine.initial_state(other), Measured(node, 0, [[None]])
+        )
+        frames[node] = said[0].frame  # type: ignore[union-attr]
+    state, _ = state_machine.step(config, state, ShareHeard(0, frames[0]))
+    assert (0, 0) not in state.inbox.shares
+    assert state_machine.awaited_neighbours(config, state) == [2]
+    state, _ = state_machine.step(config, state, ShareHeard(2, frames[2]))
+    assert state.cycle == 1
+    assert state.counters == {"sent": 2, "reordered": 1, "heard": 2}
+
+
 def test_a_partition_is_every_link_across_it_cut_and_heal_heals_all():
     setup = ring(nodes=5)
     apart = ("3 cut 1 2", "3 cut 0 4")
@@ -173,7 +198,9 @@ def test_what_is_said_of_one_link_comes_before_what_is_said_of_all():
 
 def test_calm_leaves_what_the_scenario_says_of_its_links():
     setup = ring(loss=0.3)
-    assert same_bits(run(setup, "2 loss 0.6", "2 loss 0.5 1 2", "2 cut 0 1", "2 calm"), run(setup))
+    bad = ("2 loss 0.6", "2 loss 0.5 1 2", "2 cut 0 1")
+    undone = ("5 loss 0.3", "5 loss 0.3 1 2", "5 heal 0 1")
+    assert same_bits(run(setup, *bad, "5 calm"), run(setup, *bad, *undone))
 
 
 # --- nodes ---------------------------------------------------------------------------------------
