@@ -130,6 +130,16 @@ def test_who_comes_back_begins_with_its_neighbours_belief():
         np.testing.assert_allclose(trace.cov[step, 2], alone.belief(content).cov, rtol=1e-9)
 
 
+def test_who_comes_back_beside_its_only_neighbour_is_let_in_as_soon_as_that_can_say_something():
+    """A neighbour that comes back in the same step has not estimated anything yet."""
+    setup = small(nodes=4, graph="path", steps=STEPS)
+    trace = run(setup, "3 kill 0", "4 kill 1", "8 restart 0", "8 restart 1")
+    assert np.isnan(trace.mean[4:8, :2]).all()
+    assert not np.isnan(trace.mean[8:, 1]).any()
+    assert np.isnan(trace.mean[8, 0]).all()
+    assert not np.isnan(trace.mean[9:, 0]).any()
+
+
 def test_who_comes_back_agrees_again():
     """Nodes that see, one of which is out for a while: 5 steps later it is as near as the rest."""
     setup = ring(steps=40)
