@@ -25,6 +25,7 @@ from experiments.run_command import run
 from experiments.sweep_command import sweep
 from experiments.topology_command import SUMMARY as TOPOLOGY_SUMMARY
 from experiments.topology_command import topology_commands
+from experiments.torture_command import torture
 
 COMMANDS = {
     "run": run,
@@ -46,6 +47,7 @@ COMMANDS = {
     "world": world,
     "node": node,
     "doctor": doctor,
+    "torture": torture,
 }
 
 

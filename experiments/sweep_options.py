@@ -2,6 +2,7 @@
 
 import inspect
 import re
+from collections.abc import Iterable, Mapping
 from dataclasses import field, fields, make_dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,7 +14,7 @@ from scenarios.scenario import Scenario
 _ATTRIBUTE = re.compile(r"^    (\w+(?:, \w+)*): (.*(?:\n        .*)*)", re.MULTILINE)
 
 
-def _meanings() -> dict[str, str]:
+def meanings() -> dict[str, str]:
     """What each field means, in the words of `Scenario`."""
     found = {}
     for names, meaning in _ATTRIBUTE.findall(inspect.getdoc(Scenario) or ""):
@@ -22,15 +23,19 @@ def _meanings() -> dict[str, str]:
     return {**found, "scenario": "which scenario; `concord list` names them."}
 
 
-def _options() -> type:
-    meanings = _meanings()
+def options_of(
+    name: str, names: Iterable[str], helps: Mapping[str, str], metavar: str, says: str
+) -> type:
+    """A class of options with a text or None for each of `names`."""
     made = [
-        (name, Annotated[str | None, tyro.conf.arg(help=meanings.get(name, ""), metavar="A,B,..",
+        (one, Annotated[str | None, tyro.conf.arg(help=helps.get(one, ""), metavar=metavar,
          help_behavior_hint="")],
          field(default=None))
-        for name in FIELDS
+        for one in names
     ]  # fmt: skip
-    return make_dataclass("FieldOptions", made, frozen=True, kw_only=True)
+    options = make_dataclass(name, made, frozen=True, kw_only=True)
+    options.__doc__ = says
+    return options
 
 
 if TYPE_CHECKING:
@@ -39,10 +44,13 @@ if TYPE_CHECKING:
         """A text or None for each of `FIELDS`."""
 
 else:
-    FieldOptions = _options()
-    FieldOptions.__doc__ = (
+    FieldOptions = options_of(
+        "FieldOptions",
+        FIELDS,
+        meanings(),
+        "A,B,..",
         "What is swept: comma lists (ring,path) or, for whole numbers, low..high. Fields left out "
-        "take the scenario's own defaults."
+        "take the scenario's own defaults.",
     )
 
 

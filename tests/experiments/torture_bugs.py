@@ -1,0 +1,199 @@
+"""Bugs that are planted in the real functions, to see whether torture finds them.
+
+A bug is a change of the source text of one function, which is compiled anew and put wherever the
+function is known. `python -m tests.experiments.torture_bugs` tries all of them and says which seed
+finds which.
+"""
+
+import importlib
+import inspect
+import sys
+import textwrap
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+from experiments.torture import Outcome, torture
+from experiments.torture_draw import draw_case
+
+MOST_SEEDS = 60
+
+
+class Bug(NamedTuple):
+    """What is planted: `texts` are what stands in a function, and what shall stand there."""
+
+    name: str
+    module: str
+    function: str
+    texts: tuple[tuple[str, str], ...]
+
+
+BUGS = (
+    Bug(
+        "a share is used in every part of its cycle",
+        "nodes.state_machine", "_close_group",
+        (("usable = due if state.phase is Phase.SHARES else config.neighbours",
+          "usable = config.neighbours"),),
+    ),
+    Bug(
+        "a share of the next cycle is used before its time",
+        "nodes.state_machine", "_close_group",
+        (("came.get((state.cycle, j)) if j in usable",
+          "came.get((state.cycle, j), came.get((state.cycle + 1, j))) if j in usable"),),
+    ),
+    Bug(
+        "a stale share is taken as fresh",
+        "nodes.hearing", "_read",
+        (("    if fragment.cycle < cycle:\n        raise Rejected(_LATE)\n    return fragment",
+          "    return fragment._replace(cycle=max(fragment.cycle, cycle))"),),
+    ),
+    Bug(
+        "late frames are one cycle less late",
+        "nodes.hearing", "_read",
+        (("if fragment.cycle < cycle:", "if fragment.cycle < cycle - 1:"),),
+    ),
+    Bug(
+        "a late frame is not counted",
+        "nodes.hearing", "hear",
+        (("return count(state, _counter(rejected))",
+          "return state if rejected.reason == _LATE else count(state, _counter(rejected))"),),
+    ),
+    Bug(
+        "the cycle counter is not checked",
+        "nodes.hearing", "_read",
+        (("if fragment.cycle % config.cycle_counts != fragment.cycle_count:", "if False:"),),
+    ),
+    Bug(
+        "the owner of a slot is not checked",
+        "nodes.hearing", "_place",
+        (("    if fragment.frame_id not in frame_ids[:frames]:\n"
+          '        raise Rejected("wrong-slot")\n'
+          "    return _Place(frame_ids.index(fragment.frame_id), frames)",
+          "    return _Place(0, frames)"),),
+    ),
+    Bug(
+        "the frame's checksum is not checked",
+        "bus.frame", "decode", (("if not frame_crc_ok:", "if False:"),),
+    ),
+    Bug(
+        "a null frame is read",
+        "nodes.share", "read_frame", (("if frame.null:", "if False:"),),
+    ),
+    Bug(
+        "a cut holds in one direction only",
+        "nodes.link_state", "hears",
+        (("if (sender, receiver) in links.cuts:",
+          "if (sender, receiver) in links.cuts and sender < receiver:"),),
+    ),
+    Bug(
+        "who is out is still waited for",
+        "nodes.state_machine", "_due", (("if not state.absent:", "if True:"),),
+    ),
+    Bug(
+        "who lost the contest sends all the same",
+        "nodes.state_machine", "advance", (("if config.index in winners:", "if True:"),),
+    ),
+    Bug(
+        "all nodes share the slots of node 0",
+        "bus.publication", "Publications.slots",
+        (("key = (node, cycle", "key = (0 * node, cycle"),),
+    ),
+    Bug(
+        "nobody grants what no bid asks for",
+        "nodes.world", "_release", (("return _grant(config, state, outbox)", "return state"),),
+    ),
+    Bug(
+        "who comes back in vain is not asked again",
+        "nodes.conductor", "Conductor._limit",
+        (("if any(self._has_company(node) for node in self._ready):", "if False:"),),
+    ),
+    Bug(
+        "weights are not renormalised when one is missing",
+        "filters.hold", "_normalise",
+        (("return worth / worth.sum(axis=-1, keepdims=True)", "return worth"),),
+    ),
+    Bug(
+        "a held share never ages",
+        "nodes.belief_consensus", "BeliefConsensus.fuse",
+        (("0 if new else age if age < 0 else age + 1", "0 if new else age"),),
+    ),
+    Bug(
+        "a share of an earlier cycle is not dropped",
+        "filters.hold", "drop", (("present = ages == 0", "present = ages >= 0"),),
+    ),
+    Bug(
+        "a covariance is not quite symmetric",
+        "nodes.belief_consensus", "BeliefConsensus.fuse",
+        (("symmetrise(fused.cov)", "fused.cov * (1 + 1e-15 * np.tri(len(fused.cov)))"),),
+    ),
+    Bug(
+        "averaged information weighs twice",
+        "filters.fusion", "Averaging.average",
+        (("multiply(numbers.mT, weights)", "multiply(numbers.mT, 2 * weights)"),),
+    ),
+    Bug(
+        "every novelty counts as often as there are nodes",
+        "filters.hybrid_consensus", "safe_gain",
+        (("1.0 / row.max(axis=-1)", "np.full(row.shape[:-1], float(row.shape[-1]))"),),
+    ),
+    Bug(
+        "who comes back is far too sure of itself",
+        "nodes.node_changes", "_belief",
+        (("unpack_upper(from_wire(joined.cov))", "1e-4 * unpack_upper(from_wire(joined.cov))"),),
+    ),
+    Bug(
+        "set membership forgets the noise of the plant",
+        "nodes.set_membership", "carry",
+        (("*model.motion(step))", "model.motion(step)[0], 0 * model.motion(step)[1])"),),
+    ),
+)  # fmt: skip
+
+
+@contextmanager
+def planted(bug: Bug) -> Iterator[None]:
+    """While this lasts the bug is in the program."""
+    module = importlib.import_module(bug.module)
+    holder, _, name = bug.function.rpartition(".")
+    owner = getattr(module, holder) if holder else module
+    sound = owner.__dict__[name]
+    text = textwrap.dedent(inspect.getsource(sound))
+    for stands, shall in bug.texts:
+        assert text.count(stands) == 1, f"{bug.name}: {stands!r} stands there no more"
+        text = text.replace(stands, shall)
+    made: dict[str, Any] = {}
+    exec(compile(text, f"<{bug.name}>", "exec"), module.__dict__, made)
+    places = [
+        (place, known_as)
+        for place in [owner, *list(sys.modules.values())]
+        for known_as, value in list(getattr(place, "__dict__", {}).items())
+        if value is sound
+    ]
+    for place, known_as in places:
+        setattr(place, known_as, made[name])
+    try:
+        yield
+    finally:
+        for place, known_as in places:
+            setattr(place, known_as, sound)
+
+
+def first_found(bug: Bug, seeds: range) -> Outcome | None:
+    """What came of the first seed that finds a bug."""
+    with planted(bug):
+        for seed in seeds:
+            outcome = torture(draw_case(seed, {}))
+            if outcome.broken:
+                return outcome
+    return None
+
+
+def _main() -> None:
+    for bug in BUGS:
+        found = first_found(bug, range(1, MOST_SEEDS + 1))
+        what = f"seed {found.seed}: {found.broken}: {found.seen}" if found else "NOT FOUND"
+        sys.stdout.write(f"{bug.name}: {what}\n")
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    _main()
