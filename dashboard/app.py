@@ -100,9 +100,7 @@ class Dashboard:
         gui = server.gui
         self._set_theme(view.theme)
         gui.set_panel_label("concord")
-        self.controls = Controls(
-            gui, self.inputs, stage, view, self._source.ask, self._tell, self._source.live
-        )
+        self.controls = Controls(gui, self.inputs, self._source, view, self._tell)
         self.exports = ExportButtons(gui, self, self._folder)
         panels = lay_out(server, stage.picture is not Picture.PLANE)
         with panels.charts:

@@ -7,14 +7,13 @@ from typing import Any
 import viser
 
 from dashboard.inputs import Inputs, at_once
-from dashboard.source import Answer
+from dashboard.source import Answer, Source
 from dashboard.stage import Picture, Stage
 from dashboard.theme import DARK, LIGHT
 from dashboard.view import ELLIPSES, ORDERS, View
 from scenarios.bus_plan import arbiter_names
 from scenarios.rules import RULE_SUMMARIES
 
-Ask = Callable[[dict[str, Any]], Answer]
 _RULES = tuple(RULE_SUMMARIES)
 QUIET = (72, 80, 92)
 """Of buttons that are not the first thing to press."""
@@ -24,24 +23,23 @@ MAGNIFIED = (1, 2, 5, 10, 20, 50, 100)
 class Controls:
     """The widgets of the left panel.
 
-    `ask` commands the network, `tell` says something to the person. Commands are asked for one
-    after the other, in a thread of their own. For a recording there is no network to command:
-    `live` is False and those widgets are not made.
+    `tell` says something to the person. Commands are asked of the source one after the other, in a
+    thread of their own. For a recording there is no network to command, and those widgets are not
+    made.
     """
 
     def __init__(
-        self, gui: viser.GuiApi, inputs: Inputs, stage: Stage, view: View, ask: Ask,
-        tell: Callable[[Any, str, str, bool], None], live: bool,
+        self, gui: viser.GuiApi, inputs: Inputs, source: Source, view: View,
+        tell: Callable[[Any, str, str, bool], None],
     ) -> None:  # fmt: skip
-        self._gui, self._inputs, self._stage = gui, inputs, stage
-        self._ask, self._tell, self._live = ask, tell, live
+        self._gui, self._inputs, self._stage = gui, inputs, source.stage
+        self._source, self._tell, self._live = source, tell, source.live
         self._commands = ThreadPoolExecutor(1, "commands")
         self._newest: dict[str, dict[str, Any]] = {}
         self._shown_node = 0
-        self.paused = False
         self.status: Any = gui.add_html("")
         self._run_folder()
-        if live:
+        if source.live:
             self._network_folder()
             self._node_folder()
         self._view_folder(view)
@@ -75,7 +73,10 @@ class Controls:
             self._inputs.alter(lambda view: setattr(view, "playing", not view.playing))
 
     def _toggle_network(self, client: Any) -> None:
-        self._command({"do": "resume" if self.paused else "pause"}, client)
+        self._command({"do": "resume" if self._is_paused() else "pause"}, client)
+
+    def _is_paused(self) -> bool:
+        return self._source.pace().state == "PAUSED"
 
     def step_once(self, client: Any) -> None:
         """One step more; a network that runs is paused first."""
@@ -85,7 +86,7 @@ class Controls:
             self._inputs.alter(lambda view: view.look_at(view.step + 1))
 
     def _step_network(self, client: Any) -> None:
-        if self.paused or self._command({"do": "pause"}, client).accepted:
+        if self._is_paused() or self._command({"do": "pause"}, client).accepted:
             self._command({"do": "step", "count": 1}, client)
             self.follow()
 
@@ -119,9 +120,7 @@ class Controls:
         self._commands.shutdown(wait=False, cancel_futures=True)
 
     def _command(self, command: dict[str, Any], client: Any) -> Answer:
-        answer = self._ask(command)
-        if command["do"] in ("pause", "resume") and answer.accepted:
-            self.show_paused(command["do"] == "pause")
+        answer = self._source.ask(command)
         what = " ".join(str(value) for value in command.values())
         if not answer.accepted:
             self._tell(client, "Refused", answer.detail or what, True)
@@ -131,7 +130,6 @@ class Controls:
 
     def show_paused(self, paused: bool) -> None:
         """What the button says."""
-        self.paused = paused
         self.pause.label = "Resume" if paused else "Pause"
         self.pause.icon = viser.Icon.PLAYER_PLAY if paused else viser.Icon.PLAYER_PAUSE
 

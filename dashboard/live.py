@@ -78,6 +78,7 @@ class LiveNetwork:
         self._heard: deque[tuple[str, bytes]] = deque(maxlen=_QUEUE)
         self._count = 0
         self._state = _Pause(situation.completed, situation.paused)
+        self._begun_and_done = 0
         self._assembler = Assembler(self._stage, network_of(situation))
         self._ended = self._closed = False
         self._asked_s = time.monotonic()
@@ -144,8 +145,12 @@ class LiveNetwork:
         Thread(target=self._hear_state, daemon=True).start()
 
     def _hear_state(self) -> None:
+        before = self._begun_and_done
         try:
-            self._state = msgspec.convert(self._client.state(), _Pause)
+            state = msgspec.convert(self._client.state(), _Pause)
+            # What was said before a command and is heard after it is no longer so.
+            if self._begun_and_done == before:
+                self._state = state
         except NotThere:
             self._ended = True
         except Exception:
@@ -167,6 +172,7 @@ class LiveNetwork:
 
     def ask(self, command: Mapping[str, Any]) -> Answer:
         """Command the network; waits for its answer."""
+        self._begun_and_done += 1
         try:
             answer = self._client.command(msgspec.convert(command, Command))
         except msgspec.ValidationError as error:
@@ -176,6 +182,7 @@ class LiveNetwork:
             return Answer(False, str(gone))
         if answer.accepted and command["do"] in ("pause", "resume"):
             self._state = _Pause(self._state.completed, command["do"] == "pause")
+        self._begun_and_done += 1
         return Answer(answer.accepted, answer.detail)
 
     def close(self) -> None:

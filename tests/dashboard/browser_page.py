@@ -20,8 +20,35 @@ _PART = (
 )
 _CHARTS = "()=>Object.values(window.__viserTestpoints.uplots).map(u=>u.chart.data[0].length)"
 _CLOSE = "()=>document.querySelectorAll('.mantine-Notification-closeButton').forEach(b=>b.click())"
+_MIDDLE = (
+    "selector=>{const box=document.querySelector(selector).getBoundingClientRect();"
+    "return [box.x+box.width/2,box.y+box.height/2]}"
+)
 # One in three pages says so when the pointer passes a batched mesh; nothing is wrong on screen.
 _HARMLESS = ("glDrawElementsInstanced", "GPU stall", "THREE.Clock", "GL Driver Message")
+
+
+def row_of(node: int) -> str:
+    """The row of a node in the table, as a selector."""
+    return f'[data-testid="nodes"] tr[data-node="{node}"]'
+
+
+def slot_of(node: int) -> str:
+    """The frame of a node in the shown cycle of the bus."""
+    return f'[data-testid="timeline"] .slot[data-node="{node}"]'
+
+
+def press_on(page: Any, selector: str) -> None:
+    """Press where an element is now, as a hand does: it need not be there after.
+
+    Playwright's own click waits for an element that lasts, and ours are replaced with each picture.
+    """
+    page.mouse.click(*page.evaluate(_MIDDLE, selector))
+
+
+def point_at(page: Any, selector: str) -> None:
+    """Move the pointer to where an element is now."""
+    page.mouse.move(*page.evaluate(_MIDDLE, selector))
 
 
 class Page:
@@ -34,10 +61,11 @@ class Page:
         while dashboard.source.pace().state == "LOADING":
             self.draw()
         self.page = browser.new_page(viewport={"width": 1280, "height": 720})
+        self.page.set_default_timeout(90_000)
         self.page.on("console", self._listen)
         self.page.on("pageerror", lambda error: self.console.append(f"error: {error}"))
         self.page.goto(f"http://127.0.0.1:{dashboard.port}/?fixedDpr=0.5")
-        self.page.wait_for_function(_READY, timeout=30_000)
+        self.page.wait_for_function(_READY)
         self.until(lambda: self.page.get_by_test_id("nodes").count() == 1)
 
     def _listen(self, message: Any) -> None:
@@ -70,7 +98,7 @@ class Page:
 
     def row(self, node: int) -> Any:
         """A row of the table of nodes."""
-        return self.page.locator(f'[data-testid="nodes"] tr[data-node="{node}"]')
+        return self.page.locator(row_of(node))
 
     def scene(self) -> list[str]:
         """Names of what is in the scene."""
@@ -82,10 +110,6 @@ class Page:
         Arrays are flat lists.
         """
         return self.page.evaluate(_PART, name)
-
-    def slot(self, node: int) -> Any:
-        """The frame of a node in the shown cycle of the bus."""
-        return self.page.locator(f'[data-testid="timeline"] .slot[data-node="{node}"]').first
 
     def chart_points(self) -> list[int]:
         """How many points each chart shows."""

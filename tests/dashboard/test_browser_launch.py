@@ -11,6 +11,7 @@ import pytest
 
 from nodes.control_client import Client
 from nodes.network_file import read_network
+from tests.dashboard.browser_page import press_on, row_of, slot_of
 from tests.processes import PROC, Family, family, holds_within, lives
 
 pytestmark = pytest.mark.zenoh
@@ -59,6 +60,7 @@ def test_a_network_waits_for_who_looks_and_goes_on_without(chromium, launched: t
 
     assert state()["paused"]
     page = chromium.new_page(viewport={"width": 1280, "height": 720})
+    page.set_default_timeout(90_000)
     page.goto(f"{url}/?fixedDpr=0.5")
     assert holds(page, lambda: not state()["paused"])
     assert state()["steps_per_second"] == 5
@@ -66,8 +68,8 @@ def test_a_network_waits_for_who_looks_and_goes_on_without(chromium, launched: t
 
     # Every panel is drawn several times a second while it is pressed.
     for node in (2, 0, 3):
-        page.locator(f'[data-testid="timeline"] .slot[data-node="{node}"]').first.click()
-        row = page.locator(f'[data-testid="nodes"] tr[data-node="{node}"]')
+        press_on(page, slot_of(node))
+        row = page.locator(row_of(node))
         assert holds(page, lambda row=row: "background" in (row.get_attribute("style") or ""))
     page.get_by_role("button", name="Pause", exact=True).click()
     assert holds(page, lambda: state()["paused"])
@@ -89,7 +91,7 @@ def test_a_network_waits_for_who_looks_and_goes_on_without(chromium, launched: t
 
 def holds(page, condition: Callable[[], bool]) -> bool:
     """Whether something comes to hold while the browser works."""
-    for _ in range(600):
+    for _ in range(1200):
         if condition():
             return True
         page.wait_for_timeout(50)

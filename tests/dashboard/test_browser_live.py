@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from dashboard.serve import open_network
 from dashboard.theme import linear
 from nodes.control_client import Client
 from nodes.network_file import read_network
-from tests.dashboard.browser_page import Page
+from tests.dashboard.browser_page import Page, press_on, row_of, slot_of
 from tests.processes import CONCORD, family, holds_within, lives
 
 pytestmark = pytest.mark.zenoh
@@ -130,6 +131,32 @@ def test_pause_stops_every_process_and_step_takes_one(page: Page, onlooker: Clie
     assert stands_still_at(page, onlooker, last + 1)
 
 
+def test_what_the_network_said_before_a_command_is_not_believed_after_it(
+    page: Page, onlooker: Client, monkeypatch: pytest.MonkeyPatch
+):
+    asked, told = Event(), Event()
+    source = page.dashboard.source
+    assert isinstance(source, LiveNetwork)
+    client = source._client
+    ask = client.state
+
+    def late() -> dict:
+        answer = ask()
+        asked.set()
+        told.wait(30)
+        return answer
+
+    monkeypatch.setattr(client, "state", late)
+    page.until(asked.is_set)
+    page.press("Pause")
+    page.until(lambda: page.text("run-state") == "PAUSED")
+    told.set()
+    for _ in range(5):
+        page.page.wait_for_timeout(40)
+        page.draw()
+        assert page.text("run-state") == "PAUSED"
+
+
 def test_keys_do_as_the_buttons_do(page: Page, onlooker: Client):
     last = pause(page, onlooker, lambda: page.key("p"))
     page.key("n")
@@ -142,7 +169,7 @@ def test_keys_do_as_the_buttons_do(page: Page, onlooker: Client):
 
 def test_a_press_on_a_bus_that_is_drawn_again_and_again_selects(page: Page):
     for node in (6, 1, 4):
-        page.slot(node).click()
+        press_on(page.page, slot_of(node))
         page.until(lambda node=node: page.dashboard.view.selected == node)
         page.until(lambda node=node: page.chosen("Node") == page.dashboard.stage.names[node])
 
@@ -152,7 +179,7 @@ def test_a_killed_node_is_gone_and_a_restarted_one_rejoins(
 ):
     pid = read_network(network).pids["3"]
     assert lives(pid)
-    page.row(3).click()
+    press_on(page.page, row_of(3))
     page.until(lambda: page.chosen("Node") == "03")
     page.press("kill")
     assert holds_within(3.0, lambda: not lives(pid))

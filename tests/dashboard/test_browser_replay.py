@@ -12,7 +12,7 @@ import pytest
 from dashboard.serve import open_recording
 from experiments.drivers import drive
 from nodes.recording import McapRecorder
-from tests.dashboard.browser_page import Page
+from tests.dashboard.browser_page import Page, point_at, press_on, row_of, slot_of
 from tests.dashboard.runs import setup_of
 
 # One after the other: a node that is pressed, and then where the pointer is.
@@ -160,7 +160,7 @@ def test_what_is_entered_holds_though_a_picture_of_before_is_drawn_meanwhile(pag
 
 
 def test_a_row_of_the_table_selects(page: Page):
-    page.row(5).click()
+    press_on(page.page, row_of(5))
     page.until(lambda: is_selected(page, 5))
     page.page.get_by_text("Selected", exact=True).first.click()
     page.until(lambda: "node 05" in page.text("selected"))
@@ -169,7 +169,7 @@ def test_a_row_of_the_table_selects(page: Page):
 
 def test_a_frame_on_the_bus_selects(page: Page):
     for node in nodes_on_the_bus(page):
-        page.slot(node).click()
+        press_on(page.page, slot_of(node))
         page.until(lambda node=node: is_selected(page, node))
 
 
@@ -198,7 +198,7 @@ def test_a_press_is_not_lost_among_what_the_pointer_does_around_it(page: Page):
 def test_the_same_node_can_be_pressed_again(page: Page):
     node = nodes_on_the_bus(page)[0]
     for _ in range(2):
-        page.slot(node).click()
+        press_on(page.page, slot_of(node))
         page.until(lambda: page.dashboard.view.selected == node)
         page.dashboard.pick(None)
         page.until(lambda: page.dashboard.view.selected is None)
@@ -210,8 +210,8 @@ def test_the_same_node_can_be_pressed_again(page: Page):
 
 def test_the_pointer_on_a_frame_or_a_row_shows_its_node_and_leaves_no_trace(page: Page):
     node = nodes_on_the_bus(page)[0]
-    for place in (page.slot(node), page.row(node)):
-        place.hover()
+    for place in (slot_of(node), row_of(node)):
+        point_at(page.page, place)
         page.until(lambda: page.part("/network/hovered")["shown"] and is_marked(page, node))
         assert page.dashboard.view.selected is None
         page.page.mouse.move(400, 20)
