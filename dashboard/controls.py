@@ -4,6 +4,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
+import msgspec
 import viser
 
 from dashboard.inputs import Inputs, at_once
@@ -11,6 +12,7 @@ from dashboard.source import Answer, Source
 from dashboard.stage import Picture, Stage
 from dashboard.theme import DARK, LIGHT
 from dashboard.view import ELLIPSES, ORDERS, View
+from nodes.commands import Refused, in_words
 from scenarios.bus_plan import arbiter_names
 from scenarios.rules import RULE_SUMMARIES
 
@@ -190,10 +192,15 @@ class Controls:
             )
             self.link: Any = gui.add_button_group("Link", ("cut", "heal"))
             self.loss: Any = gui.add_slider("Loss", 0.0, 0.95, 0.05, 0.0)
+            self.fault: Any = gui.add_text(
+                "Fault", "", hint="in words: corrupt 0.05 1 2, hang 3 5, lie 3 5 4, heal, calm, ..."
+            )
+            self.inject: Any = gui.add_button("Inject", color=QUIET, icon=viser.Icon.BOLT)
         self.node.on_update(at_once(self._choose_node))
         self.life.on_click(at_once(self._kill_or_restart))
         self.link.on_click(at_once(self._cut_or_heal))
         self.loss.on_update(at_once(self._set_loss))
+        self.inject.on_click(at_once(self._inject))
 
     def _peers(self, node: int) -> tuple[str, ...]:
         edges = self._stage.edges[(self._stage.edges == node).any(axis=1)]
@@ -232,6 +239,14 @@ class Controls:
             command = {"do": "loss", "probability": float(self.loss.value), **self._link()}
             what = f"loss {command['sender']} {command['receiver']}"
             self._newest_only(what, command, event.client)
+
+    def _inject(self, event: Any) -> None:
+        try:
+            command = in_words(self.fault.value.split())
+        except Refused as refused:
+            self._tell(event.client, "Refused", str(refused), True)
+            return
+        self._soon(self._command, msgspec.to_builtins(command), event.client)
 
     # --- the view -----------------------------------------------------------------------------
 

@@ -7,8 +7,10 @@ from typing import Annotated
 import msgspec
 import tyro
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
+from nodes.fault_words import EVERY_FAULT, usage
 from scenarios.bus_plan import arbiter_names, cluster_names, schedule_names
 from scenarios.catalogue import kinds
 from scenarios.rules import RULE_SUMMARIES, hold_names
@@ -26,7 +28,7 @@ class ListOptions:
 
 
 def list_all(options: Annotated[ListOptions, tyro.conf.arg(name="")]) -> None:
-    """List scenarios, graphs, weights, rules, schedules and hold policies."""
+    """List scenarios, graphs, weights, rules, schedules, hold policies and faults."""
     names = {
         "graphs": list(graph_names()),
         "weights": list(weight_names()),
@@ -39,7 +41,10 @@ def list_all(options: Annotated[ListOptions, tyro.conf.arg(name="")]) -> None:
     own = {name: kind.wiring.names for name, kind in kinds().items() if kind.wiring}
     if options.json:
         scenarios = {name: kind.defaults for name, kind in kinds().items()}
-        everything = {"scenarios": scenarios, "rules": RULE_SUMMARIES, **names, "own": own}
+        faults = {word: fault.summary for word, fault in EVERY_FAULT.items()}
+        everything = {
+            "scenarios": scenarios, "rules": RULE_SUMMARIES, **names, "own": own, "faults": faults,
+        }  # fmt: skip
         sys.stdout.write(msgspec.json.encode(everything).decode() + "\n")
         return
     console = Console()
@@ -52,6 +57,10 @@ def list_all(options: Annotated[ListOptions, tyro.conf.arg(name="")]) -> None:
     for name, summary in RULE_SUMMARIES.items():
         rules.add_row(name, summary)
     console.print(rules)
+    faults = Table("fault", "what happens")
+    for word, fault in EVERY_FAULT.items():
+        faults.add_row(escape(usage(word)), fault.summary)
+    console.print(faults)
     for what, values in names.items():
         console.print(f"{what}: {', '.join(values)}", highlight=False, soft_wrap=True)
     for name, of_option in own.items():

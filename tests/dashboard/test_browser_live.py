@@ -241,6 +241,22 @@ def test_a_link_loses_the_part_of_its_frames_that_was_asked_for(page: Page, onlo
     page.until(lambda: not newest(page).lost.any())
 
 
+def test_faults_are_asked_for_in_words(page: Page, onlooker: Client):
+    def say(words: str) -> None:
+        page.widget("Fault").locator("input").first.fill(words)
+        page.until(lambda: page.dashboard.controls.fault.value == words)
+        page.press("Inject")
+
+    say("crc 5 1")
+    page.until(lambda: len(onlooker.state()["standing"]["faults"]) == 1)
+    page.page.get_by_text("Log", exact=True).first.click()
+    page.until(lambda: "crc 05 1" in page.text("log"))
+    say("korrupt 1")
+    page.until(lambda: page.page.get_by_text("did you mean 'corrupt'?").count() > 0)
+    say("calm")
+    page.until(lambda: not onlooker.state()["standing"]["faults"])
+
+
 def test_speed_is_that_of_the_slider(page: Page, onlooker: Client):
     page.enter("Steps/s", 4)
     page.until(lambda: onlooker.state()["steps_per_second"] == 4)
