@@ -10,11 +10,10 @@ import pytest
 
 from dashboard.camera import Free, aimed
 from dashboard.chart_export import charts_page
-from dashboard.charts import Charts
 from dashboard.expected import nothing_expected
 from dashboard.export import animated_scene, zipped
-from dashboard.history import History
 from dashboard.replay import replayed
+from dashboard.serve import open_recording
 from dashboard.theme import LIGHT
 from dashboard.view import View
 from experiments.drivers import drive
@@ -76,18 +75,15 @@ def _pixels(picture: bytes) -> np.ndarray:
 
 
 def test_the_charts_are_a_page_with_all_that_the_page_showed(chromium, tmp_path: Path):
-    import viser
-
-    history = History(STAGE)
-    history.add(FRAMES)
-    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    dashboard = open_recording(STAGE.setup, recorded(tmp_path), "127.0.0.1", 0, light=True)
     try:
-        charts = Charts(server.gui, STAGE, LIGHT, 80)
-        charts.draw(VIEW, history, nothing_expected)
+        while dashboard.source.pace().state == "LOADING":
+            dashboard.history_add()
+        dashboard.charts.draw(VIEW, dashboard.history, nothing_expected)
         file = tmp_path / "charts.html"
-        file.write_text(charts_page(STAGE, charts.drawn, VIEW))
+        file.write_text(charts_page(STAGE, dashboard.charts.drawn, VIEW))
     finally:
-        server.stop()
+        dashboard.close()
     page, troubles = opened(chromium, file)
     try:
         said = page.locator("svg").all_text_contents()
@@ -104,12 +100,18 @@ def test_the_charts_are_a_page_with_all_that_the_page_showed(chromium, tmp_path:
         page.close()
 
 
-def test_the_folder_of_a_run_can_be_replayed_from_its_archive(tmp_path: Path):
-    folder = tmp_path / "run"
-    folder.mkdir()
-    recorder = McapRecorder(folder / "run.mcap", STAGE.rounds, STAGE.setup.time_step_s)
+def recorded(place: Path) -> Path:
+    """A recording of the run, in a folder of its own."""
+    file = place / "run" / "run.mcap"
+    file.parent.mkdir()
+    recorder = McapRecorder(file, STAGE.rounds, STAGE.setup.time_step_s)
     drive(STAGE.setup, recorder, lambda _: None)
     recorder.close()
+    return file
+
+
+def test_the_folder_of_a_run_can_be_replayed_from_its_archive(tmp_path: Path):
+    folder = recorded(tmp_path).parent
     (folder / "run.json").write_text("{}")
     zipfile.ZipFile(io.BytesIO(zipped(folder))).extractall(tmp_path / "elsewhere")
     again = list(replayed(STAGE, tmp_path / "elsewhere" / "run" / "run.mcap"))
