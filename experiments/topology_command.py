@@ -12,7 +12,7 @@ from tyro.extras import SubcommandApp
 
 from experiments.progress import progress
 from experiments.topology_compare import Row, compared
-from experiments.topology_report import Loss, lines, report_of
+from experiments.topology_report import Loss, lines, loss_title, losses_of, report_of
 from experiments.topology_subject import SubjectOptions, subject_of
 from experiments.user_errors import user_errors
 from topology.adjacency import nodes_of
@@ -36,13 +36,16 @@ def analyse(source: Source = "", *, options: Options, json: bool = False) -> Non
     with user_errors():
         subject = subject_of(source, options, connected=False)
     nodes = nodes_of(subject.weights)
-    with progress("nodes taken away", nodes) as on_node, user_errors():
+    with progress("nodes taken away", losses_of(nodes)) as on_node, user_errors():
         report = report_of(subject, options.seed, on_node)
     if json:
         sys.stdout.write(msgspec.json.encode(report).decode() + "\n")
         return
     sys.stdout.write("\n".join(lines(report)) + "\n")
     if report.losses:
+        # Above the table and not in it: a title is broken to the width of its columns.
+        sys.stdout.write(loss_title(report) + "\n")
+        sys.stdout.flush()
         Console().print(_loss_table(report.losses))
 
 
@@ -142,7 +145,7 @@ def topology_commands() -> SubcommandApp:
 
 def _loss_table(losses: list[Loss]) -> Table:
     errors = any(loss.error_growth is not None for loss in losses)
-    table = Table("loss of node", "leaves", title="what hurts most", title_justify="left")
+    table = Table("loss of node", "leaves")
     table.add_column("factor per round", justify="right")
     if errors:
         table.add_column("error of the worst state", justify="right")

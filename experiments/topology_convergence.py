@@ -34,13 +34,16 @@ _CERTAIN_RUNS = 4
 # Link states that a measurement may go through; a few seconds.
 _BUDGET = 4e8
 _MOST_ROUNDS = 20_000
+_WHATEVER_IT_TAKES = 10**12
 
 
 class Convergence(msgspec.Struct, frozen=True):
     """By which factor disagreement falls per round, root mean square where links are random.
 
     `predicted` is None where no formula is known; `difference_percent` is that of the factors,
-    `rate_difference_percent` of their logarithms, which says more of factors near 1.
+    `rate_difference_percent` of their logarithms, which says more of factors near 1. In fewer than
+    `rounds_to_settle` rounds, which large networks may need too many of, faster modes are measured
+    with the slowest.
     """
 
     links: str
@@ -50,6 +53,7 @@ class Convergence(msgspec.Struct, frozen=True):
     measured_low: float
     measured_high: float
     rounds: int
+    rounds_to_settle: int
     runs: int
     difference_percent: float | None
     rate_difference_percent: float | None
@@ -133,6 +137,7 @@ def _report(links: str, method: str, predicted: float | None, found: Measured) -
         elif 0 < predicted < 1 and 0 < found.factor < 1:
             rates = 100 * abs(math.log(found.factor) / math.log(predicted) - 1)
     return Convergence(
-        links, method, predicted, found.factor, found.low, found.high, found.rounds, found.runs,
-        difference, rates,
+        links, method, predicted, found.factor, found.low, found.high, found.rounds,
+        rounds_to_settle(found.factor if predicted is None else predicted, _WHATEVER_IT_TAKES),
+        found.runs, difference, rates,
     )  # fmt: skip

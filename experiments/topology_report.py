@@ -1,6 +1,7 @@
 """What `concord topology analyse` finds of a graph, in figures and in lines."""
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import msgspec
@@ -11,15 +12,17 @@ from experiments.topology_subject import Subject
 from nodes.messages import Array
 from scenarios.observability import observability, rank, remaining
 from scenarios.setup import Setup
-from topology.adjacency import nodes_of
+from topology.adjacency import links_of, nodes_of
 from topology.analysis import Analysis, analyse, components, rounds_to
 from topology.convergence import cycle_factor, links_with, mean_square_factor
 from topology.network import part_of
 from topology.spectrum import second_eigenvalue_modulus
 from topology.weights import build_weights, masked
 
-# Every node is taken away once, which takes a second eigenvalue each.
-MOST_LOSSES = 150
+# Nodes are taken away one by one, which takes a second eigenvalue each: of small networks all are,
+# of larger ones so many that some ten seconds pass.
+MOST_LOSSES, _FEWEST_LOSSES = 150, 12
+_LOSS_BUDGET = 200_000
 _MOMENT_LOSSES = 60
 
 
@@ -53,7 +56,8 @@ class Loss(msgspec.Struct, frozen=True):
 
 
 class Report(msgspec.Struct, frozen=True):
-    """A graph under weights and links; the worst loss first."""
+    """A graph under weights and links; the worst loss first, of all nodes or of those of a large
+    network that are likely to hurt most."""
 
     graph: str
     weights: str
@@ -83,7 +87,7 @@ def report_of(
         found,
         rounds_to(0.01, factor),
         seen,
-        _losses(subject, gramian, on_node),
+        _losses(subject, suspects(subject, figures.cut_nodes, gramian), gramian, on_node),
     )
 
 
@@ -100,15 +104,41 @@ def _seen(setup: Setup) -> tuple[Array, Seen]:
     )
 
 
-def _losses(subject: Subject, gramian: Array | None, on_node: Callable[[int], None]) -> list[Loss]:
-    """Every node's loss, the worst first: what falls apart, then what blinds, then what slows."""
+def losses_of(nodes: int) -> int:
+    """How many of so many nodes are taken away."""
+    if nodes < 2:
+        return 0
+    return min(nodes, int(np.clip(_LOSS_BUDGET // nodes, _FEWEST_LOSSES, MOST_LOSSES)))
+
+
+def suspects(subject: Subject, cut_nodes: Sequence[int], gramian: Array | None) -> list[int]:
+    """The nodes to take away: all, or in turn a cut node, one that is heard by most, and one that
+    sees most."""
     nodes = nodes_of(subject.weights)
-    if not 2 <= nodes <= MOST_LOSSES:
-        return []
+    orders = [cut_nodes, np.argsort(-links_out(subject), kind="stable").tolist()]
+    if gramian is not None:
+        told = np.trace(gramian, axis1=-2, axis2=-1)
+        orders.append(np.argsort(-told, kind="stable").tolist())
+    turns = itertools.chain.from_iterable(itertools.zip_longest(*orders))
+    unique = dict.fromkeys(node for node in turns if node is not None)
+    return sorted(itertools.islice(unique, losses_of(nodes)))
+
+
+def links_out(subject: Subject) -> np.ndarray:
+    """How many hear each node (n,)."""
+    _, heard = links_of(subject.network.adjacency)
+    return np.bincount(heard, minlength=nodes_of(subject.weights))
+
+
+def _losses(
+    subject: Subject, chosen: Sequence[int], gramian: Array | None, on_node: Callable[[int], None]
+) -> list[Loss]:
+    """The loss of each of these, the worst first: what falls apart, then what blinds, then what
+    slows."""
     found = []
-    for node in range(nodes):
+    for done, node in enumerate(chosen, 1):
         found.append(_without(subject, node, gramian))
-        on_node(node + 1)
+        on_node(done)
 
     def badness(loss: Loss) -> tuple[int, float, float]:
         # Rounding does not decide between equals: the first of them stays first.
@@ -151,7 +181,7 @@ def lines(report: Report) -> list[str]:
         f"{c.links}, seed {report.seed}",
         _connection(a),
         f"degree {a.degree_min} to {a.degree_max}, {a.degree_mean:.3g} on average; diameter "
-        + ("none" if a.diameter is None else f"{a.diameter} hops"),
+        + _diameter(a),
         f"cut nodes: {_some(a.cut_nodes)}; bridges: {_some(a.cut_links)}",
         f"weights alone: second eigenvalue modulus {a.second_eigenvalue_modulus:.6g}, spectral gap "
         f"{1 - a.second_eigenvalue_modulus:.4g}; a round leaves at most "
@@ -165,6 +195,27 @@ def lines(report: Report) -> list[str]:
     return text
 
 
+def loss_title(report: Report) -> str:
+    """What the losses of a report are."""
+    losses, nodes = report.losses, report.analysis.nodes
+    if len(losses) == nodes:
+        return "what hurts most"
+    seeing = ", see most" if report.observability is not None else ""
+    return (
+        f"what hurts most of {len(losses)} of {nodes} nodes (cut nodes, and those that most "
+        f"hear{seeing}; the others were not taken away)"
+    )
+
+
+def _diameter(a: Analysis) -> str:
+    if a.diameter_bounds is None:
+        return "none"
+    least, most = a.diameter_bounds
+    if least == most:
+        return f"{least} hops"
+    return f"{least} to {most} hops (no more could be told in a few seconds)"
+
+
 def _connection(a: Analysis) -> str:
     if len(a.components) == 1:
         return "strongly connected" if a.directed else "connected"
@@ -176,6 +227,8 @@ def _convergence_lines(c: Convergence) -> list[str]:
     interval = f"95 % interval {c.measured_low:.6g} to {c.measured_high:.6g}"
     how = f"{c.rounds} rounds, {c.runs} runs; {interval}"
     measured = f"measured    {c.measured:.6g} per round ({how})"
+    if c.rounds < c.rounds_to_settle:
+        measured += f"; too early: {c.rounds_to_settle:,} rounds would leave the slowest mode alone"
     if c.predicted is None:
         return [f"predicted   none: {c.method}", measured]
     text = [f"predicted   {c.predicted:.6g} per round ({c.method})", measured]

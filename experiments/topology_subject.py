@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 from scipy.sparse import csr_array
 
@@ -152,7 +153,9 @@ def _of_scenario(source: str, options: SubjectOptions) -> Subject:
         seed=options.seed,
         data=options.data,
     )
-    setup = prepare(asked.resolve())
+    # Who hears whom is looked at, and no bus need have room for that.
+    unlimited = {"cluster": "none", "schedule": "full", "occupancy": 1.0}
+    setup = prepare(msgspec.structs.replace(asked.resolve(), **unlimited))
     scenario = setup.scenario
     neighbours = setup.neighbours
     hearers = np.repeat(np.arange(len(neighbours)), [len(heard) for heard in neighbours])

@@ -8,15 +8,13 @@ import networkx
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components, shortest_path
+from scipy.sparse.csgraph import connected_components
 
 from topology.adjacency import Adjacency, degrees, is_symmetric, links_of, nodes_of
+from topology.diameter import diameter_bounds
 from topology.spectrum import contraction_per_round, second_eigenvalue_modulus
 
 Array = NDArray[np.float64]
-
-# Distances are found from so many nodes at a time, for the sake of memory.
-_SOURCES = 500
 
 
 @dataclass(frozen=True)
@@ -27,7 +25,8 @@ class Analysis:
     the parts whose nodes all reach each other (strongly, in a directed graph), `weak_components`
     those that hang together at all. `cut_nodes` and `cut_links` divide a part if they are lost.
     `diameter` and `rounds_to_one_percent` are None where no number is large enough: the graph is in
-    pieces, or its weights never lead to agreement.
+    pieces, or its weights never lead to agreement; the diameter also where the graph is so large
+    that no more than its `diameter_bounds` are known.
     """
 
     nodes: int
@@ -39,6 +38,7 @@ class Analysis:
     degree_mean: float
     degree_max: int
     diameter: int | None
+    diameter_bounds: tuple[int, int] | None
     cut_nodes: tuple[int, ...]
     cut_links: tuple[tuple[int, int], ...]
     second_eigenvalue_modulus: float
@@ -52,6 +52,7 @@ def analyse(adjacency: Adjacency, weights: csr_array) -> Analysis:
     directed = not is_symmetric(adjacency)
     parts = components(adjacency)
     modulus = second_eigenvalue_modulus(weights)
+    bounds = diameter_bounds(adjacency) if len(parts) == 1 else None
     return Analysis(
         nodes=nodes_of(adjacency),
         links=int(degree.sum()) if directed else int(degree.sum()) // 2,
@@ -61,7 +62,8 @@ def analyse(adjacency: Adjacency, weights: csr_array) -> Analysis:
         degree_min=int(degree.min()),
         degree_mean=float(degree.mean()),
         degree_max=int(degree.max()),
-        diameter=diameter(adjacency) if len(parts) == 1 else None,
+        diameter=None if bounds is None or bounds[0] < bounds[1] else bounds[0],
+        diameter_bounds=bounds,
         cut_nodes=cut_nodes(adjacency),
         cut_links=cut_links(adjacency),
         second_eigenvalue_modulus=modulus,
@@ -90,14 +92,6 @@ def require_connected(adjacency: Adjacency) -> None:
             f"the graph is in {len(parts)} pieces that {cannot} ({named}{more}); "
             "add links or raise the radio range"
         )
-
-
-def diameter(adjacency: Adjacency) -> int:
-    """The most hops between any two nodes of a graph (n, n) in one piece."""
-    nodes = nodes_of(adjacency)
-    starts = np.array_split(np.arange(nodes), math.ceil(nodes / _SOURCES))
-    farthest = (shortest_path(adjacency, unweighted=True, indices=part).max() for part in starts)
-    return int(max(farthest))
 
 
 def cut_nodes(adjacency: Adjacency) -> tuple[int, ...]:

@@ -8,9 +8,11 @@ import pytest
 
 from experiments.__main__ import main
 from experiments.topology_convergence import convergence
+from experiments.topology_report import losses_of, suspects
 from experiments.topology_subject import SubjectOptions, subject_of
 from scenarios.observability import observability, rank
 from tests.experiments.support import small
+from topology.analysis import analyse
 from topology.graph_files import read_network
 
 LAB = Path(__file__).resolve().parents[3] / "shared/data/intel_lab"
@@ -77,6 +79,30 @@ def test_the_hub_of_a_star_hurts_most_and_nobody_in_a_ring_more_than_another(ans
     assert star["analysis"]["cut_nodes"] == [0] and len(star["analysis"]["cut_links"]) == 6
     ring = answer("analyse ring --nodes 7")
     assert [loss["node"] for loss in ring["losses"]] == [str(node) for node in range(7)]
+
+
+def test_of_a_large_network_those_are_taken_away_that_are_likely_to_hurt(tmp_path: Path):
+    """Two crowds, of which a single node hears both; and one in a crowd that twenty hear."""
+    middle = 900
+    links = [(i, (i + hop) % middle) for i in range(middle) for hop in (1, 2)]
+    links += [(middle + i, middle + j) for i, j in links] + [(1800, 5), (1800, 1795)]
+    links += [(100, other) for other in range(200, 216)]
+    (tmp_path / "crowds.edges").write_text("".join(f"{i} {j}\n" for i, j in links))
+    subject = subject_of(str(tmp_path / "crowds.edges"), SubjectOptions())
+    chosen = suspects(subject, analyse(subject.network.adjacency, subject.weights).cut_nodes, None)
+    assert len(chosen) == losses_of(1801) == 200_000 // 1801
+    assert {5, 100, 1795, 1800} < set(chosen)
+    seeing = np.zeros((1801, 2, 2))
+    seeing[777] = np.eye(2)
+    assert 777 in suspects(subject, (), seeing)
+    assert losses_of(1) == 0 and losses_of(150) == 150 and losses_of(10_000) == 20
+
+
+def test_what_is_measured_too_early_is_told():
+    early = convergence(subject_of("path", SubjectOptions(nodes=500)), seed=4)
+    assert early.rounds < early.rounds_to_settle and early.rate_difference_percent is not None
+    settled = convergence(subject_of("path", SubjectOptions(nodes=9)), seed=4)
+    assert settled.rounds >= settled.rounds_to_settle
 
 
 def test_what_is_seen_of_a_plant_is_what_theory_says():
