@@ -22,7 +22,8 @@ class TimingFigures(msgspec.Struct, frozen=True):
 
     `cycles` are counted at each node. `deadline_misses` are `incomplete` ones, which ended without
     something that was due, and `overrun` ones, which began after their own deadline. `late_shares`
-    came after the cycle that they were for. `cycle_jitter` is how late cycles began, `heartbeat`
+    came after the cycle that they were for, `lost_heartbeats` steps began without readings.
+    `cycle_jitter` is how late cycles began, `heartbeat`
     how late readings came, `delay` the time from the sampling instant to the estimate.
     """
 
@@ -36,6 +37,7 @@ class TimingFigures(msgspec.Struct, frozen=True):
     late_shares: int
     cycle_jitter: Spread
     heartbeat: Spread
+    lost_heartbeats: int
     delay: Spread
 
 
@@ -46,6 +48,7 @@ def figures_of(
     said: list[Timing] = [decode(t, data) for t, data in messages if t.startswith("timing/")]
     incomplete = sum(timing.incomplete for timing in said)
     overrun = sum(timing.overrun for timing in said)
+    came = [late for timing in said if (late := timing.heartbeat_late_s) is not None]
     late = [late_s for timing in said for late_s in timing.cycle_late_s]
     return TimingFigures(
         cycle_stretch=tempo.stretch,
@@ -57,7 +60,8 @@ def figures_of(
         overrun=overrun,
         late_shares=sum(c.get("late", 0) for c in counters),
         cycle_jitter=_spread(late),
-        heartbeat=_spread([timing.heartbeat_late_s for timing in said]),
+        heartbeat=_spread(came),
+        lost_heartbeats=len(said) - len(came),
         delay=_spread([timing.delay_s for timing in said]),
     )
 
@@ -74,7 +78,7 @@ def lines(figures: TimingFigures) -> list[str]:
         f"bus's), a step every {figures.step_ms:.4g} ms",
         f"deadline misses {figures.deadline_misses} of {figures.cycles} cycles "
         f"({figures.incomplete} lacked something, {figures.overrun} began too late); "
-        f"late shares {figures.late_shares}",
+        f"late shares {figures.late_shares}; steps without readings {figures.lost_heartbeats}",
         f"p50/p99/largest in ms: cycles begin {_words(figures.cycle_jitter)} late, readings come "
         f"{_words(figures.heartbeat)} late, measurement to estimate {_words(figures.delay)}",
     ]

@@ -9,8 +9,8 @@ from bus.frame import OVERHEAD_BYTES
 from experiments.record_spread import RecordSpread, record_spread
 from filters.linalg import unpack_upper
 from nodes.changes import Event
-from nodes.history import History, history_of, without_lost_words
-from nodes.messages import Array, Bid, Estimate, Measured, Truth, decode, from_wire
+from nodes.history import History, history_of, with_holes, without_lost_words
+from nodes.messages import Array, Bid, Estimate, Measured, Timing, Truth, decode, from_wire
 from nodes.share import Fragment, read_frame
 from scenarios.setup import Setup
 
@@ -64,6 +64,8 @@ def read_trace(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> Trace:
     sent: list[tuple[int, Fragment, int]] = []
     asked: list[tuple[int, int, int]] = []
     events: list[Event] = []
+    last: dict[int, int] = {}
+    timed = False
     for topic, data in messages:
         kind, _, node = topic.partition("/")
         if kind == "share":
@@ -80,7 +82,13 @@ def read_trace(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> Trace:
                 estimates[message.step, message.node] = message
             case Event() as message:
                 events.append(message)
+            case Timing():
+                timed = True
     history = without_lost_words(history_of(setup.scenario.rounds, events), estimates)
+    # Only in real time does anybody go on without what was lost.
+    for step, node in estimates if timed else ():
+        last[node] = max(step, last.get(node, -1))
+    history = with_holes(history, estimates.keys() & measured.keys(), last)
     steps = 0
     while steps in truths and all(
         (steps, node) in kept

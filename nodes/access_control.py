@@ -55,7 +55,7 @@ def rights(nodes: int) -> dict[str, Rights]:
         hears=(
             "hello/*", "bid/*", "estimate/*", "recorded/*", "unreachable/*", "end", "ready/*",
         ),
-        answers=("state", "control"),
+        answers=("state", "control", "clock"),
     )  # fmt: skip
     table[RECORDER] = Rights(
         says=("end", "recorded/*", "watch/**"),
@@ -76,7 +76,7 @@ def _rights_of_node(node: int) -> Rights:
             "start", f"measured/{node}", "grant", "share/*", "end", "ready/*", "gone",
             f"gone/{node}", f"welcome/{node}", f"recorded/{node}",
         ),
-        asks=("state",),
+        asks=("state", "clock"),
     )  # fmt: skip
 
 

@@ -68,10 +68,19 @@ class Stage(NamedTuple):
 
 
 class Conductor:
-    """The world of one run, and what is to become of it."""
+    """The world of one run, and what is to become of it.
 
-    def __init__(self, config: WorldConfig, script: Sequence[Scripted], stage: Stage) -> None:
-        self.config = config
+    In a `timed` network changes hold from the step that begins next, whatever is under way.
+    """
+
+    def __init__(
+        self,
+        config: WorldConfig,
+        script: Sequence[Scripted],
+        stage: Stage,
+        timed: bool = False,
+    ) -> None:
+        self.config, self._timed = config, timed
         self.state: WorldState = world.begin(config)
         self._script = sorted(script, key=lambda one: one.step)
         self._stage = stage
@@ -166,7 +175,7 @@ class Conductor:
     def _settle(self) -> list[WorldMessage]:
         """Make what changes are due, and let the world go as far as it may."""
         outbox: list[WorldMessage] = []
-        if self.state.idle and not self.finished:
+        if (self.state.idle or self._timed) and not self.finished:
             for command in self._due():
                 with suppress(ValueError):
                     # Two commands that were both in order may not be so together.

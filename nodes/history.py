@@ -90,6 +90,19 @@ def with_event(history: History, event: Event) -> History:
     return history
 
 
+def with_holes(history: History, said: Container[tuple[int, int]], last: dict[int, int]) -> History:
+    """The history in which a node takes no part in a step of which the recording has lost what it
+    said, though it has something later: in real time what is late is lost. `last` is the latest
+    step of each node, `said` every (step, node)."""
+    holes = tuple(
+        Absence(node, step, step + 1)
+        for node, latest in last.items()
+        for step in range(latest)
+        if (step, node) not in said and history.is_in(node, step)
+    )
+    return history._replace(absences=history.absences + holes)
+
+
 def without_lost_words(history: History, estimated: Container[tuple[int, int]]) -> History:
     """The history in which who died without a word was out from the first (step, node) on that the
     recording has lost, though the world had heard it."""

@@ -96,14 +96,15 @@ class Start(msgspec.Struct, frozen=True):
 class Timing(msgspec.Struct, frozen=True):
     """Node to whoever records, in real time: how well a step kept its time.
 
-    `heartbeat_late_s` and `cycle_late_s` (rounds,) are behind the timetable; `delay_s` is from the
+    `heartbeat_late_s` (None: it was not waited for any longer) and `cycle_late_s` (rounds,) are
+    behind the timetable; `delay_s` is from the
     sampling instant of the timetable to the estimate. `incomplete` cycles ended at their deadline
     without something that was due; `overrun` ones began after their own deadline.
     """
 
     node: NodeIndex
     step: Instant
-    heartbeat_late_s: float
+    heartbeat_late_s: float | None
     cycle_late_s: list[float]
     incomplete: Instant
     overrun: Instant
@@ -124,6 +125,19 @@ class CycleClosed(msgspec.Struct, frozen=True):
     group: int = 0
 
 
+class BidsClosed(msgspec.Struct, frozen=True):
+    """Driver to world, in real time: who has not asked for this part of a cycle by now is late."""
+
+    cycle: int
+    group: int
+
+
+class StepClosed(msgspec.Struct, frozen=True):
+    """Driver to world, in real time: who has not estimated this step by now never will."""
+
+    step: int
+
+
 class ShareHeard(msgspec.Struct, frozen=True):
     """Driver to node: a frame arrived on the channel of `sender`."""
 
@@ -133,7 +147,7 @@ class ShareHeard(msgspec.Struct, frozen=True):
 
 NodeEvent = Measured | ShareHeard | Grant | CycleClosed | Gone
 NodeMessage = ShareSent | Bid | Estimate
-WorldEvent = Bid | Estimate | Gone
+WorldEvent = Bid | Estimate | Gone | BidsClosed | StepClosed
 WorldMessage = Measured | Grant | Truth | Event | Gone | Welcome
 Message = NodeMessage | WorldMessage | Start | Timing | Unreachable
 

@@ -2,17 +2,22 @@
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from typing import TypeVar
+
+Word = TypeVar("Word")
 
 
-def beat_on_time(start_s: float, period_s: float, beats: int, beat: Callable[[], None]) -> None:
-    """Call `beat()` so many times in a thread of its own: at `start_s` of the monotonic clock, and
-    a period later each; one that comes late takes nothing from the next."""
+def tell_on_time(
+    start_s: float, timetable: Iterable[tuple[float, Word]], tell: Callable[[Word], None]
+) -> None:
+    """Call `tell(word)` in a thread of its own for each (seconds after `start_s` of the monotonic
+    clock, word), which ascend; one that comes late takes nothing from the next."""
 
     def run() -> None:
-        for number in range(beats):
-            time.sleep(max(0.0, start_s + number * period_s - time.monotonic()))
-            beat()
+        for after_s, word in timetable:
+            time.sleep(max(0.0, start_s + after_s - time.monotonic()))
+            tell(word)
 
     threading.Thread(target=run, daemon=True).start()
 

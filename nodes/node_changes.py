@@ -42,6 +42,13 @@ def apply(config: NodeConfig, state: NodeState) -> tuple[NodeConfig, NodeState, 
     return config, state_machine.advance(config, state, outbox), outbox
 
 
+def restore(config: NodeConfig, state: NodeState, welcome: Welcome) -> tuple[NodeConfig, NodeState]:
+    """A node that was given up and has gone on by itself learns what it has missed; it keeps what
+    it believes."""
+    standing = welcome.standing
+    return _with_standing(config, standing), replace(state, absent=frozenset(standing.absent))
+
+
 def begin_late(config: NodeConfig, welcome: Welcome) -> tuple[NodeConfig, NodeState]:
     """A node that joins a network that runs: `config` is that of the beginning."""
     standing, step = welcome.standing, welcome.step

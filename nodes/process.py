@@ -5,7 +5,6 @@ grant, the share of one neighbour) and waits for that one alone. Nobody coordina
 timed. What the world does is in `nodes/world_process.py`.
 """
 
-import time
 from collections import deque
 from collections.abc import Collection, Sequence
 
@@ -13,6 +12,7 @@ import msgspec
 
 from nodes import node_changes, state_machine
 from nodes.changes import Event, Gone, Joined, Left
+from nodes.entry import await_links
 from nodes.links import RECORDER, WATCH, WORLD, Links
 from nodes.messages import (
     MalformedMessage,
@@ -30,17 +30,10 @@ from nodes.recording import Recorder
 from nodes.zenoh_transport import Transport
 
 NODE_QUEUE, RECORDER_QUEUE = 1024, 65_536
-# A fresh process looks so often who is there, and gives links so long to come up.
-_LOOK_S, _LINK_S = 0.5, 5.0
+# So long links have to come up.
+_LINK_S = 5.0
 # Through a router the recorder hears itself, too.
 _UNRECORDED = ("hello", "recorded", "start", "finished", "end", WATCH)
-
-
-class Situation(msgspec.Struct):
-    """The part of what the world says of a network that a node must know to join it."""
-
-    members: list[int]
-    begun: bool
 
 
 def run_node(
@@ -127,7 +120,7 @@ class _Seat:
     def rejoin(self, fingerprint: str) -> tuple[NodeConfig, NodeState]:
         """Ask to be let in, and wait until it is so."""
         index = self._beginning.index
-        begun = self._await_links()
+        begun = await_links(self.transport, self._peers)
         while self.transport.receive_at_once(self._welcome) is not None:
             pass
         self._unreachable.clear()
@@ -139,18 +132,6 @@ class _Seat:
         # Whatever was said of this node's end was said of its former life.
         self._gone.clear()
         return node_changes.begin_late(self._beginning, decode(*received))
-
-    def _await_links(self) -> bool:
-        """Wait until all are there whom a node hears or who hear it; whether the run has begun."""
-        while True:
-            answer = self.transport.ask("state")
-            if answer is None:
-                time.sleep(_LOOK_S)
-                continue
-            there = msgspec.json.decode(answer, type=Situation)
-            linked = {str(j) for j in self._peers if j in there.members}
-            if self.transport.await_present(linked, _LOOK_S):
-                return there.begun
 
     def take_part(self, config: NodeConfig, state: NodeState) -> bool:
         """Go on to the last step; False if the others have given this node up meanwhile."""

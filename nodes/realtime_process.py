@@ -2,7 +2,9 @@
 
 Each node keeps a timetable (`nodes/tempo.py`) from a common start that the world announces. A part
 of a cycle ends at its time, with whatever has come; nobody waits for a neighbour, and no share
-waits for a receiver that is slow. What the timetable cost is said step by step (`Timing`).
+waits for a receiver that is slow. A node that hears nothing of the world goes on without readings,
+and asks to be let in again when it is told that it was given up. What the timetable cost is said
+step by step (`Timing`).
 """
 
 import dataclasses
@@ -10,8 +12,12 @@ import time
 from collections.abc import Collection, Sequence
 from queue import Empty, Queue
 
-from nodes import state_machine
-from nodes.changes import Gone
+import msgspec
+
+from nodes import node_changes, state_machine
+from nodes.changes import Change, Gone, Welcome
+from nodes.clock import WorldClock, ahead_s
+from nodes.entry import await_links
 from nodes.links import RECORDER, WORLD, Links
 from nodes.messages import (
     CycleClosed,
@@ -21,18 +27,19 @@ from nodes.messages import (
     NodeEvent,
     NodeMessage,
     ShareHeard,
-    ShareSent,
-    Start,
     Timing,
     decode,
     encode,
     topic,
 )
 from nodes.node_state import NodeConfig, Phase, count
+from nodes.patience import Patience
 from nodes.tempo import Tempo
 from nodes.zenoh_transport import Transport
 
 _QUEUE, _MAILBOX = 16, 65_536
+# Whoever asks to be let in again does not ask twice in this time.
+_ASK_AGAIN_S = 1.0
 
 
 def run_node_in_real_time(
@@ -42,28 +49,43 @@ def run_node_in_real_time(
     peers: Collection[int],
     fingerprint: str,
     tempo: Tempo,
+    late: bool = False,
+    patience_s: float | None = None,
 ) -> None:
     """Be one node until the recorder says that the run is over.
 
-    `peers` are those whom it hears or who hear it: all must be there before the first share.
+    `peers` are those whom it hears or who hear it: all must be there before the first share. A node
+    that is `late` joins a network that may run already. Where nobody else does, `patience_s` ends
+    the process of a node that has been without the world for so long.
 
     Raises:
         LinkError: the network cannot be joined.
     """
-    player = _Player(run, links, dataclasses.replace(config, timed=True), tempo)
-    player.transport.join(str(config.index), {WORLD, RECORDER, *map(str, peers)})
-    player.transport.send(f"hello/{config.index}", fingerprint.encode())
+    player = _Player(run, links, dataclasses.replace(config, timed=True), tempo, fingerprint)
+    transport, name = player.transport, str(config.index)
+    if patience_s is not None:
+        transport.watch(Patience(WORLD, patience_s).see)
+    if late:
+        transport.join(name, {WORLD, RECORDER})
+        begun = await_links(transport, peers)
+        player.compare_clocks()
+    else:
+        transport.join(name, {WORLD, RECORDER, *map(str, peers)})
+        begun = False
+    transport.send(f"hello/{config.index}", fingerprint.encode())
+    if begun:
+        player.enter()
     player.play()
-    while player.transport.receive("end") is None:
+    while transport.receive("end") is None:
         pass
-    player.transport.close()
+    transport.close()
 
 
 @dataclasses.dataclass
 class _Record:
     """How well a step keeps its time, while it lasts."""
 
-    heartbeat_late_s: float
+    heartbeat_late_s: float | None
     cycle_late_s: list[float] = dataclasses.field(default_factory=list)
     incomplete: int = 0
     overrun: int = 0
@@ -72,52 +94,118 @@ class _Record:
 class _Player:
     """A node's place in a network that keeps time."""
 
-    def __init__(self, run: str, links: Links, config: NodeConfig, tempo: Tempo) -> None:
-        self._config, self._tempo = config, tempo
+    def __init__(
+        self, run: str, links: Links, config: NodeConfig, tempo: Tempo, fingerprint: str
+    ) -> None:
+        self._config, self._tempo, self._fingerprint = config, tempo, fingerprint
         self._state = state_machine.initial_state(config)
-        self._start_s = 0.0
+        self._start_s = self._ahead_s = 0.0
         self._mailbox: Queue[tuple[str, bytes]] = Queue(_MAILBOX)
         self._records: dict[int, _Record] = {}
         # The last cycle that lacked something: its parts count once.
         self._lacking = -1
+        # What readings look like, and what has changed that no heartbeat has brought in time.
+        self._last: Measured | None = None
+        self._overdue: tuple[Change, ...] = ()
+        self._alone = False
+        self._asked_s = 0.0
         self.transport = Transport(run, links, ["start", "end"], _QUEUE)
-        own = [f"measured/{config.index}", "grant", "gone", f"gone/{config.index}"]
+        index = config.index
+        own = [f"measured/{index}", "grant", "gone", f"gone/{index}", f"welcome/{index}"]
         for name in (*own, *(f"share/{j}" for j in config.neighbours)):
             self.transport.listen(name, lambda name, data: self._mailbox.put((name, data)))
 
+    def enter(self) -> None:
+        """Begin in a network that runs: wait to be let in, and with which belief."""
+        welcome = None
+        while welcome is None:
+            name, data = self._mailbox.get()
+            if name.startswith("welcome/"):
+                welcome = _decoded(name, data)
+        config, self._state = node_changes.begin_late(self._config, welcome)
+        self._config = dataclasses.replace(config, timed=True)
+        # Until then we were told that we are out.
+        self._asked_s = time.monotonic()
+
+    def compare_clocks(self) -> None:
+        """On another host the world's clock is another."""
+        self._ahead_s = ahead_s(self._world_time)
+
     def play(self) -> None:
-        """From the common start to the last step, or until the others have given this node up."""
-        self._start_s = self._await_start()
+        """From the common start to the last step."""
+        self._start_s = self._await_start() - self._ahead_s
         while self._state.phase is not Phase.FINISHED:
             if self._state.phase is Phase.MEASUREMENT:
-                on = self._take(*self._mailbox.get())
+                self._await_heartbeat()
             else:
-                on = self._play_part()
-            if not on:
-                return
+                self._play_part()
 
     def _await_start(self) -> float:
+        """When step 0 begins or began, on the world's clock."""
         while True:
-            received = self.transport.receive("start")
-            if received is not None:
-                start: Start = decode(*received)
-                return start.at_s
+            clock = self._ask_clock()
+            if clock is not None and clock.start_s is not None:
+                return clock.start_s
+            # Who is there from the beginning on is told.
+            self.transport.receive("start")
 
-    def _play_part(self) -> bool:
+    def _ask_clock(self) -> WorldClock | None:
+        answer = self.transport.ask("clock")
+        return None if answer is None else msgspec.json.decode(answer, type=WorldClock)
+
+    def _world_time(self) -> float | None:
+        clock = self._ask_clock()
+        return None if clock is None else clock.now_s
+
+    def _await_heartbeat(self) -> None:
+        """Wait for readings; go on without when the first cycle is over, or, once that was so, when
+        half of its first part is, so that neighbours who hear nothing still hear each other."""
+        step = self._state.step + 1
+        groups = len(self._config.schedule.groups(self._state.cycle))
+        wait_s = self._tempo.cycle_s / (2 * groups if self._alone else 1)
+        deadline_s = self._start_s + self._tempo.step_begins_s(step) + wait_s
+        while self._state.phase is Phase.MEASUREMENT:
+            left_s = deadline_s - time.monotonic()
+            try:
+                if self._last is None:
+                    # Nobody knows yet what readings look like here.
+                    self._take(*self._mailbox.get())
+                elif left_s > 0:
+                    self._take(*self._mailbox.get(timeout=left_s))
+                else:
+                    self._take(*self._mailbox.get_nowait())
+            except Empty:
+                break
+        self._alone = self._state.phase is Phase.MEASUREMENT
+        if self._alone:
+            self._go_without()
+
+    def _go_without(self) -> None:
+        """The step begins without readings, and with the control that was known last."""
+        assert self._last is not None, "the first readings are waited for"
+        step = self._state.step + 1
+        blank = [[None] * len(reading) for reading in self._last.readings]
+        self._records[step] = _Record(None)
+        self._state = count(self._state, "missed readings")
+        self._open(msgspec.structs.replace(self._last, step=step, readings=blank, changes=()))
+
+    def _open(self, measured: Measured) -> None:
+        changes = (*self._overdue, *measured.changes)
+        self._overdue = ()
+        self._step(msgspec.structs.replace(measured, changes=changes))
+
+    def _play_part(self) -> None:
         """Hear until the time of the open part of the cycle is over, and end it."""
         deadline_s = self._start_s + self._deadline_s()
         while (left_s := deadline_s - time.monotonic()) > 0:
             try:
-                if not self._take(*self._mailbox.get(timeout=left_s)):
-                    return False
+                self._take(*self._mailbox.get(timeout=left_s))
             except Empty:
                 break
         # What is there already counts, and no more: who floods a node must not hold it up.
         for _ in range(self._mailbox.qsize()):
-            if not self._take(*self._mailbox.get()):
-                return False
+            self._take(*self._mailbox.get())
         self._close_part()
-        return True
 
     def _deadline_s(self) -> float:
         config, state = self._config, self._state
@@ -135,27 +223,47 @@ class _Player:
             record.incomplete += 1
         self._step(CycleClosed(state.cycle, state.group))
 
-    def _take(self, name: str, data: bytes) -> bool:
-        """Take what has come; False if it says that this node was given up."""
+    def _take(self, name: str, data: bytes) -> None:
+        """Take what has come."""
         kind, _, owner = name.partition("/")
-        try:
-            event = ShareHeard(int(owner), data) if kind == "share" else decode(name, data)
-        except MalformedMessage:
-            self._state = count(self._state, "rejected message")
-            return True
+        event = ShareHeard(int(owner), data) if kind == "share" else _decoded(name, data)
         match event:
+            case None:
+                self._state = count(self._state, "rejected message")
             case Gone(node) if node == self._config.index:
-                return False
-            case Measured(step=step) if step not in self._records and step > self._state.step:
-                self._records[step] = _Record(self._now_s() - self._tempo.step_begins_s(step))
-        self._step(event)
-        return True
+                if owner:
+                    self._ask_to_be_let_in()
+            case Welcome():
+                self._config, self._state = node_changes.restore(self._config, self._state, event)
+            case Measured(step=step) if step <= self._state.step:
+                # Too late for its step; what has changed with it holds from now on.
+                self._overdue += event.changes
+                self._step(event)
+            case Measured(step=step):
+                self._last = event
+                if step not in self._records:
+                    late_s = self._now_s() - self._tempo.step_begins_s(step)
+                    self._records[step] = _Record(late_s)
+                self._open(event)
+            case _:
+                self._step(event)
+
+    def _ask_to_be_let_in(self) -> None:
+        """The others have given this node up, which has gone on by itself."""
+        now_s = time.monotonic()
+        if now_s - self._asked_s > _ASK_AGAIN_S:
+            self._asked_s = now_s
+            self.transport.send(f"hello/{self._config.index}", self._fingerprint.encode())
 
     def _step(self, event: NodeEvent) -> None:
         before = self._state.cycle, self._state.step
         self._state, messages = state_machine.step(self._config, self._state, event)
         # A cycle begins when its share is ready to go.
         self._send(messages)
+        if self._state.phase is Phase.CHANGE:
+            changed = node_changes.apply(self._config, self._state)
+            self._config, self._state, messages = changed
+            self._send(messages)
         state = self._state
         is_open = state.phase in (Phase.GRANT, Phase.SHARES)
         if is_open and (state.cycle, state.step) != before:
@@ -170,15 +278,13 @@ class _Player:
         record.overrun += late_s >= self._tempo.cycle_s
 
     def _send(self, messages: Sequence[NodeMessage]) -> None:
+        # Offered, as whoever waits for a link that stands still misses his own times.
         for message in messages:
-            if isinstance(message, ShareSent):
-                self.transport.offer(topic(message), encode(message))
-                continue
             if isinstance(message, Estimate):
                 # Before it: with the last estimate the recorder has all.
                 timing = self._timing(message.step)
-                self.transport.send(topic(timing), encode(timing))
-            self.transport.send(topic(message), encode(message))
+                self.transport.offer(topic(timing), encode(timing))
+            self.transport.offer(topic(message), encode(message))
 
     def _timing(self, step: int) -> Timing:
         record = self._records.pop(step)
@@ -194,3 +300,11 @@ class _Player:
 
     def _now_s(self) -> float:
         return time.monotonic() - self._start_s
+
+
+def _decoded(name: str, data: bytes):
+    """A message, or None where the bytes are none."""
+    try:
+        return decode(name, data)
+    except MalformedMessage:
+        return None

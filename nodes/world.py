@@ -19,9 +19,11 @@ from nodes.faults import HEALTHY, Faults, hangs
 from nodes.messages import (
     Array,
     Bid,
+    BidsClosed,
     Estimate,
     Grant,
     Measured,
+    StepClosed,
     Truth,
     WorldEvent,
     WorldMessage,
@@ -103,6 +105,7 @@ class WorldConfig:
     arbitrate: Arbitrate
     arbiter_state: Any
     controller: Controller | None
+    states: int
     delivery: Delivery | None = None
     neighbours: Sequence[Sequence[int]] = ()
     first_step: int = 0
@@ -120,8 +123,9 @@ class WorldState(NamedTuple):
     """The world between two events.
 
     `released` steps have been sent, of at most `limit`; `completed` ones estimated by all members,
-    which left `latest`. `announced` changes hold from the step that is released next; `delivered`
-    (nodes, r, d) is what the sensors did in the step that was released last.
+    which left `latest`; `since` is the first step of who has joined. `announced` changes hold from
+    the step that is released next; `delivered` (nodes, r, d) is what the sensors did in the step
+    that was released last.
     """
 
     released: int
@@ -141,6 +145,7 @@ class WorldState(NamedTuple):
     standing: Standing
     announced: tuple[Change, ...]
     delivered: Array | None
+    since: dict[int, int]
 
     @property
     def idle(self) -> bool:
@@ -170,6 +175,7 @@ def begin(config: WorldConfig) -> WorldState:
         standing=UNCHANGED,
         announced=(),
         delivered=None,
+        since={},
     )
     return skip_quiet_cycles(config, state)
 
@@ -194,19 +200,45 @@ def step(
     outbox: list[WorldMessage] = []
     match event:
         case Estimate():
-            if event.node in state.standing.absent or event.step < state.completed:
+            if not _is_sound(config, state, event):
                 return state, outbox
             heard = {**state.estimates.get(event.step, {}), event.node: event}
             state = state._replace(estimates={**state.estimates, event.step: heard})
             state = _complete(config, state, outbox)
-        case Bid():
+        case Bid() if _is_open(config, state, event):
             contest = (event.cycle, event.group)
             asked = {**state.bids.get(contest, {}), event.node: event}
             state = state._replace(bids={**state.bids, contest: asked})
             state = _grant(config, state, outbox)
         case Gone():
             state = _without(config, state, event, outbox)
+        case BidsClosed():
+            state = _grant(config, state, outbox, (event.cycle, event.group))
+        case StepClosed():
+            state = _complete(config, state, outbox, event.step)
     return state, outbox
+
+
+def _is_open(config: WorldConfig, state: WorldState, bid: Bid) -> bool:
+    """Whether a bid is of one of the nodes, and for a contest of the steps that are under way."""
+    return (
+        bid.node < config.nodes
+        and (state.next_cycle, state.next_group) <= (bid.cycle, bid.group)
+        and bid.cycle < config.cycle_of(state.released)
+        and bid.group < len(config.schedule.groups(bid.cycle))
+    )
+
+
+def _is_sound(config: WorldConfig, state: WorldState, estimate: Estimate) -> bool:
+    """Whether an estimate is of somebody who takes part, of an open step and of the right form."""
+    size = config.states
+    return (
+        estimate.node < config.nodes
+        and estimate.node not in state.standing.absent
+        and state.completed <= estimate.step < state.released
+        and len(estimate.mean) == size
+        and len(estimate.cov) == size * (size + 1) // 2
+    )
 
 
 def finished(config: WorldConfig, state: WorldState) -> bool:
@@ -236,16 +268,23 @@ def _without(
     return _complete(config, _grant(config, state, outbox), outbox)
 
 
-def _complete(config: WorldConfig, state: WorldState, outbox: list[WorldMessage]) -> WorldState:
-    expected = members(config, state)
-    while state.completed < state.released and expected:
-        came = state.estimates.get(state.completed, {})
-        if any(node not in came for node in expected):
+def _complete(
+    config: WorldConfig, state: WorldState, outbox: list[WorldMessage], closed: int = -1
+) -> WorldState:
+    """Go on from each step that all have estimated who took part, or that is `closed`."""
+    while state.completed < state.released:
+        number = state.completed
+        expected = [i for i in members(config, state) if state.since.get(i, 0) <= number]
+        came = state.estimates.get(number, {})
+        whole = bool(expected) and all(node in came for node in expected)
+        if not whole and number > closed:
             break
         estimates = {
             step: heard for step, heard in state.estimates.items() if step > state.completed
         }
-        state = state._replace(completed=state.completed + 1, estimates=estimates, latest=came)
+        # A step that nobody has estimated leaves what was believed before.
+        latest = came or state.latest
+        state = state._replace(completed=number + 1, estimates=estimates, latest=latest)
         state = _release(config, state, outbox)
     return state
 
@@ -327,17 +366,24 @@ def skip_quiet_cycles(config: WorldConfig, state: WorldState) -> WorldState:
     return state._replace(next_cycle=cycle, next_group=max(group, 0), won=won)
 
 
-def _grant(config: WorldConfig, state: WorldState, outbox: list[WorldMessage]) -> WorldState:
-    """Serve every contest whose bids are complete, in order."""
+def _grant(
+    config: WorldConfig,
+    state: WorldState,
+    outbox: list[WorldMessage],
+    closed: tuple[int, int] = (-1, 0),
+) -> WorldState:
+    """Serve every contest whose bids are complete, or that is `closed`, in order."""
     while True:
         contest = (state.next_cycle, state.next_group)
         bids = state.bids.get(contest, {})
         left = contenders_left(config.schedule, state.next_cycle, state.won)
         contenders = [node for node in left if node not in state.standing.absent]
-        if not awaits_bids(config, state) or any(node not in bids for node in contenders):
+        if not awaits_bids(config, state):
+            return state
+        if contest > closed and any(node not in bids for node in contenders):
             return state
         # In node order: who asked first on the wire must not matter.
-        requests = tuple(bids[node] for node in sorted(contenders))
+        requests = tuple(bids[node] for node in sorted(contenders) if node in bids)
         arbiter, winners = state.arbiter, ()
         if requests:
             arbiter, winners = config.arbitrate(arbiter, state.next_cycle, requests)

@@ -11,12 +11,18 @@ def apply(
     config: WorldConfig, state: WorldState, changes: Sequence[Change]
 ) -> tuple[WorldConfig, WorldState, list[WorldMessage]]:
     """The world with changes that hold from the next step on, and what there is to say of them."""
-    assert state.idle, "a change comes when no step is under way"
+    resets = any(isinstance(change, Set) for change in changes)
+    assert state.idle or not resets, "another bus begins when no step is under way"
     standing = state.standing
     for change in changes:
         standing = after(standing, state.released, change)
-    state = state._replace(standing=standing, announced=(*state.announced, *changes))
-    if any(isinstance(change, Set) for change in changes):
+    joined = {change.node: state.released for change in changes if isinstance(change, Joined)}
+    state = state._replace(
+        standing=standing,
+        announced=(*state.announced, *changes),
+        since={**state.since, **joined},
+    )
+    if resets:
         assert config.rebuild is not None, "whoever changes settings can rebuild"
         config = config.rebuild(standing)
         state = state._replace(
@@ -44,15 +50,22 @@ def setting(config: WorldConfig, state: WorldState, settings: Settings) -> Set:
 def joining(config: WorldConfig, state: WorldState, node: int) -> Joined | None:
     """How a node comes back: with the belief of the first of its neighbours that has one.
 
-    None while no neighbour can say anything. Before the first step the scenario's prior does.
+    None while no neighbour can say anything. Before the first step, and where neighbours are
+    sensors that believe nothing, the scenario's prior does. When nobody is left, a node goes on
+    from what it said last itself.
     """
     if state.released == 0:
         return Joined(node)
-    for neighbour in config.neighbours[node]:
-        estimate = state.latest.get(neighbour)
-        if estimate is not None and neighbour not in state.standing.absent and _whole(estimate):
+    absent = state.standing.absent
+    there = [j for j in config.neighbours[node] if j not in absent]
+    said = [state.latest[j] for j in there if j in state.latest]
+    if len(absent) == config.nodes:
+        said = [state.latest[node]] if node in state.latest else []
+    for estimate in said:
+        if _whole(estimate):
             return Joined(node, estimate.mean, estimate.cov)
-    return None
+    believes_nothing = there and len(said) == len(there)
+    return Joined(node) if believes_nothing or len(absent) == config.nodes else None
 
 
 def _whole(estimate: Estimate) -> bool:

@@ -11,29 +11,46 @@ from typing import NamedTuple
 import msgspec
 
 from nodes import world
-from nodes.changes import Gone, Settings, Standing
-from nodes.commands import Answer, Kill, Restart, Speed, read_command
+from nodes.changes import Gone, Settings, Welcome
+from nodes.clock import WorldClock
+from nodes.commands import (
+    Answer,
+    CutLink,
+    HealLink,
+    Kill,
+    LoseFrames,
+    Partition,
+    Restart,
+    Speed,
+    read_command,
+)
 from nodes.conductor import Conductor, Scripted, Stage
 from nodes.links import RECORDER, WORLD, Links
 from nodes.messages import (
+    BidsClosed,
     MalformedMessage,
     Start,
+    StepClosed,
     Unreachable,
     WorldMessage,
     decode,
     encode,
     topic,
 )
-from nodes.metronome import Metronome, beat_on_time
+from nodes.metronome import Metronome, tell_on_time
+from nodes.notices import Asked, Hello, Notice, Presence, Recorded, State
 from nodes.process import Finished
 from nodes.tempo import Tempo
 from nodes.world import WorldConfig
+from nodes.world_timetable import Beat, timetable
 from nodes.zenoh_transport import Transport
 
 WORLD_QUEUE = 16_384
 _ANSWER_S = 5.0
 # How often the world says for whom it waits.
 _TELL_S = 10.0
+_WHILE_TIMED = Kill | Restart | CutLink | HealLink | LoseFrames | Partition
+_TIMED = "a network in real time follows the clock: kill, restart, cut, heal, partition, loss only"
 _NOT_OURS = "nodes run on hosts of their own; end and start `concord node` there"
 # From the announcement of the common start to the start: every node must have heard it.
 _HEAD_START_S = 0.2
@@ -45,54 +62,6 @@ class Disagreement(Exception):
 
 class Deserted(Exception):
     """Every node is gone."""
-
-
-class Presence(NamedTuple):
-    """A process has come, or is gone."""
-
-    name: str
-    is_there: bool
-
-
-class Hello(NamedTuple):
-    """A node says that it is ready, and with which configuration."""
-
-    node: int
-    fingerprint: str
-
-
-class Recorded(NamedTuple):
-    """All that a node has said that leaves on command."""
-
-    node: int
-
-
-class Asked(NamedTuple):
-    """Somebody has asked for something; the answer goes to a queue."""
-
-    payload: bytes
-    answer: SimpleQueue[Answer]
-
-
-class Beat(NamedTuple):
-    """At a limited speed: the time has come for a step."""
-
-
-Notice = Presence | Hello | Recorded | Asked | Beat | Unreachable
-
-
-class State(msgspec.Struct, frozen=True):
-    """What the world answers to whoever asks how the network stands."""
-
-    run: str
-    setup: msgspec.Raw
-    begun: bool
-    completed: int
-    released: int
-    paused: bool
-    steps_per_second: float
-    members: list[int]
-    standing: Standing
 
 
 class Management(NamedTuple):
@@ -149,7 +118,8 @@ class _Office:
         stage = Stage(self._doomed.add, self._start, management.check)
         if tempo is not None:
             config = dataclasses.replace(config, lead=config.steps)
-        self._conductor = Conductor(config, script, stage)
+        self._conductor = Conductor(config, script, stage, tempo is not None)
+        self._start_s: float | None = None
         self._notices: SimpleQueue[Notice] = SimpleQueue()
         self._source = "estimate/*"
         self._metronome = Metronome(lambda: self._notify(Beat()))
@@ -159,6 +129,7 @@ class _Office:
         self._transport.listen("recorded/*", self._hear_recorded)
         self._transport.listen("unreachable/*", self._hear_unreachable)
         self._transport.answer("state", self._state)
+        self._transport.answer("clock", self._clock)
         self._transport.answer("control", self._ask)
 
     def work(self) -> None:
@@ -182,8 +153,11 @@ class _Office:
                 completed = conductor.state.completed
                 self._management.on_step(completed)
         self._metronome.set(0)
-        members = world.members(conductor.config, conductor.state)
-        finished = Finished(conductor.config.steps - 1, members)
+        # In real time the others may still be on their way, or lost.
+        last = conductor.config.steps - 1
+        latest = conductor.state.latest.values()
+        members = sorted(estimate.node for estimate in latest if estimate.step == last)
+        finished = Finished(last, members)
         self._transport.send("finished", msgspec.json.encode(finished))
         while self._transport.receive("end") is None:
             pass
@@ -191,10 +165,9 @@ class _Office:
 
     def _announce(self, tempo: Tempo) -> list[WorldMessage]:
         """In real time: from a common start on, a step at each beat."""
-        start_s = time.monotonic() + _HEAD_START_S
-        steps = self._conductor.config.steps
-        beat_on_time(start_s, tempo.step_s, steps, lambda: self._notify(Beat()))
-        start = Start(start_s)
+        start = Start(time.monotonic() + _HEAD_START_S)
+        self._start_s = start.at_s
+        tell_on_time(start.at_s, timetable(tempo, self._conductor.config), self._notify)
         self._transport.send(topic(start), encode(start))
         return self._conductor.command(Speed(1 / tempo.step_s))
 
@@ -267,6 +240,9 @@ class _Office:
                 notice.answer.put(self._obey(notice.payload))
             case Beat():
                 self._send(conductor.tick())
+                self._remind()
+            case BidsClosed() | StepClosed():
+                self._send(conductor.take(notice))
             case Unreachable(node, neighbour):
                 # Frames between them are lost. One of them is out until there is a link again.
                 absent = conductor.state.standing.absent
@@ -285,14 +261,28 @@ class _Office:
 
     def _give_up(self, node: int) -> None:
         self._send(self._conductor.take(Gone(node)))
-        if self._conductor.deserted:
+        if not self._conductor.deserted:
+            return
+        if self._management.keeps_nodes:
             raise Deserted("no node is left")
+        # On several hosts the world may be the one that is cut off: it stands still till they are
+        # back, and the step that was open ends with what has come.
+        if self._tempo is None:
+            self._send(self._conductor.take(StepClosed(self._conductor.state.released - 1)))
+
+    def _remind(self) -> None:
+        """In real time: who is there again and was given up must know."""
+        if self._tempo is None:
+            return
+        absent = [str(node) for node in self._conductor.state.standing.absent]
+        for node in set(absent) - set(self._transport.missing(absent)):
+            self._transport.offer(f"gone/{node}", encode(Gone(int(node))))
 
     def _obey(self, payload: bytes) -> Answer:
-        if self._tempo is not None:
-            return Answer(False, "a network in real time takes no commands; use --driver processes")
         try:
             command = read_command(payload)
+            if self._tempo is not None and not isinstance(command, _WHILE_TIMED):
+                return Answer(False, _TIMED)
             if isinstance(command, Kill | Restart) and not self._management.keeps_nodes:
                 return Answer(False, _NOT_OURS)
             self._send(self._conductor.command(command))
@@ -308,13 +298,17 @@ class _Office:
 
     def _send(self, messages: Sequence[WorldMessage]) -> None:
         for message in messages:
-            self._transport.send(topic(message), encode(message))
+            # A link that stands still must not hold up who keeps time.
+            waits = self._tempo is None or isinstance(message, Welcome)
+            say = self._transport.send if waits else self._transport.offer
+            say(topic(message), encode(message))
 
     # --- in zenoh's threads ----------------------------------------------------------------------
 
     def _notify(self, notice: Notice) -> None:
         self._notices.put(notice)
-        self._transport.wake(self._source)
+        if not self._conductor.finished:
+            self._transport.wake(self._source)
 
     def _hear_hello(self, name: str, data: bytes) -> None:
         node = name.partition("/")[2]
@@ -342,6 +336,9 @@ class _Office:
             return msgspec.json.encode(answer.get(timeout=_ANSWER_S))
         except Empty:
             return msgspec.json.encode(Answer(False, "the world does not answer; try again"))
+
+    def _clock(self, _payload: bytes) -> bytes:
+        return msgspec.json.encode(WorldClock(time.monotonic(), self._start_s))
 
     def _state(self, _payload: bytes) -> bytes:
         conductor = self._conductor

@@ -48,7 +48,13 @@ def _config(links: Links) -> zenoh.Config:
         "transport/shared_memory/enabled": False,
         "transport/link/tx/lease": _LEASE_MS,
         "transport/link/tx/keep_alive": 4,
+        # What may be lost waits so long for room, once; then it is, until there is room again.
+        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 10_000,
+        "transport/link/tx/queue/size/data": 16,
     }
+    if links.mode == "router":
+        # One host that is out of reach holds up all others as long as this.
+        settings["transport/link/tx/queue/congestion_control/block/wait_before_close"] = 1_000_000
     config = zenoh.Config.from_file(links.keys) if links.keys else zenoh.Config()
     for key, value in settings.items():
         config.insert_json5(key, msgspec.json.encode(value).decode())

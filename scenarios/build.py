@@ -123,6 +123,7 @@ def build_world(setup: Setup) -> WorldConfig:
     return WorldConfig(
         plant=plant,
         initial_state=from_wire(setup.initial_state),
+        states=len(setup.prior_mean),
         draws=plant.draw(partial(generator, scenario), scenario.steps),
         nodes=scenario.nodes,
         steps=scenario.steps,

@@ -154,6 +154,7 @@ def network(
     world = WorldConfig(
         plant=plant,
         initial_state=np.ones(n),
+        states=n,
         draws=Draws(
             0.1 * generator.standard_normal((steps, n)),
             0.5 * generator.standard_normal((steps, count, 1, n)),
