@@ -10,7 +10,18 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from bus.fragments import join
-from nodes.changes import Cut, Event, Healed, Joined, Left, Welcome
+from nodes.changes import (
+    Calm,
+    Cut,
+    Event,
+    Fault,
+    Healed,
+    Joined,
+    Left,
+    Loss,
+    Set,
+    Welcome,
+)
 from nodes.history import History, history_of, with_event
 from nodes.link_state import hears
 from nodes.messages import (
@@ -28,7 +39,7 @@ from nodes.share import read_frame
 Key = tuple[int, int, int]
 _BOOKED = ("sent", "heard", "lost", "late", "repeated", "missed")
 _EVENTS_PER_FRAME = 50
-_WORDS = {Left: "kill", Joined: "restart", Healed: "heal"}
+_WORDS = {Left: "kill", Joined: "restart", Cut: "cut", Healed: "heal", Loss: "loss", Set: "set"}
 
 
 class Broken(Exception):
@@ -132,13 +143,18 @@ class Books:
 
     def _note_change(self, event: Event) -> None:
         self.history = with_event(self.history, event)
-        kind = type(event.change)
-        self.changes[_WORDS.get(kind, kind.__name__.lower())] += 1
+        change = event.change
+        if isinstance(change, Fault):
+            self.changes[change.kind] += 1
+        elif type(change) in _WORDS:
+            self.changes[_WORDS[type(change)]] += 1
         match event.change:
             case Cut(sender, receiver):
                 self._cuts.add((sender, receiver))
             case Healed(sender, receiver):
                 self._cuts.discard((sender, receiver))
+            case Calm():
+                self._cuts.clear()
 
     # --- what arrives ----------------------------------------------------------------------------
 

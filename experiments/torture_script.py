@@ -1,5 +1,6 @@
 """What becomes of a network in a case of torture: changes that can follow upon one another."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -7,7 +8,10 @@ import numpy as np
 from nodes.changes import Settings
 from scenarios.setup import Setup, complete_settings
 
-SCRIPT_FAULTS = ("kill", "restart", "cut", "heal", "loss", "set")
+SENSOR_FAULTS = ("outlier", "bias", "stuck", "dropout")
+SCRIPT_FAULTS = ("kill", "restart", "cut", "heal", "loss", "partition", *SENSOR_FAULTS, "set")
+# After these a reading says what its sensor never promised.
+LYING_SENSORS = ("outlier", "bias", "stuck")
 
 _SETTINGS: dict[str, tuple[Any, ...]] = {
     "rule": ("ci", "wac", "hcmci", "labelled", "diffusion", "ellipsoid", "zonotope"),
@@ -33,10 +37,21 @@ class _Author:
         self._links = [(s, r) for r, heard in enumerate(setup.neighbours) for s in heard]
         self._absent: list[int] = []
         self._cuts: set[tuple[int, int]] = set()
-        self._lossy: set[tuple[int, int]] = set()
-        self._loses = False
         self._settings: Settings = {}
         self._lines: list[str] = []
+        self._write: dict[str, Callable[[int], None]] = {
+            "kill": self._kill,
+            "restart": self._restart,
+            "cut": self._cut,
+            "heal": self._heal,
+            "loss": self._loss,
+            "partition": self._partition,
+            "outlier": lambda step: self._sensor(step, "outlier", self._part(), self._size()),
+            "bias": lambda step: self._sensor(step, "bias", self._size()),
+            "stuck": lambda step: self._sensor(step, "stuck", self._one((1, 3, 6))),
+            "dropout": lambda step: self._sensor(step, "dropout", self._part()),
+            "set": self._set,
+        }
 
     def written(self, calm_step: int) -> tuple[str, ...]:
         """The whole script."""
@@ -48,7 +63,7 @@ class _Author:
         for step in range(1, calm_step):
             for kind, rate in rates.items():
                 if self._generator.random() < rate:
-                    getattr(self, f"_{kind}")(step)
+                    self._write[kind](step)
         self._calm(calm_step)
         return tuple(self._lines)
 
@@ -85,14 +100,24 @@ class _Author:
             self._say(step, f"heal {sender} {receiver} one-way")
 
     def _loss(self, step: int) -> None:
-        probability = round(float(self._generator.uniform(0.05, 0.9)), 2)
-        if self._generator.random() < 0.5:
-            self._loses = True
-            self._say(step, f"loss {probability}")
-        else:
-            sender, receiver = self._one(self._links)
-            self._lossy |= {(sender, receiver)}
-            self._say(step, f"loss {probability} {sender} {receiver} one-way")
+        links = "" if self._generator.random() < 0.5 else " {} {} one-way"
+        self._say(step, f"loss {self._part()}" + links.format(*self._one(self._links)))
+
+    def _partition(self, step: int) -> None:
+        nodes = self._generator.permutation(self._setup.scenario.nodes)
+        side = sorted(nodes[: 1 + int(self._generator.integers(len(nodes) - 1))].tolist())
+        self._say(step, f"partition {' '.join(map(str, side))}")
+
+    def _sensor(self, step: int, kind: str, *numbers: float) -> None:
+        """Something is wrong with one node's sensor until all is calm."""
+        node = int(self._generator.integers(self._setup.scenario.nodes))
+        self._say(step, f"{kind} {node} {' '.join(map(str, numbers))}")
+
+    def _part(self) -> float:
+        return round(float(self._generator.uniform(0.05, 0.9)), 2)
+
+    def _size(self) -> float:
+        return round(float(self._generator.uniform(-20, 20)), 1)
 
     def _set(self, step: int) -> None:
         name = self._one(list(_SETTINGS))
@@ -109,10 +134,4 @@ class _Author:
         """All is well again, as far as the scenario's own links are."""
         while self._absent:
             self._restart(step)
-        for sender, receiver in sorted(self._cuts):
-            self._say(step, f"heal {sender} {receiver} one-way")
-        own = self._setup.scenario.loss
-        if self._loses:
-            self._say(step, f"loss {own}")
-        for sender, receiver in sorted(self._lossy):
-            self._say(step, f"loss {own} {sender} {receiver} one-way")
+        self._say(step, "calm")

@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 
 from experiments.torture_books import Books, Broken
+from experiments.torture_verdict import sensors_are_honest
 from experiments.torture_weights import promised_weights
 from filters.fusion import Averaged
 from filters.gaussian import Gaussian
@@ -75,6 +76,7 @@ class Watched:
         self._cycle = self._group = -1
         self._heard: dict[int, int] = {}
         self._used: set[tuple[int, int]] = set()
+        self._honest = sensors_are_honest(scenario)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._inner, name)
@@ -107,6 +109,8 @@ class Watched:
         content, troubles = self._inner.fuse(content, meanings)
         self._books.refused(self._config.index, sum(trouble in _REFUSALS for trouble in troubles))
         self._heard.update(dict.fromkeys(came, self._cycle))
+        if "contradicting-share" in troubles:
+            self._forget_refused(self._inner.ages(content))
         self._check_troubles(troubles)
         self._check_belief(self._inner.belief(content), 0.0)
         self._group += 1
@@ -114,6 +118,12 @@ class Watched:
             self._check_ages(self._inner.ages(content))
             self._cycle, self._group = self._cycle + 1, 0
         return content, troubles
+
+    def _forget_refused(self, ages: Array) -> None:
+        """A set that has nothing in common with the own one is not held."""
+        for sender, age in zip(self._config.neighbours, ages.tolist(), strict=True):
+            if age < 0:
+                self._heard.pop(sender, None)
 
     def _check_share(self, sender: int, share: _Share) -> None:
         label = (sender, self._cycle)
@@ -141,8 +151,8 @@ class Watched:
             ) from None
 
     def _check_troubles(self, troubles: tuple[str, ...]) -> None:
-        """Nobody lies and no sensor is broken, so nothing may fail."""
-        certain = isinstance(self._inner, SetMembership)
+        """Sets that hold the truth have it in common, if no sensor says what it does not read."""
+        certain = isinstance(self._inner, SetMembership) and self._honest
         bad = [trouble for trouble in troubles if certain and trouble in _CONTRADICTIONS]
         if bad:
             raise self._broken("sets of the truth meet", bad[0])

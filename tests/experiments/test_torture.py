@@ -11,6 +11,7 @@ from experiments.torture import torture
 from experiments.torture_case import Case
 from experiments.torture_draw import draw_case
 from experiments.torture_frames import FRAME_FAULTS, HARMLESS, HostileLink
+from experiments.torture_script import SENSOR_FAULTS
 from experiments.torture_shrink import replay_command, shrink
 from nodes.share import to_frames
 from tests.experiments.torture_bugs import BUGS, MOST_SEEDS, Bug, first_found, planted
@@ -36,10 +37,11 @@ def said(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str
 
 
 def test_nothing_breaks_and_every_fault_is_counted(capsys: pytest.CaptureFixture[str]):
-    code, out, _ = said(capsys, "--seeds", "1..10", "--workers", "1", "--json")
+    code, out, _ = said(capsys, "--seeds", "1..11", "--workers", "1", "--json")
     result = msgspec.json.decode(out)
-    assert (code, result["failures"], result["cases"]) == (0, [], 10)
-    assert {"kill", "restart", "cut", "heal", "loss", "set", *FRAME_FAULTS} <= {
+    assert (code, result["failures"], result["cases"]) == (0, [], 11)
+    changes = {"kill", "restart", "cut", "heal", "loss", "set"}
+    assert changes | {*SENSOR_FAULTS, *FRAME_FAULTS} <= {
         kind for kind, count in result["injected"].items() if count
     }
 
