@@ -11,10 +11,12 @@ import tempfile
 import threading
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 
 from benchmarks.measure import Figures, figure, ratio, say
+from benchmarks.processor import spent_s
 from dashboard.app import Dashboard
 from dashboard.serve import open_recording
 from experiments.drivers import drive, over_processes
@@ -28,6 +30,7 @@ from scenarios.setup import Setup, prepare
 SIZES = (24, 100, 400)
 UPDATES_HZ, SECONDS = 10.0, 4.0
 NODES, STEPS, REPETITIONS = 16, 400, 7
+_LAST_STEPS = 40
 
 
 def main() -> Figures:
@@ -41,21 +44,44 @@ def main() -> Figures:
             f"{cost.value * UPDATES_HZ / 10:.0f} % of a core at {UPDATES_HZ:g} Hz"
         )
     setup = _setup(NODES, STEPS)
-    rates: dict[bool, list[float]] = {False: [], True: []}
+    runs: dict[bool, list[_Pace]] = {False: [], True: []}
     for number in range(REPETITIONS):
         # Whoever is first has the quieter moment: in turns.
         for attached in (False, True) if number % 2 == 0 else (True, False):
-            rates[attached].append(_steps_per_second(setup, attached))
-    alone = figure(rates[False], "steps per second", "more")
-    watched = figure(rates[True], "steps per second", "more")
-    kept = ratio(rates[True], rates[False])
-    results |= {"lockstep-alone": alone, "lockstep-watched": watched, "watched-to-alone": kept}
+            runs[attached].append(_pace(setup, attached))
+    return results | _compared(runs[False], runs[True])
+
+
+class _Pace(NamedTuple):
+    """Of a network and its page: steps per second, processor time of each per step."""
+
+    steps_per_s: float
+    network_ms: float
+    page_ms: float
+
+
+def _compared(apart: "list[_Pace]", together: "list[_Pace]") -> Figures:
+    """What a page takes: by the clock, and by the processor time, which others do not disturb."""
+    rates = [[run.steps_per_s for run in runs] for runs in (together, apart)]
+    costs = [[run.network_ms + run.page_ms for run in runs] for runs in (apart, together)]
+    alone = figure(rates[1], "steps per second", "more")
+    watched = figure(rates[0], "steps per second", "more")
+    kept, cheap = ratio(*rates), ratio(*costs)
     say(
         f"{NODES} nodes in lockstep: {alone.value:.0f} steps per second alone, "
         f"{watched.value:.0f} with a page attached, ratio {kept.value:.2f} "
         f"({kept.low:.2f} to {kept.high:.2f}, {REPETITIONS} in turns)"
     )
-    return results
+    page = figure([run.page_ms for run in together], "ms of processor time per step", "less")
+    say(
+        f"     processor time alone to with a page: {cheap.value:.2f} ({cheap.low:.2f} to "
+        f"{cheap.high:.2f}), of it the page {page.value:.1f} ms per step; "
+        f"load {os.getloadavg()[0]:.0f}"
+    )
+    return {
+        "lockstep-alone": alone, "lockstep-watched": watched, "watched-to-alone": kept,
+        "watched-to-alone-cost": cheap, "page-per-step": page,
+    }  # fmt: skip
 
 
 def _setup(nodes: int, steps: int) -> Setup:
@@ -111,19 +137,27 @@ def _paced_ms(page: Dashboard) -> list[float]:
     return spent_ms
 
 
-def _steps_per_second(setup: Setup, attached: bool) -> float:
-    """Lockstep rate from when the page is there, or might be, to the end of the run."""
+def _pace(setup: Setup, attached: bool) -> _Pace:
+    """Lockstep rate and cost from when the page is there, or might be, to the end of the run."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         attaching: list[threading.Thread] = []
         marks: list[tuple[int, float]] = []
         begin_s = [float("inf")]
+        watched: list[tuple[int, ...]] = []
+        spent: list[tuple[int, float, float]] = []
+
+        def weigh(step: int) -> None:
+            spent.append((step, spent_s(watched[0]), spent_s(watched[1])))
 
         def attach() -> None:
             network = read_network(folder)
             client = Client(network.connect, network.run)
             client.command(Pause())
             page = _page(folder) if attached else None
+            watched.append(tuple(network.pids.values()))
+            watched.append((page.pid,) if page is not None else ())
+            weigh(marks[-1][0])
             begin_s[0] = time.monotonic()
             client.command(Resume())
             over.wait()
@@ -137,6 +171,9 @@ def _steps_per_second(setup: Setup, attached: bool) -> float:
                 attaching.append(threading.Thread(target=attach))
                 attaching[0].start()
             marks.append((step, time.monotonic()))
+            # While all are there still.
+            if len(spent) == 1 and step >= setup.scenario.steps - _LAST_STEPS:
+                weigh(step)
 
         over = threading.Event()
         run = f"bench-{time.time_ns()}"
@@ -145,7 +182,13 @@ def _steps_per_second(setup: Setup, attached: bool) -> float:
         attaching[0].join()
         measured = [mark for mark in marks if mark[1] > begin_s[0]]
         (first, first_s), (last, last_s) = measured[0], measured[-1]
-        return (last - first) / (last_s - first_s)
+        (before, network, page), (after, network_end, page_end) = spent
+        each_ms = 1e3 / (after - before)
+        return _Pace(
+            (last - first) / (last_s - first_s),
+            each_ms * (network_end - network),
+            each_ms * (page_end - page),
+        )
 
 
 def _page(folder: Path) -> "subprocess.Popen[bytes]":

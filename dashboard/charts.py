@@ -15,6 +15,7 @@ from dashboard.theme import Colour, Theme, css
 from dashboard.view import View
 
 MOST_POINTS = 600
+_LEAST_POWER = -12
 # Titles and legends take no more of a small screen than they need.
 _DENSE = (
     "<style>.uplot-container{margin:3px 6px!important}.u-title{font-size:12px!important;"
@@ -115,11 +116,11 @@ class Chart:
 
 def shown_power(columns: list[Array]) -> int:
     """The power of ten, a multiple of three, in which values are shown that uplot would round to
-    nothing: it writes three decimals at most."""
+    nothing: it writes three decimals at most. What is smaller still is rounding."""
     largest = max(float(np.abs(column).max()) for column in columns)
     if largest >= 0.02 or largest == 0.0:
         return 0
-    return 3 * int(np.floor(np.log10(largest) / 3))
+    return max(_LEAST_POWER, 3 * int(np.floor(np.log10(largest) / 3)))
 
 
 def titled(name: str, unit: str, power: int) -> str:

@@ -35,12 +35,13 @@ VIEW = View(step=41)
 
 
 @pytest.mark.parametrize(
-    ("largest", "power"), [(12.0, 0), (0.02, 0), (0.011, -3), (0.0011, -3), (4e-5, -6), (0.0, 0)]
+    ("largest", "power"),
+    [(12.0, 0), (0.02, 0), (0.011, -3), (0.0011, -3), (4e-5, -6), (0.0, 0), (3e-19, -12)],
 )
 def test_what_is_small_is_shown_in_a_power_of_ten_that_leaves_digits(largest: float, power: int):
     shown = shown_power([np.array([0.0, largest]), np.zeros(2)])
     assert shown == power
-    assert largest == 0 or 0.02 <= largest * 10.0**-shown < 1000
+    assert largest < 1e-14 or 0.02 <= largest * 10.0**-shown < 1000
 
 
 def test_titles_name_the_unit_and_the_power():

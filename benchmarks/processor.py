@@ -1,0 +1,30 @@
+"""Processor time of processes that run: what they cost, however busy the machine is with others."""
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+
+_TICKS_PER_S = os.sysconf("SC_CLK_TCK")
+
+
+def spent_s(processes: Iterable[int]) -> float:
+    """Processor time of these processes and of their children, in seconds; of who has left, none.
+
+    Source: proc(5), /proc/PID/stat, fields utime to cstime.
+    """
+    return sum(_spent_s(process) for process in processes)
+
+
+def _spent_s(process: int) -> float:
+    place = Path(f"/proc/{process}")
+    try:
+        # The name, in parentheses, may hold anything.
+        fields = (place / "stat").read_text().rpartition(")")[2].split()
+        children = [
+            int(child)
+            for thread in (place / "task").iterdir()
+            for child in (thread / "children").read_text().split()
+        ]
+    except FileNotFoundError:
+        return 0.0
+    return sum(map(int, fields[11:15])) / _TICKS_PER_S + spent_s(children)
