@@ -13,17 +13,7 @@ import msgspec
 from nodes import world
 from nodes.changes import Gone, Settings, Welcome
 from nodes.clock import WorldClock
-from nodes.commands import (
-    Answer,
-    CutLink,
-    HealLink,
-    Kill,
-    LoseFrames,
-    Partition,
-    Restart,
-    Speed,
-    read_command,
-)
+from nodes.commands import Answer, Kill, Restart, Speed, TimelyCommand, read_command
 from nodes.conductor import Conductor, Scripted, Stage
 from nodes.links import RECORDER, WORLD, Links
 from nodes.messages import (
@@ -49,8 +39,7 @@ WORLD_QUEUE = 16_384
 _ANSWER_S = 5.0
 # How often the world says for whom it waits.
 _TELL_S = 10.0
-_WHILE_TIMED = Kill | Restart | CutLink | HealLink | LoseFrames | Partition
-_TIMED = "a network in real time follows the clock: kill, restart, cut, heal, partition, loss only"
+_TIMED = "a network in real time follows the clock: kill, restart and faults only"
 _NOT_OURS = "nodes run on hosts of their own; end and start `concord node` there"
 # From the announcement of the common start to the start: every node must have heard it.
 _HEAD_START_S = 0.2
@@ -281,7 +270,7 @@ class _Office:
     def _obey(self, payload: bytes) -> Answer:
         try:
             command = read_command(payload)
-            if self._tempo is not None and not isinstance(command, _WHILE_TIMED):
+            if self._tempo is not None and not isinstance(command, Restart | TimelyCommand):
                 return Answer(False, _TIMED)
             if isinstance(command, Kill | Restart) and not self._management.keeps_nodes:
                 return Answer(False, _NOT_OURS)

@@ -1,8 +1,10 @@
 """How fast a network runs in real time: the bus of a scenario, stretched to what processes hold."""
 
+from nodes.commands import TimelyCommand
 from nodes.tempo import Tempo
 from scenarios.build import build_controller, build_plan
 from scenarios.scenario import require
+from scenarios.script import script_of
 from scenarios.setup import Setup
 
 # Processes that share a machine keep such times; a cycle on the bus is some ten times shorter.
@@ -30,11 +32,12 @@ def tempo_of(setup: Setup, stretch: float | None) -> Tempo:
             f"--driver realtime --cluster {scenario.cluster}: a bus without time sets no pace; "
             "choose a cluster (fitted, a preset, a file), or --driver processes"
         )
-    if scenario.changes:
-        raise ValueError(
-            "--driver realtime --changes: changes wait until nothing is under way, and time does "
-            "not; leave --changes out, or use --driver processes"
-        )
+    for step, command in script_of(scenario):
+        if not isinstance(command, TimelyCommand):
+            raise ValueError(
+                f"--driver realtime --changes: what is to happen at step {step} waits for others, "
+                "and time does not; leave restart and set out, or use --driver processes"
+            )
     controller = build_controller(scenario)
     if controller is not None and controller.node is not None:
         raise ValueError(

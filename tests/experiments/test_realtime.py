@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 
 from experiments.agree_command import first_difference
@@ -14,7 +15,8 @@ from experiments.drivers import in_this_process
 from experiments.launcher import run_processes
 from experiments.results import describe
 from experiments.timing_figures import TimingFigures, figures_of, lines
-from nodes.commands import Pause
+from nodes.changes import Calm, Cut, Fault
+from nodes.commands import Inject, Pause
 from nodes.control_client import Client
 from nodes.messages import Timing, decode, encode, topic
 from nodes.recording import read_recording
@@ -129,7 +131,29 @@ def test_contenders_get_their_grants_in_time(tmp_path: Path):
 
 
 @pytest.mark.zenoh
-def test_commands_are_refused(tmp_path: Path):
+def test_faults_strike_the_same_frames_as_in_lockstep_and_cost_no_time(tmp_path: Path):
+    lines = (
+        "2 corrupt 0.3", "2 duplicate 0.5", "3 missing 1 0.5", "3 hang 3 2", "4 cut 0 1",
+        "4 outlier 2 0.5 20", "6 lie 2 3 4", "6 replay 0 0.5 2", "8 calm",
+    )  # fmt: skip
+    setup = small(steps=11, changes=lines)
+    figures = play(setup, tmp_path)
+    recorded = list(read_recording(tmp_path / "run.mcap"))
+    events = [decode(name, data) for name, data in recorded if name == "event"]
+    ours = [one.step for one in events if isinstance(one.change, Fault | Cut | Calm)]
+    assert ours == [2, 2, 3, 3, 4, 4, 4, 6, 6, 8]
+    trace = trace_of(setup, tmp_path / "run.mcap")
+    in_this_process(setup, "reference", tmp_path / "reference.mcap", None, lambda step: None)
+    reference = trace_of(setup, tmp_path / "reference.mcap")
+    known = ~np.isnan(trace.readings)
+    np.testing.assert_array_equal(trace.readings[known], reference.readings[known])
+    if figures.deadline_misses == 0:
+        assert first_difference(reference, trace, "realtime") is None
+        assert trace.counters == reference.counters
+
+
+@pytest.mark.zenoh
+def test_commands_are_refused_but_faults(tmp_path: Path):
     answers = []
 
     def ask(happened: Happened) -> None:
@@ -138,19 +162,23 @@ def test_commands_are_refused(tmp_path: Path):
         if happened.what == "step" and not answers:
             client = Client(connect, "realtime")
             answers.append(client.command(Pause()))
+            answers.append(client.command(Inject("crc", (1,), (1.0,))))
             client.close()
 
     connect: list[str] = []
     play(small(steps=20), tmp_path, ask)
     assert not answers[0].accepted
     assert "real time" in answers[0].detail
+    assert answers[1].accepted
+    counters = trace_of(small(steps=20), tmp_path / "run.mcap").counters
+    assert sum(one.get("rejected frame-crc", 0) for one in counters) > 0
 
 
 @pytest.mark.parametrize(
     ("changed", "stretch", "named"),
     [
         ({"cluster": "none"}, None, "--cluster none: a bus without time sets no pace"),
-        ({"changes": ("3 kill 1",)}, None, "--changes"),
+        ({"changes": ("3 kill 1", "5 restart 1")}, None, "at step 5 waits for others"),
         ({}, 0.5, "--cycle-stretch 0.5: must be at least 1"),
     ],
 )
