@@ -22,7 +22,7 @@ from nodes.commands import Command
 from nodes.control_client import Client, NotThere
 from scenarios.setup import Setup
 
-_MESSAGES_PER_S = 750.0
+_MESSAGES_PER_S = 1500.0
 _STATE_PERIOD_S = 0.5
 _FRAMES_PER_LISTENING = 2
 _QUEUE = 20_000

@@ -1,0 +1,32 @@
+"""What processes cost, read from outside of them."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from benchmarks.processor import spent_s
+
+pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
+BUSY = "import time\nwhile time.process_time() < 0.5: pass\n"
+PARENT = f"import subprocess, sys\nsubprocess.run([sys.executable, '-c', {BUSY!r}])\n"
+
+
+def test_a_process_costs_what_it_and_its_children_worked():
+    code = f"{PARENT}print(flush=True)\ninput()"
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    with process:
+        assert process.stdout
+        assert process.stdout.readline()
+        assert 0.5 <= spent_s([process.pid]) < 3.0
+        assert spent_s([process.pid, process.pid]) == 2 * spent_s([process.pid])
+        process.kill()
+
+
+def test_who_has_left_costs_nothing_any_more():
+    process = subprocess.Popen([sys.executable, "-c", "pass"])
+    process.wait()
+    assert spent_s([process.pid]) == 0.0
