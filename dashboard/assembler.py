@@ -52,6 +52,7 @@ class Assembler:
         self._sizes: dict[int, dict[int, int]] = defaultdict(lambda: defaultdict(int))
         self._events: list[Event] = []
         self._next: int | None = None
+        self._whole_from: int | None = 0
         self._newest = -1
         n, nodes = len(stage.setup.prior_mean), stage.nodes
         prior = Gaussian(np.array(stage.setup.prior_mean), np.array(stage.setup.prior_cov))
@@ -72,14 +73,16 @@ class Assembler:
         """The stage with the settings of the newest frame."""
         return self._stage
 
-    def begin_anew(self) -> None:
+    def begin_anew(self, whole_from: int | None = None) -> None:
         """Messages have been left out: forget what is incomplete, go on with the next whole step.
 
-        The filter that hears everything has not, so there is none from now on.
+        `whole_from`: the step before which the network stands still, so that nothing of it is
+        missed. The filter that hears everything has not, so there is none from now on.
         """
         self._steps.clear()
         self._sizes.clear()
         self._next, self._listen = None, None
+        self._whole_from = whole_from
         self._last_sent[:] = -1
 
     def take(self, topic: str, data: bytes) -> list[Frame]:
@@ -139,7 +142,7 @@ class Assembler:
             return None
         # Sizes of its first cycles are missing unless we heard the step before.
         first = min(whole)
-        return first if first == 0 or first - 1 in self._steps else first + 1
+        return first if first == self._whole_from or first - 1 in self._steps else first + 1
 
     def _is_over(self, number: int) -> bool:
         step = self._steps.get(number)

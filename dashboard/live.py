@@ -122,7 +122,8 @@ class LiveNetwork:
         """Keep what is heard below so many messages per second."""
         if self._stop_hearing is None:
             if now_s >= self._rest_until_s:
-                self._assembler.begin_anew()
+                state = self._state
+                self._assembler.begin_anew(state.completed if state.paused else None)
                 self._count, self._frames_heard = 0, 0
                 self._listening_since_s = now_s
                 self._stop_hearing = self._listen()

@@ -175,3 +175,12 @@ def test_rubbish_changes_nothing(rubbish: tuple[str, bytes]):
 def test_every_kind_of_scenario_makes_frames(name: str, changes: dict):
     stage, messages = run_of(name, steps=6, **changes)
     assert [frame.step for frame in frames_of(stage, messages)] == list(range(6))
+
+
+def test_who_listens_again_while_the_network_stands_still_misses_no_step():
+    later = [m for m in MESSAGES if (step_of(*m) or 0) >= 9 and not m[0].startswith("share/")]
+    for still, first in ((9, 9), (7, 10), (None, 10)):
+        assembler = Assembler(STAGE)
+        assembler.begin_anew(still)
+        frames = [frame for message in later for frame in assembler.take(*message)]
+        assert [frame.step for frame in frames] == list(range(first, 24))
