@@ -45,7 +45,7 @@ BUGS = (
         "a stale share is taken as fresh",
         "nodes.hearing", "_read",
         (("    if fragment.cycle < cycle:\n        raise Rejected(_LATE)\n    return fragment",
-          "    return fragment._replace(cycle=max(fragment.cycle, cycle))"),),
+          "    return replace(fragment, cycle=max(fragment.cycle, cycle))"),),
     ),
     Bug(
         "late frames are one cycle less late",
