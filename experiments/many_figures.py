@@ -8,7 +8,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from experiments.intervals import Interval, mean_t, ratio_t
-from experiments.run_figures import scored_steps
+from experiments.run_figures import scored_steps, traffic_of
 from experiments.vectorised import Histories
 from filters.gaussian import Gaussian
 from filters.metrics import largest_of_known, mean_of_known, nees, rmse
@@ -17,8 +17,6 @@ from scenarios.baselines import centralised_of_runs, local_only_of_runs
 from scenarios.catalogue import kind_of
 from scenarios.rules import is_certain
 
-# One filter that hears everything inverts a matrix of all readings of a step.
-CENTRALISED_NODES = 200
 _TABLE_NODES = 60
 
 
@@ -35,9 +33,8 @@ class ManyNode(msgspec.Struct, frozen=True):
 
 
 class ManyFigures(msgspec.Struct, frozen=True):
-    """What R runs amount to; RMSE and disagreement in `unit`. The centralised filter is NaN beyond
-    `CENTRALISED_NODES`; frames, and what nodes `noticed` beside them, are those of one run in the
-    mean."""
+    """What R runs amount to; RMSE and disagreement in `unit`. Frames, and what nodes `noticed`
+    beside them, are those of one run in the mean; the bus load is NaN on a bus without time."""
 
     scenario: str
     unit: str
@@ -54,6 +51,8 @@ class ManyFigures(msgspec.Struct, frozen=True):
     anees_centralised: Interval
     shares_sent: float
     shares_missed: float
+    bytes_per_step: Interval
+    bus_load: Interval
     noticed: dict[str, float]
     nodes: list[ManyNode]
     seconds: float
@@ -89,6 +88,7 @@ def summarise(histories: Histories, cost: Cost) -> ManyFigures:
     # Of those nodes that believe something: some may be out.
     spread = spread - mean_of_known(spread, (2,))[:, :, None]
     whole = rmse(of_node, (1, 2))
+    carried = traffic_of(setup, histories)
     return ManyFigures(
         scenario=scenario.name,
         unit=score.unit,
@@ -105,6 +105,8 @@ def summarise(histories: Histories, cost: Cost) -> ManyFigures:
         anees_centralised=mean_t(anees_central),
         shares_sent=float(_frames(histories, "sent").sum()),
         shares_missed=float(_frames(histories, "missed").sum()),
+        bytes_per_step=mean_t(carried["bytes_per_step"]),
+        bus_load=mean_t(carried["bus_load"]),
         noticed={
             name: float(count.sum(axis=1).mean())
             for name, count in sorted(histories.counters.items())
@@ -139,8 +141,6 @@ def _centralised(histories: Histories, counted: np.ndarray) -> tuple[Array, Arra
     setup = histories.setup
     score = kind_of(setup.scenario.name).score
     shape = histories.truth.shape
-    if setup.scenario.nodes > CENTRALISED_NODES:
-        return np.full((*shape[:2], len(score.states)), np.nan), np.full(shape[0], np.nan)
     assert histories.readings is not None, "keep the readings"
     runs = histories.runs.tolist()
     belief = centralised_of_runs(setup, runs, histories.readings, histories.control)
@@ -185,6 +185,8 @@ def table(figures: ManyFigures, title: str) -> Table:
 def lines(figures: ManyFigures) -> list[str]:
     """What the table has no column for."""
     ratios = figures.to_centralised, figures.worst_node_to_centralised
+    busy = figures.bus_load.value
+    load = "" if np.isnan(busy) else f", bus load {100 * busy:.3g} %"
     framed = (
         ""
         if np.isnan(ratios[0].value)
@@ -195,6 +197,7 @@ def lines(figures: ManyFigures) -> list[str]:
         f"{figures.runs} runs from run {figures.first_run} on; ± is the 95 % interval of the mean",
         f"{framed}disagreement {shown(figures.disagreement)} {figures.unit}",
         *([f"nodes noticed per run: {counts}"] if counts else []),
+        f"{shown(figures.bytes_per_step)} B per step on the wire{load}",
         f"{figures.seconds:.2f} s, {figures.node_updates_per_second:,.0f} node updates per second, "
         f"peak memory {figures.peak_memory_mb:.0f} MB",
     ]

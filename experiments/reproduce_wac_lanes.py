@@ -3,6 +3,11 @@
 The nodes of `nodes/` are the reference; the tests hold this against them, run by run. It serves the
 rules whose rounds are averages (wac, ci, hcmci, icf), one reading per node, on a bus that loses
 nothing: what a sender last said is then the same at all who hear it, and is kept once.
+
+`experiments.vectorised.simulate`, the driver for scenarios, would not do here for two reasons. The
+study gives a slot to any share, however many FlexRay frames it takes, and a scenario is refused
+where its bus cannot hold that. And one set of runs is drawn and put through every rule, policy and
+occupancy, where a scenario draws and drives the plant for itself.
 """
 
 from collections.abc import Callable

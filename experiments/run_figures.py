@@ -96,7 +96,7 @@ def figures_of(setup: Setup, histories: Histories, frame: Frame) -> dict[str, Ar
     }
     figures |= _consistency(setup, histories.nees, counted)
     figures["anees_centralised"] = _anees_central(setup, central, frame.cov, counted)
-    return figures | _traffic(setup, histories)
+    return figures | traffic_of(setup, histories)
 
 
 def kept(histories: Histories) -> tuple[Array, np.ndarray]:
@@ -137,7 +137,7 @@ def _anees_central(setup: Setup, errors: Array, cov: Array, counted: np.ndarray)
     return mean_of_known(np.where(counted, values, np.nan), (1,)) / len(states)
 
 
-def _traffic(setup: Setup, histories: Histories) -> dict[str, Array]:
+def traffic_of(setup: Setup, histories: Histories) -> dict[str, Array]:
     """Who sent how much, what that asked of the bus and of the batteries, and how old it grew."""
     payload = histories.payload_bytes
     frames = np.ceil(payload / MAX_PAYLOAD_BYTES)

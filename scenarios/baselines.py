@@ -4,7 +4,7 @@ Both are computed after the run from what its sensors delivered, by the same fil
 they see the same noise in every driver.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -19,6 +19,11 @@ from nodes.vectorised_filter import LocalFilters, SensorGroup
 from scenarios.catalogue import kind_of
 from scenarios.rules import rule_of
 from scenarios.setup import Setup, setup_of_run
+
+# An update inverts a matrix of all readings that it takes, so beyond so many they are taken batch
+# by batch, and the cost grows with their number. On a linear plant that is the same; elsewhere each
+# batch is linearised where those before have led.
+READINGS_AT_ONCE = 200
 
 Listener = Callable[[Gaussian, int, Array, Array | None], Gaussian]
 """(belief of the step before, step, readings (N, r, d), control (p,)) -> belief of the step."""
@@ -209,15 +214,46 @@ class _Block(NamedTuple):
 def _together(
     belief: Gaussian, groups: list[SensorGroup], delivered: Array, step: int, points: SigmaPointRule
 ) -> Gaussian:
-    """All readings of a step (..., N, r, d) at once; those that were not taken are left out."""
+    """All readings of a step (..., N, r, d), as many at once as can be; those that were not taken
+    are left out."""
     blocks = [
         block
         for nodes, sensor in groups
         for place in range(delivered.shape[-2])
-        if (block := _block(sensor, delivered[..., nodes, place, :])).which.shape[-1]
+        for block in _parts(_block(sensor, delivered[..., nodes, place, :]))
     ]
-    if not blocks:
-        return belief
+    for batch in _batches(blocks):
+        belief = _taken(belief, batch, step, points)
+    return belief
+
+
+def _parts(block: _Block) -> Iterator[_Block]:
+    """A block in parts of as many readings as are taken at once; nothing of an empty one."""
+    for first in range(0, block.which.shape[-1], READINGS_AT_ONCE):
+        some = slice(first, first + READINGS_AT_ONCE)
+        yield block._replace(
+            which=block.which[..., some],
+            values=block.values[..., some, :],
+            noise_cov=block.noise_cov[..., some, :, :],
+        )
+
+
+def _batches(blocks: Sequence[_Block]) -> Iterator[list[_Block]]:
+    """Blocks in their order, of as many readings together as are taken at once."""
+    batch: list[_Block] = []
+    count = 0
+    for block in blocks:
+        if batch and count + block.which.shape[-1] > READINGS_AT_ONCE:
+            yield batch
+            batch, count = [], 0
+        batch.append(block)
+        count += block.which.shape[-1]
+    if batch:
+        yield batch
+
+
+def _taken(belief: Gaussian, blocks: list[_Block], step: int, points: SigmaPointRule) -> Gaussian:
+    """The belief after these readings, at once."""
     sizes = [int(np.prod(block.values.shape[-2:])) for block in blocks]
 
     def measure(state: Array) -> Array:

@@ -10,11 +10,13 @@ from scipy.stats import t
 
 from experiments.__main__ import main
 from experiments.drivers import in_memory
-from experiments.many_figures import CENTRALISED_NODES, Cost, lines, summarise
+from experiments.many_figures import Cost, lines, summarise
 from experiments.summary import Figures
 from experiments.summary import summarise as summarise_one
 from experiments.trace import read_trace
 from experiments.vectorised import Histories, simulate
+from scenarios.baselines import READINGS_AT_ONCE, centralised_of_runs
+from scenarios.catalogue import kind_of
 from scenarios.setup import Setup, setup_of_run
 from tests.experiments.support import small
 
@@ -56,13 +58,34 @@ def test_figures_are_means_of_those_of_the_runs(name: str):
             mean = np.mean([getattr(one, traffic) for one in each])
             assert getattr(figures, traffic) == pytest.approx(mean)
     assert found.shares_sent == pytest.approx(np.mean([one.shares_sent for one in expected]))
+    buses = [one.bus for one in expected if one.bus is not None]
+    assert len(buses) == len(expected)
+    assert found.bus_load.value == pytest.approx(np.mean([bus.load_mean for bus in buses]))
+    # What pads a static slot is on the wire as well.
+    wire_bytes = np.mean([bus.wire_bytes_per_step for bus in buses])
+    assert 0.5 * wire_bytes < found.bytes_per_step.value <= wire_bytes * (1 + 1e-12)
+    assert f"bus load {100 * found.bus_load.value:.3g} %" in "".join(lines(found))
 
 
-def test_a_network_too_large_for_it_has_no_centralised_filter():
-    setup = small(nodes=CENTRALISED_NODES + 1, steps=3, graph="ring", cluster="none")
-    figures = summarise(simulate(setup, [0]), Cost(1.0, 1.0))
-    assert np.isnan(figures.rmse_centralised.value) and figures.rmse.value > 0
-    assert not any("centralised" in line for line in lines(figures))
+def test_a_large_network_has_a_centralised_filter_too():
+    """That takes readings batch by batch: of a linear plant the same as the filter of all."""
+    setup = small(nodes=READINGS_AT_ONCE + 7, steps=3, graph="ring", cluster="none")
+    histories = simulate(setup, [0])
+    figures = summarise(histories, Cost(1.0, 1.0))
+    assert 0 < figures.rmse_centralised.value < figures.rmse.value
+    assert histories.readings is not None
+    belief = centralised_of_runs(setup, [0], histories.readings, None)
+    information = np.linalg.inv(setup.prior_cov)
+    vector = information @ setup.prior_mean
+    for node, (reading,) in enumerate(histories.readings[0, 0]):
+        sensor = kind_of("oscillator").sensor(setup.scenario, node)
+        if sensor is not None and not np.isnan(reading).any():
+            value, noise_cov = sensor.interpret(reading)
+            row = sensor.measure(np.eye(2), 0).T
+            information = information + row.T @ row / noise_cov[0, 0]
+            vector = vector + row[0] * value[0] / noise_cov[0, 0]
+    np.testing.assert_allclose(belief.cov[0, 0], np.linalg.inv(information), rtol=1e-8, atol=1e-12)
+    np.testing.assert_allclose(belief.mean[0, 0], np.linalg.solve(information, vector), rtol=1e-7)
 
 
 def run(*options: str) -> int:
