@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: browser screenshots demo test test-slow check format fast bench bench-compare docs lock clean
+.PHONY: browser screenshots demo test test-slow check format fast bench bench-compare kills docs lock clean
 
 demo: .venv/run.stamp
 	$(BIN)/concord run --scenario target-tracking --nodes 12 --graph geometric --seed 7 --driver processes
@@ -44,6 +44,10 @@ bench: .venv/dev.stamp
 # What became slower since `make bench` kept BASE (a copy of runs/bench.json).
 bench-compare: .venv/dev.stamp
 	$(BIN)/python -m benchmarks.compare $(BASE) runs/bench.json
+
+# 300 kills and restarts in lockstep, 100 hangs in real time: what they cost the others.
+kills: .venv/dev.stamp
+	$(BIN)/python -m benchmarks.kills
 
 docs: .venv/run.stamp
 	$(BIN)/python -m docs.picture

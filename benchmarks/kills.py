@@ -1,0 +1,219 @@
+"""How a network of processes bears its members' deaths and hangs: `python -m benchmarks.kills`.
+
+Random nodes of sixteen are killed and started again in lockstep, and stopped for a while in real
+time; printed is what that cost the others, and whether anything was left behind.
+"""
+
+import os
+import signal
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import tyro
+
+from experiments.drivers import over_processes
+from experiments.launcher import NetworkFailed
+from experiments.trace import Trace, read_trace
+from nodes.commands import Restart, Speed
+from nodes.control_client import Client
+from nodes.network_file import read_network
+from nodes.recording import read_recording
+from nodes.tempo import Tempo
+from scenarios.catalogue import kind_of
+from scenarios.setup import Setup, prepare
+from scenarios.tempo import tempo_of
+
+NODES, RATE = 16, 40.0
+SHORT_S, LONG_S = 0.3, 2.6
+PROC = Path("/proc")
+
+
+@dataclass(frozen=True)
+class Options:
+    """How often, and from which seed."""
+
+    kills: int = 300
+    """Kills and restarts in lockstep."""
+    hangs: int = 100
+    """Stops in real time: short ones, and ones beyond the lease."""
+    seed: int = 1
+    """Which nodes, when."""
+
+
+class Network:
+    """A network that runs in a thread's care until it is ended."""
+
+    def __init__(self, setup: Setup, folder: Path, tempo: Tempo | None) -> None:
+        self.setup, self.folder = setup, folder
+        self._thread = threading.Thread(target=self._work, args=(tempo,))
+        self._begun = threading.Event()
+        self._thread.start()
+        if not self._begun.wait(120):
+            raise RuntimeError("the network did not begin within two minutes")
+        self.client = Client(read_network(folder).connect, "kills")
+        # When each step began, as a watcher hears it.
+        self.heard_s: list[float] = []
+        self.client.listen("truth", lambda topic, data: self.heard_s.append(time.monotonic()))
+
+    def _work(self, tempo: Tempo | None) -> None:
+        with suppress(NetworkFailed):
+            recording = self.folder / "run.mcap"
+            over_processes(
+                self.setup, "kills", recording, None, lambda step: self._begun.set(), tempo
+            )
+
+    @property
+    def pids(self) -> dict[str, int]:
+        """Those that live, as the launcher says."""
+        return read_network(self.folder).pids
+
+    def await_member(self, node: int, is_in: bool, seconds: float = 60.0) -> float:
+        """How long it takes until a node is in, or out."""
+        began = time.monotonic()
+        while (node in self.client.state()["members"]) != is_in:
+            if time.monotonic() - began > seconds:
+                raise RuntimeError(f"node {node} is not {'in' if is_in else 'out'} in {seconds} s")
+            time.sleep(0.01)
+        return time.monotonic() - began
+
+    def end(self) -> list[int]:
+        """End it by the death of its world; returns the processes that are left."""
+        pids = list(self.pids.values())
+        self.client.close()
+        os.kill(self.pids["world"], signal.SIGKILL)
+        self._thread.join(60)
+        time.sleep(1)
+        return [pid for pid in pids if (PROC / str(pid)).exists()]
+
+    def trace(self) -> Trace:
+        """What was recorded."""
+        return read_trace(self.setup, read_recording(self.folder / "run.mcap"))
+
+
+def open_files(pids: dict[str, int], names: tuple[str, ...]) -> dict[str, int]:
+    """How many files and sockets these processes have open."""
+    return {name: len(list((PROC / str(pids[name]) / "fd").iterdir())) for name in names}
+
+
+def zygote_of(pids: dict[str, int]) -> int:
+    """The parent of all."""
+    return int((PROC / str(pids["world"]) / "stat").read_text().rpartition(")")[2].split()[1])
+
+
+def say(text: str) -> None:
+    """One line."""
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+def kill_in_lockstep(network: Network, count: int, rng: np.random.Generator) -> None:
+    """Kill and restart, one after the other."""
+    client = network.client
+    client.command(Speed(RATE))
+    pids = network.pids
+    family = {**pids, "zygote": zygote_of(pids)}
+    watched = ("zygote", "world", "recorder")
+    before = open_files(family, watched)
+    gone_s, back_s = [], []
+    for number in range(count):
+        node = int(rng.integers(NODES))
+        time.sleep(float(rng.uniform(0, 0.1)))
+        os.kill(network.pids[str(node)], signal.SIGKILL)
+        gone_s.append(network.await_member(node, False))
+        began = time.monotonic()
+        client.command(Restart(node))
+        network.await_member(node, True)
+        back_s.append(time.monotonic() - began)
+        if number % 50 == 49:
+            sys.stderr.write(f"{number + 1} kills\n")
+    after = open_files(family, watched)
+    living = sorted(network.pids)
+    stalls = np.diff(network.heard_s) - 1 / RATE
+    left = network.end()
+    trace = network.trace()
+    say(f"{count} kills and restarts, {NODES} processes, lockstep at {RATE:g} steps/s")
+    say(f"  seen as gone after {spread(gone_s)} s; longest stall of the others {max(stalls):.3f} s")
+    say(f"  rejoined {spread(back_s)} s after the command; processes at the end {len(living)}")
+    say(f"  files open before {before}, after {after}; processes left {left}")
+    account(network, trace)
+
+
+def hang_in_real_time(network: Network, count: int, rng: np.random.Generator) -> None:
+    """Stop and continue, one after the other, half of them beyond the lease."""
+    back_s = []
+    for number in range(count):
+        node = int(rng.integers(NODES))
+        pid = network.pids[str(node)]
+        os.kill(pid, signal.SIGSTOP)
+        time.sleep(SHORT_S if number % 2 else LONG_S)
+        os.kill(pid, signal.SIGCONT)
+        time.sleep(0.1)
+        back_s.append(network.await_member(node, True))
+        time.sleep(float(rng.uniform(0, 0.2)))
+    time.sleep(2)
+    stalls = np.diff(network.heard_s)
+    left = network.end()
+    trace = network.trace()
+    say(f"{count} hangs of {SHORT_S:g} and {LONG_S:g} s, {NODES} processes, real time")
+    say(f"  longest time between two steps {max(stalls):.3f} s; back after {spread(back_s)} s")
+    say(f"  processes left {left}")
+    account(network, trace)
+
+
+def spread(times_s: list[float]) -> str:
+    """Median, 99th percentile and largest."""
+    return "/".join(f"{q:.3f}" for q in np.quantile(times_s, [0.5, 0.99, 1.0]))
+
+
+def account(network: Network, trace: Trace) -> None:
+    """Where the estimates and shares are that were not recorded, and whether all agree."""
+    changes = Counter(
+        msgspec.json.decode(data)["change"]["what"]
+        for topic, data in read_recording(network.folder / "run.mcap")
+        if topic == "event"
+    )
+    out = np.isnan(trace.mean[:, :, 0])
+    taking_part = np.array(
+        [[trace.history.is_in(i, k) for i in range(NODES)] for k in range(trace.steps)]
+    )
+    silent = ~trace.published[: trace.steps].all(axis=1)
+    say(
+        f"  {trace.steps} steps; told: {dict(changes)}; estimates missing {int(out.sum())}, while "
+        f"out {int((~taking_part).sum())}, not accounted for {int((out & taking_part).sum())}"
+    )
+    say(
+        f"  (node, step) without all its shares {int(silent.sum())}, not accounted for by being "
+        f"out {int((silent & taking_part).sum())}"
+    )
+    apart = np.sqrt(np.nanvar(trace.mean, axis=1).mean(axis=-1))
+    say(f"  disagreement: median {np.median(apart):.4g}, last step {apart[-1]:.4g}")
+
+
+def main(options: Options) -> None:
+    """Both, one after the other."""
+    defaults = kind_of("oscillator").defaults
+    wanted = {"nodes": NODES, "graph": "4-regular", "steps": 1_000_000}
+    setup = prepare(msgspec.structs.replace(defaults, **wanted))
+    rng = np.random.default_rng(options.seed)
+    plays: list[tuple[int, Tempo | None, Callable]] = [
+        (options.kills, None, kill_in_lockstep),
+        (options.hangs, tempo_of(setup, None), hang_in_real_time),
+    ]
+    for count, tempo, play in plays:
+        if count:
+            with tempfile.TemporaryDirectory() as folder:
+                partial(play, Network(setup, Path(folder), tempo), count, rng)()
+
+
+if __name__ == "__main__":
+    tyro.cli(main)
