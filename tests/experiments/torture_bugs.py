@@ -132,11 +132,6 @@ BUGS = (
         (("multiply(numbers.mT, weights)", "multiply(numbers.mT, 2 * weights)"),),
     ),
     Bug(
-        "every novelty counts as often as there are nodes",
-        "filters.hybrid_consensus", "safe_gain",
-        (("1.0 / row.max(axis=-1)", "np.full(row.shape[:-1], float(row.shape[-1]))"),),
-    ),
-    Bug(
         "who comes back is far too sure of itself",
         "nodes.node_changes", "_belief",
         (("unpack_upper(from_wire(joined.cov))", "1e-4 * unpack_upper(from_wire(joined.cov))"),),
