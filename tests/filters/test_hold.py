@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from filters.hold import drop, full, held_weights, in_step, renormalise, sharpness
+from filters.hold import drop, full, held_weights, in_step, renormalise, sharpened, sharpness
 from tests.filters.support import BATCHES, random_spd
 
 BASE = np.array([0.4, 0.3, 0.2, 0.1])
@@ -36,6 +36,18 @@ def test_every_variant_gives_an_average(row, decay, determinant):
         assert (weights >= 0).all()
         np.testing.assert_allclose(weights.sum(axis=-1), 1.0, rtol=1e-12)
         assert (weights[ages < 0] == 0).all()
+
+
+@given(row=rows(), decay=st.floats(0, 1))
+def test_weights_by_age_can_be_sharpened_afterwards(row, decay):
+    """So that they need be worked out once for every pattern of ages."""
+    base, ages, covs = row
+    covs[..., -1, :, :] = np.where(
+        (ages[..., -1] < 0)[..., None, None], np.nan, covs[..., -1, :, :]
+    )
+    by_age = held_weights(base, ages, decay)
+    at_once = held_weights(base, ages, decay, sharpness(covs))
+    np.testing.assert_allclose(sharpened(by_age, sharpness(covs)), at_once, rtol=1e-12)
 
 
 @given(row=rows())
