@@ -21,8 +21,8 @@ _PART = (
 _CHARTS = "()=>Object.values(window.__viserTestpoints.uplots).map(u=>u.chart.data[0].length)"
 _CLOSE = "()=>document.querySelectorAll('.mantine-Notification-closeButton').forEach(b=>b.click())"
 _MIDDLE = (
-    "selector=>{const box=document.querySelector(selector).getBoundingClientRect();"
-    "return [box.x+box.width/2,box.y+box.height/2]}"
+    "selector=>{const box=document.querySelector(selector)?.getBoundingClientRect();"
+    "return box&&[box.x+box.width/2,box.y+box.height/2]}"
 )
 # One in three pages says so when the pointer passes a batched mesh; nothing is wrong on screen.
 _HARMLESS = ("glDrawElementsInstanced", "GPU stall", "THREE.Clock", "GL Driver Message")
@@ -43,12 +43,17 @@ def press_on(page: Any, selector: str) -> None:
 
     Playwright's own click waits for an element that lasts, and ours are replaced with each picture.
     """
-    page.mouse.click(*page.evaluate(_MIDDLE, selector))
+    page.mouse.click(*_middle(page, selector))
 
 
 def point_at(page: Any, selector: str) -> None:
     """Move the pointer to where an element is now."""
-    page.mouse.move(*page.evaluate(_MIDDLE, selector))
+    page.mouse.move(*_middle(page, selector))
+
+
+def _middle(page: Any, selector: str) -> list[float]:
+    """Where the middle of an element is, as soon as there is one."""
+    return page.wait_for_function(_MIDDLE, arg=selector, polling=50).json_value()
 
 
 class Page:
@@ -64,7 +69,7 @@ class Page:
         self.page.set_default_timeout(90_000)
         self.page.on("console", self._listen)
         self.page.on("pageerror", lambda error: self.console.append(f"error: {error}"))
-        self.page.goto(f"http://127.0.0.1:{dashboard.port}/?fixedDpr=0.25")
+        self.page.goto(f"http://127.0.0.1:{dashboard.port}/?fixedDpr=0.5")
         self.page.wait_for_function(_READY)
         self.until(lambda: self.page.get_by_test_id("nodes").count() == 1)
 
