@@ -47,7 +47,8 @@ def test_weights_by_age_can_be_sharpened_afterwards(row, decay):
     )
     by_age = held_weights(base, ages, decay)
     at_once = held_weights(base, ages, decay, sharpness(covs))
-    np.testing.assert_allclose(sharpened(by_age, sharpness(covs)), at_once, rtol=1e-12)
+    # Weights that are no normal number any more keep few digits, whichever way they come about.
+    np.testing.assert_allclose(sharpened(by_age, sharpness(covs)), at_once, rtol=1e-12, atol=1e-300)
 
 
 @given(row=rows())
