@@ -12,7 +12,8 @@ _TILT_RAD = np.deg2rad(36.0)
 _TOWARDS_EYE = np.array([0.0, -np.sin(_TILT_RAD), np.cos(_TILT_RAD)])
 _RIGHT = np.array([1.0, 0.0, 0.0])
 _UP = np.cross(_TOWARDS_EYE, _RIGHT)
-_TURNS = 30
+# No point comes nearer to the eye.
+_NEAREST_M = 0.1
 
 
 class Free(NamedTuple):
@@ -36,18 +37,20 @@ class Camera(NamedTuple):
 def aimed(points: Array, free: Free) -> Camera:
     """The nearest camera that sees all points (P, 3) in the free part of its window.
 
-    The direction is fixed. By turns the camera is moved sideways until the points are in the middle
-    of the free part, and away from them until they fit.
+    The direction is fixed. At depth z in front of the eye the free part reaches from `low` z to
+    `high` z, to the right and upwards; so each point bounds the place of the eye, linearly.
     """
-    look_at, distance = points.mean(axis=0), 2.0 * float(np.ptp(points, axis=0).max() + 1.0)
-    wanted = np.array([free.left + free.right, free.top + free.bottom]) / 2
-    room = np.array([free.right - free.left, free.bottom - free.top])
-    for _ in range(_TURNS):
-        low, high = _span(pixels(points, Camera(_eye(look_at, distance), _tuple(look_at)), free))
-        off = ((low + high) / 2 - wanted) * distance / _focal(free)
-        look_at = look_at + off[0] * _RIGHT - off[1] * _UP
-        distance *= float(np.sqrt(((high - low) / room).max()))
-    return Camera(_eye(look_at, distance), _tuple(look_at))
+    middle = np.array([free.width, free.height]) / 2
+    sides = (np.array([[free.left, free.bottom], [free.right, free.top]]) - middle) / _focal(free)
+    low, high = sides * [1.0, -1.0]
+    flat, near = points @ np.stack([_RIGHT, _UP], axis=-1), points @ _TOWARDS_EYE
+    least = (flat + low * near[:, None]).min(axis=0)
+    most = (flat + high * near[:, None]).max(axis=0)
+    distance = max(float(((most - least) / (high - low)).max()), float(near.max()) + _NEAREST_M)
+    # Where it does not matter, the same room is left on both sides.
+    right, up = ((most - high * distance) + (least - low * distance)) / 2
+    eye = right * _RIGHT + up * _UP + distance * _TOWARDS_EYE
+    return Camera(_tuple(eye), _tuple(eye - (distance - near.mean()) * _TOWARDS_EYE))
 
 
 def pixels(points: Array, camera: Camera, free: Free) -> Array:
@@ -62,14 +65,6 @@ def pixels(points: Array, camera: Camera, free: Free) -> Array:
 
 def _focal(free: Free) -> float:
     return free.height / 2 / float(np.tan(FIELD_OF_VIEW_RAD / 2))
-
-
-def _span(points: Array) -> tuple[Array, Array]:
-    return points.min(axis=0), points.max(axis=0)
-
-
-def _eye(look_at: Array, distance: float) -> tuple[float, float, float]:
-    return _tuple(look_at + distance * _TOWARDS_EYE)
 
 
 def _tuple(point: Array) -> tuple[float, float, float]:

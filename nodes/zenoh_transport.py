@@ -9,6 +9,7 @@ import os
 import re
 import threading
 from collections.abc import Callable, Collection, Sequence
+from contextlib import suppress
 
 import msgspec
 import zenoh
@@ -239,12 +240,13 @@ class Transport:
 
     def wake(self, subscription: str) -> None:
         """Have whoever waits for this subscription in this process look up."""
-        # To ourselves only: an empty message is no message.
-        self._session.put(
-            self._prefix + subscription.replace("*", "-"),
-            b"",
-            allowed_destination=zenoh.Locality.SESSION_LOCAL,
-        )
+        # To ourselves only: an empty message is no message. Who has left waits for nothing.
+        with suppress(zenoh.ZError):
+            self._session.put(
+                self._prefix + subscription.replace("*", "-"),
+                b"",
+                allowed_destination=zenoh.Locality.SESSION_LOCAL,
+            )
 
     def _topic(self, sample: zenoh.Sample) -> str:
         return str(sample.key_expr)[len(self._prefix) :]
