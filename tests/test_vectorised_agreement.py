@@ -168,6 +168,17 @@ def test_the_node_that_closes_the_loop_may_be_out(rule: str):
         check_agreement(msgspec.structs.replace(asked, control="0", changes=changes))
 
 
+@pytest.mark.parametrize("rule", ["ci", "hcmci", "kcf"])
+def test_who_comes_back_asks_as_one_that_never_sent(rule: str):
+    """No change is large enough for another slot; who has begun anew needs none."""
+    bus = {"schedule": "dynamic", "occupancy": 0.5, "trigger": 1e6, "stretch": 100.0}
+    changes = ("4 kill 2", "6 restart 2")
+    asked = scenario("oscillator", nodes=4, steps=9, rule=rule, changes=changes, **bus)
+    check_agreement(asked)
+    times = simulate(prepare(asked), [0]).asked[0, :, :, 2].any(axis=1)
+    assert times[0] and times[6] and not times[7:].any() and not times[3:6].any()
+
+
 @pytest.mark.parametrize("lead", [{"control": "open"}, {"control": "1"}])
 def test_who_needs_a_neighbour_that_is_out_too_comes_back_a_step_later(lead: dict[str, str]):
     """In a world that runs ahead, and in one that does not."""
