@@ -146,8 +146,9 @@ def _reader(guarded: _Guarded) -> Attempt:
         for _ in range(TRIES):
             heard.put(monitor.receive("share/*"))
 
-    threading.Thread(target=listen, daemon=True).start()
-    time.sleep(_SETTLE_S)
+    listening = threading.Thread(target=listen, daemon=True)
+    listening.start()
+    listening.join(_JOIN_S)
     return _attempt(MONITOR, "hears a node's shares", _DELIVERED, heard.qsize(), TRIES)
 
 
