@@ -15,7 +15,7 @@ from nodes.bids import NO_BID
 from nodes.messages import Array
 from nodes.state_machine import contenders_left
 from nodes.vectorised_filter import Counters, with_lanes
-from nodes.vectorised_network import Era, Network, Regime, Spread
+from nodes.vectorised_network import Era, FleetWithReturns, Network, Regime, Spread
 from nodes.vectorised_tally import Tally, masked
 from nodes.world import Delivery
 
@@ -101,7 +101,9 @@ def _turned(
         content = era.regime.fleet.start(with_lanes(believed, nodes, told))
         return content, era.regime.contest_memory, tally._replace(seen={})
     if len(nodes):
-        content = era.regime.fleet.restarted(content, nodes, told)
+        fleet = era.regime.fleet
+        assert isinstance(fleet, FleetWithReturns), "the scenario goes message by message"
+        content = fleet.restarted(content, nodes, told)
     return content, arbiter, tally
 
 

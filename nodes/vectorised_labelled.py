@@ -112,10 +112,6 @@ class LabelledFleet:
             counters={},
         )
 
-    def restarted(self, content: Content, nodes: np.ndarray, belief: Gaussian) -> Content:
-        """Windows would begin at steps of their own: `scenarios.labelled.without_arrays`."""
-        raise NotImplementedError
-
     def begin_step(
         self, content: Content, readings: Array, control: Array | None, step: int
     ) -> Content:

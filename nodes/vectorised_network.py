@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -44,10 +44,6 @@ class Fleet(Protocol):
         """The content before the first step, of priors (R, N, n), (R, N, n, n)."""
         ...
 
-    def restarted(self, content: Any, nodes: np.ndarray, belief: Gaussian) -> Any:
-        """Between two steps: nodes (J,) begin anew with beliefs (R, J, n), and hold nothing."""
-        ...
-
     def begin_step(self, content: Any, readings: Array, control: Array | None, step: int) -> Any:
         """Carry everything to `step` under control (R, p); take readings (R, N, r, d)."""
         ...
@@ -78,6 +74,15 @@ class Fleet(Protocol):
 
     def spread(self, content: Any) -> Spread | None:
         """What the shares of the step carried; None for a rule whose shares have one length."""
+        ...
+
+
+@runtime_checkable
+class FleetWithReturns(Fleet, Protocol):
+    """One whose nodes may die and come back; records of nodes that began apart have no arrays."""
+
+    def restarted(self, content: Any, nodes: np.ndarray, belief: Gaussian) -> Any:
+        """Between two steps: nodes (J,) begin anew with beliefs (R, J, n), and hold nothing."""
         ...
 
 
