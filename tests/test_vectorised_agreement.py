@@ -175,7 +175,7 @@ def test_who_comes_back_asks_as_one_that_never_sent(rule: str):
     changes = ("4 kill 2", "6 restart 2")
     asked = scenario("oscillator", nodes=4, steps=9, rule=rule, changes=changes, **bus)
     check_agreement(asked)
-    times = simulate(prepare(asked), [0]).asked[0, :, :, 2].any(axis=1)
+    times = np.any(simulate(prepare(asked), [0]).asked[0, :, :, 2], axis=1)
     assert times[0] and times[6] and not times[7:].any() and not times[3:6].any()
 
 
