@@ -6,6 +6,7 @@ whole (little-endian), so that a receiver needs no other knowledge, and padding 
 
 import struct
 from collections.abc import Sequence
+from functools import lru_cache
 
 from bus.frame import MAX_PAYLOAD_BYTES
 
@@ -25,6 +26,8 @@ class FragmentError(ValueError):
         self.reason = reason
 
 
+# Kept: the shares of a network have few lengths.
+@lru_cache
 def payload_sizes(data_bytes: int, payload_limit_bytes: int = MAX_PAYLOAD_BYTES) -> tuple[int, ...]:
     """Payload lengths in which `data_bytes` travel, each even and at most the limit.
 

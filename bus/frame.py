@@ -5,6 +5,7 @@ protocol specification 2.1, chapter 4). The polynomials come from the catalogue 
 (CRC-11/FLEXRAY, CRC-24/FLEXRAY-A and -B).
 """
 
+from functools import lru_cache
 from typing import Literal, NamedTuple
 
 import anycrc
@@ -115,22 +116,34 @@ def inspect(data: bytes, channel: Channel = "A") -> Inspection:
         raise FrameError(
             "too-short", f"{len(data)} bytes, but a frame has at least {OVERHEAD_BYTES}"
         )
-    header = int.from_bytes(data[:HEADER_BYTES], "big")
-    protected = header >> 17 & 0xFFFFF
-    frame = Frame(
-        frame_id=protected >> 7 & 0x7FF,
-        cycle_count=header & 0x3F,
-        payload=data[HEADER_BYTES:-TRAILER_BYTES],
-        payload_preamble=bool(header >> 38 & 1),
-        null=not header >> 37 & 1,
-        sync=bool(protected >> 19),
-        startup=bool(protected >> 18 & 1),
-    )
-    header_crc_ok = _header_crc(protected) == header >> 6 & 0x7FF
+    frame_id, cycle_count, indicators, header_crc_ok = _read_header(data[:HEADER_BYTES])
+    frame = Frame(frame_id, cycle_count, data[HEADER_BYTES:-TRAILER_BYTES], *indicators)
+    return Inspection(frame, header_crc_ok, is_intact(data, channel))
+
+
+def is_intact(data: bytes, channel: Channel = "A") -> bool:
+    """Whether the frame CRC of a frame agrees."""
     # The CRC of a message followed by its own CRC is zero.
-    return Inspection(frame, header_crc_ok, _FRAME_CRC[channel].calc(data) == 0)
+    return _FRAME_CRC[channel].calc(data) == 0
 
 
+# Kept, as headers repeat with the cycle counter: a network of 64 nodes has so many.
+@lru_cache(4096)
+def _read_header(data: bytes) -> tuple[int, int, tuple[bool, bool, bool, bool], bool]:
+    """Frame ID, cycle count, the indicators in the order of `Frame`, and whether the CRC agrees."""
+    header = int.from_bytes(data, "big")
+    protected = header >> 17 & 0xFFFFF
+    indicators = (
+        bool(header >> 38 & 1),
+        not header >> 37 & 1,
+        bool(protected >> 19),
+        bool(protected >> 18 & 1),
+    )
+    crc_ok = _header_crc(protected) == header >> 6 & 0x7FF
+    return protected >> 7 & 0x7FF, header & 0x3F, indicators, crc_ok
+
+
+@lru_cache(4096)
 def _header_crc(protected: int) -> int:
     """CRC-11 over the 20 bits sync, startup, frame ID, payload length."""
     return _HEADER_CRC.calc((protected ^ _HEADER_CRC_START).to_bytes(3, "big"), 0)

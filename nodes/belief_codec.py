@@ -33,8 +33,8 @@ class BeliefCodec:
         packed = np.concatenate((belief.mean, pack_upper(belief.cov)))
         return packed.astype(self._dtype, copy=False).tobytes()
 
-    def decode(self, body: bytes) -> Gaussian:
-        """The belief that `encode` wrote.
+    def read(self, body: bytes) -> np.ndarray:
+        """The numbers (m,) of the belief that `encode` wrote: mean, then upper triangle.
 
         Raises:
             Rejected: `belief-length` or `belief-not-finite`.
@@ -43,8 +43,16 @@ class BeliefCodec:
         size = self.size
         if len(body) < size:
             raise Rejected("belief-length")
-        values = np.frombuffer(body[:size], self._dtype).astype(np.float64, copy=False)
+        numbers = np.frombuffer(body[:size], self._dtype).astype(np.float64, copy=False)
         # Finite numbers may have an infinite sum, but no sum of others is finite.
-        if not (math.isfinite(sum(values.tolist())) or np.isfinite(values).all()):
+        if not (math.isfinite(sum(numbers.tolist())) or np.isfinite(numbers).all()):
             raise Rejected("belief-not-finite")
-        return Gaussian(values[: self.states], unpack_upper(values[self.states :]))
+        return numbers
+
+    def unpack(self, numbers: np.ndarray) -> Gaussian:
+        """The beliefs (..., n) of which numbers (..., m) are read."""
+        return Gaussian(numbers[..., : self.states], unpack_upper(numbers[..., self.states :]))
+
+    def decode(self, body: bytes) -> Gaussian:
+        """The belief that `encode` wrote. Raises Rejected as `read` does."""
+        return self.unpack(self.read(body))

@@ -24,13 +24,13 @@ from nodes.bids import FIRST_BID, asked, bid_for_change
 from nodes.local_filter import (
     Model,
     Sensor,
+    at,
     carry,
     control_of,
     finite,
-    listed,
-    stacked,
     take_own,
     where,
+    with_own,
 )
 from nodes.messages import Array, Measured
 
@@ -51,13 +51,26 @@ class HoldPolicy(NamedTuple):
 
 
 class Content(msgspec.Struct, frozen=True):
-    """A node's knowledge: its own pair, the held pairs of its neighbours, what it last sent."""
+    """A node's knowledge: beliefs (1 + J + 1, n), its own first, then what it holds of its
+    neighbours, last what it has sent and they hold of it, if it has (`is_published`).
 
-    belief: Gaussian
-    held: Gaussian
+    All lie together, as all are carried through the plant at once.
+    """
+
+    beliefs: Gaussian
     ages: tuple[int, ...]
-    published: Gaussian | None
+    is_published: bool
     cycles_in_step: int
+
+    @property
+    def belief(self) -> Gaussian:
+        """The node's own."""
+        return at(self.beliefs, 0)
+
+    @property
+    def published(self) -> Gaussian | None:
+        """What its neighbours hold of it."""
+        return at(self.beliefs, -1) if self.is_published else None
 
 
 @dataclass(frozen=True)
@@ -82,86 +95,96 @@ class BeliefConsensus:
     def start(self) -> Content:
         """The prior, and neighbours never heard (their place holds the prior at no weight)."""
         neighbours = len(self.weights) - 1
-        held = Gaussian(
-            np.repeat(self.prior.mean[None], neighbours, axis=0),
-            np.repeat(self.prior.cov[None], neighbours, axis=0),
+        beliefs = Gaussian(
+            np.repeat(self.prior.mean[None], 1 + neighbours + 1, axis=0),
+            np.repeat(self.prior.cov[None], 1 + neighbours + 1, axis=0),
         )
-        return Content(self.prior, held, (-1,) * neighbours, None, 0)
+        return Content(beliefs, (-1,) * neighbours, False, 0)
 
     def begin_step(self, content: Content, measured: Measured) -> tuple[Content, tuple[str, ...]]:
         """Predict everything that is carried, then take the own readings one by one."""
         troubles: tuple[str, ...] = ()
         if measured.step > 0:
             content, troubles = self._carry(content, measured)
-        belief, troubled = take_own(content.belief, measured, self.sensor, self.points)
-        return replace(content, belief=belief, cycles_in_step=0), troubles + troubled
+        before = content.belief
+        belief, troubled = take_own(before, measured, self.sensor, self.points)
+        beliefs = content.beliefs if belief is before else with_own(content.beliefs, belief)
+        return replace(content, beliefs=beliefs, cycles_in_step=0), troubles + troubled
 
     def _carry(self, content: Content, measured: Measured) -> tuple[Content, tuple[str, ...]]:
-        beliefs, published = [content.belief], content.published
-        if self.hold.carried:
-            beliefs += listed(content.held)
-            beliefs += [] if published is None else [published]
+        before = content.beliefs
+        carries = before if self.hold.carried else Gaussian(before.mean[:1], before.cov[:1])
         control = control_of(measured)
-        carried = carry(stacked(beliefs), control, measured.step, self.model, self.points)
-        moved, sound = carried
+        moved, sound = carry(carries, control, measured.step, self.model, self.points)
         troubles = () if sound[0] else ("predict-failed",)
-        if sound[0]:
-            content = replace(content, belief=carried.at(0))
         if not self.hold.carried:
-            return content, troubles
-        last = 1 + len(content.ages)
-        if published is not None:
-            published = carried.at(last) if sound[last] else None
-        held, ages = Gaussian(moved.mean[1:last], moved.cov[1:last]), content.ages
+            moved = with_own(before, at(moved, 0)) if sound[0] else before
+            return replace(content, beliefs=moved), troubles
+        ages, is_published = content.ages, content.is_published
         if not sound.all():
             # A held pair that cannot be carried on is forgotten, not used at a wrong time.
-            held = where(sound[1:last], held, self.prior)
+            moved = where(sound, moved, self.prior)
+            if not sound[0]:
+                moved = with_own(moved, content.belief)
             ages = tuple(age if sound[1 + j] else -1 for j, age in enumerate(ages))
-        return replace(content, held=held, ages=ages, published=published), troubles
+            is_published = bool(is_published and sound[-1])
+        return replace(content, beliefs=moved, ages=ages, is_published=is_published), troubles
 
     def bid(self, content: Content) -> int | None:
         """How far the belief has moved since it was last published (`bids.bid_for_change`)."""
-        if content.published is None:
+        published = content.published
+        if published is None:
             return FIRST_BID
-        return asked(bid_for_change(content.belief, content.published, self.trigger))
+        return asked(bid_for_change(content.belief, published, self.trigger))
 
     def compose(self, content: Content) -> tuple[Content, bytes]:
         """The pair before the iteration; the node remembers what its neighbours now hold of it."""
-        return replace(content, published=content.belief), self.codec.encode(content.belief)
+        mean, cov = content.beliefs.mean.copy(), content.beliefs.cov.copy()
+        mean[-1], cov[-1] = mean[0], cov[0]
+        content = replace(content, beliefs=Gaussian(mean, cov), is_published=True)
+        return content, self.codec.encode(content.belief)
 
-    def accept(self, body: bytes) -> Gaussian:
-        """The belief in a share (`BeliefCodec.decode`)."""
-        return self.codec.decode(body)
+    def accept(self, body: bytes) -> Array:
+        """The numbers of the belief in a share (`BeliefCodec.read`)."""
+        return self.codec.read(body)
 
     def fuse(
-        self, content: Content, shares: tuple[Gaussian | None, ...]
+        self, content: Content, shares: tuple[Array | None, ...]
     ) -> tuple[Content, tuple[str, ...]]:
         """Average the own pair with the neighbours' pairs, fresh or held, in sender order."""
-        fresh = [share is not None for share in shares]
-        everyone = stacked([content.belief, *_with_held(shares, content.held)])
-        own = content.belief.mean
-        numbers, factors = self.rule.weigh_up(everyone, own)
+        mean, cov = self._with_shares(content.beliefs, shares)
+        own = content.beliefs.mean[0]
+        numbers, factors = self.rule.weigh_up(Gaussian(mean[:-1], cov[:-1]), own)
         pivots = factors[1:, -1, -1].tolist()
-        unsound = [j for j, pivot in enumerate(pivots) if fresh[j] and math.isnan(pivot)]
+        unsound = [
+            j for j, pivot in enumerate(pivots) if math.isnan(pivot) and shares[j] is not None
+        ]
         if unsound:
             # Few shares fail this check, and what is held instead is weighed up in a second go.
             usable = [None if j in unsound else share for j, share in enumerate(shares)]
             content, troubles = self.fuse(content, tuple(usable))
             return content, ("rejected not-positive-definite",) * len(unsound) + troubles
         ages = tuple(
-            0 if new else age if age < 0 else age + 1
-            for new, age in zip(fresh, content.ages, strict=True)
+            0 if share is not None else age if age < 0 else age + 1
+            for share, age in zip(shares, content.ages, strict=True)
         )
         fused = self.rule.average(numbers, self._weights(factors, ages, content), own)
         sound = finite(fused)
-        after = Content(
-            belief=Gaussian(fused.mean, symmetrise(fused.cov)) if sound else content.belief,
-            held=Gaussian(everyone.mean[1:], everyone.cov[1:]),
-            ages=ages,
-            published=content.published,
-            cycles_in_step=content.cycles_in_step + 1,
-        )
+        if sound:
+            mean[0], cov[0] = fused.mean, symmetrise(fused.cov)
+        after = Content(Gaussian(mean, cov), ages, content.is_published, content.cycles_in_step + 1)
         return after, () if sound else ("fuse-failed",)
+
+    def _with_shares(self, beliefs: Gaussian, shares: tuple[Array | None, ...]) -> Gaussian:
+        """A copy of the beliefs with each share in the place of its sender."""
+        mean, cov = beliefs.mean.copy(), beliefs.cov.copy()
+        came = [1 + j for j, share in enumerate(shares) if share is not None]
+        if came:
+            told = self.codec.unpack(np.array([share for share in shares if share is not None]))
+            # Mostly all have come: a slice costs a fraction of what a list of places does.
+            places = slice(1, -1) if len(came) == len(shares) else came
+            mean[places], cov[places] = told
+        return Gaussian(mean, cov)
 
     def _weights(self, factors: Array, ages: tuple[int, ...], content: Content) -> Array:
         """What the own pair and each neighbour's weigh in this round: (1 + J,)."""
@@ -187,12 +210,3 @@ class BeliefConsensus:
     def ages(self, content: Content) -> Array:
         """Cycles since each neighbour's held pair was sent."""
         return np.array(content.ages, dtype=int)
-
-
-def _with_held(shares: tuple[Gaussian | None, ...], held: Gaussian) -> list[Gaussian]:
-    """The shares, and in the place of every one that is missing the held pair."""
-    came = [share for share in shares if share is not None]
-    if len(came) == len(shares):
-        return came
-    pairs = zip(shares, listed(held), strict=True)
-    return [old if new is None else new for new, old in pairs]

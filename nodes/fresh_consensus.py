@@ -13,7 +13,16 @@ from filters.gaussian import Gaussian
 from filters.linalg import cholesky, symmetrise
 from filters.sigma_points import SigmaPointRule
 from nodes.bids import FIRST_BID, asked, bid_for_change
-from nodes.local_filter import Model, Sensor, carry, control_of, finite_lanes, stacked, take_own
+from nodes.local_filter import (
+    Model,
+    Sensor,
+    at,
+    carry,
+    control_of,
+    finite_lanes,
+    stacked,
+    take_own,
+)
 from nodes.messages import Array, Measured
 from nodes.vector_codec import VectorCodec
 
@@ -90,11 +99,11 @@ class FreshConsensus:
             beliefs = stacked([prior] if published is None else [prior, published])
             carried = carry(beliefs, control_of(measured), measured.step, self.model, self.points)
             if carried.sound[0]:
-                prior = carried.at(0)
+                prior = at(carried.beliefs, 0)
             else:
                 troubles.append("predict-failed")
             if published is not None:
-                published = carried.at(1) if carried.sound[1] else None
+                published = at(carried.beliefs, 1) if carried.sound[1] else None
         belief, troubled = take_own(prior, measured, self.sensor, self.points)
         known = self.rule.begin(prior, belief)
         content = Content(prior, belief, known, content.ages, published, 0)

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from functools import cached_property
 
 import msgspec
 from msgspec.structs import replace
@@ -59,6 +60,25 @@ class NodeConfig:
     timed: bool = False
     faults: Faults = HEALTHY
     scenario_links: LinkState = PERFECT
+
+    def static_neighbours(self, cycle: int) -> tuple[tuple[int, ...], ...]:
+        """Neighbours that own a static slot in each part of a cycle, ascending."""
+        # Kept: a node asks with every event, and turns repeat.
+        turn = cycle % self._period
+        known = self._known_turns.get(turn)
+        if known is None:
+            groups = self.schedule.groups(cycle)
+            parts = (tuple(j for j in self.neighbours if j in one.senders) for one in groups)
+            known = self._known_turns[turn] = tuple(parts)
+        return known
+
+    @cached_property
+    def _period(self) -> int:
+        return self.schedule.period
+
+    @cached_property
+    def _known_turns(self) -> dict[int, tuple[tuple[int, ...], ...]]:
+        return {}
 
 
 class Inbox(msgspec.Struct, frozen=True):

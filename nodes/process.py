@@ -147,13 +147,12 @@ class _Seat:
                 if gone.node == config.index:
                     return False
                 events = [*self._last_words(gone), *events]
-            for event in events:
-                state, messages = state_machine.step(config, state, event)
+            state, messages = state_machine.step(config, state, *events)
+            self._send(messages)
+            if state.phase is Phase.CHANGE:
+                self._await_joined(state)
+                config, state, messages = node_changes.apply(config, state)
                 self._send(messages)
-                if state.phase is Phase.CHANGE:
-                    self._await_joined(state)
-                    config, state, messages = node_changes.apply(config, state)
-                    self._send(messages)
         return True
 
     def _next_events(self, config: NodeConfig, state: NodeState) -> Sequence[NodeEvent]:

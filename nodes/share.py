@@ -7,11 +7,13 @@ bits. Then comes its fragment of the body (`bus/fragments.py`). Two checksums gu
 
 import struct
 from collections.abc import Sequence
+from functools import lru_cache
 
 import msgspec
 
+from bus.fragments import PREFIX_BYTES as NUMBERING_BYTES
 from bus.fragments import FragmentError, fragment_count, join, payload_sizes, split
-from bus.frame import MAX_PAYLOAD_BYTES, Frame, FrameError
+from bus.frame import MAX_PAYLOAD_BYTES, Frame, FrameError, is_intact
 from bus.frame import decode as decode_frame
 from bus.frame import encode as encode_frame
 from bus.publication import Slot
@@ -76,6 +78,41 @@ def frame_payloads(share_bytes: int, slots: Sequence[Slot]) -> tuple[int, ...]:
         max(PREFIX_BYTES + size, slot.payload_bytes if slot.fixed else 0)
         for slot, size in zip(slots, sizes, strict=False)
     )
+
+
+class _Shape(msgspec.Struct, frozen=True):
+    """A frame that carries a whole share, as its sender makes it: all that stands before the body
+    but the number of the cycle between `header` and `numbering`, and its length."""
+
+    header: bytes
+    numbering: bytes
+    frame_bytes: int
+
+
+# Kept: turns repeat with the cycle counter.
+@lru_cache(4096)
+def _shape(slot: Slot, share_bytes: int, cycle_count: int) -> _Shape | None:
+    """None where the share takes several frames."""
+    if len(payload_sizes(share_bytes, slot.payload_bytes - PREFIX_BYTES)) > 1:
+        return None
+    (frame,) = to_frames(bytes(share_bytes), cycle_count, [slot])
+    start = HEADER_BYTES + PREFIX_BYTES
+    numbering = frame[start : start + NUMBERING_BYTES]
+    return _Shape(frame[:HEADER_BYTES], numbering, len(frame))
+
+
+def whole_body(
+    frame: bytes, slot: Slot, share_bytes: int, cycle: int, cycle_counts: int = CYCLE_COUNTS
+) -> bytes | None:
+    """The body in a frame that is bit by bit what `to_frames` makes of one of that length in this
+    slot and cycle; None for every other frame, which `read_frame` looks at more closely."""
+    shape = _shape(slot, share_bytes, cycle % cycle_counts)
+    if shape is None or len(frame) != shape.frame_bytes:
+        return None
+    start = shape.header + _CYCLE.pack(cycle) + shape.numbering
+    if not (frame.startswith(start) and is_intact(frame)):
+        return None
+    return frame[len(start) : len(start) + share_bytes]
 
 
 def read_frame(data: bytes) -> Fragment:

@@ -13,7 +13,7 @@ share that is late, early, repeated, missing or malformed is dropped, kept or co
 """
 
 from functools import lru_cache
-from typing import Any
+from typing import Any, cast
 
 from msgspec.structs import replace
 
@@ -56,23 +56,25 @@ def initial_state(config: NodeConfig) -> NodeState:
 
 
 def step(
-    config: NodeConfig, state: NodeState, event: NodeEvent
+    config: NodeConfig, state: NodeState, *events: NodeEvent
 ) -> tuple[NodeState, list[NodeMessage]]:
-    """Take one event; returns the next state and what to send, in order."""
+    """Take an event, or several that came together; returns the next state and what to send, in
+    order."""
     outbox: list[NodeMessage] = []
-    match event:
-        case ShareHeard():
-            state = hear(config, state, event)
-        case Measured():
-            state = _keep_measured(state, event)
-        case Grant():
-            state = _keep_grant(state, event)
-        case Gone():
-            state = replace(state, absent=state.absent | {event.node})
-        case CycleClosed():
-            is_open = state.phase in (Phase.GRANT, Phase.SHARES)
-            if is_open and (event.cycle, event.group) == (state.cycle, state.group):
-                state = _close_group(config, state, outbox)
+    for event in events:
+        match event:
+            case ShareHeard():
+                state = hear(config, state, event)
+            case Measured():
+                state = _keep_measured(state, event)
+            case Grant():
+                state = _keep_grant(state, event)
+            case Gone():
+                state = replace(state, absent=state.absent | {event.node})
+            case CycleClosed():
+                is_open = state.phase in (Phase.GRANT, Phase.SHARES)
+                if is_open and (event.cycle, event.group) == (state.cycle, state.group):
+                    state = _close_group(config, state, outbox)
     return advance(config, state, outbox), outbox
 
 
@@ -172,19 +174,14 @@ def _send(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> No
 def _due(config: NodeConfig, state: NodeState) -> tuple[int, ...]:
     """Neighbours that send in the open part of the cycle, as far as the node knows. Of one that is
     out there is what came before its end."""
-    senders = config.schedule.groups(state.cycle)[state.group].senders
+    due = config.static_neighbours(state.cycle)[state.group]
     granted = state.inbox.grants.get((state.cycle, state.group))
-    due = _among(config.neighbours, senders + granted if granted else senders)
+    if granted:
+        due = tuple(j for j in config.neighbours if j in due or j in granted)
     if not state.absent:
         return due
     came = state.inbox.shares
     return tuple(j for j in due if j not in state.absent or (state.cycle, j) in came)
-
-
-@lru_cache
-def _among(neighbours: tuple[int, ...], senders: tuple[int, ...]) -> tuple[int, ...]:
-    # Kept: a node asks with every event, and turns repeat.
-    return tuple(j for j in neighbours if j in senders)
 
 
 def _close_group(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> NodeState:
@@ -218,8 +215,8 @@ def _estimate(config: NodeConfig, state: NodeState) -> Estimate:
     belief = config.estimator.belief(state.content)
     ages = config.estimator.ages(state.content)
     generators = None
-    if isinstance(config.estimator, KeepsZonotope):
-        generators = config.estimator.generators(state.content)
+    if _keeps_zonotope(type(config.estimator)):
+        generators = cast(KeepsZonotope, config.estimator).generators(state.content)
     return Estimate(
         config.index,
         state.step,
@@ -229,6 +226,12 @@ def _estimate(config: NodeConfig, state: NodeState) -> Estimate:
         state.counters,
         None if generators is None else to_wire(generators),
     )
+
+
+@lru_cache
+def _keeps_zonotope(kind: type) -> bool:
+    # Kept: to ask a protocol takes longer than to tell an estimate.
+    return issubclass(kind, KeepsZonotope)
 
 
 def _keep_measured(state: NodeState, event: Measured) -> NodeState:

@@ -85,7 +85,8 @@ class Telling:
     def fuse(self, content: Any, shares: tuple[Any, ...]) -> tuple[Any, tuple[str, ...]]:
         after, troubles = self._inner.fuse(content, shares)
         ages: Array = self._inner.ages(after)
-        fresh = [j for j, share in zip(self._node.neighbours, shares, strict=True) if share]
+        pairs = zip(self._node.neighbours, shares, strict=True)
+        fresh = [j for j, share in pairs if share is not None]
         stale = [(j, age) for j, age in zip(self._node.neighbours, ages, strict=True) if age > 0]
         sources = [f"what it heard from {_names(fresh)}"] if fresh else []
         sources += [f"what it holds of {j} (age {age})" for j, age in stale]
