@@ -38,7 +38,8 @@ class ScenarioOptions:
     occupancy: float | None = None
     """Share of the nodes that publish in a cycle, in (0, 1]."""
     cluster: str | None = None
-    """FlexRay cluster: fitted, a preset (audi, bosch, ...), a TOML or FIBEX file, or none."""
+    """FlexRay cluster: fitted, fitted-ab (on both channels), a preset (audi, bosch, ...), a TOML or
+    FIBEX file, or none."""
     arbiter: str | None = None
     """Who wins the dynamic segment: wtod, minislot, round-robin."""
     static_slots: int | None = None

@@ -1,11 +1,12 @@
-"""One case of torture: a scenario, what becomes of its network, and faults of single frames."""
+"""One case of torture: a scenario, what becomes of its network, and a wire that is no good."""
 
 from collections.abc import Mapping
 from typing import Any
 
 import msgspec
 
-from experiments.torture_frames import read_frame_faults
+from experiments.torture_script import calm_from
+from experiments.torture_wire import read_wire
 from scenarios.scenario import Scenario
 from scenarios.script import script_of
 
@@ -14,20 +15,23 @@ class Case(msgspec.Struct, frozen=True):
     """Equal cases give equal runs, bit for bit.
 
     Attributes:
-        seed: of the fates of frames and the order of events.
+        seed: of what the wire does to messages.
         scenario: what is simulated; its `changes` are faults and their ends.
-        frame_faults: kinds and probabilities, "duplicate 0.2" (`torture_frames`).
-        calm_step: from this step on nothing is wrong any more.
+        wire: kinds and probabilities, "garbage 0.2" (`torture_wire`).
     """
 
     seed: int
     scenario: Scenario
-    frame_faults: tuple[str, ...]
-    calm_step: int
+    wire: tuple[str, ...]
+
+    @property
+    def calm_step(self) -> int:
+        """From this step on nothing is wrong any more."""
+        return calm_from(script_of(self.scenario), self.scenario.steps)
 
 
 # What an option of the command may say of a case, beside the fields of its scenario.
-OWN_FIELDS = ("frame_faults", "calm_step")
+OWN_FIELDS = ("wire",)
 
 
 def with_fields(case: Case, fields: Mapping[str, Any]) -> Case:
@@ -39,22 +43,12 @@ def with_fields(case: Case, fields: Mapping[str, Any]) -> Case:
 
 
 def check_case(case: Case) -> None:
-    """Refuse faults that are none.
+    """Refuse a wire that is none.
 
     Raises:
         ValueError: naming the option, its value and the rule.
     """
-    read_frame_faults(case.frame_faults)
-    if not 0 <= case.calm_step <= case.scenario.steps:
-        raise ValueError(
-            f"--calm-step {case.calm_step}: must be 0 to {case.scenario.steps}, the steps there are"
-        )
-    late = [step for step, _ in script_of(case.scenario) if step > case.calm_step]
-    if late:
-        raise ValueError(
-            f"--changes at step {late[-1]}: the network is calm from step {case.calm_step} on "
-            "(--calm-step)"
-        )
+    read_wire(case.wire)
 
 
 def differences(case: Case, drawn: Case) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from experiments.torture import torture as torture_case
 from experiments.torture_case import Case
 from experiments.torture_draw import draw_case
 from experiments.torture_options import FixedOptions, fixed_fields, read_seeds
-from experiments.torture_shrink import replay_command, shrink
+from experiments.torture_shrink import replay_command, run_command, shrink
 from experiments.user_errors import user_errors
 from experiments.workers import WorkerLost, engine_for
 
@@ -74,6 +74,7 @@ def _show(
     seeds: range, fields: dict[str, Any], outcomes: Sequence[Outcome], seconds: float, json: bool
 ) -> None:
     injected: Counter[str] = sum((outcome.injected for outcome in outcomes), Counter())
+    struck: Counter[str] = sum((outcome.struck for outcome in outcomes), Counter())
     broken = [outcome for outcome in outcomes if outcome.broken]
     failures = [_failure(outcome, fields, n < MOST_SHRUNK) for n, outcome in enumerate(broken)]
     if json:
@@ -82,6 +83,7 @@ def _show(
             "cases": len(outcomes),
             "seconds": seconds,
             "injected": injected,
+            "struck": struck,
             "failures": failures,
         }
         sys.stdout.write(msgspec.json.encode(result).decode() + "\n")
@@ -90,13 +92,18 @@ def _show(
         sys.stdout.write(
             f"seed {failure['seed']}: {failure['invariant']}: {failure['seen']}\n"
             f"  again: {failure['again']}\n"
+            f"  to look at: {failure['run']}\n"
         )
-    said = ", ".join(f"{kind} {count}" for kind, count in injected.most_common())
     held = f"{len(broken)} broke an invariant" if broken else "no invariant broken"
     sys.stdout.write(
-        f"faults injected: {said or 'none'}\n"
+        f"faults injected: {_listed(injected)}\n"
+        f"frames and turns struck: {_listed(struck)}\n"
         f"{len(outcomes)} of {len(seeds)} cases in {seconds:.1f} s: {held}\n"
     )
+
+
+def _listed(counts: Counter[str]) -> str:
+    return ", ".join(f"{kind} {count}" for kind, count in counts.most_common()) or "none"
 
 
 def _failure(outcome: Outcome, fields: dict[str, Any], smaller: bool) -> dict[str, Any]:
@@ -113,4 +120,5 @@ def _failure(outcome: Outcome, fields: dict[str, Any], smaller: bool) -> dict[st
         "invariant": outcome.broken,
         "seen": torture_case(case).seen,
         "again": replay_command(case),
+        "run": run_command(case),
     }

@@ -14,9 +14,9 @@ import numpy as np
 
 from experiments.options import scenario_of
 from experiments.torture_case import OWN_FIELDS, Case, check_case, with_fields
-from experiments.torture_frames import FRAME_FAULTS
 from experiments.torture_script import draw_script
 from experiments.torture_verdict import RECOVERY_STEPS
+from experiments.torture_wire import WIRE_FAULTS
 from scenarios.scenario import Scenario
 from scenarios.setup import prepare
 from topology.names import unknown_name
@@ -39,6 +39,7 @@ _RULES = {
     "hcmci": 4,
     "labelled": 5,
     "wac": 3,
+    "trimmed-ci": 3,
     "hcmci-classical": 1,
     "icf": 1,
     "diffusion": 1,
@@ -85,7 +86,7 @@ def _completed(
     """The case whose scenario was drawn, with what is fixed."""
     calm_step = int(generator.integers(4, _MOST_CALM))
     drawn = msgspec.structs.replace(drawn, steps=calm_step + RECOVERY_STEPS)
-    case = Case(seed, drawn, _draw_frame_faults(generator), calm_step)
+    case = Case(seed, drawn, _draw_wire(generator))
     known = {*drawn.__struct_fields__, *OWN_FIELDS}
     for name in fixed:
         if name not in known:
@@ -94,7 +95,8 @@ def _completed(
     setup = prepare(case.scenario)
     changes = fixed.get("changes")
     if changes is None:
-        changes = draw_script(_generator(seed, attempt, 1), setup, case.calm_step)
+        calm_step = min(calm_step, case.scenario.steps - 1)
+        changes = draw_script(_generator(seed, attempt, 1), setup, calm_step)
     case = with_fields(case, {"changes": tuple(changes)})
     prepare(case.scenario)
     check_case(case)
@@ -126,7 +128,7 @@ def _drawn(generator: np.random.Generator) -> Scenario:
         "seed": int(generator.integers(1, 2**31)),
         "schedule": schedule,
         "occupancy": 1.0 if schedule == "full" else one(0.2, 0.5, 0.8),
-        "cluster": one("fitted", "fitted", "fitted", "none"),
+        "cluster": one("fitted", "fitted-ab", "fitted-ab", "none"),
         "arbiter": one("wtod", "wtod", "minislot", "round-robin"),
         "trigger": one(0.0, 0.0, 0.0, 0.5),
         "hold": one(*_HOLDS),
@@ -152,6 +154,10 @@ def _drawn(generator: np.random.Generator) -> Scenario:
     elif rule == "centralised":
         only = {"graph": "complete", "schedule": "full", "occupancy": 1.0, "rounds": 1}
         asked |= {**only, "loss": 0.0, "links": "static", "hold": "decayed"}
+    elif rule == "trimmed-ci":
+        # It needs many neighbours, and on most graphs promises little.
+        asked["graph"] = one("complete", "complete", "6-regular", asked["graph"])
+        asked["nodes"] += 2
     elif rule not in ("ci", "wac", *_CERTAIN):
         asked["hold"] = "decayed"
     if name in (*_LINEAR, "liu2021-network"):
@@ -164,10 +170,10 @@ def _weighted(generator: np.random.Generator, weights: Mapping[str, int]) -> str
     return list(weights)[int(generator.choice(len(chances), p=chances / chances.sum()))]
 
 
-def _draw_frame_faults(generator: np.random.Generator) -> tuple[str, ...]:
+def _draw_wire(generator: np.random.Generator) -> tuple[str, ...]:
     """Some kinds, each with a probability between rarely and mostly."""
     return tuple(
         f"{kind} {np.exp(generator.uniform(np.log(0.01), np.log(0.6))):.3f}"
-        for kind in FRAME_FAULTS
-        if generator.random() < 0.35
+        for kind in WIRE_FAULTS
+        if generator.random() < 0.3
     )

@@ -1,4 +1,4 @@
-"""What the command line says of cases of torture: fields of the scenario, seeds and faults."""
+"""What the command line says of cases of torture: fields of the scenario, seeds and the wire."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -7,13 +7,12 @@ import msgspec
 
 from experiments.sweep_options import meanings, options_of
 from experiments.sweep_specification import FIELDS
-from experiments.torture_frames import read_frame_faults
+from experiments.torture_wire import read_wire
 
-_OWN: dict[str, Any] = {"frame_faults": tuple[str, ...], "calm_step": int}
+_OWN: dict[str, Any] = {"wire": tuple[str, ...]}
 _OWN_MEANINGS = {
-    "frame_faults": "what happens to single frames, each with its probability: 'duplicate 0.2, "
-    "replay 0.1'.",
-    "calm_step": "from this step on nothing is wrong.",
+    "wire": "what no word of --changes says, each with its probability: 'vanish 0.05, garbage 0.2, "
+    "shuffle 0.5'.",
 }
 
 if TYPE_CHECKING:
@@ -40,7 +39,7 @@ def fixed_fields(asked: Mapping[str, str]) -> dict[str, Any]:
     types = {**FIELDS, **_OWN}
     fixed = {}
     for name, text in asked.items():
-        is_list = name in ("changes", "frame_faults")
+        is_list = name in ("changes", "wire")
         value = tuple(part.strip() for part in text.split(",") if part.strip()) if is_list else text
         try:
             fixed["name" if name == "scenario" else name] = msgspec.convert(
@@ -48,7 +47,7 @@ def fixed_fields(asked: Mapping[str, str]) -> dict[str, Any]:
             )
         except msgspec.ValidationError as error:
             raise ValueError(f"--{name.replace('_', '-')} {text}: {error}") from None
-    read_frame_faults(fixed.get("frame_faults", ()))
+    read_wire(fixed.get("wire", ()))
     return fixed
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import msgspec
 
+from experiments.options import scenario_of
 from experiments.torture_case import Case, check_case, differences, with_fields
 from experiments.torture_draw import draw_case
 from scenarios.setup import prepare
@@ -68,7 +69,7 @@ def _smaller(case: Case) -> Iterator[Case]:
     for nodes in _between(FEWEST_NODES, scenario.nodes):
         yield _with(case, "nodes", nodes)
     yield from (_with(case, "changes", kept) for kept in _fewer(scenario.changes))
-    yield from (_with(case, "frame_faults", kept) for kept in _fewer(case.frame_faults))
+    yield from (_with(case, "wire", kept) for kept in _fewer(case.wire))
     for fields in _PLAIN:
         yield with_fields(case, fields)
 
@@ -92,8 +93,7 @@ def _between(least: int, value: int) -> Iterator[int]:
 
 def _shorter(case: Case, steps: int) -> Case:
     changes = tuple(line for line in case.scenario.changes if int(line.split()[0]) < steps)
-    fields = {"steps": steps, "changes": changes, "calm_step": min(case.calm_step, steps)}
-    return with_fields(case, fields)
+    return with_fields(case, {"steps": steps, "changes": changes})
 
 
 def _with(case: Case, field: str, value: Any) -> Case:
@@ -118,6 +118,23 @@ def replay_command(case: Case) -> str:
     words = ["concord", "torture", "--seeds", str(case.seed)]
     for name, value in said.items():
         words += ["--" + ("scenario" if name == "name" else name.replace("_", "-")), written(value)]
+    return shlex.join(words)
+
+
+def run_command(case: Case) -> str:
+    """The command that runs the scenario of a case and records it, in any driver; what the wire
+    did besides is the torture's own."""
+    plain = scenario_of(case.scenario.name, {})
+    words = ["concord", "run", "--scenario", case.scenario.name]
+    for name in case.scenario.__struct_fields__:
+        value = getattr(case.scenario, name)
+        if value == getattr(plain, name):
+            continue
+        option = name.replace("_", "-")
+        if isinstance(value, bool):
+            words.append(f"--{option}" if value else f"--no-{option}")
+        else:
+            words += [f"--{option}", *(value if isinstance(value, tuple) else [written(value)])]
     return shlex.join(words)
 
 

@@ -1,17 +1,26 @@
 """What must hold of a run as a whole: nobody is too sure of itself, and calm brings all back."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
 
-from experiments.torture_books import Books, Broken
-from experiments.torture_script import LYING_SENSORS
+from experiments.torture_books import Books
+from experiments.torture_broken import Broken
+from experiments.torture_promises import (
+    CERTAIN,
+    CONSISTENT,
+    GAUSSIAN,
+    MATCHED,
+    RETURNING,
+    brings_back,
+    nodes_are_honest,
+    promises,
+    sensors_are_honest,
+)
 from filters.linalg import unpack_upper
-from nodes.commands import Configure, Inject
 from nodes.messages import Array, from_wire
 from scenarios.scenario import Scenario
-from scenarios.script import script_of
 from scenarios.setup import Setup
 
 # An error beyond this has a chance of 2e-12. A thousand seeds judge half a million errors, so that
@@ -21,22 +30,6 @@ SETTLING_STEPS = 20
 LEVEL_STEPS = 10
 RECOVERY_STEPS = SETTLING_STEPS + LEVEL_STEPS
 
-_CERTAIN = ("ellipsoid", "zonotope")
-_CONSISTENT = ("ci", "wac", "hcmci", "labelled", "local", "centralised")
-_GAUSSIAN = ("ci", "wac", "hcmci", "labelled", "centralised")
-_RETURNING = (*_GAUSSIAN, *_CERTAIN)
-# The filters know these plants as they are; that of meng2025 is approximated, and liu2021's noise
-# is bounded and not Gaussian.
-_MATCHED = (
-    "oscillator",
-    "target-tracking",
-    "target-crossing",
-    "cruise-control",
-    "suspension",
-    "aircraft-pitch",
-    "dc-motor-speed",
-    "dc-motor-position",
-)
 _SET_TOLERANCE = 1e-6
 # How much more of an error or disagreement than in the run without faults is none, in variances:
 # a factor, and a part of the variance itself.
@@ -45,13 +38,15 @@ _SIZE = np.log(2.0)
 
 
 class History(NamedTuple):
-    """Estimates of a run, NaN where a node was out: mean (steps, N, n), cov (steps, N, n, n), and
-    the truth (steps, n)."""
+    """Estimates of a run, NaN where a node was out: mean (steps, N, n), cov (steps, N, n, n); the
+    truth (steps, n); readings (steps, N, r, d), NaN where none came; control (steps, p) or None."""
 
     setup: Setup
     truth: Array
     mean: Array
     cov: Array
+    readings: Array
+    control: Array | None
 
     def same_bits(self, other: "History") -> bool:
         """Whether all estimates are equal, bit for bit."""
@@ -86,7 +81,24 @@ def history_of_run(setup: Setup, books: Books) -> History:
                 mean[step, node] = from_wire(said.mean)
                 cov[step, node] = unpack_upper(from_wire(said.cov))
     truth = np.array([from_wire(books.truths[step].state) for step in range(scenario.steps)])
-    return History(setup, truth, mean, cov)
+    return History(setup, truth, mean, cov, *_told(scenario, books))
+
+
+def _told(scenario: Scenario, books: Books) -> tuple[Array, Array | None]:
+    """What the world has told the nodes: readings and control."""
+    some = next(iter(books.measured.values()))
+    came = {
+        place: np.array([from_wire(reading) for reading in measured.readings])
+        for place, measured in books.measured.items()
+    }
+    shape = next(iter(came.values())).shape
+    readings = np.full((scenario.steps, scenario.nodes, *shape), np.nan)
+    for place, arrays in came.items():
+        readings[place] = arrays
+    if some.control is None:
+        return readings, None
+    first = {step: measured.control for (step, _), measured in books.measured.items()}
+    return readings, np.array([first[step] for step in range(scenario.steps)], dtype=float)
 
 
 def check_consistency(run: History) -> None:
@@ -96,11 +108,11 @@ def check_consistency(run: History) -> None:
         Broken: one does.
     """
     scenario = run.setup.scenario
-    if not sensors_are_honest(scenario):
+    if not (sensors_are_honest(scenario) and nodes_are_honest(scenario)):
         return
-    if _promises(scenario, _CERTAIN) and scenario.noise == "matched":
+    if promises(scenario, CERTAIN) and scenario.noise == "matched":
         most, invariant = 1.0 + _SET_TOLERANCE, "a set holds the truth"
-    elif _promises(scenario, _CONSISTENT) and scenario.name in _MATCHED:
+    elif promises(scenario, CONSISTENT) and scenario.name in MATCHED:
         most, invariant = float(chdtri(run.mean.shape[-1], IMPROBABLE)), "errors are as believed"
     else:
         return
@@ -132,7 +144,9 @@ def check_return(run: History, calm: History, calm_step: int) -> None:
         raise Broken("who was restarted is back", f"node {out[0]} is out {SETTLING_STEPS} steps on")
     honest = sensors_are_honest(scenario)
     # A set that a false reading has parted from the truth has nothing to find it again.
-    if not _promises(scenario, _RETURNING if honest else _GAUSSIAN):
+    if not promises(scenario, RETURNING if honest else GAUSSIAN):
+        return
+    if not brings_back(run.setup):
         return
     # How long a filter remembers what a sensor said falsely is a matter of its plant alone.
     compared = (("errors come back", _error), ("nodes agree again", _disagreement))
@@ -145,26 +159,6 @@ def check_return(run: History, calm: History, calm_step: int) -> None:
         raise Broken(
             "covariances come back", f"variances of a node are {np.exp(grown):.3g} times as large"
         )
-
-
-def sensors_are_honest(scenario: Scenario) -> bool:
-    """Whether no change makes a sensor say what it does not read."""
-    return not any(
-        isinstance(one.command, Inject) and one.command.kind in LYING_SENSORS
-        for one in script_of(scenario)
-    )
-
-
-def _promises(scenario: Scenario, rules: tuple[str, ...]) -> bool:
-    """Whether only such rules are used in a run, and no share is taken for one of another step."""
-    used: list[dict[str, Any]] = [{"rule": scenario.rule, "hold": scenario.hold}]
-    used += [
-        one.command.settings for one in script_of(scenario) if isinstance(one.command, Configure)
-    ]
-    return all(
-        settings.get("rule", rules[0]) in rules and settings.get("hold") != "raw"
-        for settings in used
-    )
 
 
 def _squares(errors: Array, covs: Array) -> Array:

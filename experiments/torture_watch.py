@@ -7,15 +7,17 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from experiments.torture_books import Books, Broken
-from experiments.torture_verdict import sensors_are_honest
+from experiments.torture_books import Books
+from experiments.torture_broken import Broken
+from experiments.torture_promises import nodes_are_honest, sensors_are_honest
+from experiments.torture_trimmed import broken_promise
 from experiments.torture_weights import promised_weights
 from filters.fusion import Averaged
 from filters.gaussian import Gaussian
 from nodes import information_rounds
 from nodes.belief_consensus import BeliefConsensus
 from nodes.changes import Standing
-from nodes.estimator import Estimator
+from nodes.estimator import Estimator, Rejected
 from nodes.fresh_consensus import FreshConsensus
 from nodes.information_rounds import InformationRounds
 from nodes.messages import Array, Measured
@@ -52,7 +54,7 @@ class _ShownRule(NamedTuple):
     """A rule of averages whose weights are shown to `check`, as they are used."""
 
     rule: Averaged
-    check: Callable[[Array], None]
+    check: Callable[[Any, Array, Gaussian], None]
 
     def weigh_up(self, belief: Gaussian, origin: Array) -> tuple[Any, Array]:
         """What the rule makes of beliefs."""
@@ -60,8 +62,9 @@ class _ShownRule(NamedTuple):
 
     def average(self, numbers: Any, weights: Array, origin: Array) -> Gaussian:
         """What it comes to with these weights."""
-        self.check(weights)
-        return self.rule.average(numbers, weights, origin)
+        fused = self.rule.average(numbers, weights, origin)
+        self.check(numbers, weights, fused)
+        return fused
 
 
 class Watched:
@@ -76,7 +79,7 @@ class Watched:
         self._cycle = self._group = -1
         self._heard: dict[int, int] = {}
         self._used: set[tuple[int, int]] = set()
-        self._honest = sensors_are_honest(scenario)
+        self._honest = sensors_are_honest(scenario) and nodes_are_honest(scenario)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._inner, name)
@@ -95,7 +98,13 @@ class Watched:
 
     def accept(self, body: bytes) -> _Share:
         """The share, which remembers of what it was made."""
-        return _Share(self._inner.accept(body), body)
+        try:
+            meaning = self._inner.accept(body)
+        except Rejected:
+            self._books.rejected(self._config.index, body)
+            raise
+        self._books.accepted(self._config.index, body)
+        return _Share(meaning, body)
 
     def fuse(self, content: Any, shares: tuple[_Share | None, ...]) -> tuple[Any, tuple[str, ...]]:
         """What goes in is what neighbours have said in this very cycle; what comes out is sound."""
@@ -107,8 +116,9 @@ class Watched:
         self._check_mixing(content, [j in came for j in near])
         meanings = tuple(None if share is None else share.meaning for share in shares)
         content, troubles = self._inner.fuse(content, meanings)
-        self._books.refused(self._config.index, sum(trouble in _REFUSALS for trouble in troubles))
-        self._heard.update(dict.fromkeys(came, self._cycle))
+        refused = {j for j, share in came.items() if _is_indefinite(share.meaning)}
+        self._check_refusals(len(refused), sum(trouble in _REFUSALS for trouble in troubles))
+        self._heard.update(dict.fromkeys({*came} - refused, self._cycle))
         if "contradicting-share" in troubles:
             self._forget_refused(self._inner.ages(content))
         self._check_troubles(troubles)
@@ -125,6 +135,14 @@ class Watched:
             if age < 0:
                 self._heard.pop(sender, None)
 
+    def _check_refusals(self, indefinite: int, refused: int) -> None:
+        """What is no covariance is refused, and nothing else."""
+        if indefinite != refused:
+            raise self._broken(
+                "a covariance that is none is refused", f"{refused} shares for {indefinite}"
+            )
+        self._books.refused(self._config.index, refused)
+
     def _check_share(self, sender: int, share: _Share) -> None:
         label = (sender, self._cycle)
         if label in self._used:
@@ -134,6 +152,7 @@ class Watched:
             raise self._broken(
                 "a share is used in its own cycle", f"node {sender} has not said that in it"
             )
+        self._books.used(self._config.index, *label)
 
     def _check_belief(self, belief: Gaussian, rounding: float) -> None:
         mean, cov = belief
@@ -175,8 +194,16 @@ class Watched:
         return replace(
             estimator,
             hold=estimator.hold._replace(weigh=shown),
-            rule=_ShownRule(estimator.rule, self._check_weights),
+            rule=_ShownRule(estimator.rule, self._check_average),
         )
+
+    def _check_average(self, numbers: Any, weights: Array, fused: Gaussian) -> None:
+        self._check_weights(weights)
+        liars = [1 + n for n, j in enumerate(self._config.neighbours) if j in self._books.liars]
+        if self._scenario.rule == "trimmed-ci" and np.isfinite(fused.mean).all():
+            seen = broken_promise(numbers, weights, fused, liars, self._scenario.liars)
+            if seen:
+                raise self._broken("liars move nobody beyond what honest nodes say", seen)
 
     def _check_weights(self, weights: Array) -> None:
         if (weights < 0).any() or abs(weights.sum() - 1) > _ROUNDING:
@@ -209,3 +236,8 @@ class Watched:
 
     def _broken(self, invariant: str, seen: str) -> Broken:
         return Broken(invariant, f"node {self._config.index} in cycle {self._cycle}: {seen}")
+
+
+def _is_indefinite(meaning: Any) -> bool:
+    """Whether a share is a belief with a variance that is negative."""
+    return isinstance(meaning, Gaussian) and bool((np.diagonal(meaning.cov) < 0).any())

@@ -34,6 +34,8 @@ from scenarios.scenario import Scenario
 from topology.names import unknown_name
 
 NO_CLUSTER, FITTED = "none", "fitted"
+# The same with every frame on both channels.
+REDUNDANT = "fitted-ab"
 
 Neighbours = Sequence[Sequence[int]]
 
@@ -88,7 +90,7 @@ def arbiter_names() -> tuple[str, ...]:
 
 def cluster_names() -> tuple[str, ...]:
     """What --cluster takes beside files."""
-    return (FITTED, *PRESETS, NO_CLUSTER)
+    return (FITTED, REDUNDANT, *PRESETS, NO_CLUSTER)
 
 
 def build_schedule(scenario: Scenario, neighbours: Neighbours = ()) -> Schedule:
@@ -190,6 +192,8 @@ def _cluster(scenario: Scenario, schedule: Schedule, share_bytes: int) -> Cluste
     name = scenario.cluster
     if name == FITTED:
         return _fitted(schedule, share_bytes)
+    if name == REDUNDANT:
+        return msgspec.structs.replace(_fitted(schedule, share_bytes), channels="AB")
     if name in PRESETS:
         return preset(name)
     path = Path(name)

@@ -99,7 +99,7 @@ def without_arrays(scenario: Scenario) -> str | None:
     if not all(_is_plain(kind.sensor(scenario, node)) for node in range(scenario.nodes)):
         return f"rule labelled with such sensors as those of scenario {scenario.name}"
     # Elsewhere a share may take several frames, or not fit beside others: that hangs on its length.
-    if scenario.cluster not in ("fitted", "none"):
+    if scenario.cluster not in ("fitted", "fitted-ab", "none"):
         return f"rule labelled on a cluster of its own (--cluster {scenario.cluster})"
     if any(isinstance(one.command, Restart | Configure) for one in script_of(scenario)):
         # Windows of one network would begin at different steps.

@@ -19,8 +19,8 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         seed: of everything random; `run` numbers the runs of a Monte Carlo under one seed.
         schedule: who may publish in a cycle, e.g. full, round-robin.
         occupancy: share of the nodes that publish in a cycle, in (0, 1].
-        cluster: the FlexRay cluster: fitted (the shortest cycle that holds the schedule), a preset,
-            a TOML or FIBEX file, or none (slots without time).
+        cluster: the FlexRay cluster: fitted (the shortest cycle that holds the schedule), fitted-ab
+            (on both channels), a preset, a TOML or FIBEX file, or none (slots without time).
         arbiter: who wins the dynamic segment: wtod, minislot, round-robin.
         static_slots: sensors 1 to that on a measurement bus own a slot each, the others contend for
             one (meng2025).

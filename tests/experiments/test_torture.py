@@ -1,6 +1,7 @@
 """`concord torture`: what it draws, what it finds, and how it says so."""
 
 import shlex
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -10,10 +11,14 @@ from experiments.command_line import main
 from experiments.torture import torture
 from experiments.torture_case import Case
 from experiments.torture_draw import draw_case
-from experiments.torture_frames import FRAME_FAULTS, HARMLESS, HostileLink
-from experiments.torture_script import SENSOR_FAULTS
-from experiments.torture_shrink import replay_command, shrink
+from experiments.torture_promises import brings_back, liars_of
+from experiments.torture_script import WORDS, calm_from, is_harmless
+from experiments.torture_shrink import replay_command, run_command, shrink
+from experiments.torture_wire import LOSING, WIRE_FAULTS, Wire
+from nodes.fault_words import EVERY_FAULT
 from nodes.share import to_frames
+from scenarios.script import script_of
+from scenarios.setup import prepare
 from tests.experiments.torture_bugs import BUGS, MOST_SEEDS, Bug, first_found, planted
 
 # Those that are found within one small case, and so in a fast test.
@@ -36,14 +41,76 @@ def said(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str
     return int(end.value.code or 0), told.out, told.err
 
 
-def test_nothing_breaks_and_every_fault_is_counted(capsys: pytest.CaptureFixture[str]):
+def test_nothing_breaks_and_what_was_done_is_counted(capsys: pytest.CaptureFixture[str]):
     code, out, _ = said(capsys, "--seeds", "1..11", "--workers", "1", "--json")
     result = msgspec.json.decode(out)
     assert (code, result["failures"], result["cases"]) == (0, [], 11)
-    changes = {"kill", "restart", "cut", "heal", "loss", "set"}
-    assert changes | {*SENSOR_FAULTS, *FRAME_FAULTS} <= {
-        kind for kind, count in result["injected"].items() if count
-    }
+    assert {*WIRE_FAULTS} <= {kind for kind, count in result["injected"].items() if count}
+    assert {*result["struck"]} <= {*EVERY_FAULT} and min(result["struck"].values()) > 0
+
+
+def test_the_whole_vocabulary_is_drawn():
+    """Every word that there is, and so also one that is new in the table."""
+    cases = [draw_case(seed, {}) for seed in range(1, 61)]
+    words = {line.split()[1] for case in cases for line in case.scenario.changes}
+    assert words == {*WORDS, "calm"} and {*EVERY_FAULT} < words
+    assert {word.split()[0] for case in cases for word in case.wire} == {*WIRE_FAULTS}
+    # The promises that hang on who lies, and on nothing that matters, are asked of some.
+    harmless = [case for case in cases if is_harmless(script_of(case.scenario))]
+    liars = [case for case in cases if liars_of(case.scenario)]
+    assert len(harmless) > 5 and len(liars) > 5
+    assert {case.scenario.rule for case in liars} > {"trimmed-ci"}
+
+
+@pytest.mark.parametrize(
+    ("lines", "calm_step"),
+    [
+        ((), 20),
+        (("3 corrupt 0.1", "8 calm"), 8),
+        (("3 corrupt 0.1", "8 calm", "9 set rounds=1"), 8),
+        (("3 corrupt 0.1", "8 calm", "8 cut 0 1"), 20),
+        (("3 kill 1", "8 calm"), 20),
+        (("3 kill 1", "8 restart 1", "8 calm"), 8),
+        (("8 calm", "9 partition 0"), 20),
+        (("8 calm", "9 loss 0.1"), 20),
+    ],
+)
+def test_calm_begins_when_nothing_is_wrong_any_more(lines: tuple[str, ...], calm_step: int):
+    case = draw_case(1, {"changes": lines, "steps": 20, "nodes": 4})
+    assert calm_from(script_of(case.scenario), 20) == calm_step
+
+
+@pytest.mark.parametrize(
+    ("lines", "harmless"),
+    [
+        (("1 duplicate 0.3", "2 set rounds=2", "5 calm"), True),
+        (("1 guardian 1", "2 babble 1 0.5"), True),
+        (("2 babble 1 0.5",), False),
+        (("2 babble 1 0.5", "2 guardian 1"), False),
+        (("1 guardian 1", "2 babble 1 0.5", "3 guardian 0"), False),
+        (("1 channel A 1", "2 channel A 0.5"), True),
+        (("1 channel A 1", "2 channel B 0.5"), False),
+        (("1 spoof 0 1 0.5", "2 corrupt 0.1"), False),
+        (("1 replay 0 0.5 2", "2 cut 0 1"), False),
+    ],
+)
+def test_what_can_do_no_harm_is_known_from_its_words(lines: tuple[str, ...], harmless: bool):
+    fixed = {"changes": lines, "nodes": 4, "graph": "ring", "cluster": "fitted-ab"}
+    case = draw_case(1, {**fixed, "rule": "ci", "name": "oscillator", "control": "open"})
+    assert is_harmless(script_of(case.scenario)) == harmless
+
+
+def test_who_lies_is_forgiven_where_the_rule_expects_so_many_liars():
+    def back(rule: str, *lines: str, graph: str = "complete") -> bool:
+        fixed = {"nodes": 6, "graph": graph, "rule": rule, "liars": 1, "hold": "decayed"}
+        fixed |= {"name": "oscillator", "control": "open", "links": "static", "changes": lines}
+        return brings_back(prepare(draw_case(1, fixed).scenario))
+
+    assert back("ci") and back("trimmed-ci") and not back("trimmed-ci", graph="ring")
+    assert not back("ci", "2 lie 1 3 2") and back("trimmed-ci", "2 lie 1 3 2")
+    assert back("ci", "2 lie 1 0 2")
+    assert not back("trimmed-ci", "2 lie 1 3 2", "3 lie 2 3 2")
+    assert not back("trimmed-ci", "2 lie 1 3 2", "3 set rule=ci")
 
 
 def test_a_seed_is_a_case_and_its_run_to_the_last_bit():
@@ -53,10 +120,10 @@ def test_a_seed_is_a_case_and_its_run_to_the_last_bit():
 
 
 def test_what_is_fixed_is_so_and_the_rest_is_drawn():
-    drawn, fixed = draw_case(4, {}), draw_case(4, {"nodes": 3, "frame_faults": ("replay 0.5",)})
-    assert (fixed.scenario.nodes, fixed.frame_faults) == (3, ("replay 0.5",))
+    drawn, fixed = draw_case(4, {}), draw_case(4, {"nodes": 3, "wire": ("garbage 0.5",)})
+    assert (fixed.scenario.nodes, fixed.wire) == (3, ("garbage 0.5",))
     assert fixed.scenario.seed == drawn.scenario.seed
-    assert fixed.calm_step == drawn.calm_step
+    assert fixed.calm_step == drawn.calm_step < drawn.scenario.steps
 
 
 @pytest.mark.parametrize("name", QUICK)
@@ -74,17 +141,21 @@ def test_every_planted_bug_is_found(bug: Bug):
 
 
 def test_a_failure_is_made_smaller_and_its_command_finds_it_again(
-    capsys: pytest.CaptureFixture[str],
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
 ):
     with planted(bug_of("all nodes share the slots of node 0")):
         code, out, _ = said(capsys, "--seeds", "2", "--workers", "1")
         assert code == 1
-        told, again, *_ = out.splitlines()
+        told, again, look, *_ = out.splitlines()
         assert told.startswith("seed 2: one sender per slot and channel: ")
         words = shlex.split(again.removeprefix("  again: "))
         assert words[:4] == ["concord", "torture", "--seeds", "2"]
         repeated, out, _ = said(capsys, *words[2:])
         assert (repeated, out.splitlines()[0]) == (1, told)
+    ordinary = shlex.split(look.removeprefix("  to look at: "))
+    assert ordinary[:3] == ["concord", "run", "--scenario"]
+    main([*ordinary[1:], "--out", str(tmp_path / "run"), "--json"])
+    assert msgspec.json.decode(capsys.readouterr().out)["steps"] == 1
     assert said(capsys, *words[2:])[0] == 0
     assert draw_case(2, {}).scenario.steps > 20
     assert words[words.index("--steps") + 1] == "1"
@@ -92,47 +163,46 @@ def test_a_failure_is_made_smaller_and_its_command_finds_it_again(
 
 
 def test_shrinking_keeps_what_matters():
-    """An invariant that breaks where a node is killed and frames are repeated."""
+    """An invariant that breaks where a node is killed and garbage comes."""
     case = draw_case(
-        5, {"changes": ("2 kill 1", "3 loss 0.5", "5 restart 1"), "calm_step": 6,
-            "frame_faults": ("duplicate 0.5", "delay 0.1")},
+        5, {"changes": ("2 kill 1", "3 loss 0.5", "5 restart 1", "6 calm"),
+            "wire": ("garbage 0.5", "vanish 0.1")},
     )  # fmt: skip
 
     def breaks(tried: Case) -> bool:
         killed = any("kill" in line for line in tried.scenario.changes)
-        return killed and "duplicate 0.5" in tried.frame_faults and tried.scenario.rounds > 1
+        return killed and "garbage 0.5" in tried.wire and tried.scenario.rounds > 1
 
     case = msgspec.structs.replace(case, scenario=msgspec.structs.replace(case.scenario, rounds=3))
     small = shrink(case, breaks)
     assert small.scenario.changes == ("2 kill 1",)
-    assert small.frame_faults == ("duplicate 0.5",)
+    assert small.wire == ("garbage 0.5",)
     assert (small.scenario.steps, small.scenario.nodes, small.scenario.rule) == (3, 2, "ci")
     assert small.scenario.rounds > 1
     words = shlex.split(replay_command(small))
-    assert "2 kill 1" in words and "duplicate 0.5" in words
+    assert "2 kill 1" in words and "garbage 0.5" in words
+    assert "2 kill 1" in shlex.split(run_command(small))
 
 
-@pytest.mark.parametrize("kind", FRAME_FAULTS)
-def test_faults_of_frames_strike_as_often_as_they_should_and_harmless_ones_lose_nothing(kind: str):
-    if kind == "reorder":  # happens to messages that wait, and not on a link
+@pytest.mark.parametrize("kind", WIRE_FAULTS)
+def test_the_wire_strikes_as_often_as_it_should_until_calm(kind: str):
+    if kind == "shuffle":  # happens to messages that wait, and not on a link
+        wire = Wire(3, {kind: 0.3}, calm=lambda _: False)
+        picked = [wire.pick(10) for _ in range(500)]
+        assert min(picked) == 0 and max(picked) == 9
+        assert 80 < wire.injected[kind] < 180
         return
-    link = HostileLink(3, {kind: 0.3}, calm=lambda cycle: cycle >= 400)
+    wire = Wire(3, {kind: 0.3}, calm=lambda cycle: cycle >= 400)
     frames = [to_frames(b"0123456789", cycle, [Slot(1, 18)])[0] for cycle in range(500)]
     arrived = []
     for frame in frames:
-        link(1, 2, frame)  # what another receiver gets is no matter
-        arrived.append(list(link(0, 2, frame)))
-    assert all(
-        got[-1:] == [frame] or kind == "delay"
-        for got, frame in zip(arrived[400:], frames[400:], strict=True)
-    )
-    assert 80 < link.injected[kind] / 2 < 160
-    if kind in HARMLESS:
-        assert all(frame in got for got, frame in zip(arrived, frames, strict=True))
-    elif kind != "corrupt":
-        assert any(frame not in got for got, frame in zip(arrived, frames, strict=True))
-    struck = [got != [frame] for got, frame in zip(arrived, frames, strict=True)]
-    assert any(struck[:400])
+        wire.carry(1, 2, frame)  # what another receiver gets is no matter
+        arrived.append(list(wire.carry(0, 2, frame)))
+    pairs = list(zip(arrived, frames, strict=True))
+    assert all(got == [frame] for got, frame in pairs[400:])
+    assert 80 < wire.injected[kind] / 2 < 160
+    assert any(got != [frame] for got, frame in pairs[:400])
+    assert all(frame in got for got, frame in pairs) == (kind not in LOSING)
 
 
 @pytest.mark.parametrize(
@@ -142,8 +212,8 @@ def test_faults_of_frames_strike_as_often_as_they_should_and_harmless_ones_lose_
         (["--seeds", "some"], "must be a number"),
         (["--seeds", "1", "--rule", "cii"], "did you mean 'ci'"),
         (["--seeds", "1", "--nodes", "many"], "--nodes many"),
-        (["--seeds", "1", "--frame-faults", "bite 0.1"], "kinds are vanish"),
-        (["--seeds", "1", "--frame-faults", "replay 2"], "must be a kind and a probability"),
+        (["--seeds", "1", "--wire", "replay 0.1"], "all other faults are words of --changes"),
+        (["--seeds", "1", "--wire", "garbage 2"], "must be a kind and a probability"),
         (["--seeds", "1", "--workers", "0"], "must be at least 1"),
     ],
 )

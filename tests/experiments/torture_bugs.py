@@ -137,9 +137,64 @@ BUGS = (
         (("unpack_upper(from_wire(joined.cov))", "1e-4 * unpack_upper(from_wire(joined.cov))"),),
     ),
     Bug(
+        "hcmci takes the gain of hcmci-classical",
+        "filters.hybrid_consensus", "conclude",
+        (("gain(row)", "classical_gain(row)"),),
+    ),
+    Bug(
         "set membership forgets the noise of the plant",
         "nodes.set_membership", "carry",
         (("*model.motion(step))", "model.motion(step)[0], 0 * model.motion(step)[1])"),),
+    ),
+    Bug(
+        "a guardian blocks nobody",
+        "nodes.link_faults", "_collides", (('if faults.at("guardian", way.step):', "if False:"),),
+    ),
+    Bug(
+        "a channel that loses some frames loses all",
+        "nodes.link_faults", "_carried",
+        (("if fails is None or draw >= fails[0]:", "if fails is None:"),),
+    ),
+    Bug(
+        "a clock has run away since the run began",
+        "nodes.link_faults", "_clock_us",
+        (('- faults.first_cycle("drift", node)', ""),),
+    ),
+    Bug(
+        "what a slow node says comes at once",
+        "nodes.link_faults", "_late", (("late += int(slow[0])", "late += 0"),),
+    ),
+    Bug(
+        "who hangs never wakes up",
+        "nodes.faults", "Faults.at",
+        (("passed = kind in PASSING and", "passed = kind in PASSING and False and"),),
+    ),
+    Bug(
+        "what was wrong stays so in calm",
+        "nodes.changes", "after",
+        (("loss=None, losses=(), cuts=(), faults=())", "loss=None, losses=(), cuts=())"),),
+    ),
+    Bug(
+        "a share that was overtaken is lost",
+        "nodes.hearing", "let_in_overtaken", (("if fragments:", "if False:"),),
+    ),
+    Bug(
+        "a share of no numbers is read",
+        "nodes.belief_codec", "BeliefCodec.decode",
+        (("if not (math.isfinite", "if False and not (math.isfinite"),),
+    ),
+    Bug(
+        "a covariance that is none is used",
+        "nodes.belief_consensus", "BeliefConsensus.fuse",
+        (("if fresh[j] and math.isnan(pivot)]", "if False and fresh[j] and math.isnan(pivot)]"),),
+    ),
+    Bug(
+        "those who agree most are taken for liars",
+        "filters.trimmed", "_far_ones", (("candidates, -distance", "candidates, distance"),),
+    ),
+    Bug(
+        "a neighbour may be as sure as it likes",
+        "filters.trimmed", "_growth", (("share < least", "share < 0 * least"),),
     ),
 )  # fmt: skip
 

@@ -2,15 +2,12 @@
 
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.cluster_files import cluster_to_toml
 from experiments.trace import Trace
 from nodes import state_machine
 from nodes.changes import Fault, Standing
@@ -328,18 +325,10 @@ def test_a_babbling_idiot_leaves_nobody_but_itself_unless_it_is_guarded():
     assert same_bits(run(setup, "3 babble 3 1", "3 hang 3 9"), run(setup, "3 hang 3 9"))
 
 
-@pytest.fixture
-def redundant(tmp_path: Path) -> Setup:
-    """A ring on a cluster with both channels."""
-    cluster = build_plan(ring()).cluster
-    assert cluster is not None
-    file = tmp_path / "both.toml"
-    file.write_text(cluster_to_toml(msgspec.structs.replace(cluster, channels="AB")))
-    return ring(steps=60, cluster=str(file))
-
-
-def test_a_frame_on_both_channels_is_lost_if_both_lose_it(redundant: Setup):
+def test_a_frame_on_both_channels_is_lost_if_both_lose_it():
+    redundant = ring(steps=60, cluster="fitted-ab")
     plain = run(redundant)
+    assert same_bits(plain, run(ring(steps=60)))
     assert same_bits(run(redundant, "0 channel A 1"), plain)
     assert same_bits(run(redundant, "0 channel B 1"), plain)
     assert total(run(redundant, "0 channel A 1", "0 channel B 1"))["heard"] == 0
