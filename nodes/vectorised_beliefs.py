@@ -5,7 +5,9 @@ averages: what a node shares is expressed in them once, and not by each who hear
 rounds of a step the own beliefs stay such numbers too, where nobody asks what they mean.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -27,15 +29,28 @@ from nodes.vectorised_filter import (
     traffic,
     with_lanes,
 )
-from nodes.vectorised_links import Links, Shares, mixed, unheard, weighed
+from nodes.vectorised_links import Links, Shares, unheard
+from nodes.vectorised_mixing import Mixing, mixed, summed, weighed
+
+_ALIKE = np.ones(1)
 
 
 class Numbers(NamedTuple):
     """Beliefs as the numbers (R, K, m) that a rule averages, and how sharp they are (R, K): NaN
-    where one is not positive definite."""
+    where one is not positive definite.
+
+    `rounds` (K, K) is a product of rounds of which the values are still to be taken.
+    """
 
     values: Array
     sharpness: Array
+    rounds: Array | None = None
+
+    def taken(self) -> "Numbers":
+        """With the rounds taken."""
+        if self.rounds is None:
+            return self
+        return Numbers(summed(self.rounds, self.values), self.sharpness)
 
 
 class Content(NamedTuple):
@@ -87,7 +102,7 @@ class BeliefFleet:
         """The priors, and neighbours never heard."""
         origin = prior.mean.mean(axis=1, keepdims=True)
         own = self._expressed(prior, origin)
-        held = Numbers(*(values[:, self.links.source] for values in own))
+        held = Numbers(own.values[:, self.links.source], own.sharpness[:, self.links.source])
         ages = np.full((len(prior.mean), len(self.links.sender)), -1)
         published = nothing_published(self.contenders, prior)
         return Content(prior, own, held, origin, origin, ages, published, 0, None, 0, {})
@@ -134,11 +149,13 @@ class BeliefFleet:
         counters = added(content.counters, self._traffic(sends, lost, readable, sound))
         fresh = self.links.in_slots(sends & sound, lost)
         held, ages = content.held, content.ages
-        if content.cycles_in_step == 0 and content.step > 0:
-            held, ages = self._caught_up(content, fresh)
         if fresh.all():
             ages = np.zeros((1, ages.shape[1]), dtype=ages.dtype)
         else:
+            content = content._replace(own=content.own.taken(), held=held.taken())
+            held, shared = content.held, shared.taken()
+            if content.cycles_in_step == 0 and content.step > 0:
+                held, ages = self._caught_up(content, fresh)
             ages = np.where(fresh[:, self.links.slot], 0, np.where(ages < 0, -1, ages + 1))
         content = content._replace(
             held=self._refreshed(held, shared, fresh),
@@ -148,39 +165,66 @@ class BeliefFleet:
             cycles_in_step=content.cycles_in_step + 1,
             counters=counters,
         )
-        return self._fused(content)
+        return self._settled(content, self._fused(content))
 
-    def _fused(self, content: Content) -> Content:
-        own, held, turn = content.own, content.held, content.cycles_in_step - 1
-        sharpness = Shares(own.sharpness, held.sharpness[:, self.links.slot])
-        weights = weighed(
-            self.links,
-            self.base,
-            content.ages,
-            sharpness if self.hold.by_sharpness else None,
-            lambda base, ages, sharpness: self.hold.weigh(base, ages, sharpness, turn),
-        )
-        unsound = np.isnan(own.sharpness)
-        values = own.values
-        if unsound.any():
-            values = np.where((unsound & (weights.own == 0))[..., None], 0.0, values)
-        values = mixed(self.links, weights, values, held.values)
-        fused = Numbers(values, self.averaging.sharpness(values))
-        return self._settled(content, fused)
+    def _fused(self, content: Content) -> Numbers:
+        """What everybody averages."""
+        own, held = content.own, content.held
+        mixing = self._mixing(content.ages, content.cycles_in_step - 1)
+        together = own is held and isinstance(mixing.whole, np.ndarray)
+        if together and not (self.hold.by_sharpness or self.eager):
+            # Nobody asks what comes of a single round.
+            rounds = mixing.whole if own.rounds is None else mixing.whole @ own.rounds
+            return own._replace(rounds=rounds)
+        same, own = own is held, own.taken()
+        held = own if same else held.taken()
+        if not self.hold.by_sharpness:
+            values = mixed(mixing, _usable(own, mixing, own.values), held.values)
+            return Numbers(values, np.where(np.isfinite(values.sum(axis=-1)), 1.0, np.nan))
+        # By weights w_j s_j, where w_j are those of all runs: sums of w_j s_j v_j over w_j s_j.
+        heard = _times_sharpness(held)
+        known = heard if same else _usable(own, mixing, _times_sharpness(own))
+        sums = mixed(mixing, known, heard)
+        return Numbers(sums[..., :-1] / sums[..., -1:], own.sharpness)
+
+    @cached_property
+    def _mixing_of_one(self) -> Callable[[bytes, int], Mixing]:
+        # Kept: few patterns of ages come again and again.
+        @lru_cache(maxsize=16)
+        def mixing(ages: bytes, turn: int) -> Mixing:
+            return self._mixing_of(np.frombuffer(ages, dtype=np.int64)[None], turn)
+
+        return mixing
+
+    def _mixing(self, ages: np.ndarray, turn: int) -> Mixing:
+        """The weights in a turn of the step, beliefs as sharp as each other."""
+        one = len(ages) == 1
+        return self._mixing_of_one(ages.tobytes(), turn) if one else self._mixing_of(ages, turn)
+
+    def _mixing_of(self, ages: np.ndarray, turn: int) -> Mixing:
+        def weigh(base: Array, ages: np.ndarray) -> Array:
+            return self.hold.weigh(base, ages, _ALIKE, turn)
+
+        return weighed(self.links, self.base, ages, weigh)
 
     def _settled(self, content: Content, fused: Numbers) -> Content:
         """With the fused beliefs where fusion went well."""
-        belief, sound = content.belief, np.isfinite(fused.sharpness)
-        concluded = self.eager or content.cycles_in_step == self.rounds
-        if concluded:
+        belief, last = content.belief, content.cycles_in_step == self.rounds
+        if self.eager or last:
+            fused = fused.taken()
             after = self.averaging.conclude(fused.values, content.origin)
             sound = finite_lanes(after)
             belief = where(sound, Gaussian(after.mean, symmetrise(after.cov)), belief)
+        if self.eager or (self.hold.by_sharpness and not last):
+            fused = fused._replace(sharpness=self.averaging.sharpness(fused.values))
+        if not (self.eager or last):
+            sound = np.isfinite(fused.sharpness)
         counters = added(content.counters, {"fuse-failed": ~sound})
         if not sound.all():
+            before = content.own.taken()
             fused = Numbers(
-                np.where(sound[..., None], fused.values, content.own.values),
-                np.where(sound, fused.sharpness, content.own.sharpness),
+                np.where(sound[..., None], fused.values, before.values),
+                np.where(sound, fused.sharpness, before.sharpness),
             )
         return content._replace(belief=belief, own=fused, counters=counters)
 
@@ -215,13 +259,15 @@ class BeliefFleet:
             forgotten[runs, slots] = ~sound
             ages = np.where(forgotten[:, self.links.slot], -1, ages)
         values, sharpness = held.values.copy(), held.sharpness.copy()
-        values[runs, slots], sharpness[runs, slots] = self._expressed(old, content.origin[runs, 0])
+        now = self._expressed(old, content.origin[runs, 0])
+        values[runs, slots], sharpness[runs, slots] = now.values, now.sharpness
         return Numbers(values, sharpness), ages
 
     def _refreshed(self, held: Numbers, shared: Numbers, fresh: np.ndarray) -> Numbers:
         """What is held after those slots that are `fresh` (R, K) have been filled."""
         if not self.links.perfect:
-            shared = Numbers(*(values[:, self.links.source] for values in shared))
+            source = self.links.source
+            shared = Numbers(shared.values[:, source], shared.sharpness[:, source])
         if fresh.all():
             return shared
         return Numbers(
@@ -254,3 +300,21 @@ class BeliefFleet:
     def spread(self, content: Content) -> None:
         """Shares have one length."""
         return
+
+
+def _usable(own: Numbers, mixing: Mixing, values: Array) -> Array:
+    """Values of the own numbers, 0 where they are of no belief and weigh nothing."""
+    unsound = np.isnan(own.sharpness)
+    if not unsound.any():
+        return values
+    # 0 * NaN would let them through.
+    return np.where((unsound & (mixing.own == 0))[..., None], 0.0, values)
+
+
+def _times_sharpness(numbers: Numbers) -> Array:
+    """Numbers times their sharpness, and the sharpness: (R, K, m + 1), lanes last in memory."""
+    runs, slots, m = numbers.values.shape
+    product = np.empty((m + 1, runs, slots)).transpose(1, 2, 0)
+    np.multiply(numbers.values, numbers.sharpness[..., None], out=product[..., :-1])
+    product[..., -1] = numbers.sharpness
+    return product

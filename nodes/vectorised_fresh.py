@@ -23,7 +23,8 @@ from nodes.vectorised_filter import (
     traffic,
     with_lanes,
 )
-from nodes.vectorised_links import Links, Shares, mixed, unheard, weighed
+from nodes.vectorised_links import Links, Shares, unheard
+from nodes.vectorised_mixing import mixed, weighed
 
 
 class Turn(NamedTuple):
@@ -94,15 +95,10 @@ class InformationExchange(NamedTuple):
         sound = self.check(np.where(turn.sent[..., None], turn.shares, 0.0))
         used = links.arriving(turn.sent & sound, turn.lost)
         fresh = links.in_slots(turn.sent & sound, turn.lost)
-        weights = weighed(
-            links,
-            self.base,
-            np.where(used, 0, -1),
-            None,
-            lambda base, ages, _: renormalise(base, ages),
-        )
+        ages = np.where(used[:1] if used.all() else used, 0, -1)
+        mixing = weighed(links, self.base, ages, renormalise)
         held = np.where(fresh[..., None], turn.shares[:, links.source], 0.0)
-        numbers = mixed(links, weights, turn.known, held)
+        numbers = mixed(mixing, turn.known, held)
         refused = links.arriving(turn.sent & ~sound, turn.lost)
         return Outcome(numbers, self.conclude(numbers), used, refused)
 

@@ -5,7 +5,7 @@ look at one node's neighbourhood as an array (..., J) are served class by class:
 many neighbours are stacked, the places that one lacks filled up with what was never heard.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +14,6 @@ from nodes.messages import Array
 
 # Of the places of a class, at least this share must be links.
 _FULLNESS = 0.6
-_ALIKE = np.ones(1)
 
 
 class DegreeClass(NamedTuple):
@@ -145,59 +144,7 @@ def _degree_class(nodes: np.ndarray, offsets: np.ndarray, degrees: np.ndarray) -
     return DegreeClass(nodes, links, real)
 
 
-def weighed(
-    links: Links,
-    base: Shares,
-    ages: np.ndarray,
-    sharpness: Shares | None,
-    weigh: Callable[[Array, np.ndarray, Array], Array],
-) -> Shares:
-    """Fusion weights of all nodes by `weigh(base (..., J), ages (..., J), sharpness (..., J))`.
-
-    Args:
-        base: of one run: own (1, N), link (1, E).
-        ages: of links (R, E), or (1, E) where runs do not differ; the own is 0.
-        sharpness: as `base`, for R runs; None where all beliefs are alike.
-        weigh: a rule for one neighbourhood, its own node first.
-
-    Returns:
-        The weights, of R runs or of one where they do not differ.
-    """
-    runs = len(ages) if sharpness is None else len(sharpness.own)
-    own, link = np.empty((runs, links.nodes)), np.empty((runs, len(links.sender)))
-    for some, row in zip(links.classes, links.rows(base), strict=True):
-        weights = weigh(
-            row,
-            _with_own(np.zeros((1, 1, 1), dtype=ages.dtype), some.gathered(ages, -1)),
-            _ALIKE
-            if sharpness is None
-            else _with_own(sharpness.own[:, some.nodes, None], some.gathered(sharpness.link, 1.0)),
-        )
-        own[:, some.nodes] = weights[..., 0]
-        link[:, some.links[some.real]] = weights[..., 1:][:, some.real]
-    return Shares(own, link)
-
-
 def _with_own(own: Array, others: Array) -> Array:
     """Own (R or 1, ...) and others' (R, K, J) values as (R, K, 1 + J)."""
     first = np.broadcast_to(own, (*others.shape[:-1], 1))
     return np.concatenate((first, others), axis=-1)
-
-
-def mixed(links: Links, weights: Shares, own: Array, held: Array) -> Array:
-    """Weighted sums (R, N, m) of the nodes' own numbers (R, N, m) and of those in slots (R, K,
-    m)."""
-    # Only here: a node process that knows this file must not load it.
-    from scipy.sparse import csr_array
-
-    runs, slots, m = held.shape
-    nodes, count = links.nodes, len(links.slot)
-    data = np.broadcast_to(weights.link, (runs, count)).ravel()
-    columns = (np.arange(runs)[:, None] * slots + links.slot).ravel()
-    rows = np.concatenate(
-        ((np.arange(runs)[:, None] * count + links.offsets[:-1]).ravel(), [runs * count])
-    )
-    matrix = csr_array((data, columns, rows), shape=(runs * nodes, runs * slots))
-    total = (matrix @ held.reshape(runs * slots, m)).reshape(runs, nodes, m)
-    total += weights.own[..., None] * own
-    return total

@@ -29,9 +29,12 @@ _FIRST_COUNT = 2
 
 def stream_of(scenario: Scenario, purpose: str, node: int) -> np.random.SeedSequence:
     """The randomness of one purpose at one node in one run of a scenario."""
-    # A purpose is a number that does not depend on which purposes exist.
-    code = int.from_bytes(hashlib.sha256(purpose.encode()).digest()[:4], "big")
-    return np.random.SeedSequence(scenario.seed, spawn_key=(scenario.run, code, node))
+    return np.random.SeedSequence(scenario.seed, spawn_key=(scenario.run, code_of(purpose), node))
+
+
+def code_of(purpose: str) -> int:
+    """A purpose as a number of 32 bits, which does not depend on what other purposes there are."""
+    return int.from_bytes(hashlib.sha256(purpose.encode()).digest()[:4], "big")
 
 
 def link_state(setup: "Setup") -> LinkState:

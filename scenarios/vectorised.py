@@ -33,7 +33,8 @@ from scenarios.links import link_state
 from scenarios.rules import hold_policy, rule_of, wire_number
 from scenarios.scenario import Scenario
 from scenarios.script import script_of
-from scenarios.setup import Setup, complete_settings, generator, share_bytes, with_settings
+from scenarios.setup import Setup, complete_settings, share_bytes, with_settings
+from scenarios.streams import streams_of
 
 _ORDERS: dict[str, Order] = {
     "wtod": arbitration_lanes.wtod,
@@ -95,7 +96,8 @@ def build_network(setup: Setup, runs: Sequence[int]) -> Network:
     scenario = setup.scenario
     kind = kind_of(scenario.name)
     plant = kind.plant(scenario)
-    draws = [plant.draw(partial(generator, one), scenario.steps) for one in scenarios]
+    stream = streams_of(scenario, runs)
+    draws = [plant.draw(partial(stream, which), scenario.steps) for which in range(len(runs))]
     states, means, covs = zip(*(plant.initial(one.initial) for one in draws), strict=True)
     n, nodes = len(setup.prior_mean), scenario.nodes
     prior = Gaussian(
