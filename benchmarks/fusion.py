@@ -1,7 +1,8 @@
 """Covariance intersection over a whole network: a round beside a loop over nodes, and many rounds.
 
-With fixed weights the rounds of a step stay in information form: the beliefs are turned into
-numbers once, mixed, and turned back once.
+What is timed is what the vectorised driver does between the readings of a step and its estimates:
+the rounds of the fleet that a scenario builds. Where beliefs weigh alike however sharp they are,
+the fleet takes all rounds as one product; else it looks at their sharpness after every round.
 """
 
 import time
@@ -10,47 +11,54 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks.measure import Figures, figure, in_turns, median_us, ratio, say, without_kernels
+from experiments.options import ScenarioOptions
 from filters import compiled
-from filters.fusion import INFORMATION
 from filters.gaussian import Gaussian
-from filters.packed import mix
-from topology.geometric_graphs import connecting_radius, geometric, scatter
-from topology.weights import metropolis
+from nodes.vectorised_network import Fleet
+from scenarios.setup import Setup, prepare
+from scenarios.vectorised import build_network
 
-# Runs are taken as many at a time as fit into the caches.
-NODES, RUNS, BLOCK, STATES, TURNS, LOOP_RUNS = 20, 500, 100, 4, 15, 5
+NODES, RUNS, TURNS, LOOP_RUNS, MANY = 20, 500, 15, 5, 5
+SCENARIO = "target-crossing"  # four states, on a geometric graph
 
 
-def network(runs: int, nodes: int, states: int) -> tuple[Gaussian, np.ndarray]:
-    """Beliefs (runs, nodes, n), as the filters leave them, and Metropolis weights (nodes, nodes) of
-    a random geometric graph."""
+def network(rounds: int, by_sharpness: bool) -> tuple[Setup, Fleet]:
+    """The network of a scenario, and its rule at all nodes of all runs."""
+    options = ScenarioOptions(
+        scenario=SCENARIO, nodes=NODES, rounds=rounds, determinant_weights=by_sharpness, seed=1
+    )
+    setup = prepare(options.resolve())
+    return setup, build_network(setup, range(RUNS)).eras[0].regime.fleet
+
+
+def beliefs(states: int) -> Gaussian:
+    """Beliefs (runs, nodes, n), as the filters leave them."""
     generator = np.random.default_rng(1)
-    radius = 1.5 * connecting_radius(nodes)
-    weights = metropolis(geometric(scatter(nodes, 1, radius), radius)).toarray()
-    root = generator.standard_normal((states, states + 2, runs, nodes))
+    root = generator.standard_normal((states, states + 2, RUNS, NODES))
     cov = np.einsum("iklm,jklm->ijlm", root, root)
-    mean = generator.standard_normal((states, runs, nodes))
-    return Gaussian(mean.transpose(1, 2, 0), cov.transpose(2, 3, 0, 1)), weights
+    mean = generator.standard_normal((states, RUNS, NODES))
+    return Gaussian(mean.transpose(1, 2, 0), cov.transpose(2, 3, 0, 1))
 
 
-def fuse(beliefs: Gaussian, weights: np.ndarray, rounds: int) -> Gaussian:
-    """What all nodes believe after rounds with fixed weights."""
-    origin = beliefs.mean.mean(axis=-2, keepdims=True)
-    return INFORMATION.conclude(mix(INFORMATION.express(beliefs, origin), weights, rounds), origin)
+def fuse(fleet: Fleet, given: Gaussian, rounds: int) -> Gaussian:
+    """What all nodes believe after so many rounds in which everybody is heard."""
+    content, everybody = fleet.start(given), np.ones(given.mean.shape[:2], dtype=bool)
+    for _ in range(rounds):
+        content = fleet.exchange(content, everybody, None)
+    return fleet.belief(content)
 
 
-def loop(beliefs: Gaussian, weights: np.ndarray) -> Gaussian:
-    """The same round node by node, every node over those it hears."""
-    mean, cov = np.empty(beliefs.mean.shape), np.empty(beliefs.cov.shape)
-    states = beliefs.mean.shape[-1]
-    heard = [np.flatnonzero(row).tolist() for row in weights]
+def loop(given: Gaussian, setup: Setup) -> Gaussian:
+    """A round node by node, every node over those it hears."""
+    mean, cov = np.empty(given.mean.shape), np.empty(given.cov.shape)
+    states = given.mean.shape[-1]
+    heard = [[node, *others] for node, others in enumerate(setup.neighbours)]
     for run in range(len(mean)):
-        matrices = [np.linalg.inv(one) for one in beliefs.cov[run]]
-        vectors = [m @ x for m, x in zip(matrices, beliefs.mean[run], strict=True)]
-        for node, others in enumerate(heard):
+        matrices = [np.linalg.inv(one) for one in given.cov[run]]
+        vectors = [m @ x for m, x in zip(matrices, given.mean[run], strict=True)]
+        for node, (others, weights) in enumerate(zip(heard, setup.weights, strict=True)):
             matrix, vector = np.zeros((states, states)), np.zeros(states)
-            for other in others:
-                weight = weights[node, other]
+            for other, weight in zip(others, weights, strict=True):
                 matrix += weight * matrices[other]
                 vector += weight * vectors[other]
             cov[run, node] = np.linalg.inv(matrix)
@@ -58,57 +66,71 @@ def loop(beliefs: Gaussian, weights: np.ndarray) -> Gaussian:
     return Gaussian(mean, cov)
 
 
-def timed(run: Callable[[], object], node_rounds: int) -> Callable[[], float]:
-    """Seconds of the processor per node and round."""
+def timed(run: Callable[[], object], nodes: int) -> Callable[[], float]:
+    """Seconds of the processor per node."""
 
     def once() -> float:
         started = time.thread_time()
         run()
-        return (time.thread_time() - started) / node_rounds
+        return (time.thread_time() - started) / nodes
 
     return once
 
 
 def main() -> Figures:
-    """Print and return node-rounds per second and ratios."""
-    beliefs, weights = network(BLOCK, NODES, STATES)
-    few = Gaussian(*(np.ascontiguousarray(part[:LOOP_RUNS]) for part in beliefs))
-    for array, expected in zip(fuse(few, weights, 1), loop(few, weights), strict=True):
-        np.testing.assert_allclose(array, expected, rtol=1e-9, atol=1e-11)
-
-    def ours(rounds: int) -> Callable[[], float]:
-        def all_blocks() -> None:
-            for _ in range(RUNS // BLOCK):
-                fuse(beliefs, weights, rounds)
-
-        return timed(all_blocks, NODES * RUNS)
-
-    contestants = {
-        "loop": timed(lambda: loop(few, weights), NODES * LOOP_RUNS),
-        "numpy, 1 round": without_kernels(ours(1)),
-        "numpy, 5 rounds": without_kernels(ours(5)),
+    """Print and return what a node costs, and ratios."""
+    setup, single = network(1, by_sharpness=False)
+    fleets = {
+        "1 round": (single, 1),
+        f"{MANY} rounds": (network(MANY, by_sharpness=False)[1], MANY),
+        "1 round by sharpness": (network(1, by_sharpness=True)[1], 1),
+        f"{MANY} rounds by sharpness": (network(MANY, by_sharpness=True)[1], MANY),
     }
-    if compiled.KERNELS is not None:
-        contestants["compiled, 1 round"] = ours(1)
-        contestants["compiled, 5 rounds"] = ours(5)
-    given = in_turns(contestants, TURNS)
-    say(f"fusion, covariance intersection, {NODES} nodes x {RUNS} runs, n = {STATES}")
+    given = beliefs(len(setup.prior_mean))
+    few = Gaussian(*(np.ascontiguousarray(part[:LOOP_RUNS]) for part in given))
+    once = Gaussian(*(part[:LOOP_RUNS] for part in fuse(single, given, 1)))
+    twice = Gaussian(*(part[:LOOP_RUNS] for part in fuse(fleets[f"{MANY} rounds"][0], given, MANY)))
+    _check(once, loop(few, setup))
+    many = few
+    for _ in range(MANY):
+        many = loop(many, setup)
+    _check(twice, many)
+
+    contestants = {"loop": timed(lambda: loop(few, setup), NODES * LOOP_RUNS)}
+    for name, (fleet, rounds) in fleets.items():
+        run = timed(lambda fleet=fleet, rounds=rounds: fuse(fleet, given, rounds), NODES * RUNS)
+        contestants[f"numpy, {name}"] = without_kernels(run)
+        if compiled.KERNELS is not None:
+            contestants[f"compiled, {name}"] = run
+    return _figures(in_turns(contestants, TURNS))
+
+
+def _check(found: Gaussian, expected: Gaussian) -> None:
+    for array, right in zip(found, expected, strict=True):
+        np.testing.assert_allclose(array, right, rtol=1e-9, atol=1e-11)
+
+
+def _figures(given: dict[str, list[float]]) -> Figures:
+    say(f"fusion, covariance intersection, {NODES} nodes x {RUNS} runs, n = 4, {TURNS} turns")
     results: Figures = {}
     for name, spent in given.items():
         beside = ratio(given["loop"], spent)
         say(
-            f"  {name:<20}{median_us(spent):>9.3f} us per node{beside.value:>9.1f} x the loop "
+            f"  {name:<32}{median_us(spent):>9.3f} us per node{beside.value:>9.1f} x the loop "
             f"({beside.low:.1f} - {beside.high:.1f})"
         )
         results[f"{name} us"] = figure([1e6 * one for one in spent], "us/node", "less")
         results[f"{name} x loop"] = beside
     for kind in ("numpy", "compiled"):
-        if f"{kind}, 5 rounds" in given:
-            pairs = zip(given[f"{kind}, 5 rounds"], given[f"{kind}, 1 round"], strict=True)
-            cost = figure([five / one for five, one in pairs], "x", "less")
-            results[f"{kind}, five rounds over one"] = cost
+        for how in ("", " by sharpness"):
+            one, many = f"{kind}, 1 round{how}", f"{kind}, {MANY} rounds{how}"
+            if one not in given:
+                continue
+            pairs = zip(given[many], given[one], strict=True)
+            cost = figure([after / before for after, before in pairs], "x", "less")
+            results[f"{kind}, five rounds over one{how}"] = cost
             say(
-                f"  {kind}: five rounds cost {cost.value:.2f} x one "
+                f"  {kind}{how}: {MANY} rounds cost {cost.value:.2f} x one "
                 f"({cost.low:.2f} - {cost.high:.2f})"
             )
     return results

@@ -1,8 +1,9 @@
 """A Monte Carlo from end to end beside the filter steps and fusions that it cannot do without.
 
 20 nodes, 500 runs, 100 steps, 3 rounds. End to end means `experiments.vectorised.simulate`: noise,
-plant, sensors, schedule, weights by determinants and age, fusion, metrics. The kernels are the UKF
-steps and the covariance intersections alone, with the same models, lanes and number of rounds.
+plant, sensors, schedule, weights by determinants and age, fusion, metrics, histories. The kernels
+are the functions that it calls for all its lanes at once: `ukf.predict` and `ukf.update`, with the
+same models and readings, and the rounds of its fleet, `start` and `exchange`.
 """
 
 import time
@@ -22,6 +23,7 @@ from filters.ukf import predict, update
 from plants.targets import Target
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup, prepare
+from scenarios.vectorised import build_network
 
 SCENARIO, NODES, RUNS, STEPS, KERNEL_STEPS, TURNS = "target-tracking", 20, 500, 100, 10, 5
 
@@ -79,12 +81,12 @@ def _whole(setup: Setup) -> float:
 
 
 def _start(setup: Setup) -> Gaussian:
+    """The priors of all nodes and runs, lanes last in memory as filters leave them."""
     n = len(setup.prior_mean)
-    cov = np.array(setup.prior_cov).reshape(n, n)
-    return Gaussian(
-        np.broadcast_to(setup.prior_mean, (RUNS, NODES, n)).copy(),
-        np.broadcast_to(cov, (RUNS, NODES, n, n)).copy(),
-    )
+    mean, cov = np.empty((n, RUNS, NODES)), np.empty((n, n, RUNS, NODES))
+    mean[:] = np.array(setup.prior_mean)[:, None, None]
+    cov[:] = np.array(setup.prior_cov).reshape(n, n, 1, 1)
+    return Gaussian(mean.transpose(1, 2, 0), cov.transpose(2, 3, 0, 1))
 
 
 def _filters(setup: Setup) -> Callable[[], float]:
@@ -124,16 +126,13 @@ def _filters(setup: Setup) -> Callable[[], float]:
 
 
 def _fusions(setup: Setup) -> Callable[[], float]:
-    start, weights = _start(setup), np.zeros((NODES, NODES))
-    for node, (others, row) in enumerate(zip(setup.neighbours, setup.weights, strict=True)):
-        weights[node, [node, *others]] = row
+    start, fleet = _start(setup), build_network(setup, range(RUNS)).eras[0].regime.fleet
 
     def run() -> float:
         belief = start
         started = time.thread_time()
         for _ in range(KERNEL_STEPS):
-            for _ in range(setup.scenario.rounds):
-                belief = fuse(belief, weights, 1)
+            belief = fuse(fleet, belief, setup.scenario.rounds)
         return (time.thread_time() - started) * STEPS / KERNEL_STEPS
 
     return run

@@ -284,7 +284,8 @@ def _write(
         if value is not None:
             shape = (runs, setup.scenario.steps, *value.shape[1:])
             if name not in arrays:
-                # Nothing drives the plant into the first step.
-                fill = np.nan if value.dtype.kind == "f" else 0
-                arrays[name] = np.full(shape, fill, value.dtype)
+                arrays[name] = np.empty(shape, value.dtype)
+                if step:
+                    # Nothing drives the plant into the first step.
+                    arrays[name][:, :step] = np.nan
             arrays[name][place, step] = value

@@ -5,7 +5,6 @@ of the weight matrix times the vectors of those it heard, and L rounds are the L
 """
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -61,29 +60,3 @@ def average(numbers: np.ndarray, weights: np.ndarray) -> np.ndarray:
     silent = np.isnan(numbers).any(axis=-1) & (np.arange(numbers.shape[-2]) > 0)
     used = renormalise(weights, np.where(silent, -1, 0))
     return multiply(np.where(silent[..., None], 0.0, numbers).mT, used)
-
-
-def mix(numbers: np.ndarray, weights: Any, rounds: int = 1) -> np.ndarray:
-    """What all nodes of a network know after rounds in which everybody hears all its neighbours.
-
-    With fixed weights a step's rounds are one product, and beliefs need not be concluded between
-    them.
-
-    Args:
-        numbers: (..., N, m), of all nodes.
-        weights: (N, N), an array or a sparse matrix of scipy, for large networks.
-        rounds: how many.
-
-    Returns:
-        (..., N, m).
-    """
-    last = numbers.ndim - 1
-    if isinstance(weights, np.ndarray):
-        moved = numbers.transpose(last, *range(last))
-        mixed = moved.reshape(-1, len(weights)) @ np.linalg.matrix_power(weights, rounds).T
-        return mixed.reshape(moved.shape).transpose(*range(1, numbers.ndim), 0)
-    moved = numbers.transpose(last - 1, last, *range(last - 1))
-    mixed = moved.reshape(len(moved), -1)
-    for _ in range(rounds):
-        mixed = weights @ mixed
-    return mixed.reshape(moved.shape).transpose(*range(2, numbers.ndim), 0, 1)

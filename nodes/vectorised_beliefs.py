@@ -102,7 +102,7 @@ class BeliefFleet:
         """The priors, and neighbours never heard."""
         origin = prior.mean.mean(axis=1, keepdims=True)
         own = self._expressed(prior, origin)
-        held = Numbers(own.values[:, self.links.source], own.sharpness[:, self.links.source])
+        held = self._by_slot(own)
         ages = np.full((len(prior.mean), len(self.links.sender)), -1)
         published = nothing_published(self.contenders, prior)
         return Content(prior, own, held, origin, origin, ages, published, 0, None, 0, {})
@@ -210,15 +210,14 @@ class BeliefFleet:
     def _settled(self, content: Content, fused: Numbers) -> Content:
         """With the fused beliefs where fusion went well."""
         belief, last = content.belief, content.cycles_in_step == self.rounds
+        if self.eager or (self.hold.by_sharpness and not last):
+            fused = fused._replace(sharpness=self.averaging.sharpness(fused.values))
+        sound = np.isfinite(fused.sharpness)
         if self.eager or last:
             fused = fused.taken()
             after = self.averaging.conclude(fused.values, content.origin)
             sound = finite_lanes(after)
             belief = where(sound, Gaussian(after.mean, symmetrise(after.cov)), belief)
-        if self.eager or (self.hold.by_sharpness and not last):
-            fused = fused._replace(sharpness=self.averaging.sharpness(fused.values))
-        if not (self.eager or last):
-            sound = np.isfinite(fused.sharpness)
         counters = added(content.counters, {"fuse-failed": ~sound})
         if not sound.all():
             before = content.own.taken()
@@ -263,11 +262,16 @@ class BeliefFleet:
         values[runs, slots], sharpness[runs, slots] = now.values, now.sharpness
         return Numbers(values, sharpness), ages
 
+    def _by_slot(self, numbers: Numbers) -> Numbers:
+        """Those of nodes, as slots hold them."""
+        if self.links.perfect:
+            return numbers
+        source = self.links.source
+        return Numbers(numbers.values[:, source], numbers.sharpness[:, source])
+
     def _refreshed(self, held: Numbers, shared: Numbers, fresh: np.ndarray) -> Numbers:
         """What is held after those slots that are `fresh` (R, K) have been filled."""
-        if not self.links.perfect:
-            source = self.links.source
-            shared = Numbers(shared.values[:, source], shared.sharpness[:, source])
+        shared = self._by_slot(shared)
         if fresh.all():
             return shared
         return Numbers(

@@ -33,14 +33,11 @@ def standard_draws(
     neither on the number of nodes nor on the number of steps.
     """
     nodes, readings, d = measurement
+    of_nodes = np.empty((nodes, steps, readings, d))
+    for node, noise in enumerate(of_nodes):
+        generator_for("measurement", node).standard_normal(out=noise)
     return Draws(
         initial=generator_for("initial", 0).standard_normal(initial),
         process=generator_for("process", 0).standard_normal((steps, process)),
-        measurement=np.stack(
-            [
-                generator_for("measurement", node).standard_normal((steps, readings, d))
-                for node in range(nodes)
-            ],
-            axis=1,
-        ),
+        measurement=of_nodes.swapaxes(0, 1),
     )

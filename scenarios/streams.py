@@ -1,8 +1,8 @@
 """The random streams of many runs at once; each is that of `scenarios.setup.generator`.
 
 To seed a stream takes four times as long as to draw two hundred numbers from it. The node, the last
-word of a stream's key, is therefore mixed in for all nodes of all runs at once, by the arithmetic of
-`numpy.random.SeedSequence`, of which numpy promises that it stays.
+word of a stream's key, is therefore mixed in for all nodes of all runs at once, by the arithmetic
+of `numpy.random.SeedSequence`, of which numpy promises that it stays.
 
 Source: O'Neill (2015), Developing a seed_seq alternative.
 """
@@ -39,7 +39,8 @@ def streams_of(scenario: Scenario, runs: Sequence[int]) -> StreamOf:
 
     def stream(which: int, purpose: str, node: int) -> Generator:
         place = node % len(nodes)
-        return Generator(PCG64(_Worked(states(purpose, node - place)[which, place])))
+        worked = _Worked(states(purpose, node - place)[which, place])
+        return Generator(PCG64(worked))  # type: ignore[arg-type]
 
     return stream
 
@@ -76,7 +77,7 @@ def _words(number: int) -> int:
 
 
 class _Worked(ISeedSequence):
-    """A seed sequence that is already worked out."""
+    """A seed sequence that is already worked out; numpy's types do not say that it takes one."""
 
     def __init__(self, state: np.ndarray) -> None:
         self._state = state

@@ -2,10 +2,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.sparse import csr_array
 
 from filters.gaussian import Information
-from filters.packed import average, mix, pack, packed_length, unpack
+from filters.packed import average, pack, packed_length, unpack
 from tests.filters.support import BATCHES, random_spd
 
 SEEDS = st.integers(0, 2**16)
@@ -78,17 +77,3 @@ def test_who_knows_nothing_itself_is_a_failed_lane_and_no_other():
 def test_weights_that_do_not_average_are_refused(weights):
     with pytest.raises(ValueError, match="sum to 1"):
         average(np.ones((2, 2)), np.array(weights))
-
-
-@pytest.mark.parametrize("lanes", [(), (3,), (70,)])
-@pytest.mark.parametrize("rounds", [0, 1, 4])
-@pytest.mark.parametrize("form", [np.array, csr_array])
-def test_mixing_is_rounds_of_weighted_sums(lanes, rounds, form):
-    generator = np.random.default_rng(3)
-    numbers = generator.standard_normal((*lanes, 6, 5))
-    weights = np.triu(generator.dirichlet(np.ones(6), 6))
-    expected = numbers
-    for _ in range(rounds):
-        expected = np.einsum("ij,...jm->...im", weights, expected)
-    for known in (numbers, np.asfortranarray(numbers)):
-        np.testing.assert_allclose(mix(known, form(weights), rounds), expected, atol=1e-13)
