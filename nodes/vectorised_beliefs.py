@@ -102,10 +102,11 @@ class BeliefFleet:
         """The priors, and neighbours never heard."""
         origin = prior.mean.mean(axis=1, keepdims=True)
         own = self._expressed(prior, origin)
-        held = self._by_slot(own)
-        ages = np.full((len(prior.mean), len(self.links.sender)), -1)
+        runs, slots = len(prior.mean), len(self.links.source)
+        nobody = Numbers(np.zeros((runs, slots, own.values.shape[-1])), np.zeros((runs, slots)))
+        ages = np.full((runs, len(self.links.sender)), -1)
         published = nothing_published(self.contenders, prior)
-        return Content(prior, own, held, origin, origin, ages, published, 0, None, 0, {})
+        return Content(prior, own, nobody, origin, origin, ages, published, 0, None, 0, {})
 
     def restarted(self, content: Content, nodes: np.ndarray, belief: Gaussian) -> Content:
         """Nodes begin anew; what they held of others is held of nobody now."""
