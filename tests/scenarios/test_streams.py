@@ -8,7 +8,7 @@ from scenarios.setup import generator
 from scenarios.streams import beginnings, streams_of
 from tests.experiments.support import scenario
 
-KEYS = st.one_of(st.integers(0, 9), st.integers(0, 2**32 - 1), st.integers(0, 2**200))
+KEYS = st.one_of(st.integers(0, 9), st.integers(0, 2**32 - 1), st.integers(2**128, 2**200))
 CODES = st.integers(0, 2**32 - 1)
 
 
