@@ -27,6 +27,7 @@ from experiments.summary import Figures, lines, summarise, table
 from experiments.timing_figures import TimingFigures, figures_of
 from experiments.trace import Trace, read_trace
 from experiments.user_errors import user_errors
+from nodes.disk import writing
 from nodes.recording import read_recording
 
 
@@ -53,7 +54,8 @@ def finish(folder: Path, description: Description, trace: Trace, pace: Pace, as_
     write_arrays(folder, description, trace)
     frames = capture(description.setup, trace, read_recording(folder / RECORDING))
     if frames is not None:
-        write_pcap(folder / CAPTURE, frames)
+        with writing(folder / CAPTURE):
+            write_pcap(folder / CAPTURE, frames)
     figures = msgspec.structs.replace(
         summarise(description.setup, trace),
         timing=_timing(folder, description, trace),

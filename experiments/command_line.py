@@ -26,6 +26,7 @@ from experiments.sweep_command import sweep
 from experiments.topology_command import SUMMARY as TOPOLOGY_SUMMARY
 from experiments.topology_command import topology_commands
 from experiments.torture_command import torture
+from nodes.disk import NotWritten
 
 COMMANDS = {
     "run": run,
@@ -66,6 +67,9 @@ def main(arguments: list[str] | None = None) -> None:
             description="Distributed consensus sensor networks on a FlexRay bus.",
             args=arguments,
         )
+    except NotWritten as error:
+        sys.stderr.write(f"concord: {error}\n")
+        sys.exit(1)
     except KeyboardInterrupt:
         sys.stderr.write("interrupted\n")
         sys.exit(130)

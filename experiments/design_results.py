@@ -13,6 +13,7 @@ from experiments.design_target import Target
 from experiments.intervals import Interval, mean_t
 from experiments.results import commit, versions
 from experiments.sweep_specification import FIELDS, shown
+from nodes.disk import writing
 from scenarios.catalogue import kind_of
 
 
@@ -93,15 +94,20 @@ def write_design(design: Design, path: Path) -> None:
     """Write a design, whole or not at all.
 
     Raises:
-        ValueError: the file cannot be written.
+        ValueError: its folder cannot be made.
+        NotWritten: the file cannot be written.
     """
     part = path.with_name(f"{path.name}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_bytes(msgspec.json.format(msgspec.json.encode(design), indent=2) + b"\n")
-        part.replace(path)
     except OSError as error:
         raise ValueError(f"{path}: cannot be written ({error.strerror})") from None
+    try:
+        with writing(path):
+            part.write_bytes(msgspec.json.format(msgspec.json.encode(design), indent=2) + b"\n")
+            part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def read_design(path: Path) -> Design:

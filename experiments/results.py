@@ -12,9 +12,11 @@ import msgspec
 import numpy as np
 
 from experiments.bus_report import times_of
+from experiments.netcdf_file import write_dataset
 from experiments.record_spread import record_ages
 from experiments.trace import Trace
 from filters.metrics import consensus, nees
+from nodes.disk import writing
 from nodes.tempo import Tempo
 from scenarios.catalogue import kind_of
 from scenarios.rules import is_certain
@@ -101,7 +103,8 @@ def commit() -> str | None:
 def write_description(folder: Path, description: Description) -> None:
     """Write run.json."""
     text = msgspec.json.format(msgspec.json.encode(description), indent=2)
-    (folder / DESCRIPTION).write_bytes(text + b"\n")
+    with writing(folder / DESCRIPTION):
+        (folder / DESCRIPTION).write_bytes(text + b"\n")
 
 
 def read_description(folder: Path) -> Description:
@@ -181,13 +184,7 @@ def write_whole(folder: Path, dataset: "xarray.Dataset", description: Descriptio
         versions=msgspec.json.encode(description.versions).decode(),
         commit=description.commit or "unknown",
     )
-    part = folder / f"{ARRAYS}.part"
-    try:
-        dataset.to_netcdf(part, engine="h5netcdf")
-        part.rename(folder / ARRAYS)
-    finally:
-        # Interrupted: no arrays are better than broken ones.
-        part.unlink(missing_ok=True)
+    write_dataset(dataset, folder / ARRAYS)
 
 
 def _meaning(setup: Setup) -> dict[str, str]:

@@ -23,6 +23,7 @@ from experiments.results import (
 )
 from experiments.run_many import run_many
 from experiments.user_errors import user_errors
+from nodes.disk import NotWritten
 from nodes.links import names, ports_from
 from nodes.tempo import Tempo
 from scenarios.scenario import require
@@ -101,7 +102,7 @@ def run(
             if options.dashboard:
                 # A network that waits for people has no pace of its own.
                 pace = pace._replace(steps_per_second=None)
-    except NetworkFailed as error:
+    except (NetworkFailed, NotWritten) as error:
         sys.stderr.write(f"concord: {error}; `concord collect {folder}` shows what was done\n")
         sys.exit(1)
     except KeyboardInterrupt:

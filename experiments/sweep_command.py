@@ -18,6 +18,7 @@ from experiments.sweep_store import folder_of
 from experiments.sweep_summary import figures_of, table
 from experiments.user_errors import user_errors
 from experiments.workers import WorkerLost, engine_for
+from nodes.disk import NotWritten
 from scenarios.setup import prepare
 from scenarios.warnings import known_failures
 
@@ -74,7 +75,7 @@ def sweep(
         sys.stderr.write(f"interrupted; finished cells are kept in {folder_of(out)}, and the same "
                          f"command goes on from there: add -o {out}\n")  # fmt: skip
         raise
-    except WorkerLost as error:
+    except (WorkerLost, NotWritten) as error:
         sys.stderr.write(f"concord: {error}; finished cells are kept in {folder_of(out)}\n")
         sys.exit(1)
     _show(swept, options, out)

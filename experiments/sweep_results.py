@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
+from experiments.netcdf_file import write_dataset
 from experiments.results import commit, versions
 from experiments.run_figures import FIGURES
 from experiments.sweep_specification import Cell, Specification, Value, cells_of
@@ -75,13 +76,8 @@ def score_unit(kinds: Sequence[Kind]) -> str:
 
 def write_result(dataset: "xarray.Dataset", path: Path) -> None:
     """Write a result as netCDF, whole or not at all."""
-    part = path.with_name(f"{path.name}.part")
-    packed = {name: {"zlib": True, "complevel": 4} for name, v in dataset.items() if v.ndim}
-    try:
-        dataset.to_netcdf(part, engine="h5netcdf", encoding=packed)
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
+    packed = {str(name): {"zlib": True, "complevel": 4} for name, v in dataset.items() if v.ndim}
+    write_dataset(dataset, path, packed)
 
 
 def read_result(path: Path) -> "xarray.Dataset":

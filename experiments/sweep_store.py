@@ -15,6 +15,7 @@ from experiments.places import make_folder
 from experiments.results import commit, versions
 from experiments.sweep_cells import difference
 from experiments.sweep_specification import Specification
+from nodes.disk import writing
 from nodes.messages import Array
 
 SPECIFICATION = "sweep.json"
@@ -77,9 +78,10 @@ def save_cell(folder: Path, number: int, figures: dict[str, Array]) -> None:
     path = _path(folder, number)
     part = path.with_suffix(".part")
     try:
-        with part.open("wb") as file:
-            np.savez(file, **figures)  # type: ignore[arg-type]
-        part.replace(path)
+        with writing(path):
+            with part.open("wb") as file:
+                np.savez(file, **figures)  # type: ignore[arg-type]
+            part.replace(path)
     finally:
         part.unlink(missing_ok=True)
 
@@ -107,5 +109,6 @@ def _path(folder: Path, number: int) -> Path:
 
 def _write(path: Path, data: bytes) -> None:
     part = path.with_suffix(".part")
-    part.write_bytes(data + b"\n")
-    part.replace(path)
+    with writing(path):
+        part.write_bytes(data + b"\n")
+        part.replace(path)

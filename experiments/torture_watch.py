@@ -116,7 +116,7 @@ class Watched:
         self._check_mixing(content, [j in came for j in near])
         meanings = tuple(None if share is None else share.meaning for share in shares)
         content, troubles = self._inner.fuse(content, meanings)
-        refused = {j for j, share in came.items() if _is_indefinite(share.meaning)}
+        refused = {j for j, share in came.items() if self._is_indefinite(share.body)}
         self._check_refusals(len(refused), sum(trouble in _REFUSALS for trouble in troubles))
         self._heard.update(dict.fromkeys({*came} - refused, self._cycle))
         if "contradicting-share" in troubles:
@@ -134,6 +134,12 @@ class Watched:
         for sender, age in zip(self._config.neighbours, ages.tolist(), strict=True):
             if age < 0:
                 self._heard.pop(sender, None)
+
+    def _is_indefinite(self, body: bytes) -> bool:
+        """Whether a share is a belief with a variance that is negative."""
+        if not isinstance(self._inner, BeliefConsensus):
+            return False
+        return bool((np.diagonal(self._inner.codec.decode(body).cov) < 0).any())
 
     def _check_refusals(self, indefinite: int, refused: int) -> None:
         """What is no covariance is refused, and nothing else."""
@@ -236,8 +242,3 @@ class Watched:
 
     def _broken(self, invariant: str, seen: str) -> Broken:
         return Broken(invariant, f"node {self._config.index} in cycle {self._cycle}: {seen}")
-
-
-def _is_indefinite(meaning: Any) -> bool:
-    """Whether a share is a belief with a variance that is negative."""
-    return isinstance(meaning, Gaussian) and bool((np.diagonal(meaning.cov) < 0).any())

@@ -4,6 +4,8 @@ from pathlib import Path
 
 import msgspec
 
+from nodes.disk import writing
+
 NETWORK = "network.json"
 
 
@@ -18,8 +20,9 @@ class Network(msgspec.Struct, frozen=True):
 def write_network(folder: Path, network: Network) -> None:
     """Write network.json whole, over an older one."""
     part = folder / f"{NETWORK}.part"
-    part.write_bytes(msgspec.json.format(msgspec.json.encode(network), indent=2) + b"\n")
-    part.rename(folder / NETWORK)
+    with writing(folder / NETWORK):
+        part.write_bytes(msgspec.json.format(msgspec.json.encode(network), indent=2) + b"\n")
+        part.rename(folder / NETWORK)
 
 
 def read_network(folder: Path) -> Network:

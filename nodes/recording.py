@@ -7,6 +7,7 @@ after a crash. Times are the plant's, not the clock's.
 import os
 import struct
 from collections.abc import Iterator
+from contextlib import suppress
 from io import BufferedReader, BytesIO
 from pathlib import Path
 from typing import Protocol
@@ -19,6 +20,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC, Writer
 
 from nodes.bounds import Instant
+from nodes.disk import writing
 from nodes.history import history_of, with_event
 from nodes.messages import decode, message_types
 from nodes.share import cycle_of
@@ -63,13 +65,22 @@ _stamp = msgspec.json.Decoder(_Stamp)
 
 
 class McapRecorder:
-    """Keeps messages in an MCAP file; Foxglove opens it."""
+    """Keeps messages in an MCAP file; Foxglove opens it.
+
+    Raises a `NotWritten` where the disk is full, and is closed then; what is whole stays in the
+    file.
+    """
 
     def __init__(self, path: Path, rounds: int, time_step_s: float) -> None:
         self._history = history_of(rounds, ())
         self._last_ns = 0
         self._step_ns = round(time_step_s * 1e9)
-        self._file = path.open("wb")
+        self._path = path
+        with writing(path):
+            self._begin()
+
+    def _begin(self) -> None:
+        self._file = self._path.open("wb")
         self._writer = Writer(self._file, use_chunking=False)
         self._writer.start(profile="", library="concord")
         self._schemas = {
@@ -88,6 +99,14 @@ class McapRecorder:
 
     def record(self, topic: str, data: bytes) -> None:
         """Keep one message."""
+        with writing(self._path):
+            try:
+                self._append(topic, data)
+            except OSError:
+                self.close()
+                raise
+
+    def _append(self, topic: str, data: bytes) -> None:
         # Ctrl-C may strike between any two of these lines: what it leaves is not whole.
         self._is_whole = False
         channel = self._channels.get(topic)
@@ -124,12 +143,22 @@ class McapRecorder:
 
     def close(self) -> None:
         """Write the index and close the file; a record that was interrupted is cut off instead."""
-        if self._is_whole:
-            self._writer.finish()
-        else:
-            self._file.flush()
-            self._file.truncate(self._whole_bytes)
-        self._file.close()
+        if self._file.closed:
+            return
+        try:
+            if self._is_whole:
+                self._is_whole = False
+                with writing(self._path):
+                    self._writer.finish()
+                    self._file.flush()
+                self._whole_bytes = self._file.tell()
+        finally:
+            with suppress(OSError):
+                # What a full disk does not take any more was not whole.
+                self._file.close()
+            with suppress(FileNotFoundError):
+                # Somebody may have removed it meanwhile.
+                os.truncate(self._path, self._whole_bytes)
 
 
 def read_recording(path: Path) -> Iterator[tuple[str, bytes]]:

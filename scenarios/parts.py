@@ -10,6 +10,7 @@ from pathlib import Path
 
 import msgspec
 
+from nodes.disk import NotWritten
 from nodes.links import RECORDER, WATCH, Links, peers_of
 from nodes.node_state import NodeConfig
 from nodes.process import run_node, run_recorder
@@ -37,10 +38,16 @@ def be_router(endpoint: str) -> None:
     _joining(route)
 
 
-def be_recorder(job: Job, links: dict[str, Links]) -> None:
+def be_recorder(job: Job, links: dict[str, Links], tell: Callable[[Happened], None]) -> None:
     """Keep what is said, and let others hear it."""
-    recorder = McapRecorder(Path(job.recording), job.setup.scenario.rounds, job.setup.time_step_s)
-    _joining(partial(run_recorder, job.run, links[RECORDER], links[WATCH], recorder))
+    rounds, time_step_s = job.setup.scenario.rounds, job.setup.time_step_s
+    try:
+        recorder = McapRecorder(Path(job.recording), rounds, time_step_s)
+        work = partial(run_recorder, job.run, links[RECORDER], links[WATCH], recorder)
+        _joining(work)
+    except NotWritten as error:
+        tell(Happened("failed", detail=str(error)))
+        sys.exit(1)
 
 
 def be_world(job: Job, links: Links, tell: Callable[[Happened], None], orders: int) -> None:

@@ -117,7 +117,7 @@ def _serve(job: Job, plan: _Plan) -> End:
             supervisor.start(ROUTER, partial(be_router, plan.router))
         for name in plan.cast:
             if name == RECORDER:
-                supervisor.start(name, partial(be_recorder, job, plan.links))
+                supervisor.start(name, partial(be_recorder, job, plan.links, tell))
             elif name == WORLD:
                 link = plan.links[name]
                 supervisor.start(name, partial(be_world, job, link, tell, give_orders))

@@ -66,10 +66,7 @@ BUGS = (
     Bug(
         "the owner of a slot is not checked",
         "nodes.hearing", "_place",
-        (("    if fragment.frame_id not in frame_ids[:frames]:\n"
-          '        raise Rejected("wrong-slot")\n'
-          "    return _Place(frame_ids.index(fragment.frame_id), frames)",
-          "    return _Place(0, frames)"),),
+        (('raise Rejected("wrong-slot")', "return _Place(0, frames)"),),
     ),
     Bug(
         "the frame's checksum is not checked",
@@ -115,7 +112,7 @@ BUGS = (
     Bug(
         "a held share never ages",
         "nodes.belief_consensus", "BeliefConsensus.fuse",
-        (("0 if new else age if age < 0 else age + 1", "0 if new else age"),),
+        (("else age if age < 0 else age + 1", "else age"),),
     ),
     Bug(
         "a share of an earlier cycle is not dropped",
@@ -180,13 +177,13 @@ BUGS = (
     ),
     Bug(
         "a share of no numbers is read",
-        "nodes.belief_codec", "BeliefCodec.decode",
+        "nodes.belief_codec", "BeliefCodec.read",
         (("if not (math.isfinite", "if False and not (math.isfinite"),),
     ),
     Bug(
         "a covariance that is none is used",
         "nodes.belief_consensus", "BeliefConsensus.fuse",
-        (("if fresh[j] and math.isnan(pivot)]", "if False and fresh[j] and math.isnan(pivot)]"),),
+        (("if math.isnan(pivot) and shares[j] is not None", "if False and math.isnan(pivot)"),),
     ),
     Bug(
         "those who agree most are taken for liars",
