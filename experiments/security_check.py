@@ -13,8 +13,15 @@ from typing import Any
 import msgspec
 
 from nodes.access_control import MONITOR, OPERATOR, ROUTER_NAME, certificate_name
-from nodes.bounds import MAX_FRAME_BYTES
-from nodes.certificates import Authority, issue, new_authority, read_authority, zenoh_settings
+from nodes.bounds import MAX_FRAME_BYTES, MAX_MESSAGE_BYTES
+from nodes.certificates import (
+    MAX_NODES,
+    Authority,
+    issue,
+    new_authority,
+    read_authority,
+    zenoh_settings,
+)
 from nodes.links import LOOPBACK, RECORDER, WORLD, Links, free_ports
 from nodes.zenoh_transport import LinkError, Transport, start_router
 
@@ -112,6 +119,7 @@ def _writers(guarded: _Guarded) -> list[Attempt]:
     plan = [
         (node, "its own keys", own, _DELIVERED),
         (node, "a share too long for a frame", ("share/0",), _REFUSED),
+        (node, "an estimate of more than 1 MiB", ("estimate/0",), _REFUSED),
         (node, "another node's keys", of_another, _REFUSED),
         (node, "the world's keys", of_the_world, _REFUSED),
         (MONITOR, "a node's keys", own, _REFUSED),
@@ -119,6 +127,7 @@ def _writers(guarded: _Guarded) -> list[Attempt]:
     ]
     marks = [str(number).encode() for number in range(len(plan))]
     marks[1] = b"1".ljust(MAX_FRAME_BYTES + 1)
+    marks[2] = b"2".ljust(MAX_MESSAGE_BYTES + 1)
     for (who, _, topics, _), mark in zip(plan, marks, strict=True):
         _write_to(guarded, guarded.keys(who), topics, mark)
     counts = guarded.arrived()
@@ -195,6 +204,11 @@ def _joiners(guarded: _Guarded, authority: Authority, folder: Path) -> list[Atte
     unknown = zenoh_settings(authority, *issue(stranger, node, ("localhost",), day))
     known = zenoh_settings(authority, *issue(authority, node, ("localhost",), day))
     nameless = zenoh_settings(authority, *issue(authority, "nobody", ("localhost",), day))
+    outsider = certificate_name(MAX_NODES)
+    numbered = zenoh_settings(authority, *issue(authority, outsider, ("localhost",), day))
+    certificate, _ = issue(authority, node, ("localhost",), day)
+    _, other_key = issue(authority, node, ("localhost",), day)
+    mismatched = zenoh_settings(authority, certificate, other_key)
     bare = {"root_ca_certificate_base64": expired["root_ca_certificate_base64"]}
     guests = [
         # The first shows that the others are refused for what is wrong with them.
@@ -203,7 +217,9 @@ def _joiners(guarded: _Guarded, authority: Authority, folder: Path) -> list[Atte
         ("expired certificate", expired, guarded.endpoint, _REFUSED),
         ("no certificate", bare, guarded.endpoint, _REFUSED),
         ("no TLS", None, guarded.endpoint.replace("tls/", "tcp/"), _REFUSED),
+        ("key of another certificate", mismatched, guarded.endpoint, _REFUSED),
         ("unlisted name", nameless, guarded.endpoint, _REFUSED),
+        ("number of no node", numbered, guarded.endpoint, _REFUSED),
     ]
     attempts = []
     for who, tls, endpoint, wanted in guests:

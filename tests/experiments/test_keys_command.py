@@ -28,6 +28,7 @@ def test_nobody_gets_in_and_a_hole_is_found(tmp_path: Path):
     assert outcomes == {
         ("node-0", "publishes its own keys"): "delivered",
         ("node-0", "publishes a share too long for a frame"): "refused",
+        ("node-0", "publishes an estimate of more than 1 MiB"): "refused",
         ("node-0", "publishes another node's keys"): "refused",
         ("node-0", "publishes the world's keys"): "refused",
         ("monitor", "publishes a node's keys"): "refused",
@@ -43,9 +44,17 @@ def test_nobody_gets_in_and_a_hole_is_found(tmp_path: Path):
         ("expired certificate", "joins, publishes share/0"): "refused",
         ("no certificate", "joins, publishes share/0"): "refused",
         ("no TLS", "joins, publishes share/0"): "refused",
+        ("key of another certificate", "joins, publishes share/0"): "refused",
         ("unlisted name", "joins, publishes share/0"): "refused",
+        ("number of no node", "joins, publishes share/0"): "refused",
         ("false router", "lets node-0 join"): "refused",
     }
+
+    # What the page on security shows is what was printed.
+    page = (Path(__file__).parents[2] / "docs" / "security.md").read_text()
+    rows = [line.strip("| ").split(" | ") for line in page.splitlines() if line.startswith("| ")]
+    shown = {(row[0], row[1]): row[2] for row in rows if row[-1] in ("delivered", "refused")}
+    assert shown == outcomes
 
     # The same without access control and limits: certificates still hold, and what leaks is said.
     router = tmp_path / "keys" / "router.json"
@@ -64,7 +73,9 @@ def test_nobody_gets_in_and_a_hole_is_found(tmp_path: Path):
     assert ("node-0", "publishes another node's keys") in broken
     assert ("monitor", "publishes the world's keys") in broken
     assert ("monitor", "commands the network") in broken
+    assert ("node-0", "publishes an estimate of more than 1 MiB") in broken
     assert ("unlisted name", "joins, publishes share/0") in broken
+    assert ("number of no node", "joins, publishes share/0") in broken
     assert not {who for who, _ in broken} & {"expired certificate", "no TLS", "false router"}
 
 
