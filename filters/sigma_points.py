@@ -60,6 +60,14 @@ class SigmaPointRule:
             return None
 
     @cached_property
+    def of_differences(self) -> np.ndarray | None:
+        """All that a step takes of differences, in one product: the weighted unit points, the
+        weights beyond the first, and `moment_root`; None where that is none. (n + S, S - 1)."""
+        if self.moment_root is None:
+            return None
+        return np.vstack((self.weighted_unit_points, self.mean_weights[1:], self.moment_root))
+
+    @cached_property
     def curvature(self) -> float:
         """Weight of d d' in the covariance."""
         return float(self.cov_weights.sum()) - 2.0

@@ -60,11 +60,8 @@ class ConstantVelocity:
 
     def transition(self, state: Array, control: Array | None, step: int) -> Array:
         """States (..., 4) -> (..., 4), one step later."""
-        after = np.empty_like(state)
-        after[..., 0] = state[..., 0] + self.time_step_s * state[..., 1]
-        after[..., 1] = state[..., 1]
-        after[..., 2] = state[..., 2] + self.time_step_s * state[..., 3]
-        after[..., 3] = state[..., 3]
+        after = state.copy(order="K")
+        after[..., ::2] += self.time_step_s * state[..., 1::2]
         return after
 
     def process_noise_cov(self, step: int) -> Array:
