@@ -19,6 +19,9 @@ def kept(value: float, spread: float, better: Better = "less") -> compare.Kept:
     [
         (kept(10, 1), kept(11.5, 1), "less", False),  # the spreads meet
         (kept(10, 1), kept(13, 1), "less", True),
+        (kept(10, 0.01), kept(11.9, 0.01), "less", False),  # no more than runs of one code differ
+        (kept(10, 0.01), kept(12.5, 0.01), "less", True),
+        (kept(10, 3), kept(14, 3), "less", False),
         (kept(10, 1), kept(7, 1), "less", False),
         (kept(10, 1, "more"), kept(7, 1, "more"), "more", True),
         (kept(10, 1, "more"), kept(13, 1, "more"), "more", False),
