@@ -11,7 +11,6 @@ import msgspec
 
 from benchmarks.measure import Figure
 
-
 # The same code differs more from run to run than from turn to turn: by up to 20 % between 56 pairs
 # of runs on one machine. Every figure is taken to waver by at least this part of itself.
 LEAST_SPREAD = 0.1

@@ -4,6 +4,7 @@ A schedule speaks of nodes and cycles only, so that a state machine or an array 
 it without a cluster; `bus.slot_table` gives it frame IDs, channels and cycle multiplexing.
 """
 
+import itertools
 from collections.abc import Sequence
 from functools import lru_cache
 from math import gcd, lcm
@@ -41,7 +42,8 @@ class Schedule(msgspec.Struct, frozen=True):
         if not (self.static_table and self.contender_table and self.dynamic_slot_table):
             raise ValueError("a schedule needs at least one row in each of its tables")
         for row in (*self.static_table, *self.contender_table):
-            if any(not 0 <= node < self.nodes for node in row) or len(set(row)) < len(row):
+            within = not row or (min(row) >= 0 and max(row) < self.nodes)
+            if not within or len(set(row)) < len(row):
                 raise ValueError(
                     f"the row {row} of a schedule must name each of the nodes 0..{self.nodes - 1} "
                     "at most once"
@@ -67,7 +69,9 @@ class Schedule(msgspec.Struct, frozen=True):
         """What is composed at once, in order of time: the whole cycle; with `relay` each slot."""
         static = self.static_senders(cycle)
         dynamic = self.dynamic_slots(cycle) if self.contenders(cycle) else 0
-        return _groups(static, dynamic, self.relay)
+        if not (self.relay and (static or dynamic)):
+            return (Group(static, dynamic),)
+        return _slot_by_slot(static, dynamic)
 
     @property
     def period(self) -> int:
@@ -76,10 +80,8 @@ class Schedule(msgspec.Struct, frozen=True):
 
 
 @lru_cache
-def _groups(static: tuple[int, ...], dynamic: int, relay: bool) -> tuple[Group, ...]:
+def _slot_by_slot(static: tuple[int, ...], dynamic: int) -> tuple[Group, ...]:
     # Kept: every node asks in every part of every cycle, and a relaying cycle has many parts.
-    if not relay or not (static or dynamic):
-        return (Group(static, dynamic),)
     return tuple(Group((node,), 0) for node in static) + (Group((), 1),) * dynamic
 
 
@@ -139,10 +141,5 @@ def publishers_per_cycle(nodes: int, occupancy: float) -> int:
 def _turns(members: Sequence[int], counts: Sequence[int]) -> tuple[tuple[int, ...], ...]:
     """Rows in which `members` take turns, `counts` of them at a time (repeated), for one period."""
     period = len(counts) * len(members) // gcd(len(members), sum(counts))
-    rows: list[tuple[int, ...]] = []
-    turn = 0
-    for cycle in range(period):
-        count = counts[cycle % len(counts)]
-        rows.append(tuple(members[(turn + place) % len(members)] for place in range(count)))
-        turn += count
-    return tuple(rows)
+    turn = itertools.cycle(members)
+    return tuple(tuple(itertools.islice(turn, counts[row % len(counts)])) for row in range(period))

@@ -15,6 +15,7 @@ from nodes.bids import NO_BID
 from nodes.messages import Array
 from nodes.state_machine import contenders_left
 from nodes.vectorised_filter import Counters, with_lanes
+from nodes.vectorised_links import places
 from nodes.vectorised_network import Era, FleetWithReturns, Network, Regime, Spread
 from nodes.vectorised_tally import Tally, masked
 from nodes.world import Delivery
@@ -176,9 +177,9 @@ def _access(
     schedule = era.regime.schedule
     group = schedule.groups(cycle)[number]
     sends, asked = np.zeros((2, *spoke.shape), dtype=bool)
-    sends[:, list(group.senders)] = True
+    sends[:, places(group.senders)] = True
     sends &= era.present
-    contenders = np.array(contenders_left(schedule, cycle, ()), dtype=np.int64)
+    contenders = places(contenders_left(schedule, cycle, ()))
     if group.dynamic_slots and len(contenders):
         bids = era.regime.fleet.bids(content, contenders)
         silent = spoke[:, contenders] | ~era.present[contenders]

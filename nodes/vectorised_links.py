@@ -6,6 +6,8 @@ many neighbours are stacked, the places that one lacks filled up with what was n
 """
 
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -77,6 +79,14 @@ class Links(NamedTuple):
         return before[:, self.offsets[1:]] - before[:, self.offsets[:-1]]
 
 
+@lru_cache(maxsize=64)
+def places(nodes: tuple[int, ...]) -> np.ndarray:
+    """Nodes as an index; kept, as schedules name the same ones in every cycle."""
+    found = np.array(nodes, dtype=np.int64)
+    found.setflags(write=False)
+    return found
+
+
 def unheard(links: Links, ages: np.ndarray, nodes: np.ndarray) -> np.ndarray:
     """Ages (R, E) or (1, E) of what came over links, of which nodes (J,) have never heard one."""
     return np.where(np.isin(links.receiver, nodes), -1, ages)
@@ -115,7 +125,7 @@ def links_of(neighbours: Sequence[Sequence[int]], perfect: bool) -> Links:
     """The links of a network in which node i hears neighbours[i]; perfect ones lose nothing."""
     degrees = np.array([len(heard) for heard in neighbours])
     offsets = np.concatenate(([0], np.cumsum(degrees)))
-    sender = np.array([j for heard in neighbours for j in heard], dtype=np.int64)
+    sender = np.fromiter(chain.from_iterable(neighbours), np.int64, int(offsets[-1]))
     receiver = np.repeat(np.arange(len(neighbours)), degrees)
     classes = tuple(
         _degree_class(np.sort(nodes), offsets, degrees) for nodes in _alike_in_degree(degrees)

@@ -23,7 +23,7 @@ from nodes.share import frame_payloads
 from nodes.state_machine import contenders_left
 from nodes.vectorised_changes import Turning, foreseen
 from nodes.vectorised_filter import LocalFilters, SensorGroup
-from nodes.vectorised_links import Links, Shares, links_of
+from nodes.vectorised_links import Links, Shares, links_of, places
 from nodes.vectorised_network import Contest, Era, Network, Regime
 from scenarios.build import build_controller, build_plan, everybody_of
 from scenarios.bus_plan import BusPlan, arbitrate
@@ -199,7 +199,8 @@ def frames_of(setup: Setup, plan: BusPlan, cycle: int) -> tuple[np.ndarray, np.n
         if nodes:
             # All static slots of a cluster are alike, and so are the dynamic ones of all nodes.
             lengths = frame_payloads(share_bytes(setup), plan.slots(nodes[0], cycle))
-            frames[list(nodes)], payload[list(nodes)] = len(lengths), sum(lengths)
+            owners = places(nodes)
+            frames[owners], payload[owners] = len(lengths), sum(lengths)
     return frames, payload
 
 
