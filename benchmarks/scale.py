@@ -1,56 +1,84 @@
-"""What a step costs as the network grows: ten to ten thousand nodes, the same number of lanes.
+"""What a step costs as the network grows: ten to ten thousand nodes, and of a thousand nodes two
+thousand to thirty-two thousand edges; always the same number of lanes.
 
-`experiments.vectorised.simulate` runs 4-regular networks; runs are as many as make up the lanes, so
+`experiments.vectorised.simulate` runs regular networks; runs are as many as make up the lanes, so
 that what is compared is the size of the network and not that of the arrays.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from benchmarks.measure import Figures, figure, in_turns, peak_mb, say
+from benchmarks.measure import Figure, Figures, figure, in_turns, peak_mb, say
 from experiments.options import ScenarioOptions
 from experiments.vectorised import simulate
 from scenarios.setup import Setup, prepare
 
-SIZES, DEGREE, LANES, STEPS, TURNS = (10, 100, 1_000, 10_000), 4, 10_000, 8, 5
+LANES, STEPS, TURNS = 10_000, 8, 5
+SIZES, DEGREE = (10, 100, 1_000, 10_000), 4
+NODES, DEGREES = 1_000, (4, 8, 16, 32, 64)
+
+Spent = Mapping[int, list[float]]
 
 
 def main() -> Figures:
-    """Print and return the cost per edge, its slope, and that of 10,000 nodes over that of 100."""
-    given = in_turns({str(nodes): _timed(nodes) for nodes in SIZES}, TURNS)
-    say(f"cost against size, {DEGREE}-regular, {LANES} lanes, per edge, run and round")
+    """Print and return what an edge costs, how the cost grows with nodes and with edges, and what
+    an edge of 10,000 nodes costs over one of 100."""
+    networks = [(nodes, DEGREE) for nodes in SIZES] + [(NODES, degree) for degree in DEGREES[1:]]
+    given = in_turns({f"{n} {d}": _timed(n, d) for n, d in networks}, TURNS)
+    by_nodes = {nodes: given[f"{nodes} {DEGREE}"] for nodes in SIZES}
+    by_edges = {NODES * degree // 2: given[f"{NODES} {degree}"] for degree in DEGREES}
     results: Figures = {}
-    for name, spent in given.items():
-        cost = figure([1e9 * one for one in spent], "ns", "less")
-        results[f"{name} nodes, ns per edge"] = cost
-        edges = int(name) * DEGREE // 2
-        say(
-            f"  {name:>6} nodes, {edges:>6} edges: {cost.value:8.0f} ns "
-            f"({cost.low:.0f} - {cost.high:.0f})"
-        )
-    pairs = zip(given["10000"], given["100"], strict=True)
-    growth = figure([large / small for large, small in pairs], "x", "less")
+    say(f"cost against nodes, {DEGREE}-regular, {LANES} lanes, per edge, run and round")
+    for nodes, spent in by_nodes.items():
+        edges = nodes * DEGREE // 2
+        results[f"{nodes} nodes, ns per edge"] = _per_edge(f"{nodes} nodes, {edges}", spent, edges)
+    pairs = zip(by_nodes[10_000], by_nodes[100], strict=True)
+    growth = figure([large / small / 100 for large, small in pairs], "x", "less")
     results["10000 over 100 nodes"] = growth
-    medians = [results[f"{nodes} nodes, ns per edge"].value * nodes for nodes in SIZES]
-    slope = float(np.polyfit(np.log(SIZES), np.log(medians), 1)[0])
-    results["slope"] = figure([slope], "", "less")
+    results["slope over nodes"] = _slope(by_nodes)
     say(
-        f"  cost grows as nodes to the {slope:.2f}; per edge 10,000 nodes cost "
-        f"{growth.value:.2f} x 100 nodes ({growth.low:.2f} - {growth.high:.2f}); "
+        f"  grows as nodes to the {results['slope over nodes'].value:.2f}; per edge 10,000 nodes "
+        f"cost {growth.value:.2f} x 100 nodes ({growth.low:.2f} - {growth.high:.2f})"
+    )
+    say(f"cost against edges, {NODES} nodes")
+    for edges, spent in by_edges.items():
+        results[f"{edges} edges, ns per edge"] = _per_edge(f"{NODES} nodes, {edges}", spent, edges)
+    results["slope over edges"] = _slope(by_edges)
+    turns = np.array(list(by_edges.values())).T
+    further = [1e9 * float(np.polyfit(list(by_edges), costs, 1)[0]) for costs in turns]
+    results["a further edge ns"] = figure(further, "ns", "less")
+    say(
+        f"  grows as edges to the {results['slope over edges'].value:.2f}, as the filters cost the "
+        f"same; a further edge costs {results['a further edge ns'].value:.0f} ns; "
         f"peak {peak_mb():.0f} MB"
     )
     return results
 
 
-def _timed(nodes: int) -> Callable[[], float]:
+def _per_edge(name: str, spent: list[float], edges: int) -> Figure:
+    cost = figure([1e9 * one / edges for one in spent], "ns", "less")
+    say(f"  {name:>20} edges: {cost.value:8.0f} ns ({cost.low:.0f} - {cost.high:.0f})")
+    return cost
+
+
+def _slope(spent: Spent) -> Figure:
+    """The power of the size that the cost grows with."""
+    costs = np.array(list(spent.values())).T
+    return figure(
+        [float(np.polyfit(np.log(list(spent)), np.log(c), 1)[0]) for c in costs], "", "less"
+    )
+
+
+def _timed(nodes: int, degree: int) -> Callable[[], float]:
+    """Seconds of the processor for a network, per run and round."""
     options = ScenarioOptions(
-        nodes=nodes, graph=f"{DEGREE}-regular", steps=STEPS, seed=1, cluster="none"
+        nodes=nodes, graph=f"{degree}-regular", steps=STEPS, seed=1, cluster="none"
     )
     setup: Setup = prepare(options.resolve())
     runs = range(LANES // nodes)
-    work = len(runs) * nodes * DEGREE // 2 * STEPS * setup.scenario.rounds
+    work = len(runs) * STEPS * setup.scenario.rounds
 
     def once() -> float:
         started = time.thread_time()

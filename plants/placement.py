@@ -6,6 +6,8 @@ from numpy.typing import NDArray
 from plants.checks import require_positive
 
 ATTEMPTS = 10_000
+# So many nodes speak at a time: all pairs of ten thousand would take a gigabyte.
+TOGETHER = 64
 
 
 def place_sensors(
@@ -41,9 +43,10 @@ def _in_one_piece(positions: NDArray[np.float64], radio_range_m: float) -> bool:
     front = positions[:1]
     while len(front) and pending.any():
         waiting = np.flatnonzero(pending)
-        offset = positions[waiting, None] - front
+        speaking, front = front[:TOGETHER], front[TOGETHER:]
+        offset = positions[waiting, None] - speaking
         near = (offset * offset).sum(axis=-1) <= radio_range_m**2
         heard = waiting[near.any(axis=1)]
         pending[heard] = False
-        front = positions[heard]
+        front = np.concatenate((front, positions[heard]))
     return not pending.any()
