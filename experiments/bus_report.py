@@ -20,7 +20,7 @@ from bus.timing import (
 )
 from experiments.trace import Trace
 from nodes.messages import Array
-from nodes.share import read_frame
+from nodes.recorded import meaning
 from scenarios.build import build_plan
 from scenarios.bus_plan import BusPlan
 from scenarios.setup import Setup
@@ -198,13 +198,11 @@ def capture(
     ]
     captured: list[Captured] = []
     for topic, data in messages:
-        kind, _, node = topic.partition("/")
-        if kind != "share":
+        sent = meaning(topic, data, setup.scenario.nodes) if topic.startswith("share/") else None
+        if sent is None or sent.fragment.cycle >= len(placed):
             continue
-        fragment = read_frame(data)
-        if fragment.cycle >= len(placed):
-            continue
-        frame = placed[fragment.cycle].get((int(node), fragment.frame_id))
+        fragment = sent.fragment
+        frame = placed[fragment.cycle].get((sent.node, fragment.frame_id))
         if frame is None:
             continue
         step, number = divmod(fragment.cycle, rounds)

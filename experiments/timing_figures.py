@@ -5,7 +5,8 @@ from collections.abc import Iterable, Sequence
 import msgspec
 import numpy as np
 
-from nodes.messages import Timing, decode
+from nodes.messages import Timing
+from nodes.recorded import meaning
 from nodes.tempo import Tempo
 
 
@@ -45,7 +46,8 @@ def figures_of(
     tempo: Tempo, messages: Iterable[tuple[str, bytes]], counters: Sequence[dict[str, int]]
 ) -> TimingFigures:
     """The figures of recorded (topic, bytes), of a step at least, and of each node's counters."""
-    said: list[Timing] = [decode(t, data) for t, data in messages if t.startswith("timing/")]
+    read = (meaning(t, data, len(counters)) for t, data in messages if t.startswith("timing/"))
+    said: list[Timing] = [timing for timing in read if timing is not None]
     incomplete = sum(timing.incomplete for timing in said)
     overrun = sum(timing.overrun for timing in said)
     came = [late for timing in said if (late := timing.heartbeat_late_s) is not None]

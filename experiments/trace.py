@@ -10,8 +10,9 @@ from experiments.record_spread import RecordSpread, record_spread
 from filters.linalg import unpack_upper
 from nodes.changes import Event
 from nodes.history import History, history_of, with_holes, without_lost_words
-from nodes.messages import Array, Bid, Estimate, Measured, Timing, Truth, decode, from_wire
-from nodes.share import Fragment, read_frame
+from nodes.messages import Array, Bid, Estimate, Measured, Timing, Truth, from_wire
+from nodes.recorded import SharedFrame, meaning
+from nodes.share import Fragment
 from scenarios.setup import Setup
 
 
@@ -67,11 +68,9 @@ def read_trace(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> Trace:
     last: dict[int, int] = {}
     timed = False
     for topic, data in messages:
-        kind, _, node = topic.partition("/")
-        if kind == "share":
-            sent.append((int(node), read_frame(data), len(data) - OVERHEAD_BYTES))
-            continue
-        match decode(topic, data):
+        match meaning(topic, data, nodes):
+            case SharedFrame(node, fragment):
+                sent.append((node, fragment, len(data) - OVERHEAD_BYTES))
             case Truth() as message:
                 truths[message.step] = message
             case Bid() as message if message.bid is not None:

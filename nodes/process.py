@@ -7,6 +7,7 @@ timed. What the world does is in `nodes/world_process.py`.
 
 from collections import deque
 from collections.abc import Collection, Sequence
+from contextlib import suppress
 
 import msgspec
 
@@ -212,6 +213,9 @@ class _Estimated(msgspec.Struct):
     step: int
 
 
+_estimated = msgspec.json.Decoder(_Estimated)
+
+
 def run_recorder(run: str, links: Links, watch: Links, recorder: Recorder) -> None:
     """Record every message until the world has finished and all last estimates have come.
 
@@ -225,7 +229,7 @@ def run_recorder(run: str, links: Links, watch: Links, recorder: Recorder) -> No
     transport.join(RECORDER, set())
     ends = _Ends(transport)
     finished: Finished | None = None
-    latest: dict[int, bytes] = {}
+    latest: dict[int, int] = {}
     leaving: dict[int, int] = {}
     while finished is None or not _complete(finished, latest, ends.silent):
         received = transport.receive("**")
@@ -235,16 +239,20 @@ def run_recorder(run: str, links: Links, watch: Links, recorder: Recorder) -> No
         name, data = received
         kind, _, node = name.partition("/")
         if kind == "finished":
-            finished = msgspec.json.decode(data, type=Finished)
+            with suppress(msgspec.MsgspecError):
+                finished = msgspec.json.decode(data, type=Finished)
         if kind in _UNRECORDED:
             continue
         recorder.record(name, data)
         offered.offer(f"watch/{name}", data)
-        if kind == "estimate":
-            latest[int(node)] = data
+        # Kept as it came is also what somebody says who obeys no rule; it changes nothing here.
+        if kind == "estimate" and node.isdecimal():
+            with suppress(msgspec.MsgspecError):
+                latest[int(node)] = _estimated.decode(data).step
         elif kind == "event":
-            leaving |= _leaving(decode(name, data))
-        for out in [i for i, step in leaving.items() if step < 0 or _has(latest, i, step)]:
+            with suppress(MalformedMessage):
+                leaving |= _leaving(decode(name, data))
+        for out in [i for i, step in leaving.items() if step < 0 or latest.get(i) == step]:
             # Who leaves on command may end now: nothing that it has said will be lost.
             transport.send(f"recorded/{out}", b"{}")
             del leaving[out]
@@ -281,13 +289,7 @@ def _leaving(event: Event) -> dict[int, int]:
     return {event.change.node: event.step - 1} if isinstance(event.change, Left) else {}
 
 
-def _has(latest: dict[int, bytes], node: int, step: int) -> bool:
-    """Whether a node's estimate of a step is the latest that has come."""
-    data = latest.get(node)
-    return data is not None and msgspec.json.decode(data, type=_Estimated).step == step
-
-
-def _complete(finished: Finished, latest: dict[int, bytes], silent: set[int]) -> bool:
+def _complete(finished: Finished, latest: dict[int, int], silent: set[int]) -> bool:
     """Whether the last estimate of every node has come that may still say something."""
     members = (node for node in finished.members if node not in silent)
-    return all(_has(latest, node, finished.step) for node in members)
+    return all(latest.get(node) == finished.step for node in members)

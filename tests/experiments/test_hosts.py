@@ -3,6 +3,7 @@
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from experiments.__main__ import main
@@ -10,7 +11,8 @@ from experiments.agree_command import first_difference
 from experiments.drivers import in_this_process
 from experiments.results import read_description, read_description_file
 from nodes.control_client import Client, NotThere
-from nodes.links import checked_endpoints, checked_run, free_ports
+from nodes.links import Links, checked_endpoints, checked_run, free_ports
+from nodes.zenoh_transport import Transport
 from tests.experiments.hosts import Hosts, hosts
 from tests.experiments.support import trace_of
 from tests.processes import PROC, holds_within
@@ -64,6 +66,44 @@ def test_commands_on_several_hosts_give_the_bits_of_one_process(tmp_path: Path):
     several = trace_of(description.setup, tmp_path / "run" / "run.mcap")
     assert several.steps == 40
     assert first_difference(one, several, "hosts") is None
+
+
+@needs_proc
+@pytest.mark.zenoh
+def test_what_is_no_message_ends_nobody_and_changes_no_bit(tmp_path: Path):
+    """Somebody who is let in and obeys no rule: without keys a network can only bear that.
+
+    In the name of a node, and before the run, another setup would end it: it is that node's word.
+    """
+    setup = write_setup(tmp_path)
+    with hosts(tmp_path) as there:
+        endpoint, _ = two_routers(there)
+        there.concord("node", setup, 0, 1, 2, "--connect", endpoint)
+        world = there.concord(
+            "world", setup, "--connect", endpoint, "--out", tmp_path / "run", "--json"
+        )
+        await_network(endpoint).close()
+        stranger = Transport("hosts", Links("client", (), (endpoint,), 5.0), [], 1)
+        try:
+            for topic in (
+                *("event", "estimate/x", "estimate/1", "estimate/99", "finished", "share/x"),
+                *("share/1", "share/99", "hello/x", "bid/1", "truth", "measured/1"),
+                *("grant", "gone/x", "welcome/1", "x/y/z", "recorded/x", "unreachable/x"),
+            ):
+                for data in (b"", b"nonsense", b"{}", b"[1]", b"\xff" * 300):
+                    stranger.send(topic, data)
+            there.concord("node", setup, 3, "--connect", endpoint)
+            code, out, err = world.end(60)
+        finally:
+            stranger.close()
+        assert (code, out[:1]) == (0, "{"), err
+        assert "Traceback" not in err
+    description = read_description(tmp_path / "run")
+    in_this_process(description.setup, "one", tmp_path / "one.mcap", None, lambda step: None)
+    one = trace_of(description.setup, tmp_path / "one.mcap")
+    several = trace_of(description.setup, tmp_path / "run" / "run.mcap")
+    np.testing.assert_array_equal(several.mean, one.mean)
+    np.testing.assert_array_equal(several.cov, one.cov)
 
 
 # Beside other work on the machine the world has stopped answering here: a defect that is not found.
