@@ -18,6 +18,7 @@ BENCHMARKS = {
     "fusion": "fusion",
     "monte-carlo": "monte_carlo",
     "scale": "scale",
+    "share": "share",
     "launch": "launch",
     "lockstep": "lockstep",
     "set-membership": "set_membership",

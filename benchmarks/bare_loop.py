@@ -1,9 +1,9 @@
 """The floor of a lockstep network: the same processes, links and messages, and the filter calls.
 
-`python -m benchmarks.bare_loop` reads one JSON object (neighbours, rounds, steps, message sizes)
-from standard input and prints the lockstep steps per second of a network whose nodes pass on bytes
-that say nothing, and call the filters as a node does: a prediction of all it holds, an update, and
-an average per round. No frame is made or checked, nothing is counted, and no state is kept.
+`python -m benchmarks.bare_loop` reads one JSON object (`Load`) from standard input and prints the
+lockstep steps per second of a network whose nodes call the filters as a node does, and pass on
+bytes: those of messages that are made and read, checksums and all, or as many that say nothing. No
+state is kept, nothing is counted, scheduled, judged or recorded.
 """
 
 import secrets
@@ -11,26 +11,37 @@ import signal
 import sys
 import time
 from functools import partial
+from typing import Protocol
 
 import msgspec
 import numpy as np
 
 from benchmarks.cases import beliefs, readings, turn
-from filters.fusion import covariance_intersection
+from bus.publication import Slot
+from filters.fusion import INFORMATION
+from filters.gaussian import Gaussian
+from filters.hold import sharpened, sharpness_of_factor
+from filters.linalg import pack_upper
 from filters.sigma_points import scaled_unscented
 from filters.ukf import predict, update
+from nodes.belief_codec import BeliefCodec
 from nodes.links import RECORDER, WORLD, Links, free_ports, names, plan_links
+from nodes.messages import Estimate, Measured, decode, encode, to_wire
+from nodes.share import payload_lengths, to_frames, whole_body
 from nodes.supervisor import Ended, Supervisor
 from nodes.zenoh_transport import Transport, start_router
 
 
 class Load(msgspec.Struct, frozen=True):
-    """What travels: bytes of a measurement, a share and an estimate; `lead` of the world."""
+    """What travels: messages, or (`says` is False) as many bytes as a measurement, a share and an
+    estimate have; `lead` of the world; in which part of its steps a node `sees` something."""
 
     neighbours: list[list[int]]
     rounds: int
     steps: int
     lead: int
+    sees: float
+    says: bool
     measured_bytes: int
     share_bytes: int
     estimate_bytes: int
@@ -64,24 +75,106 @@ def _route(port: int) -> None:
     session.close()
 
 
+class _Language(Protocol):
+    """How what travels is made and read."""
+
+    def measured(self, node: int, step: int) -> bytes: ...
+
+    def share(self, node: int, cycle: int) -> bytes: ...
+
+    def estimate(self, node: int, step: int) -> bytes: ...
+
+    def hear_share(self, node: int, cycle: int, data: bytes) -> None: ...
+
+    def hear(self, topic: str, data: bytes) -> None: ...
+
+
+class _Bytes:
+    """Bytes that say nothing, and that nobody reads."""
+
+    def __init__(self, load: Load) -> None:
+        self._measured = bytes(load.measured_bytes)
+        self._share = bytes(load.share_bytes)
+        self._estimate = bytes(load.estimate_bytes)
+
+    def measured(self, node: int, step: int) -> bytes:
+        return self._measured
+
+    def share(self, node: int, cycle: int) -> bytes:
+        return self._share
+
+    def estimate(self, node: int, step: int) -> bytes:
+        return self._estimate
+
+    def hear_share(self, node: int, cycle: int, data: bytes) -> None: ...
+
+    def hear(self, topic: str, data: bytes) -> None: ...
+
+
+class _Messages:
+    """The messages of a network, of numbers that stay the same."""
+
+    def __init__(self, load: Load) -> None:
+        case, places = turn(), range(len(load.neighbours))
+        self._belief, self._reading = case.start, [to_wire(readings(case, ()))]
+        self._codec = BeliefCodec(len(case.start.mean))
+        (payload_bytes,) = payload_lengths(self._codec.size)
+        self._slots = [Slot(1 + node, payload_bytes) for node in places]
+        self._ages = [[0] * len(heard) for heard in load.neighbours]
+        self._counters = {"sent": 1000, "heard": 1000}
+
+    def measured(self, node: int, step: int) -> bytes:
+        return encode(Measured(node, step, self._reading))
+
+    def share(self, node: int, cycle: int) -> bytes:
+        return to_frames(self._codec.encode(self._belief), cycle, [self._slots[node]])[0]
+
+    def estimate(self, node: int, step: int) -> bytes:
+        mean, cov = to_wire(self._belief.mean), to_wire(pack_upper(self._belief.cov))
+        return encode(Estimate(node, step, mean, cov, self._ages[node], self._counters))
+
+    def hear_share(self, node: int, cycle: int, data: bytes) -> None:
+        body = whole_body(data, self._slots[node], self._codec.size, cycle)
+        assert body is not None, "what is sent is what is due"
+        self._codec.unpack(self._codec.read(body))
+
+    def hear(self, topic: str, data: bytes) -> None:
+        decode(topic, data)
+
+
+def _language(load: Load) -> _Language:
+    return _Messages(load) if load.says else _Bytes(load)
+
+
 def _pass_on(run: str, links: Links, load: Load, node: int) -> None:
     neighbours = load.neighbours[node]
-    shares = [f"share/{j}" for j in neighbours]
-    transport = Transport(run, links, [f"measured/{node}", *shares], 1024)
+    heartbeat = f"measured/{node}"
+    shares = [(j, f"share/{j}") for j in neighbours]
+    transport = Transport(run, links, [heartbeat, *(topic for _, topic in shares)], 1024)
     transport.join(str(node), {WORLD, RECORDER, *map(str, neighbours)})
-    share, estimate = bytes(load.share_bytes), bytes(load.estimate_bytes)
     transport.send(f"hello/{node}", b"")
-    filters = _Filters(len(neighbours))
-    for _ in range(load.steps):
-        transport.receive(f"measured/{node}")
-        filters.step()
-        for _ in range(load.rounds):
-            transport.send(f"share/{node}", share)
-            for topic in shares:
-                transport.receive(topic)
+    language, filters = _language(load), _Filters(len(neighbours))
+    seen = 0.0
+    for step in range(load.steps):
+        language.hear(heartbeat, _receive(transport, heartbeat))
+        filters.predict()
+        seen += load.sees
+        if seen >= 1:
+            seen -= 1
+            filters.update()
+        for cycle in range(step * load.rounds, (step + 1) * load.rounds):
+            transport.send(f"share/{node}", language.share(node, cycle))
+            for j, topic in shares:
+                language.hear_share(j, cycle, _receive(transport, topic))
             filters.fuse()
-        transport.send(f"estimate/{node}", estimate)
+        transport.send(f"estimate/{node}", language.estimate(node, step))
     signal.pause()
+
+
+def _receive(transport: Transport, topic: str) -> bytes:
+    received = transport.receive(topic)
+    assert received is not None, "nobody wakes this process up"
+    return received[1]
 
 
 class _Filters:
@@ -95,9 +188,12 @@ class _Filters:
         self._weights = np.full(1 + neighbours, 1 / (1 + neighbours))
         self._reading = readings(case, ())
 
-    def step(self) -> None:
+    def predict(self) -> Gaussian:
+        """All that a node holds."""
+        return predict(self._all, self._case.transition, self._case.process_noise_cov, self._rule)
+
+    def update(self) -> None:
         case = self._case
-        predict(self._all, case.transition, case.process_noise_cov, self._rule)
         update(
             case.start,
             self._reading,
@@ -107,8 +203,12 @@ class _Filters:
             residual=case.residual,
         )
 
-    def fuse(self) -> None:
-        covariance_intersection(self._heard, self._weights)
+    def fuse(self) -> Gaussian:
+        """Covariance intersection by weights that favour the sharp."""
+        own = self._heard.mean[0]
+        numbers, factors = INFORMATION.weigh_up(self._heard, own)
+        weights = sharpened(self._weights, sharpness_of_factor(factors))
+        return INFORMATION.average(numbers, weights, own)
 
 
 def _drive(run: str, links: Links, load: Load) -> None:
@@ -117,15 +217,17 @@ def _drive(run: str, links: Links, load: Load) -> None:
     transport.join(WORLD, {RECORDER, *map(str, range(nodes))})
     for _ in range(nodes):
         transport.receive("hello/*")
-    measured = bytes(load.measured_bytes)
+    language = _language(load)
     started = time.perf_counter()
     for step in range(load.steps + load.lead):
         if step >= load.lead:
             for _ in range(nodes):
-                transport.receive("estimate/*")
+                received = transport.receive("estimate/*")
+                assert received is not None, "nobody wakes this process up"
+                language.hear(*received)
         if step < load.steps:
             for node in range(nodes):
-                transport.send(f"measured/{node}", measured)
+                transport.send(f"measured/{node}", language.measured(node, step))
     rate = load.steps / (time.perf_counter() - started)
     sys.stdout.write(msgspec.json.encode({"steps_per_second": rate}).decode() + "\n")
     sys.stdout.flush()

@@ -1,4 +1,7 @@
-"""Lockstep rate of a network beside the bare loop with the same messages, in the same run.
+"""Lockstep rate of a network beside its floor, in the same run, and what each process takes of it.
+
+The floor (`benchmarks/bare_loop.py`) is a loop of the same processes that makes the same filter
+calls: once with the same messages, made and read, once with as many bytes that say nothing.
 
 Processor time per step is that of all processes together: a long run less a short one, so that
 starting up is left out. It wavers less than the rate where others use the machine too.
@@ -10,20 +13,26 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
+import numpy as np
 
 from benchmarks.bare_loop import Load
 from benchmarks.measure import Figures, figure, ratio, say
 from experiments.drivers import over_processes
 from experiments.options import ScenarioOptions
+from nodes.messages import decode, from_wire
 from nodes.recording import read_recording
 from scenarios.build import OPEN_LOOP_LEAD
 from scenarios.setup import Setup, prepare
 
 NODES, GRAPH, STEPS, SHORT_STEPS, REPETITIONS = 16, "4-regular", 300, 50, 5
+
+
+Run = Callable[[], float]
 
 
 class Pace(NamedTuple):
@@ -36,32 +45,40 @@ class Pace(NamedTuple):
 def main() -> Figures:
     """Print and return rates, processor times and their ratios."""
     setup, short = (_setup(steps) for steps in (STEPS, SHORT_STEPS))
-    sizes = _sizes(short)
-    load, short_load = (_load(one, sizes) for one in (setup, short))
-    ours: list[Pace] = []
-    bare: list[Pace] = []
-    for _ in range(REPETITIONS):
-        ours.append(_pace(lambda: _lockstep(setup), lambda: _lockstep(short)))
-        bare.append(_pace(lambda: _floor(load), lambda: _floor(short_load)))
-    rates, floors = ([one.steps_per_second for one in side] for side in (ours, bare))
-    spent, spent_bare = ([1e3 * one.processor_s for one in side] for side in (ours, bare))
-    results = {
-        "steps per second": figure(rates, "1/s", "more"),
-        "bare steps per second": figure(floors, "1/s", "more"),
-        "lockstep over bare": ratio(rates, floors),
-        "processor ms per step": figure(spent, "ms", "less"),
-        "bare processor ms per step": figure(spent_bare, "ms", "less"),
-        "lockstep over bare, by processor time": ratio(spent_bare, spent),
+    traffic = _traffic(short)
+    contestants: dict[str, tuple[Run, Run]] = {
+        "lockstep": (partial(_lockstep, setup), partial(_lockstep, short)),
+        "bare": (partial(_floor, _load(setup, traffic)), partial(_floor, _load(short, traffic))),
+        "bare bytes": (
+            partial(_floor, _load(setup, traffic, says=False)),
+            partial(_floor, _load(short, traffic, says=False)),
+        ),
     }
-    rate, floor, over, cost, least, by_cost = results.values()
+    paces: dict[str, list[Pace]] = {name: [] for name in contestants}
+    for _ in range(REPETITIONS):
+        for name, runs in contestants.items():
+            paces[name].append(_pace(*runs))
+    rates = {name: [one.steps_per_second for one in turns] for name, turns in paces.items()}
+    spent = {name: [1e3 * one.processor_s for one in turns] for name, turns in paces.items()}
     say(
-        f"lockstep, {NODES} nodes, {GRAPH}, {setup.scenario.rounds} rounds, beside a bare loop "
-        f"with the same messages and filter calls, {REPETITIONS} turns\n"
-        f"  steps per second      {rate.value:6.0f} and {floor.value:6.0f}: ratio "
-        f"{over.value:.2f} ({over.low:.2f} - {over.high:.2f})\n"
-        f"  processor ms per step {cost.value:6.1f} and {least.value:6.1f}: ratio "
-        f"{by_cost.value:.2f} ({by_cost.low:.2f} - {by_cost.high:.2f})"
+        f"lockstep, {NODES} nodes, {GRAPH}, {setup.scenario.rounds} rounds, beside bare loops with "
+        f"the same filter calls, {REPETITIONS} turns"
     )
+    results: Figures = {}
+    for name in contestants:
+        label = "" if name == "lockstep" else f"{name} "
+        rate = results[f"{label}steps per second"] = figure(rates[name], "1/s", "more")
+        cost = results[f"{label}processor ms per step"] = figure(spent[name], "ms", "less")
+        say(f"  {name:<20}{rate.value:6.0f} steps per second, {cost.value:6.1f} processor ms each")
+    for name, of in (("bare", "with the same messages"), ("bare bytes", "of bytes alone")):
+        by_rate = results[f"lockstep over {name}"] = ratio(rates["lockstep"], rates[name])
+        by_cost = ratio(spent[name], spent["lockstep"])
+        results[f"lockstep over {name}, by processor time"] = by_cost
+        say(
+            f"  beside the loop {of}: {by_rate.value:.2f} ({by_rate.low:.2f} - {by_rate.high:.2f}) "
+            f"of its rate, {by_cost.value:.2f} ({by_cost.low:.2f} - {by_cost.high:.2f}) by "
+            "processor time"
+        )
     return results
 
 
@@ -69,7 +86,7 @@ def _setup(steps: int) -> Setup:
     return prepare(ScenarioOptions(nodes=NODES, graph=GRAPH, steps=steps, seed=1).resolve())
 
 
-def _pace(run: Callable[[], float], shorter: Callable[[], float]) -> Pace:
+def _pace(run: Run, shorter: Run) -> Pace:
     """The rate of a run, and what each of its steps takes of the processor."""
     before_s = _children_s()
     shorter()
@@ -92,24 +109,38 @@ def _lockstep(setup: Setup) -> float:
         return pace.steps_per_second or 0.0
 
 
-def _sizes(setup: Setup) -> dict[str, int]:
-    """The largest message of each kind that a run sends."""
+class Traffic(NamedTuple):
+    """The largest message of each kind, and in which part of its steps a node sees something."""
+
+    sizes: dict[str, int]
+    sees: float
+
+
+def _traffic(setup: Setup) -> Traffic:
+    """What a run sends."""
     sizes: dict[str, int] = {}
+    seen: list[bool] = []
     with tempfile.TemporaryDirectory() as folder:
         recording = Path(folder) / "run.mcap"
         over_processes(setup, Path(folder).name, recording, None, lambda _: None)
         for topic, data in read_recording(recording):
             kind = topic.partition("/")[0]
             sizes[kind] = max(sizes.get(kind, 0), len(data))
-    return sizes
+            if kind == "measured":
+                readings = from_wire(decode(topic, data).readings)
+                seen.append(not np.isnan(readings).all())
+    return Traffic(sizes, sum(seen) / len(seen))
 
 
-def _load(setup: Setup, sizes: dict[str, int]) -> Load:
+def _load(setup: Setup, traffic: Traffic, says: bool = True) -> Load:
+    sizes = traffic.sizes
     return Load(
         setup.neighbours,
         setup.scenario.rounds,
         setup.scenario.steps,
         OPEN_LOOP_LEAD,
+        traffic.sees,
+        says,
         sizes["measured"],
         sizes["share"],
         sizes["estimate"],

@@ -71,6 +71,8 @@ def main(arguments: list[str] | None = None) -> None:
         sys.stderr.write(f"concord: {error}\n")
         sys.exit(1)
     except KeyboardInterrupt:
+        # All is cleaned up; a second one, from here on, would only change how we end.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
         sys.stderr.write("interrupted\n")
         sys.exit(130)
 

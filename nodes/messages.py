@@ -167,6 +167,8 @@ _TYPES: dict[str, type] = {
 _KINDS: dict[type, str] = {ShareSent: "share", **{type_: kind for kind, type_ in _TYPES.items()}}
 # One node's topics, by name; what they carry must be of that node.
 _OWNED = ("measured", "bid", "estimate", "timing", "unreachable")
+# What tells everybody of a node, or is of nobody, has one topic for all.
+_SHARED = ("grant", "truth", "event", "gone", "start")
 _encoder = msgspec.json.Encoder()
 _decoders = {topic: msgspec.json.Decoder(type_) for topic, type_ in _TYPES.items()}
 
@@ -183,10 +185,7 @@ class MalformedMessage(ValueError):
 def topic(message: Message) -> str:
     """Where a message travels: `share/3`, `grant`, ... (the key below `concord/<run>/`)."""
     kind = _KINDS[type(message)]
-    # What tells everybody of a node, or is of nobody, has one topic for all.
-    if isinstance(message, Grant | Truth | Event | Gone | Start):
-        return kind
-    return f"{kind}/{message.node}"
+    return kind if kind in _SHARED else f"{kind}/{message.node}"  # type: ignore[union-attr]
 
 
 def encode(message: Message) -> bytes:

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
+from typing import NamedTuple
 
 import msgspec
 from msgspec.structs import replace
@@ -61,15 +62,18 @@ class NodeConfig:
     faults: Faults = HEALTHY
     scenario_links: LinkState = PERFECT
 
-    def static_neighbours(self, cycle: int) -> tuple[tuple[int, ...], ...]:
-        """Neighbours that own a static slot in each part of a cycle, ascending."""
+    def parts(self, cycle: int) -> "tuple[Part, ...]":
+        """What is composed at once in a cycle, in order of time."""
         # Kept: a node asks with every event, and turns repeat.
         turn = cycle % self._period
         known = self._known_turns.get(turn)
         if known is None:
             groups = self.schedule.groups(cycle)
-            parts = (tuple(j for j in self.neighbours if j in one.senders) for one in groups)
-            known = self._known_turns[turn] = tuple(parts)
+            known = tuple(
+                Part(*group, tuple(j for j in self.neighbours if j in group.senders))
+                for group in groups
+            )
+            self._known_turns[turn] = known
         return known
 
     @cached_property
@@ -77,8 +81,17 @@ class NodeConfig:
         return self.schedule.period
 
     @cached_property
-    def _known_turns(self) -> dict[int, tuple[tuple[int, ...], ...]]:
+    def _known_turns(self) -> "dict[int, tuple[Part, ...]]":
         return {}
+
+
+class Part(NamedTuple):
+    """A group of a cycle (`bus.schedule.Group`), and the node's neighbours among its senders,
+    ascending."""
+
+    senders: tuple[int, ...]
+    dynamic_slots: int
+    neighbours: tuple[int, ...]
 
 
 class Inbox(msgspec.Struct, frozen=True):

@@ -130,14 +130,14 @@ def _open_group(config: NodeConfig, state: NodeState, outbox: list[NodeMessage])
     """Begin a part of a cycle: bid where there are slots to win, send where a slot is owned."""
     if state.inbox.late:
         state = hear_late(config, state)
-    group = config.schedule.groups(state.cycle)[state.group]
+    part = config.parts(state.cycle)[state.group]
     contenders: tuple[int, ...] = ()
-    if group.dynamic_slots:
+    if part.dynamic_slots:
         contenders = contenders_left(config.schedule, state.cycle, state.won)
     if config.index in contenders:
         outbox.append(_bid(config, state))
     state = replace(state, phase=Phase.GRANT if contenders else Phase.SHARES)
-    if config.index in group.senders:
+    if config.index in part.senders:
         state = _send(config, state, outbox)
     return state
 
@@ -167,14 +167,14 @@ def _send(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> No
     slots = config.slots(config.index, cycle)
     frames = to_frames(body, cycle, slots, config.cycle_counts)
     outbox.extend(ShareSent(config.index, cycle, frame) for frame in frames)
-    counters = counted(state.counters, *["sent"] * len(frames))
+    counters = counted(state.counters, *["sent" for _ in frames])
     return replace(state, content=content, counters=counters)
 
 
 def _due(config: NodeConfig, state: NodeState) -> tuple[int, ...]:
     """Neighbours that send in the open part of the cycle, as far as the node knows. Of one that is
     out there is what came before its end."""
-    due = config.static_neighbours(state.cycle)[state.group]
+    due = config.parts(state.cycle)[state.group].neighbours
     granted = state.inbox.grants.get((state.cycle, state.group))
     if granted:
         due = tuple(j for j in config.neighbours if j in due or j in granted)
@@ -190,12 +190,12 @@ def _close_group(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]
     due = _due(config, state)
     # Without a grant nobody knows who won: what came from a contender then stands as sent.
     usable = due if state.phase is Phase.SHARES else config.neighbours
-    came = state.inbox.shares
-    shares = tuple(came.get((state.cycle, j)) if j in usable else None for j in config.neighbours)
-    missed = sum(came.get((state.cycle, j)) is None for j in due)
+    came, cycle = state.inbox.shares, state.cycle
+    shares = tuple([came.get((cycle, j)) if j in usable else None for j in config.neighbours])
+    missed = [j for j in due if came.get((cycle, j)) is None]
     content, troubles = config.estimator.fuse(state.content, shares)
-    state = count(replace(state, content=content), *troubles, *["missed"] * missed)
-    if state.group + 1 < len(config.schedule.groups(state.cycle)):
+    state = count(replace(state, content=content), *troubles, *["missed" for _ in missed])
+    if state.group + 1 < len(config.parts(state.cycle)):
         return _open_group(config, replace(state, group=state.group + 1), outbox)
     return _close_cycle(config, state, outbox)
 

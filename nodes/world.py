@@ -272,10 +272,14 @@ def _complete(
     config: WorldConfig, state: WorldState, outbox: list[WorldMessage], closed: int = -1
 ) -> WorldState:
     """Go on from each step that all have estimated who took part, or that is `closed`."""
+    # Fewer are not enough, whoever they are: mostly that is all there is to know.
+    least = config.nodes - len(state.standing.absent) - len(state.since)
     while state.completed < state.released:
         number = state.completed
-        expected = [i for i in members(config, state) if state.since.get(i, 0) <= number]
         came = state.estimates.get(number, {})
+        if len(came) < least and number > closed:
+            break
+        expected = [i for i in members(config, state) if state.since.get(i, 0) <= number]
         whole = bool(expected) and all(node in came for node in expected)
         if not whole and number > closed:
             break

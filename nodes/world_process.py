@@ -192,11 +192,10 @@ class _Office:
         bids = world.awaits_bids(conductor.config, conductor.state)
         # Set before we look for notices: who gives one wakes up whom we then wait for.
         self._source = "bid/*" if bids else "estimate/*"
-        try:
-            self._attend(self._notices.get_nowait())
-            return None
-        except Empty:
+        if self._notices.empty():
             return self._transport.receive(self._source)
+        self._attend(self._notices.get())
+        return None
 
     def _take(self, message: tuple[str, bytes] | None) -> None:
         if message is None:

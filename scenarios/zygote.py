@@ -6,6 +6,7 @@ closes it ends everything.
 """
 
 import contextlib
+import gc
 import os
 import sys
 import time
@@ -109,6 +110,8 @@ def _serve(job: Job, plan: _Plan) -> End:
     """Run the network, or its part that is here, once."""
     # Built before the fork, so that the children share the pages.
     nodes = {name: build_node(job.setup, int(name)) for name in plan.cast if name.isdigit()}
+    # A collection in a child would write into all of them.
+    gc.freeze()
     supervisor = Supervisor()
     orders, give_orders = os.pipe()
     end = End.BROKEN

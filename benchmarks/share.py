@@ -1,0 +1,56 @@
+"""What it takes to put a share into its frame and to read it again, checksums and all."""
+
+import time
+from collections.abc import Callable
+
+from benchmarks.cases import turn
+from benchmarks.measure import Figures, figure, in_turns, say
+from bus.publication import Slot
+from nodes.belief_codec import BeliefCodec
+from nodes.share import payload_lengths, read_body, read_frame, to_frames, whole_body
+
+TURNS, TIMES = 20, 1_000
+
+
+def main() -> Figures:
+    """Print and return microseconds per share of five states in one frame."""
+    belief = turn().start
+    codec = BeliefCodec(len(belief.mean))
+    (payload_bytes,) = payload_lengths(codec.size)
+    slot = Slot(1, payload_bytes)
+    (frame,) = to_frames(codec.encode(belief), 7, [slot])
+
+    def encode() -> None:
+        to_frames(codec.encode(belief), 7, [slot])
+
+    def decode() -> None:
+        body = whole_body(frame, slot, codec.size, 7)
+        assert body is not None, "what is sent is what is due"
+        codec.decode(body)
+
+    def decode_any() -> None:
+        codec.decode(read_body([read_frame(frame).data]))
+
+    contestants = {"encode": encode, "decode": decode, "decode at any time": decode_any}
+    times = in_turns({name: _timed(work) for name, work in contestants.items()}, TURNS)
+    results = {
+        f"{name} us": figure([1e6 * one for one in given], "us", "less")
+        for name, given in times.items()
+    }
+    said = ", ".join(f"{name[:-3]} {one.value:.1f}" for name, one in results.items())
+    say(f"a share of {codec.size} bytes with its checksums, us of the processor: {said}")
+    return results
+
+
+def _timed(work: Callable[[], None]) -> Callable[[], float]:
+    def run() -> float:
+        started = time.process_time()
+        for _ in range(TIMES):
+            work()
+        return (time.process_time() - started) / TIMES
+
+    return run
+
+
+if __name__ == "__main__":
+    main()
