@@ -57,7 +57,8 @@ class _Pause(msgspec.Struct):
 
 
 class LiveNetwork:
-    """A source of frames and a taker of commands; `endpoints` are all those of the network.
+    """A source of frames and a taker of commands; `endpoints` are all those of the network, `keys`
+    a file of `concord keys` for one that is guarded.
 
     Raises:
         ValueError: nobody answers, or something else than a network of this version.
@@ -65,8 +66,8 @@ class LiveNetwork:
 
     live = True
 
-    def __init__(self, endpoints: Sequence[str], run: str | None) -> None:
-        self._client = Client(endpoints, run)
+    def __init__(self, endpoints: Sequence[str], run: str | None, keys: str | None = None) -> None:
+        self._client = Client(endpoints, run, keys)
         try:
             situation = msgspec.convert(self._client.state(), Situation)
         except msgspec.ValidationError as error:

@@ -10,6 +10,7 @@ import tyro
 
 from experiments.user_errors import user_errors
 from nodes.commands import Answer, in_words
+from nodes.links import watcher_keys
 from nodes.network_file import read_network
 
 
@@ -23,6 +24,8 @@ class ControlOptions:
     """state, pause, resume, step N, speed N, kill NODE, restart NODE, cut FROM TO [one-way],
     heal FROM TO [one-way], loss P [FROM TO [one-way]], set rule=NAME rounds=N ...,
     partition NODE ..., corrupt P [FROM TO [one-way]] and the other words of docs/faults.md, calm"""
+    keys: Path | None = None
+    """For tls/ endpoints: operator.json of `concord keys`; monitor.json for state alone."""
     json: bool = False
     """Print one JSON object."""
 
@@ -36,7 +39,7 @@ def control(options: Annotated[ControlOptions, tyro.conf.arg(name="")]) -> None:
         asks = options.words == ("state",)
         command = None if asks else in_words(options.words)
         network = read_network(options.folder)
-        client = Client(network.connect, network.run)
+        client = Client(network.connect, network.run, watcher_keys(options.keys, network.connect))
         try:
             answer = client.state() if command is None else client.command(command)
         finally:

@@ -12,6 +12,7 @@ from experiments.other_runs import OtherRuns
 from experiments.priority import give_way
 from experiments.replay_command import PageOptions
 from experiments.user_errors import user_errors
+from nodes.links import watcher_keys
 from nodes.network_file import read_network
 
 if TYPE_CHECKING:
@@ -30,6 +31,8 @@ class AttachOptions:
     """All endpoints of the network, as network.json in the run's folder names them."""
     folder: Path | None = None
     """The folder of the run, in place of its endpoints."""
+    keys: Path | None = None
+    """For tls/ endpoints: monitor.json of `concord keys` to look on, operator.json to command."""
     run: str | None = None
     """The name of the run; the only one that answers when left out."""
     with_launcher: bool = False
@@ -57,7 +60,7 @@ def dashboard(
                 "--connect: there is no endpoint; give those of network.json in the folder of the "
                 "run, or --folder with that folder"
             )
-        source = LiveNetwork(connect, run)
+        source = LiveNetwork(connect, run, watcher_keys(network.keys, connect))
     others = OtherRuns(source.stage.setup, sparing=True)
     page = open_network(
         source, network.folder, options.host, options.http_port, options.light, others

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import msgspec
 
 from nodes.commands import Answer, Command
-from nodes.links import Links
+from nodes.links import Links, checked_run
 from nodes.zenoh_transport import LinkError, Transport
 
 _CONNECT_S = 3.0
@@ -19,24 +19,31 @@ class NotThere(ValueError):
 class Client:
     """Somebody who watches a network and may command it; close it to leave."""
 
-    def __init__(self, connect: Sequence[str], run: str | None = None) -> None:
-        """Connect to a network, whatever its run is called if nobody says.
+    def __init__(
+        self, connect: Sequence[str], run: str | None = None, keys: str | None = None
+    ) -> None:
+        """Connect to a network, whatever its run is called if nobody says; `keys` is a file of
+        `concord keys` for one that is guarded.
 
         Raises:
             NotThere: nobody answers at these endpoints.
+            ValueError: the run has a name that is none.
         """
-        self._connect = tuple(connect)
-        self.run = run if run is not None else self._name()
+        self._connect, self._keys = tuple(connect), keys
+        # Also what a network calls itself becomes a part of keys.
+        self.run = checked_run(run if run is not None else self._name())
         self._transport = self._open(self.run)
 
     def _open(self, run: str) -> Transport:
         try:
-            return Transport(run, Links("peer", (), self._connect, _CONNECT_S), [], 1)
+            return Transport(run, Links("peer", (), self._connect, _CONNECT_S, self._keys), [], 1)
         except LinkError:
             raise self._nobody() from None
 
     def _nobody(self) -> NotThere:
-        return NotThere(f"no network answers at {', '.join(self._connect)}; has the run ended?")
+        where = ", ".join(self._connect)
+        why = "has the run ended?" if self._keys is None else "has it ended, or may these keys not?"
+        return NotThere(f"no network answers at {where}; {why}")
 
     def _name(self) -> str:
         anybody = self._open("*")

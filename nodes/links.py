@@ -3,6 +3,7 @@
 import re
 import socket
 from collections.abc import Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 WORLD, RECORDER, ROUTER = "world", "recorder", "router"
@@ -98,6 +99,23 @@ def checked_endpoints(option: str, endpoints: Sequence[str], has_keys: bool) -> 
                 f"{option} {endpoint}: keys are shown over TLS and nowhere else; {cure}"
             )
     return tuple(endpoints)
+
+
+def watcher_keys(file: Path | None, connect: Sequence[str]) -> str | None:
+    """The file of `concord keys` of somebody who looks on, for these endpoints.
+
+    Raises:
+        ValueError: there is none, or endpoints and keys do not go together.
+    """
+    checked_endpoints("--connect", connect, file is not None)
+    if file is None:
+        return None
+    if not file.is_file():
+        raise ValueError(
+            f"--keys {file}: no such file; name the monitor.json or operator.json that `concord "
+            "keys` made"
+        )
+    return str(file)
 
 
 def checked_run(run: str) -> str:

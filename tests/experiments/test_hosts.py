@@ -6,10 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dashboard.live import LiveNetwork
 from experiments.__main__ import main
 from experiments.agree_command import first_difference
 from experiments.drivers import in_this_process
 from experiments.results import read_description, read_description_file
+from nodes.access_control import MONITOR, OPERATOR
 from nodes.control_client import Client, NotThere
 from nodes.links import Links, checked_endpoints, checked_run, free_ports
 from nodes.zenoh_transport import Transport
@@ -104,6 +106,49 @@ def test_what_is_no_message_ends_nobody_and_changes_no_bit(tmp_path: Path):
     several = trace_of(description.setup, tmp_path / "run" / "run.mcap")
     np.testing.assert_array_equal(several.mean, one.mean)
     np.testing.assert_array_equal(several.cov, one.cov)
+
+
+@pytest.mark.slow
+@needs_proc
+@pytest.mark.zenoh
+def test_who_may_look_on_and_who_may_command_a_guarded_network(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    """The keys of monitor and operator, to a network whose world and nodes have theirs."""
+    pytest.importorskip("cryptography", reason="concord[secure] makes certificates")
+    keys = tmp_path / "keys"
+    main(["keys", str(keys), "--nodes", "4"])
+    setup = write_setup(tmp_path, steps=100_000)
+    endpoint = f"tls/localhost:{free_ports(['router'])['router']}"
+
+    def control(*words: str) -> tuple[int, str]:
+        capsys.readouterr()
+        code = 0
+        try:
+            main(["control", str(tmp_path / "run"), *words])
+        except SystemExit as end:
+            code = int(end.code or 0)
+        told = capsys.readouterr()
+        return code, told.out + told.err
+
+    with hosts(tmp_path) as there:
+        router = there.concord("router", "--listen", endpoint, "--keys", keys / "router.json")
+        router.await_line("router at")
+        joining = ("--connect", endpoint, "--keys", keys)
+        there.concord("node", setup, 0, 1, 2, 3, *joining)
+        there.concord("world", setup, *joining, "--out", tmp_path / "run")
+        monitor, operator = (("--keys", str(keys / f"{who}.json")) for who in (MONITOR, OPERATOR))
+        assert holds_within(30, lambda: "nodes 0 1 2 3" in control("state", *monitor)[1])
+        assert control("pause", *operator) == (0, "accepted\n")
+        code, said = control("resume", *monitor)
+        assert code == 2 and "may these keys not?" in said
+        assert "paused; nodes 0 1 2 3" in control("state", *monitor)[1]
+        code, said = control("state")
+        assert code == 2 and "give --keys" in said
+        assert "no such file" in control("state", "--keys", "none.json")[1]
+        frames = LiveNetwork([endpoint], None, str(keys / "monitor.json"))
+        assert frames.stage.setup.scenario.nodes == 4
+        frames.close()
 
 
 # Beside other work on the machine the world has stopped answering here: a defect that is not found.
