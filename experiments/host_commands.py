@@ -55,7 +55,9 @@ def setup(
         prepared = prepare(scenario.resolve())
         _check_changes(prepared)
         tempo = tempo_of(prepared, options.cycle_stretch) if options.driver == "realtime" else None
-        name = checked_run(options.name or new_name(prepared.scenario.name))
+        name = checked_run(
+            new_name(prepared.scenario.name) if options.name is None else options.name
+        )
         description = describe(name, options.driver, prepared, tempo)
         text = msgspec.json.format(msgspec.json.encode(description), indent=2)
         try:

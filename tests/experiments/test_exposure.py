@@ -1,0 +1,108 @@
+"""What a machine shows to others by default, and what a file can make it do: nothing."""
+
+import socket
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from experiments.__main__ import main
+from experiments.sweep_store import folder_of, load_cells, save_cell
+from nodes.network_file import Network, read_network, write_network
+from tests.experiments.test_hosts import write_setup
+from tests.processes import CONCORD, PROC, Family, family, holds_within
+
+_LISTENING = "0A"
+
+
+def addresses(run: Family) -> set[str]:
+    """On which addresses a command and all that it has started listen."""
+    sockets = set()
+    for pid in run.alive():
+        for file in (PROC / str(pid) / "fd").iterdir():
+            try:
+                sockets.add(str(file.readlink()))
+            except OSError:  # closed meanwhile
+                continue
+    found = set()
+    for name, kind, size in (("tcp", socket.AF_INET, 4), ("tcp6", socket.AF_INET6, 16)):
+        for line in (PROC / "net" / name).read_text().splitlines()[1:]:
+            _, local, _, state, *rest = line.split()
+            if state == _LISTENING and f"socket:[{rest[5]}]" in sockets:
+                words = bytes.fromhex(local.partition(":")[0])
+                # Words of four bytes, each the other way round.
+                packed = b"".join(words[at : at + 4][::-1] for at in range(0, size, 4))
+                found.add(socket.inet_ntop(kind, packed))
+    return found
+
+
+@pytest.mark.zenoh
+@pytest.mark.slow
+@pytest.mark.skipif(not (PROC / "net").is_dir(), reason="finds sockets in /proc")
+@pytest.mark.parametrize("graph", ["ring", "complete"])
+def test_network_router_and_page_listen_on_loopback_alone(tmp_path: Path, graph: str):
+    """A mesh of peers, and a graph so dense that it has a router; with the page beside them."""
+    words = f"--scenario oscillator --nodes 12 --graph {graph} --steps 100000 --out run"
+    command = [*CONCORD, "run", *words.split(), "--driver", "processes", "--dashboard"]
+    with family(command, tmp_path) as run:
+        run.await_line("dashboard at http://127.0.0.1:", 60)
+        pids = read_network(tmp_path / "run").pids
+        assert ("router" in pids) == (graph == "complete")
+        assert holds_within(20, lambda: len(addresses(run)) > 0)
+        assert addresses(run) == {"127.0.0.1"}
+
+
+@pytest.mark.parametrize(
+    "name", ["../x", "..", "/x", "a/b", "*", "a/**", "$*", "a\\n", "", "x" * 101]
+)
+def test_a_name_that_is_none_is_refused_wherever_it_comes_from(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    """It becomes a folder and a part of every key: on the command line, in a setup, in a run's
+    folder."""
+    setup = write_setup(tmp_path)
+    hostile = tmp_path / "hostile.json"
+    told: dict[str, Any] = msgspec.json.decode(setup.read_bytes())
+    hostile.write_bytes(msgspec.json.encode({**told, "run": name}))
+    write_network(tmp_path, Network(name, ["tcp/127.0.0.1:1"]))
+    at = ("--connect", "tcp/127.0.0.1:1")
+    for words in (
+        ["setup", "--out", str(tmp_path / "new.json"), f"--name={name}"],
+        ["world", str(hostile), *at],
+        ["node", str(hostile), "1", *at],
+        ["control", str(tmp_path), "pause"],
+        ["dashboard", *at, f"--run={name}"],
+    ):
+        with pytest.raises(SystemExit) as end:
+            main(words)
+        assert end.value.code == 2
+        said = capsys.readouterr().err
+        assert "a name has 1 to 100 letters" in said, words
+    assert not (tmp_path / "new.json").exists()
+
+
+class _Trap:
+    """What would make a file when it is unpickled."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Path.touch, (self.path,)
+
+
+def test_a_cell_that_must_be_unpickled_is_not_read(tmp_path: Path):
+    sprung = tmp_path / "sprung"
+    folder = folder_of(tmp_path / "sweep.nc")
+    folder.mkdir()
+    save_cell(folder, 0, {"figures": np.zeros(3)})
+    objects = np.array([_Trap(sprung)], dtype=object)
+    np.savez(folder / "cell-00001.npz", figures=objects)
+    assert {*load_cells(folder, [0, 1])} == {0}
+    assert not sprung.exists()
+    # What it would have done.
+    made, arguments = objects[0].__reduce__()
+    made(*arguments)
+    assert sprung.exists()
