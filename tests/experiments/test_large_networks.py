@@ -1,8 +1,13 @@
-"""Networks of thousands of nodes: what a run of them needs grows with the links, not with pairs."""
+"""Networks of thousands of nodes: what a run of them needs grows with the links, not with pairs.
+Thousands of runs: with what is kept of them, and nothing else."""
 
 import tracemalloc
+from collections.abc import Iterable
 
-from experiments.vectorised import simulate
+import numpy as np
+
+from experiments import vectorised
+from experiments.vectorised import COV, Histories, simulate
 from scenarios.scenario import Scenario
 from scenarios.setup import prepare
 
@@ -18,3 +23,26 @@ def test_a_sparse_network_needs_no_array_of_pairs():
     assert histories.mean.shape[:3] == (1, 5, 2000)
     # Half of what one array of a float per pair of nodes takes.
     assert peak_bytes < 2000 * 2000 * 8 / 2
+
+
+def kept_and_most(runs: int, keep: Iterable[str] = ()) -> tuple[int, int]:
+    """Bytes of the histories of so many runs, and the most that was taken to make them."""
+    setup = prepare(Scenario(name="oscillator", nodes=4, graph="ring", steps=30, cluster="none"))
+    tracemalloc.start()
+    histories: Histories = simulate(setup, range(runs), keep=keep)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    arrays = [*histories, *histories.counters.values()]
+    return sum(one.nbytes for one in arrays if isinstance(one, np.ndarray)), most
+
+
+def test_runs_are_taken_in_chunks_and_what_is_kept_is_what_was_asked_for(monkeypatch):
+    kept_and_most(1)  # what is loaded and cached once
+    monkeypatch.setattr(vectorised, "LANES", 4 * 100)
+    (of_one, most_of_one), (of_many, most_of_many) = kept_and_most(100), kept_and_most(600)
+    assert of_many == 6 * of_one
+    # Six chunks at once would take six times as much beside what is kept.
+    assert most_of_many - of_many < 2.5 * (most_of_one - of_one)
+    with_covariances, _ = kept_and_most(100, keep=(COV,))
+    # A covariance of n states in place of nothing: n n numbers of each node and step.
+    assert with_covariances == of_one + 100 * 30 * 4 * 2 * 2 * 8
