@@ -14,7 +14,12 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-DEMANDED = ("tests/filters/test_paths.py", "tests/filters/test_ukf.py", "tests/test_agreement.py")
+DEMANDED = (
+    "tests/filters/test_paths.py",
+    "tests/filters/test_ukf.py",
+    "tests/test_agreement.py",
+    "tests/test_vectorised_agreement.py",
+)
 
 pytestmark = pytest.mark.skipif(
     shutil.which("c++") is None,
