@@ -68,7 +68,12 @@ def inverse_spd(matrix: np.ndarray) -> np.ndarray:
 def inverse_of_factor(factor: np.ndarray) -> np.ndarray:
     """Inverses (n, n, L) of the matrices of which these are the lower triangular factors."""
     whitener = inverse_triangle(factor)
-    return square(whitener.transpose(1, 0, 2))
+    inverse = np.empty(factor.shape)
+    for i in range(len(factor)):
+        # What lies above the diagonal is zero.
+        row = inverse[i, : i + 1]
+        np.einsum("rl,rjl->jl", whitener[i:, i], whitener[i:, : i + 1], out=row)
+    return mirror(inverse)
 
 
 def inverse_triangle(factor: np.ndarray) -> np.ndarray:
@@ -81,15 +86,6 @@ def inverse_triangle(factor: np.ndarray) -> np.ndarray:
             below = np.einsum("kl,kjl->jl", factor[i, :i], inverse[:i, :i])
             np.multiply(below, -pivot, out=inverse[i, :i])
     return inverse
-
-
-def square(rows: np.ndarray) -> np.ndarray:
-    """rows' rows, (n, n, L), of rows stored by column: (n, r, L)."""
-    n = len(rows)
-    result = np.empty((n, n, rows.shape[-1]))
-    for i in range(n):
-        np.einsum("rl,jrl->jl", rows[i], rows[: i + 1], out=result[i, : i + 1])
-    return mirror(result)
 
 
 def mirror(matrix: np.ndarray) -> np.ndarray:

@@ -61,7 +61,8 @@ class ConstantVelocity:
     def transition(self, state: Array, control: Array | None, step: int) -> Array:
         """States (..., 4) -> (..., 4), one step later."""
         after = state.copy(order="K")
-        after[..., ::2] += self.time_step_s * state[..., 1::2]
+        positions = after[..., ::2]
+        positions += self.time_step_s * state[..., 1::2]
         return after
 
     def process_noise_cov(self, step: int) -> Array:
