@@ -1,7 +1,8 @@
 """What the dashboard costs: its own processor time per update, and what it takes from a network.
 
 The first is measured on a page with every panel drawn at 10 Hz from a recorded run, without a
-browser; the second on a network that runs with and without a page attached to it, in turns.
+browser; the second on a network that runs with and without a page attached to it, in turns, while
+somebody looks at the page (`benchmarks/onlooker.py`). What attaching costs once is apart.
 """
 
 import os
@@ -10,6 +11,8 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,6 +34,8 @@ SIZES = (24, 100, 400)
 UPDATES_HZ, SECONDS = 10.0, 4.0
 NODES, STEPS, REPETITIONS = 16, 400, 7
 _LAST_STEPS = 40
+# A page has settled when it takes less than this of a processor beside a network that stands still.
+_SETTLED, _SETTLED_S, _LONGEST_S = 0.1, 1.0, 60.0
 
 
 def main() -> Figures:
@@ -53,11 +58,13 @@ def main() -> Figures:
 
 
 class _Pace(NamedTuple):
-    """Of a network and its page: steps per second, processor time of each per step."""
+    """Of a network and its page: steps per second, processor time of each per step, and what the
+    page took before it had settled."""
 
     steps_per_s: float
     network_ms: float
     page_ms: float
+    attaching_s: float
 
 
 def _compared(apart: "list[_Pace]", together: "list[_Pace]") -> Figures:
@@ -73,14 +80,19 @@ def _compared(apart: "list[_Pace]", together: "list[_Pace]") -> Figures:
         f"({kept.low:.2f} to {kept.high:.2f}, {REPETITIONS} in turns)"
     )
     page = figure([run.page_ms for run in together], "ms of processor time per step", "less")
+    rate = [run.page_ms * run.steps_per_s for run in together]
+    per_s = figure(rate, "ms of processor time per second", "less")
+    attaching = figure([run.attaching_s for run in together], "s of processor time", "less")
     say(
         f"     processor time alone to with a page: {cheap.value:.2f} ({cheap.low:.2f} to "
-        f"{cheap.high:.2f}), of it the page {page.value:.1f} ms per step; "
-        f"load {os.getloadavg()[0]:.0f}"
+        f"{cheap.high:.2f}), of it the page {page.value:.1f} ms per step or "
+        f"{per_s.value:.0f} ms per second ({per_s.low:.0f} to {per_s.high:.0f}); "
+        f"to attach {attaching.value:.1f} s once; load {os.getloadavg()[0]:.0f}"
     )
     return {
         "lockstep-alone": alone, "lockstep-watched": watched, "watched-to-alone": kept,
-        "watched-to-alone-cost": cheap, "page-per-step": page,
+        "watched-to-alone-cost": cheap, "page-per-step": page, "page-per-second": per_s,
+        "page-attaching": attaching,
     }  # fmt: skip
 
 
@@ -154,17 +166,14 @@ def _pace(setup: Setup, attached: bool) -> _Pace:
             network = read_network(folder)
             client = Client(network.connect, network.run)
             client.command(Pause())
-            page = _page(folder) if attached else None
-            watched.append(tuple(network.pids.values()))
-            watched.append((page.pid,) if page is not None else ())
-            weigh(marks[-1][0])
-            begin_s[0] = time.monotonic()
-            client.command(Resume())
-            over.wait()
+            with _page(folder) if attached else nullcontext(()) as page:
+                watched.extend((tuple(network.pids.values()), page))
+                _settle(page)
+                weigh(marks[-1][0])
+                begin_s[0] = time.monotonic()
+                client.command(Resume())
+                over.wait()
             client.close()
-            if page is not None:
-                page.terminate()
-                page.wait()
 
         def on_step(step: int) -> None:
             if not attaching:
@@ -188,21 +197,47 @@ def _pace(setup: Setup, attached: bool) -> _Pace:
             (last - first) / (last_s - first_s),
             each_ms * (network_end - network),
             each_ms * (page_end - page),
+            page,
         )
 
 
-def _page(folder: Path) -> "subprocess.Popen[bytes]":
-    """A page that is attached, in a session of its own, as the launcher starts it."""
+def _settle(page: tuple[int, ...]) -> None:
+    """Wait until a page does nothing beside a network that stands still."""
+    latest_s = time.monotonic() + _LONGEST_S
+    before_s = spent_s(page)
+    time.sleep(_SETTLED_S)
+    while (now_s := spent_s(page)) - before_s > _SETTLED * _SETTLED_S:
+        if time.monotonic() > latest_s:
+            raise RuntimeError("a page beside a paused network does not come to rest")
+        before_s = now_s
+        time.sleep(_SETTLED_S)
+
+
+@contextmanager
+def _page(folder: Path) -> Iterator[tuple[int, ...]]:
+    """The process of a page that is attached, as the launcher starts it, and looked at."""
     command = ("dashboard", "--folder", str(folder), "--http-port", "0")
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+    # In a session of its own, which has a priority of its own.
     page = subprocess.Popen(
         [sys.executable, "-m", "experiments", *command],
         stderr=subprocess.PIPE,
-        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+        env=environment,
         start_new_session=True,
     )
     assert page.stderr is not None, "it was started with a pipe"
-    page.stderr.readline()
-    return page
+    port = page.stderr.readline().decode().split()[2].rpartition(":")[2]
+    onlooker = subprocess.Popen(
+        [sys.executable, "-m", "benchmarks.onlooker", port], stdout=subprocess.PIPE
+    )
+    assert onlooker.stdout is not None, "it was started with a pipe"
+    try:
+        onlooker.stdout.readline()
+        yield (page.pid,)
+    finally:
+        for process in (onlooker, page):
+            process.terminate()
+            process.communicate()
 
 
 if __name__ == "__main__":

@@ -40,7 +40,7 @@ from dashboard.timeline import RASTER_ROWS, TimelineView
 from dashboard.view import MANY_NODES, View
 from dashboard.zoom import zoom
 
-_SCENE_HZ, _PANEL_HZ = 12.0, 4.0
+_SCENE_HZ, _PANEL_HZ = 10.0, 4.0
 _CHART_HEIGHT = 78
 _CAR_TRAIL = 3000
 _SETTLED_FRAMES = 20
@@ -207,9 +207,14 @@ class Dashboard:
     # --- drawing ------------------------------------------------------------------------------
 
     def run(self, until: Callable[[], bool]) -> None:
-        """Draw until `until` says so."""
+        """Draw until `until` says so; while nobody looks, only keep what there will be to see."""
         while not until():
-            self.tick(time.monotonic())
+            if self._server.get_clients():
+                self.tick(time.monotonic())
+            else:
+                self.history_add()
+                self._stale = True
+                self._changed.clear()
             # Pacing lets the server's thread send; a change is drawn at once.
             self._changed.wait(0.5 / _SCENE_HZ)
 

@@ -1,11 +1,10 @@
-"""Messages into frames: what a network said about a step, put together when the step is over.
+"""Whole steps into frames: what a network said about a step becomes what is drawn of it.
 
-The order of messages within a step does not matter. A step is over when every node has estimated
-it, or when somebody has estimated a step so much later that the world has gone on without the rest.
-Whoever attaches to a running network sees its first step incomplete, and begins with the next.
+The order of messages within a step does not matter, and steps may be left out: what is told in
+totals or in ages is true all the same.
 """
 
-from collections import defaultdict
+from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,25 +20,25 @@ from filters.linalg import unpack_upper
 from nodes.estimator import Rejected
 from nodes.messages import Estimate, MalformedMessage, Measured, Truth, decode, from_wire
 from nodes.share import read_frame
+from nodes.whole_steps import WholeStep
 from scenarios.baselines import listener, listens_step_by_step
-from scenarios.build import OPEN_LOOP_LEAD
 
-_KINDS = ("measured", "truth", "estimate")
 # A restarted node tells nothing of the counters that died with it.
 _COUNTED = ("sent", "heard", "missed")
 
 
 @dataclass
-class _Step:
-    """What has come of one step."""
+class _Told:
+    """What was said of one step: `sizes` are payload bytes by (cycle, node)."""
 
     truth: Truth | None = None
     measured: dict[int, Measured] = field(default_factory=dict)
     estimates: dict[int, Estimate] = field(default_factory=dict)
+    sizes: Counter[tuple[int, int]] = field(default_factory=Counter)
 
 
 class Assembler:
-    """Takes messages one by one and gives frames in order of steps."""
+    """Takes steps in order and gives the frame of each."""
 
     def __init__(self, stage: Stage, network: Network | None = None) -> None:
         """Begin with the first step, or in the middle with what is known of the network."""
@@ -48,12 +47,8 @@ class Assembler:
         self._network = network or Network(everybody, (0, 0, stage.rounds))
         self._changes: list[Change] = []
         self._bus = BusView(stage.plan)
-        self._steps: dict[int, _Step] = defaultdict(_Step)
-        self._sizes: dict[int, dict[int, int]] = defaultdict(lambda: defaultdict(int))
         self._events: list[Event] = []
-        self._next: int | None = None
-        self._whole_from: int | None = 0
-        self._newest = -1
+        self._last: int | None = None
         n, nodes = len(stage.setup.prior_mean), stage.nodes
         prior = Gaussian(np.array(stage.setup.prior_mean), np.array(stage.setup.prior_cov))
         self._listen = None
@@ -73,83 +68,57 @@ class Assembler:
         """The stage with the settings of the newest frame."""
         return self._stage
 
-    def begin_anew(self, whole_from: int | None = None) -> None:
-        """Messages have been left out: forget what is incomplete, go on with the next whole step.
+    def hear(self, event: bytes) -> None:
+        """What became of the network, from a step on that it names."""
+        change = read_change(event)
+        self._changes += [change] if change else []
 
-        `whole_from`: the step before which the network stands still, so that nothing of it is
-        missed. The filter that hears everything has not, so there is none from now on.
-        """
-        self._steps.clear()
-        self._sizes.clear()
-        self._next, self._listen = None, None
-        self._whole_from = whole_from
-        self._last_sent[:] = -1
+    def frame(self, step: WholeStep) -> Frame | None:
+        """The frame of a step later than all before; none without a truth."""
+        told = self._read(step)
+        late = self._last is not None and step.number <= self._last
+        if told.truth is None or late:
+            return None
+        self._apply_changes(step.number)
+        if self._last is not None and step.number > self._last + 1:
+            self._leave_out(step.number - self._last - 1)
+        self._last = step.number
+        return self._drawn(step.number, from_wire(told.truth.state), told)
 
-    def take(self, topic: str, data: bytes) -> list[Frame]:
-        """Take one message; returns the frames that it completes. What is no message is ignored."""
-        kind, _, number = topic.partition("/")
-        if kind == "share":
-            self._keep_share(number, data)
-            return []
-        if kind == "event":
-            change = read_change(data)
-            self._changes += [change] if change else []
-            return self._completed()
-        if kind not in _KINDS:
-            return []
-        try:
-            message = decode(topic, data)
-        except MalformedMessage:
-            return []
-        step = self._steps[message.step]
-        match message:
-            case Truth():
-                step.truth = message
-            case Measured():
-                step.measured[message.node] = message
-            case Estimate():
-                step.estimates[message.node] = message
-                self._newest = max(self._newest, message.step)
-                return self._completed()
-        return []
+    def _read(self, step: WholeStep) -> _Told:
+        """What its messages say; what is no message is ignored."""
+        told = _Told()
+        for topic, data in step.messages:
+            kind, _, number = topic.partition("/")
+            if kind == "share":
+                self._read_share(told, number, data)
+                continue
+            try:
+                message = decode(topic, data)
+            except MalformedMessage:
+                continue
+            match message:
+                case Truth():
+                    told.truth = message
+                case Measured():
+                    told.measured[message.node] = message
+                case Estimate():
+                    told.estimates[message.node] = message
+        return told
 
-    def _keep_share(self, node: str, data: bytes) -> None:
+    def _read_share(self, told: _Told, node: str, data: bytes) -> None:
         try:
             cycle = read_frame(data).cycle
         except Rejected:
             return
         if node.isdigit() and int(node) < self._stage.nodes:
-            self._sizes[cycle][int(node)] += len(data) - OVERHEAD_BYTES
+            told.sizes[cycle, int(node)] += len(data) - OVERHEAD_BYTES
 
-    def _completed(self) -> list[Frame]:
-        if self._next is None:
-            self._next = self._first_whole()
-        frames: list[Frame] = []
-        while self._next is not None:
-            self._apply_changes(self._next)
-            if not self._is_over(self._next):
-                break
-            frames.append(self._frame(self._next, self._steps.pop(self._next)))
-            self._next += 1
-            for stale in [step for step in self._steps if step < self._next]:
-                del self._steps[stale]
-        return frames
-
-    def _first_whole(self) -> int | None:
-        """The first step all of whose messages can have come since we listen."""
-        whole = [step for step, kept in self._steps.items() if kept.truth and kept.measured]
-        if not whole:
-            return None
-        # Sizes of its first cycles are missing unless we heard the step before.
-        first = min(whole)
-        return first if first == self._whole_from or first - 1 in self._steps else first + 1
-
-    def _is_over(self, number: int) -> bool:
-        step = self._steps.get(number)
-        if step is None or step.truth is None:
-            return False
-        everybody = self._network.members <= step.estimates.keys()
-        return everybody or self._newest > number + OPEN_LOOP_LEAD + 1
+    def _leave_out(self, steps: int) -> None:
+        """Of so many steps nothing was heard: who sent in them, and what a filter would know."""
+        self._listen = None
+        self._last_sent[:] = -1
+        self._ages += np.where(self._ages >= 0, steps * self._stage.rounds, 0)
 
     def _apply_changes(self, number: int) -> None:
         """Take over what holds from this step on."""
@@ -168,30 +137,32 @@ class Assembler:
                 self._stage = restaged(self._stage, dict(self._network.settings))
                 self._bus = BusView(self._stage.plan)
 
-    def _frame(self, number: int, step: _Step) -> Frame:
+    def _drawn(self, number: int, truth: Array, told: _Told) -> Frame:
         stage = self._stage
-        assert step.truth is not None, "a step that is over has a truth"
-        truth = from_wire(step.truth.state)
         numbers = self._network.cycles(number)
-        cycles = tuple(self._bus.cycle(cycle, self._sizes.pop(cycle, {})) for cycle in numbers)
+        cycles = tuple(
+            self._bus.cycle(
+                cycle, {node: size for (when, node), size in told.sizes.items() if when == cycle}
+            )
+            for cycle in numbers
+        )
         for cycle in cycles:
             senders = list({frame.node for frame in cycle.frames})
             self._last_sent[senders] = cycle.cycle
-        for stale in [cycle for cycle in self._sizes if cycle < numbers.start]:
-            del self._sizes[stale]
-        self._take_estimates(number, step)
-        central = self._hear_all(number, step)
+        self._take_estimates(number, told)
+        central = self._hear_all(number, told)
         events, self._events = tuple(self._events), []
         alive = self._alive.copy()
         ages = self._ages.copy()
+        fused = fuse(self._belief, alive)
         return Frame(
             step=number,
             time_s=number * stage.setup.time_step_s,
             truth=truth,
             belief=self._belief,
             zonotopes=tuple(self._zonotopes),
-            fused=fuse(self._belief, alive),
-            seen=self._seen(step),
+            fused=fused,
+            seen=self._seen(told),
             alive=alive,
             ages=ages,
             lost=self._lost(ages, alive, numbers[-1]),
@@ -199,15 +170,15 @@ class Assembler:
             traffic=self._traffic(),
             rejection=tuple(self._rejection),
             cycles=cycles,
-            scores=score(stage, truth, self._belief, alive, central),
+            scores=score(stage, truth, self._belief, alive, fused, central),
             events=events,
         )
 
-    def _take_estimates(self, number: int, step: _Step) -> None:
+    def _take_estimates(self, number: int, told: _Told) -> None:
         mean, cov = self._belief.mean.copy(), self._belief.cov.copy()
         start = 0
         for node, neighbours in enumerate(self._stage.setup.neighbours):
-            estimate = step.estimates.get(node)
+            estimate = told.estimates.get(node)
             part = slice(start, start + len(neighbours))
             start += len(neighbours)
             self._note_life(number, node, estimate is not None)
@@ -245,26 +216,26 @@ class Assembler:
                 text = f"node {self._stage.names[node]} rejected a frame: {reason}"
                 self._events.append(Event(number, text, node, True))
 
-    def _hear_all(self, number: int, step: _Step) -> Gaussian | None:
+    def _hear_all(self, number: int, told: _Told) -> Gaussian | None:
         """The filter that hears everything, one step on; none where it cannot be followed."""
         if self._listen is None or self._central is None:
             return None
         nodes = range(self._stage.nodes)
-        if not step.measured:
+        if not told.measured:
             return None
-        example = from_wire(next(iter(step.measured.values())).readings)
+        example = from_wire(next(iter(told.measured.values())).readings)
         nothing = np.full_like(example, np.nan)
         delivered: Array = np.stack(
-            [from_wire(step.measured[i].readings) if i in step.measured else nothing for i in nodes]
+            [from_wire(told.measured[i].readings) if i in told.measured else nothing for i in nodes]
         )
-        control = next(iter(step.measured.values())).control
+        control = next(iter(told.measured.values())).control
         driven = None if control is None else np.array(control)
         self._central = self._listen(self._central, number, delivered, driven)
         return self._central
 
-    def _seen(self, step: _Step) -> np.ndarray:
+    def _seen(self, told: _Told) -> np.ndarray:
         seen = np.zeros(self._stage.nodes, dtype=bool)
-        for node, measured in step.measured.items():
+        for node, measured in told.measured.items():
             seen[node] = any(value is not None for row in measured.readings for value in row)
         return seen
 

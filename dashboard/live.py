@@ -1,13 +1,13 @@
 """A network that runs: heard without holding it up, commanded through what it answers to.
 
-Hearing costs: each message is some microseconds of a processor that the network needs. So the page
-listens all the time only to networks that say less than `_MESSAGES_PER_S`; of a faster one it hears
-a few whole steps, rests, and hears a few more.
+Hearing costs a processor that the network needs. So the page hears whole steps, of which the
+recorder offers every one of a slow network and some of a fast one (`nodes/offering.py`).
 """
 
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from threading import Thread
 from typing import Any
 
@@ -20,13 +20,11 @@ from dashboard.source import Answer, Pace
 from dashboard.stage import Stage, restaged, set_stage
 from nodes.commands import Command
 from nodes.control_client import Client, NotThere
+from nodes.whole_steps import WholeStep
 from scenarios.setup import Setup
 
-_MESSAGES_PER_S = 1500.0
 _STATE_PERIOD_S = 0.5
-_FRAMES_PER_LISTENING = 2
-_QUEUE = 20_000
-_TOPICS = ("truth", "measured/*", "share/*", "estimate/*")
+_QUEUE = 1000
 
 
 class Standing(msgspec.Struct):
@@ -68,6 +66,10 @@ class LiveNetwork:
 
     def __init__(self, endpoints: Sequence[str], run: str | None, keys: str | None = None) -> None:
         self._client = Client(endpoints, run, keys)
+        self._heard: deque[tuple[str, bytes]] = deque(maxlen=_QUEUE)
+        # First: what is said while the network answers must not be missed.
+        for topic in ("event", "steps"):
+            self._client.listen(topic, self._hear)
         try:
             situation = msgspec.convert(self._client.state(), Situation)
         except msgspec.ValidationError as error:
@@ -76,67 +78,34 @@ class LiveNetwork:
         settings = dict(situation.standing.settings)
         stage = set_stage(situation.setup)
         self._stage = restaged(stage, settings) if settings else stage
-        self._heard: deque[tuple[str, bytes]] = deque(maxlen=_QUEUE)
-        self._count = 0
         self._state = _Pause(situation.completed, situation.paused)
         self._begun_and_done = 0
         self._assembler = Assembler(self._stage, network_of(situation))
         self._ended = self._closed = False
         self._asked_s = time.monotonic()
-        self._listening_since_s = self._asked_s
-        self._rest_until_s = 0.0
-        self._frames_heard = 0
-        self._client.listen("event", self._hear)
-        self._stop_hearing: Callable[[], None] | None = self._listen()
 
     @property
     def stage(self) -> Stage:
         """The stage with the settings of the newest frame."""
         return self._assembler.stage
 
-    def _listen(self) -> Callable[[], None]:
-        """Begin to hear what is drawn, and no more; returns what ends it."""
-        stops = [self._client.listen(topic, self._hear) for topic in _TOPICS]
-
-        def stop() -> None:
-            for one in stops:
-                one()
-
-        return stop
-
     def _hear(self, topic: str, data: bytes) -> None:
         """In zenoh's thread: keep it; a queue that is full loses the oldest."""
-        self._count += 1
         self._heard.append((topic, data))
 
     def poll(self) -> list[Frame]:
         """The frames that have come since the last call."""
         self._ask_state()
-        frames: list[Frame] = []
+        frames: list[Frame | None] = []
         while self._heard:
-            frames += self._assembler.take(*self._heard.popleft())
-        self._frames_heard += len(frames)
-        self._rest_or_listen(time.monotonic())
-        return frames
-
-    def _rest_or_listen(self, now_s: float) -> None:
-        """Keep what is heard below so many messages per second."""
-        if self._stop_hearing is None:
-            if now_s >= self._rest_until_s:
-                state = self._state
-                self._assembler.begin_anew(state.completed if state.paused else None)
-                self._count, self._frames_heard = 0, 0
-                self._listening_since_s = now_s
-                self._stop_hearing = self._listen()
-            return
-        listened_s = now_s - self._listening_since_s
-        too_much = self._count > _MESSAGES_PER_S * max(listened_s, 0.2)
-        if too_much and self._frames_heard >= _FRAMES_PER_LISTENING:
-            self._stop_hearing()
-            self._stop_hearing = None
-            self._rest_until_s = self._listening_since_s + self._count / _MESSAGES_PER_S
-        elif listened_s > 1.0 and not too_much:
-            self._count, self._listening_since_s = 0, now_s
+            topic, data = self._heard.popleft()
+            if topic == "event":
+                self._assembler.hear(data)
+                continue
+            with suppress(msgspec.MsgspecError):
+                step = msgspec.msgpack.decode(data, type=WholeStep)
+                frames.append(self._assembler.frame(step))
+        return [frame for frame in frames if frame is not None]
 
     def _ask_state(self) -> None:
         now_s = time.monotonic()

@@ -27,9 +27,15 @@ def fuse(belief: Gaussian, alive: np.ndarray) -> Gaussian:
 
 
 def score(
-    stage: Stage, truth: Array, belief: Gaussian, alive: np.ndarray, central: Gaussian | None
+    stage: Stage,
+    truth: Array,
+    belief: Gaussian,
+    alive: np.ndarray,
+    fused: Gaussian,
+    central: Gaussian | None,
 ) -> Scores:
-    """The scores of a step for truth (n,) and beliefs (N, n); `central` heard everything."""
+    """The scores of a step for truth (n,) and beliefs (N, n), which together believe `fused`;
+    `central` heard everything."""
     states, all_states = list(stage.score.states), list(stage.score.nees_states)
     off = belief.mean - truth
     error = np.linalg.norm(off[:, states], axis=-1)
@@ -42,7 +48,6 @@ def score(
     spread = _root_mean_square(
         np.linalg.norm(means - means.mean(0), axis=-1) if len(means) > 1 else means[:0]
     )
-    fused = fuse(belief, alive)
     return Scores(
         error=error,
         width=np.sqrt(np.maximum(variances, 0.0).sum(-1)),

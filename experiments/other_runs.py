@@ -35,7 +35,7 @@ _MOST_BOUNDED = 50_000
 _NICENESS = 10
 # Beside a network that runs: so many times as long at rest as at work, because a low priority alone
 # still empties the caches of the others.
-_REST = 9.0
+_REST = 29.0
 
 
 class Question(msgspec.Struct):

@@ -28,6 +28,8 @@ from nodes.messages import (
 from nodes.node_state import NodeConfig, NodeState, Phase, count
 from nodes.patience import Patience
 from nodes.recording import Recorder
+from nodes.watchers import Watchers
+from nodes.whole_steps import WholeSteps
 from nodes.zenoh_transport import Transport
 
 NODE_QUEUE, RECORDER_QUEUE = 1024, 65_536
@@ -216,16 +218,18 @@ class _Estimated(msgspec.Struct):
 _estimated = msgspec.json.Decoder(_Estimated)
 
 
-def run_recorder(run: str, links: Links, watch: Links, recorder: Recorder) -> None:
+def run_recorder(
+    run: str, links: Links, watch: Links, recorder: Recorder, steps: WholeSteps
+) -> None:
     """Record every message until the world has finished and all last estimates have come.
 
-    What was recorded can be heard on `watch`.
+    What was recorded can be heard on `watch`, message by message and in whole `steps`.
 
     Raises:
         LinkError: the network cannot be joined.
     """
     transport = Transport(run, links, ["**"], RECORDER_QUEUE)
-    offered = Transport(run, watch, [], 1)
+    watchers = Watchers(Transport(run, watch, [], 1), steps, lambda: transport.wake("**"))
     transport.join(RECORDER, set())
     ends = _Ends(transport)
     finished: Finished | None = None
@@ -235,6 +239,7 @@ def run_recorder(run: str, links: Links, watch: Links, recorder: Recorder) -> No
         received = transport.receive("**")
         if received is None:
             ends.look()
+            watchers.look()
             continue
         name, data = received
         kind, _, node = name.partition("/")
@@ -244,7 +249,7 @@ def run_recorder(run: str, links: Links, watch: Links, recorder: Recorder) -> No
         if kind in _UNRECORDED:
             continue
         recorder.record(name, data)
-        offered.offer(f"watch/{name}", data)
+        watchers.tell(name, data)
         # Kept as it came is also what somebody says who obeys no rule; it changes nothing here.
         if kind == "estimate" and node.isdecimal():
             with suppress(msgspec.MsgspecError):
@@ -258,7 +263,7 @@ def run_recorder(run: str, links: Links, watch: Links, recorder: Recorder) -> No
             del leaving[out]
     recorder.close()
     transport.send("end", b"{}")
-    offered.close()
+    watchers.close()
     transport.close()
 
 

@@ -17,6 +17,7 @@ from nodes.process import run_node, run_recorder
 from nodes.realtime_process import run_node_in_real_time
 from nodes.recording import McapRecorder
 from nodes.supervisor import TRY_AGAIN
+from nodes.whole_steps import WholeSteps
 from nodes.world_process import Deserted, Disagreement, Management, run_world
 from nodes.zenoh_transport import LinkError, start_router
 from scenarios.build import build_world
@@ -40,11 +41,11 @@ def be_router(endpoint: str) -> None:
 
 def be_recorder(job: Job, links: dict[str, Links], tell: Callable[[Happened], None]) -> None:
     """Keep what is said, and let others hear it."""
-    rounds, time_step_s = job.setup.scenario.rounds, job.setup.time_step_s
+    scenario = job.setup.scenario
     try:
-        recorder = McapRecorder(Path(job.recording), rounds, time_step_s)
-        work = partial(run_recorder, job.run, links[RECORDER], links[WATCH], recorder)
-        _joining(work)
+        recorder = McapRecorder(Path(job.recording), scenario.rounds, job.setup.time_step_s)
+        steps = WholeSteps(scenario.nodes, scenario.rounds)
+        _joining(partial(run_recorder, job.run, links[RECORDER], links[WATCH], recorder, steps))
     except NotWritten as error:
         tell(Happened("failed", detail=str(error)))
         sys.exit(1)

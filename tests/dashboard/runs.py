@@ -2,8 +2,8 @@
 
 import msgspec
 
-from dashboard.assembler import Assembler
 from dashboard.frame import Frame
+from dashboard.replay import assembled
 from dashboard.stage import Stage, set_stage
 from experiments.drivers import in_memory
 from scenarios.catalogue import kind_of
@@ -25,8 +25,7 @@ def run_of(name: str, **changes) -> tuple[Stage, Messages]:
 
 def frames_of(stage: Stage, messages: Messages) -> list[Frame]:
     """The frames that these messages make."""
-    assembler = Assembler(stage)
-    return [frame for message in messages for frame in assembler.take(*message)]
+    return list(assembled(stage, messages))
 
 
 def event(step: int, **change: object) -> tuple[str, bytes]:

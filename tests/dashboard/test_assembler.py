@@ -1,16 +1,19 @@
 """Messages into frames: against the arrays that `concord collect` makes of the same messages."""
 
 import random
+from collections.abc import Iterable
 
 import msgspec
 import numpy as np
 import pytest
 
 from dashboard.assembler import Assembler
+from dashboard.frame import Frame
 from dashboard.network import Network
 from experiments.summary import summarise
 from experiments.trace import read_trace
 from nodes.messages import Estimate, decode
+from nodes.whole_steps import WholeStep, WholeSteps
 from tests.dashboard.runs import event, frames_of, run_of
 
 STAGE, MESSAGES = run_of("target-tracking", nodes=8, steps=24, schedule="hybrid", occupancy=0.5)
@@ -136,21 +139,44 @@ def test_a_share_that_did_not_arrive_is_lost_at_its_receiver():
     assert lost == {(10, 0)}
 
 
-def test_who_attaches_in_the_middle_begins_with_the_next_whole_step():
-    begin = next(i for i, m in enumerate(MESSAGES) if step_of(*m) == 12)
-    frames = frames_of(STAGE, MESSAGES[begin + 7 :])
-    assert frames[0].step in (12, 13, 14, 15, 16)
-    assert [f.step for f in frames] == list(range(frames[0].step, 24))
+def steps_of(messages=MESSAGES) -> list[WholeStep]:
+    together = WholeSteps(8, 3)
+    return [step for message in messages for step in together.take(*message)]
+
+
+def shown(assembler: Assembler, steps: Iterable[WholeStep]) -> list[Frame]:
+    frames = [assembler.frame(step) for step in steps]
+    return [frame for frame in frames if frame is not None]
+
+
+@pytest.mark.parametrize("chosen", [range(12, 24), (1, 2, 9, 10, 20), (0, 23)])
+def test_frames_of_some_steps_are_those_of_all(chosen):
+    steps = steps_of()
+    frames = shown(Assembler(STAGE), [steps[number] for number in chosen])
+    assert [frame.step for frame in frames] == list(chosen)
     for frame in frames:
-        np.testing.assert_array_equal(frame.belief.mean, TRACE.mean[frame.step])
-        cycles = [cycle.payload_bytes for cycle in frame.cycles]
-        assert cycles == TRACE.payload_bytes[frame.step].sum(1).tolist()
+        whole = FRAMES[frame.step]
+        np.testing.assert_array_equal(frame.belief.mean, whole.belief.mean)
+        np.testing.assert_array_equal(frame.ages, whole.ages)
+        assert frame.cycles == whole.cycles
+        assert all(map(np.array_equal, frame.traffic, whole.traffic))
+        # Of those who may have sent meanwhile nothing is claimed.
+        assert not frame.lost.any()
+    followed = {frame.step for frame in frames if not np.isnan(frame.scores.central)}
+    # The filter that hears everything must not miss a step.
+    expected = list(chosen)
+    assert followed == {step for place, step in enumerate(expected) if step == expected[0] + place}
+
+
+def test_a_step_that_comes_again_or_too_late_is_not_drawn_twice():
+    steps = steps_of()
+    order = [steps[number] for number in (3, 4, 4, 2, 5)]
+    assert [frame.step for frame in shown(Assembler(STAGE), order)] == [3, 4, 5]
 
 
 def test_cycles_count_from_where_the_network_says():
     later = Network(frozenset(range(8)), (4, 12, 3))
-    assembler = Assembler(STAGE, later)
-    frames = [frame for message in MESSAGES for frame in assembler.take(*message)]
+    frames = shown(Assembler(STAGE, later), steps_of())
     numbers = [[cycle.cycle for cycle in frame.cycles] for frame in frames]
     assert numbers == [[cycle.cycle for cycle in frame.cycles] for frame in FRAMES]
 
@@ -175,12 +201,3 @@ def test_rubbish_changes_nothing(rubbish: tuple[str, bytes]):
 def test_every_kind_of_scenario_makes_frames(name: str, changes: dict):
     stage, messages = run_of(name, steps=6, **changes)
     assert [frame.step for frame in frames_of(stage, messages)] == list(range(6))
-
-
-def test_who_listens_again_while_the_network_stands_still_misses_no_step():
-    later = [m for m in MESSAGES if (step_of(*m) or 0) >= 9 and not m[0].startswith("share/")]
-    for still, first in ((9, 9), (7, 10), (None, 10)):
-        assembler = Assembler(STAGE)
-        assembler.begin_anew(still)
-        frames = [frame for message in later for frame in assembler.take(*message)]
-        assert [frame.step for frame in frames] == list(range(first, 24))

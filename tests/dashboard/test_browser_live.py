@@ -317,7 +317,8 @@ def test_what_the_network_refuses_is_said_and_changes_nothing(page: Page, onlook
 
 
 def test_the_past_of_a_live_network_can_be_looked_at(page: Page):
-    early = page.dashboard.history.first_step + 3
+    # Not every step before the network was slowed down has been shown.
+    early = page.dashboard.history.until(10**9, 10**9)[3].step
     page.enter("Step", early)
     page.until(lambda: page.text("step") == str(early))
     last = page.dashboard.history.last_step
@@ -329,17 +330,6 @@ def test_the_past_of_a_live_network_can_be_looked_at(page: Page):
     )
     page.press("Go live")
     page.until(lambda: int(page.text("step")) > last)
-
-
-def test_who_leaves_is_not_missed(page: Page, network: Path):
-    reach = read_network(network)
-    missed = newest(page).traffic.missed.copy()
-    other = LiveNetwork(reach.connect, None)
-    assert other.stage.setup.scenario.nodes == 8
-    other.close()
-    steps_on(page, 5)
-    assert (newest(page).traffic.missed == missed).all()
-    assert newest(page).alive.all()
 
 
 def test_the_console_is_clean(page: Page):

@@ -1,12 +1,89 @@
-"""A page on a network that is not there."""
+"""Pages on a network that is not there, that stands still, that is fast, and that they leave."""
 
 import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
+import numpy as np
 import pytest
 
+from dashboard.frame import Frame
 from dashboard.live import LiveNetwork
+from nodes.commands import in_words
+from nodes.control_client import Client, NotThere
+from nodes.network_file import read_network
+from nodes.offering import STEPS_PER_S
+from tests.processes import CONCORD, PROC, family, holds_within
 
 pytestmark = pytest.mark.zenoh
+ROOT = Path(__file__).resolve().parents[2]
+NETWORK = ["--scenario", "oscillator", "--nodes", "3", "--steps", "1000000"]
+_ESTABLISHED = "01"
+
+
+@pytest.fixture(scope="module")
+def network(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    folder = tmp_path_factory.mktemp("live") / "run"
+    command = (*CONCORD, "run", "--driver", "processes", *NETWORK, "--out", str(folder))
+    with family(command, ROOT):
+        assert holds_within(60.0, lambda: _runs(folder))
+        yield folder
+
+
+def _runs(folder: Path) -> bool:
+    """Whether the network has begun; while its processes start nobody answers."""
+    try:
+        reach = read_network(folder)
+        client = Client(reach.connect, reach.run)
+    except ValueError:
+        return False
+    try:
+        return client.state()["begun"]
+    except NotThere:
+        return False
+    finally:
+        client.close()
+
+
+@pytest.fixture
+def onlooker(network: Path) -> Iterator[Client]:
+    """Somebody who asks the network itself; it runs as fast as it can."""
+    reach = read_network(network)
+    client = Client(reach.connect, reach.run)
+    _say(client, "resume")
+    yield client
+    client.close()
+
+
+@pytest.fixture
+def page(network: Path, onlooker: Client) -> Iterator[LiveNetwork]:
+    reach = read_network(network)
+    source = LiveNetwork(reach.connect, reach.run)
+    yield source
+    source.close()
+
+
+def _say(client: Client, what: str) -> None:
+    assert client.command(in_words(what.split())).accepted
+
+
+def _pause(client: Client) -> int:
+    """The number of the last step, at which the network stands."""
+    _say(client, "pause")
+    assert holds_within(20.0, lambda: client.state()["completed"] == client.state()["released"])
+    return client.state()["completed"] - 1
+
+
+def _until(page: LiveNetwork, holds: Callable[[list[Frame]], bool]) -> list[Frame]:
+    """What a page sees until something holds of it."""
+    frames: list[Frame] = []
+
+    def heard() -> bool:
+        frames.extend(page.poll())
+        return holds(frames)
+
+    assert holds_within(20.0, heard)
+    return frames
 
 
 def test_nobody_at_an_endpoint_is_said_in_one_sentence():
@@ -14,3 +91,74 @@ def test_nobody_at_an_endpoint_is_said_in_one_sentence():
     with pytest.raises(ValueError, match="no network answers"):
         LiveNetwork(["tcp/127.0.0.1:9"], "nobody")
     assert time.monotonic() - started < 15
+
+
+def test_a_page_on_a_network_that_stands_still_shows_its_next_step(network: Path, onlooker: Client):
+    last = _pause(onlooker)
+    reach = read_network(network)
+    page = LiveNetwork(reach.connect, reach.run)
+    try:
+        for step in (last + 1, last + 2):
+            _say(onlooker, "step 1")
+            frames = _until(page, lambda frames, step=step: step in [f.step for f in frames])
+            # The step at which the network stands may be on its way to us still.
+            assert [frame.step for frame in frames if frame.step > last] == [step]
+            assert all(cycle.payload_bytes for cycle in frames[-1].cycles)
+            assert not np.isnan(frames[-1].belief.mean).any()
+    finally:
+        page.close()
+
+
+def test_of_a_fast_network_a_page_sees_some_steps_all_events_and_the_last(
+    page: LiveNetwork, onlooker: Client
+):
+    began_s = time.monotonic()
+    first = onlooker.state()["completed"]
+    frames = _until(page, lambda _: onlooker.state()["completed"] > first + 100)
+    _say(onlooker, "cut 0 1")
+    frames += _until(page, lambda _: onlooker.state()["completed"] > first + 250)
+    _say(onlooker, "heal")
+    frames += _until(page, lambda _: onlooker.state()["completed"] > first + 350)
+    last = _pause(onlooker)
+    frames += _until(page, lambda frames: bool(frames) and frames[-1].step == last)
+    elapsed_s = time.monotonic() - began_s
+    # And those of a moment before we began to count.
+    assert len(frames) <= 10 + STEPS_PER_S * elapsed_s
+    steps = [frame.step for frame in frames]
+    assert steps == sorted(set(steps))
+    texts = [event.text for frame in frames for event in frame.events]
+    for text in ("link 00 → 01 cut", "link 01 → 00 cut", "link 00 → 01 healed"):
+        assert texts.count(text) == 1
+    # Totals know of the steps that were left out: a share per node and cycle, and cut ones.
+    for frame in frames:
+        assert (frame.traffic.sent == frame.traffic.sent[0]).all()
+        assert frame.traffic.sent[0] == (frame.step + 1) * len(frame.cycles)
+
+
+@pytest.mark.skipif(not PROC.is_dir(), reason="counts connections in /proc, which is not there")
+def test_to_who_has_left_nothing_is_sent_and_nobody_misses_him(
+    network: Path, onlooker: Client, page: LiveNetwork
+):
+    port = int(read_network(network).connect[0].rpartition(":")[2])
+    assert holds_within(20.0, lambda: len(_connected(port)) == 2)
+    seen = _until(page, lambda frames: len(frames) > 3)
+    page.close()
+    # Nobody but the onlooker is left, who hears nothing.
+    assert holds_within(20.0, lambda: len(_connected(port)) == 1)
+    completed = onlooker.state()["completed"]
+    assert holds_within(20.0, lambda: onlooker.state()["completed"] > completed + 50)
+    assert onlooker.state()["members"] == [0, 1, 2]
+    again = LiveNetwork(read_network(network).connect, None)
+    try:
+        frames = _until(again, lambda frames: len(frames) > 3)
+    finally:
+        again.close()
+    assert frames[-1].alive.all()
+    assert (frames[-1].traffic.missed == seen[-1].traffic.missed).all()
+
+
+def _connected(port: int) -> list[str]:
+    """Connections that others have to a port of this machine."""
+    rows = [row.split() for row in (PROC / "net" / "tcp").read_text().splitlines()[1:]]
+    here = f"0100007F:{port:04X}"
+    return [row[2] for row in rows if row[1] == here and row[3] == _ESTABLISHED]

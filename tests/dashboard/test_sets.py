@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial import ConvexHull, Delaunay
 
-from dashboard.assembler import Assembler
 from dashboard.geometry import zonotope_corners
 from dashboard.theme import DARK
 from dashboard.zoom import SIZE, zoom
@@ -76,13 +75,15 @@ def test_other_rules_tell_of_no_zonotope():
 
 
 def test_what_is_no_zonotope_of_these_states_is_not_drawn():
-    assembler = Assembler(STAGE)
-    for topic, data in MESSAGES:
-        if topic == "estimate/2":
-            said: Estimate = decode(topic, data)
-            data = msgspec.json.encode(
-                msgspec.structs.replace(said, generators=[[1.0], [2.0, 3.0]])
-            )
-        for frame in assembler.take(topic, data):
-            assert frame.zonotopes[2] is None
-            assert frame.zonotopes[1] is not None
+    def spoilt(topic: str, data: bytes) -> tuple[str, bytes]:
+        if topic != "estimate/2":
+            return topic, data
+        said: Estimate = decode(topic, data)
+        generators = [[1.0], [2.0, 3.0]]
+        return topic, msgspec.json.encode(msgspec.structs.replace(said, generators=generators))
+
+    frames = frames_of(STAGE, [spoilt(*message) for message in MESSAGES])
+    assert frames
+    for frame in frames:
+        assert frame.zonotopes[2] is None
+        assert frame.zonotopes[1] is not None

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from dashboard.assembler import Assembler
+from dashboard.replay import assembled
 from dashboard.stage import set_stage
 from experiments import other_runs
 from experiments.drivers import in_memory
@@ -34,8 +34,7 @@ def test_the_band_is_that_of_runs_message_by_message():
     nees = []
     for number in range(1000, 1000 + runs):
         setup = setup_of_run(SETUP, number)
-        assembler = Assembler(set_stage(setup))
-        frames = [frame for said in in_memory(setup) for frame in assembler.take(*said)]
+        frames = assembled(set_stage(setup), in_memory(setup))
         nees.append([frame.scores.nees for frame in frames])
     told = told_by(SETUP, runs)
     low, high = np.quantile(nees, [0.025, 0.975], axis=0)

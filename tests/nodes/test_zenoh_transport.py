@@ -99,6 +99,7 @@ from pathlib import Path
 from nodes.process import run_node, run_recorder
 from nodes.world_process import Management, run_world
 from nodes.recording import McapRecorder
+from nodes.whole_steps import WholeSteps
 from scenarios.build import build_node, build_world
 from scenarios.catalogue import kind_of
 from scenarios.setup import prepare
@@ -108,7 +109,7 @@ setup = prepare(msgspec.structs.replace(defaults, nodes=2, graph="path", steps=3
 links = plan_links(setup.neighbours, free_ports(names(setup.neighbours)))
 def record():
     recorder = McapRecorder(Path("run.mcap"), 3, 0.1)
-    run_recorder("refuse", links[RECORDER], links[WATCH], recorder)
+    run_recorder("refuse", links[RECORDER], links[WATCH], recorder, WholeSteps(2, 3))
 def node(i, mark):
     run_node("refuse", links[str(i)], build_node(setup, i), setup.neighbours[i], mark)
 supervisor.start(RECORDER, record)

@@ -1,0 +1,35 @@
+"""Somebody who looks at a page, without a browser: takes all that it sends and draws nothing.
+
+A browser draws on a graphics card, or on another computer; here it would draw on the processors
+that are measured. `python -m benchmarks.onlooker PORT` looks until it is ended.
+"""
+
+import sys
+from importlib.metadata import version
+
+import msgspec
+from websockets.sync.client import connect
+from websockets.typing import Subprotocol
+
+_CAMERA = {
+    "type": "ViewerCameraMessage", "wxyz": (1.0, 0.0, 0.0, 0.0), "position": (0.0, 0.0, 10.0),
+    "fov": 1.0, "near": 0.1, "far": 1000.0, "image_height": 1080, "image_width": 1920,
+    "look_at": (0.0, 0.0, 0.0), "up_direction": (0.0, 0.0, 1.0),
+}  # fmt: skip
+
+
+def main() -> None:
+    """Look, until the page or whoever started us ends."""
+    spoken = Subprotocol(f"viser-v{version('viser')}")
+    place = f"ws://127.0.0.1:{sys.argv[1]}"
+    with connect(place, subprotocols=[spoken], max_size=None, compression=None) as page:
+        # A client counts from its first camera on.
+        page.send(msgspec.msgpack.encode(_CAMERA))
+        sys.stdout.write("looking\n")
+        sys.stdout.flush()
+        for _ in page:
+            pass
+
+
+if __name__ == "__main__":
+    main()
