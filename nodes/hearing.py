@@ -1,6 +1,7 @@
 """What a node makes of the frames that arrive: kept with their share, or counted by why not.
 
-Nothing here is waited for, used or answered, and nothing raises for a peer's fault.
+Nothing here is waited for, used or answered, and nothing raises for a peer's fault. Frames that are
+due take a shorter way (`nodes/due_frames.py`).
 """
 
 from collections.abc import Collection
@@ -8,13 +9,13 @@ from collections.abc import Collection
 import msgspec
 from msgspec.structs import replace
 
-from nodes.estimator import Rejected, Share
+from nodes.estimator import Rejected
 from nodes.link_faults import Arrival, Passage, arrival
 from nodes.link_state import hears
 from nodes.messages import ShareHeard
-from nodes.node_state import Inbox, NodeConfig, NodeState, Phase, count
+from nodes.node_state import Inbox, NodeConfig, NodeState, count
 from nodes.sender_faults import spoofed
-from nodes.share import Fragment, fragments_of, in_slot, read_body, read_frame, whole_body
+from nodes.share import Fragment, fragments_of, in_slot, read_body, read_frame
 
 # How many steps a neighbour's share may be ahead of us and still be kept: bounds the inbox. The
 # world lets nobody run further ahead than its lead.
@@ -35,9 +36,6 @@ def hear(config: NodeConfig, state: NodeState, event: ShareHeard) -> NodeState:
     """File a frame under its cycle and sender, or count why not."""
     if event.sender not in config.neighbours:
         return count(state, "rejected stranger")
-    body = _body_due(config, state, event)
-    if body is not None:
-        return _accept(config, state, (state.cycle, event.sender), body)
     try:
         fragment = _read(config, state.cycle, event.frame)
     except Rejected as rejected:
@@ -45,21 +43,6 @@ def hear(config: NodeConfig, state: NodeState, event: ShareHeard) -> NodeState:
     if fragment.cycle >= _end_cycle(config, state):
         return _keep_early(config, state, event, fragment)
     return _file(config, state, event.sender, fragment, event.frame)
-
-
-def _body_due(config: NodeConfig, state: NodeState, event: ShareHeard) -> bytes | None:
-    """The body of the very frame that is due, as nearly all are. None of every other: what becomes
-    of it, and why, takes longer to find out, and comes to the same for one that is due."""
-    cycle, key = state.cycle, (state.cycle, event.sender)
-    is_open = state.phase is Phase.SHARES or state.phase is Phase.GRANT
-    if not is_open or config.faults.standing or not config.links.perfect:
-        return None
-    if event.sender not in config.schedule.static_senders(cycle):
-        return None
-    if key in state.inbox.shares or key in state.inbox.parts:
-        return None
-    slot, size = config.slots(event.sender, cycle)[0], config.estimator.share_bytes
-    return whole_body(event.frame, slot, size, cycle, config.cycle_counts)
 
 
 def _keep_early(
@@ -284,28 +267,14 @@ def _complete(
     config: NodeConfig, state: NodeState, key: tuple[int, int], fragments: Collection[bytes | None]
 ) -> NodeState:
     """All frames of a share are there or lost: keep what it means; None marks one of no use."""
+    share, inbox = None, state.inbox
     whole = [fragment for fragment in fragments if fragment is not None]
-    if len(whole) < len(fragments):
-        return _keep_share(state, key, None)
-    try:
-        body = read_body(whole)
-    except Rejected as rejected:
-        return _keep_share(count(state, _counter(rejected)), key, None)
-    return _accept(config, state, key, body)
-
-
-def _accept(config: NodeConfig, state: NodeState, key: tuple[int, int], body: bytes) -> NodeState:
-    try:
-        share, heard = config.estimator.accept(body), "heard"
-    except Rejected as rejected:
-        share, heard = None, _counter(rejected)
-    return _keep_share(count(state, heard), key, share)
-
-
-def _keep_share(state: NodeState, key: tuple[int, int], share: Share | None) -> NodeState:
-    inbox = state.inbox
-    parts = inbox.parts
-    if key in parts:
-        parts = {k: v for k, v in parts.items() if k != key}
+    if len(whole) == len(fragments):
+        try:
+            share = config.estimator.accept(read_body(whole))
+            state = count(state, "heard")
+        except Rejected as rejected:
+            state = count(state, _counter(rejected))
+    parts = {k: v for k, v in inbox.parts.items() if k != key}
     inbox = replace(inbox, parts=parts, shares={**inbox.shares, key: share})
     return replace(state, inbox=inbox)

@@ -20,6 +20,7 @@ from msgspec.structs import replace
 from bus.schedule import Schedule
 from filters.linalg import pack_upper
 from nodes.changes import Gone
+from nodes.due_frames import take_due
 from nodes.estimator import KeepsZonotope
 from nodes.faults import hangs, is_silent
 from nodes.hearing import file_early, hear, hear_late, let_in_overtaken
@@ -61,7 +62,8 @@ def step(
     """Take an event, or several that came together; returns the next state and what to send, in
     order."""
     outbox: list[NodeMessage] = []
-    for event in events:
+    state, left = take_due(config, state, events)
+    for event in left:
         match event:
             case ShareHeard():
                 state = hear(config, state, event)

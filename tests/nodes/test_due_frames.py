@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nodes import hearing
+from nodes import state_machine
 from nodes.messages import NodeEvent, ShareHeard
 from nodes.node_state import NodeState
 from nodes.state_machine import NodeConfig, initial_state, step
@@ -36,7 +36,9 @@ def in_words(state: NodeState) -> tuple:
 
 
 def the_long_way(config: NodeConfig, events: Sequence[NodeEvent]) -> NodeState:
-    with mock.patch.object(hearing, "_body_due", lambda config, state, event: None):
+    with mock.patch.object(
+        state_machine, "take_due", lambda config, state, events: (state, events)
+    ):
         return feed(config, events)[0]
 
 
