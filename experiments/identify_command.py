@@ -13,6 +13,7 @@ from rich.table import Table
 
 from experiments.places import make_folder
 from experiments.user_errors import user_errors
+from nodes.disk import writing
 from plants.drive_log import CAR, COLUMNS, DRIVE, LoggedDrive, read_folder, write_drive
 from plants.tyre_identification import Identified, identify
 from plants.vehicle_manoeuvres import MANOEUVRES
@@ -84,7 +85,8 @@ def identify_tyres(options: Annotated[IdentifyOptions, tyro.conf.arg(name="")]) 
             given.drive, given.car, _TYRES[options.tyre], seek_friction=options.friction
         )
     if options.out is not None:
-        options.out.write_text(car_to_toml(found.car), encoding="utf-8")
+        with writing(options.out):
+            options.out.write_text(car_to_toml(found.car), encoding="utf-8")
     findings = _findings(found)
     if options.json:
         sys.stdout.write(msgspec.json.encode(findings).decode() + "\n")

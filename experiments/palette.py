@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from nodes.disk import writing
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -77,5 +79,6 @@ def save(figure: "Figure", path: Path) -> None:
     import matplotlib.pyplot as plt
 
     dateless = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
-    figure.savefig(path, metadata=dateless.get(path.suffix[1:]))
+    with writing(path):
+        figure.savefig(path, metadata=dateless.get(path.suffix[1:]))
     plt.close(figure)

@@ -14,6 +14,7 @@ from rich.console import Console
 from experiments.reproduce_report import REPORT, Report, Reproduction, report_of, to_markdown
 from experiments.results import new_folder
 from experiments.user_errors import user_errors
+from nodes.disk import writing
 from topology.names import unknown_name
 
 
@@ -109,7 +110,8 @@ def carry_out(paper: str, reproduction: Reproduction, folder: Path) -> Report:
 
 
 def _write(report: Report, reproduction: Reproduction, folder: Path) -> None:
-    (folder / REPORT).write_text(to_markdown(report, reproduction.title), encoding="utf-8")
+    with writing(folder / REPORT):
+        (folder / REPORT).write_text(to_markdown(report, reproduction.title), encoding="utf-8")
 
 
 def _show(report: Report, folder: Path, as_json: bool) -> None:

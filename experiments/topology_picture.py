@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import matplotlib
 
+from nodes.disk import writing
+
 matplotlib.use("Agg")
 
 import matplotlib.pyplot as plt
@@ -56,7 +58,8 @@ def draw(subject: Subject, out: Path, layout: str) -> dict[str, Any]:
     _draw_spectrum(right, subject)
     title = f"{_short(subject.name)}: {nodes} nodes, weights {subject.weights_name}"
     figure.suptitle(title + ("" if subject.links == "static" else f", links {subject.links}"))
-    figure.savefig(out, dpi=130)
+    with writing(out):
+        figure.savefig(out, dpi=130)
     plt.close(figure)
     return {"file": str(out), "nodes": nodes, "placed": placed}
 

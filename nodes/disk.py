@@ -9,6 +9,13 @@ from pathlib import Path
 class NotWritten(Exception):
     """A file could not be written to its end; the message names it, and why."""
 
+    def __init__(self, path: Path, error: OSError) -> None:
+        # HDF5 puts a page of its own words behind the number.
+        why = os.strerror(error.errno) if error.errno else str(error)
+        super().__init__(
+            f"{path} cannot be written ({why}); make room, or name a folder on another disk"
+        )
+
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
@@ -20,8 +27,4 @@ def writing(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        # HDF5 puts a page of its own words behind the number.
-        why = os.strerror(error.errno) if error.errno else str(error)
-        raise NotWritten(
-            f"{path} cannot be written ({why}); make room, or name a folder on another disk"
-        ) from error
+        raise NotWritten(path, error) from error

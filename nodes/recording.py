@@ -20,7 +20,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC, Writer
 
 from nodes.bounds import Instant
-from nodes.disk import writing
+from nodes.disk import NotWritten, writing
 from nodes.history import history_of, with_event
 from nodes.messages import decode, message_types
 from nodes.share import cycle_of
@@ -99,12 +99,11 @@ class McapRecorder:
 
     def record(self, topic: str, data: bytes) -> None:
         """Keep one message."""
-        with writing(self._path):
-            try:
-                self._append(topic, data)
-            except OSError:
-                self.close()
-                raise
+        try:
+            self._append(topic, data)
+        except OSError as error:
+            self.close()
+            raise NotWritten(self._path, error) from error
 
     def _append(self, topic: str, data: bytes) -> None:
         # Ctrl-C may strike between any two of these lines: what it leaves is not whole.

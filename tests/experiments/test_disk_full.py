@@ -7,9 +7,11 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
+from experiments.palette import save
 from experiments.results import ARRAYS, RECORDING, read_description
 from experiments.sweep_store import folder_of, load_cells, save_cell
 from experiments.trace import read_trace
@@ -138,6 +140,13 @@ def test_an_index_that_does_not_fit_is_left_out(tmp_path: Path):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert len(list(read_recording(path))) == 100
+
+
+def test_a_picture_that_does_not_fit_is_named(tmp_path: Path, few_bytes: int):
+    figure, axis = plt.subplots()
+    axis.plot(np.random.default_rng(0).normal(size=(few_bytes, 2)))
+    with pytest.raises(NotWritten, match=r"noise\.png cannot be written"):
+        save(figure, tmp_path / "noise.png")
 
 
 def test_a_cell_that_does_not_fit_is_not_there(tmp_path: Path, few_bytes: int):
