@@ -10,26 +10,28 @@ from typing import Any
 import msgspec
 from msgspec.structs import replace
 
+from nodes.bounds import NodeIndex
+
 Settings = dict[str, int | float | str]
 
 
 class Left(msgspec.Struct, frozen=True, tag="left", tag_field="what"):
     """A node is out on command: nobody waits for it from this step on."""
 
-    node: int
+    node: NodeIndex
 
 
 class Gone(msgspec.Struct, frozen=True, tag="gone", tag_field="what"):
     """A node's process has died or hangs: whoever waits for it stops waiting at once."""
 
-    node: int
+    node: NodeIndex
 
 
 class Joined(msgspec.Struct, frozen=True, tag="joined", tag_field="what"):
     """A node is back, and begins the step with this belief: mean (n,), upper triangle of the
     covariance; None for the scenario's own prior."""
 
-    node: int
+    node: NodeIndex
     mean: list[float | None] | None = None
     cov: list[float | None] | None = None
 

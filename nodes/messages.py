@@ -17,6 +17,8 @@ from nodes.bounds import MAX_MESSAGE_BYTES, Group, Instant, NodeIndex, NodeList
 from nodes.changes import Change, Event, Gone, Welcome
 
 Array = NDArray[np.float64]
+# Recorder to all: everything is kept, and everybody may leave.
+END = b"{}"
 
 
 class Measured(msgspec.Struct, frozen=True):

@@ -5,17 +5,20 @@ grant, the share of one neighbour) and waits for that one alone. Nobody coordina
 timed. What the world does is in `nodes/world_process.py`.
 """
 
+import threading
 from collections import deque
 from collections.abc import Collection, Sequence
 from contextlib import suppress
+from typing import Any
 
 import msgspec
 
 from nodes import node_changes, state_machine
-from nodes.changes import Event, Gone, Joined, Left
+from nodes.changes import Event, Gone, Joined, Left, Welcome
 from nodes.entry import await_links
 from nodes.links import RECORDER, WATCH, WORLD, Links
 from nodes.messages import (
+    END,
     MalformedMessage,
     NodeEvent,
     NodeMessage,
@@ -26,6 +29,7 @@ from nodes.messages import (
     topic,
 )
 from nodes.node_state import NodeConfig, NodeState, Phase, count
+from nodes.overflow import Overflow
 from nodes.patience import Patience
 from nodes.recording import Recorder
 from nodes.watchers import Watchers
@@ -68,8 +72,7 @@ def run_node(
     while not stays:
         # It is not, or no longer, one of those who are waited for.
         stays = seat.take_part(*seat.rejoin(fingerprint))
-    while seat.transport.receive("end") is None:
-        pass
+    seat.await_end()
     seat.transport.close()
 
 
@@ -88,14 +91,23 @@ class _Seat:
         self._beginning = config
         self._peers = peers
         self._patience = None if patience_s is None else Patience(WORLD, patience_s)
-        self._heartbeat, self._welcome = f"measured/{index}", f"welcome/{index}"
+        self._heartbeat = f"measured/{index}"
         self._shares = {j: f"share/{j}" for j in config.neighbours}
+        self._senders = {name: j for j, name in self._shares.items()}
         self._gone: deque[Gone] = deque()
         self._unreachable: deque[int] = deque()
-        topics = [self._heartbeat, "grant", self._welcome, "end", *self._shares.values()]
+        self._welcomes: deque[Welcome] = deque(maxlen=1)
+        # One for each message that was none.
+        self._refused: deque[None] = deque()
+        self._told = threading.Condition()
+        self._ended = False
+        topics = [self._heartbeat, "grant", *self._shares.values()]
         self.transport = Transport(run, links, topics, NODE_QUEUE)
-        self.transport.listen("gone", self._hear_of_end)
-        self.transport.listen(f"gone/{index}", self._hear_of_end)
+        self._queues = Overflow(self.transport, topics, NODE_QUEUE)
+        self.transport.listen("gone", self._hear_of_gone)
+        self.transport.listen(f"gone/{index}", self._hear_of_gone)
+        self.transport.listen(f"welcome/{index}", self._hear_welcome)
+        self.transport.listen("end", self._hear_end)
         self.transport.watch(self._see)
 
     def _see(self, name: str, is_there: bool) -> None:
@@ -107,11 +119,10 @@ class _Seat:
             for subscription in (self._heartbeat, self._shares[int(name)]):
                 self.transport.wake(subscription)
 
-    def _hear_of_end(self, name: str, data: bytes) -> None:
+    def _hear_of_gone(self, name: str, data: bytes) -> None:
         """In zenoh's thread: whoever waits for that node must wait no longer."""
-        try:
-            gone: Gone = decode(name, data)
-        except MalformedMessage:
+        gone: Gone | None = self._decoded(name, data)
+        if gone is None:
             return
         self._gone.append(gone)
         if gone.node == self._beginning.index:
@@ -120,36 +131,60 @@ class _Seat:
         elif gone.node in self._shares:
             self.transport.wake(self._shares[gone.node])
 
+    def _hear_welcome(self, name: str, data: bytes) -> None:
+        """In zenoh's thread."""
+        welcome: Welcome | None = self._decoded(name, data)
+        if welcome is not None:
+            with self._told:
+                self._welcomes.append(welcome)
+                self._told.notify_all()
+
+    def _hear_end(self, _name: str, data: bytes) -> None:
+        """In zenoh's thread."""
+        if data != END:
+            self._refused.append(None)
+            return
+        with self._told:
+            self._ended = True
+            self._told.notify_all()
+
+    def await_end(self) -> None:
+        """Until the recorder says that the run is over."""
+        self._queues.out = True
+        with self._told:
+            self._told.wait_for(lambda: self._ended)
+
     def rejoin(self, fingerprint: str) -> tuple[NodeConfig, NodeState]:
         """Ask to be let in, and wait until it is so."""
         index = self._beginning.index
+        self._queues.out = True
         begun = await_links(self.transport, self._peers)
-        while self.transport.receive_at_once(self._welcome) is not None:
-            pass
+        self._welcomes.clear()
         self._unreachable.clear()
         self.transport.send(f"hello/{index}", fingerprint.encode())
         if not begun:
             return self._beginning, state_machine.initial_state(self._beginning)
-        while (received := self.transport.receive(self._welcome)) is None:
-            pass
+        with self._told:
+            self._told.wait_for(lambda: len(self._welcomes) > 0)
+            welcome = self._welcomes.pop()
         # Whatever was said of this node's end was said of its former life.
         self._gone.clear()
-        return node_changes.begin_late(self._beginning, decode(*received))
+        return node_changes.begin_late(self._beginning, welcome)
 
     def take_part(self, config: NodeConfig, state: NodeState) -> bool:
         """Go on to the last step; False if the others have given this node up meanwhile."""
+        self._queues.out = False
         while state.phase is not Phase.FINISHED:
-            try:
-                events = self._next_events(config, state)
-            except MalformedMessage:
-                state = count(state, "rejected message")
-                continue
+            events = self._next_events(config, state)
             # An end that was told before what we have just heard comes before it.
             while self._gone:
                 gone = self._gone.popleft()
                 if gone.node == config.index:
                     return False
                 events = [*self._last_words(gone), *events]
+            while self._refused:
+                self._refused.popleft()
+                state = count(state, "rejected message")
             state, messages = state_machine.step(config, state, *events)
             self._send(messages)
             if state.phase is Phase.CHANGE:
@@ -159,7 +194,7 @@ class _Seat:
         return True
 
     def _next_events(self, config: NodeConfig, state: NodeState) -> Sequence[NodeEvent]:
-        """What the node waits for; nothing if it was woken up."""
+        """What the node waits for; what else has come, or nothing, if it was woken up."""
         if self._gone:
             return ()
         while self._unreachable:
@@ -167,27 +202,48 @@ class _Seat:
             self.transport.send(topic(lost), encode(lost))
         match state.phase:
             case Phase.MEASUREMENT:
-                received = self.transport.receive(self._heartbeat)
+                return self._await_one(self._heartbeat)
             case Phase.GRANT:
-                received = self.transport.receive("grant")
+                return self._await_one("grant")
             case _:
                 return self._await_shares(state_machine.awaited_neighbours(config, state))
-        return () if received is None else (decode(*received),)
+
+    def _await_one(self, name: str) -> Sequence[NodeEvent]:
+        data = self._queues.receive(name)
+        return self._taken_aside() if data is None else self._events(name, data)
 
     def _await_shares(self, senders: Sequence[int]) -> Sequence[NodeEvent]:
         """A frame of each, or of as many as came before the node was woken up."""
         assert senders, "a node in phase SHARES waits for somebody"
-        events = []
+        events: list[NodeEvent] = []
         for sender in senders:
-            received = self.transport.receive(self._shares[sender])
-            if received is None:
-                break
-            events.append(ShareHeard(sender, received[1]))
+            data = self._queues.receive(self._shares[sender])
+            if data is None:
+                return [*events, *self._taken_aside()]
+            events.append(ShareHeard(sender, data))
         return events
+
+    def _taken_aside(self) -> list[NodeEvent]:
+        return [event for kept in self._queues.take() for event in self._events(*kept)]
+
+    def _events(self, name: str, data: bytes) -> list[NodeEvent]:
+        """A message as an event; none where it is no message."""
+        if name in self._senders:
+            return [ShareHeard(self._senders[name], data)]
+        event = self._decoded(name, data)
+        return [] if event is None else [event]
+
+    def _decoded(self, name: str, data: bytes) -> Any:
+        """A message, or None where the bytes are none, which is counted."""
+        try:
+            return decode(name, data)
+        except MalformedMessage:
+            self._refused.append(None)
+            return None
 
     def _last_words(self, gone: Gone) -> list[NodeEvent]:
         """A node's end, after all that it said before."""
-        events: list[NodeEvent] = []
+        events = self._taken_aside()
         if gone.node in self._shares:
             while (received := self.transport.receive_at_once(self._shares[gone.node])) is not None:
                 events.append(ShareHeard(gone.node, received[1]))
@@ -262,7 +318,7 @@ def run_recorder(
             transport.send(f"recorded/{out}", b"{}")
             del leaving[out]
     recorder.close()
-    transport.send("end", b"{}")
+    transport.send("end", END)
     watchers.close()
     transport.close()
 

@@ -20,6 +20,7 @@ from nodes.clock import WorldClock, ahead_s
 from nodes.entry import await_links
 from nodes.links import RECORDER, WORLD, Links
 from nodes.messages import (
+    END,
     CycleClosed,
     Estimate,
     MalformedMessage,
@@ -76,7 +77,7 @@ def run_node_in_real_time(
     if begun:
         player.enter()
     player.play()
-    while transport.receive("end") is None:
+    while transport.receive("end") != ("end", END):
         pass
     transport.close()
 

@@ -17,6 +17,7 @@ from nodes.commands import Answer, Kill, Restart, Speed, TimelyCommand, read_com
 from nodes.conductor import Conductor, Scripted, Stage
 from nodes.links import RECORDER, WORLD, Links
 from nodes.messages import (
+    END,
     BidsClosed,
     MalformedMessage,
     Start,
@@ -148,7 +149,7 @@ class _Office:
         members = sorted(estimate.node for estimate in latest if estimate.step == last)
         finished = Finished(last, members)
         self._transport.send("finished", msgspec.json.encode(finished))
-        while self._transport.receive("end") is None:
+        while self._transport.receive("end") != ("end", END):
             pass
         self._transport.close()
 

@@ -125,3 +125,41 @@ supervisor.stop()
         code, out, err = run.end(30)
     assert (code, out) == (0, "world 1\n")
     assert "node 1 runs configuration 'other', the world 'same'" in err
+
+
+# More messages on one topic than its queue takes, then one on another, over one link.
+FULL_QUEUE = """
+from nodes.overflow import Overflow
+from nodes.zenoh_transport import Transport
+links = plan_links([[1], [0]], free_ports(names([[1], [0]])))
+def talk():
+    transport = Transport("full", links["0"]._replace(connect=()), [], 8)
+    transport.join("0", ["1"])
+    for number in range(3000):
+        transport.send("many", str(number).encode())
+    transport.send("one", b"at last")
+    time.sleep(20)
+def listen():
+    port = links["0"].listen[0]
+    transport = Transport("full", links["1"]._replace(connect=(port,)), ["many", "one"], 16)
+    queues = Overflow(transport, ["many", "one"], 16)
+    queues.out = False
+    transport.join("1", ["0"])
+    kept = []
+    while not any(topic == "one" for topic, data in kept):
+        data = queues.receive("one")
+        kept += queues.take() if data is None else [("one", data)]
+    while (received := transport.receive_at_once("many")) is not None:
+        kept.append(received)
+    numbers = [int(data) for topic, data in kept if topic == "many"]
+    say(len(numbers), numbers == sorted(numbers))
+supervisor.start("talks", talk)
+supervisor.start("listens", listen)
+supervisor.wait(quiet)
+supervisor.stop()
+"""
+
+
+def test_a_full_queue_hides_nothing_that_is_waited_for(tmp_path: Path):
+    """All messages come in through one thread, which waits where a queue is full."""
+    assert said_by(FULL_QUEUE, tmp_path) == ["3000 True"]
