@@ -38,8 +38,8 @@ BUGS = (
     Bug(
         "a share of the next cycle is used before its time",
         "nodes.state_machine", "_close_group",
-        (("came.get((state.cycle, j)) if j in usable",
-          "came.get((state.cycle, j), came.get((state.cycle + 1, j))) if j in usable"),),
+        (("came.get((cycle, j)) if j in usable",
+          "came.get((cycle, j), came.get((cycle + 1, j))) if j in usable"),),
     ),
     Bug(
         "a stale share is taken as fresh",
