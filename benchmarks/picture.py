@@ -5,7 +5,7 @@ python -m benchmarks.picture runs/bench.json docs/performance.png draws it again
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
@@ -46,6 +46,30 @@ RATIOS = (
     ("lockstep / bare loop, rate", "lockstep", "lockstep over bare", 0.8),
     ("with a page attached / without", "dashboard", "watched-to-alone", None),
 )
+
+
+class Growth(NamedTuple):
+    """A figure over a size: names of figures are the size and `ending`; `slope` is the power."""
+
+    bench: str
+    ending: str
+    size: str
+    title: str
+    slope: str | None
+
+
+GROWTHS = (
+    Growth("scale", " nodes, ns per edge", "nodes", "ns per edge", "slope over nodes"),
+    Growth(
+        "scale",
+        " edges, ns per edge",
+        "edges of 1,000 nodes",
+        "ns per edge",
+        "slope over edges",
+    ),
+    Growth("launch", " nodes ready s", "nodes", "processes: seconds until ready", None),
+    Growth("launch", " nodes MB per node", "nodes", "processes: MB per node", None),
+)
 INK, GREY = "#2a6f97", "#6b6b6b"
 
 
@@ -53,24 +77,14 @@ def draw(results: Results, path: Path) -> None:
     """All that was measured, one panel a question; what was not measured is left out."""
     import matplotlib.pyplot as plt
 
-    figure = plt.figure(figsize=(9.5, 7.2), layout="constrained")
-    grid = figure.add_gridspec(3, 2, height_ratios=(1.7, 1, 1))
+    figure = plt.figure(figsize=(12.5, 7.2), layout="constrained")
+    grid = figure.add_gridspec(3, 3, height_ratios=(1.7, 1, 1), width_ratios=(1.25, 1, 1))
     if "ukf" in results:
         _draw_filters(figure.add_subplot(grid[0, :]), results["ukf"])
     _draw_ratios(figure.add_subplot(grid[1, 0]), results)
     _draw_times(figure.add_subplot(grid[2, 0]), results)
-    _draw_growth(
-        figure.add_subplot(grid[1, 1]),
-        results.get("scale", {}),
-        " nodes, ns per edge",
-        "vectorised: ns per edge, run and round",
-    )
-    _draw_growth(
-        figure.add_subplot(grid[2, 1]),
-        results.get("launch", {}),
-        " nodes ready s",
-        "processes: seconds until ready",
-    )
+    for place, growth in zip(((1, 1), (1, 2), (2, 1), (2, 2)), GROWTHS, strict=True):
+        _draw_growth(figure.add_subplot(grid[place]), results.get(growth.bench, {}), growth)
     figure.savefig(path, dpi=120)
     plt.close(figure)
 
@@ -134,29 +148,31 @@ def _bar(axes: "Axes", row: int, figure: Figure, text: str, aim: float | None = 
     axes.annotate(text, (end, row), (5, 0), textcoords="offset points", va="center")
 
 
-def _draw_growth(axes: "Axes", figures: Figures, ending: str, title: str) -> None:
-    """A figure over the number of nodes, both logarithmic, with quartiles."""
+def _draw_growth(axes: "Axes", figures: Figures, growth: Growth) -> None:
+    """A figure over a size on a logarithmic scale, with quartiles."""
     found = {
-        int(name.removesuffix(ending)): one
+        int(name.removesuffix(growth.ending)): one
         for name, one in figures.items()
-        if name.endswith(ending)
+        if name.endswith(growth.ending)
     }
-    nodes, values = list(found), [one.value for one in found.values()]
-    axes.plot(nodes, values, "o-", color=INK)
+    sizes, values = list(found), [one.value for one in found.values()]
+    axes.plot(sizes, values, "o-", color=INK)
     axes.vlines(
-        nodes, [one.low for one in found.values()], [one.high for one in found.values()], color=GREY
+        sizes, [one.low for one in found.values()], [one.high for one in found.values()], color=GREY
     )
-    for place, value in zip(nodes, values, strict=True):
+    for place, value in zip(sizes, values, strict=True):
         axes.annotate(
             f"{value:.3g}", (place, value), (0, 8), textcoords="offset points", ha="center"
         )
     axes.set_xscale("log")
-    axes.set_xticks(nodes, [f"{place:,}" for place in nodes])
+    axes.set_xticks(sizes, [f"{place:,}" for place in sizes], fontsize=9)
     axes.minorticks_off()
-    axes.margins(x=0.12)
+    axes.margins(x=0.18)
     axes.set_ylim(0, 1.4 * max([one.high for one in found.values()], default=1))
-    axes.set_xlabel("nodes")
-    axes.set_title(title, fontsize=10)
+    axes.set_xlabel(growth.size)
+    slope = figures.get(growth.slope or "")
+    power = "" if slope is None else f"; slope of the cost {slope.value:.2f}"
+    axes.set_title(growth.title + power, fontsize=10)
     _plain(axes)
 
 

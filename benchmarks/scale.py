@@ -17,7 +17,7 @@ from scenarios.setup import Setup, prepare
 
 LANES, STEPS, TURNS = 10_000, 8, 5
 SIZES, DEGREE = (10, 100, 1_000, 10_000), 4
-NODES, DEGREES = 1_000, (4, 8, 16, 32, 64)
+NODES, DEGREES = 1_000, (4, 16, 64)
 
 Spent = Mapping[int, list[float]]
 
