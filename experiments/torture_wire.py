@@ -26,7 +26,7 @@ _DRAWN = struct.Struct("<QHHIB")
 _SEQUENCE = 2
 
 
-def chance(
+def _chance(
     seed: int, kind: str, sender: int, receiver: int, frame: bytes, number: int = 0
 ) -> float:
     """A number in [0, 1) that belongs to a frame on its way, and to what is asked of it."""
@@ -88,12 +88,12 @@ class Wire:
             return (frame,)
 
         def strikes(kind: str) -> bool:
-            struck = chance(self._seed, kind, sender, receiver, frame) < self._faults.get(kind, 0)
+            struck = _chance(self._seed, kind, sender, receiver, frame) < self._faults.get(kind, 0)
             self.injected[kind] += struck
             return struck
 
         def drawn(below: int, number: int) -> int:
-            return int(chance(self._seed, "garbage", sender, receiver, frame, number) * below)
+            return int(_chance(self._seed, "garbage", sender, receiver, frame, number) * below)
 
         arrives = [] if strikes("vanish") else [frame]
         if strikes("garbage"):

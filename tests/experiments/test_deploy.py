@@ -17,7 +17,7 @@ from tests.experiments.units import CONCORD, DEPLOY, UNITS, credentials, unit_co
 from tests.processes import PROC
 
 SERVICES = ("concord-router.service", "concord-world.service", "concord-node@.service")
-# The release whose schemas are asked: the oldest that is still maintained would do as well.
+# The first release in which an Indexed Job counts the failures of each pod by itself for good.
 KUBERNETES = "1.33"
 MOST_EXPOSED = 20
 
