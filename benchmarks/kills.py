@@ -6,6 +6,7 @@ time; printed is what that cost the others, and whether anything was left behind
 
 import os
 import signal
+import socket
 import sys
 import tempfile
 import threading
@@ -35,6 +36,8 @@ from scenarios.tempo import tempo_of
 
 NODES, RATE = 16, 40.0
 SHORT_S, LONG_S = 0.3, 2.6
+# So long whoever ends may take.
+LEAVE_S = 10.0
 PROC = Path("/proc")
 
 
@@ -86,18 +89,34 @@ class Network:
             time.sleep(0.01)
         return time.monotonic() - began
 
-    def end(self) -> list[int]:
-        """End it by the death of its world; returns the processes that are left."""
-        pids = list(self.pids.values())
+    def end(self) -> str:
+        """End it by the death of its world; says which processes and ports are left."""
+        pids, connect = list(self.pids.values()), read_network(self.folder).connect
         self.client.close()
         os.kill(self.pids["world"], signal.SIGKILL)
         self._thread.join(60)
-        time.sleep(1)
-        return [pid for pid in pids if (PROC / str(pid)).exists()]
+        deadline_s = time.monotonic() + LEAVE_S
+        while (left := [pid for pid in pids if lives(pid)]) and time.monotonic() < deadline_s:
+            time.sleep(0.01)
+        taken = [endpoint for endpoint in connect if listens(endpoint)]
+        return f"processes left {left}, ports that still answer {taken}"
 
     def trace(self) -> Trace:
         """What was recorded."""
         return read_trace(self.setup, read_recording(self.folder / "run.mcap"))
+
+
+def lives(pid: int) -> bool:
+    """Whether a process is there."""
+    return (PROC / str(pid)).exists()
+
+
+def listens(endpoint: str) -> bool:
+    """Whether anybody answers at tcp/HOST:PORT."""
+    host, _, port = endpoint.partition("/")[2].rpartition(":")
+    with suppress(OSError), socket.create_connection((host, int(port)), 1):
+        return True
+    return False
 
 
 def open_files(pids: dict[str, int], names: tuple[str, ...]) -> dict[str, int]:
@@ -144,7 +163,7 @@ def kill_in_lockstep(network: Network, count: int, rng: np.random.Generator) -> 
     say(f"{count} kills and restarts, {NODES} processes, lockstep at {RATE:g} steps/s")
     say(f"  seen as gone after {spread(gone_s)} s; longest stall of the others {max(stalls):.3f} s")
     say(f"  rejoined {spread(back_s)} s after the command; processes at the end {len(living)}")
-    say(f"  files open before {before}, after {after}; processes left {left}")
+    say(f"  files open before {before}, after {after}; {left}")
     account(network, trace)
 
 
@@ -166,7 +185,7 @@ def hang_in_real_time(network: Network, count: int, rng: np.random.Generator) ->
     trace = network.trace()
     say(f"{count} hangs of {SHORT_S:g} and {LONG_S:g} s, {NODES} processes, real time")
     say(f"  longest time between two steps {max(stalls):.3f} s; back after {spread(back_s)} s")
-    say(f"  processes left {left}")
+    say(f"  {left}")
     account(network, trace)
 
 

@@ -13,7 +13,7 @@ from nodes.estimator import Rejected
 from nodes.link_faults import Arrival, Passage, arrival
 from nodes.link_state import hears
 from nodes.messages import ShareHeard
-from nodes.node_state import Inbox, NodeConfig, NodeState, count
+from nodes.node_state import Inbox, NodeConfig, NodeState, Phase, count
 from nodes.sender_faults import spoofed
 from nodes.share import Fragment, fragments_of, in_slot, read_body, read_frame
 
@@ -22,6 +22,8 @@ from nodes.share import Fragment, fragments_of, in_slot, read_body, read_frame
 EARLY_STEPS = 8
 # And cycles at least, as a change may bring more rounds than there are now.
 EARLY_CYCLES = 512
+# So many frames, or grants, are kept for later at most.
+MOST_EARLY = 4096
 _LATE = "late"
 
 
@@ -41,17 +43,24 @@ def hear(config: NodeConfig, state: NodeState, event: ShareHeard) -> NodeState:
     except Rejected as rejected:
         return count(state, _counter(rejected))
     if fragment.cycle >= _end_cycle(config, state):
-        return _keep_early(config, state, event, fragment)
+        # Nothing changes while a step is under way: what holds now holds for this frame as well.
+        is_settled = state.phase is not Phase.MEASUREMENT
+        return _keep_early(config, state, event, fragment, is_settled)
     return _file(config, state, event.sender, fragment, event.frame)
 
 
 def _keep_early(
-    config: NodeConfig, state: NodeState, event: ShareHeard, fragment: Fragment
+    config: NodeConfig, state: NodeState, event: ShareHeard, fragment: Fragment, is_settled: bool
 ) -> NodeState:
-    """A frame of a later step waits for it."""
+    """A frame of a later step waits for it; in whose slot it must be may not be settled yet."""
     cycle = fragment.cycle
-    if cycle > state.cycle + max(EARLY_STEPS * config.rounds, EARLY_CYCLES):
+    if cycle > last_early_cycle(config, state) or len(state.inbox.early) >= MOST_EARLY:
         return count(state, "rejected future")
+    if is_settled:
+        try:
+            _place(config, event.sender, fragment)
+        except Rejected as rejected:
+            return count(state, _counter(rejected))
     key = (event.sender, cycle, fragment.frame_id)
     if key in state.inbox.early:
         return count(state, "repeated")
@@ -59,13 +68,21 @@ def _keep_early(
     return replace(state, inbox=replace(state.inbox, early=early))
 
 
+def last_early_cycle(config: NodeConfig, state: NodeState) -> int:
+    """The last cycle of which anything is kept before its time."""
+    return state.cycle + max(EARLY_STEPS * config.rounds, EARLY_CYCLES)
+
+
 def file_early(config: NodeConfig, state: NodeState) -> NodeState:
     """Frames of the step that has just begun have waited for it."""
     end = _end_cycle(config, state)
     early = state.inbox.early
     due = [(key[0], *kept) for key, kept in early.items() if key[1] < end]
-    early = {key: kept for key, kept in early.items() if key[1] >= end}
-    state = replace(state, inbox=replace(state.inbox, early=early))
+    state = replace(state, inbox=replace(state.inbox, early={}))
+    for (sender, cycle, _), (fragment, frame) in early.items():
+        if cycle >= end:
+            # It may have come between two steps, when that was open.
+            state = _keep_early(config, state, ShareHeard(sender, frame), fragment, True)
     for sender, fragment, frame in due:
         state = _file(config, state, sender, fragment, frame)
     return state

@@ -23,7 +23,15 @@ from nodes.changes import Gone
 from nodes.due_frames import take_due
 from nodes.estimator import KeepsZonotope
 from nodes.faults import hangs, is_silent
-from nodes.hearing import file_early, hear, hear_late, let_in_overtaken
+from nodes.hearing import (
+    EARLY_CYCLES,
+    MOST_EARLY,
+    file_early,
+    hear,
+    hear_late,
+    last_early_cycle,
+    let_in_overtaken,
+)
 from nodes.messages import (
     Bid,
     CycleClosed,
@@ -70,7 +78,7 @@ def step(
             case Measured():
                 state = _keep_measured(state, event)
             case Grant():
-                state = _keep_grant(state, event)
+                state = _keep_grant(config, state, event)
             case Gone():
                 state = replace(state, absent=state.absent | {event.node})
             case CycleClosed():
@@ -239,14 +247,19 @@ def _keeps_zonotope(kind: type) -> bool:
 def _keep_measured(state: NodeState, event: Measured) -> NodeState:
     if event.step <= state.step or event.step in state.inbox.measured:
         return count(state, "repeated measured")
+    if event.step > state.step + EARLY_CYCLES:
+        return count(state, "rejected future")
     measured = {**state.inbox.measured, event.step: event}
     return replace(state, inbox=replace(state.inbox, measured=measured))
 
 
-def _keep_grant(state: NodeState, event: Grant) -> NodeState:
+def _keep_grant(config: NodeConfig, state: NodeState, event: Grant) -> NodeState:
     key = (event.cycle, event.group)
     if key < (state.cycle, state.group) or key in state.inbox.grants:
         return count(state, "repeated grant")
+    is_far = event.cycle > last_early_cycle(config, state)
+    if is_far or len(state.inbox.grants) >= MOST_EARLY:
+        return count(state, "rejected future")
     grants = {**state.inbox.grants, key: tuple(event.winners)}
     return replace(state, inbox=replace(state.inbox, grants=grants))
 

@@ -11,11 +11,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bus.schedule import hybrid
 from nodes.bounds import MAX_FRAME_BYTES, MAX_MESSAGE_BYTES
-from nodes.hearing import EARLY_CYCLES, EARLY_STEPS
-from nodes.messages import Bid, Estimate, MalformedMessage, Measured, ShareHeard, decode, encode
+from nodes.hearing import EARLY_CYCLES, EARLY_STEPS, MOST_EARLY
+from nodes.messages import (
+    Bid,
+    Estimate,
+    Grant,
+    MalformedMessage,
+    Measured,
+    ShareHeard,
+    decode,
+    encode,
+)
 from nodes.recording import McapRecorder, read_recording
-from nodes.share import to_frames
+from nodes.share import in_slot, to_frames
 from nodes.state_machine import NodeConfig, Phase, initial_state, step
 from tests.nodes.one_node import (
     ROUNDS,
@@ -24,6 +34,7 @@ from tests.nodes.one_node import (
     clean_events,
     estimates,
     feed,
+    heartbeat,
     middle_node,
     share,
 )
@@ -42,6 +53,9 @@ WRONG_JSON = [
     ("bid/1", {"node": 1, "cycle": 1 << 32, "bid": 1, "payload_bytes": 24}),
     ("bid/1", {"node": 1, "cycle": 3, "bid": "much", "payload_bytes": 24}),
     ("bid/1", {"node": 1, "cycle": 3, "bid": 1, "payload_bytes": -24}),
+    ("gone", {"what": "gone", "node": -1}),
+    ("gone", {"what": "gone", "node": 1 << 16}),
+    ("gone/1", {"what": "gone", "node": 1 << 40}),
     ("grant", {"cycle": 1, "winners": [-1]}),
     ("grant", {"cycle": 1, "winners": [1.5]}),
     ("grant", {"cycle": 1, "winners": [0], "group": -1}),
@@ -159,6 +173,33 @@ def test_a_million_malformed_frames_and_messages():
     assert storm(700_000, 3) == (700_000, True)
     assert refused(300_000, 4) == 300_000
     assert time.process_time() - began < 100
+
+
+def test_what_is_kept_for_later_is_bounded():
+    """Whole heartbeats, grants and frames of steps that nobody has begun."""
+    config = middle_node(hybrid(3, 0.7))
+    state, _ = step(config, initial_state(config), heartbeat(0))
+    for number in range(1, 2 * MOST_EARLY):
+        state, _ = step(config, state, Measured(1, number, [[None, None]]))
+        state, _ = step(config, state, Grant(1 + number % EARLY_CYCLES, [0], number))
+    assert len(state.inbox.measured) <= EARLY_CYCLES
+    assert len(state.inbox.grants) <= MOST_EARLY
+    kept = len(state.inbox.measured) + len(state.inbox.grants)
+    assert kept + state.counters["rejected future"] == 2 * (2 * MOST_EARLY - 1)
+
+
+def test_early_frames_in_slots_of_nobody_are_not_kept():
+    config = middle_node()
+    begun, _ = step(config, initial_state(config), heartbeat(0))
+    ahead = [in_slot(share(config, 0, ROUNDS), frame_id) for frame_id in range(4, 2000)]
+    for state in (begun, initial_state(config)):
+        for frame in ahead:
+            state, _ = step(config, state, ShareHeard(0, frame))
+        if state.phase is Phase.MEASUREMENT:
+            # Between two steps nobody knows what slots there will be; from the next on it does.
+            state, _ = step(config, state, heartbeat(0))
+        assert state.inbox.early == {}
+        assert state.counters["rejected wrong-slot"] == len(ahead)
 
 
 @pytest.mark.parametrize(("topic", "value"), WRONG_JSON)
