@@ -8,6 +8,9 @@ from filters.gaussian import Gaussian
 from filters.linalg import inverse_spd, multiply
 from filters.metrics import nees
 
+# Of the largest value: sums of doubles are exact to some 1e-16 of it.
+_ROUNDING = 1e-13
+
 
 def fuse(belief: Gaussian, alive: np.ndarray) -> Gaussian:
     """The mean in information form of those who live (N, n): mean (n,), cov (n, n).
@@ -45,18 +48,23 @@ def score(
         off[living][:, all_states], belief.cov[living][:, all_states][..., all_states]
     )
     means = belief.mean[living][:, states]
-    spread = _root_mean_square(
-        np.linalg.norm(means - means.mean(0), axis=-1) if len(means) > 1 else means[:0]
-    )
     return Scores(
         error=error,
         width=np.sqrt(np.maximum(variances, 0.0).sum(-1)),
         rmse=_root_mean_square(error[living]),
-        spread=spread,
+        spread=_spread(means),
         nees=float(np.nan) if stage.certain else _mean(consistency),
         central=_error(central, truth, states),
         fused=_error(fused, truth, states),
     )
+
+
+def _spread(means: Array) -> float:
+    """Root mean square distance of means (N, d) from their mean; what is rounding is none."""
+    if len(means) < 2:
+        return float("nan")
+    spread = _root_mean_square(np.linalg.norm(means - means.mean(0), axis=-1))
+    return 0.0 if spread <= _ROUNDING * float(np.nanmax(np.abs(means))) else spread
 
 
 def _error(belief: Gaussian | None, truth: Array, states: list[int]) -> float:

@@ -11,6 +11,7 @@ import pytest
 from dashboard.chart_export import charts_page, charts_picture
 from dashboard.charts import chart_lines, shown_power, titled
 from dashboard.history import History
+from dashboard.scores import score
 from dashboard.states import states
 from dashboard.theme import DARK
 from dashboard.view import View
@@ -122,3 +123,16 @@ def test_states_of_an_unknown_truth_are_estimates_alone():
     html = states(STAGE, View(step=59), unknown)
     assert "nan" not in html.lower()
     assert [len(line) for line in lines_of(html)][::2] == [0] * len(STAGE.state_names)
+
+
+@pytest.mark.parametrize(("apart", "spread"), [(1e-15, 0.0), (1e-9, 1e-9), (0.5, 0.5)])
+def test_what_is_rounding_is_no_disagreement(apart: float, spread: float):
+    belief, fused = FRAMES[30].belief, FRAMES[30].fused
+    # Two nodes on either side of the others, whose scored states are large.
+    mean = np.full_like(belief.mean, 17.3)
+    mean[:2] += np.array([[apart], [-apart]]) * 17.3
+    alive = np.ones(STAGE.nodes, dtype=bool)
+    scores = score(STAGE, mean[2], belief._replace(mean=mean), alive, fused, None)
+    states = len(STAGE.score.states)
+    expected = spread * 17.3 * np.sqrt(2 * states / STAGE.nodes)
+    assert scores.spread == pytest.approx(expected, rel=1e-5, abs=0.0)
