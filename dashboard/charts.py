@@ -144,7 +144,7 @@ def chart_lines(stage: Stage, theme: Theme) -> dict[tuple[str, str], dict[str, C
     unit = stage.score.unit
     return {
         ("RMSE of the nodes", unit): {
-            "nodes": theme.seeing, "fused": theme.fused, "centralised": theme.text,
+            "nodes": theme.seeing, stage.fused_name: theme.fused, "centralised": theme.text,
             "Cramér-Rao bound": theme.quiet,
         },
         ("Disagreement of the nodes", unit): {"rms spread": theme.estimate},

@@ -78,6 +78,11 @@ class Stage:
         """Half-width of the ellipses that are drawn, in standard deviations; of a set its own."""
         return 1.0 if self.certain else 3.0
 
+    @property
+    def fused_name(self) -> str:
+        """What all believe together; of sets it is made of the ellipsoids that hold them."""
+        return "fused ellipsoids" if self.certain else "fused"
+
     @cached_property
     def whereabouts(self) -> Array:
         """Where nodes are in the course of the run (P, 2), in the network's own units."""

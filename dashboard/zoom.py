@@ -36,7 +36,7 @@ def zoom(
     unit = [escape(stage.state_units[i]) for i in states]
     name = [escape(stage.state_names[i]) for i in states]
     sigma = "set" if stage.certain else f"{stage.deviations:g}σ"
-    legend = [(theme.truth, "truth"), (theme.fused, "fused"), (theme.estimate, "nodes")]
+    legend = [(theme.truth, "truth"), (theme.fused, stage.fused_name), (theme.estimate, "nodes")]
     if selected is not None:
         legend.append((theme.selection, escape(stage.names[selected])))
     spans_html = "".join(

@@ -58,6 +58,20 @@ def test_every_zonotope_is_drawn_and_holds_the_truth():
             assert Delaunay(larger).find_simplex([SIZE / 2, SIZE / 2]) >= 0
 
 
+def test_what_is_fused_of_sets_is_called_what_it_is_and_holds_the_truth():
+    other, messages = run_of("oscillator", nodes=4, steps=3)
+    names = {
+        stage.fused_name: zoom(stage, DARK, frame, (0, 1), None)
+        for stage, frame in ((STAGE, FRAMES[-1]), (other, frames_of(other, messages)[-1]))
+    }
+    assert list(names) == ["fused ellipsoids", "fused"]
+    for name, picture in names.items():
+        assert f"{name}<" in picture
+    for frame in FRAMES:
+        off = frame.fused.mean - frame.truth
+        assert off @ np.linalg.solve(frame.fused.cov, off) <= 1
+
+
 def test_the_zonotope_is_smaller_than_the_ellipsoid_that_is_told_of_it():
     frame = FRAMES[-1]
     for node, generators in enumerate(frame.zonotopes):
