@@ -23,23 +23,27 @@ _DENSE = (
     "margin-top:-2px!important}</style>"
 )
 
+# A low chart that ends just below and above its values has room for one number beside it, or none.
+_FROM_ZERO: Any = {"min": {"pad": 0.1, "soft": 0, "mode": 1}, "max": {"pad": 0.1}}
+
 
 class Chart:
     """One uplot with named lines; a line without a single number is drawn as nothing."""
 
     def __init__(
         self, gui: viser.GuiApi, name: str, unit: str, lines: dict[str, Colour], theme: Theme,
-        height: int, dashed: tuple[str, ...] = (),
+        height: int, dashed: tuple[str, ...] = (), from_zero: bool = False,
     ) -> None:  # fmt: skip
         self._name, self._unit, self._lines, self._dashed = name, unit, lines, dashed
         self._power = 0
         self._present = list(range(len(lines)))
         nothing = np.array([0.0, 1.0])
+        scale = uplot.Scale(auto=True, range=_FROM_ZERO) if from_zero else uplot.Scale(auto=True)
         self._handle: Any = gui.add_uplot(
             data=(nothing, *(nothing * 0 for _ in lines)),
             series=self._series(),
             title=self.title,
-            scales={"x": uplot.Scale(time=False), "y": uplot.Scale(auto=True)},
+            scales={"x": uplot.Scale(time=False), "y": scale},
             axes=self._axes(theme),
             legend=uplot.Legend(show=True, live=False),
             padding=(8, 14, 0, 0),
@@ -163,7 +167,7 @@ class Charts:
         gui.add_html(_DENSE)
         dashed = ("Cramér-Rao bound", "95 % of runs from", "to")
         self._charts = [
-            Chart(gui, name, unit, lines, theme, height, dashed)
+            Chart(gui, name, unit, lines, theme, height, dashed, from_zero=True)
             for (name, unit), lines in chart_lines(stage, theme).items()
         ]
 

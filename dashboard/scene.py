@@ -19,6 +19,8 @@ from dashboard.theme import Theme, linear, mixed
 from dashboard.view import MOST_LABELS, View
 
 _NODE_HEIGHT = 0.02
+# Above these they hide everything, and say nothing.
+_MOST_LINKS = 2000
 PLANTS: dict[Picture, Callable[..., PlantPicture]] = {
     Picture.PLANE: Plane,
     Picture.TRACK: CarTrack,
@@ -177,6 +179,8 @@ class Scene:
             colours[(edges == view.selected).any(1)] = theme.edge
         colours[dead] = mixed(theme.down, theme.panel, 0.45)
         up = ~frame.cut
+        if len(edges) > _MOST_LINKS:
+            up &= dead | (edges == (-1 if view.selected is None else view.selected)).any(1)
         painted = np.repeat(colours[up][:, None], 2, axis=1)
         return ends[up], painted, geometry.dashed(ends[frame.cut])
 
@@ -185,7 +189,7 @@ class Scene:
         if sender < 0 or not len(edges):
             return _NO_LINES
         hers = (edges == sender).any(1) & ~frame.cut & frame.alive[edges].all(1)
-        return at[edges[hers]] + [0, 0, 0.01]
+        return at[edges[hers]] + [0, 0, 0.08]
 
     def _label(self, view: View, frame: Frame, at: Array) -> None:
         """Names beside the nodes, where they have room; again only when something about them is."""

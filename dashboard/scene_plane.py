@@ -138,5 +138,5 @@ class Plane:
         centre = self.node_places(frame, ())[view.selected]
         half = np.full(2, reach_m * self._stage.scale)
         rim = geometry.outlines(centre[:2], half, np.zeros(()), 96)
-        segments = np.concatenate([rim, np.full((*rim.shape[:2], 1), 0.03)], axis=-1)
+        segments = np.concatenate([rim, np.full((*rim.shape[:2], 1), 0.1)], axis=-1)
         return segments[::2]

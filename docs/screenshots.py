@@ -60,7 +60,7 @@ SHOTS = {
         "target-tracking",
         {"nodes": 200, "steps": 45, "schedule": "hybrid", "occupancy": 0.1},
         44,
-        {"selected": 21, "order": "error"},
+        {"selected": 21},
     ),
     "vehicle": Shot("vehicle-network", {"steps": 700}, 690, {"selected": 1}),
     "replay": Shot(
@@ -71,7 +71,7 @@ SHOTS = {
         "target-tracking",
         {"nodes": 400, "steps": 40, "graph": "4-regular", "schedule": "hybrid", "occupancy": 0.05},
         39,
-        {"selected": 21, "order": "age"},
+        {"selected": 21},
         size=(1920, 1080),
     ),
     "sets": Shot(
