@@ -15,7 +15,6 @@ import numpy as np
 from filters.fusion import INFORMATION, Averaging
 from filters.gaussian import Gaussian
 from filters.hold import sharpness_of_factor
-from filters.linalg import symmetrise
 from nodes.belief_consensus import HoldPolicy
 from nodes.local_filter import carry, finite_lanes, where
 from nodes.messages import Array
@@ -219,7 +218,7 @@ class BeliefFleet:
             fused = fused.taken()
             after = self.averaging.conclude(fused.values, content.origin)
             sound = finite_lanes(after)
-            belief = where(sound, Gaussian(after.mean, symmetrise(after.cov)), belief)
+            belief = where(sound, after, belief)
         counters = added(content.counters, {"fuse-failed": ~sound})
         if not sound.all():
             before = content.own.taken()
