@@ -320,6 +320,7 @@ class Books:
 
     def refused(self, node: int, shares: int) -> None:
         """A node's estimator has refused so many shares that it had heard."""
+        self.struck["indefinite"] += shares
         self._pages[node].refused_shares += shares
 
     def _compare(self, node: int, page: Page, counters: dict[str, int], silent: bool) -> None:
