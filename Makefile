@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: browser screenshots demo test test-slow check format fast bench bench-compare kills docs lock clean
+.PHONY: browser screenshots demo test test-slow check format fast bench bench-compare kills fuzz docs lock clean
 
 demo: .venv/run.stamp
 	$(BIN)/concord run --scenario target-tracking --nodes 12 --graph geometric --seed 7 --driver processes
@@ -48,6 +48,10 @@ bench-compare: .venv/dev.stamp
 # 300 kills and restarts in lockstep, 100 hangs in real time: what they cost the others.
 kills: .venv/dev.stamp
 	$(BIN)/python -m benchmarks.kills
+
+# A million malformed messages against a network that runs: all counted, no estimate changed.
+fuzz: .venv/dev.stamp
+	$(BIN)/python -m benchmarks.fuzz
 
 docs: .venv/run.stamp
 	$(BIN)/python -m docs.picture

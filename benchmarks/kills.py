@@ -235,4 +235,4 @@ def main(options: Options) -> None:
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    main(tyro.cli(Options))

@@ -42,7 +42,8 @@ Notice = Presence | Hello | Recorded | Asked | Beat | Unreachable | BidsClosed |
 
 
 class State(msgspec.Struct, frozen=True):
-    """What the world answers to whoever asks how the network stands."""
+    """What the world answers to whoever asks how the network stands; it has `refused` so many
+    messages that were none."""
 
     run: str
     setup: msgspec.Raw
@@ -53,3 +54,4 @@ class State(msgspec.Struct, frozen=True):
     steps_per_second: float
     members: list[int]
     standing: Standing
+    refused: int

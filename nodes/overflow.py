@@ -6,7 +6,6 @@ emptied.
 """
 
 import threading
-import time
 from collections import deque
 from collections.abc import Sequence
 
@@ -28,7 +27,9 @@ class Overflow:
         self._transport, self._queue = transport, queue
         self._aside: dict[str, deque[bytes]] = {topic: deque(maxlen=queue) for topic in topics}
         self._awaited, self._waits = topics[0], 0
-        threading.Thread(target=self._look, daemon=True).start()
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._look, daemon=True)
+        self._thread.start()
 
     def receive(self, topic: str) -> bytes | None:
         """Wait for the next message of a topic; None if woken up, as by what was taken aside."""
@@ -45,12 +46,17 @@ class Overflow:
             (topic, kept.popleft()) for topic, kept in self._aside.items() for _ in range(len(kept))
         ]
 
+    def close(self) -> None:
+        """Nothing more is taken aside; before the transport is closed."""
+        self._closing.set()
+        self._thread.join()
+
     def _look(self) -> None:
         """In a thread of its own."""
-        while True:
-            seen = self._waits
-            time.sleep(_LOOK_S)
-            if self.out or (self._waits == seen and not any(self._aside.values())):
+        seen = self._waits
+        while not self._closing.wait(_LOOK_S):
+            seen, before = self._waits, seen
+            if self.out or (seen == before and not any(self._aside.values())):
                 self._empty()
                 self._transport.wake(self._awaited)
 

@@ -153,6 +153,7 @@ class _Seat:
         self._queues.out = True
         with self._told:
             self._told.wait_for(lambda: self._ended)
+        self._queues.close()
 
     def rejoin(self, fingerprint: str) -> tuple[NodeConfig, NodeState]:
         """Ask to be let in, and wait until it is so."""

@@ -2,6 +2,7 @@
 goes, and with what people ask for."""
 
 import dataclasses
+import re
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -41,6 +42,7 @@ _ANSWER_S = 5.0
 # How often the world says for whom it waits.
 _TELL_S = 10.0
 _TIMED = "a network in real time follows the clock: kill, restart and faults only"
+_FINGERPRINT = re.compile(rb"[0-9a-f]{64}")
 _NOT_OURS = "nodes run on hosts of their own; end and start `concord node` there"
 # From the announcement of the common start to the start: every node must have heard it.
 _HEAD_START_S = 0.2
@@ -105,6 +107,8 @@ class _Office:
         self._management, self._tempo = management, tempo
         self._doomed: set[int] = set()
         self._begun = False
+        # One for each message that was none.
+        self._refused: list[None] = []
         stage = Stage(self._doomed.add, self._start, management.check)
         if tempo is not None:
             config = dataclasses.replace(config, lead=config.steps)
@@ -204,7 +208,7 @@ class _Office:
         try:
             event = decode(*message)
         except MalformedMessage as error:
-            sys.stderr.write(f"world: {error}\n")
+            self._refuse(str(error))
             return
         self._send(self._conductor.take(event))
 
@@ -292,6 +296,12 @@ class _Office:
             say = self._transport.send if waits else self._transport.offer
             say(topic(message), encode(message))
 
+    def _refuse(self, why: str) -> None:
+        """Count what is no message; the first is shown, as a flood would hide all else."""
+        if not self._refused:
+            sys.stderr.write(f"world: {why}\n")
+        self._refused.append(None)
+
     # --- in zenoh's threads ----------------------------------------------------------------------
 
     def _notify(self, notice: Notice) -> None:
@@ -301,8 +311,10 @@ class _Office:
 
     def _hear_hello(self, name: str, data: bytes) -> None:
         node = name.partition("/")[2]
-        if node.isdecimal() and int(node) < self._nodes:
-            self._notify(Hello(int(node), data.decode(errors="replace")))
+        if node.isdecimal() and int(node) < self._nodes and _FINGERPRINT.fullmatch(data):
+            self._notify(Hello(int(node), data.decode()))
+        else:
+            self._refuse(f"topic {name!r} carried {data[:60]!r}: no digest of a setup")
 
     def _hear_recorded(self, name: str, _data: bytes) -> None:
         node = name.partition("/")[2]
@@ -313,7 +325,7 @@ class _Office:
         try:
             lost: Unreachable = decode(name, data)
         except MalformedMessage as error:
-            sys.stderr.write(f"world: {error}\n")
+            self._refuse(str(error))
             return
         if max(lost.node, lost.neighbour) < self._nodes:
             self._notify(lost)
@@ -343,6 +355,7 @@ class _Office:
                 conductor.steps_per_second,
                 world.members(conductor.config, state),
                 state.standing,
+                len(self._refused),
             )
         )
 

@@ -113,10 +113,10 @@ def record():
 def node(i, mark):
     run_node("refuse", links[str(i)], build_node(setup, i), setup.neighbours[i], mark)
 supervisor.start(RECORDER, record)
-supervisor.start("0", partial(node, 0, "same"))
-supervisor.start("1", partial(node, 1, "other"))
+supervisor.start("0", partial(node, 0, 64 * "a"))
+supervisor.start("1", partial(node, 1, 64 * "b"))
 management = Management(None, None, None, lambda step: None, b"{}")
-world = partial(run_world, "refuse", links[WORLD], build_world(setup), "same", management)
+world = partial(run_world, "refuse", links[WORLD], build_world(setup), 64 * "a", management)
 supervisor.start(WORLD, world)
 say(*supervisor.wait(quiet))
 supervisor.stop()
@@ -124,7 +124,7 @@ supervisor.stop()
     with family([sys.executable, "-c", BEGINNING + text], tmp_path) as run:
         code, out, err = run.end(30)
     assert (code, out) == (0, "world 1\n")
-    assert "node 1 runs configuration 'other', the world 'same'" in err
+    assert "node 1 runs configuration 'bbbbbbbbbbbb', the world 'aaaaaaaaaaaa'" in err
 
 
 # More messages on one topic than its queue takes, then one on another, over one link.

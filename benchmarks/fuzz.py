@@ -1,0 +1,220 @@
+"""Malformed frames and messages against a network that runs: `python -m benchmarks.fuzz`.
+
+An intruder without keys joins every process of a lockstep network and says on all that it listens
+to what no sound process says. All of it must be refused and counted by somebody, and the estimates
+must be those of a network that was left alone, bit for bit. What is whole and of the right form and
+only untrue is not part of this: without keys nobody can tell (docs/security.md).
+"""
+
+import os
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import tyro
+
+from benchmarks.malformed import DAMAGED, FRAMES, JSON, Spoil, malformed
+from experiments.drivers import in_memory, over_processes
+from nodes.commands import Speed
+from nodes.control_client import Client
+from nodes.links import RECORDER, WORLD, Links, names, ports_from
+from nodes.messages import Estimate, decode
+from nodes.network_file import read_network
+from nodes.recorded import meaning
+from nodes.recording import read_recording
+from nodes.zenoh_transport import Transport
+from scenarios.catalogue import kind_of
+from scenarios.setup import Setup, prepare
+
+NODES, STEPS, RATE = 4, 3000, 10.0
+RUN = "fuzz"
+JOIN_S = 10.0
+REFUSED = ("rejected", "late", "repeated")
+GONE = b'{"what":"gone","node":1}'
+
+
+@dataclass(frozen=True)
+class Options:
+    """How many, and which."""
+
+    messages: int = 1_000_000
+    """Malformed messages, over all processes."""
+    seed: int = 1
+    """Which."""
+
+
+class Outcome(msgspec.Struct):
+    """What became of the messages: sent to each process, refused by each, and by which reason."""
+
+    sent: dict[str, int]
+    refused: dict[str, int]
+    reasons: dict[str, int]
+    same_estimates: bool
+    seconds: float
+    memory_mb: tuple[dict[str, int], dict[str, int]]
+
+
+class Target:
+    """One process, and what can be said to it."""
+
+    def __init__(self, name: str, port: int, said: list[tuple[str, list[bytes], tuple]]) -> None:
+        self.name, self.said = name, said
+        links = Links("peer", (), (f"tcp/127.0.0.1:{port}",), JOIN_S)
+        self.transport = Transport(RUN, links, [], 1)
+
+
+def targets(setup: Setup, ports: dict[str, int], sound: list[tuple[str, bytes]]) -> list[Target]:
+    """Every process, with what sound ones say to it, and how that can be spoilt."""
+    heard: dict[str, list[bytes]] = {}
+    for topic, data in sound:
+        heard.setdefault(topic, []).append(data)
+    grant = [b'{"cycle":1,"winners":[0]}']
+    digest = [b"0" * 63 + b"g"]
+
+    def of(topic: str, ways: tuple[Spoil, ...]) -> tuple[str, list[bytes], tuple[Spoil, ...]]:
+        # Those of the first steps are over when the storm begins.
+        return topic, heard[topic][:5], ways
+
+    everybody = []
+    for node in range(NODES):
+        said = [of(f"share/{j}", FRAMES) for j in setup.neighbours[node]]
+        said += [of(f"measured/{node}", JSON), ("grant", grant, JSON)]
+        said += [(topic, [GONE], JSON) for topic in ("gone", f"gone/{node}", f"welcome/{node}")]
+        everybody.append(Target(str(node), ports[str(node)], said))
+    said = [of(f"estimate/{node}", JSON) for node in range(NODES)]
+    said += [("unreachable/1", [b'{"node":1,"neighbour":2}'], JSON), ("hello/1", digest, JSON)]
+    everybody.append(Target(WORLD, ports[WORLD], said))
+    said = [of(f"share/{node}", DAMAGED) for node in range(NODES)]
+    said += [of(f"estimate/{node}", JSON) for node in range(NODES)]
+    everybody.append(Target(RECORDER, ports[RECORDER], said))
+    return everybody
+
+
+def storm(everybody: list[Target], messages: int, seed: int) -> dict[str, int]:
+    """Say it all; returns how many were sent to whom."""
+    rng = np.random.default_rng(seed)
+    sent: Counter[str] = Counter()
+    for number in range(messages):
+        target = everybody[number % len(everybody)]
+        turn = number // len(everybody)
+        topic, whole, ways = target.said[turn % len(target.said)]
+        way = turn // len(target.said)
+        target.transport.send(topic, malformed(way, ways, whole[way % len(whole)], rng))
+        sent[target.name] += 1
+        if number % 50_000 == 49_999:
+            sys.stderr.write(f"{number + 1} messages\n")
+    return dict(sent)
+
+
+def neighbouring_ports(cast: list[str]) -> dict[str, int]:
+    """Free ports that follow each other, so that an intruder knows where everybody is."""
+    # Below those that machines give out by themselves.
+    for first in range(20_000 + os.getpid() % 10_000, 32_000, len(cast)):
+        with suppress(ValueError):
+            return ports_from(first, cast)
+    raise RuntimeError("no free ports")
+
+
+def memory_mb(pids: dict[str, int]) -> dict[str, int]:
+    """Resident memory of each process."""
+    pages = {
+        name: int(Path(f"/proc/{pid}/statm").read_text().split()[1]) for name, pid in pids.items()
+    }
+    return {name: number * 4096 // 1_000_000 for name, number in pages.items()}
+
+
+def believed(messages: list[tuple[str, bytes]]) -> tuple[dict, dict[str, Counter[str]]]:
+    """What was estimated (node, step), and the counters of each node at its end."""
+    estimates, counters = {}, {}
+    for topic, data in messages:
+        if meaning(topic, data, NODES) is None or not topic.startswith("estimate/"):
+            continue
+        estimate: Estimate = decode(topic, data)
+        told = (estimate.mean, estimate.cov, estimate.ages)
+        estimates[estimate.node, estimate.step] = told
+        counters[str(estimate.node)] = Counter(estimate.counters)
+    return estimates, counters
+
+
+def fuzz(messages: int, seed: int, steps: int = STEPS) -> Outcome:
+    """A network of four in lockstep in such a storm."""
+    defaults = kind_of("oscillator").defaults
+    wanted = {"nodes": NODES, "graph": "ring", "steps": steps}
+    setup = prepare(msgspec.structs.replace(defaults, **wanted))
+    sound = in_memory(setup)
+    cast = names(setup.neighbours)
+    ports = neighbouring_ports(cast)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "run.mcap"
+        begun = threading.Event()
+
+        def run() -> None:
+            over_processes(setup, RUN, path, ports[cast[0]], lambda step: begun.set())
+
+        thread = threading.Thread(target=run)
+        thread.start()
+        if not begun.wait(60):
+            raise RuntimeError("the network did not begin within a minute")
+        network = read_network(Path(folder))
+        client = Client(network.connect, RUN)
+        client.command(Speed(RATE))
+        while client.state()["completed"] < 10:
+            time.sleep(0.02)
+        everybody = targets(setup, ports, sound)
+        before, began_s = memory_mb(network.pids), time.monotonic()
+        sent = storm(everybody, messages, seed)
+        # What is said last is still on its way; the world's share of it is known when it has come.
+        while client.state()["refused"] < sent[WORLD] and time.monotonic() - began_s < 600:
+            time.sleep(0.05)
+        client.command(Speed(RATE))
+        now = client.state()["completed"]
+        while client.state()["completed"] < min(now + 20, steps - 1):
+            time.sleep(0.05)
+        seconds, after = time.monotonic() - began_s, memory_mb(network.pids)
+        refused = {WORLD: client.state()["refused"]}
+        for target in everybody:
+            target.transport.close()
+        client.command(Speed(0))
+        client.close()
+        thread.join(120)
+        recorded = list(read_recording(path))
+    refused[RECORDER] = sum(meaning(topic, data, NODES) is None for topic, data in recorded)
+    alone, quiet = believed(sound)
+    stormed, counters = believed(recorded)
+    reasons: Counter[str] = Counter()
+    for node, told in counters.items():
+        more = {
+            name: number - quiet[node].get(name, 0)
+            for name, number in told.items()
+            if name.startswith(REFUSED)
+        }
+        refused[node] = sum(more.values())
+        reasons.update(more)
+    return Outcome(sent, refused, dict(reasons), alone == stormed, seconds, (before, after))
+
+
+def main(options: Options) -> None:
+    """Print what became of all."""
+    outcome = fuzz(options.messages, options.seed)
+    total, refused = sum(outcome.sent.values()), sum(outcome.refused.values())
+    lines = [f"{total} messages sent, {refused} refused and counted, in {outcome.seconds:.0f} s"]
+    for name, number in outcome.sent.items():
+        lines.append(f"  {name}: {number} sent, {outcome.refused[name]} refused")
+    lines += [f"  nodes, {name}: {number}" for name, number in sorted(outcome.reasons.items())]
+    before, after = outcome.memory_mb
+    lines.append(f"  MB before {before}, after {after}")
+    same = "those" if outcome.same_estimates else "NOT those"
+    lines.append(f"  the estimates are {same} of a network left alone, bit for bit")
+    sys.stdout.write("\n".join(lines) + "\n")
+    sys.exit(0 if outcome.same_estimates and outcome.sent == outcome.refused else 1)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))
