@@ -151,7 +151,6 @@ def test_who_may_look_on_and_who_may_command_a_guarded_network(
         frames.close()
 
 
-# Beside other work on the machine the world has stopped answering here: a defect that is not found.
 @pytest.mark.slow
 @needs_proc
 @pytest.mark.zenoh
