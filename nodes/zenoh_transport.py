@@ -231,11 +231,12 @@ class Transport:
         return (self._topic(sample) if "*" in subscription else subscription), data
 
     def receive_at_once(self, subscription: str) -> tuple[str, bytes] | None:
-        """The next message of one subscription if there is one already."""
-        while (sample := self._queues[subscription].try_recv()) is not None:
-            data = sample.payload.to_bytes()
-            if data:
-                return self._topic(sample), data
+        """The next message of one subscription if there is one already; none for who has left."""
+        with suppress(zenoh.ZError):
+            while (sample := self._queues[subscription].try_recv()) is not None:
+                data = sample.payload.to_bytes()
+                if data:
+                    return self._topic(sample), data
         return None
 
     def wake(self, subscription: str) -> None:

@@ -163,3 +163,21 @@ supervisor.stop()
 def test_a_full_queue_hides_nothing_that_is_waited_for(tmp_path: Path):
     """All messages come in through one thread, which waits where a queue is full."""
     assert said_by(FULL_QUEUE, tmp_path) == ["3000 True"]
+
+
+# A thread may still look for messages when its process ends, and with it the session.
+LEAVING = """
+from nodes.zenoh_transport import Transport
+def leave():
+    endpoint = f"tcp/127.0.0.1:{free_ports(['own'])['own']}"
+    transport = Transport("leaving", Links("peer", (endpoint,), (), 5.0), ["many"], 8)
+    transport.close()
+    say("heard", transport.receive_at_once("many"))
+    transport.wake("many")
+supervisor.start("own", leave)
+say(supervisor.wait(quiet).code)
+"""
+
+
+def test_who_has_left_hears_nothing(tmp_path: Path):
+    assert said_by(LEAVING, tmp_path) == ["heard None", "0"]
