@@ -17,6 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from queue import Empty, SimpleQueue
 
 import msgspec
 import numpy as np
@@ -51,6 +52,8 @@ class Options:
     """Stops in real time: short ones, and ones beyond the lease."""
     seed: int = 1
     """Which nodes, when."""
+    graph: str = "4-regular"
+    """Links of their own where it is sparse; `complete` goes through a router."""
 
 
 class Network:
@@ -67,6 +70,9 @@ class Network:
         # When each step began, as a watcher hears it.
         self.heard_s: list[float] = []
         self.client.listen("truth", lambda topic, data: self.heard_s.append(time.monotonic()))
+        # What was told of whom, and when it was heard.
+        self._told: SimpleQueue[tuple[float, dict]] = SimpleQueue()
+        self.client.listen("event", self._hear)
 
     def _work(self, tempo: Tempo | None) -> None:
         with suppress(NetworkFailed):
@@ -75,17 +81,31 @@ class Network:
                 self.setup, "kills", recording, None, lambda step: self._begun.set(), tempo
             )
 
+    def _hear(self, _topic: str, data: bytes) -> None:
+        self._told.put((time.monotonic(), msgspec.json.decode(data)["change"]))
+
     @property
     def pids(self) -> dict[str, int]:
         """Those that live, as the launcher says."""
         return read_network(self.folder).pids
 
-    def await_member(self, node: int, is_in: bool, seconds: float = 60.0) -> float:
-        """How long it takes until a node is in, or out."""
+    def await_told(self, what: str, node: int, since_s: float, seconds: float = 60.0) -> float:
+        """How long after a time it was told that a node is `gone` or has `joined`."""
+        change = {"what": "pace"}
+        told_s = since_s
+        while change["what"] != what or change["node"] != node or told_s < since_s:
+            try:
+                told_s, change = self._told.get(timeout=seconds)
+            except Empty:
+                raise RuntimeError(f"nobody told in {seconds} s that {node} {what}") from None
+        return told_s - since_s
+
+    def await_member(self, node: int, seconds: float = 60.0) -> float:
+        """How long it takes until a node is in."""
         began = time.monotonic()
-        while (node in self.client.state()["members"]) != is_in:
+        while node not in self.client.state()["members"]:
             if time.monotonic() - began > seconds:
-                raise RuntimeError(f"node {node} is not {'in' if is_in else 'out'} in {seconds} s")
+                raise RuntimeError(f"node {node} is not in within {seconds} s")
             time.sleep(0.01)
         return time.monotonic() - began
 
@@ -147,11 +167,12 @@ def kill_in_lockstep(network: Network, count: int, rng: np.random.Generator) -> 
     for number in range(count):
         node = int(rng.integers(NODES))
         time.sleep(float(rng.uniform(0, 0.1)))
-        os.kill(network.pids[str(node)], signal.SIGKILL)
-        gone_s.append(network.await_member(node, False))
+        pid, killed_s = network.pids[str(node)], time.monotonic()
+        os.kill(pid, signal.SIGKILL)
+        gone_s.append(network.await_told("gone", node, killed_s))
         began = time.monotonic()
         client.command(Restart(node))
-        network.await_member(node, True)
+        network.await_member(node)
         back_s.append(time.monotonic() - began)
         if number % 50 == 49:
             sys.stderr.write(f"{number + 1} kills\n")
@@ -160,8 +181,10 @@ def kill_in_lockstep(network: Network, count: int, rng: np.random.Generator) -> 
     stalls = np.diff(network.heard_s) - 1 / RATE
     left = network.end()
     trace = network.trace()
-    say(f"{count} kills and restarts, {NODES} processes, lockstep at {RATE:g} steps/s")
-    say(f"  seen as gone after {spread(gone_s)} s; longest stall of the others {max(stalls):.3f} s")
+    graph = network.setup.scenario.graph
+    say(f"{count} kills and restarts, {NODES} processes, {graph}, lockstep at {RATE:g} steps/s")
+    say(f"  told to be gone after {spread(gone_s)} s")
+    say(f"  longest stall of the others {max(stalls):.3f} s")
     say(f"  rejoined {spread(back_s)} s after the command; processes at the end {len(living)}")
     say(f"  files open before {before}, after {after}; {left}")
     account(network, trace)
@@ -177,7 +200,7 @@ def hang_in_real_time(network: Network, count: int, rng: np.random.Generator) ->
         time.sleep(SHORT_S if number % 2 else LONG_S)
         os.kill(pid, signal.SIGCONT)
         time.sleep(0.1)
-        back_s.append(network.await_member(node, True))
+        back_s.append(network.await_member(node))
         time.sleep(float(rng.uniform(0, 0.2)))
     time.sleep(2)
     stalls = np.diff(network.heard_s)
@@ -221,7 +244,7 @@ def account(network: Network, trace: Trace) -> None:
 def main(options: Options) -> None:
     """Both, one after the other."""
     defaults = kind_of("oscillator").defaults
-    wanted = {"nodes": NODES, "graph": "4-regular", "steps": 1_000_000}
+    wanted = {"nodes": NODES, "graph": options.graph, "steps": 1_000_000}
     setup = prepare(msgspec.structs.replace(defaults, **wanted))
     rng = np.random.default_rng(options.seed)
     plays: list[tuple[int, Tempo | None, Callable]] = [
