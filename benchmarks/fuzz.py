@@ -127,7 +127,8 @@ def memory_mb(pids: dict[str, int]) -> dict[str, int]:
     pages = {
         name: int(Path(f"/proc/{pid}/statm").read_text().split()[1]) for name, pid in pids.items()
     }
-    return {name: number * 4096 // 1_000_000 for name, number in pages.items()}
+    page_bytes = os.sysconf("SC_PAGE_SIZE")
+    return {name: number * page_bytes // 1_000_000 for name, number in pages.items()}
 
 
 def believed(messages: list[tuple[str, bytes]]) -> tuple[dict, dict[str, Counter[str]]]:
