@@ -6,13 +6,10 @@ must be those of a network that was left alone, bit for bit. What is whole and o
 only untrue is not part of this: without keys nobody can tell (docs/security.md).
 """
 
-import os
 import sys
 import tempfile
-import threading
 import time
 from collections import Counter
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,14 +18,12 @@ import numpy as np
 import tyro
 
 from benchmarks.malformed import DAMAGED, FRAMES, JSON, Spoil, malformed
-from experiments.drivers import in_memory, over_processes
+from benchmarks.running import Running, memory_mb, neighbouring_ports
+from experiments.drivers import in_memory
 from nodes.commands import Speed
-from nodes.control_client import Client
-from nodes.links import RECORDER, WORLD, Links, names, ports_from
+from nodes.links import RECORDER, WORLD, Links, names
 from nodes.messages import Estimate, decode
-from nodes.network_file import read_network
 from nodes.recorded import meaning
-from nodes.recording import read_recording
 from nodes.zenoh_transport import Transport
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup, prepare
@@ -113,24 +108,6 @@ def storm(everybody: list[Target], messages: int, seed: int) -> dict[str, int]:
     return dict(sent)
 
 
-def neighbouring_ports(cast: list[str]) -> dict[str, int]:
-    """Free ports that follow each other, so that an intruder knows where everybody is."""
-    # Below those that machines give out by themselves.
-    for first in range(20_000 + os.getpid() % 10_000, 32_000, len(cast)):
-        with suppress(ValueError):
-            return ports_from(first, cast)
-    raise RuntimeError("no free ports")
-
-
-def memory_mb(pids: dict[str, int]) -> dict[str, int]:
-    """Resident memory of each process."""
-    pages = {
-        name: int(Path(f"/proc/{pid}/statm").read_text().split()[1]) for name, pid in pids.items()
-    }
-    page_bytes = os.sysconf("SC_PAGE_SIZE")
-    return {name: number * page_bytes // 1_000_000 for name, number in pages.items()}
-
-
 def believed(messages: list[tuple[str, bytes]]) -> tuple[dict, dict[str, Counter[str]]]:
     """What was estimated (node, step), and the counters of each node at its end."""
     estimates, counters = {}, {}
@@ -153,23 +130,13 @@ def fuzz(messages: int, seed: int, steps: int = STEPS) -> Outcome:
     cast = names(setup.neighbours)
     ports = neighbouring_ports(cast)
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "run.mcap"
-        begun = threading.Event()
-
-        def run() -> None:
-            over_processes(setup, RUN, path, ports[cast[0]], lambda step: begun.set())
-
-        thread = threading.Thread(target=run)
-        thread.start()
-        if not begun.wait(60):
-            raise RuntimeError("the network did not begin within a minute")
-        network = read_network(Path(folder))
-        client = Client(network.connect, RUN)
+        running = Running(setup, RUN, Path(folder), ports[cast[0]])
+        client, pids = running.client, running.pids
         client.command(Speed(RATE))
         while client.state()["completed"] < 10:
             time.sleep(0.02)
         everybody = targets(setup, ports, sound)
-        before, began_s = memory_mb(network.pids), time.monotonic()
+        before, began_s = memory_mb(pids), time.monotonic()
         sent = storm(everybody, messages, seed)
         # What is said last is still on its way; the world's share of it is known when it has come.
         while client.state()["refused"] < sent[WORLD] and time.monotonic() - began_s < 600:
@@ -178,14 +145,12 @@ def fuzz(messages: int, seed: int, steps: int = STEPS) -> Outcome:
         now = client.state()["completed"]
         while client.state()["completed"] < min(now + 20, steps - 1):
             time.sleep(0.05)
-        seconds, after = time.monotonic() - began_s, memory_mb(network.pids)
+        seconds, after = time.monotonic() - began_s, memory_mb(pids)
         refused = {WORLD: client.state()["refused"]}
         for target in everybody:
             target.transport.close()
-        client.command(Speed(0))
-        client.close()
-        thread.join(120)
-        recorded = list(read_recording(path))
+        running.end()
+        recorded = running.recorded()
     refused[RECORDER] = sum(meaning(topic, data, NODES) is None for topic, data in recorded)
     alone, quiet = believed(sound)
     stormed, counters = believed(recorded)

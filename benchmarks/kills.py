@@ -9,7 +9,6 @@ import signal
 import socket
 import sys
 import tempfile
-import threading
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -23,13 +22,10 @@ import msgspec
 import numpy as np
 import tyro
 
-from experiments.drivers import over_processes
-from experiments.launcher import NetworkFailed
+from benchmarks.running import PROC, Running
 from experiments.trace import Trace, read_trace
 from nodes.commands import Restart, Speed
-from nodes.control_client import Client
 from nodes.network_file import read_network
-from nodes.recording import read_recording
 from nodes.tempo import Tempo
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup, prepare
@@ -39,7 +35,6 @@ NODES, RATE = 16, 40.0
 SHORT_S, LONG_S = 0.3, 2.6
 # So long whoever ends may take.
 LEAVE_S = 10.0
-PROC = Path("/proc")
 
 
 @dataclass(frozen=True)
@@ -57,16 +52,12 @@ class Options:
 
 
 class Network:
-    """A network that runs in a thread's care until it is ended."""
+    """A network that runs, what is told of it, and when."""
 
     def __init__(self, setup: Setup, folder: Path, tempo: Tempo | None) -> None:
         self.setup, self.folder = setup, folder
-        self._thread = threading.Thread(target=self._work, args=(tempo,))
-        self._begun = threading.Event()
-        self._thread.start()
-        if not self._begun.wait(120):
-            raise RuntimeError("the network did not begin within two minutes")
-        self.client = Client(read_network(folder).connect, "kills")
+        self._running = Running(setup, "kills", folder, tempo=tempo)
+        self.client = self._running.client
         # When each step began, as a watcher hears it.
         self.heard_s: list[float] = []
         self.client.listen("truth", lambda topic, data: self.heard_s.append(time.monotonic()))
@@ -74,20 +65,13 @@ class Network:
         self._told: SimpleQueue[tuple[float, dict]] = SimpleQueue()
         self.client.listen("event", self._hear)
 
-    def _work(self, tempo: Tempo | None) -> None:
-        with suppress(NetworkFailed):
-            recording = self.folder / "run.mcap"
-            over_processes(
-                self.setup, "kills", recording, None, lambda step: self._begun.set(), tempo
-            )
-
     def _hear(self, _topic: str, data: bytes) -> None:
         self._told.put((time.monotonic(), msgspec.json.decode(data)["change"]))
 
     @property
     def pids(self) -> dict[str, int]:
         """Those that live, as the launcher says."""
-        return read_network(self.folder).pids
+        return self._running.pids
 
     def await_told(self, what: str, node: int, since_s: float, seconds: float = 60.0) -> float:
         """How long after a time it was told that a node is `gone` or has `joined`."""
@@ -104,16 +88,20 @@ class Network:
         pids, connect = list(self.pids.values()), read_network(self.folder).connect
         self.client.close()
         os.kill(self.pids["world"], signal.SIGKILL)
-        self._thread.join(60)
+        self._running.ended_within(60)
         deadline_s = time.monotonic() + LEAVE_S
         while (left := [pid for pid in pids if lives(pid)]) and time.monotonic() < deadline_s:
             time.sleep(0.01)
         taken = [endpoint for endpoint in connect if listens(endpoint)]
         return f"processes left {left}, ports that still answer {taken}"
 
-    def trace(self) -> Trace:
+    def recorded(self) -> list[tuple[str, bytes]]:
         """What was recorded."""
-        return read_trace(self.setup, read_recording(self.folder / "run.mcap"))
+        return self._running.recorded()
+
+    def trace(self) -> Trace:
+        """The same as arrays."""
+        return read_trace(self.setup, self.recorded())
 
 
 def lives(pid: int) -> bool:
@@ -212,7 +200,7 @@ def account(network: Network, trace: Trace) -> None:
     """Where the estimates and shares are that were not recorded, and whether all agree."""
     changes = Counter(
         msgspec.json.decode(data)["change"]["what"]
-        for topic, data in read_recording(network.folder / "run.mcap")
+        for topic, data in network.recorded()
         if topic == "event"
     )
     out = np.isnan(trace.mean[:, :, 0])

@@ -11,8 +11,10 @@ from collections.abc import Sequence
 
 from nodes.zenoh_transport import Transport
 
-# Whoever waits as long as this may wait for what stands behind a full queue.
+# Who has heard nothing for as long as this may wait for what stands behind a full queue.
 _LOOK_S = 0.05
+# Every so many looks also what nobody waits for is taken from its queue, however busy its owner is.
+_SOME_LOOKS = 20
 
 
 class Overflow:
@@ -25,26 +27,28 @@ class Overflow:
     def __init__(self, transport: Transport, topics: Sequence[str], queue: int) -> None:
         self.out = True
         self._transport, self._queue = transport, queue
-        self._aside: dict[str, deque[bytes]] = {topic: deque(maxlen=queue) for topic in topics}
-        self._awaited, self._waits = topics[0], 0
+        self._aside: dict[str, deque[tuple[str, bytes]]] = {
+            topic: deque(maxlen=queue) for topic in topics
+        }
+        self._awaited, self._heard = topics[0], 0
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._look, daemon=True)
         self._thread.start()
 
-    def receive(self, topic: str) -> bytes | None:
-        """Wait for the next message of a topic; None if woken up, as by what was taken aside."""
+    def receive(self, topic: str) -> tuple[str, bytes] | None:
+        """Wait for the next message of a topic, or of a pattern of topics: (topic, bytes); None if
+        woken up, as by what was taken aside."""
         self._awaited = topic
-        self._waits += 1
         if any(self._aside.values()):
             return None
         received = self._transport.receive(topic)
-        return None if received is None else received[1]
+        if received is not None:
+            self._heard += 1
+        return received
 
     def take(self) -> list[tuple[str, bytes]]:
         """What was taken aside, (topic, bytes), each topic in the order in which it came."""
-        return [
-            (topic, kept.popleft()) for topic, kept in self._aside.items() for _ in range(len(kept))
-        ]
+        return [kept.popleft() for kept in self._aside.values() for _ in range(len(kept))]
 
     def close(self) -> None:
         """Nothing more is taken aside; before the transport is closed."""
@@ -53,10 +57,12 @@ class Overflow:
 
     def _look(self) -> None:
         """In a thread of its own."""
-        seen = self._waits
+        seen, looks = self._heard, 0
         while not self._closing.wait(_LOOK_S):
-            seen, before = self._waits, seen
-            if self.out or (seen == before and not any(self._aside.values())):
+            seen, before = self._heard, seen
+            looks += 1
+            is_due = seen == before or looks % _SOME_LOOKS == 0
+            if self.out or (is_due and not any(self._aside.values())):
                 self._empty()
                 self._transport.wake(self._awaited)
 
@@ -67,4 +73,4 @@ class Overflow:
                 received = self._transport.receive_at_once(topic)
                 if received is None:
                     break
-                kept.append(received[1])
+                kept.append(received)

@@ -100,7 +100,7 @@ class _Seat:
         # One for each message that was none.
         self._refused: deque[None] = deque()
         self._told = threading.Condition()
-        self._ended = False
+        self._finished = self._ended = False
         topics = [self._heartbeat, "grant", *self._shares.values()]
         self.transport = Transport(run, links, topics, NODE_QUEUE)
         self._queues = Overflow(self.transport, topics, NODE_QUEUE)
@@ -141,7 +141,8 @@ class _Seat:
 
     def _hear_end(self, _name: str, data: bytes) -> None:
         """In zenoh's thread."""
-        if data != END:
+        # Nobody has kept everything before everything was said.
+        if data != END or not self._finished:
             self._refused.append(None)
             return
         with self._told:
@@ -187,6 +188,7 @@ class _Seat:
                 self._refused.popleft()
                 state = count(state, "rejected message")
             state, messages = state_machine.step(config, state, *events)
+            self._finished = state.phase is Phase.FINISHED
             self._send(messages)
             if state.phase is Phase.CHANGE:
                 self._await_joined(state)
@@ -210,18 +212,18 @@ class _Seat:
                 return self._await_shares(state_machine.awaited_neighbours(config, state))
 
     def _await_one(self, name: str) -> Sequence[NodeEvent]:
-        data = self._queues.receive(name)
-        return self._taken_aside() if data is None else self._events(name, data)
+        received = self._queues.receive(name)
+        return self._taken_aside() if received is None else self._events(*received)
 
     def _await_shares(self, senders: Sequence[int]) -> Sequence[NodeEvent]:
         """A frame of each, or of as many as came before the node was woken up."""
         assert senders, "a node in phase SHARES waits for somebody"
         events: list[NodeEvent] = []
         for sender in senders:
-            data = self._queues.receive(self._shares[sender])
-            if data is None:
+            received = self._queues.receive(self._shares[sender])
+            if received is None:
                 return [*events, *self._taken_aside()]
-            events.append(ShareHeard(sender, data))
+            events.append(ShareHeard(sender, received[1]))
         return events
 
     def _taken_aside(self) -> list[NodeEvent]:

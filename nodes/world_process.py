@@ -4,6 +4,7 @@ goes, and with what people ask for."""
 import dataclasses
 import re
 import sys
+import threading
 import time
 from collections.abc import Callable, Sequence
 from queue import Empty, SimpleQueue
@@ -31,6 +32,7 @@ from nodes.messages import (
 )
 from nodes.metronome import Metronome, tell_on_time
 from nodes.notices import Asked, Hello, Notice, Presence, Recorded, State
+from nodes.overflow import Overflow
 from nodes.process import Finished
 from nodes.tempo import Tempo
 from nodes.world import WorldConfig
@@ -116,9 +118,12 @@ class _Office:
         self._start_s: float | None = None
         self._notices: SimpleQueue[Notice] = SimpleQueue()
         self._source = "estimate/*"
+        self._ended = threading.Event()
         self._metronome = Metronome(lambda: self._notify(Beat()))
-        topics = ["bid/*", "estimate/*", "end"]
+        topics = ["bid/*", "estimate/*"]
         self._transport = Transport(run, links, topics, WORLD_QUEUE, answers=True)
+        self._queues = Overflow(self._transport, topics, WORLD_QUEUE)
+        self._transport.listen("end", self._hear_end)
         self._transport.listen("hello/*", self._hear_hello)
         self._transport.listen("recorded/*", self._hear_recorded)
         self._transport.listen("unreachable/*", self._hear_unreachable)
@@ -140,9 +145,11 @@ class _Office:
         self._begun = True
         self._management.on_step(0)
         conductor, completed = self._conductor, 0
+        self._queues.out = False
         self._send(conductor.begin() if self._tempo is None else self._announce(self._tempo))
         while not conductor.finished:
-            self._take(self._next_message())
+            for message in self._next_messages():
+                self._take(*message)
             if conductor.state.completed > completed:
                 completed = conductor.state.completed
                 self._management.on_step(completed)
@@ -153,8 +160,9 @@ class _Office:
         members = sorted(estimate.node for estimate in latest if estimate.step == last)
         finished = Finished(last, members)
         self._transport.send("finished", msgspec.json.encode(finished))
-        while self._transport.receive("end") != ("end", END):
-            pass
+        self._queues.out = True
+        self._ended.wait()
+        self._queues.close()
         self._transport.close()
 
     def _announce(self, tempo: Tempo) -> list[WorldMessage]:
@@ -191,22 +199,21 @@ class _Office:
                 f"{self._fingerprint[:12]!r}; give all the same setup, version and kernels"
             )
 
-    def _next_message(self) -> tuple[str, bytes] | None:
-        """What a node says; None after there was something else to do."""
+    def _next_messages(self) -> list[tuple[str, bytes]]:
+        """What nodes say; nothing after there was something else to do."""
         conductor = self._conductor
         bids = world.awaits_bids(conductor.config, conductor.state)
         # Set before we look for notices: who gives one wakes up whom we then wait for.
         self._source = "bid/*" if bids else "estimate/*"
         if self._notices.empty():
-            return self._transport.receive(self._source)
+            received = self._queues.receive(self._source)
+            return self._queues.take() if received is None else [received]
         self._attend(self._notices.get())
-        return None
+        return []
 
-    def _take(self, message: tuple[str, bytes] | None) -> None:
-        if message is None:
-            return
+    def _take(self, name: str, data: bytes) -> None:
         try:
-            event = decode(*message)
+            event = decode(name, data)
         except MalformedMessage as error:
             self._refuse(str(error))
             return
@@ -308,6 +315,13 @@ class _Office:
         self._notices.put(notice)
         if not self._conductor.finished:
             self._transport.wake(self._source)
+
+    def _hear_end(self, _name: str, data: bytes) -> None:
+        # Nobody has kept everything before everything was said.
+        if data == END and self._conductor.finished:
+            self._ended.set()
+        else:
+            self._refuse(f"topic 'end' carried {data[:60]!r} before the end")
 
     def _hear_hello(self, name: str, data: bytes) -> None:
         node = name.partition("/")[2]
