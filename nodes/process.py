@@ -7,7 +7,7 @@ timed. What the world does is in `nodes/world_process.py`.
 
 import threading
 from collections import deque
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -32,6 +32,7 @@ from nodes.node_state import NodeConfig, NodeState, Phase, count
 from nodes.overflow import Overflow
 from nodes.patience import Patience
 from nodes.recording import Recorder
+from nodes.seat import Seat
 from nodes.watchers import Watchers
 from nodes.whole_steps import WholeSteps
 from nodes.zenoh_transport import Transport
@@ -43,54 +44,35 @@ _LINK_S = 5.0
 _UNRECORDED = ("hello", "recorded", "start", "finished", "end", WATCH)
 
 
-def run_node(
-    run: str,
-    links: Links,
-    config: NodeConfig,
-    peers: Collection[int],
-    fingerprint: str,
-    late: bool = False,
-    patience_s: float | None = None,
-) -> None:
+def run_node(seat: Seat) -> None:
     """Be one node until the recorder says that the run is over.
-
-    `peers` are those whom it hears or who hear it: all must be there before the first share. A node
-    that is `late` joins a network that may run already. Where nobody else does, `patience_s` ends
-    the process of a node that has been without the world for so long.
 
     Raises:
         LinkError: the network cannot be joined.
     """
-    seat = _Seat(run, links, config, peers, patience_s)
-    if not late:
-        seat.transport.join(str(config.index), {WORLD, RECORDER, *map(str, peers)})
-        seat.transport.send(f"hello/{config.index}", fingerprint.encode())
-        stays = seat.take_part(config, state_machine.initial_state(config))
+    member, config = _Member(seat), seat.config
+    if not seat.late:
+        member.transport.join(str(config.index), {WORLD, RECORDER, *map(str, seat.peers)})
+        member.transport.send(f"hello/{config.index}", seat.fingerprint.encode())
+        stays = member.take_part(config, state_machine.initial_state(config))
     else:
-        seat.transport.join(str(config.index), {WORLD, RECORDER})
+        member.transport.join(str(config.index), {WORLD, RECORDER})
         stays = False
     while not stays:
         # It is not, or no longer, one of those who are waited for.
-        stays = seat.take_part(*seat.rejoin(fingerprint))
-    seat.await_end()
-    seat.transport.close()
+        stays = member.take_part(*member.rejoin())
+    member.await_end()
+    member.transport.close()
 
 
-class _Seat:
-    """A node's place in the network of processes."""
+class _Member:
+    """A node that others wait for."""
 
-    def __init__(
-        self,
-        run: str,
-        links: Links,
-        config: NodeConfig,
-        peers: Collection[int],
-        patience_s: float | None,
-    ) -> None:
+    def __init__(self, seat: Seat) -> None:
+        config = seat.config
         index = config.index
-        self._beginning = config
-        self._peers = peers
-        self._patience = None if patience_s is None else Patience(WORLD, patience_s)
+        self._seat, self._beginning = seat, config
+        self._patience = None if seat.patience_s is None else Patience(WORLD, seat.patience_s)
         self._heartbeat = f"measured/{index}"
         self._shares = {j: f"share/{j}" for j in config.neighbours}
         self._senders = {name: j for j, name in self._shares.items()}
@@ -102,7 +84,7 @@ class _Seat:
         self._told = threading.Condition()
         self._finished = self._ended = False
         topics = [self._heartbeat, "grant", *self._shares.values()]
-        self.transport = Transport(run, links, topics, NODE_QUEUE)
+        self.transport = Transport(seat.run, seat.links, topics, NODE_QUEUE)
         self._queues = Overflow(self.transport, topics, NODE_QUEUE)
         self.transport.listen("gone", self._hear_of_gone)
         self.transport.listen(f"gone/{index}", self._hear_of_gone)
@@ -156,14 +138,14 @@ class _Seat:
             self._told.wait_for(lambda: self._ended)
         self._queues.close()
 
-    def rejoin(self, fingerprint: str) -> tuple[NodeConfig, NodeState]:
+    def rejoin(self) -> tuple[NodeConfig, NodeState]:
         """Ask to be let in, and wait until it is so."""
         index = self._beginning.index
         self._queues.out = True
-        begun = await_links(self.transport, self._peers)
+        begun = await_links(self.transport, self._seat.peers)
         self._welcomes.clear()
         self._unreachable.clear()
-        self.transport.send(f"hello/{index}", fingerprint.encode())
+        self.transport.send(f"hello/{index}", self._seat.fingerprint.encode())
         if not begun:
             return self._beginning, state_machine.initial_state(self._beginning)
         with self._told:
@@ -256,7 +238,7 @@ class _Seat:
         """Whoever joins must hear what is said to it from the first word on."""
         changes = state.inbox.measured[state.step + 1].changes
         joined = {change.node for change in changes if isinstance(change, Joined)}
-        self.transport.await_present({str(j) for j in joined & set(self._peers)}, _LINK_S)
+        self.transport.await_present({str(j) for j in joined & set(self._seat.peers)}, _LINK_S)
 
     def _send(self, messages: Sequence[NodeMessage]) -> None:
         for message in messages:

@@ -9,7 +9,7 @@ step by step (`Timing`).
 
 import dataclasses
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from queue import Empty, Queue
 
 import msgspec
@@ -18,7 +18,7 @@ from nodes import node_changes, state_machine
 from nodes.changes import Change, Gone, Welcome
 from nodes.clock import WorldClock, ahead_s
 from nodes.entry import await_links
-from nodes.links import RECORDER, WORLD, Links
+from nodes.links import RECORDER, WORLD
 from nodes.messages import (
     END,
     CycleClosed,
@@ -33,8 +33,9 @@ from nodes.messages import (
     encode,
     topic,
 )
-from nodes.node_state import NodeConfig, Phase, count
+from nodes.node_state import Phase, count
 from nodes.patience import Patience
+from nodes.seat import Seat
 from nodes.tempo import Tempo
 from nodes.zenoh_transport import Transport
 
@@ -43,37 +44,24 @@ _QUEUE, _MAILBOX = 16, 65_536
 _ASK_AGAIN_S = 1.0
 
 
-def run_node_in_real_time(
-    run: str,
-    links: Links,
-    config: NodeConfig,
-    peers: Collection[int],
-    fingerprint: str,
-    tempo: Tempo,
-    late: bool = False,
-    patience_s: float | None = None,
-) -> None:
+def run_node_in_real_time(seat: Seat, tempo: Tempo) -> None:
     """Be one node until the recorder says that the run is over.
-
-    `peers` are those whom it hears or who hear it: all must be there before the first share. A node
-    that is `late` joins a network that may run already. Where nobody else does, `patience_s` ends
-    the process of a node that has been without the world for so long.
 
     Raises:
         LinkError: the network cannot be joined.
     """
-    player = _Player(run, links, dataclasses.replace(config, timed=True), tempo, fingerprint)
-    transport, name = player.transport, str(config.index)
-    if patience_s is not None:
-        transport.watch(Patience(WORLD, patience_s).see)
-    if late:
+    player, name = _Player(seat, tempo), str(seat.config.index)
+    transport = player.transport
+    if seat.patience_s is not None:
+        transport.watch(Patience(WORLD, seat.patience_s).see)
+    if seat.late:
         transport.join(name, {WORLD, RECORDER})
-        begun = await_links(transport, peers)
+        begun = await_links(transport, seat.peers)
         player.compare_clocks()
     else:
-        transport.join(name, {WORLD, RECORDER, *map(str, peers)})
+        transport.join(name, {WORLD, RECORDER, *map(str, seat.peers)})
         begun = False
-    transport.send(f"hello/{config.index}", fingerprint.encode())
+    transport.send(f"hello/{name}", seat.fingerprint.encode())
     if begun:
         player.enter()
     player.play()
@@ -95,10 +83,9 @@ class _Record:
 class _Player:
     """A node's place in a network that keeps time."""
 
-    def __init__(
-        self, run: str, links: Links, config: NodeConfig, tempo: Tempo, fingerprint: str
-    ) -> None:
-        self._config, self._tempo, self._fingerprint = config, tempo, fingerprint
+    def __init__(self, seat: Seat, tempo: Tempo) -> None:
+        config = dataclasses.replace(seat.config, timed=True)
+        self._config, self._tempo, self._fingerprint = config, tempo, seat.fingerprint
         self._state = state_machine.initial_state(config)
         self._start_s = self._ahead_s = 0.0
         self._mailbox: Queue[tuple[str, bytes]] = Queue(_MAILBOX)
@@ -110,7 +97,7 @@ class _Player:
         self._overdue: tuple[Change, ...] = ()
         self._alone = False
         self._asked_s = 0.0
-        self.transport = Transport(run, links, ["start", "end"], _QUEUE)
+        self.transport = Transport(seat.run, seat.links, ["start", "end"], _QUEUE)
         index = config.index
         own = [f"measured/{index}", "grant", "gone", f"gone/{index}", f"welcome/{index}"]
         for name in (*own, *(f"share/{j}" for j in config.neighbours)):

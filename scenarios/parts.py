@@ -16,6 +16,7 @@ from nodes.node_state import NodeConfig
 from nodes.process import run_node, run_recorder
 from nodes.realtime_process import run_node_in_real_time
 from nodes.recording import McapRecorder
+from nodes.seat import Seat
 from nodes.supervisor import TRY_AGAIN
 from nodes.whole_steps import WholeSteps
 from nodes.world_process import Deserted, Disagreement, Management, run_world
@@ -91,12 +92,12 @@ def be_world(job: Job, links: Links, tell: Callable[[Happened], None], orders: i
 def be_node(job: Job, links: Links, config: NodeConfig, late: bool = False) -> None:
     """Be one node; `late` where the network may run already."""
     peers = peers_of(config.index, job.setup.neighbours)
-    known = (job.run, links, config, peers, fingerprint(job.setup))
     patience_s = None if job.place is None else job.place.patience_s
+    seat = Seat(job.run, links, config, peers, fingerprint(job.setup), late, patience_s)
     if job.tempo is None:
-        _joining(partial(run_node, *known, late, patience_s))
+        _joining(partial(run_node, seat))
     else:
-        _joining(partial(run_node_in_real_time, *known, job.tempo, late, patience_s))
+        _joining(partial(run_node_in_real_time, seat, job.tempo))
 
 
 def _joining(work: Callable[[], None]) -> None:
