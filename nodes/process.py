@@ -17,6 +17,7 @@ from nodes import node_changes, state_machine
 from nodes.changes import Event, Gone, Joined, Left, Welcome
 from nodes.entry import await_links
 from nodes.links import RECORDER, WATCH, WORLD, Links
+from nodes.membership import Membership
 from nodes.messages import (
     END,
     MalformedMessage,
@@ -32,7 +33,6 @@ from nodes.node_state import NodeConfig, NodeState, Phase, count
 from nodes.overflow import Overflow
 from nodes.patience import Patience
 from nodes.recording import Recorder
-from nodes.seat import Seat
 from nodes.watchers import Watchers
 from nodes.whole_steps import WholeSteps
 from nodes.zenoh_transport import Transport
@@ -44,16 +44,16 @@ _LINK_S = 5.0
 _UNRECORDED = ("hello", "recorded", "start", "finished", "end", WATCH)
 
 
-def run_node(seat: Seat) -> None:
+def run_node(membership: Membership) -> None:
     """Be one node until the recorder says that the run is over.
 
     Raises:
         LinkError: the network cannot be joined.
     """
-    member, config = _Member(seat), seat.config
-    if not seat.late:
-        member.transport.join(str(config.index), {WORLD, RECORDER, *map(str, seat.peers)})
-        member.transport.send(f"hello/{config.index}", seat.fingerprint.encode())
+    member, config = _Member(membership), membership.config
+    if not membership.late:
+        member.transport.join(str(config.index), {WORLD, RECORDER, *map(str, membership.peers)})
+        member.transport.send(f"hello/{config.index}", membership.fingerprint.encode())
         stays = member.take_part(config, state_machine.initial_state(config))
     else:
         member.transport.join(str(config.index), {WORLD, RECORDER})
@@ -68,11 +68,13 @@ def run_node(seat: Seat) -> None:
 class _Member:
     """A node that others wait for."""
 
-    def __init__(self, seat: Seat) -> None:
-        config = seat.config
+    def __init__(self, membership: Membership) -> None:
+        config = membership.config
         index = config.index
-        self._seat, self._beginning = seat, config
-        self._patience = None if seat.patience_s is None else Patience(WORLD, seat.patience_s)
+        self._membership, self._beginning = membership, config
+        self._patience = (
+            None if membership.patience_s is None else Patience(WORLD, membership.patience_s)
+        )
         self._heartbeat = f"measured/{index}"
         self._shares = {j: f"share/{j}" for j in config.neighbours}
         self._senders = {name: j for j, name in self._shares.items()}
@@ -84,7 +86,7 @@ class _Member:
         self._told = threading.Condition()
         self._finished = self._ended = False
         topics = [self._heartbeat, "grant", *self._shares.values()]
-        self.transport = Transport(seat.run, seat.links, topics, NODE_QUEUE)
+        self.transport = Transport(membership.run, membership.links, topics, NODE_QUEUE)
         self._queues = Overflow(self.transport, topics, NODE_QUEUE)
         self.transport.listen("gone", self._hear_of_gone)
         self.transport.listen(f"gone/{index}", self._hear_of_gone)
@@ -142,10 +144,10 @@ class _Member:
         """Ask to be let in, and wait until it is so."""
         index = self._beginning.index
         self._queues.out = True
-        begun = await_links(self.transport, self._seat.peers)
+        begun = await_links(self.transport, self._membership.peers)
         self._welcomes.clear()
         self._unreachable.clear()
-        self.transport.send(f"hello/{index}", self._seat.fingerprint.encode())
+        self.transport.send(f"hello/{index}", self._membership.fingerprint.encode())
         if not begun:
             return self._beginning, state_machine.initial_state(self._beginning)
         with self._told:
@@ -238,7 +240,9 @@ class _Member:
         """Whoever joins must hear what is said to it from the first word on."""
         changes = state.inbox.measured[state.step + 1].changes
         joined = {change.node for change in changes if isinstance(change, Joined)}
-        self.transport.await_present({str(j) for j in joined & set(self._seat.peers)}, _LINK_S)
+        self.transport.await_present(
+            {str(j) for j in joined & set(self._membership.peers)}, _LINK_S
+        )
 
     def _send(self, messages: Sequence[NodeMessage]) -> None:
         for message in messages:

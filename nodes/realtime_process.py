@@ -19,6 +19,7 @@ from nodes.changes import Change, Gone, Welcome
 from nodes.clock import WorldClock, ahead_s
 from nodes.entry import await_links
 from nodes.links import RECORDER, WORLD
+from nodes.membership import Membership
 from nodes.messages import (
     END,
     CycleClosed,
@@ -35,7 +36,6 @@ from nodes.messages import (
 )
 from nodes.node_state import Phase, count
 from nodes.patience import Patience
-from nodes.seat import Seat
 from nodes.tempo import Tempo
 from nodes.zenoh_transport import Transport
 
@@ -44,24 +44,24 @@ _QUEUE, _MAILBOX = 16, 65_536
 _ASK_AGAIN_S = 1.0
 
 
-def run_node_in_real_time(seat: Seat, tempo: Tempo) -> None:
+def run_node_in_real_time(membership: Membership, tempo: Tempo) -> None:
     """Be one node until the recorder says that the run is over.
 
     Raises:
         LinkError: the network cannot be joined.
     """
-    player, name = _Player(seat, tempo), str(seat.config.index)
+    player, name = _Player(membership, tempo), str(membership.config.index)
     transport = player.transport
-    if seat.patience_s is not None:
-        transport.watch(Patience(WORLD, seat.patience_s).see)
-    if seat.late:
+    if membership.patience_s is not None:
+        transport.watch(Patience(WORLD, membership.patience_s).see)
+    if membership.late:
         transport.join(name, {WORLD, RECORDER})
-        begun = await_links(transport, seat.peers)
+        begun = await_links(transport, membership.peers)
         player.compare_clocks()
     else:
-        transport.join(name, {WORLD, RECORDER, *map(str, seat.peers)})
+        transport.join(name, {WORLD, RECORDER, *map(str, membership.peers)})
         begun = False
-    transport.send(f"hello/{name}", seat.fingerprint.encode())
+    transport.send(f"hello/{name}", membership.fingerprint.encode())
     if begun:
         player.enter()
     player.play()
@@ -83,9 +83,9 @@ class _Record:
 class _Player:
     """A node's place in a network that keeps time."""
 
-    def __init__(self, seat: Seat, tempo: Tempo) -> None:
-        config = dataclasses.replace(seat.config, timed=True)
-        self._config, self._tempo, self._fingerprint = config, tempo, seat.fingerprint
+    def __init__(self, membership: Membership, tempo: Tempo) -> None:
+        config = dataclasses.replace(membership.config, timed=True)
+        self._config, self._tempo, self._fingerprint = config, tempo, membership.fingerprint
         self._state = state_machine.initial_state(config)
         self._start_s = self._ahead_s = 0.0
         self._mailbox: Queue[tuple[str, bytes]] = Queue(_MAILBOX)
@@ -97,7 +97,7 @@ class _Player:
         self._overdue: tuple[Change, ...] = ()
         self._alone = False
         self._asked_s = 0.0
-        self.transport = Transport(seat.run, seat.links, ["start", "end"], _QUEUE)
+        self.transport = Transport(membership.run, membership.links, ["start", "end"], _QUEUE)
         index = config.index
         own = [f"measured/{index}", "grant", "gone", f"gone/{index}", f"welcome/{index}"]
         for name in (*own, *(f"share/{j}" for j in config.neighbours)):

@@ -12,11 +12,11 @@ import msgspec
 
 from nodes.disk import NotWritten
 from nodes.links import RECORDER, WATCH, Links, peers_of
+from nodes.membership import Membership
 from nodes.node_state import NodeConfig
 from nodes.process import run_node, run_recorder
 from nodes.realtime_process import run_node_in_real_time
 from nodes.recording import McapRecorder
-from nodes.seat import Seat
 from nodes.supervisor import TRY_AGAIN
 from nodes.whole_steps import WholeSteps
 from nodes.world_process import Deserted, Disagreement, Management, run_world
@@ -93,11 +93,11 @@ def be_node(job: Job, links: Links, config: NodeConfig, late: bool = False) -> N
     """Be one node; `late` where the network may run already."""
     peers = peers_of(config.index, job.setup.neighbours)
     patience_s = None if job.place is None else job.place.patience_s
-    seat = Seat(job.run, links, config, peers, fingerprint(job.setup), late, patience_s)
+    membership = Membership(job.run, links, config, peers, fingerprint(job.setup), late, patience_s)
     if job.tempo is None:
-        _joining(partial(run_node, seat))
+        _joining(partial(run_node, membership))
     else:
-        _joining(partial(run_node_in_real_time, seat, job.tempo))
+        _joining(partial(run_node_in_real_time, membership, job.tempo))
 
 
 def _joining(work: Callable[[], None]) -> None:

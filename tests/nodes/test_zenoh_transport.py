@@ -99,7 +99,7 @@ from pathlib import Path
 from nodes.process import run_node, run_recorder
 from nodes.world_process import Management, run_world
 from nodes.recording import McapRecorder
-from nodes.seat import Seat
+from nodes.membership import Membership
 from nodes.whole_steps import WholeSteps
 from scenarios.build import build_node, build_world
 from scenarios.catalogue import kind_of
@@ -112,7 +112,7 @@ def record():
     recorder = McapRecorder(Path("run.mcap"), 3, 0.1)
     run_recorder("refuse", links[RECORDER], links[WATCH], recorder, WholeSteps(2, 3))
 def node(i, mark):
-    run_node(Seat("refuse", links[str(i)], build_node(setup, i), setup.neighbours[i], mark))
+    run_node(Membership("refuse", links[str(i)], build_node(setup, i), setup.neighbours[i], mark))
 supervisor.start(RECORDER, record)
 supervisor.start("0", partial(node, 0, 64 * "a"))
 supervisor.start("1", partial(node, 1, 64 * "b"))

@@ -1,4 +1,4 @@
-"""The place of one node in a network of processes."""
+"""How the process of a node belongs to a network of processes."""
 
 from collections.abc import Collection
 
@@ -8,7 +8,7 @@ from nodes.links import Links
 from nodes.node_state import NodeConfig
 
 
-class Seat(msgspec.Struct, frozen=True):
+class Membership(msgspec.Struct, frozen=True):
     """All that the process of a node is told, whether it keeps time or not.
 
     Attributes:
