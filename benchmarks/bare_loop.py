@@ -136,7 +136,7 @@ class _Messages:
     def hear_share(self, node: int, cycle: int, data: bytes) -> None:
         body = whole_body(data, self._slots[node], self._codec.size, cycle)
         assert body is not None, "what is sent is what is due"
-        self._codec.unpack(self._codec.read(body))
+        self._codec.unpack(self._codec.check(body))
 
     def hear(self, topic: str, data: bytes) -> None:
         decode(topic, data)

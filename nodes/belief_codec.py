@@ -1,6 +1,7 @@
 """A Gaussian as bytes: the mean, then the upper triangle of the covariance row by row."""
 
 import math
+import struct
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -28,13 +29,17 @@ class BeliefCodec:
     def _dtype(self) -> np.dtype:
         return np.dtype(self.number)
 
+    @cached_property
+    def _numbers(self) -> struct.Struct:
+        return struct.Struct(f"<{self.size // self._dtype.itemsize}{self._dtype.char}")
+
     def encode(self, belief: Gaussian) -> bytes:
         """The bytes of mean (n,) and cov (n, n)."""
         packed = np.concatenate((belief.mean, pack_upper(belief.cov)))
         return packed.astype(self._dtype, copy=False).tobytes()
 
-    def read(self, body: bytes) -> np.ndarray:
-        """The numbers (m,) of the belief that `encode` wrote: mean, then upper triangle.
+    def check(self, body: bytes) -> bytes:
+        """A body without what pads it, of which a belief can be read.
 
         Raises:
             Rejected: `belief-length` or `belief-not-finite`.
@@ -43,16 +48,24 @@ class BeliefCodec:
         size = self.size
         if len(body) < size:
             raise Rejected("belief-length")
-        numbers = np.frombuffer(body[:size], self._dtype).astype(np.float64, copy=False)
+        body = body[:size]
         # Finite numbers may have an infinite sum, but no sum of others is finite.
-        if not (math.isfinite(sum(numbers.tolist())) or np.isfinite(numbers).all()):
+        numbers = self._numbers.unpack(body)
+        if not (math.isfinite(sum(numbers)) or all(map(math.isfinite, numbers))):
             raise Rejected("belief-not-finite")
-        return numbers
+        return body
 
-    def unpack(self, numbers: np.ndarray) -> Gaussian:
-        """The beliefs (..., n) of which numbers (..., m) are read."""
-        return Gaussian(numbers[..., : self.states], unpack_upper(numbers[..., self.states :]))
+    def unpack(self, *bodies: bytes) -> Gaussian:
+        """The beliefs (K, n) in K bodies that were checked."""
+        numbers = np.frombuffer(b"".join(bodies), self._dtype).astype(np.float64, copy=False)
+        numbers = numbers.reshape(len(bodies), -1)
+        return Gaussian(numbers[:, : self.states], unpack_upper(numbers[:, self.states :]))
 
     def decode(self, body: bytes) -> Gaussian:
-        """The belief that `encode` wrote. Raises Rejected as `read` does."""
-        return self.unpack(self.read(body))
+        """The belief that `encode` wrote.
+
+        Raises:
+            Rejected: `belief-length` or `belief-not-finite`.
+        """
+        mean, cov = self.unpack(self.check(body))
+        return Gaussian(mean[0], cov[0])

@@ -28,9 +28,10 @@ from nodes.local_filter import (
     carry,
     control_of,
     finite,
+    joined,
+    stacked,
     take_own,
     where,
-    with_own,
 )
 from nodes.messages import Array, Measured
 
@@ -51,26 +52,14 @@ class HoldPolicy(NamedTuple):
 
 
 class Content(msgspec.Struct, frozen=True):
-    """A node's knowledge: beliefs (1 + J + 1, n), its own first, then what it holds of its
-    neighbours, last what it has sent and they hold of it, if it has (`is_published`).
+    """A node's knowledge: its `own` belief (n,), what it holds of its J neighbours (J, n), and what
+    it has sent and they hold of it (n,), if it has."""
 
-    All lie together, as all are carried through the plant at once.
-    """
-
-    beliefs: Gaussian
+    own: Gaussian
+    held: Gaussian
     ages: tuple[int, ...]
-    is_published: bool
+    published: Gaussian | None
     cycles_in_step: int
-
-    @property
-    def belief(self) -> Gaussian:
-        """The node's own."""
-        return at(self.beliefs, 0)
-
-    @property
-    def published(self) -> Gaussian | None:
-        """What its neighbours hold of it."""
-        return at(self.beliefs, -1) if self.is_published else None
 
 
 @dataclass(frozen=True)
@@ -95,95 +84,84 @@ class BeliefConsensus:
     def start(self) -> Content:
         """The prior, and neighbours never heard (their place holds the prior at no weight)."""
         neighbours = len(self.weights) - 1
-        beliefs = Gaussian(
-            np.repeat(self.prior.mean[None], 1 + neighbours + 1, axis=0),
-            np.repeat(self.prior.cov[None], 1 + neighbours + 1, axis=0),
+        held = Gaussian(
+            np.repeat(self.prior.mean[None], neighbours, axis=0),
+            np.repeat(self.prior.cov[None], neighbours, axis=0),
         )
-        return Content(beliefs, (-1,) * neighbours, False, 0)
+        return Content(self.prior, held, (-1,) * neighbours, None, 0)
 
     def begin_step(self, content: Content, measured: Measured) -> tuple[Content, tuple[str, ...]]:
         """Predict everything that is carried, then take the own readings one by one."""
         troubles: tuple[str, ...] = ()
         if measured.step > 0:
             content, troubles = self._carry(content, measured)
-        before = content.belief
-        belief, troubled = take_own(before, measured, self.sensor, self.points)
-        beliefs = content.beliefs if belief is before else with_own(content.beliefs, belief)
-        return replace(content, beliefs=beliefs, cycles_in_step=0), troubles + troubled
+        own, troubled = take_own(content.own, measured, self.sensor, self.points)
+        return replace(content, own=own, cycles_in_step=0), troubles + troubled
 
     def _carry(self, content: Content, measured: Measured) -> tuple[Content, tuple[str, ...]]:
-        before = content.beliefs
-        carries = before if self.hold.carried else Gaussian(before.mean[:1], before.cov[:1])
-        control = control_of(measured)
+        before = content.own
+        carries, control = stacked([before]), control_of(measured)
+        if self.hold.carried:
+            carries = joined(before, content.held, content.published or before)
         moved, sound = carry(carries, control, measured.step, self.model, self.points)
-        troubles = () if sound[0] else ("predict-failed",)
+        own, troubles = (at(moved, 0), ()) if sound[0] else (before, ("predict-failed",))
         if not self.hold.carried:
-            moved = with_own(before, at(moved, 0)) if sound[0] else before
-            return replace(content, beliefs=moved), troubles
-        ages, is_published = content.ages, content.is_published
+            return replace(content, own=own), troubles
+        ages, published = content.ages, content.published and at(moved, -1)
         if not sound.all():
             # A held pair that cannot be carried on is forgotten, not used at a wrong time.
             moved = where(sound, moved, self.prior)
-            if not sound[0]:
-                moved = with_own(moved, content.belief)
             ages = tuple(age if sound[1 + j] else -1 for j, age in enumerate(ages))
-            is_published = bool(is_published and sound[-1])
-        return replace(content, beliefs=moved, ages=ages, is_published=is_published), troubles
+            published = published if sound[-1] else None
+        held = Gaussian(moved.mean[1:-1], moved.cov[1:-1])
+        return replace(content, own=own, held=held, ages=ages, published=published), troubles
 
     def bid(self, content: Content) -> int | None:
         """How far the belief has moved since it was last published (`bids.bid_for_change`)."""
         published = content.published
         if published is None:
             return FIRST_BID
-        return asked(bid_for_change(content.belief, published, self.trigger))
+        return asked(bid_for_change(content.own, published, self.trigger))
 
     def compose(self, content: Content) -> tuple[Content, bytes]:
         """The pair before the iteration; the node remembers what its neighbours now hold of it."""
-        mean, cov = content.beliefs.mean.copy(), content.beliefs.cov.copy()
-        mean[-1], cov[-1] = mean[0], cov[0]
-        content = replace(content, beliefs=Gaussian(mean, cov), is_published=True)
-        return content, self.codec.encode(content.belief)
+        return replace(content, published=content.own), self.codec.encode(content.own)
 
-    def accept(self, body: bytes) -> Array:
-        """The numbers of the belief in a share (`BeliefCodec.read`)."""
-        return self.codec.read(body)
+    def accept(self, body: bytes) -> bytes:
+        """A body of which a belief can be read (`BeliefCodec.check`)."""
+        return self.codec.check(body)
 
     def fuse(
-        self, content: Content, shares: tuple[Array | None, ...]
+        self, content: Content, shares: tuple[bytes | None, ...]
     ) -> tuple[Content, tuple[str, ...]]:
         """Average the own pair with the neighbours' pairs, fresh or held, in sender order."""
-        mean, cov = self._with_shares(content.beliefs, shares)
-        own = content.beliefs.mean[0]
-        numbers, factors = self.rule.weigh_up(Gaussian(mean[:-1], cov[:-1]), own)
+        own, held = content.own, self._with_shares(content.held, shares)
+        numbers, factors = self.rule.weigh_up(joined(own, held), own.mean)
         pivots = factors[1:, -1, -1].tolist()
-        unsound = [
-            j for j, pivot in enumerate(pivots) if math.isnan(pivot) and shares[j] is not None
-        ]
+        unsound = _unsound(pivots, shares)
         if unsound:
             # Few shares fail this check, and what is held instead is weighed up in a second go.
             usable = [None if j in unsound else share for j, share in enumerate(shares)]
             content, troubles = self.fuse(content, tuple(usable))
             return content, ("rejected not-positive-definite",) * len(unsound) + troubles
-        ages = tuple(
-            0 if share is not None else age if age < 0 else age + 1
-            for share, age in zip(shares, content.ages, strict=True)
-        )
-        fused = self.rule.average(numbers, self._weights(factors, ages, content), own)
-        sound = finite(fused)
-        if sound:
-            mean[0], cov[0] = fused.mean, symmetrise(fused.cov)
-        after = Content(Gaussian(mean, cov), ages, content.is_published, content.cycles_in_step + 1)
-        return after, () if sound else ("fuse-failed",)
+        ages = _aged(content.ages, shares)
+        fused = self.rule.average(numbers, self._weights(factors, ages, content), own.mean)
+        troubles = ("fuse-failed",)
+        if finite(fused):
+            own, troubles = Gaussian(fused.mean, symmetrise(fused.cov)), ()
+        return Content(own, held, ages, content.published, content.cycles_in_step + 1), troubles
 
-    def _with_shares(self, beliefs: Gaussian, shares: tuple[Array | None, ...]) -> Gaussian:
-        """A copy of the beliefs with each share in the place of its sender."""
-        mean, cov = beliefs.mean.copy(), beliefs.cov.copy()
-        came = [1 + j for j, share in enumerate(shares) if share is not None]
-        if came:
-            told = self.codec.unpack(np.array([share for share in shares if share is not None]))
-            # Mostly all have come: a slice costs a fraction of what a list of places does.
-            places = slice(1, -1) if len(came) == len(shares) else came
-            mean[places], cov[places] = told
+    def _with_shares(self, held: Gaussian, shares: tuple[bytes | None, ...]) -> Gaussian:
+        """The held beliefs, with each share in the place of its sender."""
+        came = [share for share in shares if share is not None]
+        if not came:
+            return held
+        told = self.codec.unpack(*came)
+        if len(came) == len(shares):
+            return told
+        mean, cov = held.mean.copy(), held.cov.copy()
+        places = [j for j, share in enumerate(shares) if share is not None]
+        mean[places], cov[places] = told
         return Gaussian(mean, cov)
 
     def _weights(self, factors: Array, ages: tuple[int, ...], content: Content) -> Array:
@@ -205,8 +183,25 @@ class BeliefConsensus:
 
     def belief(self, content: Content) -> Gaussian:
         """The own pair."""
-        return content.belief
+        return content.own
 
     def ages(self, content: Content) -> Array:
         """Cycles since each neighbour's held pair was sent."""
         return np.array(content.ages, dtype=int)
+
+
+def _unsound(pivots: list[float], shares: tuple[bytes | None, ...]) -> list[int]:
+    """The places of shares whose factors have such last pivots: NaN where there is no factor."""
+    if not math.isnan(sum(pivots)):
+        return []
+    return [j for j, pivot in enumerate(pivots) if math.isnan(pivot) and shares[j] is not None]
+
+
+def _aged(ages: tuple[int, ...], shares: tuple[bytes | None, ...]) -> tuple[int, ...]:
+    """How old what is held is, one cycle later, when these shares have come."""
+    if None not in shares:
+        return (0,) * len(shares)
+    return tuple(
+        0 if share is not None else age if age < 0 else age + 1
+        for share, age in zip(shares, ages, strict=True)
+    )

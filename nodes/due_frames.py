@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from msgspec.structs import replace
 
-from nodes.estimator import Rejected
+from nodes.estimator import Rejected, Share
 from nodes.messages import NodeEvent, ShareHeard
 from nodes.node_state import NodeConfig, NodeState, Phase
 from nodes.share import whole_body
@@ -21,30 +21,30 @@ def take_due(
     """File the frames that are due, up to the first event that is none; returns the state and the
     events from there on."""
     is_open = state.phase is Phase.SHARES or state.phase is Phase.GRANT
-    if not is_open or config.faults.standing or not config.links.perfect:
+    if not (is_open and config.hears_all):
         return state, events
-    cycle, inbox, size = state.cycle, state.inbox, config.estimator.share_bytes
-    senders = config.schedule.static_senders(cycle)
-    shares, counters = inbox.shares.copy(), state.counters.copy()
-    taken = 0
+    cycle, inbox, estimator = state.cycle, state.inbox, config.estimator
+    size, counts = estimator.share_bytes, config.cycle_counts
+    due = list(config.parts(cycle)[state.group].neighbours)
+    if inbox.shares or inbox.parts:
+        known = inbox.shares.keys() | inbox.parts.keys()
+        due = [j for j in due if (cycle, j) not in known]
+    shares: dict[tuple[int, int], Share] = {}
     for event in events:
-        if not isinstance(event, ShareHeard):
+        if not isinstance(event, ShareHeard) or event.sender not in due:
             break
-        sender, key = event.sender, (cycle, event.sender)
-        if sender not in senders or sender not in config.neighbours:
-            break
-        if key in shares or key in inbox.parts:
-            break
-        slot = config.slots(sender, cycle)[0]
-        body = whole_body(event.frame, slot, size, cycle, config.cycle_counts)
+        sender = event.sender
+        body = whole_body(event.frame, config.slots(sender, cycle)[0], size, cycle, counts)
         if body is None:
             break
         try:
-            shares[key], heard = config.estimator.accept(body), "heard"
-        except Rejected as rejected:
-            shares[key], heard = None, f"rejected {rejected.reason}"
-        counters[heard] = counters.get(heard, 0) + 1
-        taken += 1
-    if not taken:
+            shares[cycle, sender] = estimator.accept(body)
+        except Rejected:
+            break
+        due.remove(sender)
+    if not shares:
         return state, events
-    return replace(state, counters=counters, inbox=replace(inbox, shares=shares)), events[taken:]
+    taken = len(shares)
+    counters = {**state.counters, "heard": state.counters.get("heard", 0) + taken}
+    inbox = replace(inbox, shares={**inbox.shares, **shares})
+    return replace(state, counters=counters, inbox=inbox), events[taken:]

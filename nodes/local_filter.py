@@ -77,16 +77,16 @@ def stacked(beliefs: list[Gaussian]) -> Gaussian:
     return Gaussian(np.array([b.mean for b in beliefs]), np.array([b.cov for b in beliefs]))
 
 
+def joined(own: Gaussian, held: Gaussian, *others: Gaussian) -> Gaussian:
+    """A belief (n,), those that are held (J, n), and others (n,), as one (K, n)."""
+    means = [own.mean[None], held.mean, *[other.mean[None] for other in others]]
+    covs = [own.cov[None], held.cov, *[other.cov[None] for other in others]]
+    return Gaussian(np.concatenate(means), np.concatenate(covs))
+
+
 def at(beliefs: Gaussian, place: int) -> Gaussian:
     """One (n,) of beliefs (K, n)."""
     return Gaussian(beliefs.mean[place], beliefs.cov[place])
-
-
-def with_own(beliefs: Gaussian, own: Gaussian) -> Gaussian:
-    """Beliefs (K, n) with another first one (n,)."""
-    mean, cov = beliefs.mean.copy(), beliefs.cov.copy()
-    mean[0], cov[0] = own
-    return Gaussian(mean, cov)
 
 
 def control_of(measured: Measured) -> Array | None:
@@ -144,11 +144,11 @@ def take_own(
     belief: Gaussian, measured: Measured, sensor: Sensor | None, points: SigmaPointRule
 ) -> tuple[Gaussian, tuple[str, ...]]:
     """One node's belief (n,) after its readings, and the names of what went wrong."""
-    if sensor is None or not measured.readings:
+    # Mostly nothing was taken, and to find that out in an array takes longer.
+    taken = [reading for reading in measured.readings if any(v is not None for v in reading)]
+    if sensor is None or not taken:
         return belief, ()
-    belief, troubles = take_readings(
-        belief, from_wire(measured.readings), measured.step, sensor, points
-    )
+    belief, troubles = take_readings(belief, from_wire(taken), measured.step, sensor, points)
     return belief, tuple(name for name, count in troubles.items() for _ in range(int(count)))
 
 

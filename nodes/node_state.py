@@ -77,6 +77,11 @@ class NodeConfig:
         return known
 
     @cached_property
+    def hears_all(self) -> bool:
+        """What is sent arrives as it was sent."""
+        return self.links.perfect and not self.faults.standing
+
+    @cached_property
     def _period(self) -> int:
         return self.schedule.period
 

@@ -30,24 +30,29 @@ class Overflow:
         self._aside: dict[str, deque[tuple[str, bytes]]] = {
             topic: deque(maxlen=queue) for topic in topics
         }
+        # Whether there is anything aside.
+        self._keeps = False
         self._awaited, self._heard = topics[0], 0
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._look, daemon=True)
         self._thread.start()
 
-    def receive(self, topic: str) -> tuple[str, bytes] | None:
-        """Wait for the next message of a topic, or of a pattern of topics: (topic, bytes); None if
-        woken up, as by what was taken aside."""
-        self._awaited = topic
-        if any(self._aside.values()):
-            return None
-        received = self._transport.receive(topic)
-        if received is not None:
+    def receive(self, topics: Sequence[str]) -> list[tuple[str, bytes]]:
+        """Wait for the next message of each topic, or pattern of topics, one after the other:
+        (topic, bytes). Fewer are returned if woken up, as by what was taken aside."""
+        came: list[tuple[str, bytes]] = []
+        for topic in topics:
+            self._awaited = topic
+            received = None if self._keeps else self._transport.receive(topic)
+            if received is None:
+                break
             self._heard += 1
-        return received
+            came.append(received)
+        return came
 
     def take(self) -> list[tuple[str, bytes]]:
         """What was taken aside, (topic, bytes), each topic in the order in which it came."""
+        self._keeps = False
         return [kept.popleft() for kept in self._aside.values() for _ in range(len(kept))]
 
     def close(self) -> None:
@@ -62,7 +67,7 @@ class Overflow:
             seen, before = self._heard, seen
             looks += 1
             is_due = seen == before or looks % _SOME_LOOKS == 0
-            if self.out or (is_due and not any(self._aside.values())):
+            if self.out or (is_due and not self._keeps):
                 self._empty()
                 self._transport.wake(self._awaited)
 
@@ -74,3 +79,4 @@ class Overflow:
                 if received is None:
                     break
                 kept.append(received)
+                self._keeps = True

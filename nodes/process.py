@@ -196,19 +196,17 @@ class _Member:
                 return self._await_shares(state_machine.awaited_neighbours(config, state))
 
     def _await_one(self, name: str) -> Sequence[NodeEvent]:
-        received = self._queues.receive(name)
-        return self._taken_aside() if received is None else self._events(*received)
+        came = self._queues.receive((name,))
+        return self._events(*came[0]) if came else self._taken_aside()
 
     def _await_shares(self, senders: Sequence[int]) -> Sequence[NodeEvent]:
         """A frame of each, or of as many as came before the node was woken up."""
         assert senders, "a node in phase SHARES waits for somebody"
-        events: list[NodeEvent] = []
-        for sender in senders:
-            received = self._queues.receive(self._shares[sender])
-            if received is None:
-                return [*events, *self._taken_aside()]
-            events.append(ShareHeard(sender, received[1]))
-        return events
+        came = self._queues.receive([self._shares[sender] for sender in senders])
+        events: list[NodeEvent] = [
+            ShareHeard(sender, frame) for sender, (_, frame) in zip(senders, came, strict=False)
+        ]
+        return events if len(came) == len(senders) else events + self._taken_aside()
 
     def _taken_aside(self) -> list[NodeEvent]:
         return [event for kept in self._queues.take() for event in self._events(*kept)]

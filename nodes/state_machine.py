@@ -91,7 +91,9 @@ def step(
 def awaited_neighbours(config: NodeConfig, state: NodeState) -> list[int]:
     """In phase SHARES: the neighbours whose shares are due and have not come, ascending."""
     cycle, came = state.cycle, state.inbox.shares
-    missing = [j for j in _due(config, state) if (cycle, j) not in came]
+    missing = list(_due(config, state))
+    if came:
+        missing = [j for j in missing if (cycle, j) not in came]
     if not (missing and config.faults.standing):
         return missing
     overtaken = state.inbox.overtaken
@@ -146,7 +148,9 @@ def _open_group(config: NodeConfig, state: NodeState, outbox: list[NodeMessage])
         contenders = contenders_left(config.schedule, state.cycle, state.won)
     if config.index in contenders:
         outbox.append(_bid(config, state))
-    state = replace(state, phase=Phase.GRANT if contenders else Phase.SHARES)
+    phase = Phase.GRANT if contenders else Phase.SHARES
+    if phase is not state.phase:
+        state = replace(state, phase=phase)
     if config.index in part.senders:
         state = _send(config, state, outbox)
     return state
@@ -169,7 +173,7 @@ def _bid(config: NodeConfig, state: NodeState) -> Bid:
 
 def _send(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> NodeState:
     faults, step, cycle = config.faults, state.step, state.cycle
-    if is_silent(faults, step, cycle, config.index):
+    if faults.standing and is_silent(faults, step, cycle, config.index):
         return count(state, "silent")
     content, body = config.estimator.compose(state.content)
     if faults.standing:
@@ -185,8 +189,8 @@ def _due(config: NodeConfig, state: NodeState) -> tuple[int, ...]:
     """Neighbours that send in the open part of the cycle, as far as the node knows. Of one that is
     out there is what came before its end."""
     due = config.parts(state.cycle)[state.group].neighbours
-    granted = state.inbox.grants.get((state.cycle, state.group))
-    if granted:
+    if state.inbox.grants:
+        granted = state.inbox.grants.get((state.cycle, state.group), ())
         due = tuple(j for j in config.neighbours if j in due or j in granted)
     if not state.absent:
         return due
@@ -266,6 +270,8 @@ def _keep_grant(config: NodeConfig, state: NodeState, event: Grant) -> NodeState
 
 def _forget_before(state: NodeState, cycle: int) -> Inbox:
     inbox = state.inbox
+    if not (inbox.grants or inbox.parts or inbox.overtaken):
+        return replace(inbox, shares=_since(cycle, inbox.shares))
     return replace(
         inbox,
         grants=_since(cycle, inbox.grants),

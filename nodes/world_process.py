@@ -206,8 +206,7 @@ class _Office:
         # Set before we look for notices: who gives one wakes up whom we then wait for.
         self._source = "bid/*" if bids else "estimate/*"
         if self._notices.empty():
-            received = self._queues.receive(self._source)
-            return self._queues.take() if received is None else [received]
+            return self._queues.receive((self._source,)) or self._queues.take()
         self._attend(self._notices.get())
         return []
 

@@ -13,7 +13,7 @@ from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
 from nodes.belief_codec import BeliefCodec
 from nodes.belief_consensus import FIRST_BID, BeliefConsensus, Content, HoldPolicy
-from nodes.local_filter import at, with_own
+from nodes.local_filter import at
 from nodes.messages import Array, Measured
 from tests.nodes.networks import DECAYED, DROP, PREDICT, Linear, WholeState, random_priors
 
@@ -38,9 +38,9 @@ def estimator(hold: HoldPolicy = PREDICT, sees: bool = False, gate: float | None
     )
 
 
-def told(belief: Gaussian | None) -> Array | None:
-    """The numbers of a share."""
-    return None if belief is None else BeliefCodec(2).read(BeliefCodec(2).encode(belief))
+def told(belief: Gaussian | None) -> bytes | None:
+    """The body of a share."""
+    return None if belief is None else BeliefCodec(2).encode(belief)
 
 
 def kalman(belief: Gaussian, value: Array) -> Gaussian:
@@ -121,7 +121,7 @@ def test_a_held_pair_is_carried_through_the_plant_if_the_policy_says_so(
     rule = estimator(hold)
     content, _ = rule.fuse(rule.start(), (told(LEFT), None))
     content, _ = rule.begin_step(content, Measured(0, 1, BLIND))
-    kept = at(content.beliefs, 1)
+    kept = at(content.held, 0)
     assert_close(kept, Gaussian(F @ LEFT.mean, F @ LEFT.cov @ F.T + Q) if carried else LEFT)
 
 
@@ -139,7 +139,7 @@ def test_a_share_that_is_no_covariance_is_dropped_and_named():
 
 
 def believing(content: Content, belief: Gaussian) -> Content:
-    return msgspec.structs.replace(content, beliefs=with_own(content.beliefs, belief))
+    return msgspec.structs.replace(content, own=belief)
 
 
 def moved_by(rule: BeliefConsensus, change: Array):
@@ -187,7 +187,7 @@ def test_what_is_composed_is_what_is_accepted(seed: int):
     rule = estimator()
     content, body = rule.compose(believing(rule.start(), belief))
     assert len(body) == rule.share_bytes
-    accepted = rule.codec.unpack(rule.accept(body))
+    accepted = at(rule.codec.unpack(rule.accept(body)), 0)
     np.testing.assert_array_equal(accepted.mean, belief.mean)
     np.testing.assert_array_equal(accepted.cov, (belief.cov + belief.cov.T) / 2)
     assert content.published is not None

@@ -236,7 +236,7 @@ def test_without_a_grant_what_a_contender_sent_still_counts():
     closed, _ = step(config, state, CycleClosed(0))
     granted, _ = step(config, state, Grant(0, [2]))
     assert closed.cycle == granted.cycle == 1
-    np.testing.assert_array_equal(closed.content.belief.mean, granted.content.belief.mean)
+    np.testing.assert_array_equal(closed.content.own.mean, granted.content.own.mean)
     late, _ = step(config, closed, Grant(0, [2]))
     assert late.counters["repeated grant"] == 1
 

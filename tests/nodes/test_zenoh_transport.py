@@ -148,8 +148,7 @@ def listen():
     transport.join("1", ["0"])
     kept = []
     while not any(topic == "one" for topic, data in kept):
-        data = queues.receive("one")
-        kept += queues.take() if data is None else [("one", data)]
+        kept += queues.receive(["one"]) or queues.take()
     while (received := transport.receive_at_once("many")) is not None:
         kept.append(received)
     numbers = [int(data) for topic, data in kept if topic == "many"]
