@@ -14,9 +14,8 @@ from nodes.fault_words import EVERY_FAULT, usage
 from scenarios.bus_plan import arbiter_names, cluster_names, schedule_names
 from scenarios.catalogue import kinds
 from scenarios.rules import RULE_SUMMARIES, hold_names
-from topology.graphs import graph_names
+from topology.choices import GRAPHS, WEIGHTS
 from topology.link_names import NAMES as LINK_NAMES
-from topology.weights import weight_names
 
 
 @dataclass(frozen=True)
@@ -30,8 +29,8 @@ class ListOptions:
 def list_all(options: Annotated[ListOptions, tyro.conf.arg(name="")]) -> None:
     """List scenarios, graphs, weights, rules, schedules, hold policies and faults."""
     names = {
-        "graphs": list(graph_names()),
-        "weights": list(weight_names()),
+        "graphs": list(GRAPHS),
+        "weights": list(WEIGHTS),
         "links": list(LINK_NAMES),
         "schedules": list(schedule_names()),
         "clusters": list(cluster_names()),

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from topology.adjacency import Adjacency, adjacency_of, both_ways, require_nodes
+from topology.choices import GRAPHS
 from topology.geometric_graphs import connecting_radius, geometric, scatter
 from topology.graph_files import read_network
 from topology.intel_lab import DATA_VARIABLE, intel_lab
@@ -108,11 +109,6 @@ def is_random(name: str) -> bool:
     return name in drawn or name.endswith("-regular")
 
 
-def graph_names() -> tuple[str, ...]:
-    """What `build_network` knows: K stands for a number, PATH for a file of `graph_files`."""
-    return (*_BUILDERS, "K-regular", "geometric", "file:PATH", "directed:PATH", *_LABS)
-
-
 def build_graph(
     name: str,
     nodes: int,
@@ -162,7 +158,7 @@ def build_network(
         return Network(regular(nodes, int(match[1]), seed))
     if name in _BUILDERS:
         return Network(_BUILDERS[name](nodes, seed))
-    raise unknown_name("graph", name, graph_names())
+    raise unknown_name("graph", name, GRAPHS)
 
 
 def _geometric(

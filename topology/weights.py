@@ -23,6 +23,7 @@ from topology.adjacency import (
     one_way_links,
 )
 from topology.analysis import require_connected
+from topology.choices import WEIGHTS
 from topology.names import unknown_name
 from topology.spectrum import laplacian_bounds
 
@@ -211,11 +212,6 @@ _RULES: dict[str, Callable[[Adjacency], Weights]] = {
 }
 
 
-def weight_names() -> tuple[str, ...]:
-    """What `build_weights` knows."""
-    return tuple(_RULES)
-
-
 def build_weights(name: str, adjacency: Adjacency) -> Weights:
     """The weights (n, n) of that name for a graph (n, n).
 
@@ -224,7 +220,7 @@ def build_weights(name: str, adjacency: Adjacency) -> Weights:
             for `best-constant` on a graph in pieces.
     """
     if name not in _RULES:
-        raise unknown_name("weights", name, _RULES)
+        raise unknown_name("weights", name, WEIGHTS)
     return _RULES[name](adjacency)
 
 

@@ -8,12 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from topology import graphs
+from topology.choices import GRAPHS
 from topology.graphs import (
     build_graph,
     complete,
     erdos_renyi,
     geometric,
-    graph_names,
     grid,
     near_square,
     path,
@@ -168,6 +169,12 @@ def test_random_families_have_the_number_of_links_of_their_definition():
     assert (lattice.toarray() == np.isin(np.minimum(around, 12 - around), (1, 2))).all()
 
 
+def test_every_graph_that_can_be_built_is_among_the_names():
+    of_a_shape = {"K-regular", "geometric"}
+    files = {"file:PATH", "directed:PATH", "intel-lab", "intel-lab-directed"}
+    assert set(GRAPHS) == set(graphs._BUILDERS) | of_a_shape | files
+
+
 def test_every_name_builds_its_graph(tmp_path):
     file = tmp_path / "ring.edges"
     concrete = {
@@ -181,7 +188,7 @@ def test_every_name_builds_its_graph(tmp_path):
     pairs = [(i, j) for i in range(1, 7) for j in range(1, 7) if abs(i - j) == 1]
     (tmp_path / "connectivity.txt").write_text("".join(f"{i} {j} 0.5\n" for i, j in pairs))
     file.write_text("0 1\n1 2\n2 3\n3 4\n4 5\n5 0\n1 0\n2 1\n3 2\n4 3\n5 4\n0 5\n")
-    for name in graph_names():
+    for name in GRAPHS:
         assert_graph(build_graph(concrete.get(name, name), 6, seed=0), 6)
     assert same(build_graph(concrete["file:PATH"], 6, seed=0), ring(6))
     assert same(build_graph("grid", 6, seed=0), grid(2, 3))

@@ -8,6 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
+from topology import weights as weights_by_name
+from topology.choices import WEIGHTS
 from topology.graphs import build_graph, complete, grid, path, ring, star
 from topology.spectrum import contraction_per_round, second_eigenvalue_modulus
 from topology.weights import (
@@ -19,7 +21,6 @@ from topology.weights import (
     fastest_mixing,
     maximum_degree,
     metropolis,
-    weight_names,
 )
 
 CONNECTED = st.builds(
@@ -87,8 +88,12 @@ def test_metropolis_on_eight_nodes_has_the_published_second_eigenvalue(adjacency
     assert second_eigenvalue_modulus(metropolis(adjacency)) == pytest.approx(modulus, abs=5e-4)
 
 
+def test_all_weights_that_can_be_built_are_among_the_names():
+    assert set(WEIGHTS) == set(weights_by_name._RULES)
+
+
 def test_a_complete_graph_agrees_in_one_round_by_every_rule():
-    for name in weight_names():
+    for name in WEIGHTS:
         atol = 1e-6 if name == "fastest-mixing" else 1e-12
         np.testing.assert_allclose(build_weights(name, complete(7)).toarray(), 1 / 7, atol=atol)
 
@@ -102,7 +107,7 @@ def test_the_hub_of_a_star_gets_a_negative_best_constant_which_is_refused():
 
 
 def test_one_node_keeps_all_its_weight():
-    for name in weight_names():
+    for name in WEIGHTS:
         np.testing.assert_allclose(build_weights(name, ring(1)).toarray(), [[1.0]], atol=1e-12)
         check_weights(build_weights(name, ring(1)), ring(1))
 
