@@ -17,6 +17,7 @@ from dashboard.scores import fuse, score
 from dashboard.stage import Stage, restaged
 from filters.gaussian import Gaussian
 from filters.linalg import unpack_upper
+from nodes.bounds import node_of
 from nodes.estimator import Rejected
 from nodes.messages import Estimate, MalformedMessage, Measured, Truth, decode, from_wire
 from nodes.share import read_frame
@@ -111,8 +112,9 @@ class Assembler:
             cycle = read_frame(data).cycle
         except Rejected:
             return
-        if node.isdigit() and int(node) < self._stage.nodes:
-            told.sizes[cycle, int(node)] += len(data) - OVERHEAD_BYTES
+        sender = node_of(node, self._stage.nodes)
+        if sender is not None:
+            told.sizes[cycle, sender] += len(data) - OVERHEAD_BYTES
 
     def _leave_out(self, steps: int) -> None:
         """Of so many steps nothing was heard: who sent in them, and what a filter would know."""

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 from msgspec.structs import replace
 
-from nodes.bounds import NodeIndex
+from nodes.bounds import Instant, NodeIndex
 
 Settings = dict[str, int | float | str]
 
@@ -82,7 +82,7 @@ class Set(msgspec.Struct, frozen=True, tag="settings", tag_field="what"):
     step begin at `first_cycle`."""
 
     settings: Settings
-    first_cycle: int = 0
+    first_cycle: Instant = 0
 
 
 class Pace(msgspec.Struct, frozen=True, tag="pace", tag_field="what"):
@@ -98,7 +98,7 @@ Change = Left | Gone | Joined | Cut | Healed | Loss | Fault | Calm | Set | Pace
 class Event(msgspec.Struct, frozen=True):
     """World to whoever listens: a change, and the first step for which it holds."""
 
-    step: int
+    step: Instant
     change: Change
 
 

@@ -25,7 +25,8 @@ from nodes.fault_words import CHANNELS, FAULTS, usage
 from nodes.faults import PLAIN, Equipment
 
 MAX_STEPS_AT_ONCE = 1000
-MAX_STEPS_PER_SECOND = 1000.0
+# Whoever wants fewer pauses the network and asks for steps.
+MIN_STEPS_PER_SECOND, MAX_STEPS_PER_SECOND = 0.001, 1000.0
 
 
 def check_command(
@@ -48,8 +49,9 @@ def check_command(
             allowed = 1 <= count <= MAX_STEPS_AT_ONCE
             _require(allowed, f"step {count}", f"must be 1 to {MAX_STEPS_AT_ONCE}")
         case Speed(rate):
-            allowed = 0 <= rate <= MAX_STEPS_PER_SECOND
-            _require(allowed, f"speed {rate:g}", f"must be 0 to {MAX_STEPS_PER_SECOND:g} steps/s")
+            allowed = rate == 0 or MIN_STEPS_PER_SECOND <= rate <= MAX_STEPS_PER_SECOND
+            range_ = f"{MIN_STEPS_PER_SECOND:g} to {MAX_STEPS_PER_SECOND:g} steps/s"
+            _require(allowed, f"speed {rate:g}", f"must be {range_}, or 0 for no limit")
         case Kill(node):
             _check_node(f"kill {node}", node, neighbours)
             _require(node not in standing.absent, f"kill {node}", "the node is out already")

@@ -9,11 +9,11 @@ from collections.abc import Callable, Sequence
 
 import msgspec
 
+from nodes.bounds import UNREADABLE
 from nodes.changes import Settings
 from nodes.fault_words import CHANNELS, COMMANDS, FAULTS, usage
 
 MAX_COMMAND_BYTES = 4096
-MAX_ROUNDS = 100
 SETTINGS = ("rule", "rounds", "occupancy", "schedule", "arbiter", "hold", "decay", "trigger")
 
 
@@ -135,7 +135,7 @@ def read_command(data: bytes) -> Command:
         raise Refused(f"a command of {len(data)} bytes; it may have {MAX_COMMAND_BYTES}")
     try:
         return _decoder.decode(data)
-    except msgspec.MsgspecError as error:
+    except UNREADABLE as error:
         raise Refused(f"not a command: {error}") from None
 
 

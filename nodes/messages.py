@@ -7,14 +7,24 @@ is `null`.
 """
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from nodes.bounds import MAX_MESSAGE_BYTES, Group, Instant, NodeIndex, NodeList
-from nodes.changes import Change, Event, Gone, Welcome
+from nodes.bounds import (
+    MAX_MESSAGE_BYTES,
+    MAX_ROUNDS,
+    UNREADABLE,
+    Group,
+    Instant,
+    NodeIndex,
+    NodeList,
+    node_of,
+)
+from nodes.changes import Change, Event, Gone, Set, Welcome
 
 Array = NDArray[np.float64]
 # Recorder to all: everything is kept, and everybody may leave.
@@ -171,6 +181,8 @@ _KINDS: dict[type, str] = {ShareSent: "share", **{type_: kind for kind, type_ in
 _OWNED = ("measured", "bid", "estimate", "timing", "unreachable")
 # What tells everybody of a node, or is of nobody, has one topic for all.
 _SHARED = ("grant", "truth", "event", "gone", "start")
+# What is said both of everybody and to one node.
+_BOTH = ("gone",)
 _encoder = msgspec.json.Encoder()
 _decoders = {topic: msgspec.json.Decoder(type_) for topic, type_ in _TYPES.items()}
 
@@ -178,6 +190,15 @@ _decoders = {topic: msgspec.json.Decoder(type_) for topic, type_ in _TYPES.items
 def message_types() -> dict[str, type]:
     """The first part of each topic that carries JSON, and the type of its messages."""
     return dict(_TYPES)
+
+
+def is_topic(name: str, nodes: int) -> bool:
+    """Whether any message of a network of so many nodes travels on a topic of this name."""
+    kind, slash, owner = name.partition("/")
+    if not slash:
+        return kind in _SHARED
+    is_owned = kind in _KINDS.values() and (kind not in _SHARED or kind in _BOTH)
+    return is_owned and node_of(owner, nodes) is not None
 
 
 class MalformedMessage(ValueError):
@@ -205,20 +226,38 @@ def decode(topic_name: str, data: bytes) -> Any:
     kind, _, owner = topic_name.partition("/")
     decoder = _decoders.get(kind)
     if decoder is None:
-        raise MalformedMessage(f"no message travels on topic {topic_name!r}")
+        raise MalformedMessage(f"no message travels on topic {topic_name[:60]!r}")
     if len(data) > MAX_MESSAGE_BYTES:
         raise MalformedMessage(
-            f"topic {topic_name!r} carried {len(data)} bytes, at most {MAX_MESSAGE_BYTES}"
+            f"topic {topic_name[:60]!r} carried {len(data)} bytes, at most {MAX_MESSAGE_BYTES}"
         )
     try:
         message = decoder.decode(data)
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise MalformedMessage(f"topic {topic_name!r} carried {data[:60]!r}: {error}") from None
+    except UNREADABLE as error:
+        what = f"topic {topic_name[:60]!r} carried {data[:60]!r}"
+        raise MalformedMessage(f"{what}: {error}") from None
     if kind in _OWNED and str(message.node) != owner:
-        raise MalformedMessage(f"topic {topic_name!r} carried what is of node {message.node}")
+        raise MalformedMessage(f"topic {topic_name[:60]!r} carried what is of node {message.node}")
     if kind == "measured" and len({len(reading) for reading in message.readings}) > 1:
-        raise MalformedMessage(f"topic {topic_name!r} carried readings of different lengths")
+        raise MalformedMessage(f"topic {topic_name[:60]!r} carried readings of different lengths")
+    for change in _changes(message):
+        if isinstance(change, Set) and not _has_rounds(change):
+            raise MalformedMessage(f"topic {topic_name[:60]!r} carried impossible rounds")
     return message
+
+
+def _changes(message: Any) -> Sequence[Change]:
+    match message:
+        case Measured():
+            return message.changes
+        case Event():
+            return (message.change,)
+    return ()
+
+
+def _has_rounds(change: Set) -> bool:
+    """Whether every reader can count cycles from here on."""
+    return change.settings.get("rounds", 1) in range(1, MAX_ROUNDS + 1)
 
 
 def to_wire(values: Array) -> list[Any]:

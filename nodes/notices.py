@@ -12,9 +12,9 @@ from nodes.world_timetable import Beat
 
 
 class Presence(NamedTuple):
-    """A process has come, or is gone."""
+    """A node's process has come, or is gone."""
 
-    name: str
+    node: int
     is_there: bool
 
 

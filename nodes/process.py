@@ -14,6 +14,7 @@ from typing import Any
 import msgspec
 
 from nodes import node_changes, state_machine
+from nodes.bounds import UNREADABLE, node_of
 from nodes.changes import Event, Gone, Joined, Left, Welcome
 from nodes.entry import await_links
 from nodes.links import RECORDER, WATCH, WORLD, Links
@@ -27,6 +28,7 @@ from nodes.messages import (
     Unreachable,
     decode,
     encode,
+    is_topic,
     topic,
 )
 from nodes.node_state import NodeConfig, NodeState, Phase, count
@@ -37,9 +39,12 @@ from nodes.watchers import Watchers
 from nodes.whole_steps import WholeSteps
 from nodes.zenoh_transport import Transport
 
-NODE_QUEUE, RECORDER_QUEUE = 1024, 65_536
+# A message that waits takes some 9 kB, however short it is: zenoh keeps what it came in.
+NODE_QUEUE, RECORDER_QUEUE = 1024, 8192
 # So long links have to come up.
 _LINK_S = 5.0
+# What is said on topics that are nobody's is kept under this name.
+STRANGE = "strange"
 # Through a router the recorder hears itself, too.
 _UNRECORDED = ("hello", "recorded", "start", "finished", "end", WATCH)
 
@@ -98,9 +103,10 @@ class _Member:
         """In zenoh's thread: who is out of our reach may not be out of the world's."""
         if self._patience is not None:
             self._patience.see(name, is_there)
-        if not is_there and name.isdecimal() and int(name) in self._shares:
-            self._unreachable.append(int(name))
-            for subscription in (self._heartbeat, self._shares[int(name)]):
+        neighbour = self._senders.get(f"share/{name}")
+        if not is_there and neighbour is not None:
+            self._unreachable.append(neighbour)
+            for subscription in (self._heartbeat, self._shares[neighbour]):
                 self.transport.wake(subscription)
 
     def _hear_of_gone(self, name: str, data: bytes) -> None:
@@ -274,7 +280,7 @@ def run_recorder(
     transport = Transport(run, links, ["**"], RECORDER_QUEUE)
     watchers = Watchers(Transport(run, watch, [], 1), steps, lambda: transport.wake("**"))
     transport.join(RECORDER, set())
-    ends = _Ends(transport)
+    ends = _Ends(transport, steps.nodes)
     finished: Finished | None = None
     latest: dict[int, int] = {}
     leaving: dict[int, int] = {}
@@ -285,19 +291,22 @@ def run_recorder(
             watchers.look()
             continue
         name, data = received
-        kind, _, node = name.partition("/")
+        kind, _, owner = name.partition("/")
         if kind == "finished":
-            with suppress(msgspec.MsgspecError):
+            with suppress(*UNREADABLE):
                 finished = msgspec.json.decode(data, type=Finished)
         if kind in _UNRECORDED:
             continue
+        if not is_topic(name, steps.nodes):
+            # Of names there is no end; of channels in a file there is.
+            name = STRANGE
         recorder.record(name, data)
         watchers.tell(name, data)
         # Kept as it came is also what somebody says who obeys no rule; it changes nothing here.
-        if kind == "estimate" and node.isdecimal():
-            with suppress(msgspec.MsgspecError):
-                latest[int(node)] = _estimated.decode(data).step
-        elif kind == "event":
+        if name == f"estimate/{owner}":
+            with suppress(*UNREADABLE):
+                latest[int(owner)] = _estimated.decode(data).step
+        elif name == "event":
             with suppress(MalformedMessage):
                 leaving |= _leaving(decode(name, data))
         for out in [i for i, step in leaving.items() if step < 0 or latest.get(i) == step]:
@@ -313,7 +322,8 @@ def run_recorder(
 class _Ends:
     """Nodes whose last word has come, as they are gone."""
 
-    def __init__(self, transport: Transport) -> None:
+    def __init__(self, transport: Transport, nodes: int) -> None:
+        self._nodes = nodes
         self.silent: set[int] = set()
         self._transport = transport
         self._seen: deque[tuple[int, bool]] = deque()
@@ -321,8 +331,9 @@ class _Ends:
 
     def _see(self, name: str, is_there: bool) -> None:
         """In zenoh's thread; what the node said before is ahead of our call in the queue."""
-        if name.isdecimal():
-            self._seen.append((int(name), is_there))
+        node = node_of(name, self._nodes)
+        if node is not None:
+            self._seen.append((node, is_there))
             self._transport.wake("**")
 
     def look(self) -> None:

@@ -7,7 +7,7 @@ the network, is kept as it came and means nothing.
 from typing import Any, NamedTuple
 
 from nodes.estimator import Rejected
-from nodes.messages import MalformedMessage, decode
+from nodes.messages import MalformedMessage, decode, is_topic
 from nodes.share import Fragment, read_frame
 
 
@@ -21,12 +21,12 @@ class SharedFrame(NamedTuple):
 def meaning(topic: str, data: bytes, nodes: int) -> Any:
     """The message (`nodes/messages.py`) or `SharedFrame` of a network of so many nodes; None for
     anything else."""
-    kind, _, owner = topic.partition("/")
-    if owner and not (owner.isascii() and owner.isdecimal() and int(owner) < nodes):
+    if not is_topic(topic, nodes):
         return None
+    kind, _, owner = topic.partition("/")
     try:
         if kind == "share":
-            return SharedFrame(int(owner), read_frame(data)) if owner else None
+            return SharedFrame(int(owner), read_frame(data))
         return decode(topic, data)
     except (MalformedMessage, Rejected):
         return None

@@ -19,10 +19,10 @@ from mcap.records import Message as McapMessage
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC, Writer
 
-from nodes.bounds import Instant
+from nodes.bounds import UNREADABLE, Instant
 from nodes.disk import NotWritten, writing
 from nodes.history import history_of, with_event
-from nodes.messages import decode, message_types
+from nodes.messages import MalformedMessage, decode, message_types
 from nodes.share import cycle_of
 
 _RECORD_HEADER = struct.Struct("<BQ")
@@ -131,7 +131,7 @@ class McapRecorder:
             if topic == "event":
                 self._history = with_event(self._history, decode(topic, data))
             stamp = _stamp.decode(data)
-        except (msgspec.MsgspecError, ValueError):
+        except (*UNREADABLE, MalformedMessage):
             # Kept as it came, for whoever looks for its sender; nobody knows when it was.
             return 0
         if stamp.step is not None:

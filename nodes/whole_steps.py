@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from nodes.bounds import Instant
+from nodes.bounds import UNREADABLE, Instant, node_of
 from nodes.history import history_of, with_event
 from nodes.messages import MalformedMessage, decode
 from nodes.share import cycle_of
@@ -54,6 +54,7 @@ class WholeSteps:
 
     def __init__(self, nodes: int, rounds: int) -> None:
         """A network of so many nodes that begins with so many rounds per step."""
+        self.nodes = nodes
         self._everybody = frozenset(range(nodes))
         self._history = history_of(rounds, ())
         self._steps: dict[int, _Step] = {}
@@ -63,7 +64,8 @@ class WholeSteps:
 
     def take(self, topic: str, data: bytes) -> list[WholeStep]:
         """Take one message; returns the steps that are over now. What is no message is ignored."""
-        kind, _, node = topic.partition("/")
+        kind, _, name = topic.partition("/")
+        node = node_of(name, self.nodes)
         if kind == "event":
             self._hear(data)
             return self._over()
@@ -82,15 +84,15 @@ class WholeSteps:
         if kind == "truth":
             step.has_truth = True
             self._reached = max(self._reached, number)
-        elif node.isdecimal():
-            (step.measured if kind == "measured" else step.estimated).add(int(node))
+        elif node is not None:
+            (step.measured if kind == "measured" else step.estimated).add(node)
         return self._over()
 
     def _step_of(self, kind: str, data: bytes) -> int | None:
         """The step of a message that is drawn."""
         if kind not in ("truth", "measured", "estimate"):
             return None
-        with suppress(msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+        with suppress(*UNREADABLE):
             return msgspec.json.decode(data, type=_Told).step
         return None
 

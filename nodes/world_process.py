@@ -13,6 +13,7 @@ from typing import NamedTuple
 import msgspec
 
 from nodes import world
+from nodes.bounds import node_of
 from nodes.changes import Gone, Settings, Welcome
 from nodes.clock import WorldClock
 from nodes.commands import Answer, Kill, Restart, Speed, TimelyCommand, read_command
@@ -39,7 +40,7 @@ from nodes.world import WorldConfig
 from nodes.world_timetable import Beat, timetable
 from nodes.zenoh_transport import Transport
 
-WORLD_QUEUE = 16_384
+WORLD_QUEUE = 8192
 _ANSWER_S = 5.0
 # How often the world says for whom it waits.
 _TELL_S = 10.0
@@ -136,11 +137,11 @@ class _Office:
         nodes = [str(node) for node in range(self._nodes)]
         self._transport.join(WORLD, ())
         self._await_all([RECORDER, *nodes])
-        self._transport.watch(lambda name, is_there: self._notify(Presence(name, is_there)))
+        self._transport.watch(self._hear_of_presence)
         for node in nodes:
             # Who was gone again before we watched.
             if not self._transport.await_present({node}, 0):
-                self._notify(Presence(node, False))
+                self._hear_of_presence(node, False)
         self._await_hellos()
         self._begun = True
         self._management.on_step(0)
@@ -186,9 +187,9 @@ class _Office:
                 case Hello() as hello:
                     self._compare(hello)
                     missing.discard(hello.node)
-                case Presence(name, False) if name.isdecimal() and int(name) < self._nodes:
+                case Presence(node, False):
                     # Its next life has to say hello again.
-                    missing.add(int(name))
+                    missing.add(node)
                 case Asked(_, answer):
                     answer.put(Answer(False, "the run has not begun; try again"))
 
@@ -222,19 +223,22 @@ class _Office:
         """Somebody came, is gone, or wants something."""
         conductor = self._conductor
         match notice:
-            case Presence(name, is_there) if name.isdecimal() and int(name) < self._nodes:
-                self._see(int(name), is_there)
+            case Presence(node, is_there):
+                self._see(node, is_there)
             case Hello(node, fingerprint) if fingerprint != self._fingerprint:
                 # One that comes late with something else is not let in, and ends nothing.
-                sys.stderr.write(f"world: node {node} comes with another setup; refused\n")
+                self._refuse(f"node {node} comes with another setup; refused")
             case Hello():
                 if notice.node not in conductor.state.standing.absent:
                     # It was started again before anybody had seen its end.
                     self._send(conductor.take(Gone(notice.node)))
                 self._send(conductor.ready(notice.node))
-            case Recorded(node) if node in self._doomed:
-                self._doomed.discard(node)
-                self._management.kill(node)
+            case Recorded(node):
+                if node in self._doomed:
+                    self._doomed.discard(node)
+                    self._management.kill(node)
+                else:
+                    self._refuse(f"node {node} was not to leave")
             case Asked():
                 notice.answer.put(self._obey(notice.payload))
             case Beat():
@@ -322,17 +326,24 @@ class _Office:
         else:
             self._refuse(f"topic 'end' carried {data[:60]!r} before the end")
 
+    def _hear_of_presence(self, name: str, is_there: bool) -> None:
+        node = node_of(name, self._nodes)
+        if node is not None:
+            self._notify(Presence(node, is_there))
+
     def _hear_hello(self, name: str, data: bytes) -> None:
-        node = name.partition("/")[2]
-        if node.isdecimal() and int(node) < self._nodes and _FINGERPRINT.fullmatch(data):
-            self._notify(Hello(int(node), data.decode()))
+        node = node_of(name.partition("/")[2], self._nodes)
+        if node is not None and _FINGERPRINT.fullmatch(data):
+            self._notify(Hello(node, data.decode()))
         else:
-            self._refuse(f"topic {name!r} carried {data[:60]!r}: no digest of a setup")
+            self._refuse(f"topic {name[:60]!r} carried {data[:60]!r}: no digest of a setup")
 
     def _hear_recorded(self, name: str, _data: bytes) -> None:
-        node = name.partition("/")[2]
-        if node.isdecimal():
-            self._notify(Recorded(int(node)))
+        node = node_of(name.partition("/")[2], self._nodes)
+        if node is None:
+            self._refuse(f"topic {name[:60]!r} is of no node")
+        else:
+            self._notify(Recorded(node))
 
     def _hear_unreachable(self, name: str, data: bytes) -> None:
         try:
@@ -342,6 +353,8 @@ class _Office:
             return
         if max(lost.node, lost.neighbour) < self._nodes:
             self._notify(lost)
+        else:
+            self._refuse(f"topic {name!r} speaks of no node")
 
     def _ask(self, payload: bytes) -> bytes:
         answer: SimpleQueue[Answer] = SimpleQueue()

@@ -14,8 +14,9 @@ import msgspec
 import numpy as np
 
 from filters import compiled
+from nodes.bounds import MAX_ROUNDS
 from nodes.changes import Settings
-from nodes.commands import MAX_ROUNDS, SETTINGS
+from nodes.commands import SETTINGS
 from nodes.faults import Equipment
 from nodes.messages import to_wire
 from scenarios.bus_plan import check_bus, plan_bus
