@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 import msgspec
 import numpy as np
 
-from nodes.messages import Timing
+from nodes.messages import Grant, Timing
 from nodes.recorded import meaning
 from nodes.tempo import Tempo
 
@@ -23,9 +23,9 @@ class TimingFigures(msgspec.Struct, frozen=True):
 
     `cycles` are counted at each node. `deadline_misses` are `incomplete` ones, which ended without
     something that was due, and `overrun` ones, which began after their own deadline. `late_shares`
-    came after the cycle that they were for, `lost_heartbeats` steps began without readings.
-    `cycle_jitter` is how late cycles began, `heartbeat`
-    how late readings came, `delay` the time from the sampling instant to the estimate.
+    came after the cycle that they were for, `late_bids` after the world had granted the slots;
+    `lost_heartbeats` steps began without readings. `cycle_jitter` is how late cycles began,
+    `heartbeat` how late readings came, `delay` the time from the sampling instant to the estimate.
     """
 
     cycle_stretch: float
@@ -36,6 +36,7 @@ class TimingFigures(msgspec.Struct, frozen=True):
     incomplete: int
     overrun: int
     late_shares: int
+    late_bids: int
     cycle_jitter: Spread
     heartbeat: Spread
     lost_heartbeats: int
@@ -46,8 +47,10 @@ def figures_of(
     tempo: Tempo, messages: Iterable[tuple[str, bytes]], counters: Sequence[dict[str, int]]
 ) -> TimingFigures:
     """The figures of recorded (topic, bytes), of a step at least, and of each node's counters."""
-    read = (meaning(t, data, len(counters)) for t, data in messages if t.startswith("timing/"))
-    said: list[Timing] = [timing for timing in read if timing is not None]
+    wanted = (one for one in messages if one[0] == "grant" or one[0].startswith("timing/"))
+    read = [meaning(*one, len(counters)) for one in wanted]
+    said = [one for one in read if isinstance(one, Timing)]
+    grants = [one for one in read if isinstance(one, Grant)]
     incomplete = sum(timing.incomplete for timing in said)
     overrun = sum(timing.overrun for timing in said)
     came = [late for timing in said if (late := timing.heartbeat_late_s) is not None]
@@ -61,6 +64,7 @@ def figures_of(
         incomplete=incomplete,
         overrun=overrun,
         late_shares=sum(c.get("late", 0) for c in counters),
+        late_bids=sum(len(grant.unheard) for grant in grants if grant.unheard),
         cycle_jitter=_spread(late),
         heartbeat=_spread(came),
         lost_heartbeats=len(said) - len(came),
@@ -80,7 +84,8 @@ def lines(figures: TimingFigures) -> list[str]:
         f"bus's), a step every {figures.step_ms:.4g} ms",
         f"deadline misses {figures.deadline_misses} of {figures.cycles} cycles "
         f"({figures.incomplete} lacked something, {figures.overrun} began too late); "
-        f"late shares {figures.late_shares}; steps without readings {figures.lost_heartbeats}",
+        f"late shares {figures.late_shares}, bids {figures.late_bids}; steps without readings "
+        f"{figures.lost_heartbeats}",
         f"p50/p99/largest in ms: cycles begin {_words(figures.cycle_jitter)} late, readings come "
         f"{_words(figures.heartbeat)} late, measurement to estimate {_words(figures.delay)}",
     ]

@@ -68,6 +68,27 @@ def check_command(
             _check_links(command, neighbours)
 
 
+def check_timely(command: Command) -> None:
+    """Refuse what a network in real time cannot obey.
+
+    Raises:
+        Refused: naming the command, the rule and the cure.
+    """
+    match command:
+        case Pause() | Resume() | Step() | Speed():
+            raise Refused(
+                f"{command.__struct_config__.tag}: in real time the clock says when a step begins; "
+                "use --driver processes to stop, step or slow a network"
+            )
+        case Configure():
+            raise Refused(
+                "set: in real time nobody waits for a node that misses the step from which they "
+                "hold; give them before the run, or use --driver processes"
+            )
+        case _:
+            pass
+
+
 def _check_links(
     command: CutLink | HealLink | LoseFrames, neighbours: Sequence[Sequence[int]]
 ) -> None:

@@ -106,9 +106,9 @@ class Configure(msgspec.Struct, frozen=True, tag="set", tag_field="do", forbid_u
 
 
 PaceCommand = Pause | Resume | Step | Speed
-# What may begin while steps are under way, at a time that is said beforehand.
-TimelyCommand = Kill | CutLink | HealLink | LoseFrames | Partition | Inject | Soothe
-ChangeCommand = TimelyCommand | Restart | Configure
+# What may begin while steps are under way, whoever has missed it.
+TimelyCommand = Kill | Restart | CutLink | HealLink | LoseFrames | Partition | Inject | Soothe
+ChangeCommand = TimelyCommand | Configure
 Command = PaceCommand | ChangeCommand
 
 _decoder = msgspec.json.Decoder(Command)

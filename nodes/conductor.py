@@ -226,8 +226,10 @@ class Conductor:
                 self._stage.kill(node)
                 return [Left(node)]
             case Restart(node):
-                # In a script the step begins with the node in it, however long its start takes.
-                self._awaited.add(node)
+                # In a script the step begins with the node in it, however long its start takes;
+                # the clock waits for nobody.
+                if not self._timed:
+                    self._awaited.add(node)
                 if self._stage.start(node):
                     self._ready.add(node)
                 return []

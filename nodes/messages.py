@@ -68,11 +68,15 @@ class Bid(msgspec.Struct, frozen=True):
 
 
 class Grant(msgspec.Struct, frozen=True):
-    """World to all: who may send in the dynamic slots of this part of the cycle, in bus order."""
+    """World to all: who may send in the dynamic slots of this part of the cycle, in bus order.
+
+    In real time `unheard` are contenders who had not asked when bids ended.
+    """
 
     cycle: Instant
     winners: NodeList
     group: Group = 0
+    unheard: NodeList | msgspec.UnsetType = msgspec.UNSET
 
 
 class Truth(msgspec.Struct, frozen=True):

@@ -36,6 +36,7 @@ from nodes.messages import (
 )
 from nodes.node_state import Phase, count
 from nodes.patience import Patience
+from nodes.share import cycle_of
 from nodes.tempo import Tempo
 from nodes.zenoh_transport import Transport
 
@@ -97,6 +98,7 @@ class _Player:
         self._overdue: tuple[Change, ...] = ()
         self._alone = False
         self._asked_s = 0.0
+        self._first_step = 0
         self.transport = Transport(membership.run, membership.links, ["start", "end"], _QUEUE)
         index = config.index
         own = [f"measured/{index}", "grant", "gone", f"gone/{index}", f"welcome/{index}"]
@@ -111,6 +113,7 @@ class _Player:
             if name.startswith("welcome/"):
                 welcome = _decoded(name, data)
         config, self._state = node_changes.begin_late(self._config, welcome)
+        self._first_step = welcome.step
         self._config = dataclasses.replace(config, timed=True)
         # Until then we were told that we are out.
         self._asked_s = time.monotonic()
@@ -214,6 +217,10 @@ class _Player:
     def _take(self, name: str, data: bytes) -> None:
         """Take what has come."""
         kind, _, owner = name.partition("/")
+        enters = self._state.step < self._first_step
+        if kind == "share" and enters and cycle_of(data) < self._state.cycle:
+            # It was for those who took part then.
+            return
         event = ShareHeard(int(owner), data) if kind == "share" else _decoded(name, data)
         match event:
             case None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from msgspec import UNSET
 
 from bus.schedule import Schedule
 from nodes.changes import UNCHANGED, Change, Event, Gone, Joined, Standing, after
@@ -382,16 +383,16 @@ def _grant(
         bids = state.bids.get(contest, {})
         left = contenders_left(config.schedule, state.next_cycle, state.won)
         contenders = [node for node in left if node not in state.standing.absent]
-        if not awaits_bids(config, state):
-            return state
-        if contest > closed and any(node not in bids for node in contenders):
+        unheard = [node for node in contenders if node not in bids]
+        if not awaits_bids(config, state) or (unheard and contest > closed):
             return state
         # In node order: who asked first on the wire must not matter.
         requests = tuple(bids[node] for node in sorted(contenders) if node in bids)
         arbiter, winners = state.arbiter, ()
         if requests:
             arbiter, winners = config.arbitrate(arbiter, state.next_cycle, requests)
-        outbox.append(Grant(state.next_cycle, list(winners), state.next_group))
+        grant = Grant(state.next_cycle, list(winners), state.next_group, unheard or UNSET)
+        outbox.append(grant)
         rest = {key: asked for key, asked in state.bids.items() if key != contest}
         state = state._replace(
             arbiter=arbiter, bids=rest, next_group=state.next_group + 1, won=state.won + winners

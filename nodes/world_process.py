@@ -6,19 +6,20 @@ import re
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from queue import Empty, SimpleQueue
-from typing import NamedTuple
 
 import msgspec
 
 from nodes import world
 from nodes.bounds import node_of
-from nodes.changes import Gone, Settings, Welcome
+from nodes.changes import Gone, Welcome
 from nodes.clock import WorldClock
-from nodes.commands import Answer, Kill, Restart, Speed, TimelyCommand, read_command
+from nodes.command_checks import check_timely
+from nodes.commands import Answer, Kill, Restart, Speed, read_command
 from nodes.conductor import Conductor, Scripted, Stage
 from nodes.links import RECORDER, WORLD, Links
+from nodes.management import Management
 from nodes.messages import (
     END,
     BidsClosed,
@@ -44,7 +45,6 @@ WORLD_QUEUE = 8192
 _ANSWER_S = 5.0
 # How often the world says for whom it waits.
 _TELL_S = 10.0
-_TIMED = "a network in real time follows the clock: kill, restart and faults only"
 _FINGERPRINT = re.compile(rb"[0-9a-f]{64}")
 _NOT_OURS = "nodes run on hosts of their own; end and start `concord node` there"
 # From the announcement of the common start to the start: every node must have heard it.
@@ -57,19 +57,6 @@ class Disagreement(Exception):
 
 class Deserted(Exception):
     """Every node is gone."""
-
-
-class Management(NamedTuple):
-    """What the world needs beside the network: `kill(node)` and `start(node)` its process,
-    `check(settings)` what people want to set, `on_step(completed)`; `setup` is JSON to be shown.
-    Where it `keeps_nodes` it can kill and start them; others' processes are on other hosts."""
-
-    kill: Callable[[int], None]
-    start: Callable[[int], None]
-    check: Callable[[Settings], Settings]
-    on_step: Callable[[int], None]
-    setup: bytes
-    keeps_nodes: bool = True
 
 
 def run_world(
@@ -219,6 +206,18 @@ class _Office:
             return
         self._send(self._conductor.take(event))
 
+    def _take_waiting(self, source: str) -> None:
+        """What is there already has come in time, however late the world looks."""
+        messages = self._queues.take()
+        # No more than all can have said at once, however much comes.
+        for _ in range(self._nodes):
+            received = self._transport.receive_at_once(source)
+            if received is None:
+                break
+            messages.append(received)
+        for message in messages:
+            self._take(*message)
+
     def _attend(self, notice: Notice) -> None:
         """Somebody came, is gone, or wants something."""
         conductor = self._conductor
@@ -245,6 +244,7 @@ class _Office:
                 self._send(conductor.tick())
                 self._remind()
             case BidsClosed() | StepClosed():
+                self._take_waiting("bid/*" if isinstance(notice, BidsClosed) else "estimate/*")
                 self._send(conductor.take(notice))
             case Unreachable(node, neighbour):
                 # Frames between them are lost. One of them is out until there is a link again.
@@ -284,14 +284,15 @@ class _Office:
     def _obey(self, payload: bytes) -> Answer:
         try:
             command = read_command(payload)
-            if self._tempo is not None and not isinstance(command, Restart | TimelyCommand):
-                return Answer(False, _TIMED)
+            if self._tempo is not None:
+                check_timely(command)
             if isinstance(command, Kill | Restart) and not self._management.keeps_nodes:
                 return Answer(False, _NOT_OURS)
             self._send(self._conductor.command(command))
         except ValueError as refused:
             return Answer(False, str(refused))
-        self._metronome.set(self._conductor.steps_per_second)
+        if self._tempo is None:
+            self._metronome.set(self._conductor.steps_per_second)
         return Answer(True)
 
     def _start(self, node: int) -> bool:

@@ -35,8 +35,8 @@ def tempo_of(setup: Setup, stretch: float | None) -> Tempo:
     for step, command in script_of(scenario):
         if not isinstance(command, TimelyCommand):
             raise ValueError(
-                f"--driver realtime --changes: what is to happen at step {step} waits for others, "
-                "and time does not; leave restart and set out, or use --driver processes"
+                f"--driver realtime --changes: set at step {step} waits until all have ended a "
+                "step, and time does not; leave it out, or use --driver processes"
             )
     controller = build_controller(scenario)
     if controller is not None and controller.node is not None:

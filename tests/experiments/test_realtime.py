@@ -3,6 +3,7 @@
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,10 +16,10 @@ from experiments.drivers import in_this_process
 from experiments.launcher import run_processes
 from experiments.results import describe
 from experiments.timing_figures import TimingFigures, figures_of, lines
-from nodes.changes import Calm, Cut, Fault
-from nodes.commands import Inject, Pause
+from nodes.changes import Calm, Cut, Fault, Gone, Joined
+from nodes.commands import Answer, in_words
 from nodes.control_client import Client
-from nodes.messages import Timing, decode, encode, topic
+from nodes.messages import Grant, Timing, decode, encode, topic
 from nodes.recording import read_recording
 from nodes.tempo import Tempo
 from scenarios.job import Happened
@@ -56,6 +57,10 @@ class Strike:
         if happened.what == "step" and happened.step >= self._step:
             self._step = 1 << 30
             self._strike(self._pid)
+
+
+def kill(pid: int) -> None:
+    os.kill(pid, signal.SIGKILL)
 
 
 def stop_for(seconds: float) -> Callable[[int], None]:
@@ -111,14 +116,23 @@ def test_nobody_waits_for_a_stopped_node(tmp_path: Path):
 @pytest.mark.zenoh
 @pytest.mark.slow
 @pytest.mark.skipif(not PROC.is_dir(), reason="finds processes in /proc, which is not there")
-@pytest.mark.parametrize("strike", [lambda pid: os.kill(pid, signal.SIGKILL), stop_for(3.0)])
-def test_a_node_that_is_given_up_ends_nothing(tmp_path: Path, strike: Callable[[int], None]):
+@pytest.mark.parametrize("back", [False, True])
+def test_a_node_that_is_given_up_ends_nothing(tmp_path: Path, back: bool):
+    """Killed, or stopped for longer than the lease."""
     setup = small(steps=45, graph="ring")
-    play(setup, tmp_path, Strike(strike, 5))
+    play(setup, tmp_path, Strike(stop_for(3.0) if back else kill, 5))
     said = timings(tmp_path / "run.mcap")
     for node in (0, 2, 3):
         assert [one.step for one in said if one.node == node] == list(range(45))
-    assert len([one for one in said if one.node == 1]) < 40
+    messages = read_recording(tmp_path / "run.mcap")
+    events = [decode(name, data) for name, data in messages if name == "event"]
+    [gone] = [event.step for event in events if isinstance(event.change, Gone)]
+    joined = [event.step for event in events if isinstance(event.change, Joined)]
+    # Three seconds are thirty steps, after which it is let in at once.
+    assert all(30 <= step <= 40 for step in joined)
+    assert len(joined) == back
+    out = np.isnan(trace_of(setup, tmp_path / "run.mcap").mean[:, 1, 0])
+    assert set(np.flatnonzero(out)) == set(range(gone, joined[0] if back else 45))
 
 
 @pytest.mark.zenoh
@@ -152,33 +166,59 @@ def test_faults_strike_the_same_frames_as_in_lockstep_and_cost_no_time(tmp_path:
         assert trace.counters == reference.counters
 
 
+# How each command is answered; None where it is obeyed.
+ANSWERS = {
+    "pause": "pause: in real time the clock says when a step begins; use --driver processes",
+    "resume": "resume: in real time",
+    "step 2": "step: in real time",
+    "speed 5": "speed: in real time",
+    "set rule=hcmci": "set: in real time nobody waits",
+    "set rounds=2": "give them before the run, or use --driver processes",
+    "kill 9": "there are nodes 0 to 3",
+    "restart 1": "restart 1: the node is not out",
+    "crc 1 1": None,
+    "cut 0 1": None,
+    "heal": None,
+    "loss 0.1": None,
+    "calm": None,
+}
+
+
 @pytest.mark.zenoh
-def test_commands_are_refused_but_faults(tmp_path: Path):
-    answers = []
+def test_every_command_is_obeyed_or_refused_with_reason_and_cure(tmp_path: Path):
+    answers: dict[str, Answer] = {}
 
     def ask(happened: Happened) -> None:
         if happened.what == "started":
             connect.extend(happened.connect)
         if happened.what == "step" and not answers:
             client = Client(connect, "realtime")
-            answers.append(client.command(Pause()))
-            answers.append(client.command(Inject("crc", (1,), (1.0,))))
+            for words in ANSWERS:
+                if words == "cut 0 1":
+                    # A step must begin with a fault before `calm` ends it.
+                    begun = client.state()["released"]
+                    while client.state()["released"] <= begun + 1:
+                        time.sleep(0.02)
+                answers[words] = client.command(in_words(words.split()))
             client.close()
 
     connect: list[str] = []
-    play(small(steps=20), tmp_path, ask)
-    assert not answers[0].accepted
-    assert "real time" in answers[0].detail
-    assert answers[1].accepted
-    counters = trace_of(small(steps=20), tmp_path / "run.mcap").counters
+    setup = small(steps=30)
+    figures = play(setup, tmp_path, ask)
+    for words, reason in ANSWERS.items():
+        assert answers[words].accepted == (reason is None), words
+        assert (reason or "") in answers[words].detail, answers[words]
+    counters = trace_of(setup, tmp_path / "run.mcap").counters
     assert sum(one.get("rejected frame-crc", 0) for one in counters) > 0
+    # Nothing of it moved the clock: readings come when they are taken.
+    assert figures.heartbeat.p50_ms > 0
 
 
 @pytest.mark.parametrize(
     ("changed", "stretch", "named"),
     [
         ({"cluster": "none"}, None, "--cluster none: a bus without time sets no pace"),
-        ({"changes": ("3 kill 1", "5 restart 1")}, None, "at step 5 waits for others"),
+        ({"changes": ("3 kill 1", "5 set rounds=2")}, None, "set at step 5 waits until all"),
         ({}, 0.5, "--cycle-stretch 0.5: must be at least 1"),
     ],
 )
@@ -228,9 +268,11 @@ def test_figures_count_what_was_said():
         Timing(0, 0, 0.001, [0.001, 0.002, 0.003], 1, 0, 0.061),
         Timing(1, 0, 0.050, [0.050, 0.030, 0.010], 0, 2, 0.071),
     ]
-    messages = [(topic(one), encode(one)) for one in said]
+    granted = [Grant(0, [1], 0), Grant(1, [1], 0, [0, 2])]
+    messages = [(topic(one), encode(one)) for one in (*said, *granted)]
     figures = figures_of(Tempo(10.0, 0.02, 0.1), messages, [{"late": 2}, {}])
     assert (figures.cycles, figures.deadline_misses, figures.late_shares) == (6, 3, 2)
+    assert figures.late_bids == 2
     assert figures.cycle_jitter.largest_ms == pytest.approx(50)
     assert figures.delay.p50_ms == pytest.approx(66)
     assert "deadline misses 3 of 6 cycles" in lines(figures)[1]

@@ -2,8 +2,20 @@
 
 import dataclasses
 
+from msgspec import UNSET
+
 from nodes import state_machine, world
-from nodes.messages import CycleClosed, Estimate, Measured, NodeMessage, ShareHeard, ShareSent
+from nodes.messages import (
+    Bid,
+    BidsClosed,
+    CycleClosed,
+    Estimate,
+    Grant,
+    Measured,
+    NodeMessage,
+    ShareHeard,
+    ShareSent,
+)
 from nodes.node_state import Phase
 from scenarios.build import build_node, build_world
 from tests.experiments.support import small
@@ -47,3 +59,25 @@ def estimates(timed: bool, reverse: bool) -> list[Estimate]:
 def test_the_clock_changes_nothing_where_all_comes_in_time():
     assert estimates(timed=True, reverse=True) == estimates(timed=False, reverse=False)
     assert all(one.counters.get("missed", 0) == 0 for one in estimates(timed=True, reverse=True))
+
+
+def test_who_asks_after_the_end_of_bids_is_not_granted_and_is_named():
+    config = build_world(small(schedule="hybrid", occupancy=0.5, steps=2))
+    state, _ = world.allow(config, world.begin(config), 1)
+    cycle, group = state.next_cycle, state.next_group
+    first, *late = config.schedule.contenders(cycle)
+    assert late
+    state, messages = world.step(config, state, Bid(first, cycle, 1, 30, group))
+    assert messages == []
+    state, messages = world.step(config, state, BidsClosed(cycle, group))
+    assert messages == [Grant(cycle, [first], group, late)]
+    # However urgent: that contest is over, and the next one hears all of them.
+    for node in late:
+        state, messages = world.step(config, state, Bid(node, cycle, 9, 30, group))
+        assert messages == []
+    following = state.next_cycle, state.next_group
+    assert following > (cycle, group)
+    for node in config.schedule.contenders(following[0]):
+        bid = Bid(node, following[0], 1, 30, following[1])
+        state, messages = world.step(config, state, bid)
+    assert [grant.unheard for grant in messages if isinstance(grant, Grant)] == [UNSET]

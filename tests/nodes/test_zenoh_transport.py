@@ -97,8 +97,9 @@ def test_the_world_refuses_a_node_with_another_configuration(tmp_path: Path):
 import signal
 from pathlib import Path
 from nodes.process import run_node, run_recorder
-from nodes.world_process import Management, run_world
+from nodes.world_process import run_world
 from nodes.recording import McapRecorder
+from nodes.management import Management
 from nodes.membership import Membership
 from nodes.whole_steps import WholeSteps
 from scenarios.build import build_node, build_world

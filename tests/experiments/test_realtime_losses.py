@@ -1,0 +1,201 @@
+"""Who dies, hangs or asks too late in real time: what it costs, to whom, and that all is told."""
+
+import os
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.running import Running
+from experiments.timing_figures import TimingFigures, figures_of
+from experiments.trace import Trace
+from nodes.changes import Event, Gone, Joined, Left
+from nodes.commands import in_words
+from nodes.messages import decode
+from nodes.share import read_frame
+from scenarios.build import build_world
+from scenarios.setup import Setup
+from scenarios.tempo import tempo_of
+from tests.experiments.support import small, trace_of
+from tests.processes import PROC, holds_within, lives
+
+pytestmark = [
+    pytest.mark.zenoh,
+    pytest.mark.skipif(not PROC.is_dir(), reason="finds processes in /proc, which is not there"),
+]
+STRUCK = 2
+# A death is seen when its links close, and not only after the two seconds of the lease.
+SEEN_CYCLES = 50
+# Three steps of three rounds.
+AGREES_CYCLES = 9
+HANG_S = 0.6
+
+
+class Played:
+    """A network in real time that has ended: what was told, and what it amounts to."""
+
+    def __init__(self, setup: Setup, folder: Path, messages: list[tuple[str, bytes]]) -> None:
+        self.setup, self.messages = setup, messages
+        self.trace: Trace = trace_of(setup, folder / "run.mcap")
+        self.figures: TimingFigures = figures_of(
+            tempo_of(setup, None), messages, self.trace.counters
+        )
+
+    def told(self, kind: str) -> list:
+        """Messages of a topic, in the order in which they were recorded."""
+        return [decode(t, data) for t, data in self.messages if t.partition("/")[0] == kind]
+
+    def step_of(self, change: type) -> list[int]:
+        """The first steps of all changes of a type."""
+        events: list[Event] = self.told("event")
+        return [event.step for event in events if isinstance(event.change, change)]
+
+    def cycles_sent(self, node: int) -> set[int]:
+        """Cycles in which a node has sent a share."""
+        return {read_frame(data).cycle for t, data in self.messages if t == f"share/{node}"}
+
+    def apart(self, node: int, first: int, last: int | None = None) -> float:
+        """Root mean square distance of a node's estimates from the mean of the others'."""
+        mean = self.trace.mean[first:last]
+        others = np.delete(mean, node, axis=1).mean(axis=1)
+        return float(np.sqrt(np.mean((mean[:, node] - others) ** 2)))
+
+
+@contextmanager
+def playing(setup: Setup, folder: Path) -> Iterator[Running]:
+    """A network in real time; it must come to its end by itself."""
+    network = Running(setup, "realtime", folder, tempo=tempo_of(setup, None))
+    try:
+        yield network
+    finally:
+        network.end()
+
+
+def reaches(network: Running, step: int) -> bool:
+    return holds_within(30, lambda: network.client.state()["completed"] >= step)
+
+
+def has_member(network: Running, node: int) -> bool:
+    return node in network.client.state()["members"]
+
+
+def say(network: Running, words: str) -> None:
+    answer = network.client.command(in_words(words.split()))
+    assert answer.accepted, answer.detail
+
+
+def check_books(played: Played, gone: int, joined: int) -> None:
+    """Every share that was due at a neighbour was heard or is counted as missed."""
+    rounds = played.setup.scenario.rounds
+    sent = played.cycles_sent(STRUCK)
+    died, back = max(c for c in sent if c < joined * rounds), joined * rounds
+    cycles = played.setup.scenario.steps * rounds
+    assert min(c for c in sent if c > died) == back
+    assert gone * rounds <= died + 1 <= back
+    for node in played.setup.neighbours[STRUCK]:
+        counters = played.trace.counters[node]
+        # Nobody waits for it from when its death was told; before that each cycle is missed.
+        due_of_struck = counters["heard"] + counters.get("missed", 0) - cycles
+        assert died + 1 <= due_of_struck - (cycles - back) <= died + 1 + SEEN_CYCLES
+        said = [one for one in played.told("timing") if one.node == node]
+        assert sum(one.incomplete for one in said) <= counters.get("missed", 0)
+
+
+@pytest.mark.parametrize("death", ["SIGKILL", "on command"])
+def test_who_dies_in_real_time_is_back_on_command_and_agrees_at_once(tmp_path: Path, death: str):
+    setup = small(nodes=5, graph="ring", steps=75)
+    with playing(setup, tmp_path) as network:
+        assert reaches(network, 20)
+        pid = network.pids[str(STRUCK)]
+        if death == "SIGKILL":
+            os.kill(pid, signal.SIGKILL)
+        else:
+            say(network, f"kill {STRUCK}")
+        assert holds_within(5, lambda: not has_member(network, STRUCK))
+        assert holds_within(5, lambda: not lives(pid))
+        assert reaches(network, 35)
+        say(network, f"restart {STRUCK}")
+        assert holds_within(10, lambda: has_member(network, STRUCK))
+    played = Played(setup, tmp_path, network.recorded())
+    assert played.trace.steps == 75
+    [gone] = played.step_of(Gone if death == "SIGKILL" else Left)
+    [joined] = played.step_of(Joined)
+    out = np.isnan(played.trace.mean[:, :, 0])
+    assert set(np.flatnonzero(out[:, STRUCK])) == set(range(gone, joined))
+    assert not np.delete(out, STRUCK, axis=1).any()
+    if death == "SIGKILL":
+        check_books(played, gone, joined)
+    # Whoever commands does not set the clock: no reading comes before its time.
+    assert all((one.heartbeat_late_s or 0.0) > -0.01 for one in played.told("timing"))
+    # A late share was missed, and what was said before it was back is late for nobody.
+    for counters in played.trace.counters:
+        assert counters.get("late", 0) <= counters.get("missed", 0)
+    usual = played.apart(STRUCK, 10, gone)
+    first = joined + AGREES_CYCLES // setup.scenario.rounds
+    assert played.apart(STRUCK, first) < 2 * usual, (usual, joined)
+
+
+def contested(setup: Setup) -> dict[tuple[int, int], set[int]]:
+    """Who contends for the dynamic slots of each part of a cycle that has any."""
+    schedule, scenario = build_world(setup).schedule, setup.scenario
+    found = {}
+    for cycle in range(scenario.steps * scenario.rounds):
+        contenders = set(schedule.contenders(cycle)) - set(schedule.static_senders(cycle))
+        for number, part in enumerate(schedule.groups(cycle)):
+            if part.dynamic_slots and contenders:
+                found[cycle, number] = contenders
+    return found
+
+
+def test_who_hangs_over_the_end_of_bids_gets_nothing_and_holds_up_nobody(tmp_path: Path):
+    setup = small(schedule="hybrid", occupancy=0.5, steps=40)
+    with playing(setup, tmp_path) as network:
+        assert reaches(network, 10)
+        pid = network.pids[str(STRUCK)]
+        os.kill(pid, signal.SIGSTOP)
+        time.sleep(HANG_S)
+        os.kill(pid, signal.SIGCONT)
+    played = Played(setup, tmp_path, network.recorded())
+    contests, grants = contested(setup), played.told("grant")
+    # The cycles go on: each has its one grant, in order, whoever has asked.
+    assert [(grant.cycle, grant.group) for grant in grants] == sorted(contests)
+    unheard = {(g.cycle, g.group): set(g.unheard or ()) for g in grants}
+    without = [key for key, nodes in unheard.items() if STRUCK in nodes]
+    cycle_s = tempo_of(setup, None).cycle_s
+    hung = [key for key in contests if STRUCK in contests[key] and without[0] <= key <= without[-1]]
+    assert len(without) > 0.5 * len(hung)
+    assert len(hung) > 0.25 * HANG_S / cycle_s
+    for grant in grants:
+        missing = unheard[grant.cycle, grant.group]
+        assert missing <= contests[grant.cycle, grant.group]
+        assert not missing & set(grant.winners)
+    # It asks for them when it moves again, and nobody turns back for it.
+    asked = {(bid.cycle, bid.group) for bid in played.told("bid") if bid.node == STRUCK}
+    assert len(asked & set(without)) > 0.5 * len(without)
+    assert any(STRUCK in grant.winners for grant in grants if grant.cycle > without[-1][0])
+    assert played.figures.late_bids == sum(map(len, unheard.values()))
+    said = played.told("timing")
+    assert max(one.delay_s for one in said if one.node != STRUCK) < HANG_S / 2
+    assert not played.step_of(Gone)
+    assert not np.isnan(np.delete(played.trace.mean, STRUCK, axis=1)).any()
+
+
+def test_a_script_starts_a_process_at_its_step_and_time_does_not_wait_for_it(tmp_path: Path):
+    setup = small(
+        nodes=5, graph="ring", steps=50, changes=(f"8 kill {STRUCK}", f"15 restart {STRUCK}")
+    )
+    with playing(setup, tmp_path) as network:
+        pass
+    played = Played(setup, tmp_path, network.recorded())
+    assert played.step_of(Left) == [8]
+    [joined] = played.step_of(Joined)
+    assert 15 < joined < 45
+    out = np.isnan(played.trace.mean[:, :, 0])
+    assert set(np.flatnonzero(out[:, STRUCK])) == set(range(8, joined))
+    others = [one for one in played.told("timing") if one.node != STRUCK]
+    assert [one.step for one in others if one.node == 0] == list(range(50))
+    assert max(one.delay_s for one in others) < 0.3
