@@ -6,7 +6,7 @@ arrives is heard, lost, late, repeated or rejected, and exactly once.
 """
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -61,8 +61,12 @@ class Books:
 
     # --- what is sent ----------------------------------------------------------------------------
 
-    def record(self, topic: str, data: bytes) -> None:
-        """Take note of one message."""
+    def record(self, messages: Sequence[tuple[str, bytes]]) -> None:
+        """Take note of messages, (topic, bytes), in this order."""
+        for topic, data in messages:
+            self._note(topic, data)
+
+    def _note(self, topic: str, data: bytes) -> None:
         kind, _, node = topic.partition("/")
         if kind == "share":
             self._note_frame(int(node), data)

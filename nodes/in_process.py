@@ -85,7 +85,7 @@ def run(
 
     def post(messages: Sequence[NodeMessage | WorldMessage]) -> None:
         for message in messages:
-            recorder.record(topic(message), encode(message))
+            recorder.record([(topic(message), encode(message))])
             if isinstance(message, Welcome):
                 node = message.node
                 configs[node], states[node] = node_changes.begin_late(beginnings[node], message)

@@ -7,7 +7,7 @@ timed. What the world does is in `nodes/world_process.py`.
 
 import threading
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -285,38 +285,42 @@ def run_recorder(
     latest: dict[int, int] = {}
     leaving: dict[int, int] = {}
     while finished is None or not _complete(finished, latest, ends.silent):
-        received = transport.receive("**")
-        if received is None:
-            ends.look()
-            watchers.look()
-            continue
-        name, data = received
-        kind, _, owner = name.partition("/")
-        if kind == "finished":
-            with suppress(*UNREADABLE):
-                finished = msgspec.json.decode(data, type=Finished)
-        if kind in _UNRECORDED:
-            continue
-        if not is_topic(name, steps.nodes):
-            # Of names there is no end; of channels in a file there is.
-            name = STRANGE
-        recorder.record(name, data)
-        watchers.tell(name, data)
+        received, is_woken = transport.receive_all("**")
+        kept = list(_to_be_kept(received, steps.nodes))
+        recorder.record(kept)
+        watchers.tell(kept)
         # Kept as it came is also what somebody says who obeys no rule; it changes nothing here.
-        if name == f"estimate/{owner}":
-            with suppress(*UNREADABLE):
-                latest[int(owner)] = _estimated.decode(data).step
-        elif name == "event":
-            with suppress(MalformedMessage):
-                leaving |= _leaving(decode(name, data))
+        for name, data in kept:
+            kind, _, owner = name.partition("/")
+            with suppress(*UNREADABLE, MalformedMessage):
+                if kind == "estimate":
+                    latest[int(owner)] = _estimated.decode(data).step
+                elif kind == "event":
+                    leaving |= _leaving(decode(name, data))
+        for name, data in received:
+            if name.partition("/")[0] == "finished":
+                with suppress(*UNREADABLE):
+                    finished = msgspec.json.decode(data, type=Finished)
         for out in [i for i, step in leaving.items() if step < 0 or latest.get(i) == step]:
             # Who leaves on command may end now: nothing that it has said will be lost.
             transport.send(f"recorded/{out}", b"{}")
             del leaving[out]
+        if is_woken:
+            ends.look()
+            watchers.look()
     recorder.close()
     transport.send("end", END)
     watchers.close()
     transport.close()
+
+
+def _to_be_kept(received: Sequence[tuple[str, bytes]], nodes: int) -> Iterator[tuple[str, bytes]]:
+    """Those of messages (topic, bytes) that are recorded, under the names that they have there."""
+    for name, data in received:
+        if name.partition("/")[0] in _UNRECORDED:
+            continue
+        # Of names there is no end; of channels in a file there is.
+        yield (name if is_topic(name, nodes) else STRANGE), data
 
 
 class _Ends:

@@ -1,12 +1,12 @@
 """The log of a run: every message as it travelled, in memory or in an MCAP file.
 
-A file is written message by message, without chunks, so that it can be read up to the last message
-after a crash. Times are the plant's, not the clock's.
+A file is written without chunks, so that it can be read up to the last message after a crash. Times
+are the plant's, not the clock's.
 """
 
 import os
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from io import BufferedReader, BytesIO
 from pathlib import Path
@@ -31,8 +31,8 @@ _RECORD_HEADER = struct.Struct("<BQ")
 class Recorder(Protocol):
     """Keeps messages as they travelled; closes what it opened."""
 
-    def record(self, topic: str, data: bytes) -> None:
-        """Keep one message."""
+    def record(self, messages: Sequence[tuple[str, bytes]]) -> None:
+        """Keep messages, (topic, bytes), in this order."""
         ...
 
     def close(self) -> None:
@@ -46,9 +46,9 @@ class MemoryRecorder:
     def __init__(self) -> None:
         self.messages: list[tuple[str, bytes]] = []
 
-    def record(self, topic: str, data: bytes) -> None:
-        """Keep one message."""
-        self.messages.append((topic, data))
+    def record(self, messages: Sequence[tuple[str, bytes]]) -> None:
+        """Keep messages, (topic, bytes), in this order."""
+        self.messages.extend(messages)
 
     def close(self) -> None:
         """Nothing to do: memory needs no end."""
@@ -94,30 +94,29 @@ class McapRecorder:
         self._channels: dict[str, int] = {}
         self._sequence = 0
         self._file.flush()
-        self._whole_bytes = self._file.tell()
         self._is_whole = True
 
-    def record(self, topic: str, data: bytes) -> None:
-        """Keep one message."""
+    def record(self, messages: Sequence[tuple[str, bytes]]) -> None:
+        """Keep messages, (topic, bytes), in this order."""
         try:
-            self._append(topic, data)
+            # Ctrl-C may strike between any two of these lines: what it leaves is not whole.
+            self._is_whole = False
+            for topic, data in messages:
+                self._append(topic, data)
+            # What was recorded survives the death of this process.
+            self._file.flush()
+            self._is_whole = True
         except OSError as error:
             self.close()
             raise NotWritten(self._path, error) from error
 
     def _append(self, topic: str, data: bytes) -> None:
-        # Ctrl-C may strike between any two of these lines: what it leaves is not whole.
-        self._is_whole = False
         channel = self._channels.get(topic)
         if channel is None:
             channel = self._channels[topic] = self._register(topic)
         time_ns = self._time_ns(topic, data)
         self._writer.add_message(channel, time_ns, data, time_ns, self._sequence)
-        # What was recorded survives the death of this process.
-        self._file.flush()
         self._sequence += 1
-        self._whole_bytes = self._file.tell()
-        self._is_whole = True
 
     def _register(self, topic: str) -> int:
         schema = self._schemas.get(topic.partition("/")[0], 0)
@@ -141,23 +140,30 @@ class McapRecorder:
         return self._last_ns
 
     def close(self) -> None:
-        """Write the index and close the file; a record that was interrupted is cut off instead."""
+        """Write the index and close the file; what was interrupted is cut off instead."""
         if self._file.closed:
             return
+        whole_bytes: int | None = None
         try:
             if self._is_whole:
                 self._is_whole = False
+                whole_bytes = self._file.tell()
                 with writing(self._path):
                     self._writer.finish()
                     self._file.flush()
-                self._whole_bytes = self._file.tell()
+                whole_bytes = self._file.tell()
         finally:
             with suppress(OSError):
                 # What a full disk does not take any more was not whole.
                 self._file.close()
             with suppress(FileNotFoundError):
                 # Somebody may have removed it meanwhile.
-                os.truncate(self._path, self._whole_bytes)
+                os.truncate(self._path, whole_bytes or self._whole_on_disk())
+
+    def _whole_on_disk(self) -> int:
+        """Length of the file up to its last whole record."""
+        with self._path.open("rb") as file:
+            return _whole_bytes(file)
 
 
 def read_recording(path: Path) -> Iterator[tuple[str, bytes]]:

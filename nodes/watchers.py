@@ -3,7 +3,7 @@
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import msgspec
 
@@ -19,12 +19,22 @@ class Watchers:
         self._offered, self._steps, self._wake = offered, steps, wake
         self._offering = Offering()
         self._alarm: threading.Timer | None = None
+        self._are_there = False
+        offered.listened("watch/**", self._see)
 
-    def tell(self, topic: str, data: bytes) -> None:
-        """A message was recorded."""
-        self._offered.offer(f"watch/{topic}", data)
-        for step in self._steps.take(topic, data):
-            self._offer(self._offering.take(step, time.monotonic()))
+    def _see(self, are_there: bool) -> None:
+        """In zenoh's thread."""
+        self._are_there = are_there
+
+    def tell(self, messages: Sequence[tuple[str, bytes]]) -> None:
+        """Messages were recorded."""
+        for topic, data in messages:
+            whole = self._steps.take(topic, data)
+            if not self._are_there:
+                continue
+            self._offered.offer(f"watch/{topic}", data)
+            for step in whole:
+                self._offer(self._offering.take(step, time.monotonic()))
 
     def look(self) -> None:
         """The time may have come for a step that was kept."""

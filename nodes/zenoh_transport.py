@@ -25,6 +25,8 @@ _ONE_THREAD = (
 # full queue stands still for ever.
 _TWO_THREADS = _ONE_THREAD.replace("tx:(handover:app)", "tx:(worker_threads:1)")
 _LEASE_MS = 2000
+# So many messages are taken from a queue together at most.
+_AT_ONCE = 256
 
 
 class LinkError(Exception):
@@ -212,6 +214,17 @@ class Transport:
             )
         publisher.put(data)
 
+    def listened(self, topic: str, told: Callable[[bool], None]) -> None:
+        """Have `told(whether)` called, also in another thread, when somebody listens to a topic, or
+        a part of a pattern, and when nobody does any more."""
+        publisher = self._session.declare_publisher(self._prefix + topic)
+
+        def see(status: zenoh.MatchingStatus) -> None:
+            told(status.matching)
+
+        callback = zenoh.handlers.Callback(see, indirect=False)
+        self._declared += [publisher, publisher.declare_matching_listener(callback)]
+
     def offer(self, topic: str, data: bytes) -> None:
         """Publish for those who care; loses rather than waits, and costs nothing for nobody."""
         publisher = self._publishers.get(topic)
@@ -229,6 +242,20 @@ class Transport:
             return None
         # Only a pattern leaves open which topic it was; to ask zenoh costs more than to take it.
         return (self._topic(sample) if "*" in subscription else subscription), data
+
+    def receive_all(self, subscription: str) -> tuple[list[tuple[str, bytes]], bool]:
+        """Wait for messages of one subscription and take those that are there, (topic, bytes), but
+        none that came after a call of `wake`: whether there was one is told with them."""
+        queue = self._queues[subscription]
+        came: list[tuple[str, bytes]] = []
+        sample: zenoh.Sample | None = queue.recv()
+        while sample is not None:
+            data = sample.payload.to_bytes()
+            if not data:
+                return came, True
+            came.append((self._topic(sample), data))
+            sample = queue.try_recv() if len(came) < _AT_ONCE else None
+        return came, False
 
     def receive_at_once(self, subscription: str) -> tuple[str, bytes] | None:
         """The next message of one subscription if there is one already; none for who has left."""

@@ -120,18 +120,33 @@ def test_a_recorder_that_meets_a_limit_keeps_every_whole_message(tmp_path: Path,
     kept = 0
     with pytest.raises(NotWritten, match=r"run\.mcap cannot be written \(File too large\)"):
         while True:
-            recorder.record("bid/0", b"%d" % kept)
+            recorder.record([("bid/0", b"%d" % kept)])
             kept += 1
     recorder.close()
     assert [data for _, data in read_recording(path)] == [b"%d" % n for n in range(kept)]
     assert kept > 50 and path.stat().st_size <= few_bytes
 
 
+def test_of_messages_that_come_together_those_before_the_limit_are_kept(
+    tmp_path: Path, few_bytes: int
+):
+    path = tmp_path / "run.mcap"
+    recorder = McapRecorder(path, 1, 0.1)
+    messages = [("bid/0", b"%d" % n) for n in range(few_bytes)]
+    with pytest.raises(NotWritten, match=r"run\.mcap"):
+        recorder.record(messages)
+    read = list(read_recording(path))
+    assert read == messages[: len(read)] and len(read) > 50
+    # Cut off where the last whole one ends: what follows it is as long as any other.
+    one_bytes = len(b"%d" % len(read)) + 31
+    assert few_bytes - one_bytes < path.stat().st_size <= few_bytes
+
+
 def test_an_index_that_does_not_fit_is_left_out(tmp_path: Path):
     path = tmp_path / "run.mcap"
     recorder = McapRecorder(path, 1, 0.1)
     for n in range(100):
-        recorder.record("bid/0", b"%d" % n)
+        recorder.record([("bid/0", b"%d" % n)])
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + 10, before[1]))
     try:

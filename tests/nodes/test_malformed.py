@@ -223,7 +223,7 @@ def test_any_bytes_can_be_recorded(topic: str, data: bytes):
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.mcap"
         recorder = McapRecorder(path, 2, 0.1)
-        recorder.record(topic, data)
-        recorder.record("bid/1", TOPICS["bid/1"])
+        recorder.record([(topic, data)])
+        recorder.record([("bid/1", TOPICS["bid/1"])])
         recorder.close()
         assert list(read_recording(path)) == [(topic, data), ("bid/1", TOPICS["bid/1"])]

@@ -31,8 +31,9 @@ MESSAGES = run(
 def write(path: Path, messages: list[tuple[str, bytes]]) -> tuple[bytes, bytes]:
     """The content of the file before the recorder was closed, and after."""
     recorder = McapRecorder(path, ROUNDS, STEP_S)
-    for topic, data in messages:
-        recorder.record(topic, data)
+    recorder.record(messages[:5])
+    for message in messages[5:]:
+        recorder.record([message])
     unclosed = path.read_bytes()
     recorder.close()
     return unclosed, path.read_bytes()
@@ -57,8 +58,8 @@ def test_what_is_recorded_is_read(tmp_path: Path):
 
 def test_memory_and_file_keep_the_same(tmp_path: Path):
     memory = MemoryRecorder()
-    for topic, data in MESSAGES:
-        memory.record(topic, data)
+    for message in MESSAGES:
+        memory.record([message])
     memory.close()
     write(tmp_path / "run.mcap", MESSAGES)
     assert memory.messages == list(read_recording(tmp_path / "run.mcap"))

@@ -182,3 +182,36 @@ say(supervisor.wait(quiet).code)
 
 def test_who_has_left_hears_nothing(tmp_path: Path):
     assert said_by(LEAVING, tmp_path) == ["heard None", "0"]
+
+
+# A recorder takes together what has come, and must know what came before it was woken up.
+TOGETHER = """
+from nodes.zenoh_transport import Transport
+def take():
+    endpoint = f"tcp/127.0.0.1:{free_ports(['own'])['own']}"
+    transport = Transport("together", Links("peer", (endpoint,), (), 5.0), ["many/*"], 8)
+    for number in range(3):
+        transport.send(f"many/{number}", str(number).encode())
+    transport.wake("many/*")
+    transport.send("many/3", b"3")
+    for _ in range(2):
+        received, is_woken = transport.receive_all("many/*")
+        say(*(f"{topic}={data.decode()}" for topic, data in received), is_woken)
+    heard = []
+    transport.listened("watch/**", heard.append)
+    stop = transport.listen("watch/steps", print)
+    while heard != [True]:
+        time.sleep(0.01)
+    stop()
+    while heard != [True, False]:
+        time.sleep(0.01)
+    say("heard", *heard)
+supervisor.start("own", take)
+supervisor.wait(quiet)
+supervisor.stop()
+"""
+
+
+def test_what_is_taken_together_is_in_order_and_none_came_after_a_call(tmp_path: Path):
+    together = ["many/0=0 many/1=1 many/2=2 True", "many/3=3 False"]
+    assert said_by(TOGETHER, tmp_path) == [*together, "heard True False"]

@@ -1,6 +1,6 @@
 """A run told as a story: one line for everything that happens, in the order in which it happens."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any, cast
 
@@ -28,8 +28,12 @@ class Storyteller:
     def tell(self, when: str, who: str, what: str) -> None:
         self.lines.append(f"  {when:<8} {who:<7} {what}")
 
-    def record(self, topic: str, data: bytes) -> None:
+    def record(self, messages: Sequence[tuple[str, bytes]]) -> None:
         """What is sent, in the words of the sender."""
+        for topic, data in messages:
+            self._retell(topic, data)
+
+    def _retell(self, topic: str, data: bytes) -> None:
         if topic.startswith("share/"):
             fragment = read_frame(data)
             what = f"sends its belief: {len(data)} bytes in slot {fragment.frame_id}"
