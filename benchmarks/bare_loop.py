@@ -20,7 +20,7 @@ from benchmarks.cases import beliefs, readings, turn
 from bus.publication import Slot
 from filters.fusion import INFORMATION
 from filters.gaussian import Gaussian
-from filters.hold import sharpened, sharpness_of_factor
+from filters.hold import sharpened
 from filters.linalg import pack_upper
 from filters.sigma_points import scaled_unscented
 from filters.ukf import predict, update
@@ -206,8 +206,8 @@ class _Filters:
     def fuse(self) -> Gaussian:
         """Covariance intersection by weights that favour the sharp."""
         own = self._heard.mean[0]
-        numbers, factors = INFORMATION.weigh_up(self._heard, own)
-        weights = sharpened(self._weights, sharpness_of_factor(factors))
+        numbers, sharpness = INFORMATION.weigh_up(self._heard, own)
+        weights = sharpened(self._weights, sharpness)
         return INFORMATION.average(numbers, weights, own)
 
 

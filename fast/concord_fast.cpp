@@ -6,6 +6,8 @@
 namespace {
 
 constexpr Py_ssize_t STATES = 8, READINGS = 8;
+// Grows with every change of what filters/compiled.py and filters/ukf_compiled.py call.
+constexpr long INTERFACE = 2;
 
 PyObject *too_large(Py_ssize_t n, Py_ssize_t m) {
     return PyErr_Format(PyExc_ValueError,
@@ -99,6 +101,35 @@ PyObject *correct(PyObject *, PyObject *const *given, Py_ssize_t count) {
     Py_RETURN_NONE;
 }
 
+PyObject *informed(PyObject *, PyObject *const *given, Py_ssize_t count) {
+    View mean, cov, numbers, sharpness;
+    if (count != 4 || !mean.open(given[0], 0, 1, false) || !cov.open(given[1], 0, 2, false) ||
+        !numbers.open(given[2], 1, 0, true) || !sharpness.open(given[3], 0, 0, true))
+        return nullptr;
+    const Py_ssize_t n = mean.length(mean.axes() - 1);
+    if (!of_size<Informed>(n, mean, cov, numbers, sharpness)) return too_large(n, 0);
+    Py_RETURN_NONE;
+}
+
+PyObject *concluded(PyObject *, PyObject *const *given, Py_ssize_t count) {
+    View numbers, mean, cov;
+    if (count != 3 || !numbers.open(given[0], 0, 1, false) || !mean.open(given[1], 1, 0, true) ||
+        !cov.open(given[2], 2, 0, true))
+        return nullptr;
+    const Py_ssize_t n = mean.length(0);
+    if (!of_size<Concluded>(n, numbers, mean, cov)) return too_large(n, 0);
+    Py_RETURN_NONE;
+}
+
+PyObject *sharpness(PyObject *, PyObject *const *given, Py_ssize_t count) {
+    View triangle, result;
+    if (count != 3 || !triangle.open(given[0], 0, 1, false) || !result.open(given[2], 0, 0, true))
+        return nullptr;
+    const Py_ssize_t n = PyLong_AsSsize_t(given[1]);
+    if (!of_size<Sharpness>(n, triangle, result)) return too_large(n, 0);
+    Py_RETURN_NONE;
+}
+
 template <template <int> class Run>
 PyObject *on_matrices(PyObject *, PyObject *const *given, Py_ssize_t count) {
     View matrix, result;
@@ -122,6 +153,9 @@ PyMethodDef methods[] = {
      "mean, cov, innovation, innovation_cov, cross_cov -> mean, cov, squared"},
     {"cholesky", fast<on_matrices<Factor>>(), METH_FASTCALL, "matrix -> lower"},
     {"inverse_spd", fast<on_matrices<Inverse>>(), METH_FASTCALL, "matrix -> inverse"},
+    {"informed", fast<informed>(), METH_FASTCALL, "mean, cov -> packed information, sharpness"},
+    {"concluded", fast<concluded>(), METH_FASTCALL, "packed information -> mean, cov"},
+    {"sharpness", fast<sharpness>(), METH_FASTCALL, "packed triangle, states -> |M|^(-1/n)"},
     {nullptr, nullptr, 0, nullptr},
 };
 
@@ -132,7 +166,8 @@ PyModuleDef module = {PyModuleDef_HEAD_INIT, "concord_fast", nullptr, -1, method
 PyMODINIT_FUNC PyInit_concord_fast() {
     PyObject *self = PyModule_Create(&module);
     if (self && (PyModule_AddIntConstant(self, "STATES", STATES) ||
-                 PyModule_AddIntConstant(self, "READINGS", READINGS)))
+                 PyModule_AddIntConstant(self, "READINGS", READINGS) ||
+                 PyModule_AddIntConstant(self, "INTERFACE", INTERFACE)))
         return nullptr;
     return self;
 }

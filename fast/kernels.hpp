@@ -14,6 +14,11 @@ inline Vector root(Vector value) {
     return value;
 }
 
+// 2^exponent of whole numbers that a double has as exponents.
+inline Vector power_of_two(Vector exponent) {
+    return (Vector)((__builtin_convertvector(exponent, Bits) + 1023) << 52);
+}
+
 // Lower triangle of a symmetric matrix into its Cholesky factor, in place; further rows b become
 // b C^-T. From a pivot that is not positive on the lane is NaN.
 template <int N, int ROWS> inline void eliminate(Vector (&rows)[ROWS][N]) {
@@ -31,15 +36,54 @@ template <int N, int ROWS> inline void eliminate(Vector (&rows)[ROWS][N]) {
     }
 }
 
+// Lower triangle into its factor, or NaN in all of it.
+template <int N> inline void complete(Vector (&rows)[N][N]) {
+    eliminate<N, N>(rows);
+    // The last pivot minus itself is NaN or 0.
+    const Vector lost = rows[N - 1][N - 1] - rows[N - 1][N - 1];
+    for (int i = 0; i < N; ++i)
+        for (int j = 0; j <= i; ++j) rows[i][j] += lost;
+}
+
 template <int N, class Array>
 inline void factor(const Array &matrix, Py_ssize_t lane, Vector (&rows)[N][N]) {
     for (int i = 0; i < N; ++i)
         for (int j = 0; j <= i; ++j) rows[i][j] = matrix.load(lane, i, j);
-    eliminate<N, N>(rows);
-    // NaN in all of it: the last pivot minus itself is NaN or 0.
-    const Vector lost = rows[N - 1][N - 1] - rows[N - 1][N - 1];
-    for (int i = 0; i < N; ++i)
-        for (int j = 0; j <= i; ++j) rows[i][j] += lost;
+    complete<N>(rows);
+}
+
+// (p_1 ... p_N)^(-1/N) of positive pivots; NaN where one is not, or is infinite.
+//
+// The product itself could overflow: exponents are added up apart from it. With it brought to
+// m 2^(q N + r), 1 <= m < 2, 0 <= r < N, the root of m 2^r lies between 1 and 2, and Newton's
+// iteration for its inverse y doubles its digits from two in every turn.
+template <int N> inline Vector inverse_geometric_mean(const Vector (&pivots)[N]) {
+    constexpr long long ONE = 1023, SHIFT = 52, MANTISSA = (1LL << SHIFT) - 1;
+    Vector product = Vector{} + 1.0, lost = {};
+    Bits exponent = {};
+    for (int i = 0; i <= N; ++i) {
+        if (i < N) {
+            const Vector nan = Vector{} + std::numeric_limits<double>::quiet_NaN();
+            lost += pivots[i] > 0.0 ? pivots[i] - pivots[i] : nan;
+        }
+        // Last of all the product of the mantissas itself.
+        const Bits bits = (Bits)(i < N ? pivots[i] : product);
+        exponent += (bits >> SHIFT) - ONE;
+        const Vector mantissa = (Vector)((bits & MANTISSA) | (ONE << SHIFT));
+        product = i < N ? product * mantissa : mantissa;
+    }
+    const Vector all = __builtin_convertvector(exponent, Vector);
+    Vector whole = all / N;
+    for (int k = 0; k < WIDTH; ++k) whole[k] = __builtin_floor(whole[k]);
+    const Vector rest = all - N * whole;
+    const Vector target = product * power_of_two(rest);
+    Vector root = 1.0 - 0.5 * (rest + product - 1.0) / N;
+    for (int turn = 0; turn < 5; ++turn) {
+        Vector power = target * root;
+        for (int i = 1; i < N; ++i) power *= root;
+        root += root * (1.0 - power) / N;
+    }
+    return root * power_of_two(-whole) + lost;
 }
 
 // Points on the axes, mean +- reach C, after the centre if there is one; and C, lower triangle.
@@ -172,28 +216,125 @@ template <int N> struct Factor {
     }
 };
 
-// Inverse of symmetric positive definite matrices: C^-T C^-1.
+// Inverse of the matrix that has these rows as its lower triangular factor, C^-T C^-1: its lower
+// triangle.
+template <int N> inline void invert(const Vector (&rows)[N][N], Vector (&inverse)[N][N]) {
+    Vector back[N][N];
+    for (int i = 0; i < N; ++i) {
+        back[i][i] = 1.0 / rows[i][i];
+        for (int j = 0; j < i; ++j) {
+            Vector sum = {};
+            for (int k = j; k < i; ++k) sum += rows[i][k] * back[k][j];
+            back[i][j] = -sum * back[i][i];
+        }
+    }
+    for (int i = 0; i < N; ++i)
+        for (int j = 0; j <= i; ++j) {
+            Vector sum = {};
+            for (int k = i; k < N; ++k) sum += back[k][i] * back[k][j];
+            inverse[i][j] = sum;
+        }
+}
+
+// Inverse of symmetric positive definite matrices.
 template <int N> struct Inverse {
     static void run(const View &matrix, const View &inverse) {
         const auto block = [&](Py_ssize_t lane, const auto &matrix, const auto &inverse) {
-            Vector rows[N][N], back[N][N];
+            Vector rows[N][N], result[N][N];
             factor<N>(matrix, lane, rows);
-            for (int i = 0; i < N; ++i) {
-                back[i][i] = 1.0 / rows[i][i];
-                for (int j = 0; j < i; ++j) {
-                    Vector sum = {};
-                    for (int k = j; k < i; ++k) sum += rows[i][k] * back[k][j];
-                    back[i][j] = -sum * back[i][i];
-                }
-            }
+            invert<N>(rows, result);
             for (int i = 0; i < N; ++i)
                 for (int j = 0; j <= i; ++j) {
-                    Vector sum = {};
-                    for (int k = i; k < N; ++k) sum += back[k][i] * back[k][j];
-                    inverse.store(sum, lane, i, j);
-                    if (j < i) inverse.store(sum, lane, j, i);
+                    inverse.store(result[i][j], lane, i, j);
+                    if (j < i) inverse.store(result[i][j], lane, j, i);
                 }
         };
         over_lanes(matrix.lanes(), block, matrix, inverse);
+    }
+};
+
+// Matrix (lower triangle) times vector.
+template <int N>
+inline void multiply(const Vector (&matrix)[N][N], const Vector (&vector)[N],
+                     Vector (&product)[N]) {
+    for (int i = 0; i < N; ++i) {
+        product[i] = Vector{};
+        for (int j = 0; j < N; ++j)
+            product[i] += (j <= i ? matrix[i][j] : matrix[j][i]) * vector[j];
+    }
+}
+
+// Place of (i, j), j <= i, in an upper triangle packed row by row.
+template <int N> constexpr int packed(int i, int j) { return j * N - j * (j - 1) / 2 + i - j; }
+
+// Packed information of beliefs, vector first, and the sharpness |P|^(-1/N).
+template <int N> struct Informed {
+    static void run(const View &mean, const View &cov, const View &numbers,
+                    const View &sharpness) {
+        const auto block = [&](Py_ssize_t lane, const auto &mean, const auto &cov,
+                               const auto &numbers, const auto &sharpness) {
+            Vector rows[N][N], matrix[N][N], offset[N], vector[N], pivots[N];
+            factor<N>(cov, lane, rows);
+            invert<N>(rows, matrix);
+            for (int i = 0; i < N; ++i) {
+                offset[i] = mean.load(lane, i);
+                pivots[i] = rows[i][i] * rows[i][i];
+            }
+            multiply<N>(matrix, offset, vector);
+            for (int i = 0; i < N; ++i) {
+                numbers.store(vector[i], lane, i);
+                for (int j = 0; j <= i; ++j)
+                    numbers.store(matrix[i][j], lane, N + packed<N>(i, j));
+            }
+            sharpness.store(inverse_geometric_mean<N>(pivots), lane);
+        };
+        over_lanes(sharpness.lanes(), block, mean, cov, numbers, sharpness);
+    }
+};
+
+// Beliefs of packed information.
+template <int N> struct Concluded {
+    static void run(const View &numbers, const View &mean, const View &cov) {
+        const auto block = [&](Py_ssize_t lane, const auto &numbers, const auto &mean,
+                               const auto &cov) {
+            Vector rows[N][N], matrix[N][N], vector[N], result[N];
+            for (int i = 0; i < N; ++i) {
+                vector[i] = numbers.load(lane, i);
+                for (int j = 0; j <= i; ++j)
+                    rows[i][j] = numbers.load(lane, N + packed<N>(i, j));
+            }
+            complete<N>(rows);
+            invert<N>(rows, matrix);
+            multiply<N>(matrix, vector, result);
+            for (int i = 0; i < N; ++i) {
+                mean.store(result[i], lane, i);
+                for (int j = 0; j <= i; ++j) {
+                    cov.store(matrix[i][j], lane, i, j);
+                    if (j < i) cov.store(matrix[i][j], lane, j, i);
+                }
+            }
+        };
+        over_lanes(mean.lanes(), block, numbers, mean, cov);
+    }
+};
+
+// |M|^(-1/N) of packed matrices M, the pivots of M = L D L' being all that it takes.
+template <int N> struct Sharpness {
+    static void run(const View &triangle, const View &sharpness) {
+        const auto block = [&](Py_ssize_t lane, const auto &triangle, const auto &sharpness) {
+            Vector rows[N][N], pivots[N];
+            for (int i = 0; i < N; ++i)
+                for (int j = 0; j <= i; ++j) rows[i][j] = triangle.load(lane, packed<N>(i, j));
+            for (int j = 0; j < N; ++j) {
+                pivots[j] = rows[j][j];
+                const Vector scale = 1.0 / pivots[j];
+                for (int i = j + 1; i < N; ++i) {
+                    const Vector part = rows[i][j] * scale;
+                    for (int k = j + 1; k <= i; ++k) rows[i][k] -= part * rows[k][j];
+                }
+            }
+            sharpness.store(inverse_geometric_mean<N>(pivots), lane);
+        };
+        over_lanes(sharpness.lanes(), block, triangle, sharpness);
     }
 };

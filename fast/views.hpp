@@ -10,6 +10,7 @@
 // Lanes that are computed at once: one AVX-512 register, two of AVX2.
 constexpr Py_ssize_t WIDTH = 8;
 typedef double Vector __attribute__((vector_size(WIDTH * sizeof(double))));
+typedef long long Bits __attribute__((vector_size(WIDTH * sizeof(double))));
 
 // A float64 array whose axes are lanes, but for `own` of them; released with the object.
 class View {

@@ -88,6 +88,22 @@ def inverse_triangle(factor: np.ndarray) -> np.ndarray:
     return inverse
 
 
+def packed_pivots(triangles: np.ndarray, n: int) -> np.ndarray:
+    """Pivots (n, L) of eliminating symmetric matrices, of which these are the upper triangles row
+    by row, (n (n + 1) / 2, L): their product is the determinant. NaN where the matrix is not
+    positive definite."""
+    starts = [j * n - j * (j - 1) // 2 for j in range(n + 1)]
+    rows = [part.copy() for part in np.split(triangles, starts[1:-1])]
+    with np.errstate(all="ignore"):
+        for j, row in enumerate(rows):
+            parts = row[1:] / row[0]
+            for k, part in enumerate(parts):
+                rows[j + 1 + k] -= part * row[1 + k :]
+    pivots = np.array([row[0] for row in rows])
+    positive = (pivots > 0).all(axis=0)
+    return pivots if positive.all() else np.where(positive, pivots, np.nan)
+
+
 def mirror(matrix: np.ndarray) -> np.ndarray:
     """The lower triangle written into the upper one, in place."""
     for i in range(1, len(matrix)):

@@ -14,27 +14,35 @@ from typing import Any
 import numpy as np
 
 VARIABLE = "CONCORD_KERNELS"
+# Of the functions that are called here, as the kernels know them: `fast/concord_fast.cpp`.
+INTERFACE = 2
 
 
 def choose(wish: str) -> ModuleType | None:
     """The kernels for a wish: `numpy`, `compiled`, or nothing, which takes what is there.
 
     Raises:
-        ValueError: another wish, or kernels are demanded that are not installed.
+        ValueError: another wish, or kernels are demanded that are not installed, or are those of
+            another version.
     """
     if wish not in ("", "numpy", "compiled"):
         raise ValueError(f"{VARIABLE} is {wish!r}, but must be numpy or compiled, or not be set")
     if wish == "numpy":
         return None
     try:
-        return importlib.import_module("concord_fast")
+        kernels = importlib.import_module("concord_fast")
     except ImportError as error:
-        if wish == "compiled":
-            raise ValueError(
-                f"{VARIABLE} is compiled, but the kernels are not installed ({error}): build them "
-                "with `make fast`, or unset the variable"
-            ) from None
-        return None
+        trouble = f"are not installed ({error})"
+    else:
+        if getattr(kernels, "INTERFACE", None) == INTERFACE:
+            return kernels
+        trouble = "that are installed were built for another version of concord"
+    if wish == "compiled":
+        raise ValueError(
+            f"{VARIABLE} is compiled, but the kernels {trouble}: build them with `make fast`, or "
+            "unset the variable"
+        )
+    return None
 
 
 KERNELS: Any = choose(os.environ.get(VARIABLE, ""))
@@ -53,6 +61,29 @@ def cholesky(matrix: np.ndarray) -> np.ndarray:
 def inverse_spd(matrix: np.ndarray) -> np.ndarray:
     """As `linalg.inverse_spd`, for matrices (..., n, n) of a size that is served."""
     return _on_matrices("inverse_spd", matrix)
+
+
+def informed(mean: np.ndarray, cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """As `packed.informed`, for beliefs (..., n) of a size that is served."""
+    lanes, n = mean.shape[:-1], mean.shape[-1]
+    numbers, sharpness = np.empty((n * (n + 3) // 2, *lanes)), np.empty(lanes)
+    KERNELS.informed(mean, cov, numbers, sharpness)
+    return lanes_first(numbers, 1), sharpness
+
+
+def concluded(numbers: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """As `packed.concluded`, for numbers (..., m) of n states, a size that is served."""
+    lanes = numbers.shape[:-1]
+    mean, cov = np.empty((n, *lanes)), np.empty((n, n, *lanes))
+    KERNELS.concluded(numbers, mean, cov)
+    return lanes_first(mean, 1), lanes_first(cov, 2)
+
+
+def sharpness(triangle: np.ndarray, n: int) -> np.ndarray:
+    """As `packed.sharpness`, for triangles (..., m) of n states, a size that is served."""
+    result = np.empty(triangle.shape[:-1])
+    KERNELS.sharpness(triangle, n, result)
+    return result
 
 
 def _on_matrices(kernel: str, matrix: np.ndarray) -> np.ndarray:

@@ -5,18 +5,18 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from filters.gaussian import Gaussian, Information, to_gaussian
+from filters.gaussian import Gaussian, Information
 from filters.hold import check_weights, sharpness
-from filters.linalg import cholesky, factor_and_inverse, inverse_spd, multiply
-from filters.packed import pack, unpack
+from filters.linalg import multiply
+from filters.packed import concluded, informed, pack, packed_sharpness, unpack
 
 
 class Averaged(Protocol):
     """A rule that averages beliefs, as who has several of them at hand goes through it.
 
-    `weigh_up(belief, origin)` gives what is averaged of beliefs (..., J, n), and the Cholesky
-    factors (..., J, n, n) of their covariances, NaN where there is none, from which their sharpness
-    comes (`hold.sharpness_of_factor`); `average` the belief that all come to.
+    `weigh_up(belief, origin)` gives what is averaged of beliefs (..., J, n), and their
+    `hold.sharpness` (..., J), NaN where a covariance is not positive definite; `average` the belief
+    that all come to.
     """
 
     def weigh_up(self, belief: Gaussian, origin: np.ndarray, /) -> tuple[Any, np.ndarray]: ...
@@ -30,8 +30,8 @@ class Directly(NamedTuple):
     of: Callable[[Gaussian, np.ndarray], Gaussian]
 
     def weigh_up(self, belief: Gaussian, _origin: np.ndarray) -> tuple[Gaussian, np.ndarray]:
-        """The beliefs as they are, and the factors of their covariances."""
-        return belief, cholesky(belief.cov)
+        """The beliefs as they are, and their sharpness."""
+        return belief, sharpness(belief.cov)
 
     def average(self, beliefs: Gaussian, weights: np.ndarray, _origin: np.ndarray) -> Gaussian:
         """The belief that beliefs (..., J, n) come to with weights (..., J)."""
@@ -41,22 +41,15 @@ class Directly(NamedTuple):
 class Averaging(NamedTuple):
     """A rule as what it averages: numbers (..., m) that a belief is turned into and back.
 
-    `express(belief, origin)` gives the numbers, `conclude(numbers, origin)` the belief that an
-    average of such numbers comes to, `sharpness(numbers)` its `hold.sharpness` (...). Means are
-    taken about an `origin` (..., n), any point near them, which spares their digits; beliefs that
-    are averaged must have the same. `both(belief, origin)` gives numbers and Cholesky factor of a
-    belief from one factorisation.
+    `weigh_up(belief, origin)` gives the numbers and the `hold.sharpness` (...) of a belief,
+    `conclude(numbers, origin)` the belief that an average of such numbers comes to,
+    `sharpness(numbers)` the sharpness of that. Means are taken about an `origin` (..., n), any
+    point near them, which spares their digits; beliefs that are averaged must have the same.
     """
 
-    express: Callable[[Gaussian, np.ndarray], np.ndarray]
+    weigh_up: Callable[[Gaussian, np.ndarray], tuple[np.ndarray, np.ndarray]]
     conclude: Callable[[np.ndarray, np.ndarray], Gaussian]
     sharpness: Callable[[np.ndarray], np.ndarray]
-    both: Callable[[Gaussian, np.ndarray], tuple[np.ndarray, np.ndarray]]
-
-    def weigh_up(self, belief: Gaussian, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Numbers (..., m) of a belief, and the Cholesky factor (..., n, n) of its covariance, NaN
-        where there is none."""
-        return self.both(belief, origin)
 
     def average(self, numbers: np.ndarray, weights: np.ndarray, origin: np.ndarray) -> Gaussian:
         """The belief that numbers (..., J, m) about one origin come to with weights (..., J).
@@ -117,8 +110,8 @@ def covariance_intersection(beliefs: Gaussian, weights: np.ndarray) -> Gaussian:
     return _averaged(INFORMATION, beliefs, weights)
 
 
-def _moments(belief: Gaussian, origin: np.ndarray) -> np.ndarray:
-    return pack(Information(belief.mean - origin, belief.cov))
+def _moments(belief: Gaussian, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return pack(Information(belief.mean - origin, belief.cov)), sharpness(belief.cov)
 
 
 def _of_moments(numbers: np.ndarray, origin: np.ndarray) -> Gaussian:
@@ -126,39 +119,18 @@ def _of_moments(numbers: np.ndarray, origin: np.ndarray) -> Gaussian:
     return Gaussian(origin + offset, cov)
 
 
-def _moments_and_factor(belief: Gaussian, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return _moments(belief, origin), cholesky(belief.cov)
-
-
-def _information(belief: Gaussian, origin: np.ndarray) -> np.ndarray:
-    return _with_matrix(inverse_spd(belief.cov), belief, origin)
-
-
-def _information_and_factor(belief: Gaussian, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    factor, matrix = factor_and_inverse(belief.cov)
-    return _with_matrix(matrix, belief, origin), factor
-
-
-def _with_matrix(matrix: np.ndarray, belief: Gaussian, origin: np.ndarray) -> np.ndarray:
-    return pack(Information(multiply(matrix, belief.mean - origin), matrix))
+def _information(belief: Gaussian, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return informed(Gaussian(belief.mean - origin, belief.cov))
 
 
 def _of_information(numbers: np.ndarray, origin: np.ndarray) -> Gaussian:
-    offset, cov = to_gaussian(unpack(numbers))
+    offset, cov = concluded(numbers)
     return Gaussian(origin + offset, cov)
 
 
-MOMENTS = Averaging(
-    _moments,
-    _of_moments,
-    lambda numbers: sharpness(unpack(numbers).matrix),
-    _moments_and_factor,
-)
+MOMENTS = Averaging(_moments, _of_moments, packed_sharpness)
 INFORMATION = Averaging(
-    _information,
-    _of_information,
-    lambda numbers: 1.0 / sharpness(unpack(numbers).matrix),
-    _information_and_factor,
+    _information, _of_information, lambda numbers: 1.0 / packed_sharpness(numbers)
 )
 
 
@@ -166,7 +138,8 @@ def _averaged(rule: Averaging, beliefs: Gaussian, weights: np.ndarray) -> Gaussi
     check_weights(weights)
     beliefs = _without_unweighted(beliefs, weights)
     origin = beliefs.mean[..., 0, :]
-    return rule.average(rule.express(beliefs, origin[..., None, :]), weights, origin)
+    numbers, _ = rule.weigh_up(beliefs, origin[..., None, :])
+    return rule.average(numbers, weights, origin)
 
 
 def _without_unweighted(beliefs: Gaussian, weights: np.ndarray) -> Gaussian:

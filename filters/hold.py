@@ -62,7 +62,7 @@ def held_weights(
 def sharpened(weights: np.ndarray, sharpness: np.ndarray | float) -> np.ndarray:
     """Weights (..., J) times the sharpness (..., J) of those that have any, scaled to sum 1."""
     worth = weights * np.where(weights > 0, sharpness, 0.0)
-    return worth / worth.sum(axis=-1, keepdims=True)
+    return worth / np.add.reduce(worth, axis=-1, keepdims=True)
 
 
 def sharpness(covs: np.ndarray) -> np.ndarray:
@@ -78,7 +78,7 @@ def sharpness_of_factor(factor: np.ndarray) -> np.ndarray:
     """The same of covariances whose Cholesky factors (..., n, n) are known."""
     # The determinant itself could overflow.
     diagonal = factor.diagonal(axis1=-2, axis2=-1)
-    return np.exp(-2.0 / factor.shape[-1] * np.log(diagonal).sum(axis=-1))
+    return np.exp(-2.0 / factor.shape[-1] * np.add.reduce(np.log(diagonal), axis=-1))
 
 
 def full(base_weights: np.ndarray, ages: np.ndarray) -> np.ndarray:

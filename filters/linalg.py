@@ -56,9 +56,8 @@ def inverse_spd(matrix: np.ndarray) -> np.ndarray:
 
 
 def factor_and_inverse(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What `cholesky` and `inverse_spd` give, for little more than the price of the second."""
-    if _square(matrix) and compiled.serves(matrix.shape[-1]):
-        return compiled.cholesky(matrix), compiled.inverse_spd(matrix)
+    """What `cholesky` and `inverse_spd` give, for little more than the price of the second; by
+    numpy."""
     if _many(matrix):
         factors = columns.cholesky(in_columns(matrix, 2))
         inverses = columns.inverse_of_factor(factors)
@@ -80,7 +79,7 @@ def solve_spd(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 def multiply(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """Matrix (..., m, n) times vector (..., n), lane by lane: (..., m)."""
-    if matrix.shape[:-2] == vector.shape[:-1] and _along_lanes(matrix, 2):
+    if matrix.shape[:-2] == vector.shape[:-1] and along_lanes(matrix, 2):
         product = np.einsum("ijl,jl->il", in_columns(matrix, 2), in_columns(vector, 1))
         return in_rows(product, vector.shape[:-1])
     return (matrix @ vector[..., None])[..., 0]
@@ -89,7 +88,7 @@ def multiply(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
 def pack_upper(matrix: np.ndarray) -> np.ndarray:
     """Upper triangle, row by row, of symmetric matrices: (..., n, n) -> (..., n (n + 1) / 2)."""
     n = matrix.shape[-1]
-    if _along_lanes(matrix, 2):
+    if along_lanes(matrix, 2):
         rows, columns = _upper_triangle(n)
         return in_rows(in_columns(matrix, 2)[rows, columns], matrix.shape[:-2])
     return matrix.reshape(*matrix.shape[:-2], n * n).take(_places_of_packed(n), axis=-1)
@@ -108,7 +107,7 @@ def unpack_upper(packed: np.ndarray) -> np.ndarray:
             f"packed triangle has length {length}, which is not n (n + 1) / 2 for any n: "
             "pass what pack_upper returned, its last axis uncut"
         )
-    if _along_lanes(packed, 1):
+    if along_lanes(packed, 1):
         rows, columns = _upper_triangle(n)
         given = in_columns(packed, 1)
         square = np.empty((n, n, given.shape[-1]), packed.dtype)
@@ -144,7 +143,7 @@ def _many(matrix: np.ndarray) -> bool:
     return n <= 16 and _square(matrix) and matrix.size >= MANY_LANES * n * n > 0
 
 
-def _along_lanes(array: np.ndarray, own: int) -> bool:
+def along_lanes(array: np.ndarray, own: int) -> bool:
     """Whether an array, of which `own` trailing axes are not lanes, has many lanes that follow each
     other in memory."""
     last = array.ndim - own - 1

@@ -8,9 +8,11 @@ import math
 
 import numpy as np
 
-from filters.gaussian import Information
-from filters.hold import check_weights, renormalise
-from filters.linalg import multiply, pack_upper, unpack_upper
+from filters import columns, compiled
+from filters.columns import in_columns
+from filters.gaussian import Gaussian, Information, to_gaussian
+from filters.hold import check_weights, renormalise, sharpness, sharpness_of_factor
+from filters.linalg import along_lanes, factor_and_inverse, multiply, pack_upper, unpack_upper
 
 
 def packed_length(states: int) -> int:
@@ -29,6 +31,16 @@ def unpack(numbers: np.ndarray) -> Information:
     Raises:
         ValueError: the last axis is not n + n (n + 1) / 2 long for any n.
     """
+    n = states_of(numbers)
+    return Information(numbers[..., :n], unpack_upper(numbers[..., n:]))
+
+
+def states_of(numbers: np.ndarray) -> int:
+    """How many states the packed pairs (..., m) are of.
+
+    Raises:
+        ValueError: m is not n + n (n + 1) / 2 for any n.
+    """
     length = numbers.shape[-1]
     n = (math.isqrt(8 * length + 9) - 3) // 2
     if packed_length(n) != length:
@@ -36,7 +48,38 @@ def unpack(numbers: np.ndarray) -> Information:
             f"packed information has length {length}, which is not n + n (n + 1) / 2 for any n: "
             "pass what pack returned, its last axis uncut"
         )
-    return Information(numbers[..., :n], unpack_upper(numbers[..., n:]))
+    return n
+
+
+def informed(belief: Gaussian) -> tuple[np.ndarray, np.ndarray]:
+    """Packed information (..., m) of a belief, and its `hold.sharpness` (...), from one
+    factorisation; NaN where the covariance is not positive definite."""
+    mean, cov = belief
+    n = mean.shape[-1]
+    if cov.shape == (*mean.shape, n) and compiled.serves(n):
+        return compiled.informed(mean, cov)
+    factor, matrix = factor_and_inverse(cov)
+    return pack(Information(multiply(matrix, mean), matrix)), sharpness_of_factor(factor)
+
+
+def concluded(numbers: np.ndarray) -> Gaussian:
+    """The belief of packed information (..., m); NaN where that is not positive definite."""
+    n = states_of(numbers)
+    if compiled.serves(n):
+        return Gaussian(*compiled.concluded(numbers, n))
+    return to_gaussian(unpack(numbers))
+
+
+def packed_sharpness(numbers: np.ndarray) -> np.ndarray:
+    """`hold.sharpness` (...) of the matrices in packed pairs (..., m), taken as covariances."""
+    n = states_of(numbers)
+    triangle = numbers[..., n:]
+    if compiled.serves(n):
+        return compiled.sharpness(triangle, n)
+    if along_lanes(triangle, 1):
+        pivots = columns.packed_pivots(in_columns(triangle, 1), n)
+        return np.exp(np.log(pivots).sum(axis=0) / -n).reshape(triangle.shape[:-1])
+    return sharpness(unpack_upper(triangle))
 
 
 def average(numbers: np.ndarray, weights: np.ndarray) -> np.ndarray:

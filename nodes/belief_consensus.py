@@ -16,7 +16,7 @@ from msgspec.structs import replace
 
 from filters.fusion import Averaged
 from filters.gaussian import Gaussian
-from filters.hold import sharpened, sharpness_of_factor
+from filters.hold import sharpened
 from filters.linalg import symmetrise
 from filters.sigma_points import SigmaPointRule
 from nodes.belief_codec import BeliefCodec
@@ -136,16 +136,15 @@ class BeliefConsensus:
     ) -> tuple[Content, tuple[str, ...]]:
         """Average the own pair with the neighbours' pairs, fresh or held, in sender order."""
         own, held = content.own, self._with_shares(content.held, shares)
-        numbers, factors = self.rule.weigh_up(joined(own, held), own.mean)
-        pivots = factors[1:, -1, -1].tolist()
-        unsound = _unsound(pivots, shares)
+        numbers, sharpness = self.rule.weigh_up(joined(own, held), own.mean)
+        unsound = _unsound(sharpness[1:].tolist(), shares)
         if unsound:
             # Few shares fail this check, and what is held instead is weighed up in a second go.
             usable = [None if j in unsound else share for j, share in enumerate(shares)]
             content, troubles = self.fuse(content, tuple(usable))
             return content, ("rejected not-positive-definite",) * len(unsound) + troubles
         ages = _aged(content.ages, shares)
-        fused = self.rule.average(numbers, self._weights(factors, ages, content), own.mean)
+        fused = self.rule.average(numbers, self._weights(sharpness, ages, content), own.mean)
         troubles = ("fuse-failed",)
         if finite(fused):
             own, troubles = Gaussian(fused.mean, symmetrise(fused.cov)), ()
@@ -164,12 +163,10 @@ class BeliefConsensus:
         mean[places], cov[places] = told
         return Gaussian(mean, cov)
 
-    def _weights(self, factors: Array, ages: tuple[int, ...], content: Content) -> Array:
+    def _weights(self, sharpness: Array, ages: tuple[int, ...], content: Content) -> Array:
         """What the own pair and each neighbour's weigh in this round: (1 + J,)."""
         weights = self._weights_of_ages(ages, content.cycles_in_step)
-        return (
-            sharpened(weights, sharpness_of_factor(factors)) if self.hold.by_sharpness else weights
-        )
+        return sharpened(weights, sharpness) if self.hold.by_sharpness else weights
 
     @cached_property
     def _weights_of_ages(self) -> Callable[[tuple[int, ...], int], Array]:
@@ -190,11 +187,11 @@ class BeliefConsensus:
         return np.array(content.ages, dtype=int)
 
 
-def _unsound(pivots: list[float], shares: tuple[bytes | None, ...]) -> list[int]:
-    """The places of shares whose factors have such last pivots: NaN where there is no factor."""
-    if not math.isnan(sum(pivots)):
+def _unsound(sharpness: list[float], shares: tuple[bytes | None, ...]) -> list[int]:
+    """The places of shares of this sharpness that are not positive definite: theirs is NaN."""
+    if not math.isnan(sum(sharpness)):
         return []
-    return [j for j, pivot in enumerate(pivots) if math.isnan(pivot) and shares[j] is not None]
+    return [j for j, sharp in enumerate(sharpness) if math.isnan(sharp) and shares[j] is not None]
 
 
 def _aged(ages: tuple[int, ...], shares: tuple[bytes | None, ...]) -> tuple[int, ...]:

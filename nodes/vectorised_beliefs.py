@@ -14,7 +14,6 @@ import numpy as np
 
 from filters.fusion import INFORMATION, Averaging
 from filters.gaussian import Gaussian
-from filters.hold import sharpness_of_factor
 from nodes.belief_consensus import HoldPolicy
 from nodes.local_filter import carry, finite_lanes, where
 from nodes.messages import Array
@@ -236,8 +235,7 @@ class BeliefFleet:
         return self._expressed(belief, content.origin), finite_lanes(belief)
 
     def _expressed(self, belief: Gaussian, origin: Array) -> Numbers:
-        numbers, factors = self.averaging.weigh_up(belief, origin)
-        return Numbers(numbers, sharpness_of_factor(factors))
+        return Numbers(*self.averaging.weigh_up(belief, origin))
 
     def _caught_up(self, content: Content, fresh: np.ndarray) -> tuple[Numbers, np.ndarray]:
         """What is held of those who do not replace it now, at this step and about its origin."""

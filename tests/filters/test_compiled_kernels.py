@@ -17,6 +17,8 @@ ROOT = Path(__file__).parents[2]
 DEMANDED = (
     "tests/filters/test_paths.py",
     "tests/filters/test_ukf.py",
+    "tests/filters/test_packed.py",
+    "tests/filters/test_fusion.py",
     "tests/test_agreement.py",
     "tests/test_vectorised_agreement.py",
 )

@@ -5,7 +5,6 @@ from hypothesis import strategies as st
 
 from filters.fusion import INFORMATION, MOMENTS, covariance_intersection, weighted_average
 from filters.gaussian import Gaussian
-from filters.hold import sharpness_of_factor
 from tests.filters.support import BATCHES, random_belief, random_spd
 
 RULES = pytest.mark.parametrize("fuse", [weighted_average, covariance_intersection])
@@ -46,11 +45,14 @@ def test_one_factorisation_gives_the_numbers_and_the_determinant(rule, lanes):
     belief = random_belief(np.random.default_rng(5), (*lanes, 3), 4)
     belief.cov[..., 1, :, :] = np.diag([1.0, -1.0, 1.0, 1.0])
     origin = belief.mean[..., :1, :]
-    numbers, factors = rule.weigh_up(belief, origin)
-    sharpness = sharpness_of_factor(factors)
-    np.testing.assert_allclose(numbers, rule.express(belief, origin), rtol=1e-12)
+    numbers, sharpness = rule.weigh_up(belief, origin)
+    for sound in (0, 2):
+        back = rule.conclude(numbers[..., sound, :], origin[..., 0, :])
+        np.testing.assert_allclose(back.mean, belief.mean[..., sound, :], rtol=1e-9)
+        np.testing.assert_allclose(back.cov, belief.cov[..., sound, :, :], rtol=1e-9, atol=1e-9)
     determinants = np.linalg.det(belief.cov[..., ::2, :, :])
     np.testing.assert_allclose(sharpness[..., ::2], determinants**-0.25, rtol=1e-10)
+    np.testing.assert_allclose(rule.sharpness(numbers)[..., ::2], sharpness[..., ::2], rtol=1e-10)
     assert np.isnan(sharpness[..., 1]).all()
 
 

@@ -3,8 +3,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from filters.gaussian import Information
-from filters.packed import average, pack, packed_length, unpack
+from filters.gaussian import Gaussian, Information
+from filters.packed import (
+    average,
+    concluded,
+    informed,
+    pack,
+    packed_length,
+    packed_sharpness,
+    unpack,
+)
 from tests.filters.support import BATCHES, random_spd
 
 SEEDS = st.integers(0, 2**16)
@@ -77,3 +85,30 @@ def test_who_knows_nothing_itself_is_a_failed_lane_and_no_other():
 def test_weights_that_do_not_average_are_refused(weights):
     with pytest.raises(ValueError, match="sum to 1"):
         average(np.ones((2, 2)), np.array(weights))
+
+
+@given(lanes=LANES, n=st.integers(1, 9), scale=st.sampled_from([1e-150, 1.0, 1e150]), seed=SEEDS)
+def test_sharpness_is_the_root_of_the_determinant_however_small_or_large(lanes, n, scale, seed):
+    generator = np.random.default_rng(seed)
+    covs = scale * random_spd(generator, lanes, n)
+    numbers = pack(Information(np.zeros((*lanes, n)), covs))
+    expected = np.exp(-np.linalg.slogdet(covs).logabsdet / n)
+    np.testing.assert_allclose(packed_sharpness(numbers), expected, rtol=1e-11)
+    _, sharpness = informed(Gaussian(np.zeros((*lanes, n)), covs))
+    np.testing.assert_allclose(sharpness, expected, rtol=1e-11)
+
+
+@pytest.mark.parametrize("bad", [0.0, -1.0, np.nan])
+@pytest.mark.parametrize("count", [3, 100])
+def test_what_is_not_positive_definite_has_no_sharpness_and_fails_alone(count, bad):
+    belief = Gaussian(np.ones((count, 3)), np.tile(np.diag([2.0, 3.0, 4.0]), (count, 1, 1)))
+    belief.cov[1, 2, 2] = bad
+    triangles = np.ascontiguousarray(pack(Information(*belief)).T).T
+    failed = np.arange(count) == 1
+    np.testing.assert_array_equal(np.isnan(packed_sharpness(triangles)), failed)
+    numbers, sharpness = informed(belief)
+    np.testing.assert_array_equal(np.isnan(sharpness), failed)
+    np.testing.assert_array_equal(np.isnan(numbers).any(axis=-1), failed)
+    back = concluded(numbers)
+    np.testing.assert_array_equal(np.isnan(back.cov).any(axis=(-1, -2)), failed)
+    np.testing.assert_allclose(back.mean[~failed], belief.mean[~failed], rtol=1e-14)

@@ -1,6 +1,7 @@
 """The three ways of computing a batch agree, whatever the rule, the angles, the failures."""
 
 import sys
+import types
 
 import numpy as np
 import pytest
@@ -232,6 +233,16 @@ def test_kernels_that_are_demanded_and_missing_are_named(monkeypatch):
     assert compiled.choose("") is None
     with pytest.raises(ValueError, match="not installed"):
         compiled.choose("compiled")
+
+
+def test_kernels_of_another_version_are_left_aside(monkeypatch):
+    old = types.ModuleType("concord_fast")
+    monkeypatch.setitem(sys.modules, "concord_fast", old)
+    assert compiled.choose("") is None
+    with pytest.raises(ValueError, match=r"built for another version of concord: .*make fast"):
+        compiled.choose("compiled")
+    monkeypatch.setattr(old, "INTERFACE", compiled.INTERFACE, raising=False)
+    assert compiled.choose("compiled") is old
 
 
 def test_a_rule_with_other_weights_for_the_covariance_beyond_its_first_point_is_refused():
