@@ -23,10 +23,13 @@ def open_recording(
     """A page on a recorded run; `expected` is what other runs tell of it.
 
     Raises:
-        ValueError: the file is not a recording.
+        ValueError: the file is not a recording, or an empty one.
     """
     # Its first message tells whether it is one, before a page is opened on it.
-    next(iter(read_recording(recording)), None)
+    if next(iter(read_recording(recording)), None) is None:
+        raise ValueError(
+            f"{recording}: nothing was recorded; the run ended before its first message"
+        )
     source = Recorded(set_stage(setup), recording)
     return Dashboard(source, host, port, LIGHT if light else DARK, recording.parent, expected)
 

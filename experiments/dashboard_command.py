@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from experiments.other_runs import OtherRuns
+from experiments.page_options import PageOptions, check_place
 from experiments.priority import give_way
-from experiments.replay_command import PageOptions
 from experiments.user_errors import user_errors
 from nodes.links import watcher_keys
 from nodes.network_file import read_network
@@ -51,6 +51,7 @@ def dashboard(
     from dashboard.serve import open_network
 
     with user_errors():
+        check_place(options.host, options.http_port)
         connect, run = network.connect, network.run
         if network.folder is not None:
             there = read_network(network.folder)

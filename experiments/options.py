@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import check_own, kind_of
 from scenarios.scenario import Scenario
 from scenarios.script import with_files
 
@@ -119,9 +119,10 @@ def scenario_of(name: str, asked: dict[str, Any]) -> Scenario:
     """The scenario of that name with the fields that were asked for, nothing left open.
 
     Raises:
-        ValueError: there is no such scenario, or its data cannot be read.
+        ValueError: there is no such scenario, it has no such field, or its data cannot be read.
     """
     kind = kind_of(name)
+    check_own(name, asked)
     # A part of the bus is a wish for a schedule that can give it.
     if asked.get("occupancy", 1.0) < 1.0 and "schedule" not in asked:
         asked = {**asked, "schedule": "hybrid"}

@@ -21,7 +21,7 @@ from experiments.bus_report import BusFigures, bus_figures
 from scenarios.build import build_plan
 from scenarios.bus_plan import FITTED, BusPlan, build_schedule, check_bus
 from scenarios.catalogue import kind_of
-from scenarios.scenario import Scenario
+from scenarios.scenario import Scenario, check_ranges
 from scenarios.setup import Setup, share_bytes
 
 MOST_REHEARSED_STEPS = 500
@@ -87,6 +87,7 @@ def answer_plan(scenario: Scenario) -> Answer:
     Raises:
         ValueError: the scenario cannot be, or its cluster does not hold a single share in a cycle.
     """
+    check_ranges(scenario)
     build_schedule(scenario)
     setup = prepare_without_bus(scenario)
     try:

@@ -125,7 +125,10 @@ def read_description_file(path: Path) -> Description:
     try:
         return msgspec.json.decode(path.read_bytes(), type=Description)
     except OSError as error:
-        raise ValueError(f"{path}: cannot be read ({error.strerror}); name a run folder") from None
+        raise ValueError(
+            f"{path}: cannot be read ({error.strerror}); name a run folder, or for a host the file "
+            "that `concord setup` has made"
+        ) from None
     except msgspec.MsgspecError as error:
         raise ValueError(f"{path}: not the description of a run ({error})") from None
 

@@ -12,6 +12,7 @@ from experiments.collect_command import completed, finish
 from experiments.drivers import DRIVERS, Pace, over_processes
 from experiments.launcher import NetworkFailed
 from experiments.options import ScenarioOptions
+from experiments.page_options import LOOPBACK, check_place
 from experiments.page_process import PageProcess
 from experiments.progress import progress
 from experiments.results import (
@@ -56,7 +57,7 @@ class RunOptions:
     dashboard: bool = False
     """Show a run over processes in the browser; it waits for whoever opens the page, a minute."""
     http_port: int = 8080
-    """Port of the dashboard; the next free one if it is taken."""
+    """Port of the dashboard; the next free one if it is taken, any free one for 0."""
     json: bool = False
     """Print one JSON object instead of a table."""
 
@@ -137,6 +138,8 @@ def _check(options: RunOptions) -> None:
             f"--dashboard with --driver {options.driver}: only a network of processes can be "
             "watched as it runs; use --driver processes, or show the run with concord replay"
         )
+    if options.dashboard:
+        check_place(LOOPBACK, options.http_port)
     if options.cycle_stretch is not None and options.driver != REALTIME:
         raise ValueError(
             f"--cycle-stretch {options.cycle_stretch:g} with --driver {options.driver}: nothing is "

@@ -23,7 +23,7 @@ def run_figures(folder: Path) -> "dict[str, Figure]":
     """The pictures of a run folder by name.
 
     Raises:
-        ValueError: it is no run folder, or has no arrays yet.
+        ValueError: it is no run folder, or its arrays are missing or no netCDF.
     """
     import xarray
 
@@ -31,7 +31,12 @@ def run_figures(folder: Path) -> "dict[str, Figure]":
     path = folder / ARRAYS
     if not path.is_file():
         raise ValueError(f"{path}: there is none yet; `concord collect {folder}` makes it")
-    data = xarray.load_dataset(path, engine="h5netcdf")
+    try:
+        data = xarray.load_dataset(path, engine="h5netcdf")
+    except (OSError, ValueError, KeyError) as error:
+        raise ValueError(
+            f"{path}: cannot be read as netCDF ({error}); `concord collect {folder}` makes it again"
+        ) from None
     figures = {"error-over-time": _errors(description, data)}
     if not is_certain(description.setup.scenario):
         figures["consistency"] = _consistency(description, data)

@@ -89,7 +89,10 @@ def read_result(path: Path) -> "xarray.Dataset":
     import xarray
 
     if not path.is_file():
-        raise ValueError(f"{path}: there is no such file; name the result of `concord sweep`")
+        there = "is a folder" if path.is_dir() else "does not exist"
+        raise ValueError(
+            f"{path} {there}; name the file that `concord sweep` has made, or is to make"
+        )
     try:
         dataset = xarray.load_dataset(path, engine="h5netcdf")
     except (OSError, ValueError, KeyError) as error:

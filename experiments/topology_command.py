@@ -89,12 +89,17 @@ def generate(source: Source, /, *, options: Options, out: Path, json: bool = Fal
         json: Print one JSON object.
     """
     with user_errors():
-        if out.exists():
-            raise ValueError(f"--out {out}: the file exists; choose another name, or remove it")
-        if not out.parent.is_dir():
-            raise ValueError(f"--out {out}: no such folder {out.parent}; make it first")
-        subject = subject_of(source, options)
-        write_network(out, subject.network)
+        try:
+            if out.exists():
+                raise ValueError(f"--out {out}: the file exists; choose another name, or remove it")
+            if not out.parent.is_dir():
+                raise ValueError(f"--out {out}: no such folder {out.parent}; make it first")
+            subject = subject_of(source, options)
+            write_network(out, subject.network)
+        except OSError as error:
+            raise ValueError(
+                f"--out {out}: cannot be written ({error.strerror}); choose another place"
+            ) from None
     nodes, links = nodes_of(subject.weights), subject.network.adjacency.nnz
     result = {
         "file": str(out),

@@ -131,6 +131,11 @@ def graph_name(source: str) -> str:
         # In a list each edge may stand for both directions: one-way lists are asked for by name.
         listed = path.suffix in (".edges", ".edgelist", ".txt")
         return f"directed:{source}" if directed and not listed else f"file:{source}"
+    if (path.suffix or len(path.parts) > 1) and ":" not in source:
+        raise ValueError(
+            f"{source}: there is no such file or folder; give a graph file, the folder of the "
+            "Intel lab data, or the name of a graph"
+        )
     return source
 
 

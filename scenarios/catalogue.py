@@ -1,6 +1,6 @@
 """The scenarios by name, each as the functions that make its parts."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
@@ -108,6 +108,7 @@ class Kind(NamedTuple):
         listen: (setup, nodes, readings (steps, N, r, d)) -> beliefs (steps,) of one filter that
             takes the readings of these nodes; None for the one that model and sensors give.
         around: what a node puts around its rule's estimator, None for nothing.
+        own: fields of `Scenario` that mean something here and not in every scenario.
     """
 
     summary: str
@@ -127,6 +128,7 @@ class Kind(NamedTuple):
     listen: "Callable[[Setup, Sequence[int], Array], Gaussian] | None" = None
     around: "Callable[[Scenario, Seat, Estimator], Estimator] | None" = None
     sensors: Callable[[Scenario], Sensor] | None = None
+    own: tuple[str, ...] = ()
 
 
 def kinds() -> dict[str, Kind]:
@@ -165,3 +167,18 @@ def kind_of(name: str) -> Kind:
     if name not in known:
         raise unknown_name("scenario", name, known)
     return known[name]
+
+
+def check_own(name: str, asked: Iterable[str]) -> None:
+    """Refuse fields of other scenarios, which would change nothing here.
+
+    Raises:
+        ValueError: naming the option, the scenario and those that have it.
+    """
+    for field in asked:
+        having = [other for other, kind in kinds().items() if field in kind.own]
+        if having and name not in having:
+            raise ValueError(
+                f"--{field.replace('_', '-')} with --scenario {name}: it is an option of "
+                f"{', '.join(having)} alone; leave it out, or choose one of these"
+            )

@@ -126,6 +126,7 @@ def _kind(name: str, plant: _Plant) -> Kind:
         return None if scenario.control == OPEN else plant.controller()
 
     return Kind(
+        own=("noise", "control"),
         summary=plant.summary,
         defaults=Scenario(
             name=name, nodes=8, graph="ring", steps=300, control="0", stretch=plant.stretch

@@ -39,6 +39,7 @@ def _controller(scenario: Scenario) -> liu2021.Stabiliser | None:
 
 
 KIND = Kind(
+    own=("noise", "control"),
     summary="an unstable plant under bounded noise, for sets that hold the truth for certain",
     defaults=Scenario(
         name="liu2021-network", nodes=6, graph="ring", steps=_STEPS, rule="ellipsoid", control="0"

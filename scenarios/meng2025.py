@@ -149,6 +149,7 @@ _NAMES = {"rule": tuple(FILTERS), "schedule": tuple(_SCHEDULES), "hold": tuple(_
 _WHO = f"node 0 estimates and hears the sensors, nodes 1 to {SENSORS}"
 
 KIND = Kind(
+    own=("static_slots",),
     summary="six sensors share one slot per step to an estimator (Meng et al. 2025)",
     defaults=Scenario(
         name="meng2025",

@@ -80,6 +80,7 @@ def _check(scenario: Scenario) -> None:
 
 
 KIND = Kind(
+    own=("static_slots",),
     summary="a network of such estimators, each behind a bus of its own",
     defaults=Scenario(name="meng2025-network", nodes=8, graph="ring", steps=101),
     check=_check,

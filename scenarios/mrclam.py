@@ -52,6 +52,7 @@ def _sensor(_: Scenario, node: int) -> Sighting:
 
 
 KIND = Kind(
+    own=("target",),
     summary="four real robots track the fifth; needs --data and --target",
     defaults=Scenario(name="mrclam", nodes=_NODES, graph="complete", rounds=1, steps=1, target=1),
     check=_check,

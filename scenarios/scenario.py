@@ -1,5 +1,7 @@
 """A scenario: everything that decides the numbers of a run, as one frozen value."""
 
+import math
+
 import msgspec
 
 from topology.names import unknown_name
@@ -108,11 +110,12 @@ def check_ranges(scenario: Scenario) -> None:
     require(scenario.run >= 0, "run", scenario.run, "0 or more")
     require(0 < scenario.occupancy <= 1, "occupancy", scenario.occupancy, "in (0, 1]")
     require(scenario.trigger >= 0, "trigger", scenario.trigger, "0 or more")
-    require(scenario.stretch >= 1, "stretch", scenario.stretch, "at least 1")
+    require(1 <= scenario.stretch < math.inf, "stretch", scenario.stretch, "at least 1, and finite")
     require(0 <= scenario.decay <= 1, "decay", scenario.decay, "in [0, 1]")
     require(0 <= scenario.loss < 1, "loss", scenario.loss, "at least 0 and below 1")
     require(scenario.liars >= 0, "liars", scenario.liars, "0 or more")
-    require(scenario.latch_delay_us >= 0, "latch-delay-us", scenario.latch_delay_us, "0 or more")
+    latch_us = scenario.latch_delay_us
+    require(0 <= latch_us < math.inf, "latch-delay-us", latch_us, "0 or more, and finite")
     digest = scenario.digest_steps
     require(digest is None or digest >= 0, "digest-steps", digest, "0 or more")
     gate = scenario.gate_probability

@@ -1,5 +1,7 @@
 """How fast a network runs in real time: the bus of a scenario, stretched to what processes hold."""
 
+import math
+
 from nodes.commands import TimelyCommand
 from nodes.tempo import Tempo
 from scenarios.build import build_controller, build_plan
@@ -47,7 +49,7 @@ def tempo_of(setup: Setup, stretch: float | None) -> Tempo:
     if stretch is None:
         parts = max(len(plan.schedule.groups(cycle)) for cycle in range(plan.schedule.period))
         stretch = max(1.0, parts * SHORTEST_PART_S / plan.cluster.cycle_time_s)
-    require(stretch >= 1, "cycle-stretch", stretch, "at least 1")
+    require(1 <= stretch < math.inf, "cycle-stretch", stretch, "at least 1, and finite")
     cycle_s = plan.cluster.cycle_time_s * stretch
     step_s = max(setup.time_step_s * scenario.stretch, scenario.rounds * cycle_s)
     return Tempo(stretch, cycle_s, step_s)

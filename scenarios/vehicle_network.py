@@ -170,6 +170,7 @@ def _listen(setup: Setup, nodes: Sequence[int], readings: Array) -> Gaussian:
 
 
 KIND = Kind(
+    own=("car", "manoeuvre", "adaptive", "noise"),
     summary="a car's sensors on its FlexRay bus estimate its motion; learns its sensors' noise",
     defaults=Scenario(
         name="vehicle-network",

@@ -1,0 +1,38 @@
+"""Where a page is, as a user says it."""
+
+import socket
+from dataclasses import dataclass
+
+LOOPBACK = "127.0.0.1"
+_MOST = 65535
+
+
+@dataclass(frozen=True, kw_only=True)
+class PageOptions:
+    """Where the page is, and how it looks."""
+
+    host: str = LOOPBACK
+    """Address to listen at. There is no password: whoever reaches another one sees the run."""
+    http_port: int = 8080
+    """Port of the page; the next free one if it is taken, any free one for 0."""
+    light: bool = False
+    """Dark ink on white instead of light on black."""
+
+
+def check_place(host: str, http_port: int) -> None:
+    """Refuse an address at which no page can be: its server would look for one for ever.
+
+    Raises:
+        ValueError: no port has that number, or this machine has no such address.
+    """
+    if not 0 <= http_port <= _MOST:
+        raise ValueError(f"--http-port {http_port}: must be 1 to {_MOST}, or 0 for any free one")
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as listener:
+            listener.bind(address)
+    except (OSError, UnicodeError) as error:
+        raise ValueError(
+            f"--host {host}: this machine cannot listen there ({error}); give one of its own "
+            f"addresses, or leave it out for {LOOPBACK}"
+        ) from None
