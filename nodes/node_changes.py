@@ -10,7 +10,7 @@ from nodes import state_machine
 from nodes.changes import Joined, Set, Standing, Welcome, after
 from nodes.link_state import LinkState
 from nodes.messages import NodeMessage, from_wire
-from nodes.node_state import NodeConfig, NodeState, Phase
+from nodes.node_state import NodeConfig, NodeState, Phase, count
 
 
 def apply(config: NodeConfig, state: NodeState) -> tuple[NodeConfig, NodeState, list[NodeMessage]]:
@@ -26,12 +26,18 @@ def apply(config: NodeConfig, state: NodeState) -> tuple[NodeConfig, NodeState, 
     standing = replace(config.standing, absent=tuple(sorted(state.absent)))
     for change in measured.changes:
         standing = after(standing, step, change)
+    unchanged = {**state.inbox.measured, step: replace(measured, changes=())}
     if any(isinstance(change, Set) for change in measured.changes):
         belief = config.estimator.belief(state.content)
-        config = _rebuilt(config, standing, step, belief)
-        state = replace(state, cycle=config.first_cycle, content=config.estimator.start())
+        try:
+            config = _rebuilt(config, standing, step, belief)
+        except ValueError:
+            # The world has checked what it says; this was said by somebody else.
+            standing = config.standing
+            state = count(state, "rejected change")
+        else:
+            state = replace(state, cycle=config.first_cycle, content=config.estimator.start())
     config = _with_standing(config, standing)
-    unchanged = {**state.inbox.measured, step: replace(measured, changes=())}
     state = replace(
         state,
         phase=Phase.MEASUREMENT,

@@ -122,7 +122,8 @@ class NodeState(msgspec.Struct, frozen=True):
     """A node between two events.
 
     `step` is the last begun, `cycle` the one that is open or next, `group` its open part; `won` are
-    the nodes that have had a dynamic slot in earlier parts of it; `absent` those that are out.
+    the nodes that have had a dynamic slot in earlier parts of it; `absent` those that are out;
+    `pattern` is a heartbeat as all are formed.
     """
 
     phase: Phase
@@ -134,6 +135,7 @@ class NodeState(msgspec.Struct, frozen=True):
     inbox: Inbox
     counters: dict[str, int]
     absent: frozenset[int] = frozenset()
+    pattern: Measured | None = None
 
 
 def count(state: NodeState, *names: str) -> NodeState:

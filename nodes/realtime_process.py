@@ -234,6 +234,8 @@ class _Player:
                 # Too late for its step; what has changed with it holds from now on.
                 self._overdue += event.changes
                 self._step(event)
+            case Measured() if not state_machine.fits(self._state, event):
+                self._step(event)
             case Measured(step=step):
                 self._last = event
                 if step not in self._records:

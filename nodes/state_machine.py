@@ -253,8 +253,26 @@ def _keep_measured(state: NodeState, event: Measured) -> NodeState:
         return count(state, "repeated measured")
     if event.step > state.step + EARLY_CYCLES:
         return count(state, "rejected future")
+    if not fits(state, event):
+        return count(state, "rejected readings")
+    if state.pattern is None or (state.pattern.control is None and event.control is not None):
+        state = replace(state, pattern=event)
     measured = {**state.inbox.measured, event.step: event}
     return replace(state, inbox=replace(state.inbox, measured=measured))
+
+
+def fits(state: NodeState, measured: Measured) -> bool:
+    """Whether readings and control are as many as they have been from the first heartbeat on."""
+    known = state.pattern
+    if known is None:
+        return True
+    lengths = {len(one.control) for one in (known, measured) if one.control is not None}
+    return _shape(known) == _shape(measured) and len(lengths) <= 1
+
+
+def _shape(measured: Measured) -> tuple[int, int]:
+    readings = measured.readings
+    return len(readings), len(readings[0]) if readings else 0
 
 
 def _keep_grant(config: NodeConfig, state: NodeState, event: Grant) -> NodeState:

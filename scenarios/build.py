@@ -24,7 +24,7 @@ from scenarios.labelled import Everybody
 from scenarios.links import link_state
 from scenarios.rules import build_estimator, hold_policy, wire_number
 from scenarios.scenario import Scenario
-from scenarios.setup import Setup, generator, share_bytes, with_settings
+from scenarios.setup import Setup, complete_settings, generator, share_bytes, with_settings
 
 # Steps by which an undriven world may run ahead of the slowest estimate.
 OPEN_LOOP_LEAD = 4
@@ -67,7 +67,13 @@ def _node(setup: Setup, node: int, standing: Standing, step: int) -> NodeConfig:
 def _rebuilt(
     setup: Setup, node: int, standing: Standing, step: int, belief: Gaussian | None
 ) -> NodeConfig:
-    """The configuration of a node that begins anew, of a setup whose fields were not set yet."""
+    """The configuration of a node that begins anew, of a setup whose fields were not set yet.
+
+    Raises:
+        ValueError: they cannot be set so.
+    """
+    if standing.settings:
+        complete_settings(setup, standing.settings)
     changed = with_settings(setup, standing.settings)
     if belief is not None:
         changed = msgspec.structs.replace(

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from bus.schedule import hybrid
 from nodes.bounds import MAX_FRAME_BYTES, MAX_MESSAGE_BYTES
+from nodes.changes import Set
 from nodes.hearing import EARLY_CYCLES, EARLY_STEPS, MOST_EARLY
 from nodes.messages import (
     Bid,
@@ -24,9 +25,13 @@ from nodes.messages import (
     decode,
     encode,
 )
+from nodes.node_changes import apply
 from nodes.recording import McapRecorder, read_recording
 from nodes.share import in_slot, to_frames
 from nodes.state_machine import NodeConfig, Phase, initial_state, step
+from scenarios.build import build_node
+from scenarios.catalogue import kind_of
+from scenarios.setup import prepare
 from tests.nodes.one_node import (
     ROUNDS,
     STEPS,
@@ -227,3 +232,37 @@ def test_any_bytes_can_be_recorded(topic: str, data: bytes):
         recorder.record([("bid/1", TOPICS["bid/1"])])
         recorder.close()
         assert list(read_recording(path)) == [(topic, data), ("bid/1", TOPICS["bid/1"])]
+
+
+MISFITS = [
+    {"readings": [[1.0, 2.0, 3.0, 4.0, 5.0]]},
+    {"readings": []},
+    {"readings": [[1.0], [1.0]]},
+    {"readings": [[]]},
+]
+
+
+@pytest.mark.parametrize("misfit", MISFITS)
+def test_a_heartbeat_of_another_form_is_refused(misfit: dict):
+    """What its sensors deliver a node knows from its first heartbeat; the true one comes later."""
+    config = middle_node()
+    clean = clean_events(config)
+    _, undisturbed = feed(config, clean)
+    first = next(event for event in clean if isinstance(event, Measured))
+    wrong = Measured(first.node, first.step + 1, **misfit)
+    place = clean.index(first) + 1
+    state, sent = feed(config, [*clean[:place], wrong, *clean[place:]])
+    assert state.counters["rejected readings"] == 1
+    assert estimates(sent) == estimates(undisturbed)
+
+
+@pytest.mark.parametrize("settings", [{"rule": "nonsense"}, {"rounds": "x"}, {"steps": 3}])
+def test_settings_that_cannot_be_are_refused(settings: dict):
+    setup = prepare(msgspec.structs.replace(kind_of("oscillator").defaults, nodes=2, graph="path"))
+    config = build_node(setup, 0)
+    heartbeat_ = Measured(0, 0, [[1.0]], changes=(Set(settings, 7),))
+    state, _ = step(config, initial_state(config), heartbeat_)
+    after, state, _ = apply(config, state)
+    assert state.counters["rejected change"] == 1
+    assert (after.rounds, after.first_cycle, after.standing) == (config.rounds, 0, config.standing)
+    assert state.phase is not Phase.CHANGE
