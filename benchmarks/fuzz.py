@@ -17,22 +17,22 @@ import msgspec
 import numpy as np
 import tyro
 
-from benchmarks.malformed import DAMAGED, FRAMES, JSON, Spoil, malformed
+from benchmarks.intruder import Intruder, intruders
+from benchmarks.malformed import malformed
 from benchmarks.running import Running, memory_mb, neighbouring_ports
 from experiments.drivers import in_memory
 from nodes.commands import Speed
-from nodes.links import RECORDER, WORLD, Links, names
+from nodes.links import RECORDER, WORLD, names
 from nodes.messages import Estimate, decode
 from nodes.recorded import meaning
-from nodes.zenoh_transport import Transport
 from scenarios.catalogue import kind_of
-from scenarios.setup import Setup, prepare
+from scenarios.setup import prepare
 
 NODES, STEPS, RATE = 4, 3000, 10.0
 RUN = "fuzz"
-JOIN_S = 10.0
 REFUSED = ("rejected", "late", "repeated")
-GONE = b'{"what":"gone","node":1}'
+# So often a command is asked for that cannot be obeyed.
+QUESTIONS, ASK_EVERY = "questions", 1000
 
 
 @dataclass(frozen=True)
@@ -56,56 +56,26 @@ class Outcome(msgspec.Struct):
     memory_mb: tuple[dict[str, int], dict[str, int]]
 
 
-class Target:
-    """One process, and what can be said to it."""
-
-    def __init__(self, name: str, port: int, said: list[tuple[str, list[bytes], tuple]]) -> None:
-        self.name, self.said = name, said
-        links = Links("peer", (), (f"tcp/127.0.0.1:{port}",), JOIN_S)
-        self.transport = Transport(RUN, links, [], 1)
-
-
-def targets(setup: Setup, ports: dict[str, int], sound: list[tuple[str, bytes]]) -> list[Target]:
-    """Every process, with what sound ones say to it, and how that can be spoilt."""
-    heard: dict[str, list[bytes]] = {}
-    for topic, data in sound:
-        heard.setdefault(topic, []).append(data)
-    grant = [b'{"cycle":1,"winners":[0]}']
-    digest = [b"0" * 63 + b"g"]
-
-    def of(topic: str, ways: tuple[Spoil, ...]) -> tuple[str, list[bytes], tuple[Spoil, ...]]:
-        # Those of the first steps are over when the storm begins.
-        return topic, heard[topic][:5], ways
-
-    everybody = []
-    for node in range(NODES):
-        said = [of(f"share/{j}", FRAMES) for j in setup.neighbours[node]]
-        said += [of(f"measured/{node}", JSON), ("grant", grant, JSON)]
-        said += [(topic, [GONE], JSON) for topic in ("gone", f"gone/{node}", f"welcome/{node}")]
-        everybody.append(Target(str(node), ports[str(node)], said))
-    said = [of(f"estimate/{node}", JSON) for node in range(NODES)]
-    said += [("unreachable/1", [b'{"node":1,"neighbour":2}'], JSON), ("hello/1", digest, JSON)]
-    everybody.append(Target(WORLD, ports[WORLD], said))
-    said = [of(f"share/{node}", DAMAGED) for node in range(NODES)]
-    said += [of(f"estimate/{node}", JSON) for node in range(NODES)]
-    everybody.append(Target(RECORDER, ports[RECORDER], said))
-    return everybody
-
-
-def storm(everybody: list[Target], messages: int, seed: int) -> dict[str, int]:
-    """Say it all; returns how many were sent to whom."""
+def storm(everybody: list[Intruder], messages: int, seed: int) -> tuple[Counter, Counter]:
+    """Say it all; returns how many were sent to whom, and how many questions were refused."""
     rng = np.random.default_rng(seed)
+    (world,) = (one for one in everybody if one.name == WORLD)
     sent: Counter[str] = Counter()
+    refused: Counter[str] = Counter()
     for number in range(messages):
-        target = everybody[number % len(everybody)]
+        if number % ASK_EVERY == 0:
+            sent[QUESTIONS] += 1
+            refused[QUESTIONS] += world.command(number // ASK_EVERY)
+            continue
+        one = everybody[number % len(everybody)]
         turn = number // len(everybody)
-        topic, whole, ways = target.said[turn % len(target.said)]
-        way = turn // len(target.said)
-        target.transport.send(topic, malformed(way, ways, whole[way % len(whole)], rng))
-        sent[target.name] += 1
+        topic, whole, ways = one.said[turn % len(one.said)]
+        way = turn // len(one.said)
+        one.transport.send(topic, malformed(way, ways, whole[way % len(whole)], rng))
+        sent[one.name] += 1
         if number % 50_000 == 49_999:
             sys.stderr.write(f"{number + 1} messages\n")
-    return dict(sent)
+    return sent, refused
 
 
 def believed(messages: list[tuple[str, bytes]]) -> tuple[dict, dict[str, Counter[str]]]:
@@ -135,9 +105,11 @@ def fuzz(messages: int, seed: int, steps: int = STEPS) -> Outcome:
         client.command(Speed(RATE))
         while client.state()["completed"] < 10:
             time.sleep(0.02)
-        everybody = targets(setup, ports, sound)
+        everybody = intruders(RUN, setup.neighbours, ports, sound)
+        for one in everybody:
+            one.pose()
         before, began_s = memory_mb(pids), time.monotonic()
-        sent = storm(everybody, messages, seed)
+        sent, refused = storm(everybody, messages, seed)
         # What is said last is still on its way; the world's share of it is known when it has come.
         while client.state()["refused"] < sent[WORLD] and time.monotonic() - began_s < 600:
             time.sleep(0.05)
@@ -146,9 +118,9 @@ def fuzz(messages: int, seed: int, steps: int = STEPS) -> Outcome:
         while client.state()["completed"] < min(now + 20, steps - 1):
             time.sleep(0.05)
         seconds, after = time.monotonic() - began_s, memory_mb(pids)
-        refused = {WORLD: client.state()["refused"]}
-        for target in everybody:
-            target.transport.close()
+        refused[WORLD] = client.state()["refused"]
+        for one in everybody:
+            one.transport.close()
         running.end()
         recorded = running.recorded()
     refused[RECORDER] = sum(meaning(topic, data, NODES) is None for topic, data in recorded)
@@ -163,7 +135,9 @@ def fuzz(messages: int, seed: int, steps: int = STEPS) -> Outcome:
         }
         refused[node] = sum(more.values())
         reasons.update(more)
-    return Outcome(sent, refused, dict(reasons), alone == stormed, seconds, (before, after))
+    return Outcome(
+        dict(sent), dict(refused), dict(reasons), alone == stormed, seconds, (before, after)
+    )
 
 
 def main(options: Options) -> None:

@@ -46,7 +46,7 @@ _LINK_S = 5.0
 # What is said on topics that are nobody's is kept under this name.
 STRANGE = "strange"
 # Through a router the recorder hears itself, too.
-_UNRECORDED = ("hello", "recorded", "start", "finished", "end", WATCH)
+_UNRECORDED = ("hello", "recorded", "start", "end", WATCH)
 
 
 def run_node(membership: Membership) -> None:
@@ -124,7 +124,10 @@ class _Member:
     def _hear_welcome(self, name: str, data: bytes) -> None:
         """In zenoh's thread."""
         welcome: Welcome | None = self._decoded(name, data)
-        if welcome is not None:
+        if welcome is not None and not self._queues.out:
+            # Nobody has asked to be let in.
+            self._refused.append(None)
+        elif welcome is not None:
             with self._told:
                 self._welcomes.append(welcome)
                 self._told.notify_all()
@@ -298,9 +301,7 @@ def run_recorder(
                 elif kind == "event":
                     leaving |= _leaving(decode(name, data))
         for name, data in received:
-            if name.partition("/")[0] == "finished":
-                with suppress(*UNREADABLE):
-                    finished = msgspec.json.decode(data, type=Finished)
+            finished = _finished(name, data) or finished
         for out in [i for i, step in leaving.items() if step < 0 or latest.get(i) == step]:
             # Who leaves on command may end now: nothing that it has said will be lost.
             transport.send(f"recorded/{out}", b"{}")
@@ -317,10 +318,18 @@ def run_recorder(
 def _to_be_kept(received: Sequence[tuple[str, bytes]], nodes: int) -> Iterator[tuple[str, bytes]]:
     """Those of messages (topic, bytes) that are recorded, under the names that they have there."""
     for name, data in received:
-        if name.partition("/")[0] in _UNRECORDED:
+        if name.partition("/")[0] in _UNRECORDED or _finished(name, data):
             continue
         # Of names there is no end; of channels in a file there is.
         yield (name if is_topic(name, nodes) else STRANGE), data
+
+
+def _finished(name: str, data: bytes) -> Finished | None:
+    """What the world says at the end; None where a message is anything else."""
+    if name == "finished":
+        with suppress(*UNREADABLE):
+            return msgspec.json.decode(data, type=Finished)
+    return None
 
 
 class _Ends:

@@ -204,7 +204,11 @@ class _Office:
         except MalformedMessage as error:
             self._refuse(str(error))
             return
+        before = self._conductor.state
         self._send(self._conductor.take(event))
+        if self._conductor.state is before:
+            # Of nobody who takes part, of no open step, or of no contest: late, or never to be.
+            self._refused.append(None)
 
     def _take_waiting(self, source: str) -> None:
         """What is there already has come in time, however late the world looks."""
