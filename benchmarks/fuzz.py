@@ -78,11 +78,11 @@ def storm(everybody: list[Intruder], messages: int, seed: int) -> tuple[Counter,
     return sent, refused
 
 
-def believed(messages: list[tuple[str, bytes]]) -> tuple[dict, dict[str, Counter[str]]]:
-    """What was estimated (node, step), and the counters of each node at its end."""
+def believed(messages: list[tuple[str, bytes]], nodes: int) -> tuple[dict, dict[str, Counter[str]]]:
+    """What so many nodes have estimated (node, step), and the counters of each at its end."""
     estimates, counters = {}, {}
     for topic, data in messages:
-        if meaning(topic, data, NODES) is None or not topic.startswith("estimate/"):
+        if meaning(topic, data, nodes) is None or not topic.startswith("estimate/"):
             continue
         estimate: Estimate = decode(topic, data)
         told = (estimate.mean, estimate.cov, estimate.ages)
@@ -124,8 +124,8 @@ def fuzz(messages: int, seed: int, steps: int = STEPS) -> Outcome:
         running.end()
         recorded = running.recorded()
     refused[RECORDER] = sum(meaning(topic, data, NODES) is None for topic, data in recorded)
-    alone, quiet = believed(sound)
-    stormed, counters = believed(recorded)
+    alone, quiet = believed(sound, NODES)
+    stormed, counters = believed(recorded, NODES)
     reasons: Counter[str] = Counter()
     for node, told in counters.items():
         more = {

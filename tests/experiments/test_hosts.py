@@ -37,9 +37,9 @@ def two_routers(there: Hosts) -> tuple[str, str]:
     return a, b
 
 
-def await_network(endpoint: str) -> Client:
+def await_network(endpoint: str, keys: str | None = None) -> Client:
     """Somebody who watches, as soon as the world answers."""
-    client = Client([endpoint], "hosts")
+    client = Client([endpoint], "hosts", keys)
     for _ in range(10):
         with suppress(NotThere):
             client.state()
