@@ -164,7 +164,8 @@ def world(options: Annotated[WorldOptions, tyro.conf.arg(name="")]) -> None:
                 on_step(happened.step)
 
         take_part(job, folder, on_event)
-    trace = completed(folder, description)
+    with user_errors():
+        trace = completed(folder, description)
     finish(folder, description, trace, Pace(None, None), options.json)
 
 

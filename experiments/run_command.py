@@ -112,7 +112,9 @@ def run(
         raise
     finally:
         page.close()
-    finish(folder, description, completed(folder, description), pace, options.json)
+    with user_errors():
+        trace = completed(folder, description)
+    finish(folder, description, trace, pace, options.json)
 
 
 def _tempo(options: RunOptions, setup: Setup) -> Tempo | None:

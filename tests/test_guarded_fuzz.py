@@ -87,3 +87,24 @@ def test_who_has_no_key_says_nothing_and_a_member_no_word_of_others(tmp_path: Pa
         assert sum(n for name, n in told.items() if name.startswith(REFUSED)) == EACH
     came = Counter(topic for topic, data in recorded if meaning(topic, data, NODES) is None)
     assert came == {topic: EACH for topic in own if not topic.startswith("hello")}
+
+
+@needs_proc
+@pytest.mark.zenoh
+def test_a_lie_that_ends_a_network_without_keys_leaves_a_sentence(tmp_path: Path):
+    """Before the first step, in the name of the world: without keys nobody can tell."""
+    setup = write_setup(tmp_path)
+    with hosts(tmp_path) as there:
+        endpoint = f"tcp/localhost:{free_ports([ROUTER_NAME])[ROUTER_NAME]}"
+        there.router(endpoint)
+        there.concord("node", setup, 0, 1, 2, "--connect", endpoint)
+        world = there.concord("world", setup, "--connect", endpoint, "--out", tmp_path / "run")
+        await_network(endpoint).close()
+        stranger = Transport("hosts", Links("client", (), (endpoint,), 5.0), [], 1)
+        for _ in range(50):
+            stranger.send("finished", FINISHED)
+        # It ends when the recorder has gone, or when the world has died of that.
+        code, _, err = world.end(60)
+        stranger.close()
+    assert code != 0
+    assert "Traceback" not in err, err
