@@ -287,18 +287,18 @@ def run_recorder(
     finished: Finished | None = None
     latest: dict[int, int] = {}
     leaving: dict[int, int] = {}
+    topics: set[str] = set()
     while finished is None or not _complete(finished, latest, ends.silent):
         received, is_woken = transport.receive_all("**")
-        kept = list(_to_be_kept(received, steps.nodes))
+        kept = list(_to_be_kept(received, steps.nodes, topics))
         recorder.record(kept)
         watchers.tell(kept)
         # Kept as it came is also what somebody says who obeys no rule; it changes nothing here.
         for name, data in kept:
-            kind, _, owner = name.partition("/")
             with suppress(*UNREADABLE, MalformedMessage):
-                if kind == "estimate":
-                    latest[int(owner)] = _estimated.decode(data).step
-                elif kind == "event":
+                if name.startswith("estimate/"):
+                    latest[int(name.partition("/")[2])] = _estimated.decode(data).step
+                elif name == "event":
                     leaving |= _leaving(decode(name, data))
         for name, data in received:
             finished = _finished(name, data) or finished
@@ -315,13 +315,21 @@ def run_recorder(
     transport.close()
 
 
-def _to_be_kept(received: Sequence[tuple[str, bytes]], nodes: int) -> Iterator[tuple[str, bytes]]:
-    """Those of messages (topic, bytes) that are recorded, under the names that they have there."""
+def _to_be_kept(
+    received: Sequence[tuple[str, bytes]], nodes: int, topics: set[str]
+) -> Iterator[tuple[str, bytes]]:
+    """Those of messages (topic, bytes) that are recorded, under the names that they have there;
+    `topics` are names that were looked at before, and are added to."""
     for name, data in received:
-        if name.partition("/")[0] in _UNRECORDED or _finished(name, data):
-            continue
-        # Of names there is no end; of channels in a file there is.
-        yield (name if is_topic(name, nodes) else STRANGE), data
+        if name not in topics:
+            if name.partition("/")[0] in _UNRECORDED or _finished(name, data):
+                continue
+            # Of names there is no end; of channels in a file there is.
+            if not is_topic(name, nodes):
+                yield STRANGE, data
+                continue
+            topics.add(name)
+        yield name, data
 
 
 def _finished(name: str, data: bytes) -> Finished | None:
