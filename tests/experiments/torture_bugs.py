@@ -111,8 +111,7 @@ BUGS = (
     ),
     Bug(
         "a held share never ages",
-        "nodes.belief_consensus", "BeliefConsensus.fuse",
-        (("else age if age < 0 else age + 1", "else age"),),
+        "nodes.belief_consensus", "_aged", (("else age if age < 0 else age + 1", "else age"),),
     ),
     Bug(
         "a share of an earlier cycle is not dropped",
@@ -177,13 +176,13 @@ BUGS = (
     ),
     Bug(
         "a share of no numbers is read",
-        "nodes.belief_codec", "BeliefCodec.read",
+        "nodes.belief_codec", "BeliefCodec.check",
         (("if not (math.isfinite", "if False and not (math.isfinite"),),
     ),
     Bug(
         "a covariance that is none is used",
-        "nodes.belief_consensus", "BeliefConsensus.fuse",
-        (("if math.isnan(pivot) and shares[j] is not None", "if False and math.isnan(pivot)"),),
+        "nodes.belief_consensus", "_unsound",
+        (("if math.isnan(sharp) and shares[j] is not None", "if False and math.isnan(sharp)"),),
     ),
     Bug(
         "those who agree most are taken for liars",
