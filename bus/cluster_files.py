@@ -1,12 +1,16 @@
-"""Clusters as TOML files, for people: one line per parameter, with its name in the standard."""
+"""Cluster files: FIBEX, or TOML for people, a line per parameter with its name in the standard."""
 
 import json
 import tomllib
+from pathlib import Path
 
 import msgspec
 
 from bus.cluster import Cluster, ClusterError
 from bus.constraints import PARAMETERS
+from bus.fibex import cluster_from_fibex
+
+FILE_ENDINGS = (".toml", ".xml")
 
 _OTHER_NAMES = {
     "channels": "pChannels",
@@ -38,3 +42,23 @@ def cluster_from_toml(text: str) -> Cluster:
         raise ClusterError(f"the cluster file is not TOML: {error}") from error
     except msgspec.ValidationError as error:
         raise ClusterError(f"the cluster file is not valid: {error}") from error
+
+
+def read_cluster_file(path: Path, name: str | None = None) -> Cluster:
+    """The cluster in a file whose ending is one of `FILE_ENDINGS`; in FIBEX the one called `name`.
+
+    Raises:
+        ValueError: the file cannot be read, or is no cluster, with its path.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ValueError(
+            f"{path}: cannot be read ({error.strerror}); name the file of a cluster"
+        ) from None
+    try:
+        if path.suffix == ".xml":
+            return cluster_from_fibex(data, name)
+        return cluster_from_toml(data.decode(errors="replace"))
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None

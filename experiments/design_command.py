@@ -13,7 +13,15 @@ from rich.console import Console
 from rich.table import Table
 
 from experiments.design_candidates import COST_UNITS, Candidate, Refused
-from experiments.design_results import Design, Tried, command_for, design_of, nearest, write_design
+from experiments.design_results import (
+    Design,
+    Tried,
+    check_place,
+    command_for,
+    design_of,
+    nearest,
+    write_design,
+)
 from experiments.design_search import Found, Task, search
 from experiments.design_space import space_of
 from experiments.design_target import parse_target
@@ -59,6 +67,7 @@ def design(
         target = parse_target(options.target_rmse)
         settled, space = space_of(specify(asked_fields(fields)))
         engine = engine_for(options.workers, options.dask)
+        check_place(out)
         task = Task(target, options.minimise, settled, space, options.runs, engine, _say)
     kept: list[Candidate] = []
     refused: list[Refused] = []

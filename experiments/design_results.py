@@ -90,18 +90,34 @@ def design_of(
     )
 
 
-def write_design(design: Design, path: Path) -> None:
-    """Write a design, whole or not at all.
+def check_place(path: Path) -> None:
+    """Refuse a place that takes no file, before a search that is long; leaves its folder there.
 
     Raises:
-        ValueError: its folder cannot be made.
-        NotWritten: the file cannot be written.
+        ValueError: naming the place and why.
     """
-    part = path.with_name(f"{path.name}.part")
+    part = _part_of(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        part.touch()
+        part.unlink()
     except OSError as error:
-        raise ValueError(f"{path}: cannot be written ({error.strerror})") from None
+        raise ValueError(
+            f"--out {path}: cannot be written ({error.strerror}); choose another place"
+        ) from None
+
+
+def _part_of(path: Path) -> Path:
+    return path.with_name(f"{path.name}.part")
+
+
+def write_design(design: Design, path: Path) -> None:
+    """Write a design, whole or not at all, where `check_place` let it.
+
+    Raises:
+        NotWritten: the file cannot be written.
+    """
+    part = _part_of(path)
     try:
         with writing(path):
             part.write_bytes(msgspec.json.format(msgspec.json.encode(design), indent=2) + b"\n")

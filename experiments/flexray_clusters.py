@@ -10,13 +10,11 @@ from rich.console import Console
 from rich.table import Table
 
 from bus.cluster import Cluster
-from bus.cluster_files import cluster_from_toml, cluster_to_toml
-from bus.fibex import cluster_from_fibex, cluster_to_fibex
+from bus.cluster_files import FILE_ENDINGS, cluster_to_toml, read_cluster_file
+from bus.fibex import cluster_to_fibex
 from bus.presets import PRESETS, preset
 from bus.timing import SegmentTime, segments
 from experiments.user_errors import user_errors
-
-FILE_ENDINGS = (".toml", ".xml")
 
 
 class Derived(msgspec.Struct, frozen=True):
@@ -102,16 +100,7 @@ def read_cluster(source: str, name: str | None = None) -> Cluster:
             f"no cluster preset {source!r}; there are {', '.join(PRESETS)}, or give a file *.toml "
             "or *.xml (FIBEX)"
         )
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be read ({error.strerror}); name a file") from None
-    try:
-        if path.suffix == ".xml":
-            return cluster_from_fibex(data, name)
-        return cluster_from_toml(data.decode(errors="replace"))
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+    return read_cluster_file(path, name)
 
 
 def derived(cluster: Cluster) -> Derived:

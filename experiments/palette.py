@@ -14,7 +14,6 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 GREY = "#777777"
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 DASHES = ("-", "--", ":", "-.")
-FORMATS = ("png", "svg", "pdf")
 # Runs evenly from dark to light, also in grey and for the colour blind.
 SEQUENTIAL = "cividis"
 

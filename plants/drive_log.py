@@ -7,14 +7,17 @@ what, in which unit) and `car.toml` (`vehicle_parameters.Car`).
 import csv
 import math
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
 
 from plants.vehicle_drive import REAR_LEFT, REAR_RIGHT, Array, Drive
 from plants.vehicle_parameters import GRAVITY_M_S2, Car, car_from_toml, car_to_toml
+
+T = TypeVar("T")
 
 DRIVE, COLUMNS, CAR = "drive.csv", "columns.toml", "car.toml"
 
@@ -87,7 +90,7 @@ def read_folder(folder: str | Path) -> LoggedDrive:
     """
     folder = Path(folder)
     car = read_car(folder)
-    columns = columns_from_toml(_text(folder / COLUMNS))
+    columns = _from_toml(folder / COLUMNS, columns_from_toml)
     return LoggedDrive(read_drive(folder / DRIVE, columns, car.steering_ratio), car)
 
 
@@ -102,7 +105,15 @@ def read_car(folder: str | Path) -> Car:
         raise ValueError(
             f"{folder}: no such folder; give one that holds {DRIVE}, {COLUMNS} and {CAR}"
         )
-    return car_from_toml(_text(folder / CAR))
+    return _from_toml(folder / CAR, car_from_toml)
+
+
+def _from_toml(file: Path, read: Callable[[str], T]) -> T:
+    text = _text(file)
+    try:
+        return read(text)
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from None
 
 
 def columns_from_toml(text: str) -> ColumnMap:

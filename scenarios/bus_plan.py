@@ -10,9 +10,8 @@ import msgspec
 from bus import arbitration
 from bus.arbitration import Arbiter, ArbiterState
 from bus.cluster import Cluster
-from bus.cluster_files import cluster_from_toml
+from bus.cluster_files import FILE_ENDINGS, read_cluster_file
 from bus.dynamic_segment import Request
-from bus.fibex import cluster_from_fibex
 from bus.fitted import fitted_cluster
 from bus.presets import PRESETS, preset
 from bus.publication import Publications, Slot
@@ -197,15 +196,9 @@ def _cluster(scenario: Scenario, schedule: Schedule, share_bytes: int) -> Cluste
     if name in PRESETS:
         return preset(name)
     path = Path(name)
-    if path.suffix not in (".toml", ".xml"):
+    if path.suffix not in FILE_ENDINGS:
         raise unknown_name("cluster", name, (*cluster_names(), "FILE.toml", "FILE.xml"))
-    try:
-        text = path.read_bytes()
-    except OSError as error:
-        raise ValueError(f"--cluster {name}: cannot be read ({error.strerror})") from None
-    if path.suffix == ".xml":
-        return cluster_from_fibex(text)
-    return cluster_from_toml(text.decode(errors="replace"))
+    return read_cluster_file(path)
 
 
 def _fitted(schedule: Schedule, share_bytes: int) -> Cluster:

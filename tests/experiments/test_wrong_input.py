@@ -135,6 +135,28 @@ def test_a_number_that_cannot_be_is_named_with_its_rule(complaint, arguments: st
     assert says in complaint(arguments)
 
 
+@pytest.mark.skipif(not PROC.is_dir(), reason="needs a folder that takes no file from anybody")
+def test_a_design_that_cannot_be_kept_is_not_looked_for(complaint):
+    fields = "--scenario oscillator --nodes 3 --steps 3 --graph ring,path --target-rmse 1"
+    said = complaint(f"design {fields} --runs 2 --out {PROC}/design.json")
+    assert f"--out {PROC}/design.json: cannot be written (" in said
+
+
+@pytest.mark.parametrize("command", ["run", "flexray plan"])
+@pytest.mark.parametrize("file", ["broken.toml", "broken.xml"])
+def test_a_cluster_file_that_is_none_is_named(complaint, home: Path, command: str, file: str):
+    (home / file).write_text("<a")
+    assert complaint(f"{command} --steps 2 --cluster {file}").startswith(f"concord: {file}: the ")
+
+
+@pytest.mark.parametrize("command", ["run --scenario vehicle-network", "identify"])
+def test_a_drive_whose_car_is_none_is_named(complaint, home: Path, command: str):
+    (home / "drive").mkdir()
+    (home / "drive" / "car.toml").write_text("mass_kg = 'heavy'")
+    said = complaint(f"{command} --data drive")
+    assert said.startswith("concord: drive/car.toml: the car file is not valid: ")
+
+
 @pytest.mark.parametrize(
     ("option", "of"),
     [
