@@ -22,6 +22,8 @@ _DELIVERED = (
     "reply",
 )
 _KINDS = ("hello", "bid", "share", "estimate", "timing", "unreachable")
+# What is said again, to whoever waits for it and to the recorder (`nodes/said.py`).
+_REPEATED = ("again/", "keep/")
 _EVERYTHING = tuple(dict.fromkeys((*_HEARING, *_DELIVERED)))
 
 
@@ -47,13 +49,18 @@ def rights(nodes: int) -> dict[str, Rights]:
     """
     table = {certificate_name(node): _rights_of_node(node) for node in range(nodes)}
     table[WORLD] = Rights(
-        says=(
-            "start", "measured/*", "grant", "truth", "finished", "end", "event", "gone", "gone/*",
-            "welcome/*",
+        says=tuple(
+            f"{below}{topics}"
+            for below in ("", *_REPEATED)
+            for topics in (
+                "start", "measured/*", "grant", "truth", "finished", "end", "event", "gone",
+                "gone/*", "welcome/*",
+            )
         ),
         is_ready=(f"ready/{WORLD}",),
         hears=(
             "hello/*", "bid/*", "estimate/*", "recorded/*", "unreachable/*", "end", "ready/*",
+            "again/hello/*", "again/bid/*", "again/estimate/*",
         ),
         answers=("state", "control", "clock"),
     )  # fmt: skip
@@ -70,11 +77,12 @@ def rights(nodes: int) -> dict[str, Rights]:
 
 def _rights_of_node(node: int) -> Rights:
     return Rights(
-        says=tuple(f"{kind}/{node}" for kind in _KINDS),
+        says=tuple(f"{below}{kind}/{node}" for below in ("", *_REPEATED) for kind in _KINDS),
         is_ready=(f"ready/{node}",),
         hears=(
             "start", f"measured/{node}", "grant", "share/*", "end", "ready/*", "gone",
-            f"gone/{node}", f"welcome/{node}", f"recorded/{node}",
+            f"gone/{node}", f"welcome/{node}", f"recorded/{node}", f"again/measured/{node}",
+            "again/grant", "again/share/*",
         ),
         asks=("state", "clock"),
     )  # fmt: skip
@@ -129,6 +137,7 @@ def size_limits() -> list[dict[str, Any]]:
         }
         for name, topics, limit in (
             ("frames", "share/*", MAX_FRAME_BYTES),
+            ("repeated frames", "*/share/*", MAX_FRAME_BYTES),
             ("messages", "**", MAX_MESSAGE_BYTES),
         )
     ]

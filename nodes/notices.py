@@ -7,7 +7,7 @@ import msgspec
 
 from nodes.changes import Standing
 from nodes.commands import Answer
-from nodes.messages import BidsClosed, StepClosed, Unreachable
+from nodes.messages import Bid, BidsClosed, Estimate, StepClosed, Unreachable
 from nodes.world_timetable import Beat
 
 
@@ -25,6 +25,12 @@ class Hello(NamedTuple):
     fingerprint: str
 
 
+class Repeated(NamedTuple):
+    """What a node says once more."""
+
+    event: Bid | Estimate
+
+
 class Recorded(NamedTuple):
     """All that a node has said that leaves on command."""
 
@@ -38,7 +44,9 @@ class Asked(NamedTuple):
     answer: SimpleQueue[Answer]
 
 
-Notice = Presence | Hello | Recorded | Asked | Beat | Unreachable | BidsClosed | StepClosed
+Notice = (
+    Presence | Hello | Repeated | Recorded | Asked | Beat | Unreachable | BidsClosed | StepClosed
+)
 
 
 class State(msgspec.Struct, frozen=True):

@@ -33,6 +33,7 @@ class Overflow:
         # Whether there is anything aside.
         self._keeps = False
         self._awaited, self._heard = topics[0], 0
+        self._emptying = threading.Lock()
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._look, daemon=True)
         self._thread.start()
@@ -55,6 +56,16 @@ class Overflow:
         self._keeps = False
         return [kept.popleft() for kept in self._aside.values() for _ in range(len(kept))]
 
+    def take_all(self) -> list[tuple[str, bytes]]:
+        """All that has come, (topic, bytes), each topic in the order in which it came."""
+        self._empty()
+        return self.take()
+
+    @property
+    def awaited(self) -> str:
+        """The topic that its owner waits for, or has waited for last."""
+        return self._awaited
+
     def close(self) -> None:
         """Nothing more is taken aside; before the transport is closed."""
         self._closing.set()
@@ -72,11 +83,12 @@ class Overflow:
                 self._transport.wake(self._awaited)
 
     def _empty(self) -> None:
-        for topic, kept in self._aside.items():
-            # Never more than fits at once, however fast it comes.
-            for _ in range(self._queue):
-                received = self._transport.receive_at_once(topic)
-                if received is None:
-                    break
-                kept.append(received)
-                self._keeps = True
+        with self._emptying:
+            for topic, kept in self._aside.items():
+                # Never more than fits at once, however fast it comes.
+                for _ in range(self._queue):
+                    received = self._transport.receive_at_once(topic)
+                    if received is None:
+                        break
+                    kept.append(received)
+                    self._keeps = True

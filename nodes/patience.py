@@ -2,7 +2,8 @@
 
 import os
 import sys
-import threading
+
+from nodes.absence import Absence
 
 
 class Patience:
@@ -10,21 +11,14 @@ class Patience:
 
     def __init__(self, name: str, seconds: float) -> None:
         self._name, self._seconds = name, seconds
-        self._timer: threading.Timer | None = None
+        self._absence = Absence(seconds, self._leave)
 
     def see(self, name: str, is_there: bool) -> None:
         """Somebody has come, or is gone."""
-        if name != self._name:
-            return
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
-        if not is_there:
-            self._timer = threading.Timer(self._seconds, self._leave)
-            self._timer.daemon = True
-            self._timer.start()
+        if name == self._name:
+            self._absence.see(name, is_there)
 
-    def _leave(self) -> None:
+    def _leave(self, _name: str) -> None:
         sys.stderr.write(f"the {self._name} has been out of reach for {self._seconds:g} s\n")
         # The loop that waits for it cannot be interrupted.
         os._exit(1)

@@ -1,23 +1,21 @@
-"""What the processes of nodes and of the recorder do: each is a loop around its state machine.
+"""What the process of a node does: it is a loop around its state machine.
 
 Lockstep is schedule-driven: a node always knows which message it needs next (its heartbeat, a
 grant, the share of one neighbour) and waits for that one alone. Nobody coordinates, nothing is
-timed. What the world does is in `nodes/world_process.py`.
+timed. What the world does is in `nodes/world_process.py`, what the recorder does in
+`nodes/recorder_process.py`.
 """
 
 import threading
 from collections import deque
-from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from typing import Any
 
-import msgspec
-
 from nodes import node_changes, state_machine
-from nodes.bounds import UNREADABLE, node_of
-from nodes.changes import Event, Gone, Joined, Left, Welcome
+from nodes.absence import Absence
+from nodes.changes import Gone, Joined, Welcome
 from nodes.entry import await_links
-from nodes.links import RECORDER, WATCH, WORLD, Links
+from nodes.links import RECORDER, WORLD
 from nodes.membership import Membership
 from nodes.messages import (
     END,
@@ -28,25 +26,23 @@ from nodes.messages import (
     Unreachable,
     decode,
     encode,
-    is_topic,
     topic,
 )
 from nodes.node_state import NodeConfig, NodeState, Phase, count
 from nodes.overflow import Overflow
 from nodes.patience import Patience
-from nodes.recording import Recorder
-from nodes.watchers import Watchers
-from nodes.whole_steps import WholeSteps
+from nodes.repeats import is_missing
+from nodes.said import AGAIN, Said
 from nodes.zenoh_transport import Transport
 
 # A message that waits takes some 9 kB, however short it is: zenoh keeps what it came in.
-NODE_QUEUE, RECORDER_QUEUE = 1024, 8192
+NODE_QUEUE = 1024
 # So long links have to come up.
 _LINK_S = 5.0
-# What is said on topics that are nobody's is kept under this name.
-STRANGE = "strange"
-# Through a router the recorder hears itself, too.
-_UNRECORDED = ("hello", "recorded", "start", "end", WATCH)
+# A link that was away for so long is not waited for any more, and nor is who was behind it.
+_GRACE_S = 2.0
+# A hundred steps and more: what may be under way to a recorder that is slow.
+_KEPT = 1024
 
 
 def run_node(membership: Membership) -> None:
@@ -58,7 +54,7 @@ def run_node(membership: Membership) -> None:
     member, config = _Member(membership), membership.config
     if not membership.late:
         member.transport.join(str(config.index), {WORLD, RECORDER, *map(str, membership.peers)})
-        member.transport.send(f"hello/{config.index}", membership.fingerprint.encode())
+        member.said.say(f"hello/{config.index}", membership.fingerprint.encode())
         stays = member.take_part(config, state_machine.initial_state(config))
     else:
         member.transport.join(str(config.index), {WORLD, RECORDER})
@@ -67,6 +63,7 @@ def run_node(membership: Membership) -> None:
         # It is not, or no longer, one of those who are waited for.
         stays = member.take_part(*member.rejoin())
     member.await_end()
+    member.said.close()
     member.transport.close()
 
 
@@ -84,12 +81,14 @@ class _Member:
         self._shares = {j: f"share/{j}" for j in config.neighbours}
         self._senders = {name: j for j, name in self._shares.items()}
         self._gone: deque[Gone] = deque()
+        self._absence = Absence(_GRACE_S, self._miss)
         self._unreachable: deque[int] = deque()
+        self._again: deque[tuple[str, bytes]] = deque(maxlen=NODE_QUEUE)
         self._welcomes: deque[Welcome] = deque(maxlen=1)
         # One for each message that was none.
         self._refused: deque[None] = deque()
         self._told = threading.Condition()
-        self._finished = self._ended = False
+        self._finished = self._ended = self._is_world_back = False
         topics = [self._heartbeat, "grant", *self._shares.values()]
         self.transport = Transport(membership.run, membership.links, topics, NODE_QUEUE)
         self._queues = Overflow(self.transport, topics, NODE_QUEUE)
@@ -97,17 +96,40 @@ class _Member:
         self.transport.listen(f"gone/{index}", self._hear_of_gone)
         self.transport.listen(f"welcome/{index}", self._hear_welcome)
         self.transport.listen("end", self._hear_end)
+        for name in ("share/*", "grant", self._heartbeat):
+            self.transport.listen(f"{AGAIN}/{name}", self._hear_again)
+        self.said = Said(self.transport, f"node {index}", "estimate", _KEPT, self._in_words)
+        self.said.begin()
         self.transport.watch(self._see)
 
     def _see(self, name: str, is_there: bool) -> None:
-        """In zenoh's thread: who is out of our reach may not be out of the world's."""
+        """In zenoh's thread."""
         if self._patience is not None:
             self._patience.see(name, is_there)
-        neighbour = self._senders.get(f"share/{name}")
-        if not is_there and neighbour is not None:
-            self._unreachable.append(neighbour)
-            for subscription in (self._heartbeat, self._shares[neighbour]):
-                self.transport.wake(subscription)
+        if f"share/{name}" in self._senders:
+            self._absence.see(name, is_there)
+        if name == WORLD and is_there:
+            with self._told:
+                self._is_world_back = True
+                self._told.notify_all()
+        self.said.see(name, is_there)
+
+    def _miss(self, name: str) -> None:
+        """In another thread: who is out of our reach for good may not be out of the world's."""
+        self._unreachable.append(int(name))
+        for subscription in (self._heartbeat, self._shares[int(name)]):
+            self.transport.wake(subscription)
+
+    def _hear_again(self, name: str, data: bytes) -> None:
+        """In zenoh's thread; what it repeats is in its queue by now, or was lost."""
+        self._again.append((name.partition("/")[2], data))
+
+    def _in_words(self) -> str:
+        """For whom this node waits in the middle of a step."""
+        kind, _, owner = self._queues.awaited.partition("/")
+        if self._queues.out or kind == "measured":
+            return ""
+        return f"what node {owner} has to say" if kind == "share" else "a grant of the world"
 
     def _hear_of_gone(self, name: str, data: bytes) -> None:
         """In zenoh's thread: whoever waits for that node must wait no longer."""
@@ -156,12 +178,17 @@ class _Member:
         begun = await_links(self.transport, self._membership.peers)
         self._welcomes.clear()
         self._unreachable.clear()
-        self.transport.send(f"hello/{index}", self._membership.fingerprint.encode())
-        if not begun:
-            return self._beginning, state_machine.initial_state(self._beginning)
-        with self._told:
-            self._told.wait_for(lambda: len(self._welcomes) > 0)
-            welcome = self._welcomes.pop()
+        self.said.begin_anew()
+        self._again.clear()
+        while not self._welcomes:
+            self._is_world_back = False
+            self.transport.send(f"hello/{index}", self._membership.fingerprint.encode())
+            if not begun:
+                return self._beginning, state_machine.initial_state(self._beginning)
+            with self._told:
+                # A link to the world that was broken may have lost either word.
+                self._told.wait_for(lambda: self._welcomes or self._is_world_back)
+        welcome = self._welcomes.pop()
         # Whatever was said of this node's end was said of its former life.
         self._gone.clear()
         return node_changes.begin_late(self._beginning, welcome)
@@ -196,6 +223,8 @@ class _Member:
         while self._unreachable:
             lost = Unreachable(config.index, self._unreachable.popleft())
             self.transport.send(topic(lost), encode(lost))
+        if self._again:
+            return self._heard_again(state)
         match state.phase:
             case Phase.MEASUREMENT:
                 return self._await_one(self._heartbeat)
@@ -216,6 +245,15 @@ class _Member:
             ShareHeard(sender, frame) for sender, (_, frame) in zip(senders, came, strict=False)
         ]
         return events if len(came) == len(senders) else events + self._taken_aside()
+
+    def _heard_again(self, state: NodeState) -> Sequence[NodeEvent]:
+        """What has come in its time is ahead of what was said again."""
+        if came := self._queues.take_all():
+            return [event for kept in came for event in self._events(*kept)]
+        name, data = self._again.popleft()
+        if name.startswith("share/") and name not in self._senders:
+            return ()
+        return [event for event in self._events(name, data) if is_missing(state, event)]
 
     def _taken_aside(self) -> list[NodeEvent]:
         return [event for kept in self._queues.take() for event in self._events(*kept)]
@@ -253,123 +291,4 @@ class _Member:
 
     def _send(self, messages: Sequence[NodeMessage]) -> None:
         for message in messages:
-            self.transport.send(topic(message), encode(message))
-
-
-class Finished(msgspec.Struct, frozen=True):
-    """World to recorder: nothing more will come but the last estimates of these nodes."""
-
-    step: int
-    members: list[int]
-
-
-class _Estimated(msgspec.Struct):
-    step: int
-
-
-_estimated = msgspec.json.Decoder(_Estimated)
-
-
-def run_recorder(
-    run: str, links: Links, watch: Links, recorder: Recorder, steps: WholeSteps
-) -> None:
-    """Record every message until the world has finished and all last estimates have come.
-
-    What was recorded can be heard on `watch`, message by message and in whole `steps`.
-
-    Raises:
-        LinkError: the network cannot be joined.
-    """
-    transport = Transport(run, links, ["**"], RECORDER_QUEUE)
-    watchers = Watchers(Transport(run, watch, [], 1), steps, lambda: transport.wake("**"))
-    transport.join(RECORDER, set())
-    ends = _Ends(transport, steps.nodes)
-    finished: Finished | None = None
-    latest: dict[int, int] = {}
-    leaving: dict[int, int] = {}
-    topics: set[str] = set()
-    while finished is None or not _complete(finished, latest, ends.silent):
-        received, is_woken = transport.receive_all("**")
-        kept = list(_to_be_kept(received, steps.nodes, topics))
-        recorder.record(kept)
-        watchers.tell(kept)
-        # Kept as it came is also what somebody says who obeys no rule; it changes nothing here.
-        for name, data in kept:
-            with suppress(*UNREADABLE, MalformedMessage):
-                if name.startswith("estimate/"):
-                    latest[int(name.partition("/")[2])] = _estimated.decode(data).step
-                elif name == "event":
-                    leaving |= _leaving(decode(name, data))
-        for name, data in received:
-            finished = _finished(name, data) or finished
-        for out in [i for i, step in leaving.items() if step < 0 or latest.get(i) == step]:
-            # Who leaves on command may end now: nothing that it has said will be lost.
-            transport.send(f"recorded/{out}", b"{}")
-            del leaving[out]
-        if is_woken:
-            ends.look()
-            watchers.look()
-    recorder.close()
-    transport.send("end", END)
-    watchers.close()
-    transport.close()
-
-
-def _to_be_kept(
-    received: Sequence[tuple[str, bytes]], nodes: int, topics: set[str]
-) -> Iterator[tuple[str, bytes]]:
-    """Those of messages (topic, bytes) that are recorded, under the names that they have there;
-    `topics` are names that were looked at before, and are added to."""
-    for name, data in received:
-        if name not in topics:
-            if name.partition("/")[0] in _UNRECORDED or _finished(name, data):
-                continue
-            # Of names there is no end; of channels in a file there is.
-            if not is_topic(name, nodes):
-                yield STRANGE, data
-                continue
-            topics.add(name)
-        yield name, data
-
-
-def _finished(name: str, data: bytes) -> Finished | None:
-    """What the world says at the end; None where a message is anything else."""
-    if name == "finished":
-        with suppress(*UNREADABLE):
-            return msgspec.json.decode(data, type=Finished)
-    return None
-
-
-class _Ends:
-    """Nodes whose last word has come, as they are gone."""
-
-    def __init__(self, transport: Transport, nodes: int) -> None:
-        self._nodes = nodes
-        self.silent: set[int] = set()
-        self._transport = transport
-        self._seen: deque[tuple[int, bool]] = deque()
-        transport.watch(self._see)
-
-    def _see(self, name: str, is_there: bool) -> None:
-        """In zenoh's thread; what the node said before is ahead of our call in the queue."""
-        node = node_of(name, self._nodes)
-        if node is not None:
-            self._seen.append((node, is_there))
-            self._transport.wake("**")
-
-    def look(self) -> None:
-        """All that came before a call has been heard."""
-        while self._seen:
-            node, is_there = self._seen.popleft()
-            (self.silent.discard if is_there else self.silent.add)(node)
-
-
-def _leaving(event: Event) -> dict[int, int]:
-    """Who leaves on command, and the last step that it has estimated."""
-    return {event.change.node: event.step - 1} if isinstance(event.change, Left) else {}
-
-
-def _complete(finished: Finished, latest: dict[int, int], silent: set[int]) -> bool:
-    """Whether the last estimate of every node has come that may still say something."""
-    members = (node for node in finished.members if node not in silent)
-    return all(latest.get(node) == finished.step for node in members)
+            self.said.say(topic(message), encode(message))

@@ -18,6 +18,7 @@ from nodes.clock import WorldClock
 from nodes.command_checks import check_timely
 from nodes.commands import Answer, Kill, Restart, Speed, read_command
 from nodes.conductor import Conductor, Scripted, Stage
+from nodes.failures import Deserted, Disagreement
 from nodes.links import RECORDER, WORLD, Links
 from nodes.management import Management
 from nodes.messages import (
@@ -33,30 +34,28 @@ from nodes.messages import (
     topic,
 )
 from nodes.metronome import Metronome, tell_on_time
-from nodes.notices import Asked, Hello, Notice, Presence, Recorded, State
+from nodes.notices import Asked, Hello, Notice, Presence, Recorded, Repeated
 from nodes.overflow import Overflow
-from nodes.process import Finished
+from nodes.patience import Patience
+from nodes.said import AGAIN, Said
 from nodes.tempo import Tempo
 from nodes.world import WorldConfig
 from nodes.world_timetable import Beat, timetable
+from nodes.world_words import in_words, last_words, standing, waits_for
 from nodes.zenoh_transport import Transport
 
 WORLD_QUEUE = 8192
 _ANSWER_S = 5.0
+# A run that nobody records ends after so long; on several hosts its link may come back any time.
+_PATIENCE_S = 60.0
+# What may be under way to a recorder that is slow.
+_KEPT = 32_768
 # How often the world says for whom it waits.
 _TELL_S = 10.0
 _FINGERPRINT = re.compile(rb"[0-9a-f]{64}")
 _NOT_OURS = "nodes run on hosts of their own; end and start `concord node` there"
 # From the announcement of the common start to the start: every node must have heard it.
 _HEAD_START_S = 0.2
-
-
-class Disagreement(Exception):
-    """A node was started with another configuration than the world."""
-
-
-class Deserted(Exception):
-    """Every node is gone."""
 
 
 def run_world(
@@ -104,6 +103,7 @@ class _Office:
             config = dataclasses.replace(config, lead=config.steps)
         self._conductor = Conductor(config, script, stage, tempo is not None)
         self._start_s: float | None = None
+        self._patience = Patience(RECORDER, _PATIENCE_S) if management.keeps_nodes else None
         self._notices: SimpleQueue[Notice] = SimpleQueue()
         self._source = "estimate/*"
         self._ended = threading.Event()
@@ -115,6 +115,9 @@ class _Office:
         self._transport.listen("hello/*", self._hear_hello)
         self._transport.listen("recorded/*", self._hear_recorded)
         self._transport.listen("unreachable/*", self._hear_unreachable)
+        for kind in ("bid", "estimate", "hello"):
+            self._transport.listen(f"{AGAIN}/{kind}/*", self._hear_again)
+        self._said = Said(self._transport, "the world", "truth", _KEPT, self._waiting)
         self._transport.answer("state", self._state)
         self._transport.answer("clock", self._clock)
         self._transport.answer("control", self._ask)
@@ -125,11 +128,11 @@ class _Office:
         self._transport.join(WORLD, ())
         self._await_all([RECORDER, *nodes])
         self._transport.watch(self._hear_of_presence)
-        for node in nodes:
+        for name in self._transport.missing([RECORDER, *nodes]):
             # Who was gone again before we watched.
-            if not self._transport.await_present({node}, 0):
-                self._hear_of_presence(node, False)
+            self._hear_of_presence(name, False)
         self._await_hellos()
+        self._said.begin()
         self._begun = True
         self._management.on_step(0)
         conductor, completed = self._conductor, 0
@@ -142,15 +145,11 @@ class _Office:
                 completed = conductor.state.completed
                 self._management.on_step(completed)
         self._metronome.set(0)
-        # In real time the others may still be on their way, or lost.
-        last = conductor.config.steps - 1
-        latest = conductor.state.latest.values()
-        members = sorted(estimate.node for estimate in latest if estimate.step == last)
-        finished = Finished(last, members)
-        self._transport.send("finished", msgspec.json.encode(finished))
+        self._said.say("finished", last_words(conductor.config, conductor.state))
         self._queues.out = True
         self._ended.wait()
         self._queues.close()
+        self._said.close()
         self._transport.close()
 
     def _announce(self, tempo: Tempo) -> list[WorldMessage]:
@@ -165,7 +164,7 @@ class _Office:
         """Wait for everybody, and say for whom."""
         while not self._transport.await_present(names, _TELL_S):
             missing = self._transport.missing(names)
-            sys.stderr.write(f"the world waits for {', '.join(map(_in_words, missing))}\n")
+            sys.stderr.write(f"the world waits for {in_words(missing)}\n")
 
     def _await_hellos(self) -> None:
         missing = set(range(self._nodes))
@@ -195,7 +194,12 @@ class _Office:
         self._source = "bid/*" if bids else "estimate/*"
         if self._notices.empty():
             return self._queues.receive((self._source,)) or self._queues.take()
-        self._attend(self._notices.get())
+        notice = self._notices.get()
+        if isinstance(notice, Repeated):
+            # What has come before changes nothing, and is no mistake.
+            self._send(conductor.take(notice.event))
+        else:
+            self._attend(notice)
         return []
 
     def _take(self, name: str, data: bytes) -> None:
@@ -307,8 +311,10 @@ class _Office:
     def _send(self, messages: Sequence[WorldMessage]) -> None:
         for message in messages:
             # A link that stands still must not hold up who keeps time.
-            waits = self._tempo is None or isinstance(message, Welcome)
-            say = self._transport.send if waits else self._transport.offer
+            say = self._said.say
+            if self._tempo is not None:
+                waits = isinstance(message, Welcome)
+                say = self._transport.send if waits else self._transport.offer
             say(topic(message), encode(message))
 
     def _refuse(self, why: str) -> None:
@@ -324,6 +330,20 @@ class _Office:
         if not self._conductor.finished:
             self._transport.wake(self._source)
 
+    def _hear_again(self, name: str, data: bytes) -> None:
+        said = name.partition("/")[2]
+        if said.startswith("hello/"):
+            # Later it would be that of a node's next life.
+            return None if self._begun else self._hear_hello(said, data)
+        try:
+            self._notify(Repeated(decode(said, data)))
+        except MalformedMessage as error:
+            self._refuse(str(error))
+
+    def _waiting(self) -> str:
+        conductor = self._conductor
+        return waits_for(conductor.config, conductor.state, timed=self._tempo is not None)
+
     def _hear_end(self, _name: str, data: bytes) -> None:
         # Nobody has kept everything before everything was said.
         if data == END and self._conductor.finished:
@@ -332,6 +352,9 @@ class _Office:
             self._refuse(f"topic 'end' carried {data[:60]!r} before the end")
 
     def _hear_of_presence(self, name: str, is_there: bool) -> None:
+        self._said.see(name, is_there)
+        if self._patience is not None:
+            self._patience.see(name, is_there)
         node = node_of(name, self._nodes)
         if node is not None:
             self._notify(Presence(node, is_there))
@@ -373,23 +396,5 @@ class _Office:
         return msgspec.json.encode(WorldClock(time.monotonic(), self._start_s))
 
     def _state(self, _payload: bytes) -> bytes:
-        conductor = self._conductor
-        state = conductor.state
-        return msgspec.json.encode(
-            State(
-                self._run,
-                msgspec.Raw(self._management.setup),
-                self._begun,
-                state.completed,
-                state.released,
-                conductor.paused,
-                conductor.steps_per_second,
-                world.members(conductor.config, state),
-                state.standing,
-                len(self._refused),
-            )
-        )
-
-
-def _in_words(name: str) -> str:
-    return f"node {name}" if name.isdecimal() else f"the {name}"
+        setup, refused = self._management.setup, len(self._refused)
+        return standing(self._run, setup, self._conductor, begun=self._begun, refused=refused)

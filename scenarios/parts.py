@@ -11,16 +11,18 @@ from pathlib import Path
 import msgspec
 
 from nodes.disk import NotWritten
+from nodes.failures import Deserted, Disagreement
 from nodes.links import RECORDER, WATCH, Links, peers_of
 from nodes.management import Management
 from nodes.membership import Membership
 from nodes.node_state import NodeConfig
-from nodes.process import run_node, run_recorder
+from nodes.process import run_node
 from nodes.realtime_process import run_node_in_real_time
+from nodes.recorder_process import run_recorder
 from nodes.recording import McapRecorder
 from nodes.supervisor import TRY_AGAIN
 from nodes.whole_steps import WholeSteps
-from nodes.world_process import Deserted, Disagreement, run_world
+from nodes.world_process import run_world
 from nodes.zenoh_transport import LinkError, start_router
 from scenarios.build import build_world
 from scenarios.job import Happened, Job, Order

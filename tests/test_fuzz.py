@@ -12,7 +12,7 @@ from benchmarks.running import PROC, Running, neighbouring_ports
 from nodes.commands import Answer, Speed
 from nodes.links import RECORDER, WATCH, WORLD, Links, names
 from nodes.messages import END
-from nodes.process import STRANGE
+from nodes.recorder_process import STRANGE
 from nodes.recording import read_recording
 from nodes.world_process import WORLD_QUEUE
 from nodes.zenoh_transport import Transport
@@ -52,7 +52,7 @@ def test_malformed_messages_are_all_counted_and_change_no_bit():
 # Megabytes that a full queue takes, of messages that nobody takes out.
 FULL = """
 from benchmarks.running import memory_mb
-from nodes.process import RECORDER_QUEUE
+from nodes.recorder_process import RECORDER_QUEUE
 from nodes.zenoh_transport import Transport
 port = f"tcp/127.0.0.1:{free_ports(['full'])['full']}"
 def talk():

@@ -96,7 +96,8 @@ def test_the_world_refuses_a_node_with_another_configuration(tmp_path: Path):
     text = """
 import signal
 from pathlib import Path
-from nodes.process import run_node, run_recorder
+from nodes.process import run_node
+from nodes.recorder_process import run_recorder
 from nodes.world_process import run_world
 from nodes.recording import McapRecorder
 from nodes.management import Management

@@ -1,0 +1,123 @@
+"""Links that break while messages are under way: whatever is lost is said again, or it is told."""
+
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from experiments.agree_command import first_difference
+from experiments.drivers import in_this_process
+from experiments.trace import Trace
+from nodes.links import RECORDER, WORLD, free_ports, names
+from nodes.recording import read_recording
+from scenarios.setup import Setup
+from tests.experiments.support import small, trace_of
+from tests.processes import PROC, Family, family
+from tests.relay import Relay
+
+pytestmark = [
+    pytest.mark.zenoh,
+    pytest.mark.skipif(not PROC.is_dir(), reason="finds processes in /proc, which is not there"),
+]
+
+NETWORK = """
+import os, sys
+from functools import partial
+from pathlib import Path
+import msgspec
+from nodes.links import *
+from nodes.management import Management
+from nodes.membership import Membership
+from nodes.process import run_node
+from nodes.recorder_process import run_recorder
+from nodes.recording import McapRecorder
+from nodes.supervisor import Supervisor
+from nodes.whole_steps import WholeSteps
+from nodes.world_process import run_world
+from scenarios.build import build_node, build_world
+from scenarios.setup import Setup, fingerprint
+setup = msgspec.json.decode(Path("setup.json").read_bytes(), type=Setup)
+mark, count = fingerprint(setup), setup.scenario.nodes
+links = plan_links(setup.neighbours, {ports})
+one, old, new = {detour}
+links[one] = links[one]._replace(connect=tuple(new if c == old else c for c in links[one].connect))
+supervisor, (quiet, hold) = Supervisor(), os.pipe()
+def tell(step):
+    os.write(1, f"{{step}}\\n".encode())
+def record():
+    recorder = McapRecorder(Path("run.mcap"), setup.scenario.rounds, setup.time_step_s)
+    run_recorder("broken", links[RECORDER], links[WATCH], recorder, WholeSteps(count, 3))
+def be(i):
+    peers = peers_of(i, setup.neighbours)
+    run_node(Membership("broken", links[str(i)], build_node(setup, i), peers, mark))
+supervisor.start(RECORDER, record)
+management = Management(None, None, None, tell, b"{{}}")
+world = partial(run_world, "broken", links[WORLD], build_world(setup), mark, management)
+supervisor.start(WORLD, world)
+for i in range(count):
+    supervisor.start(str(i), partial(be, i))
+for name, pid in supervisor.pids.items():
+    os.write(1, f"{{name}} {{pid}}\\n".encode())
+while (ended := supervisor.wait(quiet)).name != RECORDER:
+    if ended.code:
+        sys.stderr.write(f"{{ended.name}} ended with {{ended.code}}\\n")
+supervisor.stop(1.0)
+sys.exit(ended.code)
+"""
+
+
+@contextmanager
+def network(setup: Setup, folder: Path, one: str, other: str) -> Iterator[tuple[Family, Relay]]:
+    """A network in which the link from one process to another goes through a relay."""
+    import msgspec
+
+    (folder / "setup.json").write_bytes(msgspec.json.encode(setup))
+    ports = free_ports(names(setup.neighbours))
+    relay = Relay(ports[other])
+    detour = (one, f"tcp/127.0.0.1:{ports[other]}", f"tcp/127.0.0.1:{relay.port}")
+    script = NETWORK.format(ports=ports, detour=detour)
+    try:
+        with family([sys.executable, "-c", script], folder) as run:
+            yield run, relay
+    finally:
+        relay.close()
+
+
+def reference(setup: Setup, folder: Path) -> Trace:
+    file = folder / "reference.mcap"
+    in_this_process(setup, "reference", file, None, lambda step: None)
+    return trace_of(setup, file)
+
+
+def await_step(run: Family, step: int) -> None:
+    """Until the network has completed a step."""
+    assert run.process.stdout is not None
+    while line := run.process.stdout.readline():
+        if line.strip().isdecimal() and int(line) >= step:
+            return
+    raise AssertionError(run.process.stderr.read())  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(("one", "other"), [("2", "1"), ("2", RECORDER), (WORLD, RECORDER)])
+def test_what_a_broken_link_has_lost_is_said_again(tmp_path: Path, one: str, other: str):
+    """Three times what is under way on a link is lost with it."""
+    setup = small(steps=600)
+    with network(setup, tmp_path, one, other) as (run, relay):
+        for step in (100, 250, 400):
+            await_step(run, step)
+            relay.lose()
+            time.sleep(0.02)
+            relay.cut()
+        code, _, err = run.end(30)
+        assert (code, err) == (0, "")
+        assert relay.lost > 0
+        assert run.gone_within(1)
+    said = list(read_recording(tmp_path / "run.mcap"))
+    assert len(said) == len(set(said))
+    file = tmp_path / "reference.mcap"
+    trace = trace_of(setup, tmp_path / "run.mcap")
+    assert first_difference(reference(setup, tmp_path), trace, "broken") is None
+    assert sorted(said) == sorted(read_recording(file))
