@@ -158,7 +158,10 @@ class Books:
         if end != page.end_cycle:
             page.end_cycle = end
             due = [one for one in page.early if one[2][1] < end]
-            page.early = [one for one in page.early if one[2][1] >= end]
+            # Once a step is open it is known in whose slots frames of later ones must be.
+            later = [one for one in page.early if one[2][1] >= end]
+            page.early = [one for one in later if one[1] is not None]
+            page.counts["rejected"] += len(later) - len(page.early)
             for sender, sent, _ in due:
                 self._file(config, page, sender, sent)
         page.cycle, page.group, page.phase = state.cycle, state.group, state.phase
@@ -226,7 +229,7 @@ class Books:
 
     def _book_spoof(self, page: Page, sender: int, sent: Sent, key: Key) -> None:
         """A sound frame of somebody else, who sent it in a slot of its own."""
-        if sent.cycle < page.end_cycle:
+        if sent.cycle < page.end_cycle or page.phase is not Phase.MEASUREMENT:
             page.counts["rejected"] += 1
         elif any(key == other for *_, other in page.early):
             page.counts["repeated"] += 1

@@ -135,6 +135,11 @@ def test_a_planted_bug_is_found(name: str):
         assert torture(draw_case(seed, {})).broken is not None
 
 
+def test_the_books_know_when_it_is_known_whose_slot_a_frame_is_in():
+    """A frame of a later step, of somebody in whose slot it is not, comes while one is open."""
+    assert torture(draw_case(228, {})).broken is None
+
+
 @pytest.mark.parametrize("bug", BUGS, ids=lambda bug: bug.name)
 def test_every_bug_can_be_planted(bug: Bug):
     """What it changes stands where it says, so that whoever rewrites a function sees it."""

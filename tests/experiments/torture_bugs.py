@@ -73,6 +73,15 @@ BUGS = (
         "bus.frame", "decode", (("if not frame_crc_ok:", "if False:"),),
     ),
     Bug(
+        "the checksum of a frame that is due is not checked",
+        "nodes.share", "whole_body", (("and is_intact(frame)", ""),),
+    ),
+    Bug(
+        "a frame that is due is that of any cycle",
+        "nodes.share", "whole_body",
+        (("frame.startswith(start)", "frame.startswith(shape.header[:2])"),),
+    ),
+    Bug(
         "a null frame is read",
         "nodes.share", "read_frame", (("if frame.null:", "if False:"),),
     ),
