@@ -138,7 +138,13 @@ def test_who_may_look_on_and_who_may_command_a_guarded_network(
         there.concord("node", setup, 0, 1, 2, 3, *joining)
         there.concord("world", setup, *joining, "--out", tmp_path / "run")
         monitor, operator = (("--keys", str(keys / f"{who}.json")) for who in (MONITOR, OPERATOR))
-        assert holds_within(30, lambda: "nodes 0 1 2 3" in control("state", *monitor)[1])
+
+        def runs() -> bool:
+            # Who takes part is told before the first step, and commands are obeyed from it on.
+            said = control("state", *monitor)[1]
+            return "nodes 0 1 2 3" in said and ": 0 steps done" not in said
+
+        assert holds_within(30, runs)
         assert control("pause", *operator) == (0, "accepted\n")
         code, said = control("resume", *monitor)
         assert code == 2 and "may these keys not?" in said
