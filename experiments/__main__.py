@@ -8,11 +8,11 @@ def main(arguments: list[str] | None = None) -> None:
     """Load the command line and run it."""
     # Before anything imports numpy: results must not depend on how many threads share a sum.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # While we load there is nothing to clean up, and a traceback would tell nobody anything.
+    # While we load there is nothing to clean up, and a traceback would tell nobody anything; when
+    # the command is loaded, Ctrl-C is an exception again.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     from experiments.command_line import main as run_command_line
 
-    signal.signal(signal.SIGINT, signal.default_int_handler)
     run_command_line(arguments)
 
 

@@ -48,10 +48,13 @@ def main(arguments: list[str] | None = None) -> None:
     141 if whoever reads what it prints has gone."""
     arguments = sys.argv[1:] if arguments is None else arguments
     try:
+        commands = _commands(arguments[:1])
+        # From here on there is something to clean up.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         # A polite end is an interruption: whatever cleans up after Ctrl-C cleans up then too.
         signal.signal(signal.SIGTERM, _interrupt)
         with standard_output():
-            _commands(arguments[:1]).cli(
+            commands.cli(
                 prog="concord",
                 description="Distributed consensus sensor networks on a FlexRay bus.",
                 args=arguments,

@@ -1,4 +1,4 @@
-"""Every command of README.md and docs/topology.md runs as it is printed.
+"""Every command of README.md and of the pages on graphs and buses runs as it is printed.
 
 Commands are the lines of its ```sh blocks. They run one after the other in a folder that looks like
 a checkout with nothing in `runs/` yet, in the project's environment, as a reader would do it.
@@ -12,7 +12,10 @@ import pytest
 from tests.pages import ROOT, commands, link_checkout, run_as_reader
 
 README = ROOT / "README.md"
-PAGES = (README, ROOT / "docs/topology.md")
+PAGES = (
+    README,
+    *(ROOT / f"docs/{name}.md" for name in ("topology", "bus", "measurement_bus")),
+)
 COMMANDS = [command for page in PAGES for command in commands(page.read_text(encoding="utf-8"))]
 
 
@@ -25,8 +28,15 @@ def test_the_readme_has_commands():
     assert COMMANDS, "README.md has no ```sh block: print the commands that a reader should try"
 
 
+# The whole study of a paper takes a minute.
+STUDY = "concord reproduce meng2025 --runs 200"
+
+
 @pytest.mark.zenoh
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(
+    "command",
+    [pytest.param(c, marks=pytest.mark.slow if c.startswith(STUDY) else ()) for c in COMMANDS],
+)
 def test_a_command_of_the_readme_runs(command: str, checkout: Path):
     run_as_reader(command, checkout)
 
