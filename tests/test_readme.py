@@ -28,15 +28,8 @@ def test_the_readme_has_commands():
     assert COMMANDS, "README.md has no ```sh block: print the commands that a reader should try"
 
 
-# The whole study of a paper takes a minute.
-STUDY = "concord reproduce meng2025 --runs 200"
-
-
 @pytest.mark.zenoh
-@pytest.mark.parametrize(
-    "command",
-    [pytest.param(c, marks=pytest.mark.slow if c.startswith(STUDY) else ()) for c in COMMANDS],
-)
+@pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_of_the_readme_runs(command: str, checkout: Path):
     run_as_reader(command, checkout)
 
