@@ -25,6 +25,9 @@ _ONE_THREAD = (
 # full queue stands still for ever.
 _TWO_THREADS = _ONE_THREAD.replace("tx:(handover:app)", "tx:(worker_threads:1)")
 _LEASE_MS = 2000
+# Whoever sends more at once (zenoh would put together up to 1 GiB) says nothing. A large network's
+# description takes some MB.
+_MOST_BYTES = 1 << 26
 # So many messages are taken from a queue together at most.
 _AT_ONCE = 256
 
@@ -49,6 +52,7 @@ def _config(links: Links) -> zenoh.Config:
         "scouting/gossip/enabled": False,
         "scouting/delay": 0,
         "transport/shared_memory/enabled": False,
+        "transport/link/rx/max_message_size": _MOST_BYTES,
         "transport/link/tx/lease": _LEASE_MS,
         "transport/link/tx/keep_alive": 4,
         # What may be lost waits so long for room, once; then it is, until there is room again.

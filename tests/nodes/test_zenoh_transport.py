@@ -167,6 +167,31 @@ def test_a_full_queue_hides_nothing_that_is_waited_for(tmp_path: Path):
     assert said_by(FULL_QUEUE, tmp_path) == ["3000 True"]
 
 
+HUGE = """
+from nodes.zenoh_transport import Transport
+port = f"tcp/127.0.0.1:{free_ports(['huge'])['huge']}"
+def talk():
+    transport = Transport("huge", Links("peer", (), (port,), 10.0), [], 8)
+    transport.join("talks", ["listens"])
+    for size in (1, 1 << 20, 70_000_000, 2):
+        transport.send("many", bytes(size))
+    time.sleep(20)
+def listen():
+    transport = Transport("huge", Links("peer", (port,), ()), ["many"], 8)
+    transport.join("listens", ["talks"])
+    say(*(len(transport.receive("many")[1]) for _ in range(3)))
+supervisor.start("talks", talk)
+supervisor.start("listens", listen)
+supervisor.wait(quiet)
+supervisor.stop()
+"""
+
+
+def test_what_is_too_much_for_any_memory_is_not_put_together(tmp_path: Path):
+    """The link stays, and the next message comes."""
+    assert said_by(HUGE, tmp_path) == [f"1 {1 << 20} 2"]
+
+
 # A thread may still look for messages when its process ends, and with it the session.
 LEAVING = """
 from nodes.zenoh_transport import Transport
