@@ -8,9 +8,11 @@ step by step (`Timing`).
 """
 
 import dataclasses
+import threading
 import time
 from collections.abc import Sequence
-from queue import Empty, Queue
+from contextlib import suppress
+from queue import Empty, Full, Queue
 
 import msgspec
 
@@ -40,7 +42,7 @@ from nodes.share import cycle_of
 from nodes.tempo import Tempo
 from nodes.zenoh_transport import Transport
 
-_QUEUE, _MAILBOX = 16, 65_536
+_MAILBOX = 65_536
 # Whoever asks to be let in again does not ask twice in this time.
 _ASK_AGAIN_S = 1.0
 
@@ -66,8 +68,7 @@ def run_node_in_real_time(membership: Membership, tempo: Tempo) -> None:
     if begun:
         player.enter()
     player.play()
-    while transport.receive("end") != ("end", END):
-        pass
+    player.ended.wait()
     transport.close()
 
 
@@ -99,11 +100,26 @@ class _Player:
         self._alone = False
         self._asked_s = 0.0
         self._first_step = 0
-        self.transport = Transport(membership.run, membership.links, ["start", "end"], _QUEUE)
+        self._started, self.ended = threading.Event(), threading.Event()
+        self.transport = Transport(membership.run, membership.links, [], 1)
+        self.transport.listen("start", lambda name, data: self._started.set())
+        self.transport.listen("end", self._hear_end)
         index = config.index
         own = [f"measured/{index}", "grant", "gone", f"gone/{index}", f"welcome/{index}"]
         for name in (*own, *(f"share/{j}" for j in config.neighbours)):
-            self.transport.listen(name, lambda name, data: self._mailbox.put((name, data)))
+            self.transport.listen(name, self._hear)
+
+    def _hear(self, name: str, data: bytes) -> None:
+        """In zenoh's thread: what is too much is lost, as all else would have to wait behind it."""
+        with suppress(Full):
+            self._mailbox.put_nowait((name, data))
+
+    def _hear_end(self, name: str, data: bytes) -> None:
+        """In zenoh's thread."""
+        if data == END:
+            self.ended.set()
+        else:
+            self._hear(name, data)
 
     def enter(self) -> None:
         """Begin in a network that runs: wait to be let in, and with which belief."""
@@ -138,7 +154,8 @@ class _Player:
             if clock is not None and clock.start_s is not None:
                 return clock.start_s
             # Who is there from the beginning on is told.
-            self.transport.receive("start")
+            self._started.wait()
+            self._started.clear()
 
     def _ask_clock(self) -> WorldClock | None:
         answer = self.transport.ask("clock")

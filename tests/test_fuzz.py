@@ -12,12 +12,14 @@ from benchmarks.running import PROC, Running, neighbouring_ports
 from nodes.commands import Answer, Speed
 from nodes.links import RECORDER, WATCH, WORLD, Links, names
 from nodes.messages import END
+from nodes.recorded import meaning
 from nodes.recorder_process import STRANGE
 from nodes.recording import read_recording
 from nodes.world_process import WORLD_QUEUE
 from nodes.zenoh_transport import Transport
 from scenarios.catalogue import kind_of
-from scenarios.setup import prepare
+from scenarios.setup import Setup, prepare
+from scenarios.tempo import tempo_of
 from tests.nodes.test_zenoh_transport import said_by
 from tests.processes import holds_within
 
@@ -27,12 +29,17 @@ pytestmark = [
 ]
 
 
+def two_nodes(steps: int) -> tuple[Setup, dict[str, int]]:
+    """A network of two, and its ports."""
+    wanted = {"nodes": 2, "graph": "path", "steps": steps}
+    setup = prepare(msgspec.structs.replace(kind_of("oscillator").defaults, **wanted))
+    return setup, neighbouring_ports(names(setup.neighbours))
+
+
 @contextmanager
 def pair(folder: Path) -> Iterator[tuple[Running, dict[str, int]]]:
     """A slow network of two nodes, and its ports; it must end in order."""
-    wanted = {"nodes": 2, "graph": "path", "steps": 200}
-    setup = prepare(msgspec.structs.replace(kind_of("oscillator").defaults, **wanted))
-    ports = neighbouring_ports(names(setup.neighbours))
+    setup, ports = two_nodes(200)
     running = Running(setup, "pair", folder, min(ports.values()))
     running.client.command(Speed(20.0))
     try:
@@ -169,3 +176,16 @@ def test_what_waits_for_the_recorder_takes_little(tmp_path: Path):
     """Messages of one byte, each of which zenoh keeps in the buffer in which it came."""
     (said,) = said_by(FULL, tmp_path)
     assert int(said) <= 100
+
+
+def test_in_real_time_nobody_is_deaf_for_what_was_said_long_ago(tmp_path: Path):
+    """The start is told once: of whatever comes later nobody may have to wait for the end."""
+    setup, ports = two_nodes(30)
+    running = Running(setup, "pair", tmp_path, min(ports.values()), tempo_of(setup, None))
+    intruder = stranger(ports, "0")
+    for _ in range(100):
+        intruder.send("start", b"no start")
+    assert running.ended_within(60) and running.failure is None
+    intruder.close()
+    told = [meaning(topic, data, 2) for topic, data in running.recorded() if topic == "estimate/0"]
+    assert told[-1].step == 29
