@@ -41,8 +41,8 @@ NODE_QUEUE = 1024
 _LINK_S = 5.0
 # A link that was away for so long is not waited for any more, and nor is who was behind it.
 _GRACE_S = 2.0
-# A hundred steps and more: what may be under way to a recorder that is slow.
-_KEPT = 1024
+# Some steps more than others may be behind.
+_KEPT = 256
 
 
 def run_node(membership: Membership) -> None:

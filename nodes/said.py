@@ -25,6 +25,9 @@ from nodes.zenoh_transport import Transport
 AGAIN, KEEP = "again", "keep"
 # Who has said nothing for so long says the last again: at first, and later.
 _AGAIN_S, _AT_MOST_S = 1.0, 10.0
+# What was said in the last seconds may be under way: a link that stands still for longer than the
+# lease is broken.
+_UNDER_WAY_S = 6.0
 # How often somebody says for whom it waits.
 _TELL_S = 10.0
 # What was said in a former life of a node is for the recorder alone.
@@ -35,14 +38,17 @@ class Said:
     """Says what others wait for, and says it again.
 
     `last` is the kind of message of which there is one in each step, `kept` how many messages are
-    kept, `waiting()` says in words for whom this process waits, or nothing.
+    kept at least, `waiting()` says in words for whom this process waits, or nothing.
     """
 
     def __init__(
         self, transport: Transport, who: str, last: str, kept: int, waiting: Callable[[], str]
     ) -> None:
         self._transport, self._who, self._last, self._waiting = transport, who, last, waiting
-        self._kept: deque[tuple[str, bytes]] = deque(maxlen=kept)
+        self._kept: deque[tuple[str, bytes]] = deque()
+        self._at_least, self._dropped = kept, 0
+        # How much had been said when.
+        self._marks: deque[tuple[float, int]] = deque()
         # A repetition comes after what it repeats.
         self._order = threading.Lock()
         self._links = threading.Lock()
@@ -100,6 +106,7 @@ class Said:
                 back, self._back = self._back, set()
             if RECORDER in back:
                 self._tell_recorder()
+            self._forget(time.monotonic())
             before, latest = latest, (self._kept[-1] if self._kept else None)
             if latest is not before:
                 since, pause_s, told = time.monotonic(), _AGAIN_S, 0
@@ -127,6 +134,16 @@ class Said:
     def _copy(self) -> deque[tuple[str, bytes]]:
         with self._order:
             return self._kept.copy()
+
+    def _forget(self, now_s: float) -> None:
+        """Drop what has arrived for certain; nothing while the recorder is out of reach."""
+        with self._links, self._order:
+            self._marks.append((now_s, self._dropped + len(self._kept)))
+            while not self._is_cut and self._marks[0][0] < now_s - _UNDER_WAY_S:
+                said = self._marks.popleft()[1]
+                while self._dropped < said and len(self._kept) > self._at_least:
+                    self._kept.popleft()
+                    self._dropped += 1
 
     def _recent(self) -> list[tuple[str, bytes]]:
         """What was said in the last steps, in order."""

@@ -48,8 +48,8 @@ WORLD_QUEUE = 8192
 _ANSWER_S = 5.0
 # A run that nobody records ends after so long; on several hosts its link may come back any time.
 _PATIENCE_S = 60.0
-# What may be under way to a recorder that is slow.
-_KEPT = 32_768
+# Some steps more than others may be behind.
+_KEPT = 16_384
 # How often the world says for whom it waits.
 _TELL_S = 10.0
 _FINGERPRINT = re.compile(rb"[0-9a-f]{64}")

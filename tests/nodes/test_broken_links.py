@@ -1,11 +1,15 @@
 """Links that break while messages are under way: whatever is lost is said again, or it is told."""
 
+import os
+import signal
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import msgspec
+import numpy as np
 import pytest
 
 from experiments.agree_command import first_difference
@@ -70,15 +74,15 @@ sys.exit(ended.code)
 
 
 @contextmanager
-def network(setup: Setup, folder: Path, one: str, other: str) -> Iterator[tuple[Family, Relay]]:
+def network(
+    setup: Setup, folder: Path, one: str, other: str, before: str = ""
+) -> Iterator[tuple[Family, Relay]]:
     """A network in which the link from one process to another goes through a relay."""
-    import msgspec
-
     (folder / "setup.json").write_bytes(msgspec.json.encode(setup))
     ports = free_ports(names(setup.neighbours))
     relay = Relay(ports[other])
     detour = (one, f"tcp/127.0.0.1:{ports[other]}", f"tcp/127.0.0.1:{relay.port}")
-    script = NETWORK.format(ports=ports, detour=detour)
+    script = before + NETWORK.format(ports=ports, detour=detour)
     try:
         with family([sys.executable, "-c", script], folder) as run:
             yield run, relay
@@ -90,6 +94,16 @@ def reference(setup: Setup, folder: Path) -> Trace:
     file = folder / "reference.mcap"
     in_this_process(setup, "reference", file, None, lambda step: None)
     return trace_of(setup, file)
+
+
+def await_pid(run: Family, name: str) -> int:
+    """The process number of somebody, from the beginning of what the network says."""
+    assert run.process.stdout is not None
+    while line := run.process.stdout.readline():
+        who, _, pid = line.strip().partition(" ")
+        if who == name:
+            return int(pid)
+    raise AssertionError(run.process.stderr.read())  # type: ignore[union-attr]
 
 
 def await_step(run: Family, step: int) -> None:
@@ -121,3 +135,82 @@ def test_what_a_broken_link_has_lost_is_said_again(tmp_path: Path, one: str, oth
     trace = trace_of(setup, tmp_path / "run.mcap")
     assert first_difference(reference(setup, tmp_path), trace, "broken") is None
     assert sorted(said) == sorted(read_recording(file))
+
+
+def test_a_node_that_loses_the_world_is_let_in_again(tmp_path: Path):
+    """It was given up, as whoever is dead would be, and its link comes back."""
+    setup = small(steps=600)
+    with network(setup, tmp_path, "2", WORLD) as (run, relay):
+        await_step(run, 100)
+        relay.lose()
+        time.sleep(0.02)
+        relay.cut()
+        code, _, err = run.end(30)
+        assert (code, err) == (0, "")
+    trace = trace_of(setup, tmp_path / "run.mcap")
+    finite = np.isfinite(trace.mean[:, :, 0])
+    assert finite[:, [0, 1, 3]].all()
+    assert not finite[:, 2].all() and finite[-1, 2]
+
+
+def test_a_link_between_nodes_that_stays_away_ends_the_wait(tmp_path: Path):
+    """One of both is given up after the grace, and the others go on to the end."""
+    setup = small(steps=300)
+    with network(setup, tmp_path, "2", "1") as (run, relay):
+        await_step(run, 100)
+        relay.lose()
+        relay.cut(for_good=True)
+        await_step(run, 300)
+        events = [data for topic, data in read_recording(tmp_path / "run.mcap") if topic == "event"]
+        assert any(b'"gone"' in data.lower() for data in events)
+
+
+SHORT = """
+import nodes.said, nodes.world_process
+nodes.said._AGAIN_S = nodes.said._TELL_S = 0.5
+nodes.world_process._PATIENCE_S = 3.0
+"""
+
+
+def test_a_recorder_that_stays_away_is_named_and_ends_the_run(tmp_path: Path):
+    """Nothing is said that nobody would keep; it is no silence, and not for ever."""
+    setup = small(steps=4000)
+    with network(setup, tmp_path, WORLD, RECORDER, SHORT) as (run, relay):
+        await_step(run, 50)
+        relay.lose()
+        relay.cut(for_good=True)
+        run.await_line("the world has waited 1 s for the recorder, which is out of reach", 20)
+        run.await_line("the recorder has been out of reach for 3 s", 20)
+        run.await_line("world ended with 1", 20)
+    assert trace_of(setup, tmp_path / "run.mcap").steps >= 45
+
+
+def test_a_node_that_stands_still_is_named(tmp_path: Path):
+    """Within its lease it is no death: who waits says for whom, until it goes on."""
+    setup = small(steps=600)
+    with network(setup, tmp_path, "2", "1", SHORT) as (run, _):
+        pid = await_pid(run, "3")
+        await_step(run, 50)
+        os.kill(pid, signal.SIGSTOP)
+        run.await_line("the world has waited 1 s for the estimates of step", 10)
+        os.kill(pid, signal.SIGCONT)
+        code, _, _ = run.end(30)
+        assert code == 0
+    trace = trace_of(setup, tmp_path / "run.mcap")
+    assert first_difference(reference(setup, tmp_path), trace, "stopped") is None
+
+
+@pytest.mark.parametrize("victim", ["2", RECORDER])
+def test_who_was_stopped_for_longer_than_the_lease_stops_nobody_for_ever(
+    tmp_path: Path, victim: str
+):
+    setup = small(steps=600)
+    with network(setup, tmp_path, "2", "1") as (run, _):
+        pid = await_pid(run, victim)
+        await_step(run, 100)
+        os.kill(pid, signal.SIGSTOP)
+        time.sleep(4)
+        os.kill(pid, signal.SIGCONT)
+        code, _, err = run.end(30)
+        assert code == 0, err
+    assert trace_of(setup, tmp_path / "run.mcap").steps == 600
