@@ -98,10 +98,13 @@ def reproduce(options: Annotated[ReproduceOptions, tyro.conf.arg(name="")]) -> N
 
 
 def carry_out(paper: str, reproduction: Reproduction, folder: Path) -> Report:
-    """The whole reproduction. The report in `folder` is at every time as far as the work."""
+    """The whole reproduction, section by section on standard error. The report in `folder` is at
+    every time as far as the work."""
     done = []
     for section in reproduction.sections(folder):
         done.append(section)
+        sys.stderr.write(f"done: {section.title}\n")
+        sys.stderr.flush()
         report = report_of(paper, reproduction.seed, done, complete=False)
         _write(report, reproduction, folder)
     report = report_of(paper, reproduction.seed, done, complete=True)

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from experiments.__main__ import main
-from experiments.reproduce_command import REPRODUCTIONS
+from experiments.reproduce_command import REPRODUCTIONS, carry_out
 from experiments.reproduce_report import (
     Check,
     Claim,
@@ -38,6 +38,18 @@ def test_the_report_counts_what_fails():
     assert "1 of 2 checks hold" in text
     assert "- gone" in text
     assert "Seed 7; concord" in text
+
+
+def test_each_section_is_told_when_it_is_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    told = []
+
+    def sections(_folder: Path):
+        for place in (1, 0):
+            yield section(place)
+            told.append(capsys.readouterr().err)
+
+    carry_out("p", Reproduction("Title", 1, sections), tmp_path)
+    assert told == ["done: part 1\n", "done: part 0\n"]
 
 
 NAN = float("nan")
