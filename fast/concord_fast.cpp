@@ -7,7 +7,7 @@ namespace {
 
 constexpr Py_ssize_t STATES = 8, READINGS = 8;
 // Grows with every change of what filters/compiled.py and filters/ukf_compiled.py call.
-constexpr long INTERFACE = 2;
+constexpr long INTERFACE = 3;
 
 PyObject *too_large(Py_ssize_t n, Py_ssize_t m) {
     return PyErr_Format(PyExc_ValueError,
@@ -75,13 +75,19 @@ PyObject *moments(PyObject *, PyObject *const *given, Py_ssize_t count) {
     Py_RETURN_NONE;
 }
 
-PyObject *cross(PyObject *, PyObject *const *given, Py_ssize_t count) {
-    View lower, away, covs;
-    if (count != 4 || !lower.open(given[0], 2, 0, false) || !away.open(given[1], 1, 1, false) ||
-        !covs.open(given[3], 2, 0, true))
+PyObject *expect(PyObject *, PyObject *const *given, Py_ssize_t count) {
+    View first, away, noise, lower, mean, cov, covs;
+    if (count != 11 || !first.open(given[0], 0, 1, false) || !away.open(given[1], 1, 1, false) ||
+        !noise.open(given[5], 0, 2, false) || !lower.open(given[6], 2, 0, false) ||
+        !mean.open(given[8], 1, 0, true) || !cov.open(given[9], 2, 0, true) ||
+        !covs.open(given[10], 2, 0, true))
         return nullptr;
     const Py_ssize_t n = covs.length(0), m = covs.length(1);
-    if (!of_sizes<Cross>(n, m, lower, away, PyFloat_AsDouble(given[2]), covs))
+    const bool plain = given[2] == Py_True;
+    const double weight = PyFloat_AsDouble(given[3]), curvature = PyFloat_AsDouble(given[4]);
+    const double scale = PyFloat_AsDouble(given[7]);
+    if (!of_sizes<Expect>(n, m, first, away, plain, weight, curvature, noise, lower, scale, mean,
+                          cov, covs))
         return too_large(n, m);
     Py_RETURN_NONE;
 }
@@ -148,7 +154,8 @@ PyMethodDef methods[] = {
     {"spread", fast<spread>(), METH_FASTCALL, "mean, cov, reach -> points, lower (or None)"},
     {"moments", fast<moments>(), METH_FASTCALL,
      "first, away, plain, weight, curvature, noise -> mean, cov"},
-    {"cross", fast<cross>(), METH_FASTCALL, "lower, away, scale -> cross_cov"},
+    {"expect", fast<expect>(), METH_FASTCALL,
+     "first, away, plain, weight, curvature, noise, lower, scale -> mean, cov, cross_cov"},
     {"correct", fast<correct>(), METH_FASTCALL,
      "mean, cov, innovation, innovation_cov, cross_cov -> mean, cov, squared"},
     {"cholesky", fast<on_matrices<Factor>>(), METH_FASTCALL, "matrix -> lower"},

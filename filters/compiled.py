@@ -6,6 +6,7 @@ are installed. Results agree to rounding, not to the last bit: all processes of 
 the same.
 """
 
+import functools
 import importlib
 import os
 from types import ModuleType
@@ -15,7 +16,7 @@ import numpy as np
 
 VARIABLE = "CONCORD_KERNELS"
 # Of the functions that are called here, as the kernels know them: `fast/concord_fast.cpp`.
-INTERFACE = 2
+INTERFACE = 3
 
 
 def choose(wish: str) -> ModuleType | None:
@@ -95,4 +96,9 @@ def _on_matrices(kernel: str, matrix: np.ndarray) -> np.ndarray:
 
 def lanes_first(columns: np.ndarray, own: int) -> np.ndarray:
     """Columns (a, b, *lanes) seen as (*lanes, a, b)."""
-    return columns.transpose(*range(own, columns.ndim), *range(own))
+    return columns.transpose(_lanes_then_own(columns.ndim, own))
+
+
+@functools.cache
+def _lanes_then_own(axes: int, own: int) -> tuple[int, ...]:
+    return (*range(own, axes), *range(own))

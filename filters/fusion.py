@@ -56,7 +56,7 @@ class Averaging(NamedTuple):
 
         Numbers of weight zero may be anything, NaN included.
         """
-        if not weights.all():
+        if np.count_nonzero(weights) < weights.size:
             # 0 * NaN would let them through.
             numbers = np.where((weights == 0)[..., None], 0.0, numbers)
         return self.conclude(multiply(numbers.mT, weights), origin)

@@ -18,10 +18,13 @@ def predict(
     residual: Residual,
 ) -> Gaussian:
     """As `ukf.predict`."""
+    lanes, n = belief.mean.shape[:-1], belief.mean.shape[-1]
     points = _spread(belief, rule, None)
-    values = evaluate(transition, points, belief.mean.shape[-1], "transition")
-    mean, cov, _ = _moments(values, noise_cov, rule, residual)
-    return Gaussian(mean, cov)
+    values = evaluate(transition, points, n, "transition")
+    first, away, plain = _differences(values, rule, residual)
+    mean, cov, weight = np.empty((n, *lanes)), np.empty((n, n, *lanes)), rule.cov_weights.item(-1)
+    KERNELS.moments(first, away, plain, weight, rule.curvature, noise_cov, mean, cov)
+    return Gaussian(lanes_first(mean, 1), lanes_first(cov, 2))
 
 
 def expect(
@@ -40,10 +43,15 @@ def expect(
     factor = np.empty((n, n, *lanes))
     points = _spread(belief, rule, factor)
     values = evaluate(measure, points, m, "measure")
-    predicted, cov, away = _moments(values, noise_cov, rule, residual)
+    first, away, plain = _differences(values, rule, residual)
+    predicted, cov = np.empty((m, *lanes)), np.empty((m, m, *lanes))
     cross_cov = np.empty((n, m, *lanes))
-    KERNELS.cross(factor, away, rule.cov_weights.item(-1) * rule.reach, cross_cov)
-    return predicted, cov, lanes_first(cross_cov, 2)
+    weight = rule.cov_weights.item(-1)
+    KERNELS.expect(
+        *(first, away, plain, weight, rule.curvature, noise_cov, factor, weight * rule.reach),
+        *(predicted, cov, cross_cov),
+    )
+    return lanes_first(predicted, 1), lanes_first(cov, 2), lanes_first(cross_cov, 2)
 
 
 def correct(
@@ -63,18 +71,15 @@ def _spread(belief: Gaussian, rule: SigmaPointRule, factor: np.ndarray | None) -
     check_rule(rule, n)
     points = np.empty((n, len(rule.unit_points), *lanes))
     KERNELS.spread(*belief, rule.reach, points, factor)
-    return points.transpose(*range(1, points.ndim), 0)
+    return lanes_first(points, 1)
 
 
-def _moments(
-    values: np.ndarray, noise_cov: np.ndarray, rule: SigmaPointRule, residual: Residual
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean (..., m), cov (..., m, m), and what the differences of opposite points are taken of."""
-    axes, lanes, m = 2 * rule.unit_points.shape[1], values.shape[1:-1], values.shape[-1]
-    first, away, plain = values[0], values[-axes:], residual is np.subtract
-    if not plain:
-        away = residual(away, first)
-    mean, cov = np.empty((m, *lanes)), np.empty((m, m, *lanes))
-    weight = rule.cov_weights.item(-1)
-    KERNELS.moments(first, away, plain, weight, rule.curvature, noise_cov, mean, cov)
-    return lanes_first(mean, 1), lanes_first(cov, 2), away
+def _differences(
+    values: np.ndarray, rule: SigmaPointRule, residual: Residual
+) -> tuple[np.ndarray, np.ndarray, bool]:
+    """The first value (..., m), and the differences of the others to it (2 n, ..., m); or those
+    others, and True, where a difference is plain and the kernel takes it."""
+    first, away = values[0], values[-2 * rule.unit_points.shape[1] :]
+    if residual is np.subtract:
+        return first, away, True
+    return first, residual(away, first), False
