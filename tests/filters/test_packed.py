@@ -112,3 +112,11 @@ def test_what_is_not_positive_definite_has_no_sharpness_and_fails_alone(count, b
     back = concluded(numbers)
     np.testing.assert_array_equal(np.isnan(back.cov).any(axis=(-1, -2)), failed)
     np.testing.assert_allclose(back.mean[~failed], belief.mean[~failed], rtol=1e-14)
+
+
+def test_sharpness_along_many_lanes_is_the_root_of_the_determinant():
+    covs = random_spd(np.random.default_rng(3), (100,), 4)
+    numbers = pack(Information(np.zeros((100, 4)), covs))
+    lanes_last = np.ascontiguousarray(numbers.T).T
+    expected = np.linalg.det(covs) ** -0.25
+    np.testing.assert_allclose(packed_sharpness(lanes_last), expected, rtol=1e-11)
