@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -107,11 +108,16 @@ def await_pid(run: Family, name: str) -> int:
 
 
 def await_step(run: Family, step: int) -> None:
-    """Until the network has completed a step."""
+    """Until the network has completed a step; one that stands still is ended."""
     assert run.process.stdout is not None
-    while line := run.process.stdout.readline():
-        if line.strip().isdecimal() and int(line) >= step:
-            return
+    watch = threading.Timer(30, run.kill_all)
+    watch.start()
+    try:
+        while line := run.process.stdout.readline():
+            if line.strip().isdecimal() and int(line) >= step:
+                return
+    finally:
+        watch.cancel()
     raise AssertionError(run.process.stderr.read())  # type: ignore[union-attr]
 
 
