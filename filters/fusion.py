@@ -1,6 +1,7 @@
 """Rules that fuse the beliefs of several nodes whose errors are correlated in an unknown way."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -38,7 +39,8 @@ class Directly(NamedTuple):
         return self.of(beliefs, weights)
 
 
-class Averaging(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Averaging:
     """A rule as what it averages: numbers (..., m) that a belief is turned into and back.
 
     `weigh_up(belief, origin)` gives the numbers and the `hold.sharpness` (...) of a belief,
