@@ -36,7 +36,10 @@ format: .venv/dev.stamp
 
 # Compiled kernels, for this machine; needs a C++ compiler. concord works without them.
 fast: .venv/run.stamp
-	$(BIN)/pip install --quiet --disable-pip-version-check --force-reinstall ./fast
+	$(BIN)/pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir .venv/wheels ./fast
+	-$(BIN)/pip uninstall --quiet --disable-pip-version-check --yes concord-fast
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-build-isolation --no-index \
+		--find-links .venv/wheels --editable .[fast]
 
 bench: .venv/dev.stamp
 	$(BIN)/python -m benchmarks --picture docs/performance.png
@@ -62,7 +65,8 @@ lock:
 		--no-emit-index-url --no-header --quiet --group build \
 		--output-file requirements.lock
 	uv pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes \
-		--no-emit-index-url --no-header --quiet --all-extras --group dev \
+		--no-emit-index-url --no-header --quiet --group dev \
+		--extra convex --extra dask --extra secure --extra vehicle \
 		--output-file requirements-dev.lock
 
 clean:

@@ -40,12 +40,15 @@ def is_missing(state: NodeState, event: NodeEvent) -> bool:
 
 
 class Remembered:
-    """The latest messages that the recorder has heard, so that none is recorded twice."""
+    """The latest messages that the recorder has heard, so that none is recorded twice.
+
+    Their hashes, as messages may be large: of 2^64, so few are ever equal that none is missed.
+    """
 
     def __init__(self) -> None:
-        self._latest: deque[tuple[str, bytes]] = deque(maxlen=_REMEMBERED)
+        self._latest: deque[int] = deque(maxlen=_REMEMBERED)
         # Made when something is said again, as mostly nothing is.
-        self._known: set[tuple[str, bytes]] | None = None
+        self._known: set[int] | None = None
 
     def what_is_new(
         self, received: Sequence[tuple[str, bytes]], below: str
@@ -54,17 +57,19 @@ class Remembered:
         `below`, the ones that have not been heard, under their own names."""
         new: list[tuple[str, bytes]] = []
         for message in received:
-            if message[0].startswith(below):
+            is_repeated = message[0].startswith(below)
+            if is_repeated:
                 message = message[0][len(below) :], message[1]
-                if self._is_known(message):
-                    continue
+            mark = hash(message)
+            if is_repeated and self._is_known(mark):
+                continue
             new.append(message)
-            self._latest.append(message)
+            self._latest.append(mark)
             if self._known is not None:
-                self._known.add(message)
+                self._known.add(mark)
         return new
 
-    def _is_known(self, message: tuple[str, bytes]) -> bool:
+    def _is_known(self, mark: int) -> bool:
         if self._known is None or len(self._known) > 2 * _REMEMBERED:
             self._known = set(self._latest)
-        return message in self._known
+        return mark in self._known

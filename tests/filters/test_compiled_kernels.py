@@ -9,6 +9,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -48,3 +49,12 @@ def test_compiled_kernels_pass_what_numpy_passes(kernels: Path):
     )
     assert run.returncode == 0, run.stdout
     assert "no compiled kernels" not in run.stdout
+
+
+def test_the_extra_demands_the_kernels_that_are_built():
+    extras, package = (
+        tomllib.loads((ROOT / folder / "pyproject.toml").read_text())["project"]
+        for folder in (".", "fast")
+    )
+    wanted = f"{package['name']}=={package['version']}"
+    assert extras["optional-dependencies"]["fast"] == [wanted]

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from bus.publication import Slot
-from bus.schedule import Schedule, full_publish
+from bus.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
 from filters import hold
-from filters.fusion import MOMENTS, Averaged
+from filters.fusion import INFORMATION, MOMENTS, Averaged
 from filters.gaussian import Gaussian
 from filters.linalg import unpack_upper
 from filters.sigma_points import scaled_unscented
@@ -38,6 +38,9 @@ DECAYED = HoldPolicy(
     carried=True,
     by_sharpness=True,
 )
+HOLDS = {"drop": DROP, "predict": PREDICT, "decayed": DECAYED}
+SEEDS = st.integers(0, 2**32 - 1)
+TURN = 0.98 * np.array([[np.cos(0.3), np.sin(0.3)], [-np.sin(0.3), np.cos(0.3)]])
 
 
 @dataclass(frozen=True)
@@ -273,3 +276,36 @@ def ring(count: int) -> Adjacency:
     adjacency = path(count)
     adjacency[0, -1] = adjacency[-1, 0] = True
     return adjacency
+
+
+def schedules(count: int) -> st.SearchStrategy[Schedule]:
+    """Every kind of schedule: static, in turns, with a dynamic segment, with nothing else."""
+    some = st.integers(1, count).map(lambda slots: round_robin(count, slots))
+    occupancy = st.sampled_from([0.3, 0.5, 0.8])
+    return st.one_of(
+        st.just(full_publish(count)),
+        some,
+        occupancy.map(lambda part: hybrid(count, part)),
+        occupancy.map(lambda part: dynamic_only(count, part)),
+    )
+
+
+@st.composite
+def networks(draw: st.DrawFn) -> Network:
+    """Networks of a few nodes, some of which see, over a few steps."""
+    adjacency = draw(graphs(least=2, most=5))
+    count = len(adjacency)
+    generator = np.random.default_rng(draw(SEEDS))
+    return network(
+        adjacency,
+        random_priors(generator, count, 2),
+        steps=draw(st.integers(1, 4)),
+        rounds=draw(st.integers(1, 3)),
+        matrix=TURN,
+        process_noise_cov=0.1 * np.eye(2),
+        average=draw(st.sampled_from([MOMENTS, INFORMATION])),
+        hold_policy=HOLDS[draw(st.sampled_from(sorted(HOLDS)))],
+        schedule=draw(schedules(count)),
+        seeing=draw(st.lists(st.sampled_from(range(count)), unique=True)),
+        seed=draw(st.integers(0, 99)),
+    )
