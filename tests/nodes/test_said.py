@@ -1,0 +1,65 @@
+"""What a process has said lately, beside a transport that stands still."""
+
+import threading
+import time
+from typing import cast
+
+import pytest
+
+from nodes import said
+from nodes.links import RECORDER
+from nodes.zenoh_transport import Transport
+
+
+class Standing:
+    """A transport that publishes nothing until it may."""
+
+    def __init__(self) -> None:
+        self.may, self.sent = threading.Event(), list[tuple[str, bytes]]()
+
+    def send(self, topic: str, data: bytes) -> None:
+        self.may.wait(20)
+        self.sent.append((topic, data))
+
+
+def test_who_sees_links_break_never_waits_for_one_that_stands_still(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    """That thread is the one that sends: zenoh has no other."""
+    monkeypatch.setattr(said, "_AGAIN_S", 0.01)
+    transport = Standing()
+    speaker = said.Said(cast(Transport, transport), "node 0", "estimate", 8, lambda: "")
+    speaker.begin()
+    speaking = threading.Thread(target=speaker.say, args=("share/0", b"a"))
+    speaking.start()
+    time.sleep(0.1)  # By now it has looked what it may forget.
+    seeing = threading.Thread(target=speaker.see, args=("1", False))
+    seeing.start()
+    seeing.join(5)
+    is_waiting = seeing.is_alive()
+    transport.may.set()
+    for thread in (speaking, seeing):
+        thread.join()
+    speaker.close()
+    assert not is_waiting
+
+
+def test_nothing_new_is_said_to_a_recorder_before_what_it_has_lost():
+    transport = Standing()
+    transport.may.set()
+    speaker = said.Said(cast(Transport, transport), "node 0", "estimate", 8, lambda: "")
+    speaker.begin()
+    speaker.say("share/0", b"a")
+    speaker.see(RECORDER, False)
+    speaking = threading.Thread(target=speaker.say, args=("share/0", b"b"))
+    speaking.start()
+    speaking.join(0.05)
+    assert speaking.is_alive()
+    speaker.see(RECORDER, True)
+    speaking.join()
+    speaker.close()
+    assert [one for one in transport.sent if not one[0].startswith("again/")] == [
+        ("share/0", b"a"),
+        ("keep/share/0", b"a"),
+        ("share/0", b"b"),
+    ]
