@@ -164,3 +164,10 @@ def after(standing: Standing, step: int, change: Change) -> Standing:
             return replace(standing, settings=settings, first_step=step, first_cycle=first_cycle)
         case Pace():
             return standing
+
+
+def without_return(changes: tuple[Change, ...], node: int) -> tuple[Change, ...]:
+    """Changes without the return of a node: who is told of it after its end would wait for it."""
+    return tuple(
+        change for change in changes if not (isinstance(change, Joined) and change.node == node)
+    )

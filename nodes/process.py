@@ -88,7 +88,8 @@ class _Member:
         # One for each message that was none.
         self._refused: deque[None] = deque()
         self._told = threading.Condition()
-        self._finished = self._ended = self._is_world_back = False
+        self._finished = self._ended = False
+        self._is_world_lost = self._is_world_back = False
         topics = [self._heartbeat, "grant", *self._shares.values()]
         self.transport = Transport(membership.run, membership.links, topics, NODE_QUEUE)
         self._queues = Overflow(self.transport, topics, NODE_QUEUE)
@@ -108,9 +109,11 @@ class _Member:
             self._patience.see(name, is_there)
         if f"share/{name}" in self._senders:
             self._absence.see(name, is_there)
-        if name == WORLD and is_there:
+        if name == WORLD:
+            # That it is there at first is no return.
             with self._told:
-                self._is_world_back = True
+                self._is_world_back = is_there and self._is_world_lost
+                self._is_world_lost = not is_there
                 self._told.notify_all()
         self.said.see(name, is_there)
 

@@ -38,13 +38,21 @@ class Said:
     """Says what others wait for, and says it again.
 
     `last` is the kind of message of which there is one in each step, `kept` how many messages are
-    kept at least, `waiting()` says in words for whom this process waits, or nothing.
+    kept at least, `waiting()` says in words for whom this process waits, or nothing; `standing()`
+    are messages that hold now, whatever was said in which order.
     """
 
     def __init__(
-        self, transport: Transport, who: str, last: str, kept: int, waiting: Callable[[], str]
+        self,
+        transport: Transport,
+        who: str,
+        last: str,
+        kept: int,
+        waiting: Callable[[], str],
+        standing: Callable[[], list[tuple[str, bytes]]] = list,
     ) -> None:
-        self._transport, self._who, self._last, self._waiting = transport, who, last, waiting
+        self._transport, self._who, self._last = transport, who, last
+        self._waiting, self._standing = waiting, standing
         self._kept: deque[tuple[str, bytes]] = deque()
         self._at_least, self._dropped = kept, 0
         # How much had been said when.
@@ -111,7 +119,8 @@ class Said:
             if latest is not before:
                 since, pause_s, told = time.monotonic(), _AGAIN_S, 0
             if back or latest is before:
-                self._repeat(AGAIN, self._recent())
+                self._repeat(f"{AGAIN}/", self._recent())
+                self._repeat("", self._standing())
                 pause_s = min(2 * pause_s, _AT_MOST_S)
             waited_s = time.monotonic() - since
             if waited_s > (told + 1) * _TELL_S:
@@ -125,7 +134,7 @@ class Said:
 
     def _tell_recorder(self) -> None:
         """Its link is back: all that it may have lost, before anything new."""
-        self._repeat(KEEP, list(self._copy()))
+        self._repeat(f"{KEEP}/", list(self._copy()))
         with self._links:
             if RECORDER not in self._lost:
                 self._is_cut = False
@@ -160,4 +169,4 @@ class Said:
     def _repeat(self, below: str, messages: list[tuple[str, bytes]]) -> None:
         for topic, data in messages:
             if topic:
-                self._transport.send(f"{below}/{topic}", data)
+                self._transport.send_together(below + topic, data)

@@ -15,7 +15,7 @@ import numpy as np
 from msgspec import UNSET
 
 from bus.schedule import Schedule
-from nodes.changes import UNCHANGED, Change, Event, Gone, Joined, Standing, after
+from nodes.changes import UNCHANGED, Change, Event, Gone, Joined, Standing, after, without_return
 from nodes.faults import HEALTHY, Faults, hangs
 from nodes.messages import (
     Array,
@@ -248,10 +248,8 @@ def finished(config: WorldConfig, state: WorldState) -> bool:
 
 
 def awaits_bids(config: WorldConfig, state: WorldState) -> bool:
-    """The network cannot go on before the contenders of the next contended cycle have bid.
-
-    Otherwise the world waits for estimates alone.
-    """
+    """The network cannot go on before the contenders of the next contended cycle have bid; else
+    the world waits for estimates alone."""
     return state.next_cycle < config.cycle_of(state.released)
 
 
@@ -266,6 +264,7 @@ def _without(
         step += 1
     outbox += [gone, Event(step, gone)]
     state = state._replace(standing=after(state.standing, step, gone))
+    state = state._replace(announced=without_return(state.announced, gone.node))
     return _complete(config, _grant(config, state, outbox), outbox)
 
 

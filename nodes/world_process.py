@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Sequence
+from functools import partial
 from queue import Empty, SimpleQueue
 
 import msgspec
@@ -18,7 +19,7 @@ from nodes.clock import WorldClock
 from nodes.command_checks import check_timely
 from nodes.commands import Answer, Kill, Restart, Speed, read_command
 from nodes.conductor import Conductor, Scripted, Stage
-from nodes.failures import Deserted, Disagreement
+from nodes.failures import Deserted, compare
 from nodes.links import RECORDER, WORLD, Links
 from nodes.management import Management
 from nodes.messages import (
@@ -117,7 +118,8 @@ class _Office:
         self._transport.listen("unreachable/*", self._hear_unreachable)
         for kind in ("bid", "estimate", "hello"):
             self._transport.listen(f"{AGAIN}/{kind}/*", self._hear_again)
-        self._said = Said(self._transport, "the world", "truth", _KEPT, self._waiting)
+        said = partial(Said, self._transport, "the world", "truth", _KEPT, self._waiting)
+        self._said = said(self._gone if tempo is None else list)
         self._transport.answer("state", self._state)
         self._transport.answer("clock", self._clock)
         self._transport.answer("control", self._ask)
@@ -171,20 +173,13 @@ class _Office:
         while missing:
             match self._notices.get():
                 case Hello() as hello:
-                    self._compare(hello)
+                    compare(hello, self._fingerprint)
                     missing.discard(hello.node)
                 case Presence(node, False):
                     # Its next life has to say hello again.
                     missing.add(node)
                 case Asked(_, answer):
                     answer.put(Answer(False, "the run has not begun; try again"))
-
-    def _compare(self, hello: Hello) -> None:
-        if hello.fingerprint != self._fingerprint:
-            raise Disagreement(
-                f"node {hello.node} runs configuration {hello.fingerprint[:12]!r}, the world "
-                f"{self._fingerprint[:12]!r}; give all the same setup, version and kernels"
-            )
 
     def _next_messages(self) -> list[tuple[str, bytes]]:
         """What nodes say; nothing after there was something else to do."""
@@ -261,12 +256,10 @@ class _Office:
                     self._give_up(neighbour)
 
     def _see(self, node: int, is_there: bool) -> None:
-        conductor = self._conductor
-        absent = conductor.state.standing.absent
         if not is_there:
-            conductor.lost(node)
+            self._conductor.lost(node)
             self._give_up(node)
-        elif node in absent:
+        elif node in self._conductor.state.standing.absent:
             # A node that was given up may have been out of reach only: it must know.
             self._transport.send(f"gone/{node}", encode(Gone(node)))
 
@@ -343,6 +336,10 @@ class _Office:
     def _waiting(self) -> str:
         conductor = self._conductor
         return waits_for(conductor.config, conductor.state, timed=self._tempo is not None)
+
+    def _gone(self) -> list[tuple[str, bytes]]:
+        """Who was told of a return after the end of who came back waits for it."""
+        return [("gone", encode(Gone(i))) for i in self._conductor.state.standing.absent]
 
     def _hear_end(self, _name: str, data: bytes) -> None:
         # Nobody has kept everything before everything was said.

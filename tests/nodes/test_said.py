@@ -21,6 +21,8 @@ class Standing:
         self.may.wait(20)
         self.sent.append((topic, data))
 
+    send_together = send
+
 
 def test_who_sees_links_break_never_waits_for_one_that_stands_still(
     monkeypatch: pytest.MonkeyPatch,
@@ -63,3 +65,19 @@ def test_nothing_new_is_said_to_a_recorder_before_what_it_has_lost():
         ("keep/share/0", b"a"),
         ("share/0", b"b"),
     ]
+
+
+def test_what_holds_is_said_where_nobody_goes_on(monkeypatch: pytest.MonkeyPatch):
+    """Such as who is gone: of a return that was told after the end all but one may know."""
+    monkeypatch.setattr(said, "_AGAIN_S", 0.01)
+    transport = Standing()
+    transport.may.set()
+    speaker = said.Said(
+        cast(Transport, transport), "the world", "truth", 8, lambda: "", lambda: [("gone", b"3")]
+    )
+    speaker.begin()
+    deadline_s = time.monotonic() + 20
+    while ("gone", b"3") not in transport.sent and time.monotonic() < deadline_s:
+        time.sleep(0.01)
+    speaker.close()
+    assert ("gone", b"3") in transport.sent

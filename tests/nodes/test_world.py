@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from bus.schedule import Schedule, dynamic_only, hybrid
 from filters.gaussian import Gaussian
-from nodes import world
+from nodes import world, world_changes
+from nodes.changes import Gone, Joined
 from nodes.messages import (
     Array,
     Bid,
@@ -252,3 +253,21 @@ def test_loss_does_not_stop_a_closed_loop():
     )
     outcome = run(net, lambda sender, receiver, frame: () if sender == 1 else (frame,))
     assert len(outcome.estimates) == 3 * STEPS
+
+
+def test_who_is_gone_again_before_its_first_step_is_not_told_to_have_returned():
+    """The others hear of its end at once; told of its return after that, they would wait for it."""
+    config = world_of(nodes=3, steps=4, lead=1)
+    state, _ = world.allow(config, world.begin(config), 1)
+    state, _ = world.step(config, state, Gone(1))
+    for node in (0, 2):
+        state, _ = world.step(config, state, estimate(node, 0))
+    config, state, _ = world_changes.apply(config, state, [Joined(1, [0.0], [1.0])])
+    state, _ = world.step(config, state, Gone(1))
+    state, messages = world.allow(config, state, config.steps)
+    heartbeats = [message for message in messages if isinstance(message, Measured)]
+    assert [message.node for message in heartbeats] == [0, 2]
+    assert not any(message.changes for message in heartbeats)
+    for node in (0, 2):
+        state, _ = world.step(config, state, estimate(node, 1))
+    assert state.completed == 2
