@@ -120,7 +120,9 @@ class Said:
                 since, pause_s, told = time.monotonic(), _AGAIN_S, 0
             if back or latest is before:
                 self._repeat(f"{AGAIN}/", self._recent())
-                self._repeat("", self._standing())
+                # Nothing is said between a look at what holds and the saying of it.
+                with self._order:
+                    self._repeat("", self._standing())
                 pause_s = min(2 * pause_s, _AT_MOST_S)
             waited_s = time.monotonic() - since
             if waited_s > (told + 1) * _TELL_S:
