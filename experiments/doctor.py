@@ -31,6 +31,8 @@ EXTRAS = {
     "secure": ("cryptography", "concord keys"),
     "vehicle": ("vehiclemodels", "the simulated cars"),
 }
+# What is not published, but made where it is used, and how.
+BUILT = {"fast": "make fast"}
 
 
 def look(nodes: int, data: Sequence[Path]) -> Iterator[Finding]:
@@ -143,9 +145,7 @@ def extra(name: str) -> Finding:
     """Whether an optional part is installed."""
     module, purpose = EXTRAS[name]
     if importlib.util.find_spec(module) is None:
-        # The kernels are not published, but built for this machine.
-        how = "make fast" if name == "fast" else f"pip install 'concord[{name}]'"
-        return Finding(
-            f"extra {name}", Verdict.WARNING, "not installed", f"{how} if you want {purpose}"
-        )
+        how = BUILT.get(name, f"pip install 'concord[{name}]'")
+        cure = f"{how} if you want {purpose}"
+        return Finding(f"extra {name}", Verdict.WARNING, "not installed", cure)
     return Finding(f"extra {name}", Verdict.OK, f"installed: {purpose}")

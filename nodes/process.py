@@ -88,8 +88,7 @@ class _Member:
         # One for each message that was none.
         self._refused: deque[None] = deque()
         self._told = threading.Condition()
-        self._finished = self._ended = False
-        self._is_world_lost = self._is_world_back = False
+        self._finished = self._ended = self._is_world_back = False
         topics = [self._heartbeat, "grant", *self._shares.values()]
         self.transport = Transport(membership.run, membership.links, topics, NODE_QUEUE)
         self._queues = Overflow(self.transport, topics, NODE_QUEUE)
@@ -109,13 +108,11 @@ class _Member:
             self._patience.see(name, is_there)
         if f"share/{name}" in self._senders:
             self._absence.see(name, is_there)
-        if name == WORLD:
-            # That it is there at first is no return.
+        # A hello is said again to a world that is back, not to one that is there at first.
+        if self.said.see(name, is_there) and name == WORLD:
             with self._told:
-                self._is_world_back = is_there and self._is_world_lost
-                self._is_world_lost = not is_there
+                self._is_world_back = True
                 self._told.notify_all()
-        self.said.see(name, is_there)
 
     def _miss(self, name: str) -> None:
         """In another thread: who is out of our reach for good may not be out of the world's."""

@@ -89,18 +89,20 @@ class Said:
         """What was said so far concerns the recorder alone."""
         self._kept.append(_ANEW)
 
-    def see(self, name: str, is_there: bool) -> None:
-        """In zenoh's thread: a link is broken, or there again."""
+    def see(self, name: str, is_there: bool) -> bool:
+        """In zenoh's thread: a link is broken, or there; whether it had been broken and is back."""
         with self._links:
             if not is_there:
                 self._lost.add(name)
                 if name == RECORDER:
                     self._linked.clear()
                     self._is_cut = True
-            elif name in self._lost:
+            is_back = is_there and name in self._lost
+            if is_back:
                 self._lost.discard(name)
                 self._back.add(name)
                 self._ring.set()
+        return is_back
 
     def _look(self) -> None:
         """In a thread of its own."""

@@ -25,6 +25,13 @@ _ONE_THREAD = (
 # full queue stands still for ever.
 _TWO_THREADS = _ONE_THREAD.replace("tx:(handover:app)", "tx:(worker_threads:1)")
 _LEASE_MS = 2000
+# How a message travels: what happens when a link is full, and whether it waits for no other.
+_ALONE, _TOGETHER, _OFFERED = "alone", "together", "offered"
+_MANNERS = {
+    _ALONE: (zenoh.CongestionControl.BLOCK, True),
+    _TOGETHER: (zenoh.CongestionControl.BLOCK, False),
+    _OFFERED: (zenoh.CongestionControl.DROP, False),
+}
 # Whoever sends more at once (zenoh would put together up to 1 GiB) says nothing. A large network's
 # description takes some MB.
 _MOST_BYTES = 1 << 26
@@ -130,7 +137,7 @@ class Transport:
             )
             for topic in subscriptions
         }
-        self._publishers: dict[str, zenoh.Publisher] = {}
+        self._publishers: dict[tuple[str, str], zenoh.Publisher] = {}
         # What was declared with a callback lives as long as somebody holds it.
         self._declared: list[object] = []
         self._present: set[str] = set()
@@ -209,10 +216,7 @@ class Transport:
 
     def send(self, topic: str, data: bytes) -> None:
         """Publish; waits rather than loses when a receiver is slow."""
-        publisher = self._publishers.get(topic)
-        if publisher is None:
-            publisher = self._declare(topic, zenoh.CongestionControl.BLOCK, express=True)
-        publisher.put(data)
+        self._publisher(topic, _ALONE).put(data)
 
     def send_together(self, topic: str, data: bytes) -> None:
         """As `send`, where many messages follow each other: they share the room that a link has.
@@ -220,10 +224,20 @@ class Transport:
         Sixteen that travel alone fill it, and a link that breaks while somebody waits for room
         holds up all others of its process for longer than their lease.
         """
-        publisher = self._publishers.get(topic)
+        self._publisher(topic, _TOGETHER).put(data)
+
+    def offer(self, topic: str, data: bytes) -> None:
+        """Publish for those who care; loses rather than waits, and costs nothing for nobody."""
+        self._publisher(topic, _OFFERED).put(data)
+
+    def _publisher(self, topic: str, manner: str) -> zenoh.Publisher:
+        publisher = self._publishers.get((topic, manner))
         if publisher is None:
-            publisher = self._declare(topic, zenoh.CongestionControl.BLOCK, express=False)
-        publisher.put(data)
+            control, express = _MANNERS[manner]
+            publisher = self._publishers[topic, manner] = self._session.declare_publisher(
+                self._prefix + topic, congestion_control=control, express=express
+            )
+        return publisher
 
     def listened(self, topic: str, told: Callable[[bool], None]) -> None:
         """Have `told(whether)` called, also in another thread, when somebody listens to a topic, or
@@ -235,21 +249,6 @@ class Transport:
 
         callback = zenoh.handlers.Callback(see, indirect=False)
         self._declared += [publisher, publisher.declare_matching_listener(callback)]
-
-    def offer(self, topic: str, data: bytes) -> None:
-        """Publish for those who care; loses rather than waits, and costs nothing for nobody."""
-        publisher = self._publishers.get(topic)
-        if publisher is None:
-            publisher = self._declare(topic, zenoh.CongestionControl.DROP, express=False)
-        publisher.put(data)
-
-    def _declare(
-        self, topic: str, control: zenoh.CongestionControl, *, express: bool
-    ) -> zenoh.Publisher:
-        publisher = self._publishers[topic] = self._session.declare_publisher(
-            self._prefix + topic, congestion_control=control, express=express
-        )
-        return publisher
 
     def receive(self, subscription: str) -> tuple[str, bytes] | None:
         """Wait for the next message of one subscription: (topic, bytes); None if woken up."""

@@ -87,11 +87,6 @@ class Rule(NamedTuple):
     shares_beliefs: bool = False
 
 
-def rule_names() -> tuple[str, ...]:
-    """The fusion rules there are."""
-    return tuple(_RULES)
-
-
 def rule_of(scenario: Scenario) -> Rule:
     """The scenario's rule.
 

@@ -4,18 +4,21 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from experiments.trace import Trace
 from filters.gaussian import Gaussian
 from nodes import node_changes, state_machine
 from nodes.changes import UNCHANGED, Cut, Event, Gone, Healed, Joined, Left, Loss, Pace, Set, after
 from nodes.history import Absence, Epoch, history_of
-from nodes.messages import CycleClosed, Measured, to_wire
+from nodes.messages import CycleClosed, Estimate, Measured, ShareHeard, to_wire
+from nodes.state_machine import initial_state
 from scenarios.build import build_node
 from scenarios.setup import Setup, prepare
 from tests.experiments.support import scenario, small
 from tests.nodes.changing import run, same_bits
 from tests.nodes.networks import last_come, shuffled
+from tests.nodes.one_node import ROUNDS, heartbeat, middle_node, share
 
 STEPS = 16
 
@@ -237,3 +240,18 @@ def test_rounds_that_no_step_had_are_not_in_the_history():
     assert history_of(5, [first]).rounds == 2
     assert history_of(5, [first, second, third]).rounds == 2
     assert history_of(5, [first, second]).rounds == 9
+
+
+def test_who_was_told_of_a_return_after_the_end_goes_on_when_told_of_the_end_again():
+    """An end is told past what waits in queues, so a return that was told first may come last."""
+    config = middle_node()
+    state = initial_state(config)
+    state, _ = state_machine.step(config, state, Gone(0))
+    state, _ = state_machine.step(config, state, replace(heartbeat(0), changes=(Joined(0),)))
+    config, state, _ = node_changes.apply(config, state)
+    for cycle in range(ROUNDS):
+        frame = share(config, 2, cycle)
+        state, _ = state_machine.step(config, state, ShareHeard(2, frame))
+    assert state_machine.awaited_neighbours(config, state) == [0]
+    state, messages = state_machine.step(config, state, Gone(0))
+    assert [message.step for message in messages if isinstance(message, Estimate)] == [0]

@@ -7,7 +7,7 @@ from typing import cast
 import pytest
 
 from nodes import said
-from nodes.links import RECORDER
+from nodes.links import RECORDER, WORLD
 from nodes.zenoh_transport import Transport
 
 
@@ -44,6 +44,15 @@ def test_who_sees_links_break_never_waits_for_one_that_stands_still(
         thread.join()
     speaker.close()
     assert not is_waiting
+
+
+def test_a_link_is_back_that_was_broken_and_not_one_that_is_there_at_first():
+    """Who took the first for the second said hello twice, and stood still."""
+    speaker = said.Said(cast(Transport, Standing()), "node 0", "estimate", 8, lambda: "")
+    assert not speaker.see(WORLD, True)
+    assert not speaker.see(WORLD, False)
+    assert speaker.see(WORLD, True)
+    assert not speaker.see(WORLD, True)
 
 
 def test_nothing_new_is_said_to_a_recorder_before_what_it_has_lost():

@@ -1,14 +1,19 @@
-"""The world's process in real time: what has come in time counts, however late it looks."""
+"""The world's process: what has come in time counts, however late it looks, and what holds is said
+where nobody goes on."""
 
+import threading
 from collections import deque
 
 import pytest
 
-from nodes import world_process
+from nodes import said, world_process
+from nodes.changes import Gone
 from nodes.links import Links
 from nodes.management import Management
 from nodes.messages import Bid, BidsClosed, Grant, decode, encode, topic
+from nodes.notices import Presence
 from nodes.tempo import Tempo
+from nodes.world import WorldConfig
 from nodes.world_timetable import Beat
 from scenarios.build import build_world
 from tests.experiments.support import small
@@ -23,6 +28,8 @@ class Wire:
             "estimate/*": deque(),
         }
         self.sent: list[tuple[str, bytes]] = []
+        # Set when "gone" is said among what is said again.
+        self.spoken = threading.Event()
 
     def listen(self, *_: object) -> None: ...
 
@@ -42,6 +49,11 @@ class Wire:
 
     offer = send
 
+    def send_together(self, name: str, data: bytes) -> None:
+        self.send(name, data)
+        if name == "gone":
+            self.spoken.set()
+
 
 class Aside:
     """Nothing was ever too much for a queue."""
@@ -52,21 +64,40 @@ class Aside:
         return []
 
 
+def office_of(
+    monkeypatch: pytest.MonkeyPatch, config: WorldConfig, tempo: Tempo | None
+) -> tuple[world_process._Office, Wire]:
+    """A world that nobody has joined, and its transport."""
+    monkeypatch.setattr(world_process, "Transport", Wire)
+    monkeypatch.setattr(world_process, "Overflow", Aside)
+    nobody = Management(
+        lambda node: None, lambda node: None, lambda given: given, lambda step: None, b"{}"
+    )
+    links = Links("peer", (), (), 1.0)
+    office = world_process._Office("run", links, config, "a" * 64, nobody, (), tempo)
+    wire = office._transport
+    assert isinstance(wire, Wire)
+    return office, wire
+
+
+def test_the_world_says_again_who_is_gone_where_nobody_goes_on(monkeypatch: pytest.MonkeyPatch):
+    office, wire = office_of(monkeypatch, build_world(small(steps=3)), None)
+    monkeypatch.setattr(said, "_AGAIN_S", 0.01)
+    office._attend(Presence(2, False))
+    wire.sent.clear()
+    office._said.begin()
+    assert wire.spoken.wait(20)
+    office._said.close()
+    assert ("gone", encode(Gone(2))) in wire.sent
+
+
 @pytest.mark.parametrize("came", [0, 1, 2])
 def test_bids_that_are_there_when_the_world_looks_are_in_time(
     monkeypatch: pytest.MonkeyPatch, came: int
 ):
     """It was busy until after their end; who has not asked by then is named."""
-    monkeypatch.setattr(world_process, "Transport", Wire)
-    monkeypatch.setattr(world_process, "Overflow", Aside)
     config = build_world(small(schedule="hybrid", occupancy=0.5, steps=3))
-    nobody = Management(
-        lambda node: None, lambda node: None, lambda given: given, lambda step: None, b"{}"
-    )
-    tempo, links = Tempo(1.0, 0.02, 0.1), Links("peer", (), (), 1.0)
-    office = world_process._Office("run", links, config, "a" * 64, nobody, (), tempo)
-    wire = office._transport
-    assert isinstance(wire, Wire)
+    office, wire = office_of(monkeypatch, config, Tempo(1.0, 0.02, 0.1))
     office._conductor.command(world_process.Speed(10.0))
     office._attend(Beat())
     state = office._conductor.state

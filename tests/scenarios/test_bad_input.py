@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from experiments.__main__ import main
+from tests.experiments.flexray_support import concord, refused
 
 UNKNOWN_NAMES = [
     ("--scenario target-traking", "scenario 'target-traking'", "'target-tracking'"),
@@ -74,15 +75,8 @@ def complaint(home: Path, capsys: pytest.CaptureFixture[str]):
     """What a refused command says; checks how it is refused."""
 
     def said(arguments: str, keeps: tuple[str, ...] = (), command: str = "run") -> str:
-        with pytest.raises(SystemExit) as left:
-            main([command, *arguments.split()])
-        captured = capsys.readouterr()
-        assert left.value.code == 2, captured.err
-        assert captured.out == ""
+        message = refused(concord(capsys, command, *arguments.split()))
         assert sorted(entry.name for entry in home.iterdir()) == sorted(keeps)
-        message = captured.err.strip()
-        assert message.startswith("concord: ")
-        assert "\n" not in message
         return message
 
     return said
