@@ -173,4 +173,4 @@ class Said:
     def _repeat(self, below: str, messages: list[tuple[str, bytes]]) -> None:
         for topic, data in messages:
             if topic:
-                self._transport.send_together(below + topic, data)
+                self._transport.send(below + topic, data)

@@ -25,13 +25,6 @@ _ONE_THREAD = (
 # full queue stands still for ever.
 _TWO_THREADS = _ONE_THREAD.replace("tx:(handover:app)", "tx:(worker_threads:1)")
 _LEASE_MS = 2000
-# How a message travels: what happens when a link is full, and whether it waits for no other.
-_ALONE, _TOGETHER, _OFFERED = "alone", "together", "offered"
-_MANNERS = {
-    _ALONE: (zenoh.CongestionControl.BLOCK, True),
-    _TOGETHER: (zenoh.CongestionControl.BLOCK, False),
-    _OFFERED: (zenoh.CongestionControl.DROP, False),
-}
 # Whoever sends more at once (zenoh would put together up to 1 GiB) says nothing. A large network's
 # description takes some MB.
 _MOST_BYTES = 1 << 26
@@ -65,6 +58,8 @@ def _config(links: Links) -> zenoh.Config:
         # What may be lost waits so long for room, once; then it is, until there is room again.
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 10_000,
         "transport/link/tx/queue/size/data": 16,
+        # Nothing waits to travel with what may follow it.
+        "transport/link/tx/queue/batching/time_limit": 0,
     }
     if links.mode == "router":
         # One host that is out of reach holds up all others as long as this.
@@ -137,7 +132,7 @@ class Transport:
             )
             for topic in subscriptions
         }
-        self._publishers: dict[tuple[str, str], zenoh.Publisher] = {}
+        self._publishers: dict[tuple[str, bool], zenoh.Publisher] = {}
         # What was declared with a callback lives as long as somebody holds it.
         self._declared: list[object] = []
         self._present: set[str] = set()
@@ -216,26 +211,21 @@ class Transport:
 
     def send(self, topic: str, data: bytes) -> None:
         """Publish; waits rather than loses when a receiver is slow."""
-        self._publisher(topic, _ALONE).put(data)
-
-    def send_together(self, topic: str, data: bytes) -> None:
-        """As `send`, where many messages follow each other: they share the room that a link has.
-
-        Sixteen that travel alone fill it, and a link that breaks while somebody waits for room
-        holds up all others of its process for longer than their lease.
-        """
-        self._publisher(topic, _TOGETHER).put(data)
+        self._publisher(topic, waits=True).put(data)
 
     def offer(self, topic: str, data: bytes) -> None:
         """Publish for those who care; loses rather than waits, and costs nothing for nobody."""
-        self._publisher(topic, _OFFERED).put(data)
+        self._publisher(topic, waits=False).put(data)
 
-    def _publisher(self, topic: str, manner: str) -> zenoh.Publisher:
-        publisher = self._publishers.get((topic, manner))
+    def _publisher(self, topic: str, *, waits: bool) -> zenoh.Publisher:
+        publisher = self._publishers.get((topic, waits))
         if publisher is None:
-            control, express = _MANNERS[manner]
-            publisher = self._publishers[topic, manner] = self._session.declare_publisher(
-                self._prefix + topic, congestion_control=control, express=express
+            # None is sent by itself ("express"): what follows at once shares the room that a link
+            # has. Sixteen by themselves fill it, and a link that breaks while somebody waits for
+            # room holds up all others of its process for longer than their lease.
+            control = zenoh.CongestionControl.BLOCK if waits else zenoh.CongestionControl.DROP
+            publisher = self._publishers[topic, waits] = self._session.declare_publisher(
+                self._prefix + topic, congestion_control=control
             )
         return publisher
 

@@ -21,8 +21,6 @@ class Standing:
         self.may.wait(20)
         self.sent.append((topic, data))
 
-    send_together = send
-
 
 def test_who_sees_links_break_never_waits_for_one_that_stands_still(
     monkeypatch: pytest.MonkeyPatch,

@@ -46,13 +46,10 @@ class Wire:
 
     def send(self, name: str, data: bytes) -> None:
         self.sent.append((name, data))
-
-    offer = send
-
-    def send_together(self, name: str, data: bytes) -> None:
-        self.send(name, data)
         if name == "gone":
             self.spoken.set()
+
+    offer = send
 
 
 class Aside:
@@ -85,6 +82,7 @@ def test_the_world_says_again_who_is_gone_where_nobody_goes_on(monkeypatch: pyte
     monkeypatch.setattr(said, "_AGAIN_S", 0.01)
     office._attend(Presence(2, False))
     wire.sent.clear()
+    wire.spoken.clear()
     office._said.begin()
     assert wire.spoken.wait(20)
     office._said.close()
