@@ -19,6 +19,7 @@ BENCHMARKS = {
     "monte-carlo": "monte_carlo",
     "scale": "scale",
     "share": "share",
+    "node": "node_loop",
     "launch": "launch",
     "lockstep": "lockstep",
     "set-membership": "set_membership",

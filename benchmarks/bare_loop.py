@@ -10,6 +10,7 @@ import secrets
 import signal
 import sys
 import time
+from collections.abc import Sequence
 from functools import partial
 from typing import Protocol
 
@@ -20,7 +21,6 @@ from benchmarks.cases import beliefs, readings, turn
 from bus.publication import Slot
 from filters.fusion import INFORMATION
 from filters.gaussian import Gaussian
-from filters.hold import sharpened
 from filters.linalg import pack_upper
 from filters.sigma_points import scaled_unscented
 from filters.ukf import predict, update
@@ -84,7 +84,7 @@ class _Language(Protocol):
 
     def estimate(self, node: int, step: int) -> bytes: ...
 
-    def hear_share(self, node: int, cycle: int, data: bytes) -> None: ...
+    def hear_shares(self, cycle: int, came: Sequence[tuple[int, bytes]]) -> None: ...
 
     def hear(self, topic: str, data: bytes) -> None: ...
 
@@ -106,7 +106,7 @@ class _Bytes:
     def estimate(self, node: int, step: int) -> bytes:
         return self._estimate
 
-    def hear_share(self, node: int, cycle: int, data: bytes) -> None: ...
+    def hear_shares(self, cycle: int, came: Sequence[tuple[int, bytes]]) -> None: ...
 
     def hear(self, topic: str, data: bytes) -> None: ...
 
@@ -133,10 +133,13 @@ class _Messages:
         mean, cov = to_wire(self._belief.mean), to_wire(pack_upper(self._belief.cov))
         return encode(Estimate(node, step, mean, cov, self._ages[node], self._counters))
 
-    def hear_share(self, node: int, cycle: int, data: bytes) -> None:
-        body = whole_body(data, self._slots[node], self._codec.size, cycle)
-        assert body is not None, "what is sent is what is due"
-        self._codec.unpack(self._codec.check(body))
+    def hear_shares(self, cycle: int, came: Sequence[tuple[int, bytes]]) -> None:
+        codec, bodies = self._codec, []
+        for node, data in came:
+            body = whole_body(data, self._slots[node], codec.size, cycle)
+            assert body is not None, "what is sent is what is due"
+            bodies.append(codec.check(body))
+        codec.unpack(*bodies)
 
     def hear(self, topic: str, data: bytes) -> None:
         decode(topic, data)
@@ -147,10 +150,17 @@ def _language(load: Load) -> _Language:
 
 
 def _pass_on(run: str, links: Links, load: Load, node: int) -> None:
+    shares = [f"share/{j}" for j in load.neighbours[node]]
+    transport = Transport(run, links, [f"measured/{node}", *shares], 1024)
+    pass_on(transport, load, node)
+    signal.pause()
+
+
+def pass_on(transport: Transport, load: Load, node: int) -> None:
+    """A node from its first word to its last."""
     neighbours = load.neighbours[node]
     heartbeat = f"measured/{node}"
     shares = [(j, f"share/{j}") for j in neighbours]
-    transport = Transport(run, links, [heartbeat, *(topic for _, topic in shares)], 1024)
     transport.join(str(node), {WORLD, RECORDER, *map(str, neighbours)})
     transport.send(f"hello/{node}", b"")
     language, filters = _language(load), _Filters(len(neighbours))
@@ -164,11 +174,10 @@ def _pass_on(run: str, links: Links, load: Load, node: int) -> None:
             filters.update()
         for cycle in range(step * load.rounds, (step + 1) * load.rounds):
             transport.send(f"share/{node}", language.share(node, cycle))
-            for j, topic in shares:
-                language.hear_share(j, cycle, _receive(transport, topic))
+            came = [(j, _receive(transport, topic)) for j, topic in shares]
+            language.hear_shares(cycle, came)
             filters.fuse()
         transport.send(f"estimate/{node}", language.estimate(node, step))
-    signal.pause()
 
 
 def _receive(transport: Transport, topic: str) -> bytes:
@@ -184,7 +193,7 @@ class _Filters:
         case = turn()
         self._case, self._rule = case, scaled_unscented(len(case.start.mean))
         self._all = beliefs(case, (1 + neighbours + 1,))
-        self._heard = beliefs(case, (1 + neighbours,))
+        self._own, self._heard = case.start, beliefs(case, (neighbours,))
         self._weights = np.full(1 + neighbours, 1 / (1 + neighbours))
         self._reading = readings(case, ())
 
@@ -205,10 +214,7 @@ class _Filters:
 
     def fuse(self) -> Gaussian:
         """Covariance intersection by weights that favour the sharp."""
-        own = self._heard.mean[0]
-        numbers, sharpness = INFORMATION.weigh_up(self._heard, own)
-        weights = sharpened(self._weights, sharpness)
-        return INFORMATION.average(numbers, weights, own)
+        return INFORMATION.fuse(self._own, self._heard, self._weights, True).belief
 
 
 def _drive(run: str, links: Links, load: Load) -> None:

@@ -12,7 +12,7 @@ import resource
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -22,10 +22,9 @@ import numpy as np
 
 from benchmarks.bare_loop import Load
 from benchmarks.measure import Figures, figure, ratio, say
-from experiments.drivers import over_processes
+from experiments.drivers import in_memory, over_processes
 from experiments.options import ScenarioOptions
 from nodes.messages import decode, from_wire
-from nodes.recording import read_recording
 from scenarios.build import OPEN_LOOP_LEAD
 from scenarios.setup import Setup, prepare
 
@@ -44,14 +43,17 @@ class Pace(NamedTuple):
 
 def main() -> Figures:
     """Print and return rates, processor times and their ratios."""
-    setup, short = (_setup(steps) for steps in (STEPS, SHORT_STEPS))
-    traffic = _traffic(short)
+    setup, short = (setup_of(steps) for steps in (STEPS, SHORT_STEPS))
+    traffic = traffic_of(in_memory(short))
     contestants: dict[str, tuple[Run, Run]] = {
         "lockstep": (partial(_lockstep, setup), partial(_lockstep, short)),
-        "bare": (partial(_floor, _load(setup, traffic)), partial(_floor, _load(short, traffic))),
+        "bare": (
+            partial(_floor, load_of(setup, traffic)),
+            partial(_floor, load_of(short, traffic)),
+        ),
         "bare bytes": (
-            partial(_floor, _load(setup, traffic, says=False)),
-            partial(_floor, _load(short, traffic, says=False)),
+            partial(_floor, load_of(setup, traffic, says=False)),
+            partial(_floor, load_of(short, traffic, says=False)),
         ),
     }
     paces: dict[str, list[Pace]] = {name: [] for name in contestants}
@@ -82,7 +84,8 @@ def main() -> Figures:
     return results
 
 
-def _setup(steps: int) -> Setup:
+def setup_of(steps: int) -> Setup:
+    """The network that is measured."""
     return prepare(ScenarioOptions(nodes=NODES, graph=GRAPH, steps=steps, seed=1).resolve())
 
 
@@ -116,23 +119,21 @@ class Traffic(NamedTuple):
     sees: float
 
 
-def _traffic(setup: Setup) -> Traffic:
+def traffic_of(messages: Sequence[tuple[str, bytes]]) -> Traffic:
     """What a run sends."""
     sizes: dict[str, int] = {}
     seen: list[bool] = []
-    with tempfile.TemporaryDirectory() as folder:
-        recording = Path(folder) / "run.mcap"
-        over_processes(setup, Path(folder).name, recording, None, lambda _: None)
-        for topic, data in read_recording(recording):
-            kind = topic.partition("/")[0]
-            sizes[kind] = max(sizes.get(kind, 0), len(data))
-            if kind == "measured":
-                readings = from_wire(decode(topic, data).readings)
-                seen.append(not np.isnan(readings).all())
+    for topic, data in messages:
+        kind = topic.partition("/")[0]
+        sizes[kind] = max(sizes.get(kind, 0), len(data))
+        if kind == "measured":
+            readings = from_wire(decode(topic, data).readings)
+            seen.append(not np.isnan(readings).all())
     return Traffic(sizes, sum(seen) / len(seen))
 
 
-def _load(setup: Setup, traffic: Traffic, says: bool = True) -> Load:
+def load_of(setup: Setup, traffic: Traffic, says: bool = True) -> Load:
+    """The same for a bare loop."""
     sizes = traffic.sizes
     return Load(
         setup.neighbours,

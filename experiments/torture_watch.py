@@ -12,8 +12,8 @@ from experiments.torture_broken import Broken
 from experiments.torture_promises import nodes_are_honest, sensors_are_honest
 from experiments.torture_trimmed import broken_promise
 from experiments.torture_weights import promised_weights
-from filters.fusion import Averaged
-from filters.gaussian import Gaussian
+from filters.fusion import Averaged, Fused
+from filters.gaussian import Gaussian, joined
 from nodes import information_rounds
 from nodes.belief_consensus import BeliefConsensus
 from nodes.changes import Standing
@@ -54,16 +54,14 @@ class _ShownRule(NamedTuple):
     """A rule of averages whose weights are shown to `check`, as they are used."""
 
     rule: Averaged
-    check: Callable[[Any, Array, Gaussian], None]
+    check: Callable[[Gaussian, Array, Gaussian], None]
 
-    def weigh_up(self, belief: Gaussian, origin: Array) -> tuple[Any, Array]:
-        """What the rule makes of beliefs."""
-        return self.rule.weigh_up(belief, origin)
-
-    def average(self, numbers: Any, weights: Array, origin: Array) -> Gaussian:
-        """What it comes to with these weights."""
-        fused = self.rule.average(numbers, weights, origin)
-        self.check(numbers, weights, fused)
+    def fuse(self, own: Gaussian, others: Gaussian, weights: Array, by_sharpness: bool) -> Fused:
+        """What the rule makes of beliefs, looked at."""
+        fused = self.rule.fuse(own, others, weights, by_sharpness)
+        # With a share that is no belief it is asked once more, without it.
+        if not np.isnan(fused.sharpness[1:]).any():
+            self.check(joined(own, others), fused.weights, fused.belief)
         return fused
 
 
@@ -203,11 +201,11 @@ class Watched:
             rule=_ShownRule(estimator.rule, self._check_average),
         )
 
-    def _check_average(self, numbers: Any, weights: Array, fused: Gaussian) -> None:
+    def _check_average(self, beliefs: Gaussian, weights: Array, fused: Gaussian) -> None:
         self._check_weights(weights)
         liars = [1 + n for n, j in enumerate(self._config.neighbours) if j in self._books.liars]
         if self._scenario.rule == "trimmed-ci" and np.isfinite(fused.mean).all():
-            seen = broken_promise(numbers, weights, fused, liars, self._scenario.liars)
+            seen = broken_promise(beliefs, weights, fused, liars, self._scenario.liars)
             if seen:
                 raise self._broken("liars move nobody beyond what honest nodes say", seen)
 

@@ -1,13 +1,13 @@
 // Compiled kernels for concord: the parts of a UKF step and of a fusion that are not the user's
 // models. Sizes are compile-time constants, up to 8 states and 8 readings.
 // The only callers are filters/compiled.py and filters/ukf_compiled.py: shapes are checked there.
-#include "kernels.hpp"
+#include "fused.hpp"
 
 namespace {
 
 constexpr Py_ssize_t STATES = 8, READINGS = 8;
 // Grows with every change of what filters/compiled.py and filters/ukf_compiled.py call.
-constexpr long INTERFACE = 3;
+constexpr long INTERFACE = 4;
 
 PyObject *too_large(Py_ssize_t n, Py_ssize_t m) {
     return PyErr_Format(PyExc_ValueError,
@@ -127,6 +127,22 @@ PyObject *concluded(PyObject *, PyObject *const *given, Py_ssize_t count) {
     Py_RETURN_NONE;
 }
 
+PyObject *fused(PyObject *, PyObject *const *given, Py_ssize_t count) {
+    View own_mean, own_cov, mean, cov, weights, mean_after, cov_after, used, sharpness;
+    if (count != 10 || !own_mean.open(given[0], 0, 1, false) ||
+        !own_cov.open(given[1], 0, 2, false) || !mean.open(given[2], 0, 1, false) ||
+        !cov.open(given[3], 0, 2, false) || !weights.open(given[4], 0, 0, false) ||
+        !mean_after.open(given[6], 1, 0, true) || !cov_after.open(given[7], 2, 0, true) ||
+        !used.open(given[8], 0, 0, true) || !sharpness.open(given[9], 0, 0, true))
+        return nullptr;
+    const Py_ssize_t n = mean_after.length(0);
+    const bool by_sharpness = given[5] == Py_True;
+    if (!of_size<Fused>(n, own_mean, own_cov, mean, cov, weights, by_sharpness, mean_after,
+                        cov_after, used, sharpness))
+        return too_large(n, 0);
+    Py_RETURN_NONE;
+}
+
 PyObject *sharpness(PyObject *, PyObject *const *given, Py_ssize_t count) {
     View triangle, result;
     if (count != 3 || !triangle.open(given[0], 0, 1, false) || !result.open(given[2], 0, 0, true))
@@ -162,6 +178,8 @@ PyMethodDef methods[] = {
     {"inverse_spd", fast<on_matrices<Inverse>>(), METH_FASTCALL, "matrix -> inverse"},
     {"informed", fast<informed>(), METH_FASTCALL, "mean, cov -> packed information, sharpness"},
     {"concluded", fast<concluded>(), METH_FASTCALL, "packed information -> mean, cov"},
+    {"fused", fast<fused>(), METH_FASTCALL,
+     "own mean and cov, means, covs, weights, by_sharpness -> mean, cov, used, sharpness"},
     {"sharpness", fast<sharpness>(), METH_FASTCALL, "packed triangle, states -> |M|^(-1/n)"},
     {nullptr, nullptr, 0, nullptr},
 };

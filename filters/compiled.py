@@ -16,7 +16,7 @@ import numpy as np
 
 VARIABLE = "CONCORD_KERNELS"
 # Of the functions that are called here, as the kernels know them: `fast/concord_fast.cpp`.
-INTERFACE = 3
+INTERFACE = 4
 
 
 def choose(wish: str) -> ModuleType | None:
@@ -78,6 +78,23 @@ def concluded(numbers: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
     mean, cov = np.empty((n, *lanes)), np.empty((n, n, *lanes))
     KERNELS.concluded(numbers, mean, cov)
     return lanes_first(mean, 1), lanes_first(cov, 2)
+
+
+def fused(
+    own_mean: np.ndarray,
+    own_cov: np.ndarray,
+    means: np.ndarray,
+    covs: np.ndarray,
+    weights: np.ndarray,
+    by_sharpness: bool,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """As `fusion.Averaging.fuse`, for averages of information of a size that is served: mean (n,)
+    and covariance (n, n), the weights that were used and the sharpness (1 + J,)."""
+    n, beliefs = own_mean.shape[-1], weights.shape[-1]
+    mean, cov, used, sharp = np.empty(n), np.empty((n, n)), np.empty(beliefs), np.empty(beliefs)
+    given = (own_mean, own_cov, means, covs, weights, by_sharpness)
+    KERNELS.fused(*given, mean, cov, used, sharp)
+    return mean, cov, used, sharp
 
 
 def sharpness(triangle: np.ndarray, n: int) -> np.ndarray:

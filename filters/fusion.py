@@ -2,27 +2,39 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from filters.gaussian import Gaussian, Information
-from filters.hold import check_weights, sharpness
-from filters.linalg import multiply
+from filters import compiled
+from filters.gaussian import Gaussian, Information, joined
+from filters.hold import check_weights, sharpened, sharpness
+from filters.linalg import multiply, symmetrise
 from filters.packed import concluded, informed, pack, packed_sharpness, unpack
 
 
-class Averaged(Protocol):
-    """A rule that averages beliefs, as who has several of them at hand goes through it.
+class Fused(NamedTuple):
+    """What a node makes of its own belief and those of J others.
 
-    `weigh_up(belief, origin)` gives what is averaged of beliefs (..., J, n), and their
-    `hold.sharpness` (..., J), NaN where a covariance is not positive definite; `average` the belief
-    that all come to.
+    `belief` (n,) is what they come to, NaN where they come to none, its covariance symmetric to the
+    last bit; `weights` (1 + J,) are those that were used, the own first; `sharpness` (1 + J,) is
+    `hold.sharpness` of each, NaN where a covariance is not positive definite.
     """
 
-    def weigh_up(self, belief: Gaussian, origin: np.ndarray, /) -> tuple[Any, np.ndarray]: ...
+    belief: Gaussian
+    weights: np.ndarray
+    sharpness: np.ndarray
 
-    def average(self, numbers: Any, weights: np.ndarray, origin: np.ndarray, /) -> Gaussian: ...
+
+class Averaged(Protocol):
+    """A rule that averages beliefs, as a node goes through it that has several at hand."""
+
+    def fuse(
+        self, own: Gaussian, others: Gaussian, weights: np.ndarray, by_sharpness: bool, /
+    ) -> Fused:
+        """The own belief (n,) and others (J, n) with weights (1 + J,), each multiplied by its
+        sharpness where that counts (`hold.sharpened`)."""
+        ...
 
 
 class Directly(NamedTuple):
@@ -30,13 +42,15 @@ class Directly(NamedTuple):
 
     of: Callable[[Gaussian, np.ndarray], Gaussian]
 
-    def weigh_up(self, belief: Gaussian, _origin: np.ndarray) -> tuple[Gaussian, np.ndarray]:
-        """The beliefs as they are, and their sharpness."""
-        return belief, sharpness(belief.cov)
-
-    def average(self, beliefs: Gaussian, weights: np.ndarray, _origin: np.ndarray) -> Gaussian:
-        """The belief that beliefs (..., J, n) come to with weights (..., J)."""
-        return self.of(beliefs, weights)
+    def fuse(
+        self, own: Gaussian, others: Gaussian, weights: np.ndarray, by_sharpness: bool
+    ) -> Fused:
+        """As `Averaged.fuse`."""
+        beliefs = joined(own, others)
+        sharp = sharpness(beliefs.cov)
+        used = sharpened(weights, sharp) if by_sharpness else weights
+        mean, cov = self.of(beliefs, used)
+        return Fused(Gaussian(mean, symmetrise(cov)), used, sharp)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +76,28 @@ class Averaging:
             # 0 * NaN would let them through.
             numbers = np.where((weights == 0)[..., None], 0.0, numbers)
         return self.conclude(multiply(numbers.mT, weights), origin)
+
+    def fuse(
+        self, own: Gaussian, others: Gaussian, weights: np.ndarray, by_sharpness: bool
+    ) -> Fused:
+        """As `Averaged.fuse`."""
+        numbers, sharp = self.weigh_up(joined(own, others), own.mean)
+        used = sharpened(weights, sharp) if by_sharpness else weights
+        mean, cov = self.average(numbers, used, own.mean)
+        return Fused(Gaussian(mean, symmetrise(cov)), used, sharp)
+
+
+class _Intersection(Averaging):
+    """Averages of information, for which there is a kernel."""
+
+    def fuse(
+        self, own: Gaussian, others: Gaussian, weights: np.ndarray, by_sharpness: bool
+    ) -> Fused:
+        """As `Averaged.fuse`."""
+        if not compiled.serves(own.mean.shape[-1]):
+            return Averaging.fuse(self, own, others, weights, by_sharpness)
+        mean, cov, used, sharp = compiled.fused(*own, *others, weights, by_sharpness)
+        return Fused(Gaussian(mean, cov), used, sharp)
 
 
 def weighted_average(beliefs: Gaussian, weights: np.ndarray) -> Gaussian:
@@ -131,7 +167,7 @@ def _of_information(numbers: np.ndarray, origin: np.ndarray) -> Gaussian:
 
 
 MOMENTS = Averaging(_moments, _of_moments, packed_sharpness)
-INFORMATION = Averaging(
+INFORMATION = _Intersection(
     _information, _of_information, lambda numbers: 1.0 / packed_sharpness(numbers)
 )
 

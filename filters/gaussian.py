@@ -34,6 +34,13 @@ class Information(NamedTuple):
     matrix: np.ndarray
 
 
+def joined(own: Gaussian, held: Gaussian, *others: Gaussian) -> Gaussian:
+    """A belief (n,), those that are held (J, n), and others (n,), as one (K, n)."""
+    means = [own.mean[None], held.mean, *[other.mean[None] for other in others]]
+    covs = [own.cov[None], held.cov, *[other.cov[None] for other in others]]
+    return Gaussian(np.concatenate(means), np.concatenate(covs))
+
+
 def to_information(belief: Gaussian) -> Information:
     """Information form; a lane whose covariance is not positive definite is NaN."""
     matrix = inverse_spd(belief.cov)

@@ -15,9 +15,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from filters.fusion import Averaged
-from filters.gaussian import Gaussian
-from filters.hold import sharpened
-from filters.linalg import symmetrise
+from filters.gaussian import Gaussian, joined
 from filters.sigma_points import SigmaPointRule
 from nodes.belief_codec import BeliefCodec
 from nodes.bids import FIRST_BID, asked, bid_for_change
@@ -28,7 +26,6 @@ from nodes.local_filter import (
     carry,
     control_of,
     finite,
-    joined,
     stacked,
     take_own,
     where,
@@ -100,9 +97,11 @@ class BeliefConsensus:
 
     def _carry(self, content: Content, measured: Measured) -> tuple[Content, tuple[str, ...]]:
         before = content.own
-        carries, control = stacked([before]), control_of(measured)
         if self.hold.carried:
             carries = joined(before, content.held, content.published or before)
+        else:
+            carries = stacked([before])
+        control = control_of(measured)
         moved, sound = carry(carries, control, measured.step, self.model, self.points)
         own, troubles = (at(moved, 0), ()) if sound[0] else (before, ("predict-failed",))
         if not self.hold.carried:
@@ -136,18 +135,20 @@ class BeliefConsensus:
     ) -> tuple[Content, tuple[str, ...]]:
         """Average the own pair with the neighbours' pairs, fresh or held, in sender order."""
         own, held = content.own, self._with_shares(content.held, shares)
-        numbers, sharpness = self.rule.weigh_up(joined(own, held), own.mean)
-        unsound = _unsound(sharpness[1:].tolist(), shares)
+        ages = _aged(content.ages, shares)
+        weights = self._weights_of_ages(ages, content.cycles_in_step)
+        fused = self.rule.fuse(own, held, weights, self.hold.by_sharpness)
+        unsound = _unsound(fused.sharpness[1:].tolist(), shares)
         if unsound:
             # Few shares fail this check, and what is held instead is weighed up in a second go.
             usable = [None if j in unsound else share for j, share in enumerate(shares)]
             content, troubles = self.fuse(content, tuple(usable))
             return content, ("rejected not-positive-definite",) * len(unsound) + troubles
-        ages = _aged(content.ages, shares)
-        fused = self.rule.average(numbers, self._weights(sharpness, ages, content), own.mean)
-        troubles = ("fuse-failed",)
-        if finite(fused):
-            own, troubles = Gaussian(fused.mean, symmetrise(fused.cov)), ()
+        troubles = ()
+        if finite(fused.belief):
+            own = fused.belief
+        else:
+            troubles = ("fuse-failed",)
         return Content(own, held, ages, content.published, content.cycles_in_step + 1), troubles
 
     def _with_shares(self, held: Gaussian, shares: tuple[bytes | None, ...]) -> Gaussian:
@@ -163,13 +164,10 @@ class BeliefConsensus:
         mean[places], cov[places] = told
         return Gaussian(mean, cov)
 
-    def _weights(self, sharpness: Array, ages: tuple[int, ...], content: Content) -> Array:
-        """What the own pair and each neighbour's weigh in this round: (1 + J,)."""
-        weights = self._weights_of_ages(ages, content.cycles_in_step)
-        return sharpened(weights, sharpness) if self.hold.by_sharpness else weights
-
     @cached_property
     def _weights_of_ages(self) -> Callable[[tuple[int, ...], int], Array]:
+        """What the own pair and each neighbour's weigh in a round but for their sharpness."""
+
         # Kept: few patterns of ages come again and again.
         @lru_cache
         def weigh(ages: tuple[int, ...], cycles: int) -> Array:

@@ -77,13 +77,6 @@ def stacked(beliefs: list[Gaussian]) -> Gaussian:
     return Gaussian(np.array([b.mean for b in beliefs]), np.array([b.cov for b in beliefs]))
 
 
-def joined(own: Gaussian, held: Gaussian, *others: Gaussian) -> Gaussian:
-    """A belief (n,), those that are held (J, n), and others (n,), as one (K, n)."""
-    means = [own.mean[None], held.mean, *[other.mean[None] for other in others]]
-    covs = [own.cov[None], held.cov, *[other.cov[None] for other in others]]
-    return Gaussian(np.concatenate(means), np.concatenate(covs))
-
-
 def at(beliefs: Gaussian, place: int) -> Gaussian:
     """One (n,) of beliefs (K, n)."""
     return Gaussian(beliefs.mean[place], beliefs.cov[place])

@@ -1,0 +1,149 @@
+"""One node fed from memory, beside the bare loop of the same messages and filter calls.
+
+Nobody waits and nothing comes over zenoh: this is what a step takes of a processor in a node alone.
+In a network other processes have had the processor before each wait, and the caches hold what is
+theirs; `cold` turns them out wherever a node would wait for the first message of a round.
+"""
+
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import cast
+from unittest.mock import patch
+
+import numpy as np
+
+from benchmarks.bare_loop import Load, pass_on
+from benchmarks.lockstep import GRAPH, NODES, load_of, setup_of, traffic_of
+from benchmarks.measure import (
+    Figures,
+    figure,
+    in_turns,
+    median_us,
+    ratio,
+    say,
+    without_kernels,
+)
+from experiments.drivers import in_memory
+from filters import compiled
+from nodes import process
+from nodes.links import Links
+from nodes.membership import Membership
+from nodes.messages import END
+from nodes.zenoh_transport import Transport
+from scenarios.build import build_node
+from scenarios.setup import Setup
+
+STEPS, TURNS = 150, 7
+NODE = 0
+# More than the caches of a core hold.
+_OTHERS = np.zeros(1 << 21)
+
+Messages = Sequence[tuple[str, bytes]]
+
+
+class _Memory:
+    """A node's place in a network that was recorded; times it from its first word to its last."""
+
+    def __init__(self, messages: Messages, first_of_round: Sequence[str], steps: int) -> None:
+        self._queues: dict[str, deque[bytes]] = {}
+        for topic, data in messages:
+            self._queues.setdefault(topic, deque()).append(data)
+        self._first_of_round, self._left = first_of_round, steps
+        self._heard: dict[str, Callable[[str, bytes], None]] = {}
+        self.spent_s = 0.0
+
+    def join(self, *_: object) -> None:
+        """Everybody is there."""
+        self.spent_s -= time.thread_time()
+
+    def receive(self, topic: str) -> tuple[str, bytes]:
+        """The next message of a topic, which is there already."""
+        if topic in self._first_of_round:
+            self.spent_s += time.thread_time()
+            np.add(_OTHERS, 1.0, out=_OTHERS)
+            self.spent_s -= time.thread_time()
+        return topic, self._queues[topic].popleft()
+
+    def send(self, topic: str, data: bytes) -> None:
+        """Nobody hears it; after its last estimate a node hears that all is over."""
+        if topic.startswith("estimate/"):
+            self._left -= 1
+            if not self._left:
+                self.spent_s += time.thread_time()
+                if "end" in self._heard:
+                    self._heard["end"]("end", END)
+
+    def listen(self, topic: str, heard: Callable[[str, bytes], None]) -> None:
+        """Nothing is said but at the end."""
+        self._heard[topic] = heard
+
+    def receive_at_once(self, _topic: str) -> None:
+        """Nothing but what is asked for."""
+
+    def watch(self, *_: object) -> None:
+        """Nobody comes or goes."""
+
+    def wake(self, *_: object) -> None:
+        """Nobody sleeps."""
+
+    def close(self) -> None:
+        """Nothing was opened."""
+
+
+def main() -> Figures:
+    """Print and return microseconds per step, and their ratios."""
+    setup = setup_of(STEPS)
+    messages = in_memory(setup)
+    load = load_of(setup, traffic_of(messages))
+    contestants: dict[str, Callable[[], float]] = {}
+    for warmth, is_cold in (("warm", False), ("cold", True)):
+        node = partial(_node, setup, messages, is_cold)
+        bare = partial(_bare, load, messages, is_cold)
+        contestants |= {
+            f"numpy, {warmth}": without_kernels(node),
+            f"numpy, {warmth}, bare": without_kernels(bare),
+        }
+        if compiled.KERNELS is not None:
+            contestants |= {f"kernels, {warmth}": node, f"kernels, {warmth}, bare": bare}
+    given = in_turns(contestants, TURNS)
+    say(f"a node of {NODES}, {GRAPH}, fed from memory, beside its bare loop; {TURNS} turns")
+    results: Figures = {}
+    for name, spent in given.items():
+        results[f"{name} us"] = figure([1e6 * one for one in spent], "us/step", "less")
+        if name.endswith("bare"):
+            continue
+        floor = given[f"{name}, bare"]
+        of_floor = results[f"{name}, part of the bare loop"] = ratio(floor, spent)
+        say(
+            f"  {name:<16}{median_us(spent):8.1f} us per step, bare loop {median_us(floor):8.1f}: "
+            f"{of_floor.value:.2f} ({of_floor.low:.2f} - {of_floor.high:.2f}) of its rate"
+        )
+    return results
+
+
+def _node(setup: Setup, messages: Messages, cold: bool) -> float:
+    """Seconds per step of a node as it is."""
+    memory = _memory(setup.neighbours[NODE], messages, cold)
+    links = Links("peer", (), ())
+    with patch.object(process, "Transport", lambda *_: memory):
+        peers = setup.neighbours[NODE]
+        process.run_node(Membership("memory", links, build_node(setup, NODE), peers, ""))
+    return memory.spent_s / STEPS
+
+
+def _bare(load: Load, messages: Messages, cold: bool) -> float:
+    """Seconds per step of the bare loop."""
+    memory = _memory(load.neighbours[NODE], messages, cold)
+    pass_on(cast(Transport, memory), load, NODE)
+    return memory.spent_s / STEPS
+
+
+def _memory(neighbours: Sequence[int], messages: Messages, cold: bool) -> _Memory:
+    first_of_round = [f"measured/{NODE}", f"share/{neighbours[0]}"] if cold else []
+    return _Memory(messages, first_of_round, STEPS)
+
+
+if __name__ == "__main__":
+    main()
