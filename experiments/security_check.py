@@ -12,6 +12,7 @@ from typing import Any
 
 import msgspec
 
+from experiments.progress import progress
 from nodes.access_control import MONITOR, OPERATOR, ROUTER_NAME, certificate_name
 from nodes.bounds import MAX_FRAME_BYTES, MAX_MESSAGE_BYTES
 from nodes.certificates import (
@@ -144,7 +145,7 @@ def _attempt(who: str, tried: str, wanted: str, came: int, tries: int) -> Attemp
     return Attempt(who, tried, wanted, outcome, came, tries)
 
 
-def _reader(guarded: _Guarded) -> Attempt:
+def _reader(guarded: _Guarded) -> list[Attempt]:
     """A monitor hears what a node says."""
     monitor = guarded.join(guarded.keys(MONITOR), ("share/*",))
     time.sleep(_SETTLE_S)
@@ -158,7 +159,7 @@ def _reader(guarded: _Guarded) -> Attempt:
     listening = threading.Thread(target=listen, daemon=True)
     listening.start()
     listening.join(_JOIN_S)
-    return _attempt(MONITOR, "hears a node's shares", _DELIVERED, heard.qsize(), TRIES)
+    return [_attempt(MONITOR, "hears a node's shares", _DELIVERED, heard.qsize(), TRIES)]
 
 
 def _commands(guarded: _Guarded) -> list[Attempt]:
@@ -248,7 +249,7 @@ def _knock(guarded: _Guarded, enter: Callable[[], Transport]) -> int:
     return came
 
 
-def _false_router(guarded: _Guarded, folder: Path) -> Attempt:
+def _false_router(guarded: _Guarded, folder: Path) -> list[Attempt]:
     """A router of somebody else lies in wait for a node."""
     stranger = new_authority(1)
     tls = zenoh_settings(
@@ -264,26 +265,33 @@ def _false_router(guarded: _Guarded, folder: Path) -> Attempt:
         came = 0
     finally:
         router.close()
-    return _attempt("false router", "lets node-0 join", _REFUSED, came, 1)
+    return [_attempt("false router", "lets node-0 join", _REFUSED, came, 1)]
 
 
 def check(folder: Path) -> list[Attempt]:
-    """Try everything against a router with the keys in `folder`; takes about 20 s.
+    """Try everything against a router with the keys in `folder`, and say how far it is; takes about
+    half a minute.
 
     Raises:
         ValueError: the folder has no keys for a router, a world, a recorder and two nodes.
     """
     authority = read_authority(folder)
     guarded = _Guarded(folder)
+    attempts: list[Attempt] = []
     try:
         with tempfile.TemporaryDirectory() as scratch:
-            return [
-                *_writers(guarded),
-                _reader(guarded),
-                *_tokens(guarded),
-                *_commands(guarded),
-                *_joiners(guarded, authority, Path(scratch)),
-                _false_router(guarded, Path(scratch)),
+            trials: list[Callable[[], list[Attempt]]] = [
+                partial(_writers, guarded),
+                partial(_reader, guarded),
+                partial(_tokens, guarded),
+                partial(_commands, guarded),
+                partial(_joiners, guarded, authority, Path(scratch)),
+                partial(_false_router, guarded, Path(scratch)),
             ]
+            with progress("ways to break in", len(trials)) as told:
+                for done, trial in enumerate(trials, 1):
+                    attempts += trial()
+                    told(done)
     finally:
         guarded.close()
+    return attempts

@@ -23,6 +23,7 @@ def concord_keys(folder: Path, *words: str) -> tuple[int, str, str]:
 def test_nobody_gets_in_and_a_hole_is_found(tmp_path: Path):
     code, out, err = concord_keys(tmp_path, "--nodes", "2", "--check", "--json")
     assert code == 0, (out, err)
+    assert err.splitlines()[-1] == "ways to break in: 6 of 6"
     attempts = msgspec.json.decode(out)["attempts"]
     outcomes = {(one["who"], one["tried"]): one["outcome"] for one in attempts}
     assert outcomes == {
