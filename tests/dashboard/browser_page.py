@@ -82,7 +82,7 @@ class Page:
         self.clock_s += 1.0
         self.dashboard.tick(self.clock_s)
 
-    def until(self, holds: Callable[[], bool], seconds: float = 60.0) -> None:
+    def until(self, holds: Callable[[], bool | None], seconds: float = 60.0) -> None:
         """Draw until something holds on the page."""
         deadline = time.monotonic() + seconds
         while True:
