@@ -15,8 +15,8 @@ from filters.sigma_points import scaled_unscented
 from filters.ukf import predict, update
 
 LANES, TURNS = 10_000, 15
-# As many at a time as fit into the caches with all their sigma points. Kernels pass fewer times over
-# them, and gain more from fewer calls.
+# As many at a time as fit into the caches with all their sigma points. Kernels pass over them less
+# often, and gain more from fewer calls.
 BLOCK, KERNEL_BLOCK = 2_000, 5_000
 ONE_STEPS, MANY_STEPS = 200, 3
 
