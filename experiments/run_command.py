@@ -30,7 +30,7 @@ from nodes.tempo import Tempo
 from scenarios.scenario import require
 from scenarios.setup import Setup, prepare
 from scenarios.tempo import tempo_of
-from scenarios.warnings import known_failures
+from scenarios.warnings import warnings_of
 
 VECTORISED, REALTIME = "vectorised", "realtime"
 
@@ -84,8 +84,8 @@ def run(
             f"real time: a cycle every {tempo.cycle_s * 1e3:.3g} ms ({tempo.stretch:.3g} x the "
             f"bus's), a step every {tempo.step_s * 1e3:.4g} ms\n"
         )
-    for failure in known_failures(setup):
-        sys.stderr.write(f"warning: {failure}\n")
+    for warning in warnings_of(setup):
+        sys.stderr.write(f"warning: {warning}\n")
     if options.driver == VECTORISED:
         many = options.covariances, options.json
         run_many(setup, options.runs, folder, description, *many)

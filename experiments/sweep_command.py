@@ -20,7 +20,7 @@ from experiments.user_errors import user_errors
 from experiments.workers import WorkerLost, engine_for
 from nodes.disk import NotWritten
 from scenarios.setup import prepare
-from scenarios.warnings import known_failures
+from scenarios.warnings import warnings_of
 
 FILE_WIDTH = 120
 
@@ -92,17 +92,17 @@ def _announce(begun: Begin, out: Path) -> None:
         return
     if done:
         write(f"goes on: {len(done)} of {len(cells)} cells were finished before\n")
-    for failure, names in _failures(begun).items():
+    for warning, names in _warnings(begun).items():
         more = f" and {len(names) - 1} more cells" if len(names) > 1 else ""
-        write(f"warning: {names[0]}{more}: {failure}\n")
+        write(f"warning: {names[0]}{more}: {warning}\n")
 
 
-def _failures(begun: Begin) -> dict[str, list[str]]:
-    """What is known to fail, and in which cells."""
+def _warnings(begun: Begin) -> dict[str, list[str]]:
+    """What is known to fail or to change nothing, and in which cells."""
     found: dict[str, list[str]] = {}
     for cell in begun.cells:
-        for failure in known_failures(prepare(cell.scenario)):
-            found.setdefault(failure, []).append(cell.name)
+        for warning in warnings_of(prepare(cell.scenario)):
+            found.setdefault(warning, []).append(cell.name)
     return found
 
 

@@ -23,6 +23,14 @@ from scenarios.scenario import Scenario
 from scenarios.script import script_of
 from topology.names import unknown_name
 
+# Fields of `Scenario` that mean something under this rule alone.
+LABELLED_FIELDS = (
+    "window_steps",
+    "digest_steps",
+    "gate_probability",
+    "record_number",
+    "payload_bytes",
+)
 RECORD_NUMBERS = {"int16": "<i2", "float32": "<f4", "float64": "<f8"}
 _CHECKPOINT_NUMBER = "<f4"
 # A window costs neither bytes nor time of the bus, so it is longer than most networks need.

@@ -42,7 +42,12 @@ from scenarios.fleets import (
     pulled_fleet,
     weighted_information_fleet,
 )
-from scenarios.labelled import check_labelled, largest_share, without_arrays
+from scenarios.labelled import (
+    LABELLED_FIELDS,
+    check_labelled,
+    largest_share,
+    without_arrays,
+)
 from scenarios.scenario import Scenario, lossy_links
 from topology.names import unknown_name
 
@@ -72,6 +77,8 @@ class Rule(NamedTuple):
         fleet: builds the rule at all nodes of many runs; None for a rule without an array form.
         lacking: what of a scenario the array form does not have; None if it has all.
         shares_beliefs: a share is a mean and a covariance.
+        own: fields of `Scenario` that mean something here and not under every rule.
+        ignores: fields that mean something under other rules and nothing here.
     """
 
     summary: str
@@ -85,6 +92,13 @@ class Rule(NamedTuple):
     fleet: Callable[[FleetSeat], Fleet] | None = None
     lacking: Callable[[Scenario], str | None] = lambda _: None
     shares_beliefs: bool = False
+    own: tuple[str, ...] = ()
+    ignores: tuple[str, ...] = ()
+
+
+def rules_where(holds: Callable[[Rule], bool]) -> tuple[str, ...]:
+    """The names of the rules of which that holds."""
+    return tuple(name for name, rule in _RULES.items() if holds(rule))
 
 
 def rule_of(scenario: Scenario) -> Rule:
@@ -285,6 +299,8 @@ _RULES: dict[str, Rule] = {
         holds=True,
         check=_require_honest_majorities,
         shares_beliefs=True,
+        own=("liars",),
+        ignores=("determinant_weights",),
     ),
     "wac": Rule(
         "weighted average of means and covariances (the paper's): no inverse, may diverge",
@@ -325,6 +341,7 @@ _RULES: dict[str, Rule] = {
         lambda n, _: packed_length(n) + n,
         pulled,
         fleet=pulled_fleet,
+        ignores=("weights",),
     ),
     "labelled": Rule(
         "measurements with labels, each counted once: near centralised in a fraction of the bytes",
@@ -334,6 +351,8 @@ _RULES: dict[str, Rule] = {
         check=check_labelled,
         fleet=flooding_fleet,
         lacking=without_arrays,
+        own=LABELLED_FIELDS,
+        ignores=("weights",),
     ),
     "local": Rule(
         "every node alone: publishes, but fuses nothing",
@@ -341,6 +360,7 @@ _RULES: dict[str, Rule] = {
         partial(averaging, keep_own),
         fleet=local_fleet,
         shares_beliefs=True,
+        ignores=("weights",),
     ),
     "centralised": Rule(
         "all readings at every node: the optimum; complete graph, full schedule, one round",
@@ -348,6 +368,7 @@ _RULES: dict[str, Rule] = {
         diffused,
         fleet=diffused_fleet,
         check=_require_all_at_once,
+        ignores=("weights",),
     ),
     "ellipsoid": Rule(
         "sets that hold the truth for certain: ellipsoids that intersect; needs bounded noise",
@@ -357,6 +378,7 @@ _RULES: dict[str, Rule] = {
         check=set_rules.check_bounded,
         certain=True,
         listen=partial(set_rules.listen, Ellipsoids),
+        ignores=("weights", "decay", "determinant_weights"),
     ),
     "zonotope": Rule(
         "the same with zonotopes: tighter prediction, wider shares; needs bounded noise",
@@ -366,6 +388,7 @@ _RULES: dict[str, Rule] = {
         check=set_rules.check_bounded,
         certain=True,
         listen=partial(set_rules.listen, Zonotopes),
+        ignores=("weights", "decay", "determinant_weights"),
     ),
 }
 RULE_SUMMARIES = {name: rule.summary for name, rule in _RULES.items()}

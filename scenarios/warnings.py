@@ -1,4 +1,4 @@
-"""What is known to go wrong with a rule on a network, said before the run."""
+"""What is known to go wrong with a rule on a network, or to change nothing, said before the run."""
 
 from collections.abc import Iterator
 from functools import partial
@@ -8,6 +8,7 @@ import numpy as np
 from nodes.labelled_frame import MAX_WINDOW_STEPS
 from nodes.messages import Array, from_wire
 from scenarios.catalogue import kind_of
+from scenarios.idle_options import idle_options
 from scenarios.labelled import digest_of, latency_steps, window_of
 from scenarios.rules import rule_of
 from scenarios.scenario import lossy_links
@@ -22,16 +23,18 @@ _MARGIN = 1e-6
 _DISAGREEMENT = 0.01
 
 
-def known_failures(setup: Setup) -> tuple[str, ...]:
-    """A sentence for every known failure of the setup's rule on its network; empty if none.
+def warnings_of(setup: Setup) -> tuple[str, ...]:
+    """A sentence for every known failure of the setup's rule on its network, and for every option
+    that changes nothing there; empty if none.
 
     Each names the rule, the condition with its numbers, and what to use instead. Sources are given
     where the conditions are: the functions of `filters/`.
     """
     wiring = kind_of(setup.scenario.name).wiring
     if wiring is not None:
-        return wiring.warnings(setup.scenario)
+        return (*idle_options(setup), *wiring.warnings(setup.scenario))
     return (
+        *idle_options(setup),
         *kind_of(setup.scenario.name).warnings(setup.scenario),
         *_diverging_average(setup),
         *_too_few_rounds(setup),

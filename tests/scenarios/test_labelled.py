@@ -27,7 +27,7 @@ from scenarios.catalogue import kind_of
 from scenarios.labelled import check_labelled, digest_of, gates_of, latency_steps, window_of
 from scenarios.scenario import Scenario
 from scenarios.setup import Setup, prepare
-from scenarios.warnings import known_failures
+from scenarios.warnings import warnings_of
 
 
 def setup_of(**options) -> Setup:
@@ -244,12 +244,12 @@ def test_shares_stay_within_the_payload_that_was_asked_for():
 
 
 def test_a_window_below_the_latency_and_relaying_are_said_before_the_run():
-    assert known_failures(setup_of(occupancy=0.5)) == ()
-    (short,) = known_failures(setup_of(nodes=8, graph="path", rounds=1, window_steps=5))
+    assert warnings_of(setup_of(occupancy=0.5)) == ()
+    (short,) = warnings_of(setup_of(nodes=8, graph="path", rounds=1, window_steps=5))
     assert "may need 7" in short and "--window-steps 7" in short
-    (static,) = known_failures(setup_of(relay=True))
+    (static,) = warnings_of(setup_of(relay=True))
     assert "within 5 us" in static and "frame IDs" not in static
-    (awarded,) = known_failures(setup_of(relay=True, occupancy=0.5))
+    (awarded,) = warnings_of(setup_of(relay=True, occupancy=0.5))
     assert "in any order of frame IDs" in awarded
 
 

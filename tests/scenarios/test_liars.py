@@ -6,7 +6,7 @@ import pytest
 from experiments.drivers import in_memory
 from experiments.trace import read_trace
 from scenarios.setup import prepare
-from scenarios.warnings import known_failures
+from scenarios.warnings import warnings_of
 from tests.experiments.support import scenario
 
 NODES, FROM_STEP, STEPS = 7, 8, 24
@@ -48,6 +48,6 @@ def test_a_graph_on_which_nobody_could_tell_is_refused_and_a_thin_one_warned_of(
         prepare(scenario(rule="trimmed-ci", graph="ring", liars=2))
     with pytest.raises(ValueError, match="--liars -1: must be 0 or more"):
         prepare(scenario(rule="trimmed-ci", graph="complete", liars=-1))
-    thin = known_failures(prepare(scenario(rule="trimmed-ci", graph="ring", nodes=8)))
+    thin = warnings_of(prepare(scenario(rule="trimmed-ci", graph="ring", nodes=8)))
     assert any("is not 3-robust" in line for line in thin)
-    assert not known_failures(prepare(scenario(rule="trimmed-ci", graph="complete", nodes=8)))
+    assert not warnings_of(prepare(scenario(rule="trimmed-ci", graph="complete", nodes=8)))

@@ -21,7 +21,7 @@ from scenarios.measurement_runs import Estimator, estimate, first_received, slot
 from scenarios.meng2025 import FILTERS, SYSTEM, bus_of, paper_points
 from scenarios.scenario import Scenario
 from scenarios.setup import Setup, prepare
-from scenarios.warnings import known_failures
+from scenarios.warnings import warnings_of
 from tests.experiments.support import scenario, trace_of
 
 STAR: dict = {"steps": 41}
@@ -155,9 +155,9 @@ def test_what_the_star_cannot_be(changes: dict, says: str):
 
 
 def test_the_printed_filter_comes_with_a_warning():
-    (warning,) = known_failures(star(rule="paper-literal"))
+    (warning,) = warnings_of(star(rule="paper-literal"))
     assert "rank is at most" in warning and "pseudo-inverse" in warning
-    assert known_failures(star()) == ()
+    assert warnings_of(star()) == ()
 
 
 # --- the network ---------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from scenarios import catalogue
 from scenarios.catalogue import Kind, Score, kind_of
 from scenarios.scenario import Scenario
 from scenarios.setup import Setup, prepare
-from scenarios.warnings import known_failures
+from scenarios.warnings import warnings_of
 
 
 def setup_of(**changes) -> Setup:
@@ -22,7 +22,7 @@ def setup_of(**changes) -> Setup:
 
 
 def quiet(**changes) -> bool:
-    return known_failures(setup_of(**changes)) == ()
+    return warnings_of(setup_of(**changes)) == ()
 
 
 # --- the average of a network with blind nodes, on a plant that grows ----------------------------
@@ -93,7 +93,7 @@ def test_the_average_diverges_just_where_the_condition_says(
     growing, growth: float, rounds: int, what: str | None
 ):
     setup = growing(growth, rounds=rounds)
-    said = known_failures(setup)
+    said = warnings_of(setup)
     error, variance = outcome(setup)
     # The ring as a circulant; node 0 sees, and forgets what the others think.
     shift = np.roll(np.eye(8), 1, axis=0)
@@ -118,7 +118,7 @@ def test_what_is_recommended_instead_stays_bounded(growing):
     for growth, rounds in ((1.1, 1), (1.2, 5)):
         for change in ({"rule": "ci"}, {"hold": "decayed", "determinant_weights": True}):
             setup = growing(growth, rounds=rounds, **change)
-            assert known_failures(setup) == ()
+            assert warnings_of(setup) == ()
             error, variance = outcome(setup)
             assert error.max() < 10
             assert variance.max() < 10
@@ -137,7 +137,7 @@ def test_rounds_must_suffice_for_one_per_cent_of_a_disagreement(rule: str):
     """A ring of eight with Metropolis weights leaves (1 + 2 cos 45 deg) / 3 = .805 per round."""
     modulus = (1 + 2 * np.cos(np.pi / 4)) / 3
     needed = int(np.ceil(np.log(0.01) / np.log(modulus)))
-    (sentence,) = known_failures(setup_of(rule=rule, rounds=needed - 1))
+    (sentence,) = warnings_of(setup_of(rule=rule, rounds=needed - 1))
     assert f"rule {rule} is overconfident after {needed - 1} rounds" in sentence
     assert "leave 0.805" in sentence
     assert f"--rounds {needed}" in sentence
@@ -149,11 +149,12 @@ def test_rounds_must_suffice_for_one_per_cent_of_a_disagreement(rule: str):
 @pytest.mark.parametrize("rule", ["icf", "hcmci-classical"])
 def test_everybody_must_publish(rule: str):
     common = {"rule": rule, "rounds": 1, "graph": "complete"}
-    (sentence,) = known_failures(setup_of(**common, schedule="round-robin", occupancy=0.5))
+    (sentence,) = warnings_of(setup_of(**common, schedule="round-robin", occupancy=0.5))
     assert "--occupancy 0.5" in sentence
-    (sentence,) = known_failures(setup_of(**common, schedule="hybrid", trigger=0.1))
+    (sentence,) = warnings_of(setup_of(**common, schedule="hybrid", trigger=0.1))
     assert "--trigger 0.1" in sentence
-    assert quiet(**common, trigger=0.1)
+    (sentence,) = warnings_of(setup_of(**common, trigger=0.1))
+    assert "--trigger 0.1 changes nothing" in sentence
 
 
 def test_the_safe_gain_needs_no_warning():
@@ -167,7 +168,7 @@ def test_the_safe_gain_needs_no_warning():
 @pytest.mark.parametrize("rule", ["ci", "wac"])
 def test_raw_shares_are_a_failure_only_where_somebody_is_silent(rule: str):
     silent = {"schedule": "hybrid", "occupancy": 0.5}
-    (sentence,) = known_failures(setup_of(rule=rule, hold="raw", **silent))
+    (sentence,) = warnings_of(setup_of(rule=rule, hold="raw", **silent))
     assert f"--hold raw with --occupancy 0.5: rule {rule}" in sentence
     assert "use --hold decayed" in sentence
     assert quiet(rule=rule, hold="raw")
@@ -176,9 +177,9 @@ def test_raw_shares_are_a_failure_only_where_somebody_is_silent(rule: str):
 
 @pytest.mark.parametrize("rule", ["kcf", "diffusion"])
 def test_rules_that_do_not_fuse_covariances_say_so(rule: str):
-    (sentence,) = known_failures(setup_of(rule=rule))
+    (sentence,) = warnings_of(setup_of(rule=rule))
     assert f"rule {rule} is not consistent" in sentence
-    assert len(known_failures(setup_of(rule=rule, rounds=1))) == 2
+    assert len(warnings_of(setup_of(rule=rule, rounds=1))) == 2
 
 
 # --- links that lose frames ----------------------------------------------------------------------
@@ -198,5 +199,5 @@ def test_labelled_without_digests_never_makes_good_what_a_link_lost():
     assert coverage(digest_steps=0) < 0.95
     assert quiet(rule="labelled", loss=0.5, digest_steps=8)
     assert quiet(rule="labelled", loss=0.5)
-    (warning,) = known_failures(setup_of(rule="labelled", loss=0.5, digest_steps=0))
+    (warning,) = warnings_of(setup_of(rule="labelled", loss=0.5, digest_steps=0))
     assert "--digest-steps" in warning
