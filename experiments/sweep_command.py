@@ -93,7 +93,7 @@ def _announce(begun: Begin, out: Path) -> None:
     if done:
         write(f"goes on: {len(done)} of {len(cells)} cells were finished before\n")
     for warning, names in _warnings(begun).items():
-        more = f" and {len(names) - 1} more cells" if len(names) > 1 else ""
+        more = f" and in {len(names) - 1} more" if len(names) > 1 else ""
         write(f"warning: {names[0]}{more}: {warning}\n")
 
 
