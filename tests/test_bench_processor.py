@@ -1,6 +1,7 @@
 """What processes cost, read from outside of them."""
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -25,6 +26,9 @@ def test_a_process_costs_what_it_and_its_children_worked():
     with process:
         assert process.stdout
         assert process.stdout.readline()
+        # Who stands still works no more between one look and the next.
+        process.send_signal(signal.SIGSTOP)
+        os.waitpid(process.pid, os.WUNTRACED)
         assert WORK_S - LOST_S <= spent_s([process.pid]) < 6 * WORK_S
         assert spent_s([process.pid, process.pid]) == 2 * spent_s([process.pid])
         process.kill()
