@@ -61,7 +61,7 @@ class ScenarioOptions:
     relay: bool | None = None
     """Compose each share at its slot, with what earlier slots of the cycle brought (labelled)."""
     latch_delay_us: float | None = None
-    """What a host needs for --relay, from the last bit of a frame to the first of its own."""
+    """What a host needs for --relay True, from the last bit of a frame to the first of its own."""
     window_steps: int | None = None
     """How many steps late a record may come (labelled); the schedule's latency when left out."""
     digest_steps: int | None = None

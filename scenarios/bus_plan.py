@@ -124,8 +124,8 @@ def plan_bus(scenario: Scenario, share_bytes: int, neighbours: Neighbours = ()) 
     if scenario.cluster == NO_CLUSTER:
         if schedule.relay:
             raise ValueError(
-                "--relay --cluster none: whether a host can latch a frame at its slot depends on "
-                "the time between frames; choose a cluster, or leave --relay out"
+                "--relay True --cluster none: whether a host can latch a frame at its slot depends "
+                "on the time between frames; choose a cluster, or leave --relay out"
             )
         return _timeless(schedule, share_bytes)
     cluster = _cluster(scenario, schedule, share_bytes)

@@ -32,8 +32,8 @@ def idle_options(setup: Setup) -> Iterator[str]:
         value = getattr(scenario, field)
         if value != getattr(usual, field) and not any(map(reader.reads, stages)):
             yield (
-                f"{_in_words(field, value)} changes nothing here: it is for {reader.purpose}; "
-                "leave it out, or use that"
+                f"--{field.replace('_', '-')} {value} changes nothing here: it is for "
+                f"{reader.purpose}; leave it out, or use that"
             )
 
 
@@ -45,13 +45,6 @@ def _stages(setup: Setup) -> list[Scenario]:
             settings = complete_settings(setup, {**settings, **command.settings})
             stages.append(with_settings(setup, settings).scenario)
     return stages
-
-
-def _in_words(field: str, value: object) -> str:
-    option = field.replace("_", "-")
-    if isinstance(value, bool):
-        return f"--{option}" if value else f"--no-{option}"
-    return f"--{option} {value}"
 
 
 def _of_rules(field: str) -> _Reader:
@@ -90,6 +83,6 @@ _READERS = {
     "liars": _of_rules("liars"),
     # A measurement bus carries numbers too, under rules of its own.
     "number": _Reader(lambda scenario: scenario.rule != "labelled", "all rules but labelled"),
-    "latch_delay_us": _Reader(lambda scenario: scenario.relay, "--relay alone"),
+    "latch_delay_us": _Reader(lambda scenario: scenario.relay, "--relay True alone"),
     **{field: _of_rules(field) for field in LABELLED_FIELDS},
 }

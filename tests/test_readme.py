@@ -1,4 +1,4 @@
-"""Every command of README.md and of the pages on graphs and buses runs as it is printed.
+"""Every command of README.md and of most pages runs as it is printed.
 
 Commands are the lines of its ```sh blocks. They run one after the other in a folder that looks like
 a checkout with nothing in `runs/` yet, in the project's environment, as a reader would do it.
@@ -12,9 +12,10 @@ import pytest
 from tests.pages import ROOT, commands, link_checkout, run_as_reader
 
 README = ROOT / "README.md"
+_NAMES = ("topology", "bus", "measurement_bus", "labelled", "control", "faults", "realtime")
 PAGES = (
     README,
-    *(ROOT / f"docs/{name}.md" for name in ("topology", "bus", "measurement_bus")),
+    *(ROOT / f"docs/{name}.md" for name in _NAMES),
 )
 COMMANDS = [command for page in PAGES for command in commands(page.read_text(encoding="utf-8"))]
 

@@ -46,8 +46,7 @@ def said_of(setup: Setup) -> list[str]:
 
 
 def in_words(field: str) -> str:
-    no = "no-" if UNLIKE_DEFAULTS[field] is False else ""
-    return f"--{no}{field.replace('_', '-')}"
+    return f"--{field.replace('_', '-')}"
 
 
 @pytest.fixture(scope="module")
@@ -117,10 +116,12 @@ def test_what_a_script_comes_to_need_is_not_idle():
 
 
 def test_a_sentence_names_the_option_what_it_is_for_and_the_cure():
-    (sentence,) = idle_options(setup_of(liars=2))
-    assert sentence == (
+    switched, liars = idle_options(setup_of(rule="hcmci", liars=2, determinant_weights=False))
+    assert liars == (
         "--liars 2 changes nothing here: it is for rule trimmed-ci alone; leave it out, or use that"
     )
+    # As it is said on the command line.
+    assert switched.startswith("--determinant-weights False changes nothing")
 
 
 @pytest.mark.parametrize("name", ["oscillator", "meng2025", "liu2021-network", "target-tracking"])

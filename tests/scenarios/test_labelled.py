@@ -169,7 +169,7 @@ def test_a_wrong_reading_is_used_by_nobody():
 
 REFUSED = [
     ({"relay": True, "rule": "ci"}, "choose rule labelled"),
-    ({"relay": True, "cluster": "none"}, "--relay --cluster none"),
+    ({"relay": True, "cluster": "none"}, "--relay True --cluster none"),
     ({"relay": True, "latch_delay_us": 50.0}, "leaves 7.8 us"),
     ({"window_steps": 0}, "must be 1 to 255"),
     ({"window_steps": 256}, "must be 1 to 255"),
