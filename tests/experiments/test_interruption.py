@@ -32,7 +32,8 @@ INTERRUPTED = 130
 # What the command says on standard error at each moment, and the steps it was asked for.
 MOMENTS = {
     "before ready": ("seed", 700),
-    "in the middle": ("oscillator: ", 700),
+    # So many that the end is far off, however late a busy machine lets us look.
+    "in the middle": ("oscillator: ", 3000),
     "near the end": ("oscillator: 60 of 60", 60),
 }
 
