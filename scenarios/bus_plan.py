@@ -112,6 +112,11 @@ def build_schedule(scenario: Scenario, neighbours: Neighbours = ()) -> Schedule:
     return msgspec.structs.replace(schedule, relay=scenario.relay)
 
 
+def has_contenders(scenario: Scenario, neighbours: Neighbours = ()) -> bool:
+    """Whether nodes ask for slots that an arbiter awards."""
+    return any(build_schedule(scenario, neighbours).dynamic_slot_table)
+
+
 def plan_bus(scenario: Scenario, share_bytes: int, neighbours: Neighbours = ()) -> BusPlan:
     """The bus of a scenario whose shares have at most that many bytes.
 

@@ -7,18 +7,17 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 from nodes.commands import Configure
+from scenarios.bus_plan import has_contenders
 from scenarios.catalogue import kind_of
-from scenarios.labelled import LABELLED_FIELDS
-from scenarios.rules import rules_where
-from scenarios.scenario import Scenario
+from scenarios.rules import rules_by_own_field, rules_where
 from scenarios.script import script_of
 from scenarios.setup import Setup, complete_settings, with_settings
 
 
 class _Reader(NamedTuple):
-    """Whether a scenario reads an option, and in the words of the options what it is for."""
+    """Whether a setup reads an option, and in the words of the options what it is for."""
 
-    reads: Callable[[Scenario], bool]
+    reads: Callable[[Setup], bool]
     purpose: str
 
 
@@ -37,28 +36,32 @@ def idle_options(setup: Setup) -> Iterator[str]:
             )
 
 
-def _stages(setup: Setup) -> list[Scenario]:
-    """The scenario as it begins, and as it is after every `set` of its script."""
-    stages, settings = [setup.scenario], {}
+def _stages(setup: Setup) -> list[Setup]:
+    """The setup as it begins, and as it is after every `set` of its script."""
+    stages, settings = [setup], {}
     for _, command in script_of(setup.scenario):
         if isinstance(command, Configure):
             settings = complete_settings(setup, {**settings, **command.settings})
-            stages.append(with_settings(setup, settings).scenario)
+            stages.append(with_settings(setup, settings))
     return stages
 
 
-def _of_rules(field: str) -> _Reader:
-    rules = rules_where(lambda rule: field in rule.own) or rules_where(
-        lambda rule: field not in rule.ignores
-    )
-    return _Reader(lambda scenario: scenario.rule in rules, f"rule {_listed(rules)} alone")
+def _of_rules(rules: Sequence[str]) -> _Reader:
+    return _Reader(lambda setup: setup.scenario.rule in rules, f"rule {_listed(rules)} alone")
 
 
 def _of_decayed(field: str) -> _Reader:
     rules = rules_where(lambda rule: rule.holds and field not in rule.ignores)
     return _Reader(
-        lambda scenario: scenario.rule in rules and scenario.hold == "decayed",
+        lambda setup: setup.scenario.rule in rules and setup.scenario.hold == "decayed",
         f"rule {_listed(rules)} with --hold decayed alone",
+    )
+
+
+def _unless_ignored(field: str) -> _Reader:
+    rules = rules_where(lambda rule: field in rule.ignores)
+    return _Reader(
+        lambda setup: setup.scenario.rule not in rules, f"all rules but {_listed(rules)}"
     )
 
 
@@ -67,22 +70,17 @@ def _listed(names: Sequence[str]) -> str:
     return f"{', '.join(first)} or {last}" if first else last
 
 
-def _is_contended(scenario: Scenario) -> bool:
-    # A measurement bus has a slot for which its sensors contend.
-    return scenario.schedule in _CONTENDED or kind_of(scenario.name).wiring is not None
-
-
-_CONTENDED = ("hybrid", "hybrid-leaves", "dynamic")
-_AT_CONTENTION = _Reader(_is_contended, f"--schedule {_listed(_CONTENDED)} alone")
+_AT_CONTENTION = _Reader(
+    lambda setup: has_contenders(setup.scenario, setup.neighbours),
+    "--schedule hybrid, hybrid-leaves or dynamic alone",
+)
 _READERS = {
-    "weights": _of_rules("weights"),
+    "weights": _of_rules(rules_where(lambda rule: "weights" not in rule.ignores)),
     "arbiter": _AT_CONTENTION,
     "trigger": _AT_CONTENTION,
     "decay": _of_decayed("decay"),
     "determinant_weights": _of_decayed("determinant_weights"),
-    "liars": _of_rules("liars"),
-    # A measurement bus carries numbers too, under rules of its own.
-    "number": _Reader(lambda scenario: scenario.rule != "labelled", "all rules but labelled"),
-    "latch_delay_us": _Reader(lambda scenario: scenario.relay, "--relay True alone"),
-    **{field: _of_rules(field) for field in LABELLED_FIELDS},
+    "number": _unless_ignored("number"),
+    "latch_delay_us": _Reader(lambda setup: setup.scenario.relay, "--relay True alone"),
+    **{field: _of_rules(rules) for field, rules in rules_by_own_field().items()},
 }

@@ -7,10 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from filters import hold
-from filters.fusion import (
-    INFORMATION,
-    MOMENTS,
-)
+from filters.fusion import INFORMATION, MOMENTS
 from filters.gaussian import Gaussian
 from filters.hybrid_consensus import classical_gain, safe_gain
 from filters.local import keep_own
@@ -99,6 +96,12 @@ class Rule(NamedTuple):
 def rules_where(holds: Callable[[Rule], bool]) -> tuple[str, ...]:
     """The names of the rules of which that holds."""
     return tuple(name for name, rule in _RULES.items() if holds(rule))
+
+
+def rules_by_own_field() -> dict[str, tuple[str, ...]]:
+    """For each field that means something under some rules alone, the names of those."""
+    fields = {field: None for rule in _RULES.values() for field in rule.own}
+    return {field: rules_where(lambda rule, own=field: own in rule.own) for field in fields}
 
 
 def rule_of(scenario: Scenario) -> Rule:
@@ -352,7 +355,7 @@ _RULES: dict[str, Rule] = {
         fleet=flooding_fleet,
         lacking=without_arrays,
         own=LABELLED_FIELDS,
-        ignores=("weights",),
+        ignores=("weights", "number"),
     ),
     "local": Rule(
         "every node alone: publishes, but fuses nothing",

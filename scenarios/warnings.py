@@ -7,6 +7,7 @@ import numpy as np
 
 from nodes.labelled_frame import MAX_WINDOW_STEPS
 from nodes.messages import Array, from_wire
+from scenarios.bus_plan import has_contenders
 from scenarios.catalogue import kind_of
 from scenarios.idle_options import idle_options
 from scenarios.labelled import digest_of, latency_steps, window_of
@@ -202,7 +203,7 @@ def _who_is_silent(setup: Setup) -> str:
         return f"--occupancy {scenario.occupancy:g}"
     if lossy := lossy_links(scenario):
         return lossy
-    if scenario.trigger > 0 and scenario.schedule in ("hybrid", "dynamic"):
+    if scenario.trigger > 0 and has_contenders(scenario, setup.neighbours):
         return f"--trigger {scenario.trigger:g}"
     return ""
 

@@ -151,8 +151,9 @@ def test_everybody_must_publish(rule: str):
     common = {"rule": rule, "rounds": 1, "graph": "complete"}
     (sentence,) = warnings_of(setup_of(**common, schedule="round-robin", occupancy=0.5))
     assert "--occupancy 0.5" in sentence
-    (sentence,) = warnings_of(setup_of(**common, schedule="hybrid", trigger=0.1))
-    assert "--trigger 0.1" in sentence
+    for schedule in ("hybrid", "hybrid-leaves", "dynamic"):
+        (sentence,) = warnings_of(setup_of(**common, schedule=schedule, trigger=0.1))
+        assert "--trigger 0.1" in sentence
     (sentence,) = warnings_of(setup_of(**common, trigger=0.1))
     assert "--trigger 0.1 changes nothing" in sentence
 
