@@ -18,18 +18,18 @@ import msgspec
 import numpy as np
 
 from benchmarks.cases import beliefs, readings, turn
-from bus.publication import Slot
-from filters.fusion import INFORMATION
+from bus.flexray.publication import Slot
+from filters.fusion.averaging import INFORMATION
 from filters.gaussian import Gaussian
 from filters.linalg import pack_upper
 from filters.sigma_points import scaled_unscented
 from filters.ukf import predict, update
 from nodes.belief_codec import BeliefCodec
-from nodes.links import RECORDER, WORLD, Links, free_ports, names, plan_links
 from nodes.messages import Estimate, Measured, decode, encode, to_wire
 from nodes.share import payload_lengths, to_frames, whole_body
-from nodes.supervisor import Ended, Supervisor
-from nodes.zenoh_transport import Transport, start_router
+from runtime.network.links import RECORDER, WORLD, Links, free_ports, names, plan_links
+from runtime.network.zenoh_transport import Transport, start_router
+from runtime.processes.supervisor import Ended, Supervisor
 
 
 class Load(msgspec.Struct, frozen=True):

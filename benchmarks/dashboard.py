@@ -22,11 +22,11 @@ from benchmarks.measure import Figures, figure, ratio, say
 from benchmarks.processor import spent_s
 from dashboard.app import Dashboard
 from dashboard.serve import open_recording
-from experiments.drivers import drive, over_processes
 from nodes.commands import Pause, Resume
-from nodes.control_client import Client
-from nodes.network_file import read_network
-from nodes.recording import McapRecorder
+from runtime.drivers import drive, over_processes
+from runtime.network.control_client import Client
+from runtime.network.network_file import read_network
+from runtime.recording import McapRecorder
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup, prepare
 

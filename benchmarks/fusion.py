@@ -11,12 +11,12 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks.measure import Figures, figure, in_turns, median_us, ratio, say, without_kernels
-from experiments.options import ScenarioOptions
-from filters import compiled
+from experiments.scenario_options import ScenarioOptions
 from filters.gaussian import Gaussian
-from nodes.vectorised_network import Fleet
+from filters.kernels import compiled
+from nodes.lanes.network import Fleet
+from runtime.batched.build import build_network
 from scenarios.setup import Setup, prepare
-from scenarios.vectorised import build_network
 
 NODES, RUNS, TURNS, LOOP_RUNS, MANY, REPEATS = 20, 500, 15, 5, 5, 5
 SCENARIO = "target-crossing"  # four states, on a geometric graph

@@ -20,11 +20,11 @@ import tyro
 from benchmarks.intruder import Intruder, intruders
 from benchmarks.malformed import malformed
 from benchmarks.running import Running, memory_mb, neighbouring_ports
-from experiments.drivers import in_memory
 from nodes.commands import Speed
-from nodes.links import RECORDER, WORLD, names
 from nodes.messages import Estimate, decode
-from nodes.recorded import meaning
+from runtime.drivers import in_memory
+from runtime.network.links import RECORDER, WORLD, names
+from runtime.recorded import meaning
 from scenarios.catalogue import kind_of
 from scenarios.setup import prepare
 

@@ -7,9 +7,9 @@ import msgspec
 
 from benchmarks.malformed import DAMAGED, FRAMES, JSON, MISFITS, WHOLE, Spoil
 from nodes.commands import Answer
-from nodes.links import RECORDER, WORLD, Links
 from nodes.messages import END
-from nodes.zenoh_transport import Transport
+from runtime.network.links import RECORDER, WORLD, Links
+from runtime.network.zenoh_transport import Transport
 
 JOIN_S, ASK_S = 10.0, 10.0
 GONE = b'{"what":"gone","node":1}'

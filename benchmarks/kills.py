@@ -23,10 +23,10 @@ import numpy as np
 import tyro
 
 from benchmarks.running import PROC, Running
-from experiments.trace import Trace, read_trace
+from experiments.results.trace import Trace, read_trace
 from nodes.commands import Restart, Speed
-from nodes.network_file import read_network
 from nodes.tempo import Tempo
+from runtime.network.network_file import read_network
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup, prepare
 from scenarios.tempo import tempo_of

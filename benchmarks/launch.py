@@ -6,9 +6,9 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.measure import Figures, figure
-from experiments.launcher import run_processes
-from experiments.options import ScenarioOptions
-from scenarios.job import Happened
+from experiments.scenario_options import ScenarioOptions
+from runtime.processes.job import Happened
+from runtime.processes.launcher import run_processes
 from scenarios.setup import Setup, prepare
 
 # As many steps as let every process be weighed before the first one leaves.

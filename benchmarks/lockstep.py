@@ -22,9 +22,9 @@ import numpy as np
 
 from benchmarks.bare_loop import Load
 from benchmarks.measure import Figures, figure, ratio, say
-from experiments.drivers import in_memory, over_processes
-from experiments.options import ScenarioOptions
+from experiments.scenario_options import ScenarioOptions
 from nodes.messages import decode, from_wire
+from runtime.drivers import in_memory, over_processes
 from scenarios.build import OPEN_LOOP_LEAD
 from scenarios.setup import Setup, prepare
 

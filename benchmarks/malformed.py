@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from bus.frame import MAX_PAYLOAD_BYTES, decode, encode
+from bus.flexray.frame import MAX_PAYLOAD_BYTES, decode, encode
 from nodes.bounds import MAX_FRAME_BYTES, MAX_MESSAGE_BYTES
 from nodes.share import PREFIX_BYTES, in_slot, renumbered
 

@@ -16,8 +16,8 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from filters import compiled
-from nodes.memory import keep_freed_memory
+from filters.kernels import compiled
+from runtime.batched.memory import keep_freed_memory
 
 Better = Literal["more", "less"]
 

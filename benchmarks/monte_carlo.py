@@ -1,6 +1,6 @@
 """A Monte Carlo from end to end beside the filter steps and fusions that it cannot do without.
 
-20 nodes, 500 runs, 100 steps, 3 rounds. End to end means `experiments.vectorised.simulate`: noise,
+20 nodes, 500 runs, 100 steps, 3 rounds. End to end means `simulate`: noise,
 plant, sensors, schedule, weights by determinants and age, fusion, metrics, histories. The kernels
 are the functions that it calls for all its lanes at once: `ukf.predict` and `ukf.update`, with the
 same models and readings, and the rounds of its fleet, `start` and `exchange`.
@@ -14,16 +14,16 @@ import numpy as np
 
 from benchmarks.fusion import fuse
 from benchmarks.measure import Figures, figure, in_turns, peak_mb, say, without_kernels
-from experiments.options import ScenarioOptions
-from experiments.vectorised import READINGS, simulate
-from filters import compiled
+from experiments.monte_carlo.simulate import READINGS, simulate
+from experiments.scenario_options import ScenarioOptions
 from filters.gaussian import Gaussian
+from filters.kernels import compiled
 from filters.sigma_points import scaled_unscented
 from filters.ukf import predict, update
 from plants.targets import Target
+from runtime.batched.build import build_network
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup, prepare
-from scenarios.vectorised import build_network
 
 SCENARIO, NODES, RUNS, STEPS, KERNEL_STEPS, TURNS = "target-tracking", 20, 500, 100, 10, 5
 

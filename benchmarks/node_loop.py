@@ -25,13 +25,13 @@ from benchmarks.measure import (
     say,
     without_kernels,
 )
-from experiments.drivers import in_memory
-from filters import compiled
-from nodes import process
-from nodes.links import Links
-from nodes.membership import Membership
+from filters.kernels import compiled
 from nodes.messages import END
-from nodes.zenoh_transport import Transport
+from runtime.drivers import in_memory
+from runtime.network.links import Links
+from runtime.network.zenoh_transport import Transport
+from runtime.processes import node_process as process
+from runtime.processes.membership import Membership
 from scenarios.build import build_node
 from scenarios.setup import Setup
 

@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from experiments.drivers import in_memory
-from experiments.options import ScenarioOptions
-from experiments.summary import summarise
-from experiments.trace import read_trace
+from experiments.results.summary import summarise
+from experiments.results.trace import read_trace
+from experiments.scenario_options import ScenarioOptions
+from runtime.drivers import in_memory
 from scenarios.setup import prepare
 
 HOLDS, DEFAULT = ("raw", "decayed"), "decayed"

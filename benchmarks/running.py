@@ -6,13 +6,13 @@ import threading
 from contextlib import suppress
 from pathlib import Path
 
-from experiments.drivers import over_processes
 from nodes.commands import Speed
-from nodes.control_client import Client
-from nodes.links import WORLD, ports_from
-from nodes.network_file import read_network
-from nodes.recording import read_recording
 from nodes.tempo import Tempo
+from runtime.drivers import over_processes
+from runtime.network.control_client import Client
+from runtime.network.links import WORLD, ports_from
+from runtime.network.network_file import read_network
+from runtime.recording import read_recording
 from scenarios.setup import Setup
 
 PROC = Path("/proc")

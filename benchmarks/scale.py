@@ -1,7 +1,7 @@
 """What a step costs as the network grows: ten to ten thousand nodes, and of a thousand nodes two
 thousand to thirty-two thousand edges; always the same number of lanes.
 
-`experiments.vectorised.simulate` runs regular networks; runs are as many as make up the lanes, so
+`simulate` runs regular networks; runs are as many as make up the lanes, so
 that what is compared is the size of the network and not that of the arrays.
 """
 
@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from benchmarks.measure import Figure, Figures, figure, in_turns, peak_mb, say
-from experiments.options import ScenarioOptions
-from experiments.vectorised import simulate
+from experiments.monte_carlo.simulate import simulate
+from experiments.scenario_options import ScenarioOptions
 from scenarios.setup import Setup, prepare
 
 LANES, STEPS, TURNS = 10_000, 8, 5

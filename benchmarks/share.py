@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from benchmarks.cases import turn
 from benchmarks.measure import Figures, figure, in_turns, say
-from bus.publication import Slot
+from bus.flexray.publication import Slot
 from nodes.belief_codec import BeliefCodec
 from nodes.share import payload_lengths, read_body, read_frame, to_frames, whole_body
 

@@ -9,8 +9,8 @@ import numpy as np
 from benchmarks.cases import Case, beliefs, readings, straight, turn
 from benchmarks.measure import Figures, figure, in_turns, median_us, ratio, say, without_kernels
 from benchmarks.peers import c_loop, filterpy_loop, stone_soup_loop
-from filters import compiled
 from filters.gaussian import Gaussian
+from filters.kernels import compiled
 from filters.sigma_points import scaled_unscented
 from filters.ukf import predict, update
 

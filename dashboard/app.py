@@ -17,28 +17,28 @@ import rich
 import viser
 
 from dashboard.bridge import Bridge
-from dashboard.camera import FIELD_OF_VIEW_RAD, Free, aimed
-from dashboard.charts import Charts, StateChart
-from dashboard.conditions import sender_at
-from dashboard.controls import MAGNIFIED, Controls
-from dashboard.expected import Expectation
-from dashboard.export_buttons import ExportButtons
-from dashboard.frame import BusCycle, Frame
-from dashboard.history import History
+from dashboard.frames.conditions import sender_at
+from dashboard.frames.expected import Expectation
+from dashboard.frames.frame import BusCycle, Frame
+from dashboard.frames.history import History
+from dashboard.frames.source import Answer, Source
+from dashboard.frames.stage import SCENE_WIDTH, Picture
 from dashboard.inputs import Inputs, at_once
 from dashboard.layout import lay_out
+from dashboard.panels.charts import Charts, StateChart
+from dashboard.panels.controls import MAGNIFIED, Controls
+from dashboard.panels.export_buttons import ExportButtons
+from dashboard.panels.selected import selected_panel
+from dashboard.panels.states import states
+from dashboard.panels.table import log, node_table, status
+from dashboard.panels.timeline import RASTER_ROWS, TimelineView
+from dashboard.panels.zoom import zoom
 from dashboard.player import Extent, play_live, play_recorded
-from dashboard.scene import Scene
-from dashboard.scene_plants import TRAIL
-from dashboard.selected import selected_panel
-from dashboard.source import Answer, Source
-from dashboard.stage import SCENE_WIDTH, Picture
-from dashboard.states import states
-from dashboard.table import log, node_table, status
+from dashboard.scene.camera import FIELD_OF_VIEW_RAD, Free, aimed
+from dashboard.scene.plants import TRAIL
+from dashboard.scene.scene import Scene
 from dashboard.theme import DARK, LIGHT, Theme, css
-from dashboard.timeline import RASTER_ROWS, TimelineView
 from dashboard.view import MANY_NODES, View
-from dashboard.zoom import zoom
 
 _SCENE_HZ, _PANEL_HZ = 10.0, 4.0
 _CHART_HEIGHT = 78

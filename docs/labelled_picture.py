@@ -13,10 +13,10 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.patches import Patch
 
-from experiments.drivers import in_memory
-from experiments.options import ScenarioOptions
-from experiments.record_spread import RecordSpread
-from experiments.trace import Trace, read_trace
+from experiments.results.record_spread import RecordSpread
+from experiments.results.trace import Trace, read_trace
+from experiments.scenario_options import ScenarioOptions
+from runtime.drivers import in_memory
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup, prepare
 

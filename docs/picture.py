@@ -11,11 +11,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 
-from experiments.drivers import in_memory
 from experiments.notebook import plots, sweep
-from experiments.options import ScenarioOptions
-from experiments.palette import save, use_house_style
-from experiments.trace import Trace, read_trace
+from experiments.results.palette import save, use_house_style
+from experiments.results.trace import Trace, read_trace
+from experiments.scenario_options import ScenarioOptions
+from runtime.drivers import in_memory
 from scenarios.baselines import centralised
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup, prepare

@@ -13,15 +13,15 @@ from typing import Any, NamedTuple
 import msgspec
 
 from dashboard.app import Dashboard
-from dashboard.expected import Expectation, nothing_expected
+from dashboard.frames.expected import Expectation, nothing_expected
 from dashboard.serve import open_recording
-from experiments.drivers import drive
-from experiments.other_runs import expected, told_by
-from nodes.recording import McapRecorder
+from experiments.monte_carlo.other_runs import expected, told_by
+from runtime.batched.build import without_array_form
+from runtime.drivers import drive
+from runtime.recording import McapRecorder
 from scenarios.catalogue import kind_of
 from scenarios.rules import is_certain
 from scenarios.setup import Setup, prepare
-from scenarios.vectorised import without_array_form
 
 _FLAGS = (
     "--no-sandbox",

@@ -13,9 +13,9 @@ from typing import Any
 import msgspec
 
 from experiments.progress import progress
-from nodes.access_control import MONITOR, OPERATOR, ROUTER_NAME, certificate_name
 from nodes.bounds import MAX_FRAME_BYTES, MAX_MESSAGE_BYTES
-from nodes.certificates import (
+from runtime.network.access_control import MONITOR, OPERATOR, ROUTER_NAME, certificate_name
+from runtime.network.certificates import (
     MAX_NODES,
     Authority,
     issue,
@@ -23,8 +23,8 @@ from nodes.certificates import (
     read_authority,
     zenoh_settings,
 )
-from nodes.links import LOOPBACK, RECORDER, WORLD, Links, free_ports
-from nodes.zenoh_transport import LinkError, Transport, start_router
+from runtime.network.links import LOOPBACK, RECORDER, WORLD, Links, free_ports
+from runtime.network.zenoh_transport import LinkError, Transport, start_router
 
 RUN = "security-check"
 TRIES = 3

@@ -3,8 +3,8 @@
 import numpy as np
 
 from filters.gaussian import Gaussian
+from filters.kernels.paths import path_of_correction
 from filters.moments import Residual
-from filters.paths import path_of_correction
 from filters.update import Update, missing_entries, settle, without_rows
 
 

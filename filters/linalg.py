@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 
-from filters import columns, compiled
-from filters.columns import MANY_LANES, in_columns, in_rows
+from filters.kernels import columns, compiled
+from filters.kernels.columns import MANY_LANES, in_columns, in_rows
 
 
 def symmetrise(matrix: np.ndarray) -> np.ndarray:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from filters.columns import eliminate, in_columns
+from filters.kernels.columns import eliminate, in_columns
 
 Array = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from filters.conditioning import condition
 from filters.gaussian import Gaussian
+from filters.kernels.paths import path_of_transform
 from filters.moments import Model, Residual, check_noise
-from filters.paths import path_of_transform
 from filters.sigma_points import SigmaPointRule
 from filters.update import Update
 

@@ -59,7 +59,7 @@ class Loss(msgspec.Struct, frozen=True, tag="loss", tag_field="what", omit_defau
 
 
 class Fault(msgspec.Struct, frozen=True, tag="fault", tag_field="what"):
-    """Something is wrong from a step on, in the words of `nodes/fault_words.py`.
+    """Something is wrong from a step on, in the words of `nodes/faults/vocabulary.py`.
 
     It holds for `nodes` (a node; sender and receiver; the number of a channel), or for every link
     where there are none. `numbers` say how much of it; it is off where the first of them is 0.

@@ -21,8 +21,8 @@ from nodes.commands import (
     Speed,
     Step,
 )
-from nodes.fault_words import CHANNELS, FAULTS, usage
-from nodes.faults import PLAIN, Equipment
+from nodes.faults.active import PLAIN, Equipment
+from nodes.faults.vocabulary import CHANNELS, FAULTS, usage
 
 MAX_STEPS_AT_ONCE = 1000
 # Whoever wants fewer pauses the network and asks for steps.

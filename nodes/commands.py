@@ -1,7 +1,7 @@
 """What a person may ask of a network that runs: commands, their bytes, and their words.
 
 The words are those of `concord control` and of scripts: `kill 3`, `cut 1 2`, `loss 0.1 1 2`,
-`corrupt 0.05`, `set rule=hcmci rounds=2`; those of faults are in `nodes/fault_words.py`.
+`corrupt 0.05`, `set rule=hcmci rounds=2`; those of faults are in `nodes/faults/vocabulary.py`.
 """
 
 import difflib
@@ -11,7 +11,7 @@ import msgspec
 
 from nodes.bounds import UNREADABLE
 from nodes.changes import Settings
-from nodes.fault_words import CHANNELS, COMMANDS, FAULTS, usage
+from nodes.faults.vocabulary import CHANNELS, COMMANDS, FAULTS, usage
 
 MAX_COMMAND_BYTES = 4096
 SETTINGS = ("rule", "rounds", "occupancy", "schedule", "arbiter", "hold", "decay", "trigger")
@@ -76,7 +76,7 @@ class Partition(
 
 
 class Inject(msgspec.Struct, frozen=True, tag="fault", tag_field="do", forbid_unknown_fields=True):
-    """A fault of this kind, at these nodes or this link (`nodes/fault_words.py`)."""
+    """A fault of this kind, at these nodes or this link (`nodes/faults/vocabulary.py`)."""
 
     kind: str
     nodes: tuple[int, ...] = ()

@@ -1,6 +1,6 @@
 """What a node computes, apart from when: the face that every fusion rule shows the state machine.
 
-`nodes/state_machine.py` decides when a step begins, who is waited for and when a round is over; an
+`nodes/node.py` decides when a step begins, who is waited for and when a round is over; an
 `Estimator` decides what is shared and what becomes of what was heard. Its `Content` is a value that
 only the estimator reads.
 """

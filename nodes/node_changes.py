@@ -6,9 +6,9 @@ from msgspec.structs import replace
 
 from filters.gaussian import Gaussian
 from filters.linalg import unpack_upper
-from nodes import state_machine
+from nodes import node as state_machine
 from nodes.changes import Joined, Set, Standing, Welcome, after
-from nodes.link_state import LinkState
+from nodes.faults.losses import LinkState
 from nodes.messages import NodeMessage, from_wire
 from nodes.node_state import NodeConfig, NodeState, Phase, count
 

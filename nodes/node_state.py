@@ -9,13 +9,13 @@ from typing import NamedTuple
 import msgspec
 from msgspec.structs import replace
 
-from bus.publication import Slot
-from bus.schedule import Schedule
+from bus.flexray.publication import Slot
+from bus.flexray.schedule import Schedule
 from filters.gaussian import Gaussian
 from nodes.changes import UNCHANGED, Standing
 from nodes.estimator import Content, Estimator, Share
-from nodes.faults import HEALTHY, Faults
-from nodes.link_state import PERFECT, LinkState
+from nodes.faults.active import HEALTHY, Faults
+from nodes.faults.losses import PERFECT, LinkState
 from nodes.messages import Measured
 from nodes.share import CYCLE_COUNTS, Fragment
 
@@ -91,7 +91,7 @@ class NodeConfig:
 
 
 class Part(NamedTuple):
-    """A group of a cycle (`bus.schedule.Group`), and the node's neighbours among its senders,
+    """A group of a cycle (`Group`), and the node's neighbours among its senders,
     ascending."""
 
     senders: tuple[int, ...]

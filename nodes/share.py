@@ -2,7 +2,7 @@
 
 The payload of each frame begins with the number of its communication cycle since the start, and so
 with the step, as a step has a fixed number of cycles; the frame's own header repeats the last six
-bits. Then comes its fragment of the body (`bus/fragments.py`). Two checksums guard all.
+bits. Then comes its fragment of the body (`bus/flexray/fragments.py`). Two checksums guard all.
 """
 
 import struct
@@ -11,12 +11,12 @@ from functools import lru_cache
 
 import msgspec
 
-from bus.fragments import PREFIX_BYTES as NUMBERING_BYTES
-from bus.fragments import FragmentError, fragment_count, join, payload_sizes, split
-from bus.frame import MAX_PAYLOAD_BYTES, Frame, FrameError, is_intact
-from bus.frame import decode as decode_frame
-from bus.frame import encode as encode_frame
-from bus.publication import Slot
+from bus.flexray.fragments import PREFIX_BYTES as NUMBERING_BYTES
+from bus.flexray.fragments import FragmentError, fragment_count, join, payload_sizes, split
+from bus.flexray.frame import MAX_PAYLOAD_BYTES, Frame, FrameError, is_intact
+from bus.flexray.frame import decode as decode_frame
+from bus.flexray.frame import encode as encode_frame
+from bus.flexray.publication import Slot
 from nodes.estimator import Rejected
 
 CYCLE_COUNTS = 64

@@ -13,9 +13,9 @@ import numpy as np
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule, scaled_unscented
 from filters.ukf import predict, update
-from nodes.local_filter import Sensor, take_readings
+from nodes.lanes.filter import LocalFilters, SensorGroup
 from nodes.messages import Array
-from nodes.vectorised_filter import LocalFilters, SensorGroup
+from nodes.rules.local_filter import Sensor, take_readings
 from scenarios.catalogue import kind_of
 from scenarios.rules import rule_of
 from scenarios.setup import Setup, setup_of_run

@@ -6,18 +6,18 @@ from functools import partial
 import msgspec
 import numpy as np
 
-from bus.arbitration import ArbiterState
-from bus.schedule import Schedule
+from bus.flexray.arbitration import ArbiterState
+from bus.flexray.schedule import Schedule
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
 from nodes.changes import UNCHANGED, Standing
+from nodes.environment import Controller, WorldConfig
 from nodes.estimator import Estimator
 from nodes.messages import from_wire
 from nodes.node_state import NodeConfig
-from nodes.world import Controller, WorldConfig
 from scenarios.bus_plan import BusPlan, arbitrate, plan_bus
 from scenarios.catalogue import kind_of
-from scenarios.control import control_node
+from scenarios.definitions.control import control_node
 from scenarios.equipment import build_faults, spread_of
 from scenarios.estimators import Beginning, Seat
 from scenarios.labelled import Everybody

@@ -7,16 +7,16 @@ from typing import NamedTuple
 
 import msgspec
 
-from bus import arbitration
-from bus.arbitration import Arbiter, ArbiterState
-from bus.cluster import Cluster
-from bus.cluster_files import FILE_ENDINGS, read_cluster_file
-from bus.dynamic_segment import Request
-from bus.fitted import fitted_cluster
-from bus.presets import PRESETS, preset
-from bus.publication import Publications, Slot
-from bus.relay import check_relay
-from bus.schedule import (
+from bus.flexray import arbitration
+from bus.flexray.arbitration import Arbiter, ArbiterState
+from bus.flexray.cluster import Cluster
+from bus.flexray.cluster_files import FILE_ENDINGS, read_cluster_file
+from bus.flexray.dynamic_segment import Request
+from bus.flexray.fitted import fitted_cluster
+from bus.flexray.presets import PRESETS, preset
+from bus.flexray.publication import Publications, Slot
+from bus.flexray.relay import check_relay
+from bus.flexray.schedule import (
     Schedule,
     dynamic_only,
     full_publish,
@@ -24,8 +24,8 @@ from bus.schedule import (
     publishers_per_cycle,
     round_robin,
 )
-from bus.slot_table import SlotTable, allocate
-from bus.timing import check_timing
+from bus.flexray.slot_table import SlotTable, allocate
+from bus.flexray.timing import check_timing
 from nodes.messages import Bid
 from nodes.share import CYCLE_COUNTS, payload_lengths
 from scenarios.catalogue import kind_of

@@ -6,16 +6,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from nodes.belief_consensus import Model, Sensor
+from nodes.rules.belief_consensus import Model, Sensor
 from scenarios.scenario import Scenario
 from topology.names import unknown_name
 
 if TYPE_CHECKING:
-    from bus.schedule import Schedule
+    from bus.flexray.schedule import Schedule
     from filters.gaussian import Gaussian
     from filters.sigma_points import SigmaPointRule
+    from nodes.environment import Delivery
     from nodes.estimator import Estimator
-    from nodes.world import Delivery
     from scenarios.estimators import Seat
     from scenarios.setup import Setup
 
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 
 class ScenarioPlant(Protocol):
-    """A plant as a scenario needs it; see `nodes.world.Plant` for what the world needs."""
+    """A plant as a scenario needs it; see `nodes.environment.Plant` for what the world needs."""
 
     @property
     def time_step_s(self) -> float: ...
@@ -133,7 +133,7 @@ class Kind(NamedTuple):
 
 def kinds() -> dict[str, Kind]:
     """All scenarios by name."""
-    from scenarios import (
+    from scenarios.definitions import (
         control,
         liu2021_network,
         meng2025,

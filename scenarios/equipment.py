@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 import numpy as np
 
 from nodes.belief_codec import BeliefCodec
-from nodes.faults import Equipment, Faults
+from nodes.faults.active import Equipment, Faults
 from nodes.messages import Array
 from scenarios.bus_plan import BusPlan
 from scenarios.catalogue import kind_of

@@ -6,22 +6,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters import diffusion, hybrid_consensus, information_weighted, kalman_consensus
-from filters.fusion import Averaged, Directly
+from filters.fusion import diffusion, hybrid_consensus, information_weighted, kalman_consensus
+from filters.fusion.averaging import Averaged, Directly
+from filters.fusion.trimmed import trimmed_intersection
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule
-from filters.trimmed import trimmed_intersection
 from nodes.belief_codec import BeliefCodec
-from nodes.belief_consensus import BeliefConsensus, HoldPolicy
 from nodes.estimator import Estimator
-from nodes.fresh_consensus import FreshConsensus, FreshRule
-from nodes.information_rounds import InformationRounds
-from nodes.labelled import LabelledFlooding
-from nodes.local_filter import Model, Sensor
 from nodes.messages import Array
-from nodes.novelty_rounds import NoveltyRounds
+from nodes.rules.belief_consensus import BeliefConsensus, HoldPolicy
+from nodes.rules.fresh_consensus import FreshConsensus, FreshRule
+from nodes.rules.information_rounds import InformationRounds
+from nodes.rules.labelled import LabelledFlooding
+from nodes.rules.local_filter import Model, Sensor
+from nodes.rules.novelty_rounds import NoveltyRounds
+from nodes.rules.window_filter import WindowFilter
 from nodes.vector_codec import VectorCodec
-from nodes.window_filter import WindowFilter
 from scenarios.labelled import Everybody, frame_codec, gates_of
 
 

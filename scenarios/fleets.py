@@ -6,23 +6,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters import diffusion, hold, hybrid_consensus, information_weighted, kalman_consensus
-from filters.fusion import MOMENTS, Averaging
-from nodes.belief_consensus import HoldPolicy
-from nodes.labelled import GAP_STEPS
-from nodes.novelty_rounds import NoveltyRounds
-from nodes.vectorised_beliefs import BeliefFleet
-from nodes.vectorised_filter import LocalFilters
-from nodes.vectorised_fresh import (
+from filters.fusion import diffusion, hold, hybrid_consensus, information_weighted, kalman_consensus
+from filters.fusion.averaging import MOMENTS, Averaging
+from nodes.lanes.beliefs import BeliefFleet
+from nodes.lanes.filter import LocalFilters
+from nodes.lanes.fresh import (
     FreshExchange,
     FreshFleet,
     InformationExchange,
     NoveltyExchange,
 )
-from nodes.vectorised_labelled import LabelledFleet
-from nodes.vectorised_links import Links, Shares
-from nodes.vectorised_network import Fleet
-from nodes.vectorised_window import WindowFilters
+from nodes.lanes.labelled import LabelledFleet
+from nodes.lanes.links import Links, Shares
+from nodes.lanes.network import Fleet
+from nodes.lanes.window import WindowFilters
+from nodes.rules.belief_consensus import HoldPolicy
+from nodes.rules.labelled import GAP_STEPS
+from nodes.rules.novelty_rounds import NoveltyRounds
 from scenarios.labelled import Everybody, frame_codec, gates_of
 
 

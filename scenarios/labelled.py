@@ -5,18 +5,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bus.fragments import PREFIX_BYTES as FRAGMENT_BYTES
-from bus.schedule import Schedule, publishers_per_cycle
+from bus.flexray.fragments import PREFIX_BYTES as FRAGMENT_BYTES
+from bus.flexray.schedule import Schedule, publishers_per_cycle
 from nodes.belief_codec import BeliefCodec
 from nodes.commands import Configure, Restart
-from nodes.labelled_frame import (
+from nodes.rules.labelled_frame import (
     MAX_SOURCES,
     MAX_WINDOW_STEPS,
     LabelledFrameCodec,
     check_limit,
 )
-from nodes.local_filter import Sensor, StateNoise
-from nodes.record_codec import Calibrated, record_codec
+from nodes.rules.local_filter import Sensor, StateNoise
+from nodes.rules.record_codec import Calibrated, record_codec
 from nodes.share import PREFIX_BYTES as CYCLE_BYTES
 from scenarios.catalogue import kind_of
 from scenarios.scenario import Scenario

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from nodes.link_state import LinkState, LinkUp, chance
+from nodes.faults.losses import LinkState, LinkUp, chance
 from nodes.messages import Array
 from scenarios.catalogue import kind_of
 from scenarios.scenario import Scenario

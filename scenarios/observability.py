@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nodes.local_filter import Sensor
 from nodes.messages import Array, from_wire
+from nodes.rules.local_filter import Sensor
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup, generator
 

@@ -6,17 +6,17 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from filters import hold
-from filters.fusion import INFORMATION, MOMENTS
+from filters.fusion import hold
+from filters.fusion.averaging import INFORMATION, MOMENTS
+from filters.fusion.hybrid_consensus import classical_gain, safe_gain
+from filters.fusion.local import keep_own
+from filters.fusion.packed import packed_length
 from filters.gaussian import Gaussian
-from filters.hybrid_consensus import classical_gain, safe_gain
-from filters.local import keep_own
-from filters.packed import packed_length
-from nodes.belief_consensus import HoldPolicy
 from nodes.estimator import Estimator
+from nodes.lanes.network import Fleet
 from nodes.messages import Array
-from nodes.set_shapes import Ellipsoids, Zonotopes
-from nodes.vectorised_network import Fleet
+from nodes.rules.belief_consensus import HoldPolicy
+from nodes.rules.set_shapes import Ellipsoids, Zonotopes
 from scenarios import set_rules
 from scenarios.estimators import (
     Seat,

@@ -17,8 +17,8 @@ from nodes.commands import (
     Step,
     in_words,
 )
-from nodes.conductor import Scripted
-from nodes.faults import Equipment
+from nodes.faults.active import Equipment
+from nodes.run_controller import Scripted
 from scenarios.scenario import Scenario
 
 _FILE = "file:"

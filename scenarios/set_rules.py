@@ -8,8 +8,14 @@ import numpy as np
 from filters.gaussian import Gaussian
 from nodes.estimator import Estimator
 from nodes.messages import Array, Measured, to_wire
-from nodes.set_membership import BoundedModel, BoundedSensor, SetMembership, carry, take_strips
-from nodes.set_shapes import Ellipsoids, Shape, Zonotopes
+from nodes.rules.set_membership import (
+    BoundedModel,
+    BoundedSensor,
+    SetMembership,
+    carry,
+    take_strips,
+)
+from nodes.rules.set_shapes import Ellipsoids, Shape, Zonotopes
 from scenarios.catalogue import kind_of
 from scenarios.estimators import Seat
 from scenarios.scenario import Scenario

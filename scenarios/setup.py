@@ -13,11 +13,11 @@ from importlib.metadata import version
 import msgspec
 import numpy as np
 
-from filters import compiled
+from filters.kernels import compiled
 from nodes.bounds import MAX_ROUNDS
 from nodes.changes import Settings
 from nodes.commands import SETTINGS
-from nodes.faults import Equipment
+from nodes.faults.active import Equipment
 from nodes.messages import to_wire
 from scenarios.bus_plan import check_bus, plan_bus
 from scenarios.catalogue import kind_of

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from bus.timing import Transmission, dynamic_transmissions, static_transmissions
+from bus.flexray.timing import Transmission, dynamic_transmissions, static_transmissions
 from scenarios.bus_plan import BusPlan
 
 Cycles = list[tuple[Transmission, ...]]

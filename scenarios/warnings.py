@@ -5,8 +5,8 @@ from functools import partial
 
 import numpy as np
 
-from nodes.labelled_frame import MAX_WINDOW_STEPS
 from nodes.messages import Array, from_wire
+from nodes.rules.labelled_frame import MAX_WINDOW_STEPS
 from scenarios.bus_plan import has_contenders
 from scenarios.catalogue import kind_of
 from scenarios.idle_options import idle_options

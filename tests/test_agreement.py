@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from experiments.__main__ import main
-from experiments.agree_command import Difference, first_difference
-from experiments.drivers import DRIVERS
-from experiments.trace import Trace
-from nodes.links import wants_router
+from experiments.cli.agree import Difference, first_difference
+from experiments.results.trace import Trace
+from runtime.drivers import DRIVERS
+from runtime.network.links import wants_router
 from scenarios.setup import Setup, prepare
 from tests.experiments.support import scenario, small, trace_of
 
@@ -227,7 +227,7 @@ def test_the_command_names_the_first_difference_and_leaves_with_one(
         return DRIVERS["in-process"](prepare(changed), *rest)
 
     monkeypatch.setattr(
-        "experiments.agree_command.DRIVERS",
+        "experiments.cli.agree.DRIVERS",
         {"in-process": DRIVERS["in-process"], "other": other},
     )
     options = ["--scenario", "oscillator", "--nodes", "3", "--graph", "path", "--steps", "5"]

@@ -10,13 +10,13 @@ import pytest
 from benchmarks.fuzz import fuzz
 from benchmarks.running import PROC, Running, neighbouring_ports
 from nodes.commands import Answer, Speed
-from nodes.links import RECORDER, WATCH, WORLD, Links, names
 from nodes.messages import END
-from nodes.recorded import meaning
-from nodes.recorder_process import STRANGE
-from nodes.recording import read_recording
-from nodes.world_process import WORLD_QUEUE
-from nodes.zenoh_transport import Transport
+from runtime.network.links import RECORDER, WATCH, WORLD, Links, names
+from runtime.network.zenoh_transport import Transport
+from runtime.processes.environment_process import WORLD_QUEUE
+from runtime.processes.recorder_process import STRANGE
+from runtime.recorded import meaning
+from runtime.recording import read_recording
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup, prepare
 from scenarios.tempo import tempo_of
@@ -59,8 +59,8 @@ def test_malformed_messages_are_all_counted_and_change_no_bit():
 # Megabytes that a full queue takes, of messages that nobody takes out.
 FULL = """
 from benchmarks.running import memory_mb
-from nodes.recorder_process import RECORDER_QUEUE
-from nodes.zenoh_transport import Transport
+from runtime.processes.recorder_process import RECORDER_QUEUE
+from runtime.network.zenoh_transport import Transport
 port = f"tcp/127.0.0.1:{free_ports(['full'])['full']}"
 def talk():
     transport = Transport("full", Links("peer", (), (port,), 10.0), [], 1)

@@ -11,13 +11,13 @@ from benchmarks.fuzz import REFUSED, believed
 from benchmarks.intruder import BID, CUT, END, GONE, GRANT, LOST, WELCOME
 from benchmarks.malformed import DAMAGED, JSON, malformed
 from experiments.__main__ import main
-from experiments.drivers import in_memory
-from experiments.results import read_description
-from nodes.access_control import ROUTER_NAME, certificate_name
-from nodes.links import Links, free_ports
-from nodes.recorded import meaning
-from nodes.recording import read_recording
-from nodes.zenoh_transport import LinkError, Transport
+from experiments.results.folder import read_description
+from runtime.drivers import in_memory
+from runtime.network.access_control import ROUTER_NAME, certificate_name
+from runtime.network.links import Links, free_ports
+from runtime.network.zenoh_transport import LinkError, Transport
+from runtime.recorded import meaning
+from runtime.recording import read_recording
 from tests.experiments.hosts import hosts
 from tests.experiments.test_hosts import await_network, needs_proc, write_setup
 

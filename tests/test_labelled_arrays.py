@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiments.drivers import in_memory
-from experiments.trace import read_trace
-from experiments.vectorised import simulate
+from experiments.monte_carlo.simulate import simulate
+from experiments.results.trace import read_trace
+from runtime.batched.build import build_network, without_array_form
+from runtime.drivers import in_memory
 from scenarios.scenario import Scenario
 from scenarios.setup import prepare, setup_of_run
-from scenarios.vectorised import build_network, without_array_form
 from tests.changing_networks import changing
 from tests.experiments.support import scenario
 from tests.test_vectorised_agreement import check_agreement

@@ -14,12 +14,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiments.drivers import in_memory
-from experiments.trace import read_trace
-from experiments.vectorised import COV, OPTIONAL, Histories, simulate
+from experiments.monte_carlo.simulate import COV, OPTIONAL, Histories, simulate
+from experiments.results.trace import read_trace
+from runtime.batched.build import without_array_form
+from runtime.drivers import in_memory
 from scenarios.scenario import Scenario
 from scenarios.setup import Setup, prepare, setup_of_run
-from scenarios.vectorised import without_array_form
 from tests.changing_networks import changing
 from tests.experiments.support import scenario
 

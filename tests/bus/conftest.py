@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from bus.decoder import Decoding, decode_waveform
-from bus.waveform import Waveform, read_waveform
+from bus.recordings.decoder import Decoding, decode_waveform
+from bus.recordings.waveform import Waveform, read_waveform
 
 
 def _file(shared_data: Path, name: str) -> Path:

@@ -5,9 +5,9 @@ import math
 from hypothesis import settings
 from hypothesis import strategies as st
 
-from bus.cluster import Cluster
-from bus.dynamic_segment import Request
-from bus.frame import Frame
+from bus.flexray.cluster import Cluster
+from bus.flexray.dynamic_segment import Request
+from bus.flexray.frame import Frame
 
 quick = settings(max_examples=60)
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.arbitration import (
+from bus.flexray.arbitration import (
     Arbiter,
     ArbiterState,
     above,
@@ -16,8 +16,8 @@ from bus.arbitration import (
     starving,
     wtod,
 )
-from bus.dynamic_segment import Request, walk
-from bus.presets import DEMO, FLEXRAY_ADAPTER
+from bus.flexray.dynamic_segment import Request, walk
+from bus.flexray.presets import DEMO, FLEXRAY_ADAPTER
 from tests.bus.support import dynamic_segments, quick
 
 ARBITERS = pytest.mark.parametrize("arbiter", [minislot, wtod, round_robin])

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.cluster import Cluster, ClusterError
-from bus.constraints import PARAMETERS
-from bus.presets import AUDI, BOSCH, DEMO, FLEXRAY_ADAPTER, PRESETS, preset
+from bus.flexray.cluster import Cluster, ClusterError
+from bus.flexray.constraints import PARAMETERS
+from bus.flexray.presets import AUDI, BOSCH, DEMO, FLEXRAY_ADAPTER, PRESETS, preset
 from tests.bus.support import clusters, quick
 
 

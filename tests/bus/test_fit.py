@@ -5,17 +5,17 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from bus.arbitration import ArbiterState, minislot
-from bus.bitstream import encode_bits
-from bus.cluster import Cluster
-from bus.decoder import Decoding, decode_waveform
-from bus.dynamic_segment import Request
-from bus.fit import fit
-from bus.frame import Frame, encode
-from bus.presets import BOSCH, FLEXRAY_ADAPTER
-from bus.slot_table import SlotAssignment
-from bus.timing import Transmission, dynamic_transmissions, static_transmissions
-from bus.waveform import Waveform, from_bits
+from bus.flexray.arbitration import ArbiterState, minislot
+from bus.flexray.cluster import Cluster
+from bus.flexray.dynamic_segment import Request
+from bus.flexray.frame import Frame, encode
+from bus.flexray.presets import BOSCH, FLEXRAY_ADAPTER
+from bus.flexray.slot_table import SlotAssignment
+from bus.flexray.timing import Transmission, dynamic_transmissions, static_transmissions
+from bus.recordings.bitstream import encode_bits
+from bus.recordings.decoder import Decoding, decode_waveform
+from bus.recordings.fit import fit
+from bus.recordings.waveform import Waveform, from_bits
 
 
 def test_the_recording_gives_the_known_grid(audi: Decoding):

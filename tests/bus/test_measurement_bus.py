@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.measurement_bus import (
+from bus.flexray.measurement_bus import (
     BID_RESOLUTION,
     MeasurementBus,
     all_at_once,
@@ -18,14 +18,14 @@ from bus.measurement_bus import (
     try_once_discard,
     zero_input,
 )
-from bus.measurement_matrices import (
+from bus.flexray.measurement_matrices import (
     receive,
     receive_by_segments,
     segment,
     slot_matrices,
     static_turn,
 )
-from bus.schedule import Schedule
+from bus.flexray.schedule import Schedule
 
 FLEXRAY_SENSORS = st.integers(2, 7).flatmap(
     lambda sensors: st.tuples(

@@ -5,11 +5,11 @@ from itertools import pairwise
 import msgspec
 import pytest
 
-from bus.fitted import fitted_cluster
-from bus.relay import check_relay, least_gap_us
-from bus.schedule import Group, dynamic_only, full_publish, hybrid
-from bus.slot_table import allocate
-from bus.timing import dynamic_transmissions, static_transmissions
+from bus.flexray.fitted import fitted_cluster
+from bus.flexray.relay import check_relay, least_gap_us
+from bus.flexray.schedule import Group, dynamic_only, full_publish, hybrid
+from bus.flexray.slot_table import allocate
+from bus.flexray.timing import dynamic_transmissions, static_transmissions
 
 PAYLOADS = (40,)
 

@@ -7,10 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.dynamic_segment import Request
-from bus.presets import AUDI, DEMO, FLEXRAY_ADAPTER
-from bus.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
-from bus.slot_table import SlotAssignment, SlotTable, allocate, deviations, schedule_from_slots
+from bus.flexray.dynamic_segment import Request
+from bus.flexray.presets import AUDI, DEMO, FLEXRAY_ADAPTER
+from bus.flexray.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
+from bus.flexray.slot_table import (
+    SlotAssignment,
+    SlotTable,
+    allocate,
+    deviations,
+    schedule_from_slots,
+)
 from tests.bus.support import quick
 
 BIG = msgspec.structs.replace(

@@ -7,14 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.arbitration import ArbiterState, minislot
-from bus.cluster import Cluster
-from bus.decoder import Decoding
-from bus.dynamic_segment import Request
-from bus.presets import AUDI, DEMO
-from bus.slot_table import SlotAssignment
-from bus.timeline import BAR_COLUMNS, timeline
-from bus.timing import (
+from bus.flexray.arbitration import ArbiterState, minislot
+from bus.flexray.cluster import Cluster
+from bus.flexray.dynamic_segment import Request
+from bus.flexray.presets import AUDI, DEMO
+from bus.flexray.slot_table import SlotAssignment
+from bus.flexray.timeline import BAR_COLUMNS, timeline
+from bus.flexray.timing import (
     TimingError,
     bus_load,
     check_timing,
@@ -24,6 +23,7 @@ from bus.timing import (
     static_transmissions,
     stretch_needed,
 )
+from bus.recordings.decoder import Decoding
 from tests.bus.support import clusters, dynamic_segments, quick
 
 

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.bitstream import encode_bits
-from bus.waveform import (
+from bus.recordings.bitstream import encode_bits
+from bus.recordings.waveform import (
     Waveform,
     WaveformError,
     format_waveform,

@@ -2,10 +2,10 @@
 
 import msgspec
 
-from dashboard.frame import Frame
-from dashboard.replay import assembled
-from dashboard.stage import Stage, set_stage
-from experiments.drivers import in_memory
+from dashboard.frames.frame import Frame
+from dashboard.frames.replay import assembled
+from dashboard.frames.stage import Stage, set_stage
+from runtime.drivers import in_memory
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup, prepare
 

@@ -7,13 +7,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from dashboard.assembler import Assembler
-from dashboard.frame import Frame
-from dashboard.network import Network
-from experiments.summary import summarise
-from experiments.trace import read_trace
+from dashboard.frames.assembler import Assembler
+from dashboard.frames.frame import Frame
+from dashboard.frames.network import Network
+from experiments.results.summary import summarise
+from experiments.results.trace import read_trace
 from nodes.messages import Estimate, decode
-from nodes.whole_steps import WholeStep, WholeSteps
+from runtime.whole_steps import WholeStep, WholeSteps
 from tests.dashboard.runs import event, frames_of, run_of
 
 STAGE, MESSAGES = run_of("target-tracking", nodes=8, steps=24, schedule="hybrid", occupancy=0.5)

@@ -8,12 +8,12 @@ from threading import Event
 import numpy as np
 import pytest
 
-from dashboard.frame import Frame
-from dashboard.live import LiveNetwork
+from dashboard.frames.frame import Frame
+from dashboard.frames.live import LiveNetwork
 from dashboard.serve import open_network
 from dashboard.theme import linear
-from nodes.control_client import Client
-from nodes.network_file import read_network
+from runtime.network.control_client import Client
+from runtime.network.network_file import read_network
 from tests.dashboard.browser_page import Page, press_on, row_of, slot_of
 from tests.processes import CONCORD, family, holds_within, lives
 

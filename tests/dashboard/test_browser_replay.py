@@ -11,8 +11,8 @@ import pytest
 from matplotlib.image import imread
 
 from dashboard.serve import open_recording
-from experiments.drivers import drive
-from nodes.recording import McapRecorder
+from runtime.drivers import drive
+from runtime.recording import McapRecorder
 from tests.dashboard.browser_page import Page, point_at, press_on, row_of, slot_of
 from tests.dashboard.runs import setup_of
 

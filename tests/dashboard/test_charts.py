@@ -8,11 +8,11 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from dashboard.chart_export import charts_page, charts_picture
-from dashboard.charts import chart_lines, shown_power, titled
-from dashboard.history import History
-from dashboard.scores import score
-from dashboard.states import states
+from dashboard.frames.history import History
+from dashboard.frames.scores import score
+from dashboard.panels.chart_export import charts_page, charts_picture
+from dashboard.panels.charts import chart_lines, shown_power, titled
+from dashboard.panels.states import states
 from dashboard.theme import DARK
 from dashboard.view import View
 from tests.dashboard.runs import frames_of, run_of

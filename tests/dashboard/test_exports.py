@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dashboard.camera import Free, aimed
-from dashboard.chart_export import charts_page
-from dashboard.expected import nothing_expected
-from dashboard.export import animated_scene, zipped
-from dashboard.replay import replayed
+from dashboard.frames.expected import nothing_expected
+from dashboard.frames.replay import replayed
+from dashboard.panels.chart_export import charts_page
+from dashboard.panels.export import animated_scene, zipped
+from dashboard.scene.camera import Free, aimed
 from dashboard.serve import open_recording
 from dashboard.theme import LIGHT
 from dashboard.view import View
-from experiments.drivers import drive
-from nodes.recording import McapRecorder
+from runtime.drivers import drive
+from runtime.recording import McapRecorder
 from tests.dashboard.runs import frames_of, run_of
 
 STAGE, MESSAGES = run_of("target-tracking", nodes=6, steps=30)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from dashboard import history
-from dashboard.history import History
+from dashboard.frames import history
+from dashboard.frames.history import History
 from tests.dashboard.runs import frames_of, run_of
 
 STAGE, MESSAGES = run_of("oscillator", nodes=4, steps=60)

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dashboard.frame import Frame
-from dashboard.live import LiveNetwork
+from dashboard.frames.frame import Frame
+from dashboard.frames.live import LiveNetwork
 from nodes.commands import in_words
-from nodes.control_client import Client, NotThere
-from nodes.network_file import read_network
-from nodes.offering import STEPS_PER_S
+from runtime.network.control_client import Client, NotThere
+from runtime.network.network_file import read_network
+from runtime.processes.throttled_feed import STEPS_PER_S
 from tests.processes import CONCORD, PROC, family, holds_within
 
 pytestmark = pytest.mark.zenoh

@@ -7,14 +7,14 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from dashboard.conditions import conditions, oldest, sender_at
-from dashboard.frame import Event
-from dashboard.selected import selected_panel
-from dashboard.table import MOST_ROWS, chosen_rows, log, node_table, status
+from dashboard.frames.conditions import conditions, oldest, sender_at
+from dashboard.frames.frame import Event
+from dashboard.panels.selected import selected_panel
+from dashboard.panels.table import MOST_ROWS, chosen_rows, log, node_table, status
+from dashboard.panels.timeline import LEFT, RIGHT, WIDTH, TimelineView
+from dashboard.panels.zoom import SIZE, zoom
 from dashboard.theme import DARK, LIGHT, linear
-from dashboard.timeline import LEFT, RIGHT, WIDTH, TimelineView
 from dashboard.view import View
-from dashboard.zoom import SIZE, zoom
 from tests.dashboard.runs import frames_of, run_of
 
 STAGE, MESSAGES = run_of("target-tracking", nodes=8, steps=24, schedule="hybrid", occupancy=0.5)

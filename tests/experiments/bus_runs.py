@@ -2,9 +2,9 @@
 
 from typing import NamedTuple
 
-from experiments.drivers import in_memory
-from experiments.options import ScenarioOptions
-from experiments.trace import Trace, read_trace
+from experiments.results.trace import Trace, read_trace
+from experiments.scenario_options import ScenarioOptions
+from runtime.drivers import in_memory
 from scenarios.build import build_plan
 from scenarios.bus_plan import BusPlan
 from scenarios.setup import Setup, prepare

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import msgspec
 
-from experiments.trace import Trace, read_trace
-from nodes.recording import read_recording
+from experiments.results.trace import Trace, read_trace
+from runtime.recording import read_recording
 from scenarios.catalogue import kind_of
 from scenarios.scenario import Scenario
 from scenarios.setup import Setup, prepare

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from bus.cluster import Cluster
-from bus.publication import Publications
-from bus.schedule import Schedule
-from bus.slot_table import allocate
-from experiments.bus_rehearsal import rehearse
-from experiments.bus_report import (
+from bus.flexray.cluster import Cluster
+from bus.flexray.publication import Publications
+from bus.flexray.schedule import Schedule
+from bus.flexray.slot_table import allocate
+from experiments.flexray.rehearsal import rehearse
+from experiments.results.bus_report import (
     bus_figures,
     bus_times,
     capture,
@@ -20,10 +20,10 @@ from experiments.bus_report import (
     lines,
     longest_waits,
 )
-from experiments.drivers import in_memory
-from experiments.options import ScenarioOptions
-from experiments.trace import read_trace
+from experiments.results.trace import read_trace
+from experiments.scenario_options import ScenarioOptions
 from nodes.share import read_frame
+from runtime.drivers import in_memory
 from scenarios.build import build_plan
 from scenarios.bus_plan import BusPlan
 from scenarios.setup import Setup, prepare

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from experiments.command_line import COMMANDS, GROUPS, main
+from experiments.cli.command_line import COMMANDS, GROUPS, main
 from tests.processes import CONCORD
 
 FULL = Path("/dev/full")
 # What each printed last in a fresh process; loading is what a user waits for.
 LOADED_BY = """
 import contextlib, io, sys
-from experiments.command_line import main
+from experiments.cli.command_line import main
 with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):
     main({arguments!r})
 sys.stdout.write(" ".join(sorted({{name.partition(".")[0] for name in sys.modules}})))

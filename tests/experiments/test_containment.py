@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from experiments.__main__ import main
-from experiments.containment import containment
+from experiments.results.containment import containment
 from filters.gaussian import Gaussian
 
 

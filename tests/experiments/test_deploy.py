@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from experiments.__main__ import main
-from experiments.results import read_description
-from nodes.links import free_ports
+from experiments.results.folder import read_description
+from runtime.network.links import free_ports
 from tests.experiments.hosts import hosts
 from tests.experiments.test_hosts import write_setup
 from tests.experiments.units import CONCORD, DEPLOY, UNITS, credentials, unit_command

@@ -11,12 +11,12 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from experiments.palette import save
-from experiments.results import ARRAYS, RECORDING, read_description
-from experiments.sweep_store import folder_of, load_cells, save_cell
-from experiments.trace import read_trace
-from nodes.disk import NotWritten
-from nodes.recording import McapRecorder, read_recording
+from experiments.results.folder import ARRAYS, RECORDING, read_description
+from experiments.results.palette import save
+from experiments.results.trace import read_trace
+from experiments.sweep.store import folder_of, load_cells, save_cell
+from runtime.disk import NotWritten
+from runtime.recording import McapRecorder, read_recording
 from tests.processes import CONCORD, PROC, family
 
 RUN = ["run", "--scenario", "oscillator", "--nodes", "4", "--out", "run"]

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from experiments.__main__ import main
-from experiments.sweep_store import folder_of, load_cells, save_cell
-from nodes.network_file import Network, read_network, write_network
+from experiments.sweep.store import folder_of, load_cells, save_cell
+from runtime.network.network_file import Network, read_network, write_network
 from tests.experiments.test_hosts import write_setup
 from tests.processes import CONCORD, PROC, Family, family, holds_within
 

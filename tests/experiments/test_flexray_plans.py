@@ -9,19 +9,19 @@ import tyro
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.cluster_files import cluster_to_toml
-from bus.dynamic_segment import walk
-from experiments.bus_rehearsal import (
+from bus.flexray.cluster_files import cluster_to_toml
+from bus.flexray.dynamic_segment import walk
+from experiments.flexray.plan_report import answer_plan, run_command, slot_rows
+from experiments.flexray.rehearsal import (
     alternatives,
     changed,
     dynamic_room,
     prepare_without_bus,
     rehearse,
 )
-from experiments.drivers import in_memory
-from experiments.options import ScenarioOptions
-from experiments.plan_report import answer_plan, run_command, slot_rows
-from experiments.trace import read_trace
+from experiments.results.trace import read_trace
+from experiments.scenario_options import ScenarioOptions
+from runtime.drivers import in_memory
 from scenarios.build import build_plan
 from scenarios.setup import Setup, prepare
 from tests.experiments.flexray_support import concord, refused

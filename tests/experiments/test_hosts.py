@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dashboard.live import LiveNetwork
+from dashboard.frames.live import LiveNetwork
 from experiments.__main__ import main
-from experiments.agree_command import first_difference
-from experiments.drivers import in_this_process
-from experiments.results import read_description, read_description_file
-from nodes.access_control import MONITOR, OPERATOR
-from nodes.control_client import Client, NotThere
-from nodes.links import Links, checked_endpoints, checked_run, free_ports
-from nodes.zenoh_transport import Transport
+from experiments.cli.agree import first_difference
+from experiments.results.folder import read_description, read_description_file
+from runtime.drivers import in_this_process
+from runtime.network.access_control import MONITOR, OPERATOR
+from runtime.network.control_client import Client, NotThere
+from runtime.network.links import Links, checked_endpoints, checked_run, free_ports
+from runtime.network.zenoh_transport import Transport
 from tests.experiments.hosts import Hosts, hosts
 from tests.experiments.support import trace_of
 from tests.processes import PROC, holds_within

@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 import xarray
 
-from experiments.results import ARRAYS, DESCRIPTION, RECORDING, read_description
-from experiments.trace import read_trace
-from experiments.vectorised import simulate
-from nodes.network_file import read_network
-from nodes.recording import read_recording
+from experiments.monte_carlo.simulate import simulate
+from experiments.results.folder import ARRAYS, DESCRIPTION, RECORDING, read_description
+from experiments.results.trace import read_trace
+from runtime.network.network_file import read_network
+from runtime.recording import read_recording
 from tests.processes import CONCORD, PROC, Family, family
 
 pytestmark = [

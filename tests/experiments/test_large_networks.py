@@ -6,8 +6,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from experiments import vectorised
-from experiments.vectorised import COV, Histories, simulate
+from experiments.monte_carlo import simulate as vectorised
+from experiments.monte_carlo.simulate import COV, Histories, simulate
 from scenarios.scenario import Scenario
 from scenarios.setup import prepare
 

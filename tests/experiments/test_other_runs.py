@@ -11,13 +11,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from dashboard.replay import assembled
-from dashboard.stage import set_stage
-from experiments import other_runs
-from experiments.drivers import in_memory
-from experiments.other_runs import OtherRuns, Question, expected, told_by
+from dashboard.frames.replay import assembled
+from dashboard.frames.stage import set_stage
+from experiments.monte_carlo import other_runs
+from experiments.monte_carlo.other_runs import OtherRuns, Question, expected, told_by
 from experiments.priority import give_way
 from filters.gaussian import Gaussian
+from runtime.drivers import in_memory
 from scenarios.baselines import listener
 from scenarios.catalogue import kind_of
 from scenarios.setup import prepare, setup_of_run
@@ -91,7 +91,9 @@ def test_the_process_tells_and_of_sets_nothing(monkeypatch: pytest.MonkeyPatch):
 def test_the_process_ends_with_whoever_asked():
     question = Question(setup_of("oscillator", nodes=8, steps=5000), sparing=True)
     process = subprocess.Popen(
-        [sys.executable, "-m", "experiments.other_runs"], cwd=ROOT, stdin=subprocess.PIPE
+        [sys.executable, "-m", "experiments.monte_carlo.other_runs"],
+        cwd=ROOT,
+        stdin=subprocess.PIPE,
     )
     assert process.stdin
     process.stdin.write(msgspec.json.encode(question) + b"\n")

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from experiments.__main__ import main
-from experiments.results import read_description
-from experiments.trace import Trace
+from experiments.results.folder import read_description
+from experiments.results.trace import Trace
 from nodes.changes import Event, Gone, Joined
 from nodes.messages import decode
-from nodes.recording import read_recording
+from runtime.recording import read_recording
 from tests.experiments.hosts import hosts
 from tests.experiments.support import trace_of
 from tests.namespaces import Lan, lan
@@ -31,8 +31,8 @@ STEPS = 260
 FAR = (2, 3, 4, 5)
 LISTENER = """
 import sys
-from nodes.links import links_to_routers
-from nodes.zenoh_transport import Transport
+from runtime.network.links import links_to_routers
+from runtime.network.zenoh_transport import Transport
 heard = Transport("hosts", links_to_routers([sys.argv[1]], None), ["estimate/*"], 4096)
 print("listening", flush=True)
 while True:

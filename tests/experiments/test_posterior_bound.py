@@ -7,8 +7,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from experiments.options import scenario_of
-from experiments.posterior_bound import Truths, posterior_bound
+from experiments.monte_carlo.posterior_bound import Truths, posterior_bound
+from experiments.scenario_options import scenario_of
 from nodes.messages import Array
 from scenarios.baselines import centralised
 from scenarios.catalogue import kind_of

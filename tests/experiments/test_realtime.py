@@ -11,18 +11,18 @@ import msgspec
 import numpy as np
 import pytest
 
-from experiments.agree_command import first_difference
-from experiments.drivers import in_this_process
-from experiments.launcher import run_processes
-from experiments.results import describe
-from experiments.timing_figures import TimingFigures, figures_of, lines
+from experiments.cli.agree import first_difference
+from experiments.results.folder import describe
+from experiments.results.timing_figures import TimingFigures, figures_of, lines
 from nodes.changes import Calm, Cut, Fault, Gone, Joined
 from nodes.commands import Answer, in_words
-from nodes.control_client import Client
 from nodes.messages import Grant, Timing, decode, encode, topic
-from nodes.recording import read_recording
 from nodes.tempo import Tempo
-from scenarios.job import Happened
+from runtime.drivers import in_this_process
+from runtime.network.control_client import Client
+from runtime.processes.job import Happened
+from runtime.processes.launcher import run_processes
+from runtime.recording import read_recording
 from scenarios.setup import Setup
 from scenarios.tempo import tempo_of
 from tests.experiments.support import small, trace_of

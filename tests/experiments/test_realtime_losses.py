@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from benchmarks.running import Running
-from experiments.timing_figures import TimingFigures, figures_of
-from experiments.trace import Trace
+from experiments.results.timing_figures import TimingFigures, figures_of
+from experiments.results.trace import Trace
 from nodes.changes import Event, Gone, Joined, Left
 from nodes.commands import in_words
 from nodes.messages import decode

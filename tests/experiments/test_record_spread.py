@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from experiments.drivers import drive
-from experiments.options import ScenarioOptions
-from experiments.record_spread import NEVER, RecordSpread, figures_of
-from experiments.summary import lines, summarise
-from experiments.trace import read_trace
-from nodes import in_process
-from nodes.recording import MemoryRecorder
+from experiments.results.record_spread import NEVER, RecordSpread, figures_of
+from experiments.results.summary import lines, summarise
+from experiments.results.trace import read_trace
+from experiments.scenario_options import ScenarioOptions
+from runtime import in_process
+from runtime.drivers import drive
+from runtime.recording import MemoryRecorder
 from scenarios.build import build_node, build_world
 from scenarios.setup import Setup, prepare
 

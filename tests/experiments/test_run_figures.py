@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from experiments.convergence import settling_interval, settling_steps
-from experiments.drivers import in_memory
-from experiments.energy import energy_per_bit_nj
-from experiments.options import scenario_of
-from experiments.pareto import front
-from experiments.run_figures import FIGURES, figures_of
-from experiments.run_frame import frame_of
-from experiments.summary import summarise
-from experiments.trace import read_trace
-from experiments.vectorised import simulate
+from experiments.monte_carlo.convergence import settling_interval, settling_steps
+from experiments.monte_carlo.energy import energy_per_bit_nj
+from experiments.monte_carlo.pareto import front
+from experiments.monte_carlo.run_figures import FIGURES, figures_of
+from experiments.monte_carlo.run_frame import frame_of
+from experiments.monte_carlo.simulate import simulate
+from experiments.results.summary import summarise
+from experiments.results.trace import read_trace
+from experiments.scenario_options import scenario_of
+from runtime.drivers import in_memory
 from scenarios.setup import prepare, setup_of_run
 
 CHANGES = ("3 kill 1", "10 loss 0.3", "12 restart 1", "14 kill 2")

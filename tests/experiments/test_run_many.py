@@ -9,12 +9,12 @@ import xarray
 from scipy.stats import t
 
 from experiments.__main__ import main
-from experiments.drivers import in_memory
-from experiments.many_figures import Cost, lines, summarise
-from experiments.summary import Figures
-from experiments.summary import summarise as summarise_one
-from experiments.trace import read_trace
-from experiments.vectorised import Histories, simulate
+from experiments.monte_carlo.many_figures import Cost, lines, summarise
+from experiments.monte_carlo.simulate import Histories, simulate
+from experiments.results.summary import Figures
+from experiments.results.summary import summarise as summarise_one
+from experiments.results.trace import read_trace
+from runtime.drivers import in_memory
 from scenarios.baselines import READINGS_AT_ONCE, centralised_of_runs
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup, setup_of_run
@@ -141,7 +141,7 @@ def test_an_interrupted_monte_carlo_leaves_nothing(
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("experiments.run_many.simulate", interrupted)
+    monkeypatch.setattr("experiments.monte_carlo.run_many.simulate", interrupted)
     assert run("--driver", "vectorised", "--out", str(tmp_path / "many")) == 130
     assert "is removed" in capsys.readouterr().err
     assert not (tmp_path / "many").exists()

@@ -11,10 +11,10 @@ import xarray
 from rich.console import Console
 
 from experiments.__main__ import main
-from experiments.drivers import in_memory
-from experiments.summary import Figures, lines, summarise, table
-from experiments.trace import read_trace
-from nodes.recording import read_recording
+from experiments.results.summary import Figures, lines, summarise, table
+from experiments.results.trace import read_trace
+from runtime.drivers import in_memory
+from runtime.recording import read_recording
 from scenarios.setup import prepare
 from tests.experiments.support import scenario, small
 

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from experiments.sweep_cells import checked_cells, difference
-from experiments.sweep_options import FieldOptions, asked_fields
-from experiments.sweep_specification import FIELDS, Range, cells_of, specify
+from experiments.sweep.cells import checked_cells, difference
+from experiments.sweep.options import FieldOptions, asked_fields
+from experiments.sweep.specification import FIELDS, Range, cells_of, specify
 from scenarios.scenario import Scenario
 
 

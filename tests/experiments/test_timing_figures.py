@@ -13,11 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.running import Running
-from experiments.timing_figures import figures_of
-from nodes.clock import WorldClock
+from experiments.results.timing_figures import figures_of
 from nodes.messages import Estimate, Timing, decode, encode, topic
 from nodes.share import cycle_of
 from nodes.tempo import Tempo
+from runtime.processes.clock import WorldClock
 from scenarios.setup import Setup
 from scenarios.tempo import tempo_of
 from tests.experiments.support import small, trace_of

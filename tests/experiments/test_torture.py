@@ -6,16 +6,16 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from bus.publication import Slot
-from experiments.command_line import main
-from experiments.torture import torture
-from experiments.torture_case import Case
-from experiments.torture_draw import draw_case
-from experiments.torture_promises import brings_back, liars_of
-from experiments.torture_script import WORDS, calm_from, is_harmless
-from experiments.torture_shrink import replay_command, run_command, shrink
-from experiments.torture_wire import LOSING, WIRE_FAULTS, Wire
-from nodes.fault_words import EVERY_FAULT
+from bus.flexray.publication import Slot
+from experiments.cli.command_line import main
+from experiments.simulation_testing.case import Case
+from experiments.simulation_testing.case_run import torture
+from experiments.simulation_testing.draw import draw_case
+from experiments.simulation_testing.promises import brings_back, liars_of
+from experiments.simulation_testing.script import WORDS, calm_from, is_harmless
+from experiments.simulation_testing.shrink import replay_command, run_command, shrink
+from experiments.simulation_testing.wire import LOSING, WIRE_FAULTS, Wire
+from nodes.faults.vocabulary import EVERY_FAULT
 from nodes.share import to_frames
 from scenarios.script import script_of
 from scenarios.setup import prepare

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from experiments.__main__ import main
-from experiments.results import ARRAYS, DESCRIPTION, RECORDING
+from experiments.results.folder import ARRAYS, DESCRIPTION, RECORDING
 from tests.experiments.flexray_support import concord, refused
 from tests.processes import PROC
 

@@ -8,8 +8,8 @@ import numpy as np
 from filters import square_root, ukf
 from filters.gaussian import Gaussian, from_square_root, to_square_root
 from filters.sigma_points import cubature, scaled_unscented
-from plants.vehicle_model import linear_tyre, single_track
-from plants.vehicle_parameters import BMW_320I
+from plants.vehicle.model import linear_tyre, single_track
+from plants.vehicle.parameters import BMW_320I
 from tests.filters.support import (
     TURN_NOISE_COV,
     TURN_START,

@@ -4,8 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from filters import kalman, ukf
+from filters.fusion.novelty import absorb, novelty
 from filters.gaussian import Gaussian, Information
-from filters.novelty import absorb, novelty
 from filters.sigma_points import scaled_unscented
 from tests.filters.support import (
     BATCHES,

@@ -6,9 +6,10 @@ import types
 import numpy as np
 import pytest
 
-from filters import compiled, linalg, paths, ukf, ukf_columns, ukf_compiled, ukf_lane, ukf_stack
-from filters.columns import MANY_LANES
+from filters import linalg, ukf
 from filters.gaussian import Gaussian
+from filters.kernels import compiled, paths, ukf_columns, ukf_compiled, ukf_lane, ukf_stack
+from filters.kernels.columns import MANY_LANES
 from filters.sigma_points import SigmaPointRule, gauss_hermite, scaled_unscented
 from tests.filters.support import (
     RULE_NAMES,

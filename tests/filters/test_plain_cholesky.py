@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from filters import compiled
 from filters.gaussian import Gaussian
-from filters.plain_cholesky import ROWS, plain_cholesky
+from filters.kernels import compiled
+from filters.kernels.plain_cholesky import ROWS, plain_cholesky
 from filters.sigma_points import scaled_unscented
 from filters.ukf import predict
 from tests.filters.support import random_spd

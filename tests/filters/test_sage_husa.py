@@ -5,11 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from filters import sage_husa, sage_husa_literal, ukf
+from filters import ukf
+from filters.adaptive import sage_husa
+from filters.adaptive.sage_husa import Bounds
 from filters.gaussian import Gaussian
-from filters.sage_husa import Bounds
-from filters.sage_husa_literal import Evidence
 from filters.sigma_points import scaled_unscented
+from papers.adlukf import sage_husa_as_printed as sage_husa_literal
+from papers.adlukf.sage_husa_as_printed import Evidence
 from tests.filters.support import random_spd
 
 RULE = scaled_unscented(2)

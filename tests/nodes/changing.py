@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from experiments.trace import Trace, read_trace
-from nodes import in_process
+from experiments.results.trace import Trace, read_trace
 from nodes.commands import in_words
-from nodes.conductor import Scripted
-from nodes.recording import MemoryRecorder
+from nodes.run_controller import Scripted
+from runtime import in_process
+from runtime.recording import MemoryRecorder
 from scenarios.build import build_node, build_world
 from scenarios.setup import Setup
 

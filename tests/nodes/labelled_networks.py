@@ -8,19 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from bus.publication import Slot
-from bus.schedule import Schedule
-from experiments import record_search
-from experiments.record_search import Held
+from bus.flexray.publication import Slot
+from bus.flexray.schedule import Schedule
 from filters.gaussian import Gaussian
 from nodes.belief_codec import BeliefCodec
-from nodes.in_process import Link
-from nodes.labelled import Content, LabelledFlooding
-from nodes.labelled_frame import LabelledFrameCodec
 from nodes.messages import Array, Bid, Measured, decode, from_wire
-from nodes.record_codec import RecordCodec
+from nodes.rules.labelled import Content, LabelledFlooding
+from nodes.rules.labelled_frame import LabelledFrameCodec
+from nodes.rules.record_codec import RecordCodec
+from nodes.rules.window_filter import WindowFilter
 from nodes.share import read_body, read_frame
-from nodes.window_filter import WindowFilter
+from papers.labelled import record_search
+from papers.labelled.record_search import Held
+from runtime.in_process import Link
 from tests.nodes.networks import Adjacency, Network, Outcome, WholeState, keenest, network
 from tests.nodes.rule_networks import F, Q, noise_cov
 

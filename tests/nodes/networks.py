@@ -11,22 +11,22 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from bus.publication import Slot
-from bus.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
-from filters import hold
-from filters.fusion import INFORMATION, MOMENTS, Averaged
+from bus.flexray.publication import Slot
+from bus.flexray.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
+from filters.fusion import hold
+from filters.fusion.averaging import INFORMATION, MOMENTS, Averaged
 from filters.gaussian import Gaussian
 from filters.linalg import unpack_upper
 from filters.sigma_points import scaled_unscented
-from nodes import in_process
 from nodes.belief_codec import BeliefCodec
-from nodes.belief_consensus import BeliefConsensus, HoldPolicy
-from nodes.link_state import LinkState
+from nodes.environment import Controller, WorldConfig
+from nodes.faults.losses import LinkState
 from nodes.messages import Array, Bid, Estimate, decode, from_wire
-from nodes.recording import MemoryRecorder
+from nodes.node import NodeConfig, NodeState
+from nodes.rules.belief_consensus import BeliefConsensus, HoldPolicy
 from nodes.share import payload_lengths
-from nodes.state_machine import NodeConfig, NodeState
-from nodes.world import Controller, WorldConfig
+from runtime import in_process
+from runtime.recording import MemoryRecorder
 from topology.weights import metropolis
 
 Adjacency = NDArray[np.bool_]

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bus.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
-from filters.fusion import INFORMATION
+from bus.flexray.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
+from filters.fusion.averaging import INFORMATION
 from filters.gaussian import Gaussian
 from nodes.messages import Estimate, Grant, Measured, NodeEvent, NodeMessage, ShareHeard
+from nodes.node import NodeConfig, NodeState, initial_state, step
 from nodes.share import to_frames
-from nodes.state_machine import NodeConfig, NodeState, initial_state, step
 from tests.nodes.networks import DECAYED, network, path, random_priors
 
 STEPS, ROUNDS = 4, 2

@@ -5,11 +5,11 @@ from functools import partial
 
 import numpy as np
 
-from bus.schedule import Schedule
+from bus.flexray.schedule import Schedule
 from filters.gaussian import Gaussian
-from nodes.in_process import Link
 from nodes.messages import Array
 from nodes.share import payload_lengths, read_frame
+from runtime.in_process import Link
 from scenarios.estimators import Seat
 from scenarios.rules import build_estimator, hold_policy
 from scenarios.scenario import Scenario

@@ -6,9 +6,9 @@ import pytest
 
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
-from nodes.adaptive_noise import AdaptiveNoise, Learnt, declared_noise, learn
 from nodes.estimator import Rejected
 from nodes.messages import Measured, to_wire
+from nodes.rules.adaptive_noise import AdaptiveNoise, Learnt, declared_noise, learn
 from plants.oscillator import Oscillation, ScalarSensor
 from scenarios.estimators import Seat
 from scenarios.rules import build_estimator, hold_policy

@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from filters.fusion import INFORMATION
+from filters.fusion.averaging import INFORMATION
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
 from nodes.belief_codec import BeliefCodec
-from nodes.belief_consensus import FIRST_BID, BeliefConsensus, Content, HoldPolicy
-from nodes.local_filter import at
 from nodes.messages import Array, Measured
+from nodes.rules.belief_consensus import FIRST_BID, BeliefConsensus, Content, HoldPolicy
+from nodes.rules.local_filter import at
 from tests.nodes.networks import DECAYED, DROP, PREDICT, Linear, WholeState, random_priors
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -13,11 +13,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from experiments.agree_command import first_difference
-from experiments.drivers import in_this_process
-from experiments.trace import Trace
-from nodes.links import RECORDER, WORLD, free_ports, names
-from nodes.recording import read_recording
+from experiments.cli.agree import first_difference
+from experiments.results.trace import Trace
+from runtime.drivers import in_this_process
+from runtime.network.links import RECORDER, WORLD, free_ports, names
+from runtime.recording import read_recording
 from scenarios.setup import Setup
 from tests.experiments.support import small, trace_of
 from tests.processes import PROC, Family, family
@@ -33,15 +33,15 @@ import os, sys
 from functools import partial
 from pathlib import Path
 import msgspec
-from nodes.links import *
-from nodes.management import Management
-from nodes.membership import Membership
-from nodes.process import run_node
-from nodes.recorder_process import run_recorder
-from nodes.recording import McapRecorder
-from nodes.supervisor import Supervisor
-from nodes.whole_steps import WholeSteps
-from nodes.world_process import run_world
+from runtime.network.links import *
+from runtime.processes.management import Management
+from runtime.processes.membership import Membership
+from runtime.processes.node_process import run_node
+from runtime.processes.recorder_process import run_recorder
+from runtime.recording import McapRecorder
+from runtime.processes.supervisor import Supervisor
+from runtime.whole_steps import WholeSteps
+from runtime.processes.environment_process import run_world
 from scenarios.build import build_node, build_world
 from scenarios.setup import Setup, fingerprint
 setup = msgspec.json.decode(Path("setup.json").read_bytes(), type=Setup)
@@ -172,9 +172,9 @@ def test_a_link_between_nodes_that_stays_away_ends_the_wait(tmp_path: Path):
 
 
 SHORT = """
-import nodes.said, nodes.world_process
-nodes.said._AGAIN_S = nodes.said._TELL_S = 0.5
-nodes.world_process._PATIENCE_S = 3.0
+import runtime.processes.republisher, runtime.processes.environment_process
+runtime.processes.republisher._AGAIN_S = runtime.processes.republisher._TELL_S = 0.5
+runtime.processes.environment_process._PATIENCE_S = 3.0
 """
 
 

@@ -6,13 +6,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from experiments.trace import Trace
+from experiments.results.trace import Trace
 from filters.gaussian import Gaussian
-from nodes import node_changes, state_machine
+from nodes import node as state_machine
+from nodes import node_changes
 from nodes.changes import UNCHANGED, Cut, Event, Gone, Healed, Joined, Left, Loss, Pace, Set, after
 from nodes.history import Absence, Epoch, history_of
 from nodes.messages import CycleClosed, Estimate, Measured, ShareHeard, to_wire
-from nodes.state_machine import initial_state
+from nodes.node import initial_state
 from scenarios.build import build_node
 from scenarios.setup import Setup, prepare
 from tests.experiments.support import scenario, small

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.schedule import full_publish, hybrid, round_robin
-from filters.fusion import INFORMATION, MOMENTS, Averaged
+from bus.flexray.schedule import full_publish, hybrid, round_robin
+from filters.fusion.averaging import INFORMATION, MOMENTS, Averaged
 from filters.gaussian import Gaussian
 from nodes.messages import Array
 from nodes.share import read_frame

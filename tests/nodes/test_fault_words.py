@@ -6,8 +6,8 @@ import pytest
 from nodes.changes import UNCHANGED
 from nodes.command_checks import check_command
 from nodes.commands import Inject, Partition, Refused, in_words, read_command
-from nodes.fault_words import EVERY_FAULT, FAULTS, usage
-from nodes.faults import Equipment
+from nodes.faults.active import Equipment
+from nodes.faults.vocabulary import EVERY_FAULT, FAULTS, usage
 from scenarios.setup import prepare
 from tests.experiments.support import scenario
 

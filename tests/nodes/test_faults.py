@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiments.trace import Trace
-from nodes import state_machine
+from experiments.results.trace import Trace
+from nodes import node as state_machine
 from nodes.changes import Fault, Standing
-from nodes.fault_words import EVERY_FAULT, FAULTS
+from nodes.faults.vocabulary import EVERY_FAULT, FAULTS
 from nodes.messages import Measured, ShareHeard
 from nodes.share import read_frame
 from scenarios.build import build_node, build_plan, build_world
@@ -368,9 +368,9 @@ def test_a_liar_says_what_it_does_not_believe():
 
 def recorded(setup: Setup, *lines: str) -> dict[tuple[int, int], bytes]:
     """The body of what was sent, by cycle and node."""
-    from bus.fragments import join
-    from nodes import in_process
-    from nodes.recording import MemoryRecorder
+    from bus.flexray.fragments import join
+    from runtime import in_process
+    from runtime.recording import MemoryRecorder
 
     recorder = MemoryRecorder()
     nodes = [build_node(setup, node) for node in range(setup.scenario.nodes)]

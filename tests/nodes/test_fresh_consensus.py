@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from filters.gaussian import Gaussian
 from nodes.estimator import Rejected
-from nodes.fresh_consensus import FreshConsensus
 from nodes.messages import Array, CycleClosed, Estimate, Measured, NodeEvent, ShareHeard
+from nodes.node import NodeConfig, Phase, initial_state, step
+from nodes.rules.fresh_consensus import FreshConsensus
 from nodes.share import to_frames
-from nodes.state_machine import NodeConfig, Phase, initial_state, step
 from tests.nodes.networks import Linear, WholeState, path, random_priors
 from tests.nodes.rule_networks import FRESH, F, Q, noise_cov, ruled
 

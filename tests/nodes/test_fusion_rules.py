@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.schedule import Schedule, full_publish, hybrid, round_robin
-from filters import compiled, ukf
+from bus.flexray.schedule import Schedule, full_publish, hybrid, round_robin
+from filters import ukf
 from filters.gaussian import Gaussian
+from filters.kernels import compiled
 from filters.sigma_points import scaled_unscented
 from nodes.messages import Array, Measured, decode, from_wire
 from tests.nodes.networks import (

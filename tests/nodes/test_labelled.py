@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
+from bus.flexray.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
 from filters.gaussian import Gaussian
 from nodes.estimator import Rejected
-from nodes.labelled import LabelledFlooding
-from nodes.labelled_frame import LabelledShare
-from nodes.link_state import LinkState
+from nodes.faults.losses import LinkState
 from nodes.messages import Measured
-from nodes.record_codec import RecordCodec
+from nodes.rules.labelled import LabelledFlooding
+from nodes.rules.labelled_frame import LabelledShare
+from nodes.rules.record_codec import RecordCodec
 from nodes.share import cycle_of
 from tests.nodes.labelled_networks import (
     PRIOR,

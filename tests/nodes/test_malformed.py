@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.schedule import hybrid
+from bus.flexray.schedule import hybrid
 from nodes.bounds import MAX_FRAME_BYTES, MAX_MESSAGE_BYTES
 from nodes.changes import Set
-from nodes.hearing import EARLY_CYCLES, EARLY_STEPS, MOST_EARLY
+from nodes.inbox import EARLY_CYCLES, EARLY_STEPS, MOST_EARLY
 from nodes.messages import (
     Bid,
     Estimate,
@@ -25,10 +25,10 @@ from nodes.messages import (
     decode,
     encode,
 )
+from nodes.node import NodeConfig, Phase, initial_state, step
 from nodes.node_changes import apply
-from nodes.recording import McapRecorder, read_recording
 from nodes.share import in_slot, to_frames
-from nodes.state_machine import NodeConfig, Phase, initial_state, step
+from runtime.recording import McapRecorder, read_recording
 from scenarios.build import build_node
 from scenarios.catalogue import kind_of
 from scenarios.setup import prepare

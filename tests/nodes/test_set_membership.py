@@ -7,15 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiments.trace import read_trace
+from experiments.results.trace import read_trace
 from filters.gaussian import Gaussian
-from nodes import in_process
 from nodes.bids import FIRST_BID
-from nodes.in_process import Link
 from nodes.messages import Measured
-from nodes.recording import MemoryRecorder
-from nodes.set_membership import SetMembership
-from nodes.set_shapes import Ellipsoids, Zonotopes
+from nodes.rules.set_membership import SetMembership
+from nodes.rules.set_shapes import Ellipsoids, Zonotopes
+from runtime import in_process
+from runtime.in_process import Link
+from runtime.recording import MemoryRecorder
 from scenarios.build import build_node, build_world
 from scenarios.setup import Setup, prepare
 from tests.experiments.support import scenario

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from filters.ellipsoid import Ellipsoid, squared_radius
 from filters.gaussian import Gaussian
-from filters.zonotope import Zonotope, gauge
+from filters.sets.ellipsoid import Ellipsoid, squared_radius
+from filters.sets.zonotope import Zonotope, gauge
 from nodes.estimator import Rejected
-from nodes.set_shapes import Ellipsoids, Zonotopes
+from nodes.rules.set_shapes import Ellipsoids, Zonotopes
 
 SEEDS = st.integers(0, 2**32 - 1)
 NUMBERS = pytest.mark.parametrize("number", ["<f8", "<f4"])

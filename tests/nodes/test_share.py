@@ -4,9 +4,9 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from bus.frame import Frame
-from bus.frame import encode as encode_frame
-from bus.publication import Slot
+from bus.flexray.frame import Frame
+from bus.flexray.frame import encode as encode_frame
+from bus.flexray.publication import Slot
 from nodes.estimator import Rejected
 from nodes.share import cycle_of, payload_lengths, read_body, read_frame, to_frames
 

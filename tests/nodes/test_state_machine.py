@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.publication import Slot
-from bus.schedule import Schedule, dynamic_only, round_robin
-from nodes.link_state import LinkState, hears
+from bus.flexray.publication import Slot
+from bus.flexray.schedule import Schedule, dynamic_only, round_robin
+from nodes.faults.losses import LinkState, hears
 from nodes.messages import (
     Bid,
     CycleClosed,
@@ -20,14 +20,14 @@ from nodes.messages import (
     ShareHeard,
     ShareSent,
 )
-from nodes.share import to_frames
-from nodes.state_machine import (
+from nodes.node import (
     NodeConfig,
     Phase,
     awaited_neighbours,
     initial_state,
     step,
 )
+from nodes.share import to_frames
 from tests.nodes.one_node import (
     PRIORS,
     ROUNDS,

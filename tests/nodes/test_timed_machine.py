@@ -4,7 +4,8 @@ import dataclasses
 
 from msgspec import UNSET
 
-from nodes import state_machine, world
+from nodes import environment as world
+from nodes import node as state_machine
 from nodes.messages import (
     Bid,
     BidsClosed,

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from filters.fusion import INFORMATION, MOMENTS, Directly, covariance_intersection
+from filters.fusion.averaging import INFORMATION, MOMENTS, Directly, covariance_intersection
 from nodes.messages import (
     CycleClosed,
     Estimate,
@@ -16,13 +16,13 @@ from nodes.messages import (
     NodeEvent,
     ShareHeard,
 )
-from nodes.share import read_frame, to_frames
-from nodes.state_machine import (
+from nodes.node import (
     NodeConfig,
     Phase,
     initial_state,
     step,
 )
+from nodes.share import read_frame, to_frames
 from tests.nodes.networks import DECAYED, DROP
 from tests.nodes.one_node import (
     PRIORS,

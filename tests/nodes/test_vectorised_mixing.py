@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from experiments.vectorised import COV, simulate
+from experiments.monte_carlo.simulate import COV, simulate
 from filters.gaussian import Gaussian
-from nodes import vectorised_mixing
-from nodes.vectorised_beliefs import BeliefFleet
-from nodes.vectorised_links import Shares, links_of
-from nodes.vectorised_mixing import FEW_NODES, mixed, weighed
+from nodes.lanes import mixing as vectorised_mixing
+from nodes.lanes.beliefs import BeliefFleet
+from nodes.lanes.links import Shares, links_of
+from nodes.lanes.mixing import FEW_NODES, mixed, weighed
+from runtime.batched.build import build_network
 from scenarios.setup import prepare
-from scenarios.vectorised import build_network
 from tests.experiments.support import scenario
 
 SIZES = st.one_of(st.integers(1, 9), st.just(FEW_NODES + 1))

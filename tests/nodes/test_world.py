@@ -8,10 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.schedule import Schedule, dynamic_only, hybrid
+from bus.flexray.schedule import Schedule, dynamic_only, hybrid
 from filters.gaussian import Gaussian
-from nodes import world, world_changes
+from nodes import environment as world
+from nodes import environment_changes as world_changes
 from nodes.changes import Gone, Joined
+from nodes.environment import Controller, WorldConfig, WorldState
 from nodes.messages import (
     Array,
     Bid,
@@ -23,7 +25,6 @@ from nodes.messages import (
     decode,
     from_wire,
 )
-from nodes.world import Controller, WorldConfig, WorldState
 from tests.nodes.networks import DECAYED, DROP, Outcome, network, path, random_priors, ring, run
 
 PRIOR = Gaussian(np.zeros(1), np.eye(1))

@@ -7,12 +7,12 @@ from typing import Any, cast
 import numpy as np
 
 from filters.gaussian import Gaussian
-from nodes import in_process
-from nodes.belief_consensus import BeliefConsensus
 from nodes.estimator import Estimator
 from nodes.messages import Array, Bid, Estimate, Grant, Measured, Truth, decode, from_wire
+from nodes.node import NodeConfig
+from nodes.rules.belief_consensus import BeliefConsensus
 from nodes.share import read_frame
-from nodes.state_machine import NodeConfig
+from runtime import in_process
 from tests.nodes.networks import Network
 
 Fate = set[tuple[int, int, int]]

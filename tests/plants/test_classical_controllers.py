@@ -9,12 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
-from plants import cruise, motor, pitch, suspension
-from plants.closed_loop import closed_loop, quiet, step_figures
-from plants.controllers import IntegralFeedback, OutputFeedback, StateFeedback
-from plants.references import constant
-from plants.root_loci import figure_7
-from plants.transfer_functions import (
+from papers.wac.root_loci import figure_7
+from plants.control import cruise, motor, pitch, suspension
+from plants.control.closed_loop import closed_loop, quiet, step_figures
+from plants.control.controllers import IntegralFeedback, OutputFeedback, StateFeedback
+from plants.control.references import constant
+from plants.control.transfer_functions import (
     Rational,
     lag,
     lead,

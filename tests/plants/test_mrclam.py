@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from plants.confined_motion import ConfinedMotion
-from plants.mrclam import recorded_target
-from plants.mrclam_files import read_recording
-from plants.sighting import Sighting
+from plants.recorded.confined_motion import ConfinedMotion
+from plants.recorded.mrclam import recorded_target
+from plants.recorded.mrclam_files import read_recording
+from plants.recorded.sighting import Sighting
 
 SET_6 = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "mrclam6"
 

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plants import cruise, motor, pitch, suspension
+from plants.control import cruise, motor, pitch, suspension
+from plants.control.networks import PAPER_WARNING, deal_order
 from plants.linear import LinearPlant
-from plants.networks import PAPER_WARNING, deal_order
 
 MAKERS = [
     cruise.cruise,

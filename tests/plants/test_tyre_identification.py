@@ -4,10 +4,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from plants.tyre_identification import identify
-from plants.vehicle_drive import Drive
-from plants.vehicle_model import axles_of, linear_tyre, single_track, tanh_tyre
-from plants.vehicle_parameters import BMW_320I, Car
+from plants.vehicle.drive import Drive
+from plants.vehicle.model import axles_of, linear_tyre, single_track, tanh_tyre
+from plants.vehicle.parameters import BMW_320I, Car
+from plants.vehicle.tyre_identification import identify
 
 TRUE = msgspec.structs.replace(
     BMW_320I, front_stiffness_n_rad=90e3, rear_stiffness_n_rad=140e3, friction=0.8

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from plants.vehicle_drive import FRONT_LEFT, FRONT_RIGHT, REAR_LEFT, REAR_RIGHT
-from plants.vehicle_manoeuvres import MANOEUVRES, OpenLoop, Program
-from plants.vehicle_model import linear_tyre, single_track
-from plants.vehicle_truth import (
+from plants.vehicle.drive import FRONT_LEFT, FRONT_RIGHT, REAR_LEFT, REAR_RIGHT
+from plants.vehicle.manoeuvres import MANOEUVRES, OpenLoop, Program
+from plants.vehicle.model import linear_tyre, single_track
+from plants.vehicle.truth import (
     BMW,
     SOFT_BMW,
     SpunOut,

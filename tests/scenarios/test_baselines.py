@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from experiments.drivers import in_memory
-from experiments.trace import Trace, read_trace
+from experiments.results.trace import Trace, read_trace
 from filters.gaussian import Gaussian
 from filters.metrics import nees
 from plants.oscillator import Oscillation, Oscillator
+from runtime.drivers import in_memory
 from scenarios.baselines import (
     centralised,
     centralised_of_runs,

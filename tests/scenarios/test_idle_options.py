@@ -3,8 +3,8 @@
 import msgspec
 import pytest
 
-from experiments.drivers import in_memory
-from experiments.trace import read_trace
+from experiments.results.trace import read_trace
+from runtime.drivers import in_memory
 from scenarios.catalogue import kind_of
 from scenarios.idle_options import idle_options
 from scenarios.rules import RULE_SUMMARIES

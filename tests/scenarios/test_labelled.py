@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from experiments.agree_command import first_difference
-from experiments.drivers import DRIVERS, in_memory
-from experiments.labelled_cases import Case, runs_of_case
-from experiments.labelled_exact import FULL_INFORMATION, audit, full_information
-from experiments.options import ScenarioOptions
-from experiments.reproduce_labelled_exact import NETWORKS, exact_section
-from experiments.trace import Trace, read_trace
-from nodes.labelled import LabelledFlooding
-from nodes.record_sets import lacked, newest_first
-from nodes.recording import read_recording
+from experiments.cli.agree import first_difference
+from experiments.results.trace import Trace, read_trace
+from experiments.scenario_options import ScenarioOptions
+from nodes.rules.labelled import LabelledFlooding
+from nodes.rules.record_sets import lacked, newest_first
+from papers.labelled.cases import Case, runs_of_case
+from papers.labelled.exact import FULL_INFORMATION, audit, full_information
+from papers.labelled.exact_section import NETWORKS, exact_section
+from runtime.drivers import DRIVERS, in_memory
+from runtime.recording import read_recording
 from scenarios.baselines import centralised
 from scenarios.build import build_node
 from scenarios.bus_plan import build_schedule

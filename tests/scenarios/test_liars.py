@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from experiments.drivers import in_memory
-from experiments.trace import read_trace
+from experiments.results.trace import read_trace
+from runtime.drivers import in_memory
 from scenarios.setup import prepare
 from scenarios.warnings import warnings_of
 from tests.experiments.support import scenario

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.drivers import in_memory
-from experiments.trace import read_trace
+from experiments.results.trace import read_trace
+from runtime.drivers import in_memory
 from scenarios.links import link_state
 from scenarios.setup import prepare, setup_of_run
 from tests.experiments.support import scenario, small

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.agree_command import first_difference
-from experiments.drivers import DRIVERS
+from experiments.cli.agree import first_difference
 from plants import liu2021
 from plants.bounded_network import BoundedNetwork, on_the_bound
+from runtime.drivers import DRIVERS
 from scenarios.catalogue import kind_of
 from scenarios.rules import is_certain
 from scenarios.setup import prepare

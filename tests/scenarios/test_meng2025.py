@@ -5,20 +5,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bus.measurement_bus import MeasurementBus
-from experiments.agree_command import first_difference
-from experiments.drivers import DRIVERS, in_memory
-from experiments.summary import summarise
-from experiments.trace import Trace, read_trace
+from bus.flexray.measurement_bus import MeasurementBus
+from experiments.cli.agree import first_difference
+from experiments.results.summary import summarise
+from experiments.results.trace import Trace, read_trace
 from filters.gaussian import Gaussian
 from filters.stochastic_ukf import Received
-from nodes import in_process
-from nodes.recording import MemoryRecorder
 from plants import meng2025
+from runtime import in_process
+from runtime.drivers import DRIVERS, in_memory
+from runtime.recording import MemoryRecorder
 from scenarios.baselines import centralised, local_only
 from scenarios.build import build_node, build_plan, build_world
-from scenarios.measurement_runs import Estimator, estimate, first_received, slots_of
-from scenarios.meng2025 import FILTERS, SYSTEM, bus_of, paper_points
+from scenarios.definitions.measurement_runs import Estimator, estimate, first_received, slots_of
+from scenarios.definitions.meng2025 import FILTERS, SYSTEM, bus_of, paper_points
 from scenarios.scenario import Scenario
 from scenarios.setup import Setup, prepare
 from scenarios.warnings import warnings_of

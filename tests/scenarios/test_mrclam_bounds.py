@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from experiments.drivers import in_memory
-from experiments.summary import Figures, summarise
-from experiments.trace import Trace, read_trace
+from experiments.results.summary import Figures, summarise
+from experiments.results.trace import Trace, read_trace
+from runtime.drivers import in_memory
 from scenarios.setup import prepare
 from tests.experiments.support import scenario
 

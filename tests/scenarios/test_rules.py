@@ -7,11 +7,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from experiments.agree_command import first_difference
-from experiments.drivers import DRIVERS, in_memory
-from experiments.trace import Trace, read_trace
-from nodes.recording import read_recording
+from experiments.cli.agree import first_difference
+from experiments.results.trace import Trace, read_trace
 from nodes.share import payload_lengths
+from runtime.drivers import DRIVERS, in_memory
+from runtime.recording import read_recording
 from scenarios import rules
 from scenarios.baselines import centralised
 from scenarios.build import build_node

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.options import ScenarioOptions
+from experiments.scenario_options import ScenarioOptions
 from scenarios.script import with_files
 
 TEXT = """# a bad night

@@ -4,8 +4,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from experiments.drivers import in_memory
-from filters import compiled
+from filters.kernels import compiled
+from runtime.drivers import in_memory
 from scenarios.catalogue import kinds
 from scenarios.scenario import Scenario
 from scenarios.setup import Setup, fingerprint, prepare

@@ -6,10 +6,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from experiments import record_spread
-from experiments.drivers import in_memory
-from experiments.trace import read_trace
+from experiments.results import record_spread
+from experiments.results.trace import read_trace
 from plants.linear import LinearModel, LinearPlant, LinearSensor
+from runtime.drivers import in_memory
 from scenarios import catalogue
 from scenarios.catalogue import Kind, Score, kind_of
 from scenarios.scenario import Scenario

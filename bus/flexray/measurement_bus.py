@@ -1,0 +1,194 @@
+"""The measurement bus: sensors 1..N share one bus to a receiver, node 0; one slot per step.
+
+Slot s >= 1 is cycle s of a `Schedule` with one node at most per row. The receiver holds the last
+measurement of every silent sensor (or takes it to be zero). Sensors that contend for a slot ask
+with the weighted squared change since their last transmission (weighted try-once-discard).
+
+Source: Meng et al. (2025), UKF for nonlinear systems with stochastic nonlinearities under FlexRay
+protocol, equations (2) to (5), the plain rule; `bus.flexray.measurement_matrices` has (6) to (9).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import accumulate, pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.flexray.schedule import Schedule
+
+Array = NDArray[np.float64]
+
+RECEIVER = 0
+# Fine enough to order any two readings a sensor can tell apart, too coarse for the last bit.
+BID_RESOLUTION = 2.0**-20
+# Every integer up to here is a float64, so bids of a whole batch can be made as floats.
+LARGEST_BID = 2**53
+
+
+def zero_order_hold(received: Array) -> Array:
+    """What a silent sensor is taken to measure: the last value that it sent."""
+    return received
+
+
+def zero_input(received: Array) -> Array:
+    """What a silent sensor is taken to measure: zero."""
+    return np.zeros_like(received)
+
+
+class Slot(NamedTuple):
+    """What the receiver knows after a slot.
+
+    Attributes:
+        sent: (..., N), which sensors transmitted in this slot.
+        fresh: (..., m), the same for the entries of the measurement.
+        received: (..., m), ybar: the fresh measurement, and what silent sensors are taken to say.
+    """
+
+    sent: NDArray[np.bool_]
+    fresh: NDArray[np.bool_]
+    received: Array
+
+
+@dataclass(frozen=True, eq=False)
+class MeasurementBus:
+    """N sensors with `sizes` m_1..m_N, whose measurements (..., m) are stacked in their order.
+
+    `schedule` is one of the four below, or any other for N + 1 nodes in which node 0 is silent;
+    `weights` are the Q_j (m_j, m_j) of (4), the identity unless given.
+
+    Raises:
+        ValueError: a size below one, weights or a schedule that do not fit the sensors.
+    """
+
+    sizes: tuple[int, ...]
+    schedule: Schedule
+    weights: tuple[Array, ...] = ()
+    silent: Callable[[Array], Array] = zero_order_hold
+
+    def __post_init__(self) -> None:
+        if not self.sizes or min(self.sizes) < 1:
+            raise ValueError(f"sizes {self.sizes}: give one size per sensor, each at least 1")
+        if self.schedule.nodes != len(self.sizes) + 1:
+            raise ValueError(
+                f"a schedule for {self.schedule.nodes} nodes on a measurement bus with "
+                f"{len(self.sizes)} sensors; it needs one node per sensor, and node 0 for the "
+                "receiver"
+            )
+        for row in (*self.schedule.static_table, *self.schedule.contender_table):
+            if RECEIVER in row:
+                raise ValueError("node 0 of a measurement bus receives; leave it out of all turns")
+        if len(self._weights) != len(self.sizes):
+            raise ValueError(
+                f"{len(self._weights)} weights for {len(self.sizes)} sensors; give one matrix per "
+                "sensor, or none for the identity"
+            )
+        for sensor, (weight, size) in enumerate(zip(self._weights, self.sizes, strict=True), 1):
+            if np.shape(weight) != (size, size):
+                raise ValueError(
+                    f"the weight of sensor {sensor} has shape {np.shape(weight)}, but its "
+                    f"measurement has {size} entries; give a matrix ({size}, {size})"
+                )
+
+    @property
+    def entries(self) -> int:
+        """Length m of all measurements together."""
+        return sum(self.sizes)
+
+    def rows(self, sensor: int) -> slice:
+        """Where the measurement of a sensor (1..N) is among all."""
+        return list(_slices(self.sizes))[sensor - 1]
+
+    def transmit(self, slot: int, measurement: Array, received: Array) -> Slot:
+        """One slot of the bus: (2) to (5).
+
+        Args:
+            slot: s, counted from 1 on; in slot 0 nothing has been measured yet.
+            measurement: y_s (..., m); a sensor with a NaN entry has nothing to send.
+            received: ybar_{s-1} (..., m).
+        """
+        able = np.stack(
+            [~np.isnan(measurement[..., rows]).any(axis=-1) for rows in _slices(self.sizes)], -1
+        )
+        sent = np.zeros(able.shape, dtype=bool)
+        for node in self.schedule.static_senders(slot):
+            sent[..., node - 1] = True
+        contenders = [node - 1 for node in self.schedule.contenders(slot)]
+        if contenders:
+            bids = self.bids(measurement, received)[..., contenders]
+            # Largest first, the lowest node among equals.
+            ranks = np.argsort(np.argsort(-bids, axis=-1, kind="stable"), axis=-1)
+            sent[..., contenders] = ranks < self.schedule.dynamic_slots(slot)
+        sent &= able
+        fresh = np.repeat(sent, self.sizes, axis=-1)
+        return Slot(sent, fresh, np.where(fresh, measurement, self.silent(received)))
+
+    def bids(self, measurement: Array, received: Array) -> Array:
+        """The bid of every sensor (..., N), whole numbers; -1 where it has nothing to send."""
+        change = measurement - received
+        return np.stack(
+            [
+                bid(change[..., rows], weight)
+                for rows, weight in zip(_slices(self.sizes), self._weights, strict=True)
+            ],
+            axis=-1,
+        )
+
+    @property
+    def _weights(self) -> tuple[Array, ...]:
+        return self.weights or tuple(np.eye(size) for size in self.sizes)
+
+
+def bid(change: Array, weight: Array) -> Array:
+    """The bid (...) of a change (..., m_j) since the last transmission: change' Q_j change,
+    rounded down to units of BID_RESOLUTION; -1 where an entry of the change is NaN.
+
+    Whole, so that who wins does not hang on the last bit of a sum.
+    """
+    urgency = (change * (change @ weight)).sum(axis=-1) / BID_RESOLUTION
+    return np.where(np.isnan(urgency), -1.0, np.clip(np.floor(urgency), 0.0, LARGEST_BID))
+
+
+def flexray(sensors: int, static_slots: int) -> Schedule:
+    """Cycles of l + 1 slots: sensors 1..l in turn, then one slot for which l+1..N contend.
+
+    Source: (2) and (4) with q = ceil(s / l1).
+
+    Raises:
+        ValueError: `static_slots` is not in 0..sensors-1: one sensor at least must contend.
+    """
+    if not 0 <= static_slots < sensors:
+        raise ValueError(
+            f"{static_slots} static slots for {sensors} sensors; take 0 to {sensors - 1}, so that "
+            "one sensor at least contends for the dynamic slot"
+        )
+    # Slot s is row s mod (l + 1), and s = l + 1 the first dynamic one: it is row 0.
+    turns = tuple((node,) for node in range(1, static_slots + 1))
+    contenders = tuple(range(static_slots + 1, sensors + 1))
+    return Schedule(sensors + 1, ((), *turns), (contenders,), (1, *(0,) * static_slots))
+
+
+def round_robin(sensors: int, members: Sequence[int]) -> Schedule:
+    """The members of 1..sensors in turn, one per slot; the first sends in slot 1."""
+    last_first = (*members[-1:], *members[:-1])
+    return Schedule(sensors + 1, tuple((node,) for node in last_first))
+
+
+def try_once_discard(sensors: int, members: Sequence[int]) -> Schedule:
+    """Every slot to the member of 1..sensors whose measurement has changed most."""
+    return Schedule(sensors + 1, ((),), (tuple(members),), (1,))
+
+
+def all_at_once(sensors: int) -> Schedule:
+    """Every sensor in every slot: no bus, for comparison."""
+    return Schedule(sensors + 1, (tuple(range(1, sensors + 1)),))
+
+
+def nobody(sensors: int) -> Schedule:
+    """No sensor ever: prediction alone, for comparison."""
+    return Schedule(sensors + 1, ((),))
+
+
+def _slices(sizes: Sequence[int]) -> list[slice]:
+    return [slice(*ends) for ends in pairwise(accumulate(sizes, initial=0))]

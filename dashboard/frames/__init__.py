@@ -1,0 +1,1 @@
+"""What the dashboard draws: messages and recordings turned into frames."""

@@ -1,0 +1,1 @@
+"""What the `concord flexray` commands compute."""

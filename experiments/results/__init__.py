@@ -1,0 +1,1 @@
+"""What a run leaves: arrays, figures, tables and pictures."""
