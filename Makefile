@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: browser screenshots demo test test-slow check format fast bench bench-compare kills fuzz docs lock clean
+.PHONY: browser screenshots demo test test-slow test-all check format fast bench bench-compare kills fuzz docs lock clean
 
 demo: .venv/run.stamp
 	$(BIN)/concord run --scenario target-tracking --nodes 12 --graph geometric --seed 7 --driver processes
@@ -23,6 +23,9 @@ screenshots: .venv/dev.stamp browser
 
 test-slow: .venv/dev.stamp
 	$(BIN)/python -m pytest -m slow
+
+# Every test: `make test` first, then the slow ones.
+test-all: test test-slow
 
 check: .venv/dev.stamp
 	$(BIN)/ruff format --check .
