@@ -1,0 +1,26 @@
+"""Filters as values: how a node computes its estimate from readings."""
+
+from scenarios.types.option import Choice
+
+
+class FilterBase(Choice, frozen=True, kw_only=True):
+    """A filter of the nodes."""
+
+
+class UnscentedFilter(FilterBase, frozen=True, kw_only=True, tag="ukf"):
+    """Unscented Kalman filter."""
+
+
+class RecommendedFilter(FilterBase, frozen=True, kw_only=True, tag="recommended"):
+    """Unscented filter with exact moments of noise that grows with the state (meng2025)."""
+
+
+class PrintedFilter(FilterBase, frozen=True, kw_only=True, tag="paper-literal"):
+    """The filter of Meng et al. (2025) as printed (meng2025)."""
+
+
+class PrintedNoiseFilter(FilterBase, frozen=True, kw_only=True, tag="paper-literal-R"):
+    """The filter of Meng et al. (2025) as printed, with its printed R (meng2025)."""
+
+
+FilterChoice = UnscentedFilter | RecommendedFilter | PrintedFilter | PrintedNoiseFilter
