@@ -15,31 +15,31 @@ from topology.names import unknown_name
 # File and function of each command. A file is loaded when its command is asked for: together they
 # take scipy, networkx and half a second, which most commands can do without.
 COMMANDS = {
-    "run": ("run_command", "run"),
-    "collect": ("collect_command", "collect"),
-    "dashboard": ("dashboard_command", "dashboard"),
-    "replay": ("replay_command", "replay"),
-    "control": ("control_command", "control"),
-    "list": ("list_command", "list_all"),
-    "agree": ("agree_command", "agree"),
-    "reproduce": ("reproduce_command", "reproduce"),
-    "identify": ("identify_command", "identify_tyres"),
-    "sweep": ("sweep_command", "sweep"),
-    "design": ("design_command", "design"),
-    "plot": ("plot_command", "plot"),
-    "report": ("report_command", "report"),
-    "keys": ("keys_command", "keys"),
-    "setup": ("host_commands", "setup"),
-    "router": ("host_commands", "router"),
-    "world": ("host_commands", "world"),
-    "node": ("host_commands", "node"),
-    "doctor": ("doctor_command", "doctor"),
-    "torture": ("torture_command", "torture"),
+    "run": ("run", "run"),
+    "collect": ("collect", "collect"),
+    "dashboard": ("dashboard", "dashboard"),
+    "replay": ("replay", "replay"),
+    "control": ("control", "control"),
+    "list": ("list", "list_all"),
+    "agree": ("agree", "agree"),
+    "reproduce": ("reproduce", "reproduce"),
+    "identify": ("identify", "identify_tyres"),
+    "sweep": ("sweep", "sweep"),
+    "design": ("design", "design"),
+    "plot": ("plot", "plot"),
+    "report": ("report", "report"),
+    "keys": ("keys", "keys"),
+    "setup": ("hosts", "setup"),
+    "router": ("hosts", "router"),
+    "world": ("hosts", "world"),
+    "node": ("hosts", "node"),
+    "doctor": ("doctor", "doctor"),
+    "torture": ("torture", "torture"),
 }
 # Those that have commands of their own; beside the function stands their SUMMARY.
 GROUPS = {
-    "flexray": ("flexray_command", "flexray_commands"),
-    "topology": ("topology_command", "topology_commands"),
+    "flexray": ("flexray", "flexray_commands"),
+    "topology": ("topology", "topology_commands"),
 }
 
 
@@ -78,7 +78,7 @@ def _commands(asked: list[str]) -> SubcommandApp:
     commands = SubcommandApp()
     for name in [name for name in asked if name in everything] or everything:
         file, function = everything[name]
-        module = import_module(f"experiments.{file}")
+        module = import_module(f"experiments.cli.{file}")
         command = getattr(module, function)
         if name in GROUPS:
             commands.command(command(), name=name, help=module.SUMMARY)
