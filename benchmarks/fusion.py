@@ -1,6 +1,6 @@
 """Covariance intersection over a whole network: a round beside a loop over nodes, and many rounds.
 
-What is timed is what the vectorised driver does between the readings of a step and its estimates:
+What is timed is what the batched driver does between the readings of a step and its estimates:
 the rounds of the fleet that a scenario builds. Where beliefs weigh alike however sharp they are,
 the fleet takes all rounds as one product; else it looks at their sharpness after every round.
 """

@@ -237,7 +237,7 @@ def test_the_command_names_the_first_difference_and_leaves_with_one(
     captured = capsys.readouterr()
     if as_json:
         said = json.loads(captured.out)
-        assert said["drivers"] == ["in-process", "other", "vectorised"]
+        assert said["drivers"] == ["in-process", "other", "batched"]
         assert said["differences"][0]["index"][0] == 0
     else:
         assert "other differs from in-process first in" in captured.out

@@ -1,4 +1,4 @@
-"""Labelled records in the vectorised driver: the numbers of the in-process driver."""
+"""Labelled records in the batched driver: the numbers of the in-process driver."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ from scenarios.scenario import Scenario
 from scenarios.setup import prepare, setup_of_run
 from tests.changing_networks import changing
 from tests.experiments.support import scenario
-from tests.test_vectorised_agreement import check_agreement
+from tests.test_batched_agreement import check_agreement
 
 RUNS = (0, 3)
 # Who comes back has a window of its own, which has no array form.

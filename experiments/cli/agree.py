@@ -1,6 +1,6 @@
 """`concord agree`: run one scenario in every driver and compare.
 
-Drivers that pass messages must agree bit for bit, the vectorised one to 1e-10 of the scale.
+Drivers that pass messages must agree bit for bit, the batched one to 1e-10 of the scale.
 """
 
 import sys
@@ -24,7 +24,7 @@ from runtime.processes.launcher import NetworkFailed
 from runtime.recording import read_recording
 from scenarios.setup import Setup, prepare
 
-VECTORISED = "vectorised"
+BATCHED = "batched"
 _COMPARED = ("truth", "readings", "published", "mean", "cov", "ages")
 
 
@@ -98,9 +98,9 @@ def first_difference(reference: Trace, trace: Trace, driver: str) -> Difference 
 
 
 def near_differences(setup: Setup, reference: Trace) -> list[Difference]:
-    """Where the vectorised driver departs from a trace by more than rounding, by quantity."""
+    """Where the batched driver departs from a trace by more than rounding, by quantity."""
     return [
-        Difference(VECTORISED, name, where.tolist(), float(expected), float(value))
+        Difference(BATCHED, name, where.tolist(), float(expected), float(value))
         for name, (where, expected, value) in departures(setup, reference).items()
     ]
 
@@ -112,14 +112,14 @@ def _show(
     if as_json:
         result = {
             "scenario": scenario,
-            "drivers": drivers + [VECTORISED] * near,
+            "drivers": drivers + [BATCHED] * near,
             "differences": differences,
         }
         sys.stdout.write(msgspec.json.encode(result).decode() + "\n")
         return
     what = f"{scenario.name}, {scenario.nodes} nodes, {scenario.graph}, {scenario.steps} steps"
     if not differences:
-        also = f"; {VECTORISED} to {TOLERANCE:g}" if near else ""
+        also = f"; {BATCHED} to {TOLERANCE:g}" if near else ""
         sys.stdout.write(f"{what}: {' = '.join(drivers)}, bit for bit{also}\n")
     for d in differences:
         sys.stdout.write(

@@ -32,21 +32,21 @@ from scenarios.setup import Setup, prepare
 from scenarios.tempo import tempo_of
 from scenarios.warnings import warnings_of
 
-VECTORISED, REALTIME = "vectorised", "realtime"
+BATCHED, REALTIME = "batched", "realtime"
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions:
     """How and where to run."""
 
-    driver: Literal["in-process", "processes", "vectorised", "realtime"] = "in-process"
+    driver: Literal["in-process", "processes", "batched", "realtime"] = "in-process"
     """in-process: everything in one process; processes: one per node, over zenoh, in lockstep;
-    vectorised: many runs at once as arrays; realtime: processes that keep the bus's time."""
+    batched: many runs at once as arrays; realtime: processes that keep the bus's time."""
     cycle_stretch: float | None = None
     """How many times longer a cycle lasts on the clock than on the bus, for --driver realtime; so
     that it lasts 20 ms when left out."""
     runs: int = 1
-    """Number of runs, from --run on, for --driver vectorised."""
+    """Number of runs, from --run on, for --driver batched."""
     covariances: bool = False
     """Keep full covariances of many runs, and not their traces alone."""
     out: Path | None = None
@@ -86,7 +86,7 @@ def run(
         )
     for warning in warnings_of(setup):
         sys.stderr.write(f"warning: {warning}\n")
-    if options.driver == VECTORISED:
+    if options.driver == BATCHED:
         many = options.covariances, options.json
         run_many(setup, options.runs, folder, description, *many)
         return
@@ -129,11 +129,11 @@ def _check(options: RunOptions) -> None:
     """
     require(options.runs >= 1, "runs", options.runs, "at least 1")
     many = options.runs > 1 or options.covariances
-    if many and options.driver != VECTORISED:
+    if many and options.driver != BATCHED:
         option = f"--runs {options.runs}" if options.runs > 1 else "--covariances"
         raise ValueError(
             f"{option} with --driver {options.driver}: it goes through one run, message by "
-            f"message; use --driver {VECTORISED}, or leave it out"
+            f"message; use --driver {BATCHED}, or leave it out"
         )
     if options.dashboard and options.driver != "processes":
         raise ValueError(

@@ -1,4 +1,4 @@
-"""`concord run --driver vectorised`: many runs at once, one folder, one table with intervals."""
+"""`concord run --driver batched`: many runs at once, one folder, one table with intervals."""
 
 import resource
 import shutil
@@ -117,7 +117,7 @@ def _show(figures: ManyFigures, setup: Setup, as_json: bool) -> None:
     scenario = setup.scenario
     title = (
         f"{scenario.name}: {scenario.nodes} nodes, {scenario.graph}, {scenario.rule}, "
-        f"{scenario.rounds} rounds, seed {scenario.seed}, vectorised"
+        f"{scenario.rounds} rounds, seed {scenario.seed}, batched"
     )
     console.print(table(figures, title))
     for line in lines(figures):

@@ -1,4 +1,4 @@
-"""How labelled records spread in many runs, from the steps of the vectorised driver."""
+"""How labelled records spread in many runs, from the steps of the batched driver."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""How near the vectorised driver comes to a run that went message by message.
+"""How near the batched driver comes to a run that went message by message.
 
 Sums in another order differ in their last bits, so equal here is equal to 1e-10 of the scale: that
 of a mean is its size or its standard deviation, that of a covariance the standard deviations.
@@ -17,11 +17,11 @@ _LEAST = 1e-3
 
 
 def departures(setup: Setup, trace: Trace) -> dict[str, tuple[np.ndarray, Array, Array]]:
-    """Where the vectorised driver departs from a trace of the same run by more than that.
+    """Where the batched driver departs from a trace of the same run by more than that.
 
     Returns:
         By quantity, those that depart alone: where (index of the first, step first), the value of
-        the trace there, and that of the vectorised driver.
+        the trace there, and that of the batched driver.
     """
     histories = simulate(setup, [setup.scenario.run], keep=OPTIONAL)
     assert histories.readings is not None

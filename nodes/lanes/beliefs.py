@@ -1,6 +1,6 @@
 """Consensus on beliefs in arrays: `nodes.rules.belief_consensus` for all nodes of all runs at once.
 
-What is held of others is kept in slots (`vectorised_links.Links`), as the numbers that the rule
+What is held of others is kept in slots (`links.Links`), as the numbers that the rule
 averages: what a node shares is expressed in them once, and not by each who hears it. Between the
 rounds of a step the own beliefs stay such numbers too, where nobody asks what they mean.
 """

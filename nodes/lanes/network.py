@@ -1,4 +1,4 @@
-"""What the vectorised driver runs: a network as arrays, rule and bus, and what becomes of it."""
+"""What the batched driver runs: a network as arrays, rule and bus, and what becomes of it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -18,7 +18,7 @@ from nodes.messages import Array, Measured
 from nodes.node import NodeConfig
 from nodes.rules.labelled import Content, LabelledFlooding
 from runtime import in_process
-from runtime.batched import driver as vectorised
+from runtime.batched import driver as batched
 from runtime.batched.build import build_network
 from runtime.recording import MemoryRecorder
 from scenarios.baselines import centralised
@@ -117,7 +117,7 @@ def _at_once(case: Case, setup: Setup, runs: int) -> list[CaseOutcome]:
     if case.cut:
         (era,) = network.eras
         network = replace(network, eras=(era._replace(lost=partial(_lost_in_cut, setup, runs)),))
-    instants = list(vectorised.run(network))
+    instants = list(batched.run(network))
     truth, readings, mean, cov = (
         np.stack(values, axis=1)
         for values in zip(*((i.truth, i.readings, *i.belief) for i in instants), strict=True)
@@ -129,7 +129,7 @@ def _at_once(case: Case, setup: Setup, runs: int) -> list[CaseOutcome]:
     return [outcome(one, Course(*course)) for one, course in zip(own, courses, strict=True)]
 
 
-def _kept_and_said(instant: vectorised.Instant) -> tuple[np.ndarray, np.ndarray]:
+def _kept_and_said(instant: batched.Instant) -> tuple[np.ndarray, np.ndarray]:
     """Who recorded what it read (R, N), and what all nodes said in a step in bytes (R,)."""
     spread = instant.spread
     assert spread is not None, "the rule is labelled"

@@ -1,4 +1,4 @@
-"""From a setup to what the vectorised driver runs: many runs of it as one value."""
+"""From a setup to what the batched driver runs: many runs of it as one value."""
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial

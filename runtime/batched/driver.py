@@ -1,4 +1,4 @@
-"""The vectorised driver: all nodes of many runs as arrays (runs, nodes, ...), step by step.
+"""The batched driver: all nodes of many runs as arrays (runs, nodes, ...), step by step.
 
 World, bus and nodes do here what `nodes.environment` and `nodes.node` do by messages, with the
 same functions: run r has the numbers that the in-process driver gives it to 1e-10. Nothing is a

@@ -116,7 +116,7 @@ def test_an_interrupted_run_in_one_process_leaves_its_folder(tmp_path: Path):
     ids=["one run at a time is as much as fits", "message by message"],
 )
 def test_interrupted_runs_of_many_keep_those_that_are_complete(tmp_path: Path, scenario: str):
-    options = f"--scenario {scenario} --steps 2 --driver vectorised --runs 20 --out run --json"
+    options = f"--scenario {scenario} --steps 2 --driver batched --runs 20 --out run --json"
     with family([*CONCORD, "run", *options.split()], tmp_path) as run:
         run.await_line("8 of 40")  # after a fifth of the runs
         run.send_to_group(signal.SIGINT)

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from experiments.monte_carlo import simulate as vectorised
+from experiments.monte_carlo import simulate as batched
 from experiments.monte_carlo.simulate import COV, Histories, simulate
 from scenarios.scenario import Scenario
 from scenarios.setup import prepare
@@ -38,7 +38,7 @@ def kept_and_most(runs: int, keep: Iterable[str] = ()) -> tuple[int, int]:
 
 def test_runs_are_taken_in_chunks_and_what_is_kept_is_what_was_asked_for(monkeypatch):
     kept_and_most(1)  # what is loaded and cached once
-    monkeypatch.setattr(vectorised, "LANES", 4 * 100)
+    monkeypatch.setattr(batched, "LANES", 4 * 100)
     (of_one, most_of_one), (of_many, most_of_many) = kept_and_most(100), kept_and_most(600)
     assert of_many == 6 * of_one
     # Six chunks at once would take six times as much beside what is kept.

@@ -1,4 +1,4 @@
-"""What `concord agree` says of the vectorised driver."""
+"""What `concord agree` says of the batched driver."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""`concord run --driver vectorised`: the figures of the runs one by one, with intervals."""
+"""`concord run --driver batched`: the figures of the runs one by one, with intervals."""
 
 import json
 from pathlib import Path
@@ -99,7 +99,7 @@ def run(*options: str) -> int:
 def test_the_command_writes_arrays_by_run_and_prints_intervals(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    options = ("--driver", "vectorised", "--runs", "3", "--run", "2", "--covariances", "--json")
+    options = ("--driver", "batched", "--runs", "3", "--run", "2", "--covariances", "--json")
     assert run(*options, "--out", str(tmp_path / "many")) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["runs"] == 3 and said["first_run"] == 2
@@ -110,7 +110,7 @@ def test_the_command_writes_arrays_by_run_and_prints_intervals(
         assert dict(dataset["mean"].sizes) == {"run": 3, "step": 9, "node": 4, "state": 2}
         assert dataset["run"].values.tolist() == [2, 3, 4]
         assert dataset["cov"].dims == ("run", "step", "node", "state", "other_state")
-        assert dataset.attrs["driver"] == "vectorised"
+        assert dataset.attrs["driver"] == "batched"
         ages = dataset["ages"].values
     setup = small(steps=9, run=2)
     kept: Histories = simulate(setup, range(2, 5))
@@ -121,9 +121,9 @@ def test_the_command_writes_arrays_by_run_and_prints_intervals(
     ("options", "says"),
     [
         (["--runs", "3"], "--runs 3 with --driver in-process"),
-        (["--runs", "0", "--driver", "vectorised"], "--runs 0: must be at least 1"),
+        (["--runs", "0", "--driver", "batched"], "--runs 0: must be at least 1"),
         (["--covariances"], "--covariances with --driver in-process"),
-        (["--port", "7000", "--driver", "vectorised"], "--port 7000 with --driver vectorised"),
+        (["--port", "7000", "--driver", "batched"], "--port 7000 with --driver batched"),
     ],
 )
 def test_options_of_another_driver_are_refused(
@@ -142,6 +142,6 @@ def test_an_interrupted_monte_carlo_leaves_nothing(
         raise KeyboardInterrupt
 
     monkeypatch.setattr("experiments.monte_carlo.run_many.simulate", interrupted)
-    assert run("--driver", "vectorised", "--out", str(tmp_path / "many")) == 130
+    assert run("--driver", "batched", "--out", str(tmp_path / "many")) == 130
     assert "is removed" in capsys.readouterr().err
     assert not (tmp_path / "many").exists()

@@ -21,7 +21,7 @@ DEMANDED = (
     "tests/filters/test_packed.py",
     "tests/filters/test_fusion.py",
     "tests/test_agreement.py",
-    "tests/test_vectorised_agreement.py",
+    "tests/test_batched_agreement.py",
 )
 
 pytestmark = pytest.mark.skipif(

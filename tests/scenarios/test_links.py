@@ -10,7 +10,7 @@ from runtime.drivers import in_memory
 from scenarios.links import link_state
 from scenarios.setup import prepare, setup_of_run
 from tests.experiments.support import scenario, small
-from tests.test_vectorised_agreement import check_agreement
+from tests.test_batched_agreement import check_agreement
 from topology.adjacency import neighbours_of
 from topology.graphs import build_graph
 
@@ -25,7 +25,7 @@ PLANS = {
 
 
 @pytest.mark.parametrize("name", PLANS)
-def test_the_vectorised_driver_loses_the_same_frames(name):
+def test_the_batched_driver_loses_the_same_frames(name):
     check_agreement(
         scenario("oscillator", nodes=5, steps=8, rounds=2, stretch=100.0, **PLANS[name])
     )

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from experiments.monte_carlo.simulate import COV, simulate
 from filters.gaussian import Gaussian
-from nodes.lanes import mixing as vectorised_mixing
+from nodes.lanes import mixing as batched_mixing
 from nodes.lanes.beliefs import BeliefFleet
 from nodes.lanes.links import Shares, links_of
 from nodes.lanes.mixing import FEW_NODES, mixed, weighed
@@ -56,7 +56,7 @@ def test_few_nodes_and_many_go_different_ways_to_the_same_beliefs(asked, monkeyp
     """Few nodes take the rounds of a step as one product where they can, many take each."""
     setup = prepare(scenario("target-crossing", nodes=9, steps=12, seed=3, **asked))
     few = simulate(setup, range(4), keep=(COV,))
-    monkeypatch.setattr(vectorised_mixing, "FEW_NODES", 0)
+    monkeypatch.setattr(batched_mixing, "FEW_NODES", 0)
     many = simulate(setup, range(4), keep=(COV,))
     assert few.cov is not None and many.cov is not None
     np.testing.assert_allclose(few.mean, many.mean, rtol=1e-12, atol=1e-10)

@@ -1,4 +1,4 @@
-"""The vectorised driver gives the numbers of the in-process driver, whatever the scenario.
+"""The batched driver gives the numbers of the in-process driver, whatever the scenario.
 
 Every run of a Monte Carlo is compared with the run of that number, message by message: estimates
 and covariances to 1e-10 of their scale; who asked, who sent how much, ages and counters exactly.
