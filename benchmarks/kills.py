@@ -122,7 +122,7 @@ def open_files(pids: dict[str, int], names: tuple[str, ...]) -> dict[str, int]:
     return {name: len(list((PROC / str(pids[name]) / "fd").iterdir())) for name in names}
 
 
-def zygote_of(pids: dict[str, int]) -> int:
+def launcher_process_of(pids: dict[str, int]) -> int:
     """The parent of all."""
     return int((PROC / str(pids["world"]) / "stat").read_text().rpartition(")")[2].split()[1])
 
@@ -138,8 +138,8 @@ def kill_in_lockstep(network: Network, count: int, rng: np.random.Generator) -> 
     client = network.client
     client.command(Speed(RATE))
     pids = network.pids
-    family = {**pids, "zygote": zygote_of(pids)}
-    watched = ("zygote", "world", "recorder")
+    family = {**pids, "launcher process": launcher_process_of(pids)}
+    watched = ("launcher process", "world", "recorder")
     before = open_files(family, watched)
     gone_s, back_s = [], []
     for number in range(count):

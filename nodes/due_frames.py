@@ -25,7 +25,7 @@ def take_due(
         return state, events
     cycle, inbox, estimator = state.cycle, state.inbox, config.estimator
     size, counts = estimator.share_bytes, config.cycle_counts
-    due = list(config.parts(cycle)[state.group].neighbours)
+    due = list(config.groups(cycle)[state.group].neighbours)
     if inbox.shares or inbox.parts:
         known = inbox.shares.keys() | inbox.parts.keys()
         due = [j for j in due if (cycle, j) not in known]

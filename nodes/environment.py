@@ -22,13 +22,13 @@ from nodes.messages import (
     Array,
     Bid,
     BidsClosed,
+    EnvironmentEvent,
+    EnvironmentMessage,
     Estimate,
     Grant,
     Measured,
     StepClosed,
     Truth,
-    WorldEvent,
-    WorldMessage,
     from_wire,
     to_wire,
 )
@@ -86,7 +86,7 @@ Arbitrate = Callable[[Any, int, tuple[Bid, ...]], tuple[Any, tuple[int, ...]]]
 
 
 @dataclass(frozen=True)
-class WorldConfig:
+class EnvironmentConfig:
     """Everything the world knows before the start.
 
     `arbitrate(state, cycle, bids) -> (state, winners)` serves the dynamic segment; `neighbours` are
@@ -111,7 +111,7 @@ class WorldConfig:
     neighbours: Sequence[Sequence[int]] = ()
     first_step: int = 0
     first_cycle: int = 0
-    rebuild: "Callable[[Standing], WorldConfig] | None" = None
+    rebuild: "Callable[[Standing], EnvironmentConfig] | None" = None
     faults: Faults = HEALTHY
     spread: Callable[[Array], Array] = _exact
 
@@ -120,7 +120,7 @@ class WorldConfig:
         return self.first_cycle + (step - self.first_step) * self.rounds
 
 
-class WorldState(NamedTuple):
+class EnvironmentState(NamedTuple):
     """The world between two events.
 
     `released` steps have been sent, of at most `limit`; `completed` ones estimated by all members,
@@ -154,11 +154,11 @@ class WorldState(NamedTuple):
         return self.completed == self.released
 
 
-def begin(config: WorldConfig) -> WorldState:
+def begin(config: EnvironmentConfig) -> EnvironmentState:
     """The state before the first heartbeats."""
     memory = config.controller.memory if config.controller else None
     delivery = config.delivery.memory if config.delivery else None
-    state = WorldState(
+    state = EnvironmentState(
         released=0,
         completed=0,
         truth=config.initial_state,
@@ -182,23 +182,23 @@ def begin(config: WorldConfig) -> WorldState:
 
 
 def allow(
-    config: WorldConfig, state: WorldState, limit: int
-) -> tuple[WorldState, list[WorldMessage]]:
+    config: EnvironmentConfig, state: EnvironmentState, limit: int
+) -> tuple[EnvironmentState, list[EnvironmentMessage]]:
     """Let the world release steps up to before `limit`; a smaller one holds it back."""
-    outbox: list[WorldMessage] = []
+    outbox: list[EnvironmentMessage] = []
     return _release(config, state._replace(limit=limit), outbox), outbox
 
 
-def members(config: WorldConfig, state: WorldState) -> list[int]:
+def members(config: EnvironmentConfig, state: EnvironmentState) -> list[int]:
     """The nodes that are not out, ascending."""
     return [node for node in range(config.nodes) if node not in state.standing.absent]
 
 
 def step(
-    config: WorldConfig, state: WorldState, event: WorldEvent
-) -> tuple[WorldState, list[WorldMessage]]:
+    config: EnvironmentConfig, state: EnvironmentState, event: EnvironmentEvent
+) -> tuple[EnvironmentState, list[EnvironmentMessage]]:
     """Take one event; returns the next state and what to send, in order."""
-    outbox: list[WorldMessage] = []
+    outbox: list[EnvironmentMessage] = []
     match event:
         case Estimate():
             if not _is_sound(config, state, event):
@@ -220,7 +220,7 @@ def step(
     return state, outbox
 
 
-def _is_open(config: WorldConfig, state: WorldState, bid: Bid) -> bool:
+def _is_open(config: EnvironmentConfig, state: EnvironmentState, bid: Bid) -> bool:
     """Whether a bid is of one of the nodes, and for a contest of the steps that are under way."""
     return (
         bid.node < config.nodes
@@ -230,7 +230,7 @@ def _is_open(config: WorldConfig, state: WorldState, bid: Bid) -> bool:
     )
 
 
-def _is_sound(config: WorldConfig, state: WorldState, estimate: Estimate) -> bool:
+def _is_sound(config: EnvironmentConfig, state: EnvironmentState, estimate: Estimate) -> bool:
     """Whether an estimate is of somebody who takes part, of an open step and of the right form."""
     size = config.states
     return (
@@ -242,20 +242,20 @@ def _is_sound(config: WorldConfig, state: WorldState, estimate: Estimate) -> boo
     )
 
 
-def finished(config: WorldConfig, state: WorldState) -> bool:
+def finished(config: EnvironmentConfig, state: EnvironmentState) -> bool:
     """Every node has estimated every step."""
     return state.completed == config.steps
 
 
-def awaits_bids(config: WorldConfig, state: WorldState) -> bool:
+def awaits_bids(config: EnvironmentConfig, state: EnvironmentState) -> bool:
     """The network cannot go on before the contenders of the next contended cycle have bid; else
     the world waits for estimates alone."""
     return state.next_cycle < config.cycle_of(state.released)
 
 
 def _without(
-    config: WorldConfig, state: WorldState, gone: Gone, outbox: list[WorldMessage]
-) -> WorldState:
+    config: EnvironmentConfig, state: EnvironmentState, gone: Gone, outbox: list[EnvironmentMessage]
+) -> EnvironmentState:
     """Nobody waits for a node that is gone, from the first step on that it has not estimated."""
     if gone.node in state.standing.absent:
         return state
@@ -269,8 +269,11 @@ def _without(
 
 
 def _complete(
-    config: WorldConfig, state: WorldState, outbox: list[WorldMessage], closed: int = -1
-) -> WorldState:
+    config: EnvironmentConfig,
+    state: EnvironmentState,
+    outbox: list[EnvironmentMessage],
+    closed: int = -1,
+) -> EnvironmentState:
     """Go on from each step that all have estimated who took part, or that is `closed`."""
     # Fewer are not enough, whoever they are: mostly that is all there is to know.
     least = config.nodes - len(state.standing.absent) - len(state.since)
@@ -294,10 +297,10 @@ def _complete(
 
 
 def _release(
-    config: WorldConfig,
-    state: WorldState,
-    outbox: list[WorldMessage],
-) -> WorldState:
+    config: EnvironmentConfig,
+    state: EnvironmentState,
+    outbox: list[EnvironmentMessage],
+) -> EnvironmentState:
     """Move the plant on and send heartbeats, as far as the lead over the estimates allows."""
     while state.released < min(config.steps, state.limit, state.completed + config.lead):
         if state.released > 0:
@@ -327,7 +330,7 @@ def _release(
     return _grant(config, state, outbox)
 
 
-def _read_sensors(config: WorldConfig, state: WorldState) -> Array:
+def _read_sensors(config: EnvironmentConfig, state: EnvironmentState) -> Array:
     """What the sensors of all nodes deliver (nodes, r, d) in the step that is released next."""
     step = state.released
     readings = config.plant.observe(state.truth, config.draws.measurement[step], step)
@@ -337,7 +340,7 @@ def _read_sensors(config: WorldConfig, state: WorldState) -> Array:
     return delivered_by_faulty(faults, step, readings, state.delivered, config.spread(readings))
 
 
-def _advance(config: WorldConfig, state: WorldState) -> WorldState:
+def _advance(config: EnvironmentConfig, state: EnvironmentState) -> EnvironmentState:
     last = state.released - 1
     if config.controller is not None:
         law, _, node = config.controller
@@ -353,7 +356,7 @@ def _advance(config: WorldConfig, state: WorldState) -> WorldState:
     return state._replace(truth=config.plant.advance(state.truth, state.control, noise, last))
 
 
-def skip_quiet_cycles(config: WorldConfig, state: WorldState) -> WorldState:
+def skip_quiet_cycles(config: EnvironmentConfig, state: EnvironmentState) -> EnvironmentState:
     """Go on to the next part of a cycle in which somebody may contend."""
     cycle, group, won = state.next_cycle, state.next_group, state.won
     while cycle < config.cycle_of(config.steps):
@@ -371,11 +374,11 @@ def skip_quiet_cycles(config: WorldConfig, state: WorldState) -> WorldState:
 
 
 def _grant(
-    config: WorldConfig,
-    state: WorldState,
-    outbox: list[WorldMessage],
+    config: EnvironmentConfig,
+    state: EnvironmentState,
+    outbox: list[EnvironmentMessage],
     closed: tuple[int, int] = (-1, 0),
-) -> WorldState:
+) -> EnvironmentState:
     """Serve every contest whose bids are complete, or that is `closed`, in order."""
     while True:
         contest = (state.next_cycle, state.next_group)

@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 
 from nodes.changes import Change, Event, Joined, Set, Settings, Welcome, after
-from nodes.environment import WorldConfig, WorldState, skip_quiet_cycles
-from nodes.messages import Estimate, WorldMessage
+from nodes.environment import EnvironmentConfig, EnvironmentState, skip_quiet_cycles
+from nodes.messages import EnvironmentMessage, Estimate
 
 
 def apply(
-    config: WorldConfig, state: WorldState, changes: Sequence[Change]
-) -> tuple[WorldConfig, WorldState, list[WorldMessage]]:
+    config: EnvironmentConfig, state: EnvironmentState, changes: Sequence[Change]
+) -> tuple[EnvironmentConfig, EnvironmentState, list[EnvironmentMessage]]:
     """The world with changes that hold from the next step on, and what there is to say of them."""
     resets = any(isinstance(change, Set) for change in changes)
     assert state.idle or not resets, "another bus begins when no step is under way"
@@ -33,7 +33,7 @@ def apply(
             arbiter=config.arbiter_state,
         )
         state = skip_quiet_cycles(config, state)
-    outbox: list[WorldMessage] = [Event(state.released, change) for change in changes]
+    outbox: list[EnvironmentMessage] = [Event(state.released, change) for change in changes]
     outbox += [
         Welcome(change.node, state.released, standing, change)
         for change in changes
@@ -42,12 +42,12 @@ def apply(
     return config, state, outbox
 
 
-def setting(config: WorldConfig, state: WorldState, settings: Settings) -> Set:
+def setting(config: EnvironmentConfig, state: EnvironmentState, settings: Settings) -> Set:
     """The change after which these fields of the scenario are set, and no others."""
     return Set(settings, config.cycle_of(state.released))
 
 
-def joining(config: WorldConfig, state: WorldState, node: int) -> Joined | None:
+def joining(config: EnvironmentConfig, state: EnvironmentState, node: int) -> Joined | None:
     """How a node comes back: with the belief of the first of its neighbours that has one.
 
     None while no neighbour can say anything. Before the first step, and where neighbours are

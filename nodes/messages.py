@@ -163,9 +163,9 @@ class ShareHeard(msgspec.Struct, frozen=True):
 
 NodeEvent = Measured | ShareHeard | Grant | CycleClosed | Gone
 NodeMessage = ShareSent | Bid | Estimate
-WorldEvent = Bid | Estimate | Gone | BidsClosed | StepClosed
-WorldMessage = Measured | Grant | Truth | Event | Gone | Welcome
-Message = NodeMessage | WorldMessage | Start | Timing | Unreachable
+EnvironmentEvent = Bid | Estimate | Gone | BidsClosed | StepClosed
+EnvironmentMessage = Measured | Grant | Truth | Event | Gone | Welcome
+Message = NodeMessage | EnvironmentMessage | Start | Timing | Unreachable
 
 _TYPES: dict[str, type] = {
     "measured": Measured,

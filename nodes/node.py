@@ -142,16 +142,16 @@ def _open_group(config: NodeConfig, state: NodeState, outbox: list[NodeMessage])
     """Begin a part of a cycle: bid where there are slots to win, send where a slot is owned."""
     if state.inbox.late:
         state = hear_late(config, state)
-    part = config.parts(state.cycle)[state.group]
+    group = config.groups(state.cycle)[state.group]
     contenders: tuple[int, ...] = ()
-    if part.dynamic_slots:
+    if group.dynamic_slots:
         contenders = contenders_left(config.schedule, state.cycle, state.won)
     if config.index in contenders:
         outbox.append(_bid(config, state))
     phase = Phase.GRANT if contenders else Phase.SHARES
     if phase is not state.phase:
         state = replace(state, phase=phase)
-    if config.index in part.senders:
+    if config.index in group.senders:
         state = _send(config, state, outbox)
     return state
 
@@ -188,7 +188,7 @@ def _send(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> No
 def _due(config: NodeConfig, state: NodeState) -> tuple[int, ...]:
     """Neighbours that send in the open part of the cycle, as far as the node knows. Of one that is
     out there is what came before its end."""
-    due = config.parts(state.cycle)[state.group].neighbours
+    due = config.groups(state.cycle)[state.group].neighbours
     if state.inbox.grants:
         granted = state.inbox.grants.get((state.cycle, state.group), ())
         due = tuple(j for j in config.neighbours if j in due or j in granted)
@@ -209,7 +209,7 @@ def _close_group(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]
     missed = [j for j in due if came.get((cycle, j)) is None]
     content, troubles = config.estimator.fuse(state.content, shares)
     state = count(replace(state, content=content), *troubles, *["missed" for _ in missed])
-    if state.group + 1 < len(config.parts(state.cycle)):
+    if state.group + 1 < len(config.groups(state.cycle)):
         return _open_group(config, replace(state, group=state.group + 1), outbox)
     return _close_cycle(config, state, outbox)
 

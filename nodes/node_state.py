@@ -62,7 +62,7 @@ class NodeConfig:
     faults: Faults = HEALTHY
     scenario_links: LinkState = PERFECT
 
-    def parts(self, cycle: int) -> "tuple[Part, ...]":
+    def groups(self, cycle: int) -> "tuple[NodeGroup, ...]":
         """What is composed at once in a cycle, in order of time."""
         # Kept: a node asks with every event, and turns repeat.
         turn = cycle % self._period
@@ -70,7 +70,7 @@ class NodeConfig:
         if known is None:
             groups = self.schedule.groups(cycle)
             known = tuple(
-                Part(*group, tuple(j for j in self.neighbours if j in group.senders))
+                NodeGroup(*group, tuple(j for j in self.neighbours if j in group.senders))
                 for group in groups
             )
             self._known_turns[turn] = known
@@ -86,11 +86,11 @@ class NodeConfig:
         return self.schedule.period
 
     @cached_property
-    def _known_turns(self) -> "dict[int, tuple[Part, ...]]":
+    def _known_turns(self) -> "dict[int, tuple[NodeGroup, ...]]":
         return {}
 
 
-class Part(NamedTuple):
+class NodeGroup(NamedTuple):
     """A group of a cycle (`Group`), and the node's neighbours among its senders,
     ascending."""
 

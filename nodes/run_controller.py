@@ -1,8 +1,9 @@
-"""Who decides how far the world may go, and what changes between which steps, in every driver.
+"""The run controller limits how far the environment may go, and applies changes between steps.
 
-Commands wait for a step that nobody has begun: the conductor holds the world back until nothing is
-under way, applies what has come, and lets it go on. A script is commands with a step each, so that
-a run with changes is a value too, and every driver gives the same bits for it.
+A command waits for a step that no node has begun: the run controller holds the environment back
+until nothing is under way, applies the commands that have come, and lets it go on. A script is a
+list of commands with a step each, so a run with changes is a value, and every driver gives the same
+bits for it.
 """
 
 from collections.abc import Callable, Sequence
@@ -10,8 +11,7 @@ from contextlib import suppress
 from functools import partial
 from typing import NamedTuple
 
-from nodes import environment as world
-from nodes import environment_changes as world_changes
+from nodes import environment, environment_changes
 from nodes.changes import (
     Calm,
     Change,
@@ -44,9 +44,9 @@ from nodes.commands import (
     Speed,
     Step,
 )
-from nodes.environment import WorldConfig, WorldState
+from nodes.environment import EnvironmentConfig, EnvironmentState
 from nodes.faults.vocabulary import FAULTS
-from nodes.messages import WorldEvent, WorldMessage
+from nodes.messages import EnvironmentEvent, EnvironmentMessage
 
 
 class Scripted(NamedTuple):
@@ -57,7 +57,7 @@ class Scripted(NamedTuple):
 
 
 class Stage(NamedTuple):
-    """What a conductor can do with the processes of nodes.
+    """What a run controller can do with the processes of nodes.
 
     `kill(node)` ends one; `start(node)` starts a fresh one and says whether it is ready at once;
     `check(settings)` refuses with a ValueError, or completes, what may not be set.
@@ -68,7 +68,7 @@ class Stage(NamedTuple):
     check: Callable[[Settings], Settings]
 
 
-class Conductor:
+class RunController:
     """The world of one run, and what is to become of it.
 
     In a `timed` network changes hold from the step that begins next, whatever is under way.
@@ -76,13 +76,13 @@ class Conductor:
 
     def __init__(
         self,
-        config: WorldConfig,
+        config: EnvironmentConfig,
         script: Sequence[Scripted],
         stage: Stage,
         timed: bool = False,
     ) -> None:
         self.config, self._timed = config, timed
-        self.state: WorldState = world.begin(config)
+        self.state: EnvironmentState = environment.begin(config)
         self._script = sorted(script, key=lambda one: one.step)
         self._stage = stage
         self._pending: list[ChangeCommand] = []
@@ -95,12 +95,12 @@ class Conductor:
     @property
     def finished(self) -> bool:
         """Every member has estimated every step."""
-        return world.finished(self.config, self.state)
+        return environment.finished(self.config, self.state)
 
     @property
     def deserted(self) -> bool:
         """No node is left that could go on."""
-        return not world.members(self.config, self.state)
+        return not environment.members(self.config, self.state)
 
     @property
     def paused(self) -> bool:
@@ -112,19 +112,19 @@ class Conductor:
         """The rate that was asked for; 0 is as fast as possible."""
         return self._rate
 
-    def begin(self) -> list[WorldMessage]:
+    def begin(self) -> list[EnvironmentMessage]:
         """The first heartbeats."""
         return self._settle()
 
-    def take(self, event: WorldEvent) -> list[WorldMessage]:
+    def take(self, event: EnvironmentEvent) -> list[EnvironmentMessage]:
         """What a node says, or that it is gone."""
         was_idle = self.state.idle
-        self.state, messages = world.step(self.config, self.state, event)
+        self.state, messages = environment.step(self.config, self.state, event)
         if self.state.idle and not was_idle:
             messages += self._settle()
         return messages
 
-    def command(self, command: Command) -> list[WorldMessage]:
+    def command(self, command: Command) -> list[EnvironmentMessage]:
         """Obey.
 
         Raises:
@@ -155,7 +155,7 @@ class Conductor:
         told = Event(self.state.released, Pace(self.paused, self._rate))
         return [told, *self._settle()]
 
-    def ready(self, node: int) -> list[WorldMessage]:
+    def ready(self, node: int) -> list[EnvironmentMessage]:
         """A fresh process of a node waits to take part."""
         if node not in self.state.standing.absent:
             return []
@@ -166,16 +166,16 @@ class Conductor:
         """A process that was ready to take part is gone again."""
         self._ready.discard(node)
 
-    def tick(self) -> list[WorldMessage]:
+    def tick(self) -> list[EnvironmentMessage]:
         """At a limited speed: the time has come for one more step."""
         if self._paced_to is None:
             return []
         self._paced_to = self.state.released + 1
         return self._settle()
 
-    def _settle(self) -> list[WorldMessage]:
+    def _settle(self) -> list[EnvironmentMessage]:
         """Make what changes are due, and let the world go as far as it may."""
-        outbox: list[WorldMessage] = []
+        outbox: list[EnvironmentMessage] = []
         if (self.state.idle or self._timed) and not self.finished:
             for command in self._due():
                 with suppress(ValueError):
@@ -183,7 +183,7 @@ class Conductor:
                     self._check(command)
                     outbox += self._apply(self._changes(command))
             outbox += self._join()
-        self.state, messages = world.allow(self.config, self.state, self._limit())
+        self.state, messages = environment.allow(self.config, self.state, self._limit())
         return outbox + messages
 
     def _check(self, command: Command) -> None:
@@ -198,9 +198,9 @@ class Conductor:
             due.append(self._script.pop(0).command)
         return due
 
-    def _join(self) -> list[WorldMessage]:
+    def _join(self) -> list[EnvironmentMessage]:
         """Let in who is ready, if somebody can tell it what to believe."""
-        outbox: list[WorldMessage] = []
+        outbox: list[EnvironmentMessage] = []
         # One that joins may have left in this step alone, and can tell others what it believed.
         while able := self._able():
             self._ready -= {joined.node for joined in able}
@@ -211,12 +211,15 @@ class Conductor:
 
     def _able(self) -> list[Joined]:
         joins = [
-            world_changes.joining(self.config, self.state, node) for node in sorted(self._ready)
+            environment_changes.joining(self.config, self.state, node)
+            for node in sorted(self._ready)
         ]
         return [joined for joined in joins if joined is not None]
 
-    def _apply(self, changes: Sequence[Change]) -> list[WorldMessage]:
-        self.config, self.state, messages = world_changes.apply(self.config, self.state, changes)
+    def _apply(self, changes: Sequence[Change]) -> list[EnvironmentMessage]:
+        self.config, self.state, messages = environment_changes.apply(
+            self.config, self.state, changes
+        )
         return messages
 
     def _changes(self, command: ChangeCommand) -> list[Change]:
@@ -237,7 +240,7 @@ class Conductor:
             case Configure(settings):
                 # What entails what is for the scenario to say, in a script as well.
                 wanted = self._stage.check({**self.state.standing.settings, **settings})
-                return [world_changes.setting(self.config, self.state, wanted)]
+                return [environment_changes.setting(self.config, self.state, wanted)]
             case Inject():
                 return self._faults(command)
             case _:

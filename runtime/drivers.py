@@ -12,7 +12,7 @@ from runtime import in_process
 from runtime.processes.job import Happened
 from runtime.processes.launcher import run_processes
 from runtime.recording import McapRecorder, MemoryRecorder, Recorder
-from scenarios.build import build_node, build_world
+from scenarios.build import build_environment, build_node
 from scenarios.script import script_of
 from scenarios.setup import Setup, complete_settings
 
@@ -51,7 +51,7 @@ def drive(setup: Setup, recorder: Recorder, on_step: Callable[[int], None]) -> N
     """Run a setup in this process."""
     nodes = [build_node(setup, node) for node in range(setup.scenario.nodes)]
     in_process.run(
-        build_world(setup),
+        build_environment(setup),
         nodes,
         recorder,
         on_step=on_step,

@@ -11,9 +11,11 @@ from collections.abc import Callable, Iterable, Sequence
 from nodes import node as state_machine
 from nodes import node_changes
 from nodes.changes import Event, Gone, Settings, Welcome
-from nodes.environment import WorldConfig
+from nodes.environment import EnvironmentConfig
 from nodes.messages import (
     CycleClosed,
+    EnvironmentEvent,
+    EnvironmentMessage,
     Grant,
     Measured,
     NodeEvent,
@@ -21,13 +23,11 @@ from nodes.messages import (
     ShareHeard,
     ShareSent,
     Truth,
-    WorldEvent,
-    WorldMessage,
     encode,
     topic,
 )
 from nodes.node_state import NodeConfig, NodeState, Phase
-from nodes.run_controller import Conductor, Scripted, Stage
+from nodes.run_controller import RunController, Scripted, Stage
 from runtime.recording import Recorder
 
 WORLD = -1
@@ -55,7 +55,7 @@ def _as_they_are(settings: Settings) -> Settings:
 
 
 def run(
-    world_config: WorldConfig,
+    environment_config: EnvironmentConfig,
     configs: Sequence[NodeConfig],
     recorder: Recorder,
     *,
@@ -75,7 +75,7 @@ def run(
     audience = [[c.index for c in configs if i in c.neighbours] for i in range(len(configs))]
     beginnings, configs = list(configs), list(configs)
     states = [state_machine.initial_state(config) for config in configs]
-    queue: list[tuple[int, NodeEvent | WorldEvent]] = []
+    queue: list[tuple[int, NodeEvent | EnvironmentEvent]] = []
     out: set[int] = set()
 
     def start(node: int) -> bool:
@@ -84,7 +84,7 @@ def run(
         queue[:] = [one for one in queue if one[0] != node]
         return True
 
-    def post(messages: Sequence[NodeMessage | WorldMessage]) -> None:
+    def post(messages: Sequence[NodeMessage | EnvironmentMessage]) -> None:
         for message in messages:
             recorder.record([(topic(message), encode(message))])
             if isinstance(message, Welcome):
@@ -93,15 +93,15 @@ def run(
                 watch(configs[node], message, states[node])
             queue.extend(_deliveries(message, audience, link))
 
-    conductor = Conductor(world_config, script, Stage(out.add, start, check))
-    post(conductor.begin())
+    controller = RunController(environment_config, script, Stage(out.add, start, check))
+    post(controller.begin())
     completed = 0
-    while not conductor.finished:
+    while not controller.finished:
         if not queue:
             queue.extend(_close_oldest_cycle(states, out))
         destination, event = queue.pop(pick(len(queue)))
         if destination == WORLD:
-            post(conductor.take(event))  # type: ignore[arg-type]
+            post(controller.take(event))  # type: ignore[arg-type]
         elif destination not in out:
             config, state = configs[destination], states[destination]
             state, messages = state_machine.step(config, state, event)  # type: ignore[arg-type]
@@ -111,15 +111,15 @@ def run(
             configs[destination], states[destination] = config, state
             post(messages)
             watch(config, event, state)  # type: ignore[arg-type]
-        if conductor.state.completed > completed:
-            completed = conductor.state.completed
+        if controller.state.completed > completed:
+            completed = controller.state.completed
             on_step(completed)
     return states
 
 
 def _deliveries(
-    message: NodeMessage | WorldMessage, audience: list[list[int]], link: Link
-) -> Iterable[tuple[int, NodeEvent | WorldEvent]]:
+    message: NodeMessage | EnvironmentMessage, audience: list[list[int]], link: Link
+) -> Iterable[tuple[int, NodeEvent | EnvironmentEvent]]:
     """Who gets a message, as events."""
     match message:
         case ShareSent():
@@ -140,7 +140,7 @@ def _deliveries(
 
 def _close_oldest_cycle(
     states: list[NodeState], out: set[int]
-) -> list[tuple[int, NodeEvent | WorldEvent]]:
+) -> list[tuple[int, NodeEvent | EnvironmentEvent]]:
     """Nothing is under way and somebody still waits: the time of the oldest open cycle is over."""
     waiting = [
         (s.cycle, s.group, i)

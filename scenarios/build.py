@@ -11,7 +11,7 @@ from bus.flexray.schedule import Schedule
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
 from nodes.changes import UNCHANGED, Standing
-from nodes.environment import Controller, WorldConfig
+from nodes.environment import Controller, EnvironmentConfig
 from nodes.estimator import Estimator
 from nodes.messages import from_wire
 from nodes.node_state import NodeConfig
@@ -119,14 +119,14 @@ def everybody_of(setup: Setup, schedule: Schedule) -> Everybody:
     return Everybody(scenario, schedule, sensors, (readings, channels))
 
 
-def build_world(setup: Setup) -> WorldConfig:
+def build_environment(setup: Setup) -> EnvironmentConfig:
     """The configuration of the world, with all its randomness drawn."""
     scenario = setup.scenario
     plan = build_plan(setup)
     kind = kind_of(scenario.name)
     plant = kind.plant(scenario)
     controller = build_controller(scenario)
-    return WorldConfig(
+    return EnvironmentConfig(
         plant=plant,
         initial_state=from_wire(setup.initial_state),
         states=len(setup.prior_mean),
@@ -141,19 +141,19 @@ def build_world(setup: Setup) -> WorldConfig:
         controller=controller,
         delivery=kind.delivery(scenario) if kind.delivery else None,
         neighbours=setup.neighbours,
-        rebuild=partial(_world_rebuilt, setup),
+        rebuild=partial(_environment_rebuilt, setup),
         faults=build_faults(setup, plan),
         spread=partial(spread_of, scenario),
     )
 
 
-def _world_rebuilt(setup: Setup, standing: Standing) -> WorldConfig:
-    changed = build_world(with_settings(setup, standing.settings))
+def _environment_rebuilt(setup: Setup, standing: Standing) -> EnvironmentConfig:
+    changed = build_environment(with_settings(setup, standing.settings))
     return dataclasses.replace(
         changed,
         first_step=standing.first_step,
         first_cycle=standing.first_cycle,
-        rebuild=partial(_world_rebuilt, setup),
+        rebuild=partial(_environment_rebuilt, setup),
     )
 
 

@@ -20,10 +20,10 @@ sys.stdout.write(" ".join(sorted({{name.partition(".")[0] for name in sys.module
 NODE_WORK = """
 from runtime import in_process
 from runtime.recording import MemoryRecorder
-from scenarios.build import build_node, build_world
+from scenarios.build import build_node, build_environment
 setup = msgspec.json.decode({setup!r}, type=Setup)
 nodes = [build_node(setup, node) for node in range(setup.scenario.nodes)]
-in_process.run(build_world(setup), nodes, MemoryRecorder())
+in_process.run(build_environment(setup), nodes, MemoryRecorder())
 """
 
 

@@ -12,8 +12,9 @@ from pathlib import Path
 from experiments.doctor.finding import Finding, Verdict
 from runtime.network.links import LOOPBACK, free_ports
 
-# An allowance for world, recorder, router, zygote and launcher with their libraries, and for each
-# node: a forked one was measured at 4 to 12 MB with its share of the common pages.
+# An allowance for environment, recorder, router, launcher process and launcher with their
+# libraries, and for each node: a forked one was measured at 4 to 12 MB with its share of
+# the common pages.
 BASE_MB, NODE_MB = 400, 15
 _FILES_PER_PROCESS, _FILES_BASE = 4, 256
 _LATE_S = 0.002

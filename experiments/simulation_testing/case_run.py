@@ -21,7 +21,7 @@ from experiments.simulation_testing.watch import watched
 from experiments.simulation_testing.wire import LOSING, Wire, read_wire
 from nodes.commands import Configure
 from runtime import in_process
-from scenarios.build import build_node, build_world
+from scenarios.build import build_environment, build_node
 from scenarios.script import script_of
 from scenarios.setup import complete_settings, prepare
 
@@ -72,7 +72,7 @@ def _run(case: Case, injected: Counter[str], struck: Counter[str]) -> History:
     wire = Wire(case.seed, faults, lambda cycle: books.step_of(cycle) >= calm_step)
     try:
         in_process.run(
-            build_world(setup),
+            build_environment(setup),
             [watched(config, books, case.scenario) for config in configs],
             books,
             link=wire.carry,

@@ -22,7 +22,7 @@ from runtime.batched import driver as batched
 from runtime.batched.build import build_network
 from runtime.recording import MemoryRecorder
 from scenarios.baselines import centralised
-from scenarios.build import build_node, build_world
+from scenarios.build import build_environment, build_node
 from scenarios.catalogue import kind_of
 from scenarios.links import link_state
 from scenarios.setup import Setup, generator, prepare, setup_of_run
@@ -142,7 +142,7 @@ def _with_dead_hub(setup: Setup, run: int) -> Course:
     recorded: set[tuple[int, int]] = set()
     nodes = [_node(setup, node, recorded) for node in range(setup.scenario.nodes)]
     recorder = MemoryRecorder()
-    in_process.run(build_world(setup), nodes, recorder)
+    in_process.run(build_environment(setup), nodes, recorder)
     trace = read_trace(setup, recorder.messages)
     assert trace.spread is not None
     kept = np.zeros(trace.readings.shape[:2], dtype=bool)

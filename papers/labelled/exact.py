@@ -17,7 +17,7 @@ from runtime import in_process
 from runtime.drivers import in_memory
 from runtime.recording import MemoryRecorder
 from scenarios.baselines import centralised
-from scenarios.build import build_node, build_world
+from scenarios.build import build_environment, build_node
 from scenarios.links import link_state
 from scenarios.setup import Setup, prepare
 
@@ -137,7 +137,7 @@ def _watched(setup: Setup, links: LinkState) -> tuple[list[Held], list[tuple[str
         watched = Watched(config.estimator, seen)
         configs.append(replace(config, estimator=watched, links=links))
     recorder = MemoryRecorder()
-    in_process.run(build_world(setup), configs, recorder)
+    in_process.run(build_environment(setup), configs, recorder)
     return [list(step) for step in zip(*log, strict=True)], recorder.messages
 
 

@@ -8,7 +8,7 @@ import msgspec
 _ROUND_TRIPS = 9
 
 
-class WorldClock(msgspec.Struct, frozen=True):
+class EnvironmentClock(msgspec.Struct, frozen=True):
     """What the world answers to `clock`: its monotonic clock, and when step 0 began or begins;
     None while nobody knows."""
 

@@ -4,7 +4,7 @@ import threading
 from collections.abc import Callable
 
 
-class Absence:
+class DepartedPeers:
     """Calls `told(name)`, in a thread of its own, when somebody has been away for `seconds`."""
 
     def __init__(self, seconds: float, told: Callable[[str], None]) -> None:

@@ -1,4 +1,4 @@
-"""What the world's process does: it drives the conductor with what nodes say, with who comes and
+"""What the world's process does: it drives the controller with what nodes say, with who comes and
 goes, and with what people ask for."""
 
 import dataclasses
@@ -12,37 +12,37 @@ from queue import Empty, SimpleQueue
 
 import msgspec
 
-from nodes import environment as world
+from nodes import environment
 from nodes.bounds import node_of
 from nodes.changes import Gone, Welcome
 from nodes.command_checks import check_timely
 from nodes.commands import Answer, Kill, Restart, Speed, read_command
-from nodes.environment import WorldConfig
+from nodes.environment import EnvironmentConfig
 from nodes.messages import (
     END,
     BidsClosed,
+    EnvironmentMessage,
     MalformedMessage,
     Start,
     StepClosed,
     Unreachable,
-    WorldMessage,
     decode,
     encode,
     topic,
 )
-from nodes.run_controller import Conductor, Scripted, Stage
+from nodes.run_controller import RunController, Scripted, Stage
 from nodes.tempo import Tempo
 from runtime.network.links import RECORDER, WORLD, Links
 from runtime.network.zenoh_transport import Transport
-from runtime.processes.clock import WorldClock
+from runtime.processes.clock import EnvironmentClock
 from runtime.processes.environment_reports import in_words, last_words, standing, waits_for
 from runtime.processes.failures import Deserted, compare
 from runtime.processes.management import Management
 from runtime.processes.metronome import Metronome, tell_on_time
 from runtime.processes.notices import Asked, Hello, Notice, Presence, Recorded, Repeated
 from runtime.processes.overflow import Overflow
-from runtime.processes.peer_timeout import Patience
-from runtime.processes.republisher import AGAIN, Said
+from runtime.processes.peer_timeout import PeerTimeout
+from runtime.processes.republisher import AGAIN, Republisher
 from runtime.processes.timetable import Beat, timetable
 
 WORLD_QUEUE = 8192
@@ -59,10 +59,10 @@ _NOT_OURS = "nodes run on hosts of their own; end and start `concord node` there
 _HEAD_START_S = 0.2
 
 
-def run_world(
+def run_environment(
     run: str,
     links: Links,
-    config: WorldConfig,
+    config: EnvironmentConfig,
     fingerprint: str,
     management: Management,
     script: Sequence[Scripted] = (),
@@ -87,7 +87,7 @@ class _Office:
         self,
         run: str,
         links: Links,
-        config: WorldConfig,
+        config: EnvironmentConfig,
         fingerprint: str,
         management: Management,
         script: Sequence[Scripted],
@@ -102,9 +102,9 @@ class _Office:
         stage = Stage(self._doomed.add, self._start, management.check)
         if tempo is not None:
             config = dataclasses.replace(config, lead=config.steps)
-        self._conductor = Conductor(config, script, stage, tempo is not None)
+        self._controller = RunController(config, script, stage, tempo is not None)
         self._start_s: float | None = None
-        self._patience = Patience(RECORDER, _PATIENCE_S) if management.keeps_nodes else None
+        self._patience = PeerTimeout(RECORDER, _PATIENCE_S) if management.keeps_nodes else None
         self._notices: SimpleQueue[Notice] = SimpleQueue()
         self._source = "estimate/*"
         self._ended = threading.Event()
@@ -118,7 +118,7 @@ class _Office:
         self._transport.listen("unreachable/*", self._hear_unreachable)
         for kind in ("bid", "estimate", "hello"):
             self._transport.listen(f"{AGAIN}/{kind}/*", self._hear_again)
-        said = partial(Said, self._transport, "the world", "truth", _KEPT, self._waiting)
+        said = partial(Republisher, self._transport, "the world", "truth", _KEPT, self._waiting)
         self._said = said(self._gone if tempo is None else list)
         self._transport.answer("state", self._state)
         self._transport.answer("clock", self._clock)
@@ -137,30 +137,30 @@ class _Office:
         self._said.begin()
         self._begun = True
         self._management.on_step(0)
-        conductor, completed = self._conductor, 0
+        controller, completed = self._controller, 0
         self._queues.out = False
-        self._send(conductor.begin() if self._tempo is None else self._announce(self._tempo))
-        while not conductor.finished:
+        self._send(controller.begin() if self._tempo is None else self._announce(self._tempo))
+        while not controller.finished:
             for message in self._next_messages():
                 self._take(*message)
-            if conductor.state.completed > completed:
-                completed = conductor.state.completed
+            if controller.state.completed > completed:
+                completed = controller.state.completed
                 self._management.on_step(completed)
         self._metronome.set(0)
-        self._said.say("finished", last_words(conductor.config, conductor.state))
+        self._said.say("finished", last_words(controller.config, controller.state))
         self._queues.out = True
         self._ended.wait()
         self._queues.close()
         self._said.close()
         self._transport.close()
 
-    def _announce(self, tempo: Tempo) -> list[WorldMessage]:
+    def _announce(self, tempo: Tempo) -> list[EnvironmentMessage]:
         """In real time: from a common start on, a step at each beat."""
         start = Start(time.monotonic() + _HEAD_START_S)
         self._start_s = start.at_s
-        tell_on_time(start.at_s, timetable(tempo, self._conductor.config), self._notify)
+        tell_on_time(start.at_s, timetable(tempo, self._controller.config), self._notify)
         self._transport.send(topic(start), encode(start))
-        return self._conductor.command(Speed(1 / tempo.step_s))
+        return self._controller.command(Speed(1 / tempo.step_s))
 
     def _await_all(self, names: Sequence[str]) -> None:
         """Wait for everybody, and say for whom."""
@@ -183,8 +183,8 @@ class _Office:
 
     def _next_messages(self) -> list[tuple[str, bytes]]:
         """What nodes say; nothing after there was something else to do."""
-        conductor = self._conductor
-        bids = world.awaits_bids(conductor.config, conductor.state)
+        controller = self._controller
+        bids = environment.awaits_bids(controller.config, controller.state)
         # Set before we look for notices: who gives one wakes up whom we then wait for.
         self._source = "bid/*" if bids else "estimate/*"
         if self._notices.empty():
@@ -192,7 +192,7 @@ class _Office:
         notice = self._notices.get()
         if isinstance(notice, Repeated):
             # What has come before changes nothing, and is no mistake.
-            self._send(conductor.take(notice.event))
+            self._send(controller.take(notice.event))
         else:
             self._attend(notice)
         return []
@@ -203,9 +203,9 @@ class _Office:
         except MalformedMessage as error:
             self._refuse(str(error))
             return
-        before = self._conductor.state
-        self._send(self._conductor.take(event))
-        if self._conductor.state is before:
+        before = self._controller.state
+        self._send(self._controller.take(event))
+        if self._controller.state is before:
             # Of nobody who takes part, of no open step, or of no contest: late, or never to be.
             self._refused.append(None)
 
@@ -223,7 +223,7 @@ class _Office:
 
     def _attend(self, notice: Notice) -> None:
         """Somebody came, is gone, or wants something."""
-        conductor = self._conductor
+        controller = self._controller
         match notice:
             case Presence(node, is_there):
                 self._see(node, is_there)
@@ -231,10 +231,10 @@ class _Office:
                 # One that comes late with something else is not let in, and ends nothing.
                 self._refuse(f"node {node} comes with another setup; refused")
             case Hello():
-                if notice.node not in conductor.state.standing.absent:
+                if notice.node not in controller.state.standing.absent:
                     # It was started again before anybody had seen its end.
-                    self._send(conductor.take(Gone(notice.node)))
-                self._send(conductor.ready(notice.node))
+                    self._send(controller.take(Gone(notice.node)))
+                self._send(controller.ready(notice.node))
             case Recorded(node):
                 if node in self._doomed:
                     self._doomed.discard(node)
@@ -244,41 +244,41 @@ class _Office:
             case Asked():
                 notice.answer.put(self._obey(notice.payload))
             case Beat():
-                self._send(conductor.tick())
+                self._send(controller.tick())
                 self._remind()
             case BidsClosed() | StepClosed():
                 self._take_waiting("bid/*" if isinstance(notice, BidsClosed) else "estimate/*")
-                self._send(conductor.take(notice))
+                self._send(controller.take(notice))
             case Unreachable(node, neighbour):
                 # Frames between them are lost. One of them is out until there is a link again.
-                absent = conductor.state.standing.absent
+                absent = controller.state.standing.absent
                 if node not in absent and neighbour not in absent:
                     self._give_up(neighbour)
 
     def _see(self, node: int, is_there: bool) -> None:
         if not is_there:
-            self._conductor.lost(node)
+            self._controller.lost(node)
             self._give_up(node)
-        elif node in self._conductor.state.standing.absent:
+        elif node in self._controller.state.standing.absent:
             # A node that was given up may have been out of reach only: it must know.
             self._transport.send(f"gone/{node}", encode(Gone(node)))
 
     def _give_up(self, node: int) -> None:
-        self._send(self._conductor.take(Gone(node)))
-        if not self._conductor.deserted:
+        self._send(self._controller.take(Gone(node)))
+        if not self._controller.deserted:
             return
         if self._management.keeps_nodes:
             raise Deserted("no node is left")
         # On several hosts the world may be the one that is cut off: it stands still till they are
         # back, and the step that was open ends with what has come.
         if self._tempo is None:
-            self._send(self._conductor.take(StepClosed(self._conductor.state.released - 1)))
+            self._send(self._controller.take(StepClosed(self._controller.state.released - 1)))
 
     def _remind(self) -> None:
         """In real time: who is there again and was given up must know."""
         if self._tempo is None:
             return
-        absent = [str(node) for node in self._conductor.state.standing.absent]
+        absent = [str(node) for node in self._controller.state.standing.absent]
         for node in set(absent) - set(self._transport.missing(absent)):
             self._transport.offer(f"gone/{node}", encode(Gone(int(node))))
 
@@ -289,11 +289,11 @@ class _Office:
                 check_timely(command)
             if isinstance(command, Kill | Restart) and not self._management.keeps_nodes:
                 return Answer(False, _NOT_OURS)
-            self._send(self._conductor.command(command))
+            self._send(self._controller.command(command))
         except ValueError as refused:
             return Answer(False, str(refused))
         if self._tempo is None:
-            self._metronome.set(self._conductor.steps_per_second)
+            self._metronome.set(self._controller.steps_per_second)
         return Answer(True)
 
     def _start(self, node: int) -> bool:
@@ -301,7 +301,7 @@ class _Office:
         self._management.start(node)
         return False
 
-    def _send(self, messages: Sequence[WorldMessage]) -> None:
+    def _send(self, messages: Sequence[EnvironmentMessage]) -> None:
         for message in messages:
             # A link that stands still must not hold up who keeps time.
             say = self._said.say
@@ -320,7 +320,7 @@ class _Office:
 
     def _notify(self, notice: Notice) -> None:
         self._notices.put(notice)
-        if not self._conductor.finished:
+        if not self._controller.finished:
             self._transport.wake(self._source)
 
     def _hear_again(self, name: str, data: bytes) -> None:
@@ -334,16 +334,16 @@ class _Office:
             self._refuse(str(error))
 
     def _waiting(self) -> str:
-        conductor = self._conductor
-        return waits_for(conductor.config, conductor.state, timed=self._tempo is not None)
+        controller = self._controller
+        return waits_for(controller.config, controller.state, timed=self._tempo is not None)
 
     def _gone(self) -> list[tuple[str, bytes]]:
         """Who was told of a return after the end of who came back waits for it."""
-        return [("gone", encode(Gone(i))) for i in self._conductor.state.standing.absent]
+        return [("gone", encode(Gone(i))) for i in self._controller.state.standing.absent]
 
     def _hear_end(self, _name: str, data: bytes) -> None:
         # Nobody has kept everything before everything was said.
-        if data == END and self._conductor.finished:
+        if data == END and self._controller.finished:
             self._ended.set()
         else:
             self._refuse(f"topic 'end' carried {data[:60]!r} before the end")
@@ -390,8 +390,8 @@ class _Office:
             return msgspec.json.encode(Answer(False, "the world does not answer; try again"))
 
     def _clock(self, _payload: bytes) -> bytes:
-        return msgspec.json.encode(WorldClock(time.monotonic(), self._start_s))
+        return msgspec.json.encode(EnvironmentClock(time.monotonic(), self._start_s))
 
     def _state(self, _payload: bytes) -> bytes:
         setup, refused = self._management.setup, len(self._refused)
-        return standing(self._run, setup, self._conductor, begun=self._begun, refused=refused)
+        return standing(self._run, setup, self._controller, begun=self._begun, refused=refused)

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import msgspec
 
-from nodes import environment as world
-from nodes.environment import WorldConfig, WorldState
-from nodes.run_controller import Conductor
+from nodes import environment
+from nodes.environment import EnvironmentConfig, EnvironmentState
+from nodes.run_controller import RunController
 from runtime.processes.notices import State
 from runtime.processes.recorder_process import Finished
 
@@ -16,9 +16,11 @@ def in_words(names: Sequence[str]) -> str:
     return ", ".join(f"node {name}" if name.isdecimal() else f"the {name}" for name in names)
 
 
-def standing(run: str, setup: bytes, conductor: Conductor, *, begun: bool, refused: int) -> bytes:
+def standing(
+    run: str, setup: bytes, controller: RunController, *, begun: bool, refused: int
+) -> bytes:
     """How the network stands, to whoever asks."""
-    state = conductor.state
+    state = controller.state
     return msgspec.json.encode(
         State(
             run,
@@ -26,16 +28,16 @@ def standing(run: str, setup: bytes, conductor: Conductor, *, begun: bool, refus
             begun,
             state.completed,
             state.released,
-            conductor.paused,
-            conductor.steps_per_second,
-            world.members(conductor.config, state),
+            controller.paused,
+            controller.steps_per_second,
+            environment.members(controller.config, state),
             state.standing,
             refused,
         )
     )
 
 
-def last_words(config: WorldConfig, state: WorldState) -> bytes:
+def last_words(config: EnvironmentConfig, state: EnvironmentState) -> bytes:
     """What tells the recorder that nothing more will come."""
     # In real time the others may still be on their way, or lost.
     last = config.steps - 1
@@ -43,10 +45,10 @@ def last_words(config: WorldConfig, state: WorldState) -> bytes:
     return msgspec.json.encode(Finished(last, members))
 
 
-def waits_for(config: WorldConfig, state: WorldState, *, timed: bool) -> str:
+def waits_for(config: EnvironmentConfig, state: EnvironmentState, *, timed: bool) -> str:
     """For whom the network waits, and what can be done; nothing where no step is under way, or
     where nobody is waited for, as it is `timed`."""
-    if world.finished(config, state):
+    if environment.finished(config, state):
         return "the recorder, which has not kept everything yet"
     if timed:
         return ""
@@ -59,12 +61,12 @@ def waits_for(config: WorldConfig, state: WorldState, *, timed: bool) -> str:
     )
 
 
-def _late(config: WorldConfig, state: WorldState) -> list[int]:
+def _late(config: EnvironmentConfig, state: EnvironmentState) -> list[int]:
     """Who has not estimated the oldest step that is under way, ascending."""
     number = state.completed
     came = state.estimates.get(number, {})
     return [
         node
-        for node in world.members(config, state)
+        for node in environment.members(config, state)
         if not state.idle and state.since.get(node, 0) <= number and node not in came
     ]

@@ -1,4 +1,4 @@
-"""What a launcher and the zygote say to each other, one JSON object a line."""
+"""The messages between a launcher and its launcher process, one JSON object a line."""
 
 import msgspec
 
@@ -49,7 +49,7 @@ class Happened(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class Order(msgspec.Struct, frozen=True):
-    """What the world wants of the zygote: tolerate (ends of nodes, from now on), kill, start."""
+    """The environment process asks the launcher process: tolerate ends of nodes, kill, or start."""
 
     what: str
     node: int = 0

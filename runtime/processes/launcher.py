@@ -1,7 +1,8 @@
-"""A run over operating-system processes: start the zygote, listen to what it says, end it.
+"""A run over operating-system processes: start the launcher process, follow its reports, end it.
 
-The zygote (`py`) is a fresh Python process, so that forking is clean whatever this
-one has imported. Its standard input is its lifeline: it ends everything when that closes.
+The launcher process (`launcher_process.py`) is a fresh Python process, so that forking is clean
+whatever this one has imported. Its standard input is its lifeline: it ends everything when that
+closes.
 """
 
 import os
@@ -59,27 +60,27 @@ def run_job(job: Job, folder: Path | None, on_event: Callable[[Happened], None])
     """
     # A network of many small processes: one BLAS thread each, or they fight for the cores.
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
-    zygote = subprocess.Popen(
+    child = subprocess.Popen(
         [sys.executable, "-m", "runtime.processes.launcher_process"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         env=environment,
-        # Ctrl-C is for us; the zygote ends by its lifeline.
+        # Ctrl-C is for us; the launcher process ends by its lifeline.
         start_new_session=True,
     )
-    assert zygote.stdin is not None and zygote.stdout is not None
+    assert child.stdin is not None and child.stdout is not None
     try:
-        zygote.stdin.write(msgspec.json.encode(job) + b"\n")
-        zygote.stdin.flush()
-        _follow(zygote.stdout, partial(_note, job.run, folder, on_event))
+        child.stdin.write(msgspec.json.encode(job) + b"\n")
+        child.stdin.flush()
+        _follow(child.stdout, partial(_note, job.run, folder, on_event))
     finally:
-        zygote.stdin.close()
-        zygote.stdout.close()
+        child.stdin.close()
+        child.stdout.close()
         try:
-            zygote.wait(_STOP_TIMEOUT_S)
+            child.wait(_STOP_TIMEOUT_S)
         except subprocess.TimeoutExpired:
-            zygote.kill()
-            zygote.wait()
+            child.kill()
+            child.wait()
 
 
 def _note(

@@ -31,7 +31,7 @@ from runtime.network.links import (
     watchers_endpoints,
 )
 from runtime.processes.job import Happened, Job, Order, Place
-from runtime.processes.roles import be_node, be_recorder, be_router, be_world
+from runtime.processes.roles import be_environment, be_node, be_recorder, be_router
 from runtime.processes.supervisor import TRY_AGAIN, Ended, Supervisor
 from scenarios.build import build_node
 
@@ -123,7 +123,7 @@ def _serve(job: Job, plan: _Plan) -> End:
                 supervisor.start(name, partial(be_recorder, job, plan.links, tell))
             elif name == WORLD:
                 link = plan.links[name]
-                supervisor.start(name, partial(be_world, job, link, tell, give_orders))
+                supervisor.start(name, partial(be_environment, job, link, tell, give_orders))
             else:
                 # On another host the network may run already.
                 late = job.place is not None

@@ -28,12 +28,12 @@ from nodes.messages import (
 from nodes.node_state import NodeConfig, NodeState, Phase, count
 from runtime.network.links import RECORDER, WORLD
 from runtime.network.zenoh_transport import Transport
-from runtime.processes.departed_peers import Absence
+from runtime.processes.departed_peers import DepartedPeers
 from runtime.processes.entry import await_links
 from runtime.processes.membership import Membership
 from runtime.processes.overflow import Overflow
-from runtime.processes.peer_timeout import Patience
-from runtime.processes.republisher import AGAIN, Said
+from runtime.processes.peer_timeout import PeerTimeout
+from runtime.processes.republisher import AGAIN, Republisher
 from runtime.processes.retransmissions import is_missing
 
 # A message that waits takes some 9 kB, however short it is: zenoh keeps what it came in.
@@ -76,13 +76,13 @@ class _Member:
         index = config.index
         self._membership, self._beginning = membership, config
         self._patience = (
-            None if membership.patience_s is None else Patience(WORLD, membership.patience_s)
+            None if membership.patience_s is None else PeerTimeout(WORLD, membership.patience_s)
         )
         self._heartbeat = f"measured/{index}"
         self._shares = {j: f"share/{j}" for j in config.neighbours}
         self._senders = {name: j for j, name in self._shares.items()}
         self._gone: deque[Gone] = deque()
-        self._absence = Absence(_GRACE_S, self._miss)
+        self._absence = DepartedPeers(_GRACE_S, self._miss)
         self._unreachable: deque[int] = deque()
         self._again: deque[tuple[str, bytes]] = deque(maxlen=NODE_QUEUE)
         self._welcomes: deque[Welcome] = deque(maxlen=1)
@@ -99,7 +99,7 @@ class _Member:
         self.transport.listen("end", self._hear_end)
         for name in ("share/*", "grant", self._heartbeat):
             self.transport.listen(f"{AGAIN}/{name}", self._hear_again)
-        self.said = Said(self.transport, f"node {index}", "estimate", _KEPT, self._in_words)
+        self.said = Republisher(self.transport, f"node {index}", "estimate", _KEPT, self._in_words)
         self.said.begin()
         self.transport.watch(self._see)
 

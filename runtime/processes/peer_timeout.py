@@ -3,15 +3,15 @@
 import os
 import sys
 
-from runtime.processes.departed_peers import Absence
+from runtime.processes.departed_peers import DepartedPeers
 
 
-class Patience:
+class PeerTimeout:
     """Ends this process when somebody has been out of reach for so many seconds on end."""
 
     def __init__(self, name: str, seconds: float) -> None:
         self._name, self._seconds = name, seconds
-        self._absence = Absence(seconds, self._leave)
+        self._absence = DepartedPeers(seconds, self._leave)
 
     def see(self, name: str, is_there: bool) -> None:
         """Somebody has come, or is gone."""

@@ -38,10 +38,10 @@ from nodes.share import cycle_of
 from nodes.tempo import Tempo
 from runtime.network.links import RECORDER, WORLD
 from runtime.network.zenoh_transport import Transport
-from runtime.processes.clock import WorldClock, ahead_s
+from runtime.processes.clock import EnvironmentClock, ahead_s
 from runtime.processes.entry import await_links
 from runtime.processes.membership import Membership
-from runtime.processes.peer_timeout import Patience
+from runtime.processes.peer_timeout import PeerTimeout
 
 _MAILBOX = 65_536
 # Whoever asks to be let in again does not ask twice in this time.
@@ -57,7 +57,7 @@ def run_node_in_real_time(membership: Membership, tempo: Tempo) -> None:
     player, name = _Player(membership, tempo), str(membership.config.index)
     transport = player.transport
     if membership.patience_s is not None:
-        transport.watch(Patience(WORLD, membership.patience_s).see)
+        transport.watch(PeerTimeout(WORLD, membership.patience_s).see)
     if membership.late:
         transport.join(name, {WORLD, RECORDER})
         begun = await_links(transport, membership.peers)
@@ -146,7 +146,7 @@ class _Player:
             if self._state.phase is Phase.MEASUREMENT:
                 self._await_heartbeat()
             else:
-                self._play_part()
+                self._play_group()
 
     def _await_start(self) -> float:
         """When step 0 begins or began, on the world's clock."""
@@ -158,9 +158,9 @@ class _Player:
             self._started.wait()
             self._started.clear()
 
-    def _ask_clock(self) -> WorldClock | None:
+    def _ask_clock(self) -> EnvironmentClock | None:
         answer = self.transport.ask("clock")
-        return None if answer is None else msgspec.json.decode(answer, type=WorldClock)
+        return None if answer is None else msgspec.json.decode(answer, type=EnvironmentClock)
 
     def _world_time(self) -> float | None:
         clock = self._ask_clock()
@@ -203,7 +203,7 @@ class _Player:
         self._overdue = ()
         self._step(msgspec.structs.replace(measured, changes=changes))
 
-    def _play_part(self) -> None:
+    def _play_group(self) -> None:
         """Hear until the time of the open part of the cycle is over, and end it."""
         deadline_s = self._start_s + self._deadline_s()
         while (left_s := deadline_s - time.monotonic()) > 0:
@@ -214,15 +214,15 @@ class _Player:
         # What is there already counts, and no more: who floods a node must not hold it up.
         for _ in range(self._mailbox.qsize()):
             self._take(*self._mailbox.get())
-        self._close_part()
+        self._close_group()
 
     def _deadline_s(self) -> float:
         config, state = self._config, self._state
         groups = len(config.schedule.groups(state.cycle))
         cycle = (state.cycle - config.first_cycle) % config.rounds
-        return self._tempo.part_ends_s(state.step, cycle, state.group, groups)
+        return self._tempo.group_ends_s(state.step, cycle, state.group, groups)
 
-    def _close_part(self) -> None:
+    def _close_group(self) -> None:
         """The time is over: go on with what has come."""
         state, record = self._state, self._records[self._state.step]
         in_time = record.cycle_late_s[-1] < self._tempo.cycle_s

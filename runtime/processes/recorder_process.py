@@ -11,10 +11,10 @@ from nodes.changes import Event, Left
 from nodes.messages import END, MalformedMessage, decode, is_topic
 from runtime.network.links import RECORDER, WATCH, Links
 from runtime.network.zenoh_transport import Transport
-from runtime.processes.departed_peers import Absence
+from runtime.processes.departed_peers import DepartedPeers
 from runtime.processes.republisher import AGAIN, KEEP
-from runtime.processes.retransmissions import Remembered
-from runtime.processes.subscribers import Watchers
+from runtime.processes.retransmissions import Deduplication
+from runtime.processes.subscribers import Subscribers
 from runtime.recording import Recorder
 from runtime.whole_steps import WholeSteps
 
@@ -54,9 +54,9 @@ def run_recorder(
         LinkError: the network cannot be joined.
     """
     transport = Transport(run, links, ["**"], RECORDER_QUEUE)
-    watchers = Watchers(Transport(run, watch, [], 1), steps, lambda: transport.wake("**"))
+    watchers = Subscribers(Transport(run, watch, [], 1), steps, lambda: transport.wake("**"))
     transport.join(RECORDER, set())
-    ends, remembered = _Ends(transport, steps.nodes), Remembered()
+    ends, remembered = _Ends(transport, steps.nodes), Deduplication()
     finished: Finished | None = None
     latest: dict[int, int] = {}
     leaving: dict[int, int] = {}
@@ -122,7 +122,7 @@ class _Ends:
         self._nodes = nodes
         self.silent: set[int] = set()
         self._transport = transport
-        self._absence = Absence(_GRACE_S, lambda name: self._note(int(name), is_there=False))
+        self._absence = DepartedPeers(_GRACE_S, lambda name: self._note(int(name), is_there=False))
         self._seen: deque[tuple[int, bool]] = deque()
         transport.watch(self._see)
 

@@ -34,7 +34,7 @@ _TELL_S = 10.0
 _ANEW = ("", b"")
 
 
-class Said:
+class Republisher:
     """Says what others wait for, and says it again.
 
     `last` is the kind of message of which there is one in each step, `kept` how many messages are

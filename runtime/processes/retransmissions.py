@@ -39,7 +39,7 @@ def is_missing(state: NodeState, event: NodeEvent) -> bool:
     return False
 
 
-class Remembered:
+class Deduplication:
     """The latest messages that the recorder has heard, so that none is recorded twice.
 
     Their hashes, as messages may be large: of 2^64, so few are ever equal that none is missed.

@@ -14,7 +14,7 @@ from nodes.node_state import NodeConfig
 from runtime.disk import NotWritten
 from runtime.network.links import RECORDER, WATCH, Links, peers_of
 from runtime.network.zenoh_transport import LinkError, start_router
-from runtime.processes.environment_process import run_world
+from runtime.processes.environment_process import run_environment
 from runtime.processes.failures import Deserted, Disagreement
 from runtime.processes.job import Happened, Job, Order
 from runtime.processes.management import Management
@@ -25,7 +25,7 @@ from runtime.processes.recorder_process import run_recorder
 from runtime.processes.supervisor import TRY_AGAIN
 from runtime.recording import McapRecorder
 from runtime.whole_steps import WholeSteps
-from scenarios.build import build_world
+from scenarios.build import build_environment
 from scenarios.script import script_of
 from scenarios.setup import complete_settings, fingerprint
 
@@ -55,7 +55,7 @@ def be_recorder(job: Job, links: dict[str, Links], tell: Callable[[Happened], No
         sys.exit(1)
 
 
-def be_world(job: Job, links: Links, tell: Callable[[Happened], None], orders: int) -> None:
+def be_environment(job: Job, links: Links, tell: Callable[[Happened], None], orders: int) -> None:
     """Move the plant; what it wants of whoever starts processes goes to the pipe `orders`."""
     started, told = time.monotonic(), 0.0
 
@@ -73,7 +73,7 @@ def be_world(job: Job, links: Links, tell: Callable[[Happened], None], orders: i
             tell(Happened("step", step=step, seconds=now - started))
 
     # Built here: the design of a controller loads much that no node needs.
-    config = build_world(job.setup)
+    config = build_environment(job.setup)
     management = Management(
         kill=lambda node: give(Order("kill", node)),
         start=lambda node: give(Order("start", node)),
@@ -84,7 +84,7 @@ def be_world(job: Job, links: Links, tell: Callable[[Happened], None], orders: i
     )
     script = script_of(job.setup.scenario)
     known = (config, fingerprint(job.setup), management, script, job.tempo)
-    work = partial(run_world, job.run, links, *known)
+    work = partial(run_environment, job.run, links, *known)
     try:
         _joining(work)
     except (Deserted, Disagreement) as end:

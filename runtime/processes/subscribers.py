@@ -8,16 +8,16 @@ from collections.abc import Callable, Sequence
 import msgspec
 
 from runtime.network.zenoh_transport import Transport
-from runtime.processes.throttled_feed import Offering
+from runtime.processes.throttled_feed import ThrottledFeed
 from runtime.whole_steps import WholeStep, WholeSteps
 
 
-class Watchers:
+class Subscribers:
     """Those who watch a network, whoever they are; `wake()` has whoever records call `look`."""
 
     def __init__(self, offered: Transport, steps: WholeSteps, wake: Callable[[], None]) -> None:
         self._offered, self._steps, self._wake = offered, steps, wake
-        self._offering = Offering()
+        self._offering = ThrottledFeed()
         self._alarm: threading.Timer | None = None
         self._are_there = False
         offered.listened("watch/**", self._see)

@@ -8,7 +8,7 @@ STEPS_PER_S = 20.0
 _AT_ONCE = 5
 
 
-class Offering:
+class ThrottledFeed:
     """Chooses among steps that are over, by a clock that the caller reads.
 
     The last one before a rest is chosen always, if `due` is asked for once its time has come.

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from nodes.environment import WorldConfig
+from nodes.environment import EnvironmentConfig
 from nodes.messages import BidsClosed, StepClosed
 from nodes.tempo import Tempo
 
@@ -17,7 +17,7 @@ class Beat(NamedTuple):
 
 
 def timetable(
-    tempo: Tempo, config: WorldConfig
+    tempo: Tempo, config: EnvironmentConfig
 ) -> Iterator[tuple[float, Beat | BidsClosed | StepClosed]]:
     """Seconds after the common start, ascending, and what is due then.
 

@@ -86,7 +86,9 @@ def test_an_interrupted_network_ends_at_once_and_leaves_its_folder(
     with family(run_command("processes", steps), tmp_path) as run:
         run.await_line(line)
         if moment == "in the middle":
-            assert len(run.descendants()) == 1 + 2 + 4  # zygote, world and recorder, nodes
+            assert (
+                len(run.descendants()) == 1 + 2 + 4
+            )  # launcher process, world and recorder, nodes
         interrupted(run, how)
     done = check_folder(tmp_path / "run")
     if moment == "in the middle":

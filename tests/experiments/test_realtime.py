@@ -253,8 +253,8 @@ def test_cycles_last_as_long_as_processes_can_hold():
     slow = tempo_of(setup, 10 * tempo.stretch)
     assert slow.cycle_s == pytest.approx(0.2)
     assert slow.step_s == pytest.approx(3 * 0.2)
-    assert slow.part_ends_s(2, 2, 0, 1) == pytest.approx(slow.step_begins_s(3))
-    assert slow.part_ends_s(0, 1, 0, 4) == pytest.approx(0.25)
+    assert slow.group_ends_s(2, 2, 0, 1) == pytest.approx(slow.step_begins_s(3))
+    assert slow.group_ends_s(0, 1, 0, 4) == pytest.approx(0.25)
 
 
 def test_the_description_keeps_the_tempo():

@@ -18,7 +18,7 @@ from nodes.changes import Event, Gone, Joined, Left
 from nodes.commands import in_words
 from nodes.messages import decode
 from nodes.share import read_frame
-from scenarios.build import build_world
+from scenarios.build import build_environment
 from scenarios.setup import Setup
 from scenarios.tempo import tempo_of
 from tests.experiments.support import small, trace_of
@@ -144,7 +144,7 @@ def test_who_dies_in_real_time_is_back_on_command_and_agrees_at_once(tmp_path: P
 
 def contested(setup: Setup) -> dict[tuple[int, int], set[int]]:
     """Who contends for the dynamic slots of each part of a cycle that has any."""
-    schedule, scenario = build_world(setup).schedule, setup.scenario
+    schedule, scenario = build_environment(setup).schedule, setup.scenario
     found = {}
     for cycle in range(scenario.steps * scenario.rounds):
         contenders = set(schedule.contenders(cycle)) - set(schedule.static_senders(cycle))

@@ -10,7 +10,7 @@ from experiments.scenario_options import ScenarioOptions
 from runtime import in_process
 from runtime.drivers import drive
 from runtime.recording import MemoryRecorder
-from scenarios.build import build_node, build_world
+from scenarios.build import build_environment, build_node
 from scenarios.setup import Setup, prepare
 
 
@@ -24,7 +24,7 @@ def test_arrivals_are_what_the_nodes_hold(lossy: dict):
     setup = setup_of(rule="labelled", occupancy=0.4, window_steps=6, **lossy)
     recorder = MemoryRecorder()
     nodes = [build_node(setup, node) for node in range(6)]
-    states = in_process.run(build_world(setup), nodes, recorder)
+    states = in_process.run(build_environment(setup), nodes, recorder)
     spread = read_trace(setup, recorder.messages).spread
     assert spread is not None
     last = setup.scenario.steps - 1

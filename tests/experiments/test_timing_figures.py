@@ -17,7 +17,7 @@ from experiments.results.timing_figures import figures_of
 from nodes.messages import Estimate, Timing, decode, encode, topic
 from nodes.share import cycle_of
 from nodes.tempo import Tempo
-from runtime.processes.clock import WorldClock
+from runtime.processes.clock import EnvironmentClock
 from scenarios.setup import Setup
 from scenarios.tempo import tempo_of
 from tests.experiments.support import small, trace_of
@@ -51,7 +51,7 @@ class Onlooker:
         self.estimates_s: dict[tuple[int, int], float] = {}
         answer = network.client._transport.ask("clock")
         assert answer is not None
-        start_s = msgspec.json.decode(answer, type=WorldClock).start_s
+        start_s = msgspec.json.decode(answer, type=EnvironmentClock).start_s
         assert start_s is not None
         self._start_s = start_s
         network.client.listen("share/*", self._hear_share)

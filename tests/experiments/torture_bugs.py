@@ -112,7 +112,7 @@ BUGS = (
     ),
     Bug(
         "who comes back in vain is not asked again",
-        "nodes.run_controller", "Conductor._limit",
+        "nodes.run_controller", "RunController._limit",
         (("if any(self._has_company(node) for node in self._ready):", "if False:"),),
     ),
     Bug(

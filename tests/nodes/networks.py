@@ -19,7 +19,7 @@ from filters.gaussian import Gaussian
 from filters.linalg import unpack_upper
 from filters.sigma_points import scaled_unscented
 from nodes.belief_codec import BeliefCodec
-from nodes.environment import Controller, WorldConfig
+from nodes.environment import Controller, EnvironmentConfig
 from nodes.faults.losses import LinkState
 from nodes.messages import Array, Bid, Estimate, decode, from_wire
 from nodes.node import NodeConfig, NodeState
@@ -93,7 +93,7 @@ class Draws(NamedTuple):
 class Network(NamedTuple):
     """What the in-process driver runs."""
 
-    world: WorldConfig
+    world: EnvironmentConfig
     nodes: list[NodeConfig]
 
 
@@ -154,7 +154,7 @@ def network(
         )
         slots = partial(consecutive_slots, payload_lengths(codec.size))
         nodes.append(NodeConfig(i, tuple(heard), rounds, steps, schedule, slots, estimator))
-    world = WorldConfig(
+    world = EnvironmentConfig(
         plant=plant,
         initial_state=np.ones(n),
         states=n,

@@ -41,8 +41,8 @@ from runtime.processes.recorder_process import run_recorder
 from runtime.recording import McapRecorder
 from runtime.processes.supervisor import Supervisor
 from runtime.whole_steps import WholeSteps
-from runtime.processes.environment_process import run_world
-from scenarios.build import build_node, build_world
+from runtime.processes.environment_process import run_environment
+from scenarios.build import build_node, build_environment
 from scenarios.setup import Setup, fingerprint
 setup = msgspec.json.decode(Path("setup.json").read_bytes(), type=Setup)
 mark, count = fingerprint(setup), setup.scenario.nodes
@@ -60,7 +60,7 @@ def be(i):
     run_node(Membership("broken", links[str(i)], build_node(setup, i), peers, mark))
 supervisor.start(RECORDER, record)
 management = Management(None, None, None, tell, b"{{}}")
-world = partial(run_world, "broken", links[WORLD], build_world(setup), mark, management)
+world = partial(run_environment, "broken", links[WORLD], build_environment(setup), mark, management)
 supervisor.start(WORLD, world)
 for i in range(count):
     supervisor.start(str(i), partial(be, i))

@@ -14,7 +14,7 @@ from nodes.changes import Fault, Standing
 from nodes.faults.vocabulary import EVERY_FAULT, FAULTS
 from nodes.messages import Measured, ShareHeard
 from nodes.share import read_frame
-from scenarios.build import build_node, build_plan, build_world
+from scenarios.build import build_environment, build_node, build_plan
 from scenarios.setup import Setup
 from tests.experiments.support import small
 from tests.nodes.changing import run, same_bits, script
@@ -356,7 +356,7 @@ def test_what_is_sent_in_the_name_of_others_or_again_is_counted_and_not_used():
 def test_a_liar_says_what_it_does_not_believe():
     setup = ring()
     honest, lying = recorded(setup), recorded(setup, *from_first("lie 2 -5 4"))
-    codec = build_world(setup).faults.equipment.codec
+    codec = build_environment(setup).faults.equipment.codec
     assert codec is not None
     said = codec.decode(lying[FIRST * ROUNDS, 2])
     meant = codec.decode(honest[FIRST * ROUNDS, 2])
@@ -374,7 +374,7 @@ def recorded(setup: Setup, *lines: str) -> dict[tuple[int, int], bytes]:
 
     recorder = MemoryRecorder()
     nodes = [build_node(setup, node) for node in range(setup.scenario.nodes)]
-    in_process.run(build_world(setup), nodes, recorder, script=script(*lines))
+    in_process.run(build_environment(setup), nodes, recorder, script=script(*lines))
     bodies = {}
     for topic, data in recorder.messages:
         if topic.startswith("share/"):

@@ -16,7 +16,7 @@ from nodes.rules.set_shapes import Ellipsoids, Zonotopes
 from runtime import in_process
 from runtime.in_process import Link
 from runtime.recording import MemoryRecorder
-from scenarios.build import build_node, build_world
+from scenarios.build import build_environment, build_node
 from scenarios.setup import Setup, prepare
 from tests.experiments.support import scenario
 
@@ -32,7 +32,7 @@ def radii(setup: Setup, link: Link = in_process.lossless) -> np.ndarray:
     """e' P^-1 e (steps, N) of a run."""
     recorder = MemoryRecorder()
     nodes = [build_node(setup, node) for node in range(setup.scenario.nodes)]
-    in_process.run(build_world(setup), nodes, recorder, link=link)
+    in_process.run(build_environment(setup), nodes, recorder, link=link)
     trace = read_trace(setup, recorder.messages)
     errors = (trace.mean - trace.truth[:, None])[..., None]
     return (errors.mT @ np.linalg.solve(trace.cov, errors))[..., 0, 0]
@@ -89,7 +89,7 @@ def test_a_network_knows_more_than_a_node():
     def size(setup: Setup, link: Link = in_process.lossless) -> float:
         recorder = MemoryRecorder()
         nodes = [build_node(setup, node) for node in range(setup.scenario.nodes)]
-        in_process.run(build_world(setup), nodes, recorder, link=link)
+        in_process.run(build_environment(setup), nodes, recorder, link=link)
         cov = read_trace(setup, recorder.messages).cov
         return float(np.trace(cov[-1].mean(0)))
 
@@ -103,7 +103,7 @@ def test_equal_bits_whatever_the_order_of_arrival():
     def estimates(pick) -> tuple[bytes, bytes]:
         recorder = MemoryRecorder()
         nodes = [build_node(setup, node) for node in range(setup.scenario.nodes)]
-        in_process.run(build_world(setup), nodes, recorder, pick=pick)
+        in_process.run(build_environment(setup), nodes, recorder, pick=pick)
         trace = read_trace(setup, recorder.messages)
         return trace.mean.tobytes(), trace.cov.tobytes()
 

@@ -27,7 +27,7 @@ from plants.draws import Draws
 from plants.oscillator import Oscillator
 from runtime import in_process
 from runtime.recording import MemoryRecorder
-from scenarios.build import build_node, build_world
+from scenarios.build import build_environment, build_node
 from scenarios.catalogue import kind_of
 from scenarios.scenario import Scenario
 from scenarios.setup import prepare
@@ -77,7 +77,7 @@ def errors_of_driver(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Errors (steps, N n) and covariances (steps, N, n, n) of the in-process driver."""
     setup = msgspec.structs.replace(prepare(scenario), prior_mean=prior_mean.tolist())
-    world = dataclasses.replace(build_world(setup), draws=draws)
+    world = dataclasses.replace(build_environment(setup), draws=draws)
     recorder = MemoryRecorder()
     in_process.run(world, [build_node(setup, node) for node in range(scenario.nodes)], recorder)
     trace = read_trace(setup, recorder.messages)
@@ -139,7 +139,7 @@ def test_monte_carlo_of_the_network_agrees(rule: str):
         setup = prepare(scenario)
         recorder = MemoryRecorder()
         in_process.run(
-            build_world(setup), [build_node(setup, node) for node in range(nodes)], recorder
+            build_environment(setup), [build_node(setup, node) for node in range(nodes)], recorder
         )
         trace = read_trace(setup, recorder.messages)
         error = trace.mean[-1] - trace.truth[-1]

@@ -85,7 +85,7 @@ def test_a_killed_process_ends_the_run_and_is_named(tmp_path: Path, victim: str,
     assert 15 <= trace.steps < LONG
 
 
-def test_a_killed_zygote_takes_all_with_it(tmp_path: Path):
+def test_a_killed_launcher_process_takes_all_with_it(tmp_path: Path):
     setup = small(steps=LONG)
 
     def kill_parent(pids: dict[str, int]) -> None:
@@ -141,8 +141,8 @@ def _listens(port: int) -> bool:
 
 TAKEN_ONCE = """
 import socket
-from scenarios import zygote
-choose, held = zygote.free_ports, []
+from runtime.processes import launcher_process
+choose, held = launcher_process.free_ports, []
 def unlucky(names):
     ports = choose(names)
     if not held:
@@ -150,8 +150,8 @@ def unlucky(names):
         held[0].bind(("127.0.0.1", ports[names[{which}]]))
         held[0].listen()
     return ports
-zygote.free_ports = unlucky
-zygote.main()
+launcher_process.free_ports = unlucky
+launcher_process.main()
 """
 
 
@@ -166,12 +166,12 @@ def test_a_port_that_somebody_takes_first_is_no_end(
     setup = small(graph=graph, nodes=nodes, steps=5)
     job = msgspec.json.encode(Job(setup, "taken", str(tmp_path / "run.mcap"), None))
     command = [sys.executable, "-c", TAKEN_ONCE.format(which=which)]
-    with family(command, tmp_path, interactive=True) as zygote:
-        assert zygote.process.stdin is not None
-        zygote.process.stdin.write(job.decode() + "\n")
-        zygote.process.stdin.flush()
-        assert holds_within(20, lambda: zygote.process.poll() is not None)
-        out = zygote.process.stdout.read()  # type: ignore[union-attr]
+    with family(command, tmp_path, interactive=True) as child:
+        assert child.process.stdin is not None
+        child.process.stdin.write(job.decode() + "\n")
+        child.process.stdin.flush()
+        assert holds_within(20, lambda: child.process.poll() is not None)
+        out = child.process.stdout.read()  # type: ignore[union-attr]
     said = [msgspec.json.decode(line, type=Happened).what for line in out.splitlines()]
     assert said.count("started") == 2
     assert said[-1] == "done"
@@ -198,9 +198,9 @@ def test_two_runs_at_once_do_not_mix(tmp_path: Path):
         assert first_difference(reference(setup, tmp_path), traces[number], "together") is None
 
 
-def test_a_zygote_without_a_job_leaves_quietly(tmp_path: Path):
+def test_a_launcher_process_without_a_job_leaves_quietly(tmp_path: Path):
     """The launcher was killed before it said what to do."""
-    with family([sys.executable, "-m", "runtime.processes.launcher_process"], tmp_path) as zygote:
-        _, out, err = zygote.end(10)
+    with family([sys.executable, "-m", "runtime.processes.launcher_process"], tmp_path) as child:
+        _, out, err = child.end(10)
     assert out == ""
     assert "Traceback" not in err

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from nodes.messages import decode
 from runtime.drivers import in_memory
-from runtime.processes.throttled_feed import STEPS_PER_S, Offering
+from runtime.processes.throttled_feed import STEPS_PER_S, ThrottledFeed
 from runtime.whole_steps import WholeStep, WholeSteps
 from scenarios.catalogue import kind_of
 from scenarios.setup import prepare
@@ -117,7 +117,7 @@ def test_rubbish_holds_up_nothing(rubbish: Said):
 
 def offered(times_s: list[float]) -> list[tuple[float, int]]:
     """When which step is offered, of steps that are over at these times, and asked for after."""
-    offering, told = Offering(), []
+    offering, told = ThrottledFeed(), []
     for number, now_s in enumerate(times_s):
         if (step := offering.take(WholeStep(number, []), now_s)) is not None:
             told.append((now_s, step.number))

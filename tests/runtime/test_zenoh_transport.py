@@ -98,12 +98,12 @@ import signal
 from pathlib import Path
 from runtime.processes.node_process import run_node
 from runtime.processes.recorder_process import run_recorder
-from runtime.processes.environment_process import run_world
+from runtime.processes.environment_process import run_environment
 from runtime.recording import McapRecorder
 from runtime.processes.management import Management
 from runtime.processes.membership import Membership
 from runtime.whole_steps import WholeSteps
-from scenarios.build import build_node, build_world
+from scenarios.build import build_node, build_environment
 from scenarios.catalogue import kind_of
 from scenarios.setup import prepare
 import msgspec
@@ -119,7 +119,8 @@ supervisor.start(RECORDER, record)
 supervisor.start("0", partial(node, 0, 64 * "a"))
 supervisor.start("1", partial(node, 1, 64 * "b"))
 management = Management(None, None, None, lambda step: None, b"{}")
-world = partial(run_world, "refuse", links[WORLD], build_world(setup), 64 * "a", management)
+config = build_environment(setup)
+world = partial(run_environment, "refuse", links[WORLD], config, 64 * "a", management)
 supervisor.start(WORLD, world)
 say(*supervisor.wait(quiet))
 supervisor.stop()

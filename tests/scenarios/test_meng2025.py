@@ -16,7 +16,7 @@ from runtime import in_process
 from runtime.drivers import DRIVERS, in_memory
 from runtime.recording import MemoryRecorder
 from scenarios.baselines import centralised, local_only
-from scenarios.build import build_node, build_plan, build_world
+from scenarios.build import build_environment, build_node, build_plan
 from scenarios.definitions.measurement_runs import Estimator, estimate, first_received, slots_of
 from scenarios.definitions.meng2025 import FILTERS, SYSTEM, bus_of, paper_points
 from scenarios.scenario import Scenario
@@ -128,7 +128,9 @@ def test_short_numbers_on_the_wire_and_frames_that_get_lost():
     setup = star(steps=20)
     recorder = MemoryRecorder()
     nodes = [build_node(setup, node) for node in range(7)]
-    in_process.run(build_world(setup), nodes, recorder, link=lambda sender, receiver, frame: ())
+    in_process.run(
+        build_environment(setup), nodes, recorder, link=lambda sender, receiver, frame: ()
+    )
     deaf = read_trace(setup, recorder.messages)
     assert deaf.counters[0]["missed"] == 19
     np.testing.assert_allclose(

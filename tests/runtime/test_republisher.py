@@ -8,7 +8,7 @@ import pytest
 
 from runtime.network.links import RECORDER, WORLD
 from runtime.network.zenoh_transport import Transport
-from runtime.processes import republisher as said
+from runtime.processes import republisher as republisher
 
 
 class Standing:
@@ -26,9 +26,11 @@ def test_who_sees_links_break_never_waits_for_one_that_stands_still(
     monkeypatch: pytest.MonkeyPatch,
 ):
     """That thread is the one that sends: zenoh has no other."""
-    monkeypatch.setattr(said, "_AGAIN_S", 0.01)
+    monkeypatch.setattr(republisher, "_AGAIN_S", 0.01)
     transport = Standing()
-    speaker = said.Said(cast(Transport, transport), "node 0", "estimate", 8, lambda: "")
+    speaker = republisher.Republisher(
+        cast(Transport, transport), "node 0", "estimate", 8, lambda: ""
+    )
     speaker.begin()
     speaking = threading.Thread(target=speaker.say, args=("share/0", b"a"))
     speaking.start()
@@ -46,7 +48,9 @@ def test_who_sees_links_break_never_waits_for_one_that_stands_still(
 
 def test_a_link_is_back_that_was_broken_and_not_one_that_is_there_at_first():
     """Who took the first for the second said hello twice, and stood still."""
-    speaker = said.Said(cast(Transport, Standing()), "node 0", "estimate", 8, lambda: "")
+    speaker = republisher.Republisher(
+        cast(Transport, Standing()), "node 0", "estimate", 8, lambda: ""
+    )
     assert not speaker.see(WORLD, True)
     assert not speaker.see(WORLD, False)
     assert speaker.see(WORLD, True)
@@ -56,7 +60,9 @@ def test_a_link_is_back_that_was_broken_and_not_one_that_is_there_at_first():
 def test_nothing_new_is_said_to_a_recorder_before_what_it_has_lost():
     transport = Standing()
     transport.may.set()
-    speaker = said.Said(cast(Transport, transport), "node 0", "estimate", 8, lambda: "")
+    speaker = republisher.Republisher(
+        cast(Transport, transport), "node 0", "estimate", 8, lambda: ""
+    )
     speaker.begin()
     speaker.say("share/0", b"a")
     speaker.see(RECORDER, False)
@@ -76,10 +82,10 @@ def test_nothing_new_is_said_to_a_recorder_before_what_it_has_lost():
 
 def test_what_holds_is_said_where_nobody_goes_on(monkeypatch: pytest.MonkeyPatch):
     """Such as who is gone: of a return that was told after the end all but one may know."""
-    monkeypatch.setattr(said, "_AGAIN_S", 0.01)
+    monkeypatch.setattr(republisher, "_AGAIN_S", 0.01)
     transport = Standing()
     transport.may.set()
-    speaker = said.Said(
+    speaker = republisher.Republisher(
         cast(Transport, transport), "the world", "truth", 8, lambda: "", lambda: [("gone", b"3")]
     )
     speaker.begin()

@@ -7,16 +7,16 @@ from collections import deque
 import pytest
 
 from nodes.changes import Gone
-from nodes.environment import WorldConfig
+from nodes.environment import EnvironmentConfig
 from nodes.messages import Bid, BidsClosed, Grant, decode, encode, topic
 from nodes.tempo import Tempo
 from runtime.network.links import Links
-from runtime.processes import environment_process as world_process
+from runtime.processes import environment_process
 from runtime.processes import republisher as said
 from runtime.processes.management import Management
 from runtime.processes.notices import Presence
 from runtime.processes.timetable import Beat
-from scenarios.build import build_world
+from scenarios.build import build_environment
 from tests.experiments.support import small
 
 
@@ -63,23 +63,23 @@ class Aside:
 
 
 def office_of(
-    monkeypatch: pytest.MonkeyPatch, config: WorldConfig, tempo: Tempo | None
-) -> tuple[world_process._Office, Wire]:
+    monkeypatch: pytest.MonkeyPatch, config: EnvironmentConfig, tempo: Tempo | None
+) -> tuple[environment_process._Office, Wire]:
     """A world that nobody has joined, and its transport."""
-    monkeypatch.setattr(world_process, "Transport", Wire)
-    monkeypatch.setattr(world_process, "Overflow", Aside)
+    monkeypatch.setattr(environment_process, "Transport", Wire)
+    monkeypatch.setattr(environment_process, "Overflow", Aside)
     nobody = Management(
         lambda node: None, lambda node: None, lambda given: given, lambda step: None, b"{}"
     )
     links = Links("peer", (), (), 1.0)
-    office = world_process._Office("run", links, config, "a" * 64, nobody, (), tempo)
+    office = environment_process._Office("run", links, config, "a" * 64, nobody, (), tempo)
     wire = office._transport
     assert isinstance(wire, Wire)
     return office, wire
 
 
 def test_the_world_says_again_who_is_gone_where_nobody_goes_on(monkeypatch: pytest.MonkeyPatch):
-    office, wire = office_of(monkeypatch, build_world(small(steps=3)), None)
+    office, wire = office_of(monkeypatch, build_environment(small(steps=3)), None)
     monkeypatch.setattr(said, "_AGAIN_S", 0.01)
     office._attend(Presence(2, False))
     wire.sent.clear()
@@ -95,11 +95,11 @@ def test_bids_that_are_there_when_the_world_looks_are_in_time(
     monkeypatch: pytest.MonkeyPatch, came: int
 ):
     """It was busy until after their end; who has not asked by then is named."""
-    config = build_world(small(schedule="hybrid", occupancy=0.5, steps=3))
+    config = build_environment(small(schedule="hybrid", occupancy=0.5, steps=3))
     office, wire = office_of(monkeypatch, config, Tempo(1.0, 0.02, 0.1))
-    office._conductor.command(world_process.Speed(10.0))
+    office._controller.command(environment_process.Speed(10.0))
     office._attend(Beat())
-    state = office._conductor.state
+    state = office._controller.state
     cycle, group = state.next_cycle, state.next_group
     contenders = config.schedule.contenders(cycle)
     for node in contenders[:came]:

@@ -10,7 +10,7 @@ from nodes.faults.losses import LinkState
 from nodes.messages import NodeEvent, ShareHeard, decode, encode, topic
 from nodes.node import initial_state, step
 from nodes.node_state import NodeConfig, Phase
-from runtime.processes.retransmissions import Remembered, is_missing
+from runtime.processes.retransmissions import Deduplication, is_missing
 from tests.nodes.networks import SEEDS, Network, networks, run, with_links
 
 Messages = list[tuple[str, bytes]]
@@ -96,7 +96,7 @@ def test_what_was_lost_on_the_way_is_made_up_for(net: Network, data: st.DataObje
 
 
 def test_a_recorder_keeps_what_is_said_again_once():
-    remembered = Remembered()
+    remembered = Deduplication()
     assert remembered.what_is_new([("share/1", b"a"), ("share/2", b"b")], "keep/") == [
         ("share/1", b"a"),
         ("share/2", b"b"),
@@ -111,7 +111,7 @@ def test_a_recorder_keeps_what_is_said_again_once():
 
 
 def test_what_was_heard_is_not_kept_to_be_remembered():
-    remembered = Remembered()
+    remembered = Deduplication()
     tracemalloc.start()
     for number in range(100):
         remembered.what_is_new([("share/1", number.to_bytes(2, "big") * 500_000)], "keep/")

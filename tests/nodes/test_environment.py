@@ -10,18 +10,17 @@ from hypothesis import strategies as st
 
 from bus.flexray.schedule import Schedule, dynamic_only, hybrid
 from filters.gaussian import Gaussian
-from nodes import environment as world
-from nodes import environment_changes as world_changes
+from nodes import environment, environment_changes
 from nodes.changes import Gone, Joined
-from nodes.environment import Controller, WorldConfig, WorldState
+from nodes.environment import Controller, EnvironmentConfig, EnvironmentState
 from nodes.messages import (
     Array,
     Bid,
+    EnvironmentMessage,
     Estimate,
     Grant,
     Measured,
     Truth,
-    WorldMessage,
     decode,
     from_wire,
 )
@@ -30,12 +29,14 @@ from tests.nodes.networks import DECAYED, DROP, Outcome, network, path, random_p
 PRIOR = Gaussian(np.zeros(1), np.eye(1))
 
 
-def started(config: WorldConfig) -> tuple[WorldState, list[WorldMessage]]:
+def started(config: EnvironmentConfig) -> tuple[EnvironmentState, list[EnvironmentMessage]]:
     """A world that may go as far as it likes."""
-    return world.allow(config, world.begin(config), config.steps)
+    return environment.allow(config, environment.begin(config), config.steps)
 
 
-def world_of(nodes: int, steps: int, lead: int, schedule: Schedule | None = None) -> WorldConfig:
+def world_of(
+    nodes: int, steps: int, lead: int, schedule: Schedule | None = None
+) -> EnvironmentConfig:
     return network(
         path(nodes), [PRIOR] * nodes, steps=steps, rounds=2, lead=lead, schedule=schedule
     ).world
@@ -53,13 +54,13 @@ def test_the_lead_is_never_exceeded_and_every_step_is_sent_once(
     state, messages = started(config)
     sent = list(messages)
     reached = [0] * nodes
-    while not world.finished(config, state):
+    while not environment.finished(config, state):
         assert state.completed == min(reached)
         assert state.released == min(steps, state.completed + lead)
         # Any node may be the next to finish the step that it was given.
         able = [i for i in range(nodes) if reached[i] < state.released]
         node = random.choice(able)
-        state, messages = world.step(config, state, estimate(node, reached[node]))
+        state, messages = environment.step(config, state, estimate(node, reached[node]))
         reached[node] += 1
         sent += messages
     truths = [m.step for m in sent if isinstance(m, Truth)]
@@ -82,12 +83,12 @@ def test_the_lead_changes_no_number_of_an_undriven_plant(one: int, other: int, s
 # --- grants --------------------------------------------------------------------------------------
 
 
-def granted(config: WorldConfig, bids: list[Bid]) -> tuple[list[Grant], WorldState]:
+def granted(config: EnvironmentConfig, bids: list[Bid]) -> tuple[list[Grant], EnvironmentState]:
     """What the world grants when these bids come in this order."""
     state, _ = started(config)
     grants = []
     for bid in bids:
-        state, messages = world.step(config, state, bid)
+        state, messages = environment.step(config, state, bid)
         grants += [m for m in messages if isinstance(m, Grant)]
     return grants, state
 
@@ -119,8 +120,8 @@ def test_nobody_is_granted_before_all_contenders_have_bid():
     assert len(contenders) == 2
     grants, state = granted(config, [Bid(contenders[1], 0, 7, 30)])
     assert grants == []
-    assert world.awaits_bids(config, state)
-    state, messages = world.step(config, state, Bid(contenders[0], 0, None, 30))
+    assert environment.awaits_bids(config, state)
+    state, messages = environment.step(config, state, Bid(contenders[0], 0, None, 30))
     assert messages == [Grant(0, [contenders[1]])]
 
 
@@ -259,16 +260,16 @@ def test_loss_does_not_stop_a_closed_loop():
 def test_who_is_gone_again_before_its_first_step_is_not_told_to_have_returned():
     """The others hear of its end at once; told of its return after that, they would wait for it."""
     config = world_of(nodes=3, steps=4, lead=1)
-    state, _ = world.allow(config, world.begin(config), 1)
-    state, _ = world.step(config, state, Gone(1))
+    state, _ = environment.allow(config, environment.begin(config), 1)
+    state, _ = environment.step(config, state, Gone(1))
     for node in (0, 2):
-        state, _ = world.step(config, state, estimate(node, 0))
-    config, state, _ = world_changes.apply(config, state, [Joined(1, [0.0], [1.0])])
-    state, _ = world.step(config, state, Gone(1))
-    state, messages = world.allow(config, state, config.steps)
+        state, _ = environment.step(config, state, estimate(node, 0))
+    config, state, _ = environment_changes.apply(config, state, [Joined(1, [0.0], [1.0])])
+    state, _ = environment.step(config, state, Gone(1))
+    state, messages = environment.allow(config, state, config.steps)
     heartbeats = [message for message in messages if isinstance(message, Measured)]
     assert [message.node for message in heartbeats] == [0, 2]
     assert not any(message.changes for message in heartbeats)
     for node in (0, 2):
-        state, _ = world.step(config, state, estimate(node, 1))
+        state, _ = environment.step(config, state, estimate(node, 1))
     assert state.completed == 2
