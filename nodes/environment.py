@@ -1,24 +1,20 @@
-"""The world as a pure state machine: the plant moves, its sensors read, the bus arbiter grants.
+"""The environment as a pure state machine: the plant moves, sensors read, the bus arbiter grants.
 
-The world sends each node its readings (the heartbeat of a step) and hears every node's estimate. It
-runs at most `lead` steps ahead of the slowest estimate: 1 where a controller closes the loop
-through the estimates, more where nothing flows back and the network need not wait for the round
-trip. It never releases more than the driver allows, and every change is made while nothing is under
-way (`nodes/environment_changes.py`).
+The environment sends each node its readings (the heartbeat of a step) and hears every node's
+estimate. It runs at most `lead` steps ahead of the slowest estimate: 1 where a controller closes
+the loop through the estimates, more where nothing flows back. It never releases more steps than
+the run controller allows. Every change is made while nothing is under way
+(`nodes/environment_changes.py`). `TRANSITIONS` says what each event does in each phase.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
-
-import numpy as np
 from msgspec import UNSET
 
-from bus.flexray.schedule import Schedule
-from nodes.changes import UNCHANGED, Change, Event, Gone, Joined, Standing, after, without_return
-from nodes.faults.active import HEALTHY, Faults, hangs
+from nodes.changes import UNCHANGED, Event, Gone, Joined, after, without_return
+from nodes.environment_state import EnvironmentConfig, EnvironmentPhase, EnvironmentState
+from nodes.faults.active import hangs
 from nodes.faults.sensors import delivered as delivered_by_faulty
 from nodes.messages import (
+    Allowed,
     Array,
     Bid,
     BidsClosed,
@@ -33,125 +29,7 @@ from nodes.messages import (
     to_wire,
 )
 from nodes.node import contenders_left
-
-
-class Draws(Protocol):
-    """The randomness of one run: process (steps, q) and measurement (steps, ...), for `Plant`."""
-
-    @property
-    def process(self) -> Array: ...
-
-    @property
-    def measurement(self) -> Array: ...
-
-
-class Plant(Protocol):
-    """The truth and what its sensors deliver."""
-
-    def advance(self, state: Array, control: Array | None, noise: Array, step: int) -> Array:
-        """The state (..., n) at `step + 1` from the state at `step`."""
-        ...
-
-    def observe(self, state: Array, noise: Array, step: int) -> Array:
-        """What the sensors deliver (..., nodes, readings, d); NaN where a node sees nothing."""
-        ...
-
-
-class Controller(NamedTuple):
-    """What drives the plant: `law(state (n,), memory, step) -> (control (p,), memory)`.
-
-    `node` is whose estimate it believes; None lets it see the true state.
-    """
-
-    law: Callable[[Array, Any, int], tuple[Array, Any]]
-    memory: Any
-    node: int | None
-
-
-class Delivery(NamedTuple):
-    """What lies between sensors and their nodes, such as a measurement bus at each node.
-
-    `transmit(memory, readings (nodes, r, d), step) -> (memory, delivered (nodes, r, d))`.
-    """
-
-    transmit: Callable[[Any, Array, int], tuple[Any, Array]]
-    memory: Any
-
-
-def _exact(readings: Array) -> Array:
-    return np.zeros_like(readings)
-
-
-Arbitrate = Callable[[Any, int, tuple[Bid, ...]], tuple[Any, tuple[int, ...]]]
-
-
-@dataclass(frozen=True)
-class EnvironmentConfig:
-    """Everything the world knows before the start.
-
-    `arbitrate(state, cycle, bids) -> (state, winners)` serves the dynamic segment; `neighbours` are
-    whom each node hears; `faults` decide what is wrong; `spread` gives the standard deviations
-    (nodes, r, d) of readings of that shape. The configuration holds from `first_step` on, whose
-    cycles begin at `first_cycle`; `rebuild(standing)` makes the one that goes with other settings.
-    """
-
-    plant: Plant
-    initial_state: Array
-    draws: Draws
-    nodes: int
-    steps: int
-    rounds: int
-    lead: int
-    schedule: Schedule
-    arbitrate: Arbitrate
-    arbiter_state: Any
-    controller: Controller | None
-    states: int
-    delivery: Delivery | None = None
-    neighbours: Sequence[Sequence[int]] = ()
-    first_step: int = 0
-    first_cycle: int = 0
-    rebuild: "Callable[[Standing], EnvironmentConfig] | None" = None
-    faults: Faults = HEALTHY
-    spread: Callable[[Array], Array] = _exact
-
-    def cycle_of(self, step: int) -> int:
-        """The first communication cycle of a step that is not before `first_step`."""
-        return self.first_cycle + (step - self.first_step) * self.rounds
-
-
-class EnvironmentState(NamedTuple):
-    """The world between two events.
-
-    `released` steps have been sent, of at most `limit`; `completed` ones estimated by all members,
-    which left `latest`; `since` is the first step of who has joined. `announced` changes hold from
-    the step that is released next; `delivered` (nodes, r, d) is what the sensors did in the step
-    that was released last.
-    """
-
-    released: int
-    completed: int
-    truth: Array
-    memory: Any
-    control: Array | None
-    estimates: dict[int, dict[int, Estimate]]
-    next_cycle: int
-    next_group: int
-    won: tuple[int, ...]
-    bids: dict[tuple[int, int], dict[int, Bid]]
-    arbiter: Any
-    delivery: Any
-    limit: int
-    latest: dict[int, Estimate]
-    standing: Standing
-    announced: tuple[Change, ...]
-    delivered: Array | None
-    since: dict[int, int]
-
-    @property
-    def idle(self) -> bool:
-        """Nothing is under way: all members have estimated every step that was released."""
-        return self.completed == self.released
+from nodes.transitions import Transition
 
 
 def begin(config: EnvironmentConfig) -> EnvironmentState:
@@ -181,14 +59,6 @@ def begin(config: EnvironmentConfig) -> EnvironmentState:
     return skip_quiet_cycles(config, state)
 
 
-def allow(
-    config: EnvironmentConfig, state: EnvironmentState, limit: int
-) -> tuple[EnvironmentState, list[EnvironmentMessage]]:
-    """Let the world release steps up to before `limit`; a smaller one holds it back."""
-    outbox: list[EnvironmentMessage] = []
-    return _release(config, state._replace(limit=limit), outbox), outbox
-
-
 def members(config: EnvironmentConfig, state: EnvironmentState) -> list[int]:
     """The nodes that are not out, ascending."""
     return [node for node in range(config.nodes) if node not in state.standing.absent]
@@ -199,25 +69,81 @@ def step(
 ) -> tuple[EnvironmentState, list[EnvironmentMessage]]:
     """Take one event; returns the next state and what to send, in order."""
     outbox: list[EnvironmentMessage] = []
-    match event:
-        case Estimate():
-            if not _is_sound(config, state, event):
-                return state, outbox
-            heard = {**state.estimates.get(event.step, {}), event.node: event}
-            state = state._replace(estimates={**state.estimates, event.step: heard})
-            state = _complete(config, state, outbox)
-        case Bid() if _is_open(config, state, event):
-            contest = (event.cycle, event.group)
-            asked = {**state.bids.get(contest, {}), event.node: event}
-            state = state._replace(bids={**state.bids, contest: asked})
-            state = _grant(config, state, outbox)
-        case Gone():
-            state = _without(config, state, event, outbox)
-        case BidsClosed():
-            state = _grant(config, state, outbox, (event.cycle, event.group))
-        case StepClosed():
-            state = _complete(config, state, outbox, event.step)
-    return state, outbox
+    transition = TRANSITIONS[phase_of(config, state)][type(event)]
+    return transition.handle(config, state, event, outbox), outbox
+
+
+def phase_of(config: EnvironmentConfig, state: EnvironmentState) -> EnvironmentPhase:
+    """What the environment waits for."""
+    if finished(config, state):
+        return EnvironmentPhase.FINISHED
+    if state.idle:
+        return EnvironmentPhase.HELD
+    if awaits_bids(config, state):
+        return EnvironmentPhase.BIDS
+    return EnvironmentPhase.ESTIMATES
+
+
+def _ignore(
+    _config: EnvironmentConfig,
+    state: EnvironmentState,
+    _event: EnvironmentEvent,
+    _outbox: list[EnvironmentMessage],
+) -> EnvironmentState:
+    return state
+
+
+def _allow(
+    config: EnvironmentConfig,
+    state: EnvironmentState,
+    event: Allowed,
+    outbox: list[EnvironmentMessage],
+) -> EnvironmentState:
+    return _release(config, state._replace(limit=event.limit), outbox)
+
+
+def _take_estimate(
+    config: EnvironmentConfig,
+    state: EnvironmentState,
+    event: Estimate,
+    outbox: list[EnvironmentMessage],
+) -> EnvironmentState:
+    if not _is_sound(config, state, event):
+        return state
+    heard = {**state.estimates.get(event.step, {}), event.node: event}
+    state = state._replace(estimates={**state.estimates, event.step: heard})
+    return _complete(config, state, outbox)
+
+
+def _take_bid(
+    config: EnvironmentConfig,
+    state: EnvironmentState,
+    event: Bid,
+    outbox: list[EnvironmentMessage],
+) -> EnvironmentState:
+    if not _is_open(config, state, event):
+        return state
+    contest = (event.cycle, event.group)
+    asked = {**state.bids.get(contest, {}), event.node: event}
+    return _grant(config, state._replace(bids={**state.bids, contest: asked}), outbox)
+
+
+def _close_bids(
+    config: EnvironmentConfig,
+    state: EnvironmentState,
+    event: BidsClosed,
+    outbox: list[EnvironmentMessage],
+) -> EnvironmentState:
+    return _grant(config, state, outbox, (event.cycle, event.group))
+
+
+def _close_step(
+    config: EnvironmentConfig,
+    state: EnvironmentState,
+    event: StepClosed,
+    outbox: list[EnvironmentMessage],
+) -> EnvironmentState:
+    return _complete(config, state, outbox, event.step)
 
 
 def _is_open(config: EnvironmentConfig, state: EnvironmentState, bid: Bid) -> bool:
@@ -249,14 +175,14 @@ def finished(config: EnvironmentConfig, state: EnvironmentState) -> bool:
 
 def awaits_bids(config: EnvironmentConfig, state: EnvironmentState) -> bool:
     """The network cannot go on before the contenders of the next contended cycle have bid; else
-    the world waits for estimates alone."""
+    the environment waits for estimates alone."""
     return state.next_cycle < config.cycle_of(state.released)
 
 
-def _without(
+def _drop_node(
     config: EnvironmentConfig, state: EnvironmentState, gone: Gone, outbox: list[EnvironmentMessage]
 ) -> EnvironmentState:
-    """Nobody waits for a node that is gone, from the first step on that it has not estimated."""
+    """Wait no longer for a node that is gone, from the first step on that it has not estimated."""
     if gone.node in state.standing.absent:
         return state
     step = state.completed
@@ -400,3 +326,43 @@ def _grant(
             arbiter=arbiter, bids=rest, next_group=state.next_group + 1, won=state.won + winners
         )
         state = skip_quiet_cycles(config, state)
+
+
+_HELD, _BIDS, _ESTIMATES, _FINISHED = EnvironmentPhase
+_ANY_BUT_BIDS = (_ESTIMATES, _HELD, _FINISHED)
+# The lead may be more than one step: a completed step releases the next while others are under way.
+TRANSITIONS: dict[EnvironmentPhase, dict[type, Transition[EnvironmentState, EnvironmentPhase]]] = {
+    _HELD: {
+        Allowed: Transition(_allow, (_HELD, _BIDS, _ESTIMATES)),
+        Estimate: Transition(_ignore, (_HELD,)),
+        # Steps that were closed by force may leave contests open.
+        Bid: Transition(_take_bid, (_HELD,)),
+        BidsClosed: Transition(_close_bids, (_HELD,)),
+        StepClosed: Transition(_ignore, (_HELD,)),
+        Gone: Transition(_drop_node, (_HELD,)),
+    },
+    _BIDS: {
+        Allowed: Transition(_allow, (_BIDS,)),
+        Estimate: Transition(_take_estimate, (_BIDS, _HELD, _FINISHED)),
+        Bid: Transition(_take_bid, (_BIDS, _ESTIMATES)),
+        BidsClosed: Transition(_close_bids, (_BIDS, _ESTIMATES)),
+        StepClosed: Transition(_close_step, (_BIDS, _HELD, _FINISHED)),
+        Gone: Transition(_drop_node, (_BIDS, *_ANY_BUT_BIDS)),
+    },
+    _ESTIMATES: {
+        Allowed: Transition(_allow, (_ESTIMATES, _BIDS)),
+        Estimate: Transition(_take_estimate, (_BIDS, *_ANY_BUT_BIDS)),
+        Bid: Transition(_ignore, (_ESTIMATES,)),
+        BidsClosed: Transition(_ignore, (_ESTIMATES,)),
+        StepClosed: Transition(_close_step, (_BIDS, *_ANY_BUT_BIDS)),
+        Gone: Transition(_drop_node, (_BIDS, *_ANY_BUT_BIDS)),
+    },
+    _FINISHED: {
+        Allowed: Transition(_ignore, (_FINISHED,)),
+        Estimate: Transition(_ignore, (_FINISHED,)),
+        Bid: Transition(_ignore, (_FINISHED,)),
+        BidsClosed: Transition(_ignore, (_FINISHED,)),
+        StepClosed: Transition(_ignore, (_FINISHED,)),
+        Gone: Transition(_drop_node, (_FINISHED,)),
+    },
+}

@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 
 from nodes.changes import Change, Event, Joined, Set, Settings, Welcome, after
-from nodes.environment import EnvironmentConfig, EnvironmentState, skip_quiet_cycles
+from nodes.environment import skip_quiet_cycles
+from nodes.environment_state import EnvironmentConfig, EnvironmentState
 from nodes.messages import EnvironmentMessage, Estimate
 
 

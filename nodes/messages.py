@@ -154,6 +154,12 @@ class StepClosed(msgspec.Struct, frozen=True):
     step: int
 
 
+class Allowed(msgspec.Struct, frozen=True):
+    """Run controller to environment: steps before `limit` may begin."""
+
+    limit: int
+
+
 class ShareHeard(msgspec.Struct, frozen=True):
     """Driver to node: a frame arrived on the channel of `sender`."""
 
@@ -163,7 +169,7 @@ class ShareHeard(msgspec.Struct, frozen=True):
 
 NodeEvent = Measured | ShareHeard | Grant | CycleClosed | Gone
 NodeMessage = ShareSent | Bid | Estimate
-EnvironmentEvent = Bid | Estimate | Gone | BidsClosed | StepClosed
+EnvironmentEvent = Bid | Estimate | Gone | BidsClosed | StepClosed | Allowed
 EnvironmentMessage = Measured | Grant | Truth | Event | Gone | Welcome
 Message = NodeMessage | EnvironmentMessage | Start | Timing | Unreachable
 

@@ -6,7 +6,8 @@ due from its neighbours, and fuses; after the last it emits an `Estimate`. `Cycl
 cycle with whatever has come. A `Gone` says that nobody need wait for a neighbour any more.
 
 A heartbeat that brings changes stops the machine in phase CHANGE, in which `nodes/node_changes.py`
-makes the configuration and the state with which it goes on.
+makes the configuration and the state with which it goes on. `TRANSITIONS` says what each event does
+in each phase, `COMPLETIONS` what each phase waits for.
 
 This file never does I/O, reads a clock or draws a number, and never raises for a peer's fault: a
 share that is late, early, repeated, missing or malformed is dropped, kept or counted here.
@@ -47,6 +48,7 @@ from nodes.messages import (
 )
 from nodes.node_state import Inbox, NodeConfig, NodeState, Phase, count, counted
 from nodes.share import payload_bytes, to_frames
+from nodes.transitions import Completion, Transition
 
 
 def initial_state(config: NodeConfig) -> NodeState:
@@ -72,19 +74,8 @@ def step(
     outbox: list[NodeMessage] = []
     state, left = take_due(config, state, events)
     for event in left:
-        match event:
-            case ShareHeard():
-                state = hear(config, state, event)
-            case Measured():
-                state = _keep_measured(state, event)
-            case Grant():
-                state = _keep_grant(config, state, event)
-            case Gone():
-                state = replace(state, absent=state.absent | {event.node})
-            case CycleClosed():
-                is_open = state.phase in (Phase.GRANT, Phase.SHARES)
-                if is_open and (event.cycle, event.group) == (state.cycle, state.group):
-                    state = _close_group(config, state, outbox)
+        transition = TRANSITIONS[state.phase][type(event)]
+        state = transition.handle(config, state, event, outbox)
     return advance(config, state, outbox), outbox
 
 
@@ -110,31 +101,88 @@ def is_complete(config: NodeConfig, state: NodeState) -> bool:
 
 
 def advance(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> NodeState:
-    """Go on as far as what has come allows; what there is to say goes to the outbox."""
-    while True:
-        if state.phase is Phase.MEASUREMENT and state.step + 1 in state.inbox.measured:
-            if state.inbox.measured[state.step + 1].changes:
-                return replace(state, phase=Phase.CHANGE)
-            state = _begin_step(config, state)
-            state = _open_group(config, state, outbox)
-        elif state.phase is Phase.GRANT and (state.cycle, state.group) in state.inbox.grants:
-            winners = state.inbox.grants[state.cycle, state.group]
-            state = replace(state, phase=Phase.SHARES, won=state.won + winners)
-            if config.index in winners:
-                state = _send(config, state, outbox)
-        elif is_complete(config, state) and not config.timed:
-            state = _close_group(config, state, outbox)
-        else:
-            return state
+    """Make all transitions that are due by what has come; what to send goes to the outbox."""
+    due = True
+    while due:
+        due = False
+        for completion in COMPLETIONS[state.phase]:
+            if completion.is_due(config, state):
+                state = completion.go_on(config, state, outbox)
+                due = True
+                break
+    return state
+
+
+def has_changes(_config: NodeConfig, state: NodeState) -> bool:
+    """Whether the heartbeat of the next step has come and brings changes."""
+    heartbeat = state.inbox.measured.get(state.step + 1)
+    return heartbeat is not None and bool(heartbeat.changes)
+
+
+def has_heartbeat(_config: NodeConfig, state: NodeState) -> bool:
+    """Whether the heartbeat of the next step has come."""
+    return state.step + 1 in state.inbox.measured
+
+
+def has_grant(_config: NodeConfig, state: NodeState) -> bool:
+    """Whether the grant of the open group has come."""
+    return (state.cycle, state.group) in state.inbox.grants
+
+
+def has_all_shares(config: NodeConfig, state: NodeState) -> bool:
+    """Whether all due shares of the open group have come, where no clock ends it."""
+    return not config.timed and not awaited_neighbours(config, state)
+
+
+def _stop_for_changes(
+    _config: NodeConfig, state: NodeState, _outbox: list[NodeMessage]
+) -> NodeState:
+    return replace(state, phase=Phase.CHANGE)
+
+
+def _open_step(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> NodeState:
+    return _open_group(config, _begin_step(config, state), outbox)
+
+
+def _take_grant(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> NodeState:
+    winners = state.inbox.grants[state.cycle, state.group]
+    state = replace(state, phase=Phase.SHARES, won=state.won + winners)
+    return _send(config, state, outbox) if config.index in winners else state
+
+
+def _ignore(
+    _config: NodeConfig, state: NodeState, _event: NodeEvent, _outbox: list[NodeMessage]
+) -> NodeState:
+    return state
+
+
+def _hear(
+    config: NodeConfig, state: NodeState, event: ShareHeard, _outbox: list[NodeMessage]
+) -> NodeState:
+    return hear(config, state, event)
+
+
+def _note_gone(
+    _config: NodeConfig, state: NodeState, event: Gone, _outbox: list[NodeMessage]
+) -> NodeState:
+    return replace(state, absent=state.absent | {event.node})
+
+
+def _end_group(
+    config: NodeConfig, state: NodeState, event: CycleClosed, outbox: list[NodeMessage]
+) -> NodeState:
+    if (event.cycle, event.group) != (state.cycle, state.group):
+        return state
+    return _close_group(config, state, outbox)
 
 
 def _begin_step(config: NodeConfig, state: NodeState) -> NodeState:
     number = state.step + 1
     measured = dict(state.inbox.measured)
-    content, troubles = config.estimator.begin_step(state.content, measured.pop(number))
+    content, failures = config.estimator.begin_step(state.content, measured.pop(number))
     inbox = replace(state.inbox, measured=measured)
     state = replace(state, step=number, content=content, inbox=inbox)
-    state = count(state, *troubles)
+    state = count(state, *failures)
     return file_early(config, state) if state.inbox.early else state
 
 
@@ -207,8 +255,8 @@ def _close_group(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]
     came, cycle = state.inbox.shares, state.cycle
     shares = tuple([came.get((cycle, j)) if j in usable else None for j in config.neighbours])
     missed = [j for j in due if came.get((cycle, j)) is None]
-    content, troubles = config.estimator.fuse(state.content, shares)
-    state = count(replace(state, content=content), *troubles, *["missed" for _ in missed])
+    content, failures = config.estimator.fuse(state.content, shares)
+    state = count(replace(state, content=content), *failures, *["missed" for _ in missed])
     if state.group + 1 < len(config.groups(state.cycle)):
         return _open_group(config, replace(state, group=state.group + 1), outbox)
     return _close_cycle(config, state, outbox)
@@ -248,7 +296,9 @@ def _keeps_zonotope(kind: type) -> bool:
     return issubclass(kind, KeepsZonotope)
 
 
-def _keep_measured(state: NodeState, event: Measured) -> NodeState:
+def _keep_measured(
+    _config: NodeConfig, state: NodeState, event: Measured, _outbox: list[NodeMessage]
+) -> NodeState:
     if event.step <= state.step or event.step in state.inbox.measured:
         return count(state, "repeated measured")
     if event.step > state.step + EARLY_CYCLES:
@@ -275,7 +325,9 @@ def _shape(measured: Measured) -> tuple[int, int]:
     return len(readings), len(readings[0]) if readings else 0
 
 
-def _keep_grant(config: NodeConfig, state: NodeState, event: Grant) -> NodeState:
+def _keep_grant(
+    config: NodeConfig, state: NodeState, event: Grant, _outbox: list[NodeMessage]
+) -> NodeState:
     key = (event.cycle, event.group)
     if key < (state.cycle, state.group) or key in state.inbox.grants:
         return count(state, "repeated grant")
@@ -301,3 +353,41 @@ def _forget_before(state: NodeState, cycle: int) -> Inbox:
 
 def _since(cycle: int, kept: dict[tuple[int, int], Any]) -> dict[tuple[int, int], Any]:
     return {key: value for key, value in kept.items() if key[0] >= cycle} if kept else kept
+
+
+_MEASUREMENT, _CHANGE, _GRANT, _SHARES, _FINISHED = Phase
+_NEXT_GROUP = (_GRANT, _SHARES)
+_AFTER_A_GROUP = (*_NEXT_GROUP, _MEASUREMENT, _FINISHED)
+
+
+def _filed(phase: Phase) -> dict[type, Transition[NodeState, Phase]]:
+    """Events that go to the inbox in every phase, and change no phase by themselves."""
+    return {
+        Measured: Transition(_keep_measured, (phase,)),
+        ShareHeard: Transition(_hear, (phase,)),
+        Grant: Transition(_keep_grant, (phase,)),
+        Gone: Transition(_note_gone, (phase,)),
+    }
+
+
+TRANSITIONS: dict[Phase, dict[type, Transition[NodeState, Phase]]] = {
+    _MEASUREMENT: {
+        **_filed(_MEASUREMENT),
+        CycleClosed: Transition(_ignore, (_MEASUREMENT,)),
+    },
+    _CHANGE: {**_filed(_CHANGE), CycleClosed: Transition(_ignore, (_CHANGE,))},
+    _GRANT: {**_filed(_GRANT), CycleClosed: Transition(_end_group, _AFTER_A_GROUP)},
+    _SHARES: {**_filed(_SHARES), CycleClosed: Transition(_end_group, _AFTER_A_GROUP)},
+    _FINISHED: {**_filed(_FINISHED), CycleClosed: Transition(_ignore, (_FINISHED,))},
+}
+# A node leaves phase CHANGE by `nodes.node_changes.apply`, which leads to MEASUREMENT.
+COMPLETIONS: dict[Phase, tuple[Completion[NodeState, Phase], ...]] = {
+    _MEASUREMENT: (
+        Completion(has_changes, _stop_for_changes, (_CHANGE,)),
+        Completion(has_heartbeat, _open_step, _NEXT_GROUP),
+    ),
+    _CHANGE: (),
+    _GRANT: (Completion(has_grant, _take_grant, (_SHARES,)),),
+    _SHARES: (Completion(has_all_shares, _close_group, _AFTER_A_GROUP),),
+    _FINISHED: (),
+}

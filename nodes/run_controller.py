@@ -44,9 +44,9 @@ from nodes.commands import (
     Speed,
     Step,
 )
-from nodes.environment import EnvironmentConfig, EnvironmentState
+from nodes.environment_state import EnvironmentConfig, EnvironmentState
 from nodes.faults.vocabulary import FAULTS
-from nodes.messages import EnvironmentEvent, EnvironmentMessage
+from nodes.messages import Allowed, EnvironmentEvent, EnvironmentMessage
 
 
 class Scripted(NamedTuple):
@@ -183,7 +183,7 @@ class RunController:
                     self._check(command)
                     outbox += self._apply(self._changes(command))
             outbox += self._join()
-        self.state, messages = environment.allow(self.config, self.state, self._limit())
+        self.state, messages = environment.step(self.config, self.state, Allowed(self._limit()))
         return outbox + messages
 
     def _check(self, command: Command) -> None:

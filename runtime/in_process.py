@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from nodes import node as state_machine
 from nodes import node_changes
 from nodes.changes import Event, Gone, Settings, Welcome
-from nodes.environment import EnvironmentConfig
+from nodes.environment_state import EnvironmentConfig
 from nodes.messages import (
     CycleClosed,
     EnvironmentEvent,

@@ -11,7 +11,7 @@ from bus.flexray.schedule import Schedule
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
 from nodes.changes import UNCHANGED, Standing
-from nodes.environment import Controller, EnvironmentConfig
+from nodes.environment_state import Controller, EnvironmentConfig
 from nodes.estimator import Estimator
 from nodes.messages import from_wire
 from nodes.node_state import NodeConfig

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from bus.flexray.schedule import Schedule
     from filters.gaussian import Gaussian
     from filters.sigma_points import SigmaPointRule
-    from nodes.environment import Delivery
+    from nodes.environment_state import Delivery
     from nodes.estimator import Estimator
     from scenarios.estimators import Seat
     from scenarios.setup import Setup

@@ -8,7 +8,7 @@ import numpy as np
 
 from bus.flexray.schedule import Schedule
 from filters.gaussian import Gaussian
-from nodes.environment import Controller, Delivery, Plant
+from nodes.environment_state import Controller, Delivery, Plant
 from nodes.lanes.filter import Counters
 from nodes.messages import Array
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from filters.gaussian import Gaussian
 from nodes.bids import NO_BID
-from nodes.environment import Delivery
+from nodes.environment_state import Delivery
 from nodes.lanes.filter import Counters, with_lanes
 from nodes.lanes.links import places
 from nodes.lanes.network import Era, FleetWithReturns, Network, Regime, Spread

@@ -17,7 +17,7 @@ from nodes.bounds import node_of
 from nodes.changes import Gone, Welcome
 from nodes.command_checks import check_timely
 from nodes.commands import Answer, Kill, Restart, Speed, read_command
-from nodes.environment import EnvironmentConfig
+from nodes.environment_state import EnvironmentConfig
 from nodes.messages import (
     END,
     BidsClosed,

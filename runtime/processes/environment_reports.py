@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import msgspec
 
 from nodes import environment
-from nodes.environment import EnvironmentConfig, EnvironmentState
+from nodes.environment_state import EnvironmentConfig, EnvironmentState
 from nodes.run_controller import RunController
 from runtime.processes.notices import State
 from runtime.processes.recorder_process import Finished

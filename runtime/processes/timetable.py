@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from nodes.environment import EnvironmentConfig
+from nodes.environment_state import EnvironmentConfig
 from nodes.messages import BidsClosed, StepClosed
 from nodes.tempo import Tempo
 

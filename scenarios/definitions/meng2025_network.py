@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from bus.flexray.measurement_bus import MeasurementBus, flexray
 from filters.gaussian import Gaussian
 from filters.stochastic_ukf import RECOMMENDED, Received
-from nodes.environment import Delivery
+from nodes.environment_state import Delivery
 from plants import meng2025
 from plants.sensed import SensedPlant, clusters
 from plants.stochastic import replicated

@@ -19,7 +19,7 @@ from filters.gaussian import Gaussian
 from filters.linalg import unpack_upper
 from filters.sigma_points import scaled_unscented
 from nodes.belief_codec import BeliefCodec
-from nodes.environment import Controller, EnvironmentConfig
+from nodes.environment_state import Controller, EnvironmentConfig
 from nodes.faults.losses import LinkState
 from nodes.messages import Array, Bid, Estimate, decode, from_wire
 from nodes.node import NodeConfig, NodeState

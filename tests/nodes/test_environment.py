@@ -12,8 +12,9 @@ from bus.flexray.schedule import Schedule, dynamic_only, hybrid
 from filters.gaussian import Gaussian
 from nodes import environment, environment_changes
 from nodes.changes import Gone, Joined
-from nodes.environment import Controller, EnvironmentConfig, EnvironmentState
+from nodes.environment_state import Controller, EnvironmentConfig, EnvironmentState
 from nodes.messages import (
+    Allowed,
     Array,
     Bid,
     EnvironmentMessage,
@@ -31,7 +32,7 @@ PRIOR = Gaussian(np.zeros(1), np.eye(1))
 
 def started(config: EnvironmentConfig) -> tuple[EnvironmentState, list[EnvironmentMessage]]:
     """A world that may go as far as it likes."""
-    return environment.allow(config, environment.begin(config), config.steps)
+    return environment.step(config, environment.begin(config), Allowed(config.steps))
 
 
 def world_of(
@@ -260,13 +261,13 @@ def test_loss_does_not_stop_a_closed_loop():
 def test_who_is_gone_again_before_its_first_step_is_not_told_to_have_returned():
     """The others hear of its end at once; told of its return after that, they would wait for it."""
     config = world_of(nodes=3, steps=4, lead=1)
-    state, _ = environment.allow(config, environment.begin(config), 1)
+    state, _ = environment.step(config, environment.begin(config), Allowed(1))
     state, _ = environment.step(config, state, Gone(1))
     for node in (0, 2):
         state, _ = environment.step(config, state, estimate(node, 0))
     config, state, _ = environment_changes.apply(config, state, [Joined(1, [0.0], [1.0])])
     state, _ = environment.step(config, state, Gone(1))
-    state, messages = environment.allow(config, state, config.steps)
+    state, messages = environment.step(config, state, Allowed(config.steps))
     heartbeats = [message for message in messages if isinstance(message, Measured)]
     assert [message.node for message in heartbeats] == [0, 2]
     assert not any(message.changes for message in heartbeats)

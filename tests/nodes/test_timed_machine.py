@@ -7,6 +7,7 @@ from msgspec import UNSET
 from nodes import environment
 from nodes import node as state_machine
 from nodes.messages import (
+    Allowed,
     Bid,
     BidsClosed,
     CycleClosed,
@@ -24,7 +25,7 @@ from tests.experiments.support import small
 
 def heartbeats(setup) -> list[Measured]:
     config = build_environment(setup)
-    _, messages = environment.allow(config, environment.begin(config), 1)
+    _, messages = environment.step(config, environment.begin(config), Allowed(1))
     return [message for message in messages if isinstance(message, Measured)]
 
 
@@ -64,7 +65,7 @@ def test_the_clock_changes_nothing_where_all_comes_in_time():
 
 def test_who_asks_after_the_end_of_bids_is_not_granted_and_is_named():
     config = build_environment(small(schedule="hybrid", occupancy=0.5, steps=2))
-    state, _ = environment.allow(config, environment.begin(config), 1)
+    state, _ = environment.step(config, environment.begin(config), Allowed(1))
     cycle, group = state.next_cycle, state.next_group
     first, *late = config.schedule.contenders(cycle)
     assert late

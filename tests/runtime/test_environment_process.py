@@ -7,7 +7,7 @@ from collections import deque
 import pytest
 
 from nodes.changes import Gone
-from nodes.environment import EnvironmentConfig
+from nodes.environment_state import EnvironmentConfig
 from nodes.messages import Bid, BidsClosed, Grant, decode, encode, topic
 from nodes.tempo import Tempo
 from runtime.network.links import Links
