@@ -98,7 +98,7 @@ BUGS = (
     ),
     Bug(
         "who lost the contest sends all the same",
-        "nodes.node", "advance", (("if config.index in winners:", "if True:"),),
+        "nodes.node", "_take_grant", (("if config.index in winners", "if True"),),
     ),
     Bug(
         "all nodes share the slots of node 0",
@@ -220,21 +220,14 @@ def planted(bug: Bug) -> Iterator[None]:
         text = text.replace(stands, shall)
     made: dict[str, Any] = {}
     exec(compile(text, f"<{bug.name}>", "exec"), module.__dict__, made)
-    places = [
-        (place, known_as)
-        for place in [owner, *list(sys.modules.values())]
-        for known_as, value in list(getattr(place, "__dict__", {}).items())
-        if value is sound
-    ]
-    for place, known_as in places:
-        setattr(place, known_as, made[name])
+    # The code of the function, as tables and other modules hold the function itself.
+    code, sound.__code__ = sound.__code__, made[name].__code__
     kernels, compiled.KERNELS = compiled.KERNELS, None
     try:
         yield
     finally:
         compiled.KERNELS = kernels
-        for place, known_as in places:
-            setattr(place, known_as, sound)
+        sound.__code__ = code
 
 
 def first_found(bug: Bug, seeds: range) -> Outcome | None:
