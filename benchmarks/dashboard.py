@@ -138,7 +138,7 @@ def _paced_ms(page: Dashboard) -> list[float]:
     spent_s = time.process_time()
     for number in range(updates):
         page.view.step, page.view.cursor = number % len(page.history), 0.5
-        page.pick(number % page.stage.nodes)
+        page.inputs.select(number % page.stage.nodes)
         # Late enough that every panel is due.
         clock_s += 1
         page.tick(clock_s)

@@ -36,6 +36,14 @@ class Inputs:
         self._changes.append(change)
         self._wake()
 
+    def select(self, node: int | None) -> None:
+        """Select a node, everywhere."""
+        self.alter(lambda view: setattr(view, "selected", node))
+
+    def point(self, node: int | None) -> None:
+        """Mark the node at which a pointer rests, or none."""
+        self.alter(lambda view: setattr(view, "hovered", node))
+
     def apply(self, view: View) -> None:
         """Do what has been asked for; by whoever draws, with the view's lock."""
         while self._changes:

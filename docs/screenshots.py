@@ -141,7 +141,7 @@ def _shoot(browser: Any, page: Dashboard, shot: Shot, file: Path) -> None:
     for _ in range(5):
         # The same moment of the bus in every picture.
         view.step, view.cursor = shot.step, 0.5 * len(page.history.at(shot.step).cycles)
-        page.pick(view.selected)
+        page.inputs.select(view.selected)
         clock_s += 0.3
         page.tick(clock_s)
         tab.wait_for_timeout(400)

@@ -2,7 +2,7 @@
 
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -14,12 +14,9 @@ _MOST_FRAMES = 20_000
 _LOG_LINES = 500
 _ENOUGH = 15
 
-CHARTED = ("rmse", "fused", "central", "spread", "nees", "payload_bytes")
-"""What `History.columns` gives of each step."""
-
 
 class History:
-    """Frames in order of steps, the charted numbers of each, and the log."""
+    """Frames in order of steps, and the log."""
 
     def __init__(self, stage: Stage) -> None:
         n = len(stage.setup.prior_mean)
@@ -27,7 +24,6 @@ class History:
         self._limit = max(100, min(_MOST_FRAMES, _MEMORY_BYTES // frame_bytes))
         self._first_scored = stage.score.first_step
         self._frames: list[Frame] = []
-        self._rows: list[tuple[float, ...]] = []
         self._steps: list[int] = []
         self.log: deque[Event] = deque(maxlen=_LOG_LINES)
 
@@ -36,12 +32,10 @@ class History:
         for frame in frames:
             self._frames.append(frame)
             self._steps.append(frame.step)
-            self._rows.append(_row(frame))
             self.log.extend(frame.events)
         # In one go now and then: the beginning of a list is dear to remove.
         if len(self._frames) > 1.25 * self._limit:
             del self._frames[: -self._limit]
-            del self._rows[: -self._limit]
             del self._steps[: -self._limit]
 
     def __len__(self) -> int:
@@ -66,36 +60,16 @@ class History:
         last = self._index(step)
         return self._frames[max(0, last + 1 - most) : last + 1]
 
-    def columns(self, step: int, most: int) -> tuple[Array, dict[str, Array]]:
-        """Times (T,) and each of `CHARTED` (T,) up to a step, thinned to at most `most`.
+    def sampled(self, step: int, most: int, steps: int = _MOST_FRAMES) -> list[Frame]:
+        """Return at most `most` of the last `steps` frames up to a step, evenly thinned.
 
-        Without the steps that the scenario does not score, once there are enough others: the errors
-        of a wide prior would leave no room for what comes after.
+        Steps that the scenario does not score are left out once there are enough others: the errors
+        of a wide prior would leave no room for the rest.
         """
-        count = self._index(step) + 1
-        begin = self._unscored(count)
-        stride = max(1, -(-(count - begin) // most))
-        chosen = range(begin + (count - 1 - begin) % stride, count, stride)
-        times = np.array([self._frames[index].time_s for index in chosen])
-        table = np.array([self._rows[index] for index in chosen]).reshape(-1, len(CHARTED))
-        return times, dict(zip(CHARTED, table.T, strict=True))
-
-    def states(
-        self, step: int, most: int, node: int, state: int, steps: int = _MOST_FRAMES
-    ) -> tuple[Array, Array]:
-        """Times (T,) and (T, 3) of one state: the truth, a node's estimate, its deviation; of the
-        last so many steps, thinned to at most `most`."""
         count = self._index(step) + 1
         begin = max(self._unscored(count), count - steps)
         stride = max(1, -(-(count - begin) // most))
-        frames = self._frames[begin + (count - 1 - begin) % stride : count : stride]
-        rows = [
-            (f.truth[state], f.belief.mean[node, state], f.belief.cov[node, state, state])
-            for f in frames
-        ]
-        table = np.array(rows).reshape(-1, 3)
-        table[:, 2] = np.sqrt(np.maximum(table[:, 2], 0.0))
-        return np.array([f.time_s for f in frames]), table
+        return self._frames[begin + (count - 1 - begin) % stride : count : stride]
 
     def _unscored(self, count: int) -> int:
         """How many of the first `count` frames no chart shows."""
@@ -107,10 +81,12 @@ class History:
         return max(0, bisect_right(self._steps, step) - 1)
 
 
-def _row(frame: Frame) -> tuple[float, ...]:
-    scores = frame.scores
-    payload_bytes = sum(cycle.payload_bytes for cycle in frame.cycles)
-    return (
-        scores.rmse, scores.fused, scores.central, scores.spread, scores.nees,
-        float(payload_bytes),
-    )  # fmt: skip
+def state_table(frames: Sequence[Frame], node: int, state: int) -> Array:
+    """Return truth, a node's estimate and its standard deviation (T, 3) of one state."""
+    rows = [
+        (f.truth[state], f.belief.mean[node, state], f.belief.cov[node, state, state])
+        for f in frames
+    ]
+    table = np.array(rows).reshape(-1, 3)
+    table[:, 2] = np.sqrt(np.maximum(table[:, 2], 0.0))
+    return table

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dashboard.frames.stage import Stage
-from dashboard.panels.charts import Chart
+from dashboard.panels.chart import Drawn
 from dashboard.theme import Colour, css
 from dashboard.view import View
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 _WIDTH_IN, _ROW_IN, _DPI = 9.0, 2.5, 150
 
 
-def charts_page(stage: Stage, charts: Sequence[Chart], view: View) -> str:
+def charts_page(stage: Stage, charts: Sequence[Drawn], view: View) -> str:
     """All charts as one page of SVG: no script, opens anywhere, prints well."""
     title = escape(_title(stage, view))
     drawn = "".join(f"<p>{_svg(_figure([chart]))}</p>" for chart in _told(charts))
@@ -30,7 +30,7 @@ def charts_page(stage: Stage, charts: Sequence[Chart], view: View) -> str:
     )
 
 
-def charts_picture(stage: Stage, charts: Sequence[Chart], view: View) -> bytes:
+def charts_picture(stage: Stage, charts: Sequence[Drawn], view: View) -> bytes:
     """All charts, one below the other, as PNG."""
     figure = _figure(_told(charts), _title(stage, view))
     buffer = io.BytesIO()
@@ -46,14 +46,14 @@ def _title(stage: Stage, view: View) -> str:
     )
 
 
-def _told(charts: Sequence[Chart]) -> list[Chart]:
+def _told(charts: Sequence[Drawn]) -> list[Drawn]:
     """Those that show anything."""
     return [
-        chart for chart in charts if any(np.isfinite(column).any() for column in chart.rows[1:])
+        chart for chart in charts if any(np.isfinite(curve.values).any() for curve in chart.curves)
     ]
 
 
-def _figure(charts: Sequence[Chart], title: str = "") -> "Figure":
+def _figure(charts: Sequence[Drawn], title: str = "") -> "Figure":
     # Loading matplotlib takes longer than the picture.
     from matplotlib.figure import Figure
 
@@ -64,12 +64,13 @@ def _figure(charts: Sequence[Chart], title: str = "") -> "Figure":
     return figure
 
 
-def _draw(axes: Any, chart: Chart) -> None:
-    times, *columns = chart.rows
-    for name, colour, column in zip(chart.names, chart.colours, columns, strict=True):
-        if np.isfinite(column).any():
-            style = "--" if name in chart.dashed else "-"
-            axes.plot(times, column, style, color=_on_paper(colour), linewidth=1.3, label=name)
+def _draw(axes: Any, chart: Drawn) -> None:
+    for curve in chart.curves:
+        if np.isfinite(curve.values).any():
+            style, colour = "--" if curve.dashed else "-", _on_paper(curve.colour)
+            axes.plot(
+                chart.times, curve.values, style, color=colour, linewidth=1.3, label=curve.name
+            )
     axes.set_title(chart.title, fontsize=10)
     axes.set_xlabel("time [s]", fontsize=9)
     axes.tick_params(labelsize=8)

@@ -1,24 +1,38 @@
 """The buttons that hand something over; each works in the thread of its click."""
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import viser
 
+from dashboard.frames.history import History
+from dashboard.frames.stage import Stage
+from dashboard.panels.chart import Drawn
 from dashboard.panels.chart_export import charts_page, charts_picture
 from dashboard.panels.controls import QUIET
 from dashboard.panels.export import animated_scene, screenshot, zipped
 from dashboard.scene.camera import Camera
+from dashboard.view import View
 
-if TYPE_CHECKING:
-    from dashboard.app import Dashboard
+
+class Shown(NamedTuple):
+    """The content of a page at one moment; `view` is a copy."""
+
+    stage: Stage
+    view: View
+    history: History
+    charts: Sequence[Drawn]
 
 
 class ExportButtons:
-    """Screenshot, animated scene, charts, and the run's folder where there is one."""
+    """Buttons for a screenshot, an animated scene, the charts, and the folder of the run if known.
 
-    def __init__(self, gui: viser.GuiApi, page: "Dashboard", folder: Path | None) -> None:
-        self._page, self._folder = page, folder
+    Runs on: viser's threads of clicks. `shown()` returns what the page shows at that moment.
+    """
+
+    def __init__(self, gui: viser.GuiApi, shown: Callable[[], Shown], folder: Path | None) -> None:
+        self._shown, self._folder = shown, folder
         icon = viser.Icon
         with gui.add_folder("Export"):
             self.picture: Any = gui.add_button("Scene (.png)", color=QUIET, icon=icon.CAMERA)
@@ -35,37 +49,34 @@ class ExportButtons:
 
     def _give_picture(self, event: Any) -> None:
         if event.client is not None:
-            self._give(event.client, "png", screenshot(event.client))
+            self._give(event.client, self._shown(), "png", screenshot(event.client))
 
     def _give_scene(self, event: Any) -> None:
-        page = self._page
-        if event.client is None or not len(page.history):
+        shown = self._shown()
+        if event.client is None or not len(shown.history):
             return
-        view = page.snapshot()
         seen = event.client.camera
         camera = Camera(tuple(seen.position), tuple(seen.look_at))
-        frames = page.history.until(view.step, 2000)
-        html = animated_scene(page.stage, view, frames, camera)
-        self._give(event.client, "scene.html", html.encode())
+        frames = shown.history.until(shown.view.step, 2000)
+        html = animated_scene(shown.stage, shown.view, frames, camera)
+        self._give(event.client, shown, "scene.html", html.encode())
 
     def _give_charts(self, event: Any) -> None:
         if event.client is not None:
-            page = self._page
-            html = charts_page(page.stage, page.charts.drawn, page.snapshot())
-            self._give(event.client, "charts.html", html.encode())
+            shown = self._shown()
+            html = charts_page(shown.stage, shown.charts, shown.view)
+            self._give(event.client, shown, "charts.html", html.encode())
 
     def _give_chart_picture(self, event: Any) -> None:
         if event.client is not None:
-            page = self._page
-            picture = charts_picture(page.stage, page.charts.drawn, page.snapshot())
-            self._give(event.client, "charts.png", picture)
+            shown = self._shown()
+            picture = charts_picture(shown.stage, shown.charts, shown.view)
+            self._give(event.client, shown, "charts.png", picture)
 
     def _give_run(self, event: Any) -> None:
         if event.client is not None and self._folder is not None:
-            self._give(event.client, "zip", zipped(self._folder))
+            self._give(event.client, self._shown(), "zip", zipped(self._folder))
 
-    def _give(self, client: viser.ClientHandle, ending: str, data: bytes) -> None:
-        name = self._page.stage.setup.scenario.name
-        client.send_file_download(
-            f"{name}-step{self._page.view.step}.{ending}", data, save_immediately=True
-        )
+    def _give(self, client: viser.ClientHandle, shown: Shown, ending: str, data: bytes) -> None:
+        name = f"{shown.stage.setup.scenario.name}-step{shown.view.step}.{ending}"
+        client.send_file_download(name, data, save_immediately=True)

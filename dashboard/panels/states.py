@@ -1,11 +1,12 @@
 """All states over the last while, one below the other: truth, estimate, its deviations."""
 
+from collections.abc import Sequence
 from html import escape
 
 import numpy as np
 
-from dashboard.frames.frame import Array
-from dashboard.frames.history import History
+from dashboard.frames.frame import Array, Frame
+from dashboard.frames.history import History, state_table
 from dashboard.frames.stage import Stage
 from dashboard.theme import Theme, css
 from dashboard.view import View
@@ -20,7 +21,8 @@ def states(stage: Stage, view: View, history: History) -> str:
     theme, node = view.theme, view.selected or 0
     count = len(stage.state_names)
     row = min(max(HEIGHT / count, _LEAST), _MOST)
-    rows = "".join(_row(stage, view, history, node, state, row) for state in range(count))
+    frames = history.sampled(view.step, MOST_POINTS, MOST_STEPS)
+    rows = "".join(_row(stage, view, frames, node, state, row) for state in range(count))
     legend = [(theme.truth, "truth"), (theme.estimate, f"node {escape(stage.names[node])}")]
     marks = "".join(
         f'<span style="margin-right:9px"><span style="color:{css(colour)}">●</span> {text}</span>'
@@ -35,10 +37,12 @@ def states(stage: Stage, view: View, history: History) -> str:
     )
 
 
-def _row(stage: Stage, view: View, history: History, node: int, state: int, tall: float) -> str:
+def _row(
+    stage: Stage, view: View, frames: Sequence[Frame], node: int, state: int, tall: float
+) -> str:
     theme, top = view.theme, tall * state
-    times, table = history.states(view.step, MOST_POINTS, node, state, MOST_STEPS)
-    truth, mean, deviation = table.T
+    times = np.array([frame.time_s for frame in frames])
+    truth, mean, deviation = state_table(frames, node, state).T
     reach = stage.deviations * deviation
     lines = np.stack([truth, mean, mean + reach, mean - reach])
     known = lines[np.isfinite(lines)]

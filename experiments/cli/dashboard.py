@@ -85,8 +85,8 @@ def _begin(page: "Dashboard") -> None:
     # Called for those who have come already, too.
     page.server.on_client_connect(lambda _: somebody.set())
     if somebody.wait(_LONGEST_WAIT_S):
-        page.ask({"do": "speed", "steps_per_second": _FIRST_STEPS_PER_S})
-    page.ask({"do": "resume"})
+        page.source.ask({"do": "speed", "steps_per_second": _FIRST_STEPS_PER_S})
+    page.source.ask({"do": "resume"})
 
 
 def _await_end(gone: threading.Event) -> None:

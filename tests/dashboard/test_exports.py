@@ -11,6 +11,7 @@ import pytest
 from dashboard.frames.expected import nothing_expected
 from dashboard.frames.replay import replayed
 from dashboard.panels.chart_export import charts_page
+from dashboard.panels.charts import sampled
 from dashboard.panels.export import animated_scene, zipped
 from dashboard.scene.camera import Free, aimed
 from dashboard.serve import open_recording
@@ -79,9 +80,9 @@ def test_the_charts_are_a_page_with_all_that_the_page_showed(chromium, tmp_path:
     try:
         while dashboard.source.pace().state == "LOADING":
             dashboard.history_add()
-        dashboard.charts.draw(VIEW, dashboard.history, nothing_expected)
+        dashboard.page.charts.draw(sampled(STAGE, VIEW, dashboard.history, nothing_expected))
         file = tmp_path / "charts.html"
-        file.write_text(charts_page(STAGE, dashboard.charts.drawn, VIEW))
+        file.write_text(charts_page(STAGE, dashboard.page.charts.drawn, VIEW))
     finally:
         dashboard.close()
     page, troubles = opened(chromium, file)
