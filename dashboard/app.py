@@ -19,10 +19,11 @@ from dashboard.frames.history import History
 from dashboard.frames.source import Source
 from dashboard.frames.stage import SCENE_WIDTH, Picture, Stage
 from dashboard.inputs import Inputs
-from dashboard.panels.controls import MAGNIFIED, Controls
+from dashboard.panels.controls import Controls
 from dashboard.panels.export_buttons import ExportButtons, Shown
 from dashboard.panels.page import Page
 from dashboard.panels.table import status
+from dashboard.panels.view_controls import MAGNIFIED
 from dashboard.player import Extent, play_live, play_recorded
 from dashboard.theme import DARK, LIGHT, Theme
 from dashboard.view import MANY_NODES, View
@@ -90,7 +91,7 @@ class Dashboard:
     def _toggle_theme(self) -> None:
         def toggle(view: View) -> None:
             view.theme = LIGHT if view.theme.dark else DARK
-            self.inputs.show(self.controls.dark, value=view.theme.dark)
+            self.inputs.show(self.controls.view.dark, value=view.theme.dark)
 
         self.inputs.alter(toggle)
 
@@ -152,7 +153,7 @@ class Dashboard:
     def _magnify(self, frame: Frame) -> None:
         if self.stage.picture is Picture.PLANE:
             self.view.magnify = _magnification(frame, self.stage.scale)
-            self.inputs.show(self.controls.magnify, value=f"{self.view.magnify:g}")
+            self.inputs.show(self.controls.view.magnify, value=f"{self.view.magnify:g}")
 
     def _advance(self, elapsed_s: float) -> bool:
         """Move the shown step and the cursor on; True where something moved."""

@@ -4,38 +4,22 @@ The order of messages within a step does not matter, and steps may be left out: 
 totals or in ages is true all the same.
 """
 
-from collections import Counter
-from dataclasses import dataclass, field
-
 import numpy as np
 
-from bus.flexray.frame import OVERHEAD_BYTES
 from dashboard.frames.bus_cycles import BusView
 from dashboard.frames.frame import Array, Event, Frame, Numbers, Traffic
 from dashboard.frames.network import Change, Network, changed, read_change
 from dashboard.frames.scores import fuse, score
 from dashboard.frames.stage import Stage, restaged
+from dashboard.frames.told import Told, read_step
 from filters.gaussian import Gaussian
 from filters.linalg import unpack_upper
-from nodes.bounds import node_of
-from nodes.estimator import Rejected
-from nodes.messages import Estimate, MalformedMessage, Measured, Truth, decode, from_wire
-from nodes.share import read_frame
+from nodes.messages import Estimate, from_wire
 from runtime.whole_steps import WholeStep
 from scenarios.baselines import listener, listens_step_by_step
 
 # A restarted node tells nothing of the counters that died with it.
 _COUNTED = ("sent", "heard", "missed")
-
-
-@dataclass
-class _Told:
-    """What was said of one step: `sizes` are payload bytes by (cycle, node)."""
-
-    truth: Truth | None = None
-    measured: dict[int, Measured] = field(default_factory=dict)
-    estimates: dict[int, Estimate] = field(default_factory=dict)
-    sizes: Counter[tuple[int, int]] = field(default_factory=Counter)
 
 
 class Assembler:
@@ -76,7 +60,7 @@ class Assembler:
 
     def frame(self, step: WholeStep) -> Frame | None:
         """The frame of a step later than all before; none without a truth."""
-        told = self._read(step)
+        told = read_step(step, self._stage.nodes)
         late = self._last is not None and step.number <= self._last
         if told.truth is None or late:
             return None
@@ -85,36 +69,6 @@ class Assembler:
             self._leave_out(step.number - self._last - 1)
         self._last = step.number
         return self._drawn(step.number, from_wire(told.truth.state), told)
-
-    def _read(self, step: WholeStep) -> _Told:
-        """What its messages say; what is no message is ignored."""
-        told = _Told()
-        for topic, data in step.messages:
-            kind, _, number = topic.partition("/")
-            if kind == "share":
-                self._read_share(told, number, data)
-                continue
-            try:
-                message = decode(topic, data)
-            except MalformedMessage:
-                continue
-            match message:
-                case Truth():
-                    told.truth = message
-                case Measured():
-                    told.measured[message.node] = message
-                case Estimate():
-                    told.estimates[message.node] = message
-        return told
-
-    def _read_share(self, told: _Told, node: str, data: bytes) -> None:
-        try:
-            cycle = read_frame(data).cycle
-        except Rejected:
-            return
-        sender = node_of(node, self._stage.nodes)
-        if sender is not None:
-            told.sizes[cycle, sender] += len(data) - OVERHEAD_BYTES
 
     def _leave_out(self, steps: int) -> None:
         """Of so many steps nothing was heard: who sent in them, and what a filter would know."""
@@ -139,7 +93,7 @@ class Assembler:
                 self._stage = restaged(self._stage, dict(self._network.settings))
                 self._bus = BusView(self._stage.plan)
 
-    def _drawn(self, number: int, truth: Array, told: _Told) -> Frame:
+    def _drawn(self, number: int, truth: Array, told: Told) -> Frame:
         stage = self._stage
         numbers = self._network.cycles(number)
         cycles = tuple(
@@ -164,7 +118,7 @@ class Assembler:
             belief=self._belief,
             zonotopes=tuple(self._zonotopes),
             fused=fused,
-            seen=self._seen(told),
+            seen=_seen(told, stage.nodes),
             alive=alive,
             ages=ages,
             lost=self._lost(ages, alive, numbers[-1]),
@@ -176,7 +130,7 @@ class Assembler:
             events=events,
         )
 
-    def _take_estimates(self, number: int, told: _Told) -> None:
+    def _take_estimates(self, number: int, told: Told) -> None:
         mean, cov = self._belief.mean.copy(), self._belief.cov.copy()
         start = 0
         for node, neighbours in enumerate(self._stage.setup.neighbours):
@@ -218,7 +172,7 @@ class Assembler:
                 text = f"node {self._stage.names[node]} rejected a frame: {reason}"
                 self._events.append(Event(number, text, node, True))
 
-    def _hear_all(self, number: int, told: _Told) -> Gaussian | None:
+    def _hear_all(self, number: int, told: Told) -> Gaussian | None:
         """The filter that hears everything, one step on; none where it cannot be followed."""
         if self._listen is None or self._central is None:
             return None
@@ -234,12 +188,6 @@ class Assembler:
         driven = None if control is None else np.array(control)
         self._central = self._listen(self._central, number, delivered, driven)
         return self._central
-
-    def _seen(self, told: _Told) -> np.ndarray:
-        seen = np.zeros(self._stage.nodes, dtype=bool)
-        for node, measured in told.measured.items():
-            seen[node] = any(value is not None for row in measured.readings for value in row)
-        return seen
 
     def _lost(self, ages: Numbers, alive: np.ndarray, last_cycle: int) -> np.ndarray:
         """Whose newest share did not reach whom: what is held is older than what was sent."""
@@ -273,3 +221,10 @@ def _generators(estimate: Estimate, states: int) -> Array | None:
     if rows is None or len(rows) != states or len({len(row) for row in rows}) != 1:
         return None
     return from_wire(rows)
+
+
+def _seen(told: Told, nodes: int) -> np.ndarray:
+    seen = np.zeros(nodes, dtype=bool)
+    for node, measured in told.measured.items():
+        seen[node] = any(value is not None for row in measured.readings for value in row)
+    return seen

@@ -10,9 +10,9 @@ from dashboard.frames.history import History
 from dashboard.frames.stage import Stage
 from dashboard.panels.chart import Drawn
 from dashboard.panels.chart_export import charts_page, charts_picture
-from dashboard.panels.controls import QUIET
 from dashboard.panels.export import animated_scene, screenshot, zipped
 from dashboard.scene.camera import Camera
+from dashboard.theme import QUIET_BUTTON
 from dashboard.view import View
 
 
@@ -35,12 +35,20 @@ class ExportButtons:
         self._shown, self._folder = shown, folder
         icon = viser.Icon
         with gui.add_folder("Export"):
-            self.picture: Any = gui.add_button("Scene (.png)", color=QUIET, icon=icon.CAMERA)
-            self.scene: Any = gui.add_button("Animated scene (.html)", color=QUIET, icon=icon.MOVIE)
-            self.charts: Any = gui.add_button("Charts (.html)", color=QUIET, icon=icon.CHART_LINE)
-            self.chart_picture: Any = gui.add_button("Charts (.png)", color=QUIET, icon=icon.PHOTO)
+            self.picture: Any = gui.add_button("Scene (.png)", color=QUIET_BUTTON, icon=icon.CAMERA)
+            self.scene: Any = gui.add_button(
+                "Animated scene (.html)", color=QUIET_BUTTON, icon=icon.MOVIE
+            )
+            self.charts: Any = gui.add_button(
+                "Charts (.html)", color=QUIET_BUTTON, icon=icon.CHART_LINE
+            )
+            self.chart_picture: Any = gui.add_button(
+                "Charts (.png)", color=QUIET_BUTTON, icon=icon.PHOTO
+            )
             if folder is not None:
-                self.run: Any = gui.add_button("Run folder (.zip)", color=QUIET, icon=icon.FILE_ZIP)
+                self.run: Any = gui.add_button(
+                    "Run folder (.zip)", color=QUIET_BUTTON, icon=icon.FILE_ZIP
+                )
                 self.run.on_click(self._give_run)
         self.picture.on_click(self._give_picture)
         self.scene.on_click(self._give_scene)

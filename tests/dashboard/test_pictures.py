@@ -11,7 +11,8 @@ from dashboard.frames.conditions import conditions, oldest, sender_at
 from dashboard.frames.frame import Event
 from dashboard.panels.selected import selected_panel
 from dashboard.panels.table import MOST_ROWS, chosen_rows, log, node_table, status
-from dashboard.panels.timeline import LEFT, RIGHT, WIDTH, TimelineView
+from dashboard.panels.timeline import TimelineView
+from dashboard.panels.timeline_marks import LEFT, RIGHT, WIDTH
 from dashboard.panels.zoom import SIZE, zoom
 from dashboard.theme import DARK, LIGHT, linear
 from dashboard.view import View
