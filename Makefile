@@ -53,11 +53,11 @@ bench-compare: .venv/dev.stamp
 
 # 300 kills and restarts in lockstep, 100 hangs in real time: what they cost the others.
 kills: .venv/dev.stamp
-	$(BIN)/python -m benchmarks.kills
+	$(BIN)/python -m tests.endurance.kills
 
 # A million malformed messages against a network that runs: all counted, no estimate changed.
 fuzz: .venv/dev.stamp
-	$(BIN)/python -m benchmarks.fuzz
+	$(BIN)/python -m tests.endurance.fuzz
 
 docs: .venv/run.stamp
 	$(BIN)/python -m docs.picture

@@ -19,9 +19,9 @@ from experiments.design.target import parse_target
 from experiments.monte_carlo.simulate import Histories
 from experiments.monte_carlo.simulate import simulate as simulate_setup
 from experiments.scenario_options import scenario_of
+from experiments.sweep.engines import engine_for
 from experiments.sweep.run import begin, finish
 from experiments.sweep.specification import Specification, Value, shown, specify
-from experiments.sweep.workers import engine_for
 from scenarios.setup import prepare
 
 if TYPE_CHECKING:

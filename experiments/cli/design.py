@@ -26,9 +26,10 @@ from experiments.design.results import (
 from experiments.design.search import Found, Task, search
 from experiments.design.space import space_of
 from experiments.design.target import parse_target
+from experiments.sweep.engines import engine_for
 from experiments.sweep.options import FieldOptions, asked_fields
 from experiments.sweep.specification import shown, specify
-from experiments.sweep.workers import WorkerLost, engine_for
+from experiments.sweep.workers import WorkerLost
 from experiments.user_errors import user_errors
 
 

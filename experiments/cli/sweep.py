@@ -11,12 +11,13 @@ import tyro
 from rich.console import Console
 
 from experiments.progress import progress
+from experiments.sweep.engines import engine_for
 from experiments.sweep.options import FieldOptions, asked_fields
 from experiments.sweep.run import Begin, Swept, begin, finish
 from experiments.sweep.specification import specify
 from experiments.sweep.store import folder_of
 from experiments.sweep.summary import figures_of, table
-from experiments.sweep.workers import WorkerLost, engine_for
+from experiments.sweep.workers import WorkerLost
 from experiments.user_errors import user_errors
 from runtime.disk import NotWritten
 from scenarios.setup import prepare

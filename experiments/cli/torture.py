@@ -18,8 +18,9 @@ from experiments.simulation_testing.case_run import torture as torture_case
 from experiments.simulation_testing.draw import draw_case
 from experiments.simulation_testing.options import FixedOptions, fixed_fields, read_seeds
 from experiments.simulation_testing.shrink import replay_command, run_command, shrink
+from experiments.sweep.engines import engine_for
 from experiments.sweep.options import asked_fields
-from experiments.sweep.workers import WorkerLost, engine_for
+from experiments.sweep.workers import WorkerLost
 from experiments.user_errors import user_errors
 
 MOST_SHRUNK = 3

@@ -1,7 +1,7 @@
-"""Where the pieces of a sweep are computed: in this process, in others of this machine, over Dask.
+"""Engines on this machine: pieces of a sweep in this process or in several others.
 
-An engine takes a function and its arguments and yields (place, result) as they become ready. What
-leaves an engine early, an error or Ctrl-C, ends its work.
+An engine takes a function and its arguments and yields (place, result) as they become ready. An
+error or Ctrl-C ends its work.
 """
 
 import multiprocessing
@@ -10,7 +10,6 @@ import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from functools import partial
 from typing import Any
 
 Engine = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[tuple[int, Any]]]
@@ -18,27 +17,6 @@ Engine = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[tuple[int, Any
 
 class WorkerLost(RuntimeError):
     """A worker process ended by itself."""
-
-
-def engine_for(workers: int | None, dask: str | None) -> Engine:
-    """The engine that options ask for: so many processes here, or a Dask scheduler's address.
-
-    Raises:
-        ValueError: fewer than one worker, both asked for, or Dask is not there.
-    """
-    if dask is not None:
-        if workers is not None:
-            raise ValueError(
-                "--workers and --dask: Dask has its own workers; leave one of them out"
-            )
-        from experiments.sweep.dask_workers import connect
-
-        return connect(dask)
-    if workers is not None and workers < 1:
-        raise ValueError(f"--workers {workers}: must be at least 1")
-    # The cores that this process may use, which a container may have limited.
-    available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return partial(in_processes, workers or available or 1)
 
 
 def in_this_process(

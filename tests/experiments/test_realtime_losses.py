@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.running import Running
 from experiments.results.timing_figures import TimingFigures, figures_of
 from experiments.results.trace import Trace
 from nodes.changes import Event, Gone, Joined, Left
@@ -21,6 +20,7 @@ from nodes.share import read_frame
 from scenarios.build import build_environment
 from scenarios.setup import Setup
 from scenarios.tempo import tempo_of
+from tests.endurance.running import Running
 from tests.experiments.support import small, trace_of
 from tests.processes import PROC, holds_within, lives
 

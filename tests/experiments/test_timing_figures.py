@@ -12,7 +12,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.running import Running
 from experiments.results.timing_figures import figures_of
 from nodes.messages import Estimate, Timing, decode, encode, topic
 from nodes.share import cycle_of
@@ -20,6 +19,7 @@ from nodes.tempo import Tempo
 from runtime.processes.clock import EnvironmentClock
 from scenarios.setup import Setup
 from scenarios.tempo import tempo_of
+from tests.endurance.running import Running
 from tests.experiments.support import small, trace_of
 from tests.processes import PROC, holds_within
 

@@ -1,4 +1,4 @@
-"""Malformed frames and messages against a network that runs: `python -m benchmarks.fuzz`.
+"""Malformed frames and messages against a network that runs: `python -m tests.endurance.fuzz`.
 
 An intruder without keys joins every process of a lockstep network and says on all that it listens
 to what no sound process says. All of it must be refused and counted by somebody, and the estimates
@@ -17,9 +17,6 @@ import msgspec
 import numpy as np
 import tyro
 
-from benchmarks.intruder import Intruder, intruders
-from benchmarks.malformed import malformed
-from benchmarks.running import Running, memory_mb, neighbouring_ports
 from nodes.commands import Speed
 from nodes.messages import Estimate, decode
 from runtime.drivers import in_memory
@@ -27,6 +24,9 @@ from runtime.network.links import RECORDER, WORLD, names
 from runtime.recorded import meaning
 from scenarios.catalogue import kind_of
 from scenarios.setup import prepare
+from tests.endurance.intruder import Intruder, intruders
+from tests.endurance.malformed import malformed
+from tests.endurance.running import Running, memory_mb, neighbouring_ports
 
 NODES, STEPS, RATE = 4, 3000, 10.0
 RUN = "fuzz"

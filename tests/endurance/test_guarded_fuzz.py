@@ -7,9 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.fuzz import REFUSED, believed
-from benchmarks.intruder import BID, CUT, END, GONE, GRANT, LOST, WELCOME
-from benchmarks.malformed import DAMAGED, JSON, malformed
 from experiments.__main__ import main
 from experiments.results.folder import read_description
 from runtime.drivers import in_memory
@@ -18,6 +15,9 @@ from runtime.network.links import Links, free_ports
 from runtime.network.zenoh_transport import LinkError, Transport
 from runtime.recorded import meaning
 from runtime.recording import read_recording
+from tests.endurance.fuzz import REFUSED, believed
+from tests.endurance.intruder import BID, CUT, END, GONE, GRANT, LOST, WELCOME
+from tests.endurance.malformed import DAMAGED, JSON, malformed
 from tests.experiments.hosts import hosts
 from tests.experiments.test_hosts import await_network, needs_proc, write_setup
 

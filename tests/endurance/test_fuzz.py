@@ -7,8 +7,6 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from benchmarks.fuzz import fuzz
-from benchmarks.running import PROC, Running, neighbouring_ports
 from nodes.commands import Answer, Speed
 from nodes.messages import END
 from runtime.network.links import RECORDER, WATCH, WORLD, Links, names
@@ -20,6 +18,8 @@ from runtime.recording import read_recording
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup, prepare
 from scenarios.tempo import tempo_of
+from tests.endurance.fuzz import fuzz
+from tests.endurance.running import PROC, Running, neighbouring_ports
 from tests.nodes.test_zenoh_transport import said_by
 from tests.processes import holds_within
 
@@ -58,7 +58,7 @@ def test_malformed_messages_are_all_counted_and_change_no_bit():
 
 # Megabytes that a full queue takes, of messages that nobody takes out.
 FULL = """
-from benchmarks.running import memory_mb
+from tests.endurance.running import memory_mb
 from runtime.processes.recorder_process import RECORDER_QUEUE
 from runtime.network.zenoh_transport import Transport
 port = f"tcp/127.0.0.1:{free_ports(['full'])['full']}"

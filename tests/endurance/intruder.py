@@ -5,11 +5,11 @@ from typing import NamedTuple
 
 import msgspec
 
-from benchmarks.malformed import DAMAGED, FRAMES, JSON, MISFITS, WHOLE, Spoil
 from nodes.commands import Answer
 from nodes.messages import END
 from runtime.network.links import RECORDER, WORLD, Links
 from runtime.network.zenoh_transport import Transport
+from tests.endurance.malformed import DAMAGED, FRAMES, JSON, MISFITS, WHOLE, Spoil
 
 JOIN_S, ASK_S = 10.0, 10.0
 GONE = b'{"what":"gone","node":1}'

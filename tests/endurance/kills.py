@@ -1,4 +1,4 @@
-"""How a network of processes bears its members' deaths and hangs: `python -m benchmarks.kills`.
+"""Deaths and hangs in a network of processes: `python -m tests.endurance.kills`.
 
 Random nodes of sixteen are killed and started again in lockstep, and stopped for a while in real
 time; printed is what that cost the others, and whether anything was left behind.
@@ -22,7 +22,6 @@ import msgspec
 import numpy as np
 import tyro
 
-from benchmarks.running import PROC, Running
 from experiments.results.trace import Trace, read_trace
 from nodes.commands import Restart, Speed
 from nodes.tempo import Tempo
@@ -30,6 +29,7 @@ from runtime.network.network_file import read_network
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup, prepare
 from scenarios.tempo import tempo_of
+from tests.endurance.running import PROC, Running
 
 NODES, RATE = 16, 40.0
 SHORT_S, LONG_S = 0.3, 2.6

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from benchmarks.kills import cycles_to_agree
+from tests.endurance.kills import cycles_to_agree
 
 
 def test_a_node_agrees_again_in_the_step_in_which_it_is_as_near_as_others_are():
