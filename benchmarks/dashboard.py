@@ -7,7 +7,6 @@ somebody looks at the page (`benchmarks/onlooker.py`). What attaching costs once
 
 import os
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -24,6 +23,7 @@ from dashboard.app import Dashboard
 from dashboard.serve import open_recording
 from nodes.commands import Pause, Resume
 from runtime.drivers import drive, over_processes
+from runtime.interpreter import fresh_command, fresh_variables
 from runtime.network.control_client import Client
 from runtime.network.network_file import read_network
 from runtime.recording import McapRecorder
@@ -217,18 +217,19 @@ def _settle(page: tuple[int, ...]) -> None:
 def _page(folder: Path) -> Iterator[tuple[int, ...]]:
     """The process of a page that is attached, as the launcher starts it, and looked at."""
     command = ("dashboard", "--folder", str(folder), "--http-port", "0")
-    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     # In a session of its own, which has a priority of its own.
     page = subprocess.Popen(
-        [sys.executable, "-m", "experiments", *command],
+        fresh_command("experiments", *command),
         stderr=subprocess.PIPE,
-        env=environment,
+        env=fresh_variables(OPENBLAS_NUM_THREADS="1"),
         start_new_session=True,
     )
     assert page.stderr is not None, "it was started with a pipe"
     port = page.stderr.readline().decode().split()[2].rpartition(":")[2]
     onlooker = subprocess.Popen(
-        [sys.executable, "-m", "benchmarks.onlooker", port], stdout=subprocess.PIPE
+        fresh_command("benchmarks.onlooker", port),
+        stdout=subprocess.PIPE,
+        env=fresh_variables(),
     )
     assert onlooker.stdout is not None, "it was started with a pipe"
     try:

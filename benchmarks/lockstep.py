@@ -7,10 +7,8 @@ Processor time per step is that of all processes together: a long run less a sho
 starting up is left out. It wavers less than the rate where others use the machine too.
 """
 
-import os
 import resource
 import subprocess
-import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -25,6 +23,7 @@ from benchmarks.measure import Figures, figure, ratio, say
 from experiments.scenario_options import ScenarioOptions
 from nodes.messages import decode, from_wire
 from runtime.drivers import in_memory, over_processes
+from runtime.interpreter import fresh_command, fresh_variables
 from scenarios.build import OPEN_LOOP_LEAD
 from scenarios.setup import Setup, prepare
 
@@ -150,10 +149,10 @@ def load_of(setup: Setup, traffic: Traffic, says: bool = True) -> Load:
 
 def _floor(load: Load) -> float:
     process = subprocess.Popen(
-        [sys.executable, "-m", "benchmarks.bare_loop"],
+        fresh_command("benchmarks.bare_loop"),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+        env=fresh_variables(OPENBLAS_NUM_THREADS="1"),
     )
     assert process.stdin is not None and process.stdout is not None
     with process:

@@ -4,11 +4,11 @@ The network waits for whoever opens the page, so that nobody misses the beginnin
 """
 
 import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 from nodes.commands import Pause
+from runtime.interpreter import fresh_command, fresh_variables
 from runtime.network.network_file import read_network
 
 _END_S = 5.0
@@ -41,7 +41,8 @@ class PageProcess:
         client.close()
         place = ("--folder", str(self._folder), "--http-port", str(self._http_port))
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "experiments", "dashboard", *place, "--with-launcher"],
+            fresh_command("experiments", "dashboard", *place, "--with-launcher"),
+            env=fresh_variables(),
             stdin=subprocess.PIPE,
             # Ctrl-C is for the launcher; the page ends when its standard input closes.
             start_new_session=True,

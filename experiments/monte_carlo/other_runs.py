@@ -23,6 +23,7 @@ from experiments.monte_carlo.simulate import READINGS, simulate
 from experiments.priority import give_way
 from nodes.messages import Array
 from runtime.batched.build import without_array_form
+from runtime.interpreter import fresh_command, fresh_variables
 from scenarios.catalogue import kind_of
 from scenarios.rules import is_certain
 from scenarios.setup import Setup
@@ -97,11 +98,11 @@ class OtherRuns:
         if is_certain(scenario) or too_long:
             return
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "experiments.monte_carlo.other_runs"],
+            fresh_command("experiments.monte_carlo.other_runs"),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+            env=fresh_variables(OPENBLAS_NUM_THREADS="1"),
             # A session of its own has a priority of its own.
             start_new_session=True,
         )

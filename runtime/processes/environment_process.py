@@ -1,62 +1,48 @@
-"""What the world's process does: it drives the controller with what nodes say, with who comes and
-goes, and with what people ask for."""
+"""The environment process: a loop that gives messages and notices to the run controller."""
 
-import dataclasses
-import re
+import math
 import sys
-import threading
 import time
 from collections.abc import Sequence
-from functools import partial
-from queue import Empty, SimpleQueue
 
 import msgspec
 
 from nodes import environment
 from nodes.bounds import node_of
-from nodes.changes import Gone, Welcome
-from nodes.command_checks import check_timely
-from nodes.commands import Answer, Kill, Restart, Speed, read_command
+from nodes.changes import Gone
+from nodes.commands import Answer, Kill, Restart, read_command
 from nodes.environment_state import EnvironmentConfig
 from nodes.messages import (
-    END,
     BidsClosed,
+    EnvironmentEvent,
     EnvironmentMessage,
     MalformedMessage,
-    Start,
     StepClosed,
     Unreachable,
     decode,
     encode,
-    topic,
 )
 from nodes.run_controller import RunController, Scripted, Stage
-from nodes.tempo import Tempo
 from runtime.network.links import RECORDER, WORLD, Links
 from runtime.network.zenoh_transport import Transport
 from runtime.processes.clock import EnvironmentClock
-from runtime.processes.environment_reports import in_words, last_words, standing, waits_for
+from runtime.processes.environment_inbox import ENVIRONMENT_QUEUE, TOPICS, EnvironmentInbox
+from runtime.processes.environment_pacing import EnvironmentPacing, Lines
+from runtime.processes.environment_reports import in_words, last_words, standing
 from runtime.processes.failures import Deserted, compare
 from runtime.processes.management import Management
-from runtime.processes.metronome import Metronome, tell_on_time
 from runtime.processes.notices import Asked, Hello, Notice, Presence, Recorded, Repeated
-from runtime.processes.overflow import Overflow
 from runtime.processes.peer_timeout import PeerTimeout
-from runtime.processes.republisher import AGAIN, Republisher
-from runtime.processes.timetable import Beat, timetable
+from runtime.processes.republisher import Republisher
+from runtime.processes.timetable import Beat
 
-WORLD_QUEUE = 8192
-_ANSWER_S = 5.0
-# A run that nobody records ends after so long; on several hosts its link may come back any time.
-_PATIENCE_S = 60.0
-# Some steps more than others may be behind.
+# A run without a recorder ends after so long; on several hosts its link may come back any time.
+_PEER_TIMEOUT_S = 60.0
+# The republisher keeps the messages of some steps more than one process may be behind another.
 _KEPT = 16_384
-# How often the world says for whom it waits.
+# How often the process says which others it waits for.
 _TELL_S = 10.0
-_FINGERPRINT = re.compile(rb"[0-9a-f]{64}")
 _NOT_OURS = "nodes run on hosts of their own; end and start `concord node` there"
-# From the announcement of the common start to the start: every node must have heard it.
-_HEAD_START_S = 0.2
 
 
 def run_environment(
@@ -65,23 +51,21 @@ def run_environment(
     config: EnvironmentConfig,
     fingerprint: str,
     management: Management,
+    pacing: EnvironmentPacing,
     script: Sequence[Scripted] = (),
-    tempo: Tempo | None = None,
 ) -> None:
-    """Be the world: wait for all nodes, then run to the last step; `on_step(0)` means ready.
-
-    With a `tempo` steps begin when their time has come, whoever has estimated the last one.
+    """Wait for all nodes, then run to the last step; `on_step(0)` means ready.
 
     Raises:
         LinkError: the network cannot be joined.
-        Disagreement: a node's configuration is not ours.
+        Disagreement: a node's configuration is another.
         Deserted: no node is left.
     """
-    _Office(run, links, config, fingerprint, management, script, tempo).work()
+    EnvironmentProcess(run, links, config, fingerprint, management, pacing, script).work()
 
 
-class _Office:
-    """The world's place in the network of processes."""
+class EnvironmentProcess:
+    """The loop around the environment of one run."""
 
     def __init__(
         self,
@@ -90,88 +74,65 @@ class _Office:
         config: EnvironmentConfig,
         fingerprint: str,
         management: Management,
+        pacing: EnvironmentPacing,
         script: Sequence[Scripted],
-        tempo: Tempo | None,
     ) -> None:
         self._run, self._nodes, self._fingerprint = run, config.nodes, fingerprint
-        self._management, self._tempo = management, tempo
-        self._doomed: set[int] = set()
-        self._begun = False
-        # One for each message that was none.
-        self._refused: list[None] = []
-        stage = Stage(self._doomed.add, self._start, management.check)
-        if tempo is not None:
-            config = dataclasses.replace(config, lead=config.steps)
-        self._controller = RunController(config, script, stage, tempo is not None)
-        self._start_s: float | None = None
-        self._patience = PeerTimeout(RECORDER, _PATIENCE_S) if management.keeps_nodes else None
-        self._notices: SimpleQueue[Notice] = SimpleQueue()
-        self._source = "estimate/*"
-        self._ended = threading.Event()
-        self._metronome = Metronome(lambda: self._notify(Beat()))
-        topics = ["bid/*", "estimate/*"]
-        self._transport = Transport(run, links, topics, WORLD_QUEUE, answers=True)
-        self._queues = Overflow(self._transport, topics, WORLD_QUEUE)
-        self._transport.listen("end", self._hear_end)
-        self._transport.listen("hello/*", self._hear_hello)
-        self._transport.listen("recorded/*", self._hear_recorded)
-        self._transport.listen("unreachable/*", self._hear_unreachable)
-        for kind in ("bid", "estimate", "hello"):
-            self._transport.listen(f"{AGAIN}/{kind}/*", self._hear_again)
-        said = partial(Republisher, self._transport, "the world", "truth", _KEPT, self._waiting)
-        self._said = said(self._gone if tempo is None else list)
-        self._transport.answer("state", self._state)
-        self._transport.answer("clock", self._clock)
-        self._transport.answer("control", self._ask)
+        self._management, self._pacing = management, pacing
+        # Nodes that leave on command, and may be killed when the recorder has kept what they said.
+        self._leaving: set[int] = set()
+        stage = Stage(self._leaving.add, self._start_node, management.check)
+        config = pacing.configured(config)
+        self.controller = RunController(config, script, stage, pacing.timed)
+        seconds = _PEER_TIMEOUT_S if management.keeps_nodes else math.inf
+        self._recorder_timeout = PeerTimeout(RECORDER, seconds)
+        self.transport = Transport(run, links, TOPICS, ENVIRONMENT_QUEUE, answers=True)
+        self.inbox = EnvironmentInbox(self.transport, config.nodes)
+        self.republisher = Republisher(
+            self.transport, "the world", "truth", _KEPT, self._waits_for, self._repeated
+        )
+        self._lines = Lines(self.transport, self.republisher, self.inbox.notify)
+        self.transport.answer("state", self._state)
+        self.transport.answer("clock", self._clock)
+        self.transport.answer("control", self.inbox.ask)
 
     def work(self) -> None:
-        """From the first hello to the end."""
-        nodes = [str(node) for node in range(self._nodes)]
-        self._transport.join(WORLD, ())
-        self._await_all([RECORDER, *nodes])
-        self._transport.watch(self._hear_of_presence)
-        for name in self._transport.missing([RECORDER, *nodes]):
-            # Who was gone again before we watched.
-            self._hear_of_presence(name, False)
+        """Run from the first hello to the end."""
+        self._join()
         self._await_hellos()
-        self._said.begin()
-        self._begun = True
+        self.republisher.begin()
+        self.inbox.begin()
         self._management.on_step(0)
-        controller, completed = self._controller, 0
-        self._queues.out = False
-        self._send(controller.begin() if self._tempo is None else self._announce(self._tempo))
-        while not controller.finished:
-            for message in self._next_messages():
-                self._take(*message)
-            if controller.state.completed > completed:
-                completed = controller.state.completed
+        completed = 0
+        self._send(self._pacing.begin(self.controller, self._lines))
+        while not self.controller.finished:
+            self._go_on()
+            if self.controller.state.completed > completed:
+                completed = self.controller.state.completed
                 self._management.on_step(completed)
-        self._metronome.set(0)
-        self._said.say("finished", last_words(controller.config, controller.state))
-        self._queues.out = True
-        self._ended.wait()
-        self._queues.close()
-        self._said.close()
-        self._transport.close()
+        self.inbox.finished = True
+        self._pacing.close()
+        words = last_words(self.controller.config, self.controller.state)
+        self.republisher.say("finished", words)
+        self.inbox.await_end()
+        self.republisher.close()
+        self.transport.close()
 
-    def _announce(self, tempo: Tempo) -> list[EnvironmentMessage]:
-        """In real time: from a common start on, a step at each beat."""
-        start = Start(time.monotonic() + _HEAD_START_S)
-        self._start_s = start.at_s
-        tell_on_time(start.at_s, timetable(tempo, self._controller.config), self._notify)
-        self._transport.send(topic(start), encode(start))
-        return self._controller.command(Speed(1 / tempo.step_s))
-
-    def _await_all(self, names: Sequence[str]) -> None:
-        """Wait for everybody, and say for whom."""
-        while not self._transport.await_present(names, _TELL_S):
-            missing = self._transport.missing(names)
+    def _join(self) -> None:
+        names = [RECORDER, *map(str, range(self._nodes))]
+        self.transport.join(WORLD, ())
+        while not self.transport.await_present(names, _TELL_S):
+            missing = self.transport.missing(names)
             sys.stderr.write(f"the world waits for {in_words(missing)}\n")
+        self.transport.watch(self._hear_of_presence)
+        for name in self.transport.missing(names):
+            # It was gone again before the watch began.
+            self._hear_of_presence(name, False)
 
     def _await_hellos(self) -> None:
         missing = set(range(self._nodes))
         while missing:
-            match self._notices.get():
+            match self.inbox.next_notice():
                 case Hello() as hello:
                     compare(hello, self._fingerprint)
                     missing.discard(hello.node)
@@ -181,217 +142,134 @@ class _Office:
                 case Asked(_, answer):
                     answer.put(Answer(False, "the run has not begun; try again"))
 
-    def _next_messages(self) -> list[tuple[str, bytes]]:
-        """What nodes say; nothing after there was something else to do."""
-        controller = self._controller
-        bids = environment.awaits_bids(controller.config, controller.state)
-        # Set before we look for notices: who gives one wakes up whom we then wait for.
-        self._source = "bid/*" if bids else "estimate/*"
-        if self._notices.empty():
-            return self._queues.receive((self._source,)) or self._queues.take()
-        notice = self._notices.get()
-        if isinstance(notice, Repeated):
-            # What has come before changes nothing, and is no mistake.
-            self._send(controller.take(notice.event))
+    def _go_on(self) -> None:
+        """Take the next messages of nodes, or the next notice."""
+        bids = environment.awaits_bids(self.controller.config, self.controller.state)
+        came = self.inbox.receive("bid/*" if bids else "estimate/*")
+        if isinstance(came, list):
+            for message in came:
+                self._take_message(*message)
         else:
-            self._attend(notice)
-        return []
+            self.attend(came)
 
-    def _take(self, name: str, data: bytes) -> None:
+    def _take_message(self, name: str, data: bytes) -> None:
         try:
             event = decode(name, data)
         except MalformedMessage as error:
-            self._refuse(str(error))
+            self.inbox.refuse(str(error))
             return
-        before = self._controller.state
-        self._send(self._controller.take(event))
-        if self._controller.state is before:
-            # Of nobody who takes part, of no open step, or of no contest: late, or never to be.
-            self._refused.append(None)
+        before = self.controller.state
+        self._take(event)
+        if self.controller.state is before:
+            # Unknown sender, closed step, or no contest.
+            self.inbox.refused.add()
 
-    def _take_waiting(self, source: str) -> None:
-        """What is there already has come in time, however late the world looks."""
-        messages = self._queues.take()
-        # No more than all can have said at once, however much comes.
-        for _ in range(self._nodes):
-            received = self._transport.receive_at_once(source)
-            if received is None:
-                break
-            messages.append(received)
-        for message in messages:
-            self._take(*message)
+    def _take(self, event: EnvironmentEvent) -> None:
+        self._send(self.controller.take(event))
 
-    def _attend(self, notice: Notice) -> None:
-        """Somebody came, is gone, or wants something."""
-        controller = self._controller
+    def attend(self, notice: Notice) -> None:
+        """Act on a notice."""
         match notice:
+            case Repeated(event):
+                # An event that has come before changes nothing, and is no mistake.
+                self._take(event)
             case Presence(node, is_there):
                 self._see(node, is_there)
-            case Hello(node, fingerprint) if fingerprint != self._fingerprint:
-                # One that comes late with something else is not let in, and ends nothing.
-                self._refuse(f"node {node} comes with another setup; refused")
             case Hello():
-                if notice.node not in controller.state.standing.absent:
-                    # It was started again before anybody had seen its end.
-                    self._send(controller.take(Gone(notice.node)))
-                self._send(controller.ready(notice.node))
+                self._let_in(notice)
             case Recorded(node):
-                if node in self._doomed:
-                    self._doomed.discard(node)
-                    self._management.kill(node)
-                else:
-                    self._refuse(f"node {node} was not to leave")
-            case Asked():
-                notice.answer.put(self._obey(notice.payload))
+                self._end(node)
+            case Asked(payload, answer):
+                answer.put(self._obey(payload))
             case Beat():
-                self._send(controller.tick())
-                self._remind()
+                self._send(self.controller.tick())
+                self._pacing.remind(self.controller.state.standing.absent, self._lines)
             case BidsClosed() | StepClosed():
-                self._take_waiting("bid/*" if isinstance(notice, BidsClosed) else "estimate/*")
-                self._send(controller.take(notice))
+                # A message that is there already has come in time, however late the loop looks.
+                source = "bid/*" if isinstance(notice, BidsClosed) else "estimate/*"
+                for message in self.inbox.waiting(source):
+                    self._take_message(*message)
+                self._take(notice)
             case Unreachable(node, neighbour):
-                # Frames between them are lost. One of them is out until there is a link again.
-                absent = controller.state.standing.absent
+                # Frames between the two are lost: one is out until there is a link again.
+                absent = self.controller.state.standing.absent
                 if node not in absent and neighbour not in absent:
                     self._give_up(neighbour)
 
     def _see(self, node: int, is_there: bool) -> None:
         if not is_there:
-            self._controller.lost(node)
+            self.controller.lost(node)
             self._give_up(node)
-        elif node in self._controller.state.standing.absent:
+        elif node in self.controller.state.standing.absent:
             # A node that was given up may have been out of reach only: it must know.
-            self._transport.send(f"gone/{node}", encode(Gone(node)))
+            self.transport.send(f"gone/{node}", encode(Gone(node)))
+
+    def _let_in(self, hello: Hello) -> None:
+        if hello.fingerprint != self._fingerprint:
+            self.inbox.refuse(f"node {hello.node} comes with another setup; refused")
+            return
+        if hello.node not in self.controller.state.standing.absent:
+            # It was started again before its end was seen.
+            self._take(Gone(hello.node))
+        self._send(self.controller.ready(hello.node))
+
+    def _end(self, node: int) -> None:
+        if node in self._leaving:
+            self._leaving.discard(node)
+            self._management.kill(node)
+        else:
+            self.inbox.refuse(f"node {node} was not to leave")
 
     def _give_up(self, node: int) -> None:
-        self._send(self._controller.take(Gone(node)))
-        if not self._controller.deserted:
+        self._take(Gone(node))
+        if not self.controller.deserted:
             return
         if self._management.keeps_nodes:
             raise Deserted("no node is left")
-        # On several hosts the world may be the one that is cut off: it stands still till they are
-        # back, and the step that was open ends with what has come.
-        if self._tempo is None:
-            self._send(self._controller.take(StepClosed(self._controller.state.released - 1)))
-
-    def _remind(self) -> None:
-        """In real time: who is there again and was given up must know."""
-        if self._tempo is None:
-            return
-        absent = [str(node) for node in self._controller.state.standing.absent]
-        for node in set(absent) - set(self._transport.missing(absent)):
-            self._transport.offer(f"gone/{node}", encode(Gone(int(node))))
+        # On several hosts this process may be the one that is cut off: it waits for the nodes.
+        closed = self._pacing.without_nodes(self.controller.state.released)
+        if closed is not None:
+            self._take(closed)
 
     def _obey(self, payload: bytes) -> Answer:
         try:
             command = read_command(payload)
-            if self._tempo is not None:
-                check_timely(command)
+            self._pacing.check(command)
             if isinstance(command, Kill | Restart) and not self._management.keeps_nodes:
                 return Answer(False, _NOT_OURS)
-            self._send(self._controller.command(command))
+            self._send(self.controller.command(command))
         except ValueError as refused:
             return Answer(False, str(refused))
-        if self._tempo is None:
-            self._metronome.set(self._controller.steps_per_second)
+        self._pacing.follow(self.controller.steps_per_second)
         return Answer(True)
 
-    def _start(self, node: int) -> bool:
-        self._doomed.discard(node)
+    def _start_node(self, node: int) -> bool:
+        self._leaving.discard(node)
         self._management.start(node)
         return False
 
     def _send(self, messages: Sequence[EnvironmentMessage]) -> None:
         for message in messages:
-            # A link that stands still must not hold up who keeps time.
-            say = self._said.say
-            if self._tempo is not None:
-                waits = isinstance(message, Welcome)
-                say = self._transport.send if waits else self._transport.offer
-            say(topic(message), encode(message))
+            self._pacing.send(message, self._lines)
 
-    def _refuse(self, why: str) -> None:
-        """Count what is no message; the first is shown, as a flood would hide all else."""
-        if not self._refused:
-            sys.stderr.write(f"world: {why}\n")
-        self._refused.append(None)
-
-    # --- in zenoh's threads ----------------------------------------------------------------------
-
-    def _notify(self, notice: Notice) -> None:
-        self._notices.put(notice)
-        if not self._controller.finished:
-            self._transport.wake(self._source)
-
-    def _hear_again(self, name: str, data: bytes) -> None:
-        said = name.partition("/")[2]
-        if said.startswith("hello/"):
-            # Later it would be that of a node's next life.
-            return None if self._begun else self._hear_hello(said, data)
-        try:
-            self._notify(Repeated(decode(said, data)))
-        except MalformedMessage as error:
-            self._refuse(str(error))
-
-    def _waiting(self) -> str:
-        controller = self._controller
-        return waits_for(controller.config, controller.state, timed=self._tempo is not None)
-
-    def _gone(self) -> list[tuple[str, bytes]]:
-        """Who was told of a return after the end of who came back waits for it."""
-        return [("gone", encode(Gone(i))) for i in self._controller.state.standing.absent]
-
-    def _hear_end(self, _name: str, data: bytes) -> None:
-        # Nobody has kept everything before everything was said.
-        if data == END and self._controller.finished:
-            self._ended.set()
-        else:
-            self._refuse(f"topic 'end' carried {data[:60]!r} before the end")
+    # --- on zenoh's threads, and on that of the republisher ---------------------------------------
 
     def _hear_of_presence(self, name: str, is_there: bool) -> None:
-        self._said.see(name, is_there)
-        if self._patience is not None:
-            self._patience.see(name, is_there)
+        self.republisher.see(name, is_there)
+        self._recorder_timeout.see(name, is_there)
         node = node_of(name, self._nodes)
         if node is not None:
-            self._notify(Presence(node, is_there))
+            self.inbox.notify(Presence(node, is_there))
 
-    def _hear_hello(self, name: str, data: bytes) -> None:
-        node = node_of(name.partition("/")[2], self._nodes)
-        if node is not None and _FINGERPRINT.fullmatch(data):
-            self._notify(Hello(node, data.decode()))
-        else:
-            self._refuse(f"topic {name[:60]!r} carried {data[:60]!r}: no digest of a setup")
+    def _waits_for(self) -> str:
+        return self._pacing.waits_for(self.controller.config, self.controller.state)
 
-    def _hear_recorded(self, name: str, _data: bytes) -> None:
-        node = node_of(name.partition("/")[2], self._nodes)
-        if node is None:
-            self._refuse(f"topic {name[:60]!r} is of no node")
-        else:
-            self._notify(Recorded(node))
-
-    def _hear_unreachable(self, name: str, data: bytes) -> None:
-        try:
-            lost: Unreachable = decode(name, data)
-        except MalformedMessage as error:
-            self._refuse(str(error))
-            return
-        if max(lost.node, lost.neighbour) < self._nodes:
-            self._notify(lost)
-        else:
-            self._refuse(f"topic {name!r} speaks of no node")
-
-    def _ask(self, payload: bytes) -> bytes:
-        answer: SimpleQueue[Answer] = SimpleQueue()
-        self._notify(Asked(payload, answer))
-        try:
-            return msgspec.json.encode(answer.get(timeout=_ANSWER_S))
-        except Empty:
-            return msgspec.json.encode(Answer(False, "the world does not answer; try again"))
+    def _repeated(self) -> list[tuple[str, bytes]]:
+        return self._pacing.repeated(self.controller.state.standing.absent)
 
     def _clock(self, _payload: bytes) -> bytes:
-        return msgspec.json.encode(EnvironmentClock(time.monotonic(), self._start_s))
+        return msgspec.json.encode(EnvironmentClock(time.monotonic(), self._pacing.start_s))
 
     def _state(self, _payload: bytes) -> bytes:
-        setup, refused = self._management.setup, len(self._refused)
-        return standing(self._run, setup, self._controller, begun=self._begun, refused=refused)
+        setup, refused = self._management.setup, self.inbox.refused.number
+        return standing(self._run, setup, self.controller, begun=self.inbox.begun, refused=refused)

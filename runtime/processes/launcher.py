@@ -5,9 +5,7 @@ whatever this one has imported. Its standard input is its lifeline: it ends ever
 closes.
 """
 
-import os
 import subprocess
-import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -15,6 +13,7 @@ from pathlib import Path
 import msgspec
 
 from nodes.tempo import Tempo
+from runtime.interpreter import fresh_command, fresh_variables
 from runtime.network.network_file import Network, write_network
 from runtime.processes.job import Happened, Job
 from scenarios.setup import Setup
@@ -58,13 +57,12 @@ def run_job(job: Job, folder: Path | None, on_event: Callable[[Happened], None])
         NetworkFailed: a process died; its last words are on standard error.
         ValueError: the job cannot be done.
     """
-    # A network of many small processes: one BLAS thread each, or they fight for the cores.
-    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     child = subprocess.Popen(
-        [sys.executable, "-m", "runtime.processes.launcher_process"],
+        fresh_command("runtime.processes.launcher_process"),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-        env=environment,
+        # A network of many small processes: one BLAS thread each, or they fight for the cores.
+        env=fresh_variables(OPENBLAS_NUM_THREADS="1"),
         # Ctrl-C is for us; the launcher process ends by its lifeline.
         start_new_session=True,
     )

@@ -1,5 +1,6 @@
-"""What ends a process that has been alone for too long."""
+"""The end of a process that has been without a peer for too long."""
 
+import math
 import os
 import sys
 
@@ -7,18 +8,21 @@ from runtime.processes.departed_peers import DepartedPeers
 
 
 class PeerTimeout:
-    """Ends this process when somebody has been out of reach for so many seconds on end."""
+    """Ends this process when a peer has been out of reach for so many seconds on end.
+
+    With infinite `seconds` it never does.
+    """
 
     def __init__(self, name: str, seconds: float) -> None:
         self._name, self._seconds = name, seconds
-        self._absence = DepartedPeers(seconds, self._leave)
+        self._departed = DepartedPeers(seconds, self._leave)
 
     def see(self, name: str, is_there: bool) -> None:
-        """Somebody has come, or is gone."""
-        if name == self._name:
-            self._absence.see(name, is_there)
+        """A process has come, or is gone. Runs on: a thread of zenoh's."""
+        if name == self._name and self._seconds < math.inf:
+            self._departed.see(name, is_there)
 
     def _leave(self, _name: str) -> None:
         sys.stderr.write(f"the {self._name} has been out of reach for {self._seconds:g} s\n")
-        # The loop that waits for it cannot be interrupted.
+        # The loop that waits for the peer cannot be interrupted.
         os._exit(1)

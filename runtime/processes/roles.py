@@ -14,6 +14,7 @@ from nodes.node_state import NodeConfig
 from runtime.disk import NotWritten
 from runtime.network.links import RECORDER, WATCH, Links, peers_of
 from runtime.network.zenoh_transport import LinkError, start_router
+from runtime.processes.environment_pacing import Lockstep, RealTime
 from runtime.processes.environment_process import run_environment
 from runtime.processes.failures import Deserted, Disagreement
 from runtime.processes.job import Happened, Job, Order
@@ -83,7 +84,8 @@ def be_environment(job: Job, links: Links, tell: Callable[[Happened], None], ord
         setup=msgspec.json.encode(job.setup),
     )
     script = script_of(job.setup.scenario)
-    known = (config, fingerprint(job.setup), management, script, job.tempo)
+    pacing = Lockstep() if job.tempo is None else RealTime(job.tempo)
+    known = (config, fingerprint(job.setup), management, pacing, script)
     work = partial(run_environment, job.run, links, *known)
     try:
         _joining(work)

@@ -11,7 +11,7 @@ from nodes.commands import Answer, Speed
 from nodes.messages import END
 from runtime.network.links import RECORDER, WATCH, WORLD, Links, names
 from runtime.network.zenoh_transport import Transport
-from runtime.processes.environment_process import WORLD_QUEUE
+from runtime.processes.environment_inbox import ENVIRONMENT_QUEUE
 from runtime.processes.recorder_process import STRANGE
 from runtime.recorded import meaning
 from runtime.recording import read_recording
@@ -94,7 +94,7 @@ def test_a_flood_that_nobody_waits_for_leaves_the_world_hearing(
     topic: str, data: bytes, tmp_path: Path
 ):
     """Nobody contends here, so the world waits for estimates alone; and the end is far."""
-    flood = 2 * WORLD_QUEUE + 2000
+    flood = 2 * ENVIRONMENT_QUEUE + 2000
     with pair(tmp_path) as (running, ports):
         intruder = stranger(ports, WORLD)
         for _ in range(flood):

@@ -41,6 +41,7 @@ from runtime.processes.recorder_process import run_recorder
 from runtime.recording import McapRecorder
 from runtime.processes.supervisor import Supervisor
 from runtime.whole_steps import WholeSteps
+from runtime.processes.environment_pacing import Lockstep
 from runtime.processes.environment_process import run_environment
 from scenarios.build import build_node, build_environment
 from scenarios.setup import Setup, fingerprint
@@ -60,7 +61,10 @@ def be(i):
     run_node(Membership("broken", links[str(i)], build_node(setup, i), peers, mark))
 supervisor.start(RECORDER, record)
 management = Management(None, None, None, tell, b"{{}}")
-world = partial(run_environment, "broken", links[WORLD], build_environment(setup), mark, management)
+config = build_environment(setup)
+world = partial(
+    run_environment, "broken", links[WORLD], config, mark, management, Lockstep()
+)
 supervisor.start(WORLD, world)
 for i in range(count):
     supervisor.start(str(i), partial(be, i))
@@ -174,7 +178,7 @@ def test_a_link_between_nodes_that_stays_away_ends_the_wait(tmp_path: Path):
 SHORT = """
 import runtime.processes.republisher, runtime.processes.environment_process
 runtime.processes.republisher._AGAIN_S = runtime.processes.republisher._TELL_S = 0.5
-runtime.processes.environment_process._PATIENCE_S = 3.0
+runtime.processes.environment_process._PEER_TIMEOUT_S = 3.0
 """
 
 

@@ -7,12 +7,15 @@ from collections import deque
 import pytest
 
 from nodes.changes import Gone
+from nodes.commands import Speed
 from nodes.environment_state import EnvironmentConfig
 from nodes.messages import Bid, BidsClosed, Grant, decode, encode, topic
 from nodes.tempo import Tempo
 from runtime.network.links import Links
-from runtime.processes import environment_process
+from runtime.processes import environment_inbox, environment_process
 from runtime.processes import republisher as said
+from runtime.processes.environment_pacing import EnvironmentPacing, Lockstep, RealTime
+from runtime.processes.environment_process import EnvironmentProcess
 from runtime.processes.management import Management
 from runtime.processes.notices import Presence
 from runtime.processes.timetable import Beat
@@ -62,31 +65,31 @@ class Aside:
         return []
 
 
-def office_of(
-    monkeypatch: pytest.MonkeyPatch, config: EnvironmentConfig, tempo: Tempo | None
-) -> tuple[environment_process._Office, Wire]:
-    """A world that nobody has joined, and its transport."""
+def process_of(
+    monkeypatch: pytest.MonkeyPatch, config: EnvironmentConfig, pacing: EnvironmentPacing
+) -> tuple[EnvironmentProcess, Wire]:
+    """An environment process that no node has joined, and its transport."""
     monkeypatch.setattr(environment_process, "Transport", Wire)
-    monkeypatch.setattr(environment_process, "Overflow", Aside)
+    monkeypatch.setattr(environment_inbox, "Overflow", Aside)
     nobody = Management(
         lambda node: None, lambda node: None, lambda given: given, lambda step: None, b"{}"
     )
     links = Links("peer", (), (), 1.0)
-    office = environment_process._Office("run", links, config, "a" * 64, nobody, (), tempo)
-    wire = office._transport
+    process = EnvironmentProcess("run", links, config, "a" * 64, nobody, pacing, ())
+    wire = process.transport
     assert isinstance(wire, Wire)
-    return office, wire
+    return process, wire
 
 
 def test_the_world_says_again_who_is_gone_where_nobody_goes_on(monkeypatch: pytest.MonkeyPatch):
-    office, wire = office_of(monkeypatch, build_environment(small(steps=3)), None)
+    process, wire = process_of(monkeypatch, build_environment(small(steps=3)), Lockstep())
     monkeypatch.setattr(said, "_AGAIN_S", 0.01)
-    office._attend(Presence(2, False))
+    process.attend(Presence(2, False))
     wire.sent.clear()
     wire.spoken.clear()
-    office._said.begin()
+    process.republisher.begin()
     assert wire.spoken.wait(20)
-    office._said.close()
+    process.republisher.close()
     assert ("gone", encode(Gone(2))) in wire.sent
 
 
@@ -96,16 +99,16 @@ def test_bids_that_are_there_when_the_world_looks_are_in_time(
 ):
     """It was busy until after their end; who has not asked by then is named."""
     config = build_environment(small(schedule="hybrid", occupancy=0.5, steps=3))
-    office, wire = office_of(monkeypatch, config, Tempo(1.0, 0.02, 0.1))
-    office._controller.command(environment_process.Speed(10.0))
-    office._attend(Beat())
-    state = office._controller.state
+    process, wire = process_of(monkeypatch, config, RealTime(Tempo(1.0, 0.02, 0.1)))
+    process.controller.command(Speed(10.0))
+    process.attend(Beat())
+    state = process.controller.state
     cycle, group = state.next_cycle, state.next_group
     contenders = config.schedule.contenders(cycle)
     for node in contenders[:came]:
         bid = Bid(node, cycle, 1, 30, group)
         wire.waiting["bid/*"].append((topic(bid), encode(bid)))
-    office._attend(BidsClosed(cycle, group))
+    process.attend(BidsClosed(cycle, group))
     [grant] = [decode(*one) for one in wire.sent if one[0] == "grant"]
     assert isinstance(grant, Grant)
     assert (grant.cycle, grant.group) == (cycle, group)

@@ -98,6 +98,7 @@ import signal
 from pathlib import Path
 from runtime.processes.node_process import run_node
 from runtime.processes.recorder_process import run_recorder
+from runtime.processes.environment_pacing import Lockstep
 from runtime.processes.environment_process import run_environment
 from runtime.recording import McapRecorder
 from runtime.processes.management import Management
@@ -120,7 +121,7 @@ supervisor.start("0", partial(node, 0, 64 * "a"))
 supervisor.start("1", partial(node, 1, 64 * "b"))
 management = Management(None, None, None, lambda step: None, b"{}")
 config = build_environment(setup)
-world = partial(run_environment, "refuse", links[WORLD], config, 64 * "a", management)
+world = partial(run_environment, "refuse", links[WORLD], config, 64 * "a", management, Lockstep())
 supervisor.start(WORLD, world)
 say(*supervisor.wait(quiet))
 supervisor.stop()
