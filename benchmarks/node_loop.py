@@ -30,8 +30,9 @@ from nodes.messages import END
 from runtime.drivers import in_memory
 from runtime.network.links import Links
 from runtime.network.zenoh_transport import Transport
-from runtime.processes import node_process as process
-from runtime.processes.membership import Membership
+from runtime.processes.node import lockstep
+from runtime.processes.node.membership import Membership
+from runtime.processes.node.process import run_node
 from scenarios.build import build_node
 from scenarios.setup import Setup
 
@@ -127,9 +128,10 @@ def _node(setup: Setup, messages: Messages, cold: bool) -> float:
     """Seconds per step of a node as it is."""
     memory = _memory(setup.neighbours[NODE], messages, cold)
     links = Links("peer", (), ())
-    with patch.object(process, "Transport", lambda *_: memory):
-        peers = setup.neighbours[NODE]
-        process.run_node(Membership("memory", links, build_node(setup, NODE), peers, ""))
+    peers = setup.neighbours[NODE]
+    membership = Membership("memory", links, build_node(setup, NODE), peers, "")
+    with patch.object(lockstep, "Transport", lambda *_: memory):
+        run_node(membership, lockstep.LockstepNode(membership))
     return memory.spent_s / STEPS
 
 

@@ -267,7 +267,7 @@ VIOLATIONS: list[tuple[Rule, str, str, str]] = [
     (imports_point_one_way, "experiments/a.py", "import tests.conftest", "nothing of the tests"),
     (
         libraries_stay_behind_their_walls,
-        "runtime/processes/node_process.py",
+        "runtime/processes/node/process.py",
         "import zenoh",
         "zenoh_transport.py",
     ),

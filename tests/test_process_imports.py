@@ -49,7 +49,7 @@ def test_a_node_process_stays_light(name: str):
     defaults = structs.replace(kind_of(name).defaults, nodes=6, steps=2)
     work = NODE_WORK.format(setup=json.encode(prepare(defaults)))
     heavy = (
-        loaded("import runtime.processes.node_process, runtime.processes.launcher_process", work)
+        loaded("import runtime.processes.node.process, runtime.processes.launcher_process", work)
         & HEAVY
     )
     assert not heavy, (

@@ -63,7 +63,7 @@ class Client:
         raise self._nobody()
 
     def state(self) -> dict:
-        """How the network stands (`runtime.processes.environment_process.State` as plain data).
+        """How the network stands (`runtime.processes.environment.process.State` as plain data).
 
         Raises:
             NotThere: nobody answers.

@@ -1,5 +1,6 @@
 """What each forked process of a network does, wherever the network is."""
 
+import math
 import os
 import signal
 import sys
@@ -14,15 +15,16 @@ from nodes.node_state import NodeConfig
 from runtime.disk import NotWritten
 from runtime.network.links import RECORDER, WATCH, Links, peers_of
 from runtime.network.zenoh_transport import LinkError, start_router
-from runtime.processes.environment_pacing import Lockstep, RealTime
-from runtime.processes.environment_process import run_environment
-from runtime.processes.failures import Deserted, Disagreement
+from runtime.processes.environment.failures import Deserted, Disagreement
+from runtime.processes.environment.management import Management
+from runtime.processes.environment.pacing import Lockstep, RealTime
+from runtime.processes.environment.process import run_environment
 from runtime.processes.job import Happened, Job, Order
-from runtime.processes.management import Management
-from runtime.processes.membership import Membership
-from runtime.processes.node_process import run_node
-from runtime.processes.real_time_node import run_node_in_real_time
-from runtime.processes.recorder_process import run_recorder
+from runtime.processes.node.lockstep import LockstepNode
+from runtime.processes.node.membership import Membership
+from runtime.processes.node.process import run_node
+from runtime.processes.node.real_time import RealTimeNode
+from runtime.processes.recorder.process import run_recorder
 from runtime.processes.supervisor import TRY_AGAIN
 from runtime.recording import McapRecorder
 from runtime.whole_steps import WholeSteps
@@ -97,12 +99,10 @@ def be_environment(job: Job, links: Links, tell: Callable[[Happened], None], ord
 def be_node(job: Job, links: Links, config: NodeConfig, late: bool = False) -> None:
     """Be one node; `late` where the network may run already."""
     peers = peers_of(config.index, job.setup.neighbours)
-    patience_s = None if job.place is None else job.place.patience_s
-    membership = Membership(job.run, links, config, peers, fingerprint(job.setup), late, patience_s)
-    if job.tempo is None:
-        _joining(partial(run_node, membership))
-    else:
-        _joining(partial(run_node_in_real_time, membership, job.tempo))
+    timeout_s = math.inf if job.place is None else job.place.patience_s
+    membership = Membership(job.run, links, config, peers, fingerprint(job.setup), late, timeout_s)
+    paced = LockstepNode if job.tempo is None else partial(RealTimeNode, tempo=job.tempo)
+    _joining(lambda: run_node(membership, paced(membership)))
 
 
 def _joining(work: Callable[[], None]) -> None:

@@ -12,7 +12,7 @@ from dashboard.frames.live import LiveNetwork
 from nodes.commands import in_words
 from runtime.network.control_client import Client, NotThere
 from runtime.network.network_file import read_network
-from runtime.processes.throttled_feed import STEPS_PER_S
+from runtime.processes.recorder.throttled_feed import STEPS_PER_S
 from tests.processes import CONCORD, PROC, family, holds_within
 
 pytestmark = pytest.mark.zenoh

@@ -11,8 +11,8 @@ from nodes.commands import Answer, Speed
 from nodes.messages import END
 from runtime.network.links import RECORDER, WATCH, WORLD, Links, names
 from runtime.network.zenoh_transport import Transport
-from runtime.processes.environment_inbox import ENVIRONMENT_QUEUE
-from runtime.processes.recorder_process import STRANGE
+from runtime.processes.environment.inbox import ENVIRONMENT_QUEUE
+from runtime.processes.recorder.process import STRANGE
 from runtime.recorded import meaning
 from runtime.recording import read_recording
 from scenarios.catalogue import kind_of
@@ -20,8 +20,8 @@ from scenarios.setup import Setup, prepare
 from scenarios.tempo import tempo_of
 from tests.endurance.fuzz import fuzz
 from tests.endurance.running import PROC, Running, neighbouring_ports
-from tests.nodes.test_zenoh_transport import said_by
 from tests.processes import holds_within
+from tests.runtime.test_zenoh_transport import said_by
 
 pytestmark = [
     pytest.mark.zenoh,
@@ -59,7 +59,7 @@ def test_malformed_messages_are_all_counted_and_change_no_bit():
 # Megabytes that a full queue takes, of messages that nobody takes out.
 FULL = """
 from tests.endurance.running import memory_mb
-from runtime.processes.recorder_process import RECORDER_QUEUE
+from runtime.processes.recorder.process import RECORDER_QUEUE
 from runtime.network.zenoh_transport import Transport
 port = f"tcp/127.0.0.1:{free_ports(['full'])['full']}"
 def talk():

@@ -34,15 +34,16 @@ from functools import partial
 from pathlib import Path
 import msgspec
 from runtime.network.links import *
-from runtime.processes.management import Management
-from runtime.processes.membership import Membership
-from runtime.processes.node_process import run_node
-from runtime.processes.recorder_process import run_recorder
+from runtime.processes.environment.management import Management
+from runtime.processes.node.lockstep import LockstepNode
+from runtime.processes.node.membership import Membership
+from runtime.processes.node.process import run_node
+from runtime.processes.recorder.process import run_recorder
 from runtime.recording import McapRecorder
 from runtime.processes.supervisor import Supervisor
 from runtime.whole_steps import WholeSteps
-from runtime.processes.environment_pacing import Lockstep
-from runtime.processes.environment_process import run_environment
+from runtime.processes.environment.pacing import Lockstep
+from runtime.processes.environment.process import run_environment
 from scenarios.build import build_node, build_environment
 from scenarios.setup import Setup, fingerprint
 setup = msgspec.json.decode(Path("setup.json").read_bytes(), type=Setup)
@@ -58,7 +59,8 @@ def record():
     run_recorder("broken", links[RECORDER], links[WATCH], recorder, WholeSteps(count, 3))
 def be(i):
     peers = peers_of(i, setup.neighbours)
-    run_node(Membership("broken", links[str(i)], build_node(setup, i), peers, mark))
+    membership = Membership("broken", links[str(i)], build_node(setup, i), peers, mark)
+    run_node(membership, LockstepNode(membership))
 supervisor.start(RECORDER, record)
 management = Management(None, None, None, tell, b"{{}}")
 config = build_environment(setup)
@@ -176,9 +178,9 @@ def test_a_link_between_nodes_that_stays_away_ends_the_wait(tmp_path: Path):
 
 
 SHORT = """
-import runtime.processes.republisher, runtime.processes.environment_process
+import runtime.processes.republisher, runtime.processes.environment.process
 runtime.processes.republisher._AGAIN_S = runtime.processes.republisher._TELL_S = 0.5
-runtime.processes.environment_process._PEER_TIMEOUT_S = 3.0
+runtime.processes.environment.process._PEER_TIMEOUT_S = 3.0
 """
 
 

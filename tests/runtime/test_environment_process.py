@@ -12,13 +12,14 @@ from nodes.environment_state import EnvironmentConfig
 from nodes.messages import Bid, BidsClosed, Grant, decode, encode, topic
 from nodes.tempo import Tempo
 from runtime.network.links import Links
-from runtime.processes import environment_inbox, environment_process
 from runtime.processes import republisher as said
-from runtime.processes.environment_pacing import EnvironmentPacing, Lockstep, RealTime
-from runtime.processes.environment_process import EnvironmentProcess
-from runtime.processes.management import Management
-from runtime.processes.notices import Presence
-from runtime.processes.timetable import Beat
+from runtime.processes.environment import inbox
+from runtime.processes.environment import process as environment_process
+from runtime.processes.environment.management import Management
+from runtime.processes.environment.notices import Presence
+from runtime.processes.environment.pacing import EnvironmentPacing, Lockstep, RealTime
+from runtime.processes.environment.process import EnvironmentProcess
+from runtime.processes.environment.timetable import Beat
 from scenarios.build import build_environment
 from tests.experiments.support import small
 
@@ -70,7 +71,7 @@ def process_of(
 ) -> tuple[EnvironmentProcess, Wire]:
     """An environment process that no node has joined, and its transport."""
     monkeypatch.setattr(environment_process, "Transport", Wire)
-    monkeypatch.setattr(environment_inbox, "Overflow", Aside)
+    monkeypatch.setattr(inbox, "Overflow", Aside)
     nobody = Management(
         lambda node: None, lambda node: None, lambda given: given, lambda step: None, b"{}"
     )

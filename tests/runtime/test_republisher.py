@@ -8,7 +8,7 @@ import pytest
 
 from runtime.network.links import RECORDER, WORLD
 from runtime.network.zenoh_transport import Transport
-from runtime.processes import republisher as republisher
+from runtime.processes import republisher
 
 
 class Standing:

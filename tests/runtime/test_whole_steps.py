@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from nodes.messages import decode
 from runtime.drivers import in_memory
-from runtime.processes.throttled_feed import STEPS_PER_S, ThrottledFeed
+from runtime.processes.recorder.throttled_feed import STEPS_PER_S, ThrottledFeed
 from runtime.whole_steps import WholeStep, WholeSteps
 from scenarios.catalogue import kind_of
 from scenarios.setup import prepare

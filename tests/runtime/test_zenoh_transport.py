@@ -96,13 +96,14 @@ def test_the_world_refuses_a_node_with_another_configuration(tmp_path: Path):
     text = """
 import signal
 from pathlib import Path
-from runtime.processes.node_process import run_node
-from runtime.processes.recorder_process import run_recorder
-from runtime.processes.environment_pacing import Lockstep
-from runtime.processes.environment_process import run_environment
+from runtime.processes.node.process import run_node
+from runtime.processes.recorder.process import run_recorder
+from runtime.processes.environment.pacing import Lockstep
+from runtime.processes.environment.process import run_environment
 from runtime.recording import McapRecorder
-from runtime.processes.management import Management
-from runtime.processes.membership import Membership
+from runtime.processes.environment.management import Management
+from runtime.processes.node.lockstep import LockstepNode
+from runtime.processes.node.membership import Membership
 from runtime.whole_steps import WholeSteps
 from scenarios.build import build_node, build_environment
 from scenarios.catalogue import kind_of
@@ -115,7 +116,9 @@ def record():
     recorder = McapRecorder(Path("run.mcap"), 3, 0.1)
     run_recorder("refuse", links[RECORDER], links[WATCH], recorder, WholeSteps(2, 3))
 def node(i, mark):
-    run_node(Membership("refuse", links[str(i)], build_node(setup, i), setup.neighbours[i], mark))
+    config, peers = build_node(setup, i), setup.neighbours[i]
+    membership = Membership("refuse", links[str(i)], config, peers, mark)
+    run_node(membership, LockstepNode(membership))
 supervisor.start(RECORDER, record)
 supervisor.start("0", partial(node, 0, 64 * "a"))
 supervisor.start("1", partial(node, 1, 64 * "b"))

@@ -12,7 +12,7 @@ from nodes.commands import Answer
 from nodes.messages import END, MalformedMessage, Unreachable, decode
 from runtime.network.zenoh_transport import Transport
 from runtime.processes.counter import Counter
-from runtime.processes.notices import Asked, Hello, Notice, Recorded, Repeated
+from runtime.processes.environment.notices import Asked, Hello, Notice, Recorded, Repeated
 from runtime.processes.overflow import Overflow
 from runtime.processes.republisher import AGAIN
 

@@ -1,7 +1,6 @@
 """The environment process: a loop that gives messages and notices to the run controller."""
 
 import math
-import sys
 import time
 from collections.abc import Sequence
 
@@ -26,22 +25,21 @@ from nodes.run_controller import RunController, Scripted, Stage
 from runtime.network.links import RECORDER, WORLD, Links
 from runtime.network.zenoh_transport import Transport
 from runtime.processes.clock import EnvironmentClock
-from runtime.processes.environment_inbox import ENVIRONMENT_QUEUE, TOPICS, EnvironmentInbox
-from runtime.processes.environment_pacing import EnvironmentPacing, Lines
-from runtime.processes.environment_reports import in_words, last_words, standing
-from runtime.processes.failures import Deserted, compare
-from runtime.processes.management import Management
-from runtime.processes.notices import Asked, Hello, Notice, Presence, Recorded, Repeated
+from runtime.processes.environment.failures import Deserted
+from runtime.processes.environment.gathering import await_hellos, await_processes
+from runtime.processes.environment.inbox import ENVIRONMENT_QUEUE, TOPICS, EnvironmentInbox
+from runtime.processes.environment.management import Management
+from runtime.processes.environment.notices import Asked, Hello, Notice, Presence, Recorded, Repeated
+from runtime.processes.environment.pacing import EnvironmentPacing, Lines
+from runtime.processes.environment.reports import last_words, standing
+from runtime.processes.environment.timetable import Beat
 from runtime.processes.peer_timeout import PeerTimeout
 from runtime.processes.republisher import Republisher
-from runtime.processes.timetable import Beat
 
 # A run without a recorder ends after so long; on several hosts its link may come back any time.
 _PEER_TIMEOUT_S = 60.0
 # The republisher keeps the messages of some steps more than one process may be behind another.
 _KEPT = 16_384
-# How often the process says which others it waits for.
-_TELL_S = 10.0
 _NOT_OURS = "nodes run on hosts of their own; end and start `concord node` there"
 
 
@@ -98,8 +96,7 @@ class EnvironmentProcess:
 
     def work(self) -> None:
         """Run from the first hello to the end."""
-        self._join()
-        self._await_hellos()
+        self._gather()
         self.republisher.begin()
         self.inbox.begin()
         self._management.on_step(0)
@@ -118,29 +115,16 @@ class EnvironmentProcess:
         self.republisher.close()
         self.transport.close()
 
-    def _join(self) -> None:
+    def _gather(self) -> None:
+        """Join, and wait for all others."""
         names = [RECORDER, *map(str, range(self._nodes))]
         self.transport.join(WORLD, ())
-        while not self.transport.await_present(names, _TELL_S):
-            missing = self.transport.missing(names)
-            sys.stderr.write(f"the world waits for {in_words(missing)}\n")
+        await_processes(self.transport, names)
         self.transport.watch(self._hear_of_presence)
         for name in self.transport.missing(names):
             # It was gone again before the watch began.
             self._hear_of_presence(name, False)
-
-    def _await_hellos(self) -> None:
-        missing = set(range(self._nodes))
-        while missing:
-            match self.inbox.next_notice():
-                case Hello() as hello:
-                    compare(hello, self._fingerprint)
-                    missing.discard(hello.node)
-                case Presence(node, False):
-                    # Its next life has to say hello again.
-                    missing.add(node)
-                case Asked(_, answer):
-                    answer.put(Answer(False, "the run has not begun; try again"))
+        await_hellos(self.inbox, self._nodes, self._fingerprint)
 
     def _go_on(self) -> None:
         """Take the next messages of nodes, or the next notice."""

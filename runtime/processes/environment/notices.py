@@ -8,7 +8,7 @@ import msgspec
 from nodes.changes import Standing
 from nodes.commands import Answer
 from nodes.messages import Bid, BidsClosed, Estimate, StepClosed, Unreachable
-from runtime.processes.timetable import Beat
+from runtime.processes.environment.timetable import Beat
 
 
 class Presence(NamedTuple):

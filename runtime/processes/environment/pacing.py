@@ -13,11 +13,11 @@ from nodes.messages import EnvironmentMessage, Start, StepClosed, encode, topic
 from nodes.run_controller import RunController
 from nodes.tempo import Tempo
 from runtime.network.zenoh_transport import Transport
-from runtime.processes.environment_reports import waits_for
-from runtime.processes.metronome import Metronome, tell_on_time
-from runtime.processes.notices import Notice
+from runtime.processes.environment.metronome import Metronome, tell_on_time
+from runtime.processes.environment.notices import Notice
+from runtime.processes.environment.reports import waits_for
+from runtime.processes.environment.timetable import Beat, timetable
 from runtime.processes.republisher import Republisher
-from runtime.processes.timetable import Beat, timetable
 
 # From the announcement of the common start to the start: every node must have heard it.
 _HEAD_START_S = 0.2

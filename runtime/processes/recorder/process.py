@@ -12,9 +12,9 @@ from nodes.messages import END, MalformedMessage, decode, is_topic
 from runtime.network.links import RECORDER, WATCH, Links
 from runtime.network.zenoh_transport import Transport
 from runtime.processes.departed_peers import DepartedPeers
+from runtime.processes.recorder.subscribers import Subscribers
 from runtime.processes.republisher import AGAIN, KEEP
 from runtime.processes.retransmissions import Deduplication
-from runtime.processes.subscribers import Subscribers
 from runtime.recording import Recorder
 from runtime.whole_steps import WholeSteps
 

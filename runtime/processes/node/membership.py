@@ -1,5 +1,6 @@
 """How the process of a node belongs to a network of processes."""
 
+import math
 from collections.abc import Collection
 
 import msgspec
@@ -9,17 +10,17 @@ from runtime.network.links import Links
 
 
 class Membership(msgspec.Struct, frozen=True):
-    """All that the process of a node is told, whether it keeps time or not.
+    """All that the process of a node is told, at any pace.
 
     Attributes:
         run: the name of the run, below which all its topics lie.
         links: how this process connects.
         config: what the node is.
-        peers: whom it hears or who hear it; all must be there before the first share.
-        fingerprint: digest of the setup; the world refuses another than its own.
+        peers: nodes that it hears or that hear it; all must be there before the first share.
+        fingerprint: digest of the setup; the environment process refuses another than its own.
         late: it joins a network that may run already.
-        patience_s: where nobody else does, ends the process when it has been without the world
-            for so long.
+        peer_timeout_s: the process ends when it has been without the environment process for so
+            long; infinite where a launcher process ends it.
     """
 
     run: str
@@ -28,4 +29,4 @@ class Membership(msgspec.Struct, frozen=True):
     peers: Collection[int]
     fingerprint: str
     late: bool = False
-    patience_s: float | None = None
+    peer_timeout_s: float = math.inf

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import msgspec
 
 from runtime.network.zenoh_transport import Transport
-from runtime.processes.throttled_feed import ThrottledFeed
+from runtime.processes.recorder.throttled_feed import ThrottledFeed
 from runtime.whole_steps import WholeStep, WholeSteps
 
 

@@ -1,6 +1,6 @@
 """Why a world cannot begin, or cannot go on."""
 
-from runtime.processes.notices import Hello
+from runtime.processes.environment.notices import Hello
 
 
 class Disagreement(Exception):

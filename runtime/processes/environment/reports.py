@@ -7,8 +7,8 @@ import msgspec
 from nodes import environment
 from nodes.environment_state import EnvironmentConfig, EnvironmentState
 from nodes.run_controller import RunController
-from runtime.processes.notices import State
-from runtime.processes.recorder_process import Finished
+from runtime.processes.environment.notices import State
+from runtime.processes.recorder.process import Finished
 
 
 def in_words(names: Sequence[str]) -> str:
