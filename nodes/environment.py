@@ -74,7 +74,7 @@ def step(
 
 
 def phase_of(config: EnvironmentConfig, state: EnvironmentState) -> EnvironmentPhase:
-    """What the environment waits for."""
+    """Tell the phase of a state: the events that the environment waits for."""
     if finished(config, state):
         return EnvironmentPhase.FINISHED
     if state.idle:
@@ -257,7 +257,7 @@ def _release(
 
 
 def _read_sensors(config: EnvironmentConfig, state: EnvironmentState) -> Array:
-    """What the sensors of all nodes deliver (nodes, r, d) in the step that is released next."""
+    """Read the sensors of all nodes (nodes, r, d) in the step that is released next."""
     step = state.released
     readings = config.plant.observe(state.truth, config.draws.measurement[step], step)
     faults = config.faults.stand(state.standing)
@@ -283,7 +283,7 @@ def _advance(config: EnvironmentConfig, state: EnvironmentState) -> EnvironmentS
 
 
 def skip_quiet_cycles(config: EnvironmentConfig, state: EnvironmentState) -> EnvironmentState:
-    """Go on to the next part of a cycle in which somebody may contend."""
+    """Go on to the next group in which a node may contend."""
     cycle, group, won = state.next_cycle, state.next_group, state.won
     while cycle < config.cycle_of(config.steps):
         groups = config.schedule.groups(cycle)

@@ -1,4 +1,4 @@
-"""What the world does when the network changes: between two steps, while nothing is under way."""
+"""Changes of the network as the environment applies them: between two steps."""
 
 from collections.abc import Sequence
 
@@ -11,7 +11,7 @@ from nodes.messages import EnvironmentMessage, Estimate
 def apply(
     config: EnvironmentConfig, state: EnvironmentState, changes: Sequence[Change]
 ) -> tuple[EnvironmentConfig, EnvironmentState, list[EnvironmentMessage]]:
-    """The world with changes that hold from the next step on, and what there is to say of them."""
+    """Apply changes that hold from the next step on; also return messages that tell of them."""
     resets = any(isinstance(change, Set) for change in changes)
     assert state.idle or not resets, "another bus begins when no step is under way"
     standing = state.standing
@@ -59,13 +59,13 @@ def joining(config: EnvironmentConfig, state: EnvironmentState, node: int) -> Jo
         return Joined(node)
     absent = state.standing.absent
     there = [j for j in config.neighbours[node] if j not in absent]
-    said = [state.latest[j] for j in there if j in state.latest]
+    latest = [state.latest[j] for j in there if j in state.latest]
     if len(absent) == config.nodes:
-        said = [state.latest[node]] if node in state.latest else []
-    for estimate in said:
+        latest = [state.latest[node]] if node in state.latest else []
+    for estimate in latest:
         if _whole(estimate):
             return Joined(node, estimate.mean, estimate.cov)
-    believes_nothing = there and len(said) == len(there)
+    believes_nothing = there and len(latest) == len(there)
     return Joined(node) if believes_nothing or len(absent) == config.nodes else None
 
 

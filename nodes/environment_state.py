@@ -1,4 +1,4 @@
-"""What the environment knows before the start, and its state between two events."""
+"""The configuration of the environment, and its state between two events."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from nodes.messages import Array, Bid, Estimate
 
 
 class EnvironmentPhase(Enum):
-    """What the environment waits for.
+    """The events that the environment waits for.
 
     HELD: no step is under way, and the run controller allows no further one. BIDS: contenders of
     the next contest have not bid, so the network cannot go on. ESTIMATES: all grants of the steps
@@ -45,14 +45,14 @@ class Plant(Protocol):
         ...
 
     def observe(self, state: Array, noise: Array, step: int) -> Array:
-        """What the sensors deliver (..., nodes, readings, d); NaN where a node sees nothing."""
+        """Read the sensors: (..., nodes, readings, d), NaN where a node sees nothing."""
         ...
 
 
 class Controller(NamedTuple):
-    """What drives the plant: `law(state (n,), memory, step) -> (control (p,), memory)`.
+    """A law that drives the plant: `law(state (n,), memory, step) -> (control (p,), memory)`.
 
-    `node` is whose estimate it believes; None lets it see the true state.
+    It sees the estimate of `node`; None lets it see the true state.
     """
 
     law: Callable[[Array, Any, int], tuple[Array, Any]]
@@ -61,7 +61,7 @@ class Controller(NamedTuple):
 
 
 class Delivery(NamedTuple):
-    """What lies between sensors and their nodes, such as a measurement bus at each node.
+    """A path between sensors and their nodes, such as a measurement bus at each node.
 
     `transmit(memory, readings (nodes, r, d), step) -> (memory, delivered (nodes, r, d))`.
     """
@@ -79,7 +79,7 @@ Arbitrate = Callable[[Any, int, tuple[Bid, ...]], tuple[Any, tuple[int, ...]]]
 
 @dataclass(frozen=True)
 class EnvironmentConfig:
-    """Everything the world knows before the start.
+    """Everything the environment knows before the start.
 
     `arbitrate(state, cycle, bids) -> (state, winners)` serves the dynamic segment; `neighbours` are
     whom each node hears; `faults` decide what is wrong; `spread` gives the standard deviations
@@ -113,7 +113,7 @@ class EnvironmentConfig:
 
 
 class EnvironmentState(NamedTuple):
-    """The world between two events.
+    """The environment between two events.
 
     `released` steps have been sent, of at most `limit`; `completed` ones estimated by all members,
     which left `latest`; `since` is the first step of who has joined. `announced` changes hold from

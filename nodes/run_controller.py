@@ -57,7 +57,7 @@ class Scripted(NamedTuple):
 
 
 class Stage(NamedTuple):
-    """What a run controller can do with the processes of nodes.
+    """The means of a run controller to start and end the processes of nodes.
 
     `kill(node)` ends one; `start(node)` starts a fresh one and says whether it is ready at once;
     `check(settings)` refuses with a ValueError, or completes, what may not be set.
@@ -69,7 +69,7 @@ class Stage(NamedTuple):
 
 
 class RunController:
-    """The world of one run, and what is to become of it.
+    """The environment of one run, and the changes that lie ahead of it.
 
     In a `timed` network changes hold from the step that begins next, whatever is under way.
     """
@@ -117,7 +117,7 @@ class RunController:
         return self._settle()
 
     def take(self, event: EnvironmentEvent) -> list[EnvironmentMessage]:
-        """What a node says, or that it is gone."""
+        """Give the environment a message of a node, or the end of one."""
         was_idle = self.state.idle
         self.state, messages = environment.step(self.config, self.state, event)
         if self.state.idle and not was_idle:
@@ -174,7 +174,7 @@ class RunController:
         return self._settle()
 
     def _settle(self) -> list[EnvironmentMessage]:
-        """Make what changes are due, and let the world go as far as it may."""
+        """Apply changes that are due, and let the environment go as far as it may."""
         outbox: list[EnvironmentMessage] = []
         if (self.state.idle or self._timed) and not self.finished:
             for command in self._due():
@@ -192,7 +192,7 @@ class RunController:
         check_command(command, config.neighbours, self.state.standing, self.paused, equipment)
 
     def _due(self) -> list[ChangeCommand]:
-        """What waits for a step that nobody has begun."""
+        """Take the commands that wait for a step that no node has begun."""
         due, self._pending = self._pending, []
         while self._script and self._script[0].step <= self.state.released:
             due.append(self._script.pop(0).command)
@@ -201,7 +201,7 @@ class RunController:
     def _join(self) -> list[EnvironmentMessage]:
         """Let in who is ready, if somebody can tell it what to believe."""
         outbox: list[EnvironmentMessage] = []
-        # One that joins may have left in this step alone, and can tell others what it believed.
+        # A node that joins may have left in this step alone, and can tell others what it believed.
         while able := self._able():
             self._ready -= {joined.node for joined in able}
             self._awaited -= {joined.node for joined in able}
@@ -223,7 +223,7 @@ class RunController:
         return messages
 
     def _changes(self, command: ChangeCommand) -> list[Change]:
-        """What a command changes in the network."""
+        """Return the changes of a command."""
         match command:
             case Kill(node):
                 self._ready.discard(node)
@@ -238,7 +238,7 @@ class RunController:
                     self._ready.add(node)
                 return []
             case Configure(settings):
-                # What entails what is for the scenario to say, in a script as well.
+                # The scenario completes settings, in a script as well.
                 wanted = self._stage.check({**self.state.standing.settings, **settings})
                 return [environment_changes.setting(self.config, self.state, wanted)]
             case Inject():
@@ -247,7 +247,7 @@ class RunController:
                 return link_changes(command, self.config.neighbours, self.state.standing)
 
     def _faults(self, command: Inject) -> list[Change]:
-        """What a fault changes: two of them where a link has it both ways."""
+        """Return the changes of a fault: two where a link has it both ways."""
         kind, nodes = command.kind, command.nodes
         is_link = FAULTS[kind].place == "link" and len(nodes) == 2
         links = partial(_links, self.config.neighbours, both=command.both)
@@ -260,7 +260,7 @@ class RunController:
         return any(j not in self.state.standing.absent for j in self.config.neighbours[node])
 
     def _limit(self) -> int:
-        """How far the world may go."""
+        """The step before which the environment stops."""
         limits = [self.config.steps]
         if self._pending or self._awaited or self._able():
             limits.append(self.state.released)
@@ -282,8 +282,7 @@ LinkCommand = CutLink | HealLink | LoseFrames | Partition | Soothe
 def link_changes(
     command: LinkCommand, neighbours: Sequence[Sequence[int]], standing: Standing
 ) -> list[Change]:
-    """What a command changes of links, in a network that stands so and in which node i hears
-    neighbours[i]."""
+    """Return the changes of a command to links; node i hears neighbours[i]."""
     match command:
         case CutLink(sender, receiver, both):
             return [Cut(*link) for link in _links(neighbours, sender, receiver, both=both)]

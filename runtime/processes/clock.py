@@ -9,8 +9,10 @@ _ROUND_TRIPS = 9
 
 
 class EnvironmentClock(msgspec.Struct, frozen=True):
-    """What the world answers to `clock`: its monotonic clock, and when step 0 began or begins;
-    None while nobody knows."""
+    """The environment process answers `clock` with its monotonic clock and the start of step 0.
+
+    `start_s` is None while the start is not known.
+    """
 
     now_s: float
     start_s: float | None

@@ -10,10 +10,10 @@ class Place(msgspec.Struct, frozen=True):
     """The part of a network that is on this host.
 
     Attributes:
-        cast: the names of its processes: world and recorder, or numbers of nodes.
+        cast: the names of its processes: environment and recorder, or numbers of nodes.
         connect: endpoints of routers, of which each process takes the first that answers.
         keys: the file of `concord keys` of each process, where they prove who they are.
-        patience_s: how long a node goes on without the world.
+        patience_s: how long a node goes on without the environment process.
     """
 
     cast: list[str]
@@ -23,8 +23,11 @@ class Place(msgspec.Struct, frozen=True):
 
 
 class Job(msgspec.Struct, frozen=True):
-    """What the launcher asks for; `port` is the first of the user's choice, None for free ones;
-    `tempo` that of real time, None for lockstep; `place` is None where all is on this machine."""
+    """A run that the launcher asks for.
+
+    `port` is the first of the user's choice, None for free ones. `tempo` is that of real time, None
+    for lockstep. `place` is None where all is on this machine.
+    """
 
     setup: Setup
     run: str
@@ -35,9 +38,9 @@ class Job(msgspec.Struct, frozen=True):
 
 
 class Happened(msgspec.Struct, frozen=True, omit_defaults=True):
-    """What the launcher is told: started, ready, step, ended, done, refused or failed.
+    """A report to the launcher: started, ready, step, ended, done, refused or failed.
 
-    `pids` are all that live, by name; watchers connect to all of `connect`.
+    `pids` are all that live, by name; subscribers connect to all of `connect`.
     """
 
     what: str

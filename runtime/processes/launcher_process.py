@@ -1,8 +1,8 @@
 """The clean parent of a network's processes on this host, started as a module: it forks them.
 
-It reads a `Job` from standard input, forks recorder, world and nodes (or those of them that are to
-be here), and says on standard output, one JSON object a line, what happens. When standard input
-closes it ends everything.
+It reads a `Job` from standard input and forks recorder, environment and nodes, or those that belong
+on this host. It reports on standard output, one JSON object a line. When standard input closes, it
+ends everything.
 """
 
 import contextlib
@@ -42,7 +42,7 @@ _PORT_WAIT_S = 0.05
 
 def tell(happened: Happened) -> None:
     """One line on standard output, written at once and whole."""
-    # Nobody listens any more when the launcher was killed; the lifeline ends us then.
+    # A launcher that was killed listens no more; the lifeline ends us then.
     with contextlib.suppress(BrokenPipeError):
         os.write(sys.stdout.fileno(), msgspec.json.encode(happened) + b"\n")
 
@@ -67,7 +67,7 @@ def main() -> None:
 
 
 class _Plan(msgspec.Struct):
-    """Who is to be here, how each joins, and where watchers connect to."""
+    """The processes of this host, the links of each, and where subscribers connect."""
 
     cast: list[str]
     links: dict[str, Links]
@@ -139,7 +139,7 @@ def _serve(job: Job, plan: _Plan) -> End:
 
 
 class _Watch:
-    """Waits for the recorder's good end, or for trouble; does what the world wants of nodes."""
+    """Waits for the recorder's end or a failure, and obeys the orders of the environment process."""
 
     def __init__(
         self,
@@ -168,7 +168,7 @@ class _Watch:
                 return end
 
     def _judge(self, ended: Ended) -> End | None:
-        """What the end of a child means for the network; None that it goes on."""
+        """Judge the end of a child: how the network ends, or None if it goes on."""
         is_node = ended.name.isdigit()
         if is_node and self._tolerant and ended.code == TRY_AGAIN and self._job.place is None:
             # Its port was not free yet.

@@ -1,8 +1,7 @@
-"""What has come on topics that a process does not wait for at the moment, when that is too much.
+"""Messages of topics that a process does not wait for at the moment, when they are too many.
 
-Messages of all topics come in through one thread, and a queue that is full stands in its way:
-then nothing else comes in either, be it what is waited for. So whoever waits long has its queues
-emptied.
+Messages of all topics come in through one thread, and a full queue blocks it. Then the message that
+the process waits for cannot come in either. So the queues of a process that waits long are emptied.
 """
 
 import threading
@@ -11,7 +10,7 @@ from collections.abc import Sequence
 
 from runtime.network.zenoh_transport import Transport
 
-# Who has heard nothing for as long as this may wait for what stands behind a full queue.
+# A process that has heard nothing for so long may wait for a message behind a full queue.
 _LOOK_S = 0.05
 # Every so many looks also what nobody waits for is taken from its queue, however busy its owner is.
 _SOME_LOOKS = 20
@@ -52,12 +51,12 @@ class Overflow:
         return came
 
     def take(self) -> list[tuple[str, bytes]]:
-        """What was taken aside, (topic, bytes), each topic in the order in which it came."""
+        """Messages that were taken aside, (topic, bytes), each topic in the order of arrival."""
         self._keeps = False
         return [kept.popleft() for kept in self._aside.values() for _ in range(len(kept))]
 
     def take_all(self) -> list[tuple[str, bytes]]:
-        """All that has come, (topic, bytes), each topic in the order in which it came."""
+        """All messages that have come, (topic, bytes), each topic in the order of arrival."""
         self._empty()
         return self.take()
 

@@ -1,15 +1,16 @@
-"""What a process has said lately, and says again where a link may have lost it.
+"""The republisher keeps the latest messages of a process, and repeats those that a link may have lost.
 
-zenoh loses nothing on a link that stands. One that breaks takes with it what is under way, and a
-process that was held up for longer than the lease breaks its own links as it goes on. In lockstep a
-lost message would be waited for for ever. So whoever has said nothing new for a second, and
-everybody whose link to somebody is back, says again what it said in the last steps, on topics below
-`again/`. That is enough: where nobody goes on everybody waits, he too whose message was lost, and
-he has it still, as nobody is further behind than `EARLY_STEPS`. Who hears it takes what he lacks
+zenoh loses nothing on a link that stands. A link that breaks loses the messages under way, and a
+process that was held up for longer than the lease breaks its own links. In lockstep a node would
+wait for a lost message for ever. So a process repeats its messages of the last steps below `again/`
+in two cases: it has sent nothing new for a second, or a link has come back. That is enough: if one
+process cannot go on, all wait, also the sender of the lost message. The sender still has it, as no
+process is further behind than `EARLY_STEPS`. A receiver takes the messages that it lacks
 (`runtime/processes/retransmissions.py`).
 
-Nobody waits for the recorder, so the network goes on while it loses something. What it may have
-lost is said again below `keep/` when its link is back, and nothing new is said before.
+No process waits for the recorder, so the network would go on while the recorder loses messages.
+While its link is away publishers pause. When it is back, they first repeat their buffers below
+`keep/`.
 """
 
 import sys
@@ -23,23 +24,23 @@ from runtime.network.links import RECORDER
 from runtime.network.zenoh_transport import Transport
 
 AGAIN, KEEP = "again", "keep"
-# Who has said nothing for so long says the last again: at first, and later.
+# A process that has sent nothing for so long repeats: at first, and later.
 _AGAIN_S, _AT_MOST_S = 1.0, 10.0
-# What was said in the last seconds may be under way: a link that stands still for longer than the
+# Messages of the last seconds may be under way: a link that stands still for longer than the
 # lease is broken.
 _UNDER_WAY_S = 6.0
-# How often somebody says for whom it waits.
+# How often a process says which others it waits for.
 _TELL_S = 10.0
-# What was said in a former life of a node is for the recorder alone.
+# Messages of a former life of a node are for the recorder alone.
 _ANEW = ("", b"")
 
 
 class Republisher:
-    """Says what others wait for, and says it again.
+    """Publishes messages that others wait for, and repeats them.
 
-    `last` is the kind of message of which there is one in each step, `kept` how many messages are
-    kept at least, `waiting()` says in words for whom this process waits, or nothing; `standing()`
-    are messages that hold now, whatever was said in which order.
+    `last` is the kind of message that ends a step, `kept` the number of messages that are kept at
+    least. `waiting()` names the processes that this one waits for. `standing()` are messages that
+    hold now, and are repeated after all others.
     """
 
     def __init__(
@@ -86,7 +87,7 @@ class Republisher:
             self._kept.append((topic, data))
 
     def begin_anew(self) -> None:
-        """What was said so far concerns the recorder alone."""
+        """From here on earlier messages concern the recorder alone."""
         self._kept.append(_ANEW)
 
     def see(self, name: str, is_there: bool) -> bool:
@@ -154,13 +155,13 @@ class Republisher:
         with self._order:
             self._marks.append((now_s, self._dropped + len(self._kept)))
             while not self._is_cut and self._marks[0][0] < now_s - _UNDER_WAY_S:
-                said = self._marks.popleft()[1]
-                while self._dropped < said and len(self._kept) > self._at_least:
+                published = self._marks.popleft()[1]
+                while self._dropped < published and len(self._kept) > self._at_least:
                     self._kept.popleft()
                     self._dropped += 1
 
     def _recent(self) -> list[tuple[str, bytes]]:
-        """What was said in the last steps, in order."""
+        """The messages of the last steps, in order."""
         recent: list[tuple[str, bytes]] = []
         steps = 0
         for message in reversed(self._copy()):

@@ -1,4 +1,4 @@
-"""What was said again: who takes it because it has not come, and who drops it because it has."""
+"""Retransmissions: a receiver takes a message that it lacks, and drops one that has come."""
 
 from collections import deque
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""What each forked process of a network does, wherever the network is."""
+"""The roles of forked processes: router, recorder, environment and node."""
 
 import math
 import os
@@ -59,7 +59,7 @@ def be_recorder(job: Job, links: dict[str, Links], tell: Callable[[Happened], No
 
 
 def be_environment(job: Job, links: Links, tell: Callable[[Happened], None], orders: int) -> None:
-    """Move the plant; what it wants of whoever starts processes goes to the pipe `orders`."""
+    """Run the environment; orders to the launcher process go to the pipe `orders`."""
     started, told = time.monotonic(), 0.0
 
     def give(order: Order) -> None:

@@ -1,10 +1,10 @@
-"""Why a world cannot begin, or cannot go on."""
+"""Reasons why the environment process cannot begin, or cannot go on."""
 
 from runtime.processes.environment.notices import Hello
 
 
 class Disagreement(Exception):
-    """A node was started with another configuration than the world."""
+    """A node was started with another configuration than the environment."""
 
 
 class Deserted(Exception):
@@ -12,7 +12,7 @@ class Deserted(Exception):
 
 
 def compare(hello: Hello, fingerprint: str) -> None:
-    """Whether a node runs what the world runs.
+    """Compare a node's configuration with the environment's.
 
     Raises:
         Disagreement: it does not.

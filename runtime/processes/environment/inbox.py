@@ -100,12 +100,12 @@ class EnvironmentInbox:
             return msgspec.json.encode(Answer(False, "the world does not answer; try again"))
 
     def _hear_again(self, name: str, data: bytes) -> None:
-        said = name.partition("/")[2]
-        if said.startswith("hello/"):
+        topic = name.partition("/")[2]
+        if topic.startswith("hello/"):
             # A later repetition would count as the hello of the node's next life.
-            return None if self.begun else self._hear_hello(said, data)
+            return None if self.begun else self._hear_hello(topic, data)
         try:
-            self.notify(Repeated(decode(said, data)))
+            self.notify(Repeated(decode(topic, data)))
         except MalformedMessage as error:
             self.refuse(str(error))
 

@@ -1,4 +1,4 @@
-"""Who starts and ends processes for the world, and what else it needs beside the network."""
+"""Means of the environment process beside the network: start and end nodes, check settings."""
 
 from collections.abc import Callable
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""What a world's process is told beside the messages of nodes, and how it says that it stands."""
+"""Notices to the loop of the environment process, and its answer to how the network stands."""
 
 from queue import SimpleQueue
 from typing import NamedTuple
@@ -26,19 +26,19 @@ class Hello(NamedTuple):
 
 
 class Repeated(NamedTuple):
-    """What a node says once more."""
+    """A node repeats a message."""
 
     event: Bid | Estimate
 
 
 class Recorded(NamedTuple):
-    """All that a node has said that leaves on command."""
+    """The recorder has kept all messages of a node that leaves on command."""
 
     node: int
 
 
 class Asked(NamedTuple):
-    """Somebody has asked for something; the answer goes to a queue."""
+    """A command came; the answer goes to a queue."""
 
     payload: bytes
     answer: SimpleQueue[Answer]
@@ -50,8 +50,10 @@ Notice = (
 
 
 class State(msgspec.Struct, frozen=True):
-    """What the world answers to whoever asks how the network stands; it has `refused` so many
-    messages that were none."""
+    """The answer to the question how the network stands.
+
+    `refused` counts messages that could not be decoded or used.
+    """
 
     run: str
     setup: msgspec.Raw

@@ -1,4 +1,4 @@
-"""What the world's process says at the end, and to people: how it stands, for whom it waits."""
+"""Reports of the environment process: its state, the processes it waits for, its last message."""
 
 from collections.abc import Sequence
 
@@ -19,7 +19,7 @@ def in_words(names: Sequence[str]) -> str:
 def standing(
     run: str, setup: bytes, controller: RunController, *, begun: bool, refused: int
 ) -> bytes:
-    """How the network stands, to whoever asks."""
+    """Encode how the network stands."""
     state = controller.state
     return msgspec.json.encode(
         State(
@@ -38,7 +38,7 @@ def standing(
 
 
 def last_words(config: EnvironmentConfig, state: EnvironmentState) -> bytes:
-    """What tells the recorder that nothing more will come."""
+    """Return the message that tells the recorder that nothing more will come."""
     # In real time the others may still be on their way, or lost.
     last = config.steps - 1
     members = sorted(node for node, latest in state.latest.items() if latest.step == last)
@@ -46,8 +46,10 @@ def last_words(config: EnvironmentConfig, state: EnvironmentState) -> bytes:
 
 
 def waits_for(config: EnvironmentConfig, state: EnvironmentState, *, timed: bool) -> str:
-    """For whom the network waits, and what can be done; nothing where no step is under way, or
-    where nobody is waited for, as it is `timed`."""
+    """Name the processes that the network waits for, and the cure; empty for none.
+
+    A `timed` network waits for the recorder alone.
+    """
     if environment.finished(config, state):
         return "the recorder, which has not kept everything yet"
     if timed:
@@ -62,7 +64,7 @@ def waits_for(config: EnvironmentConfig, state: EnvironmentState, *, timed: bool
 
 
 def _late(config: EnvironmentConfig, state: EnvironmentState) -> list[int]:
-    """Who has not estimated the oldest step that is under way, ascending."""
+    """The nodes that have not estimated the oldest step under way, ascending."""
     number = state.completed
     came = state.estimates.get(number, {})
     return [

@@ -12,7 +12,7 @@ _LOOK_S = 0.5
 
 
 class Situation(msgspec.Struct):
-    """The part of what the world says of a network that a node must know to join it."""
+    """The part of the network's state that a node must know to join it."""
 
     members: list[int]
     begun: bool

@@ -74,7 +74,7 @@ class LockstepInbox:
         return [event for event in self._events(name, data) if is_missing(state, event)]
 
     def taken_aside(self) -> list[NodeEvent]:
-        """What came while the node waited for something else, and was too much for a queue."""
+        """Messages that were taken aside while the node waited for something else, as events."""
         return [event for kept in self.queues.take() for event in self._events(*kept)]
 
     def last_words(self, gone: Gone) -> list[NodeEvent]:

@@ -10,7 +10,7 @@ from runtime.network.links import Links
 
 
 class Membership(msgspec.Struct, frozen=True):
-    """All that the process of a node is told, at any pace.
+    """Everything that the process of a node is told, at any pace.
 
     Attributes:
         run: the name of the run, below which all its topics lie.

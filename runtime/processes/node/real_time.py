@@ -3,8 +3,8 @@
 Each node keeps a timetable (`nodes/tempo.py`) from a common start that the environment process
 announces. A group of a cycle ends at its time; no node waits for a neighbour, and no share waits
 for a receiver that is slow. A node that hears no heartbeat goes on without readings. A node that is
-told that it was given up asks to be let in again. What the timetable cost is said step by step
-(`Timing`).
+told that it was given up asks to be let in again. A `Timing` tells of each
+step what the timetable cost.
 """
 
 import dataclasses
@@ -151,7 +151,7 @@ class RealTimeNode:
         return self._tempo.group_ends_s(state.step, cycle, state.group, groups)
 
     def _take(self, state: NodeState, name: str, data: bytes) -> Sequence[NodeEvent]:
-        """What a message means to the node now."""
+        """Return the events that a message means to the node now."""
         kind, _, owner = name.partition("/")
         if kind == "share":
             if state.step < self._first_step and cycle_of(data) < state.cycle:

@@ -43,7 +43,7 @@ class TimingRecords:
             record.incomplete += 1
 
     def take(self, node: int, step: int, delay_s: float) -> Timing:
-        """What there is to say of a step that is over."""
+        """Return the timing of a step that is over, and forget it."""
         record = self._steps.pop(step)
         return Timing(
             node,

@@ -1,4 +1,4 @@
-"""What the process of the recorder does: it keeps what the others say, and lets others hear it."""
+"""The recorder process: it keeps the messages of all others, and lets subscribers hear them."""
 
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -22,7 +22,7 @@ from runtime.whole_steps import WholeSteps
 RECORDER_QUEUE = 8192
 # A node that was away for so long says nothing more.
 _GRACE_S = 2.0
-# What is said on topics that are nobody's is kept under this name.
+# Messages on topics that belong to no process are kept under this name.
 STRANGE = "strange"
 # Through a router the recorder hears itself, too.
 _UNRECORDED = ("hello", "recorded", "start", "end", AGAIN, WATCH)
@@ -30,7 +30,7 @@ _ONCE_MORE = f"{KEEP}/"
 
 
 class Finished(msgspec.Struct, frozen=True):
-    """World to recorder: nothing more will come but the last estimates of these nodes."""
+    """Environment to recorder: nothing more will come but the last estimates of these nodes."""
 
     step: int
     members: list[int]
@@ -46,15 +46,15 @@ _estimated = msgspec.json.Decoder(_Estimated)
 def run_recorder(
     run: str, links: Links, watch: Links, recorder: Recorder, steps: WholeSteps
 ) -> None:
-    """Record every message until the world has finished and all last estimates have come.
+    """Record every message until the environment has finished and all last estimates have come.
 
-    What was recorded can be heard on `watch`, message by message and in whole `steps`.
+    Subscribers hear recorded messages on `watch`, message by message and in whole `steps`.
 
     Raises:
         LinkError: the network cannot be joined.
     """
     transport = Transport(run, links, ["**"], RECORDER_QUEUE)
-    watchers = Subscribers(Transport(run, watch, [], 1), steps, lambda: transport.wake("**"))
+    subscribers = Subscribers(Transport(run, watch, [], 1), steps, lambda: transport.wake("**"))
     transport.join(RECORDER, set())
     ends, remembered = _Ends(transport, steps.nodes), Deduplication()
     finished: Finished | None = None
@@ -66,7 +66,7 @@ def run_recorder(
         received = remembered.what_is_new(received, _ONCE_MORE)
         kept = list(_to_be_kept(received, steps.nodes, topics))
         recorder.record(kept)
-        watchers.tell(kept)
+        subscribers.tell(kept)
         # Kept as it came is also what somebody says who obeys no rule; it changes nothing here.
         for name, data in kept:
             with suppress(*UNREADABLE, MalformedMessage):
@@ -78,15 +78,15 @@ def run_recorder(
         for name, data in received:
             finished = _finished(name, data) or finished
         for out in [i for i, step in leaving.items() if step < 0 or latest.get(i) == step]:
-            # Who leaves on command may end now: nothing that it has said will be lost.
+            # A node that leaves on command may end now: none of its messages will be lost.
             transport.send(f"recorded/{out}", b"{}")
             del leaving[out]
         if is_woken:
             ends.look()
-            watchers.look()
+            subscribers.look()
     recorder.close()
     transport.send("end", END)
-    watchers.close()
+    subscribers.close()
     transport.close()
 
 
@@ -108,7 +108,7 @@ def _to_be_kept(
 
 
 def _finished(name: str, data: bytes) -> Finished | None:
-    """What the world says at the end; None where a message is anything else."""
+    """Decode the environment's last message; None if it is another."""
     if name == "finished":
         with suppress(*UNREADABLE):
             return msgspec.json.decode(data, type=Finished)
@@ -122,7 +122,7 @@ class _Ends:
         self._nodes = nodes
         self.silent: set[int] = set()
         self._transport = transport
-        self._absence = DepartedPeers(_GRACE_S, lambda name: self._note(int(name), is_there=False))
+        self._departed = DepartedPeers(_GRACE_S, lambda name: self._note(int(name), is_there=False))
         self._seen: deque[tuple[int, bool]] = deque()
         transport.watch(self._see)
 
@@ -130,24 +130,24 @@ class _Ends:
         """In zenoh's thread."""
         node = node_of(name, self._nodes)
         if node is not None:
-            self._absence.see(name, is_there)
+            self._departed.see(name, is_there)
             if is_there:
                 self._note(node, is_there=True)
 
     def _note(self, node: int, *, is_there: bool) -> None:
-        """What the node said before is ahead of our call in the queue."""
+        """Earlier messages of the node are ahead of this call in the queue."""
         self._seen.append((node, is_there))
         self._transport.wake("**")
 
     def look(self) -> None:
-        """All that came before a call has been heard."""
+        """Take the ends that were noted: all messages before them have been heard."""
         while self._seen:
             node, is_there = self._seen.popleft()
             (self.silent.discard if is_there else self.silent.add)(node)
 
 
 def _leaving(event: Event) -> dict[int, int]:
-    """Who leaves on command, and the last step that it has estimated."""
+    """The node that leaves on command, and the last step that it has estimated."""
     return {event.change.node: event.step - 1} if isinstance(event.change, Left) else {}
 
 

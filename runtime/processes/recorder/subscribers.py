@@ -1,4 +1,4 @@
-"""What the recorder lets others hear: each message, and as many whole steps as an eye follows."""
+"""Subscribers of the recorder hear each message, and as many whole steps as an eye follows."""
 
 import math
 import threading
@@ -17,7 +17,7 @@ class Subscribers:
 
     def __init__(self, offered: Transport, steps: WholeSteps, wake: Callable[[], None]) -> None:
         self._offered, self._steps, self._wake = offered, steps, wake
-        self._offering = ThrottledFeed()
+        self._feed = ThrottledFeed()
         self._alarm: threading.Timer | None = None
         self._are_there = False
         offered.listened("watch/**", self._see)
@@ -34,25 +34,25 @@ class Subscribers:
                 continue
             self._offered.offer(f"watch/{topic}", data)
             for step in whole:
-                self._offer(self._offering.take(step, time.monotonic()))
+                self._offer(self._feed.take(step, time.monotonic()))
 
     def look(self) -> None:
         """The time may have come for a step that was kept."""
-        self._offer(self._offering.due(time.monotonic()))
+        self._offer(self._feed.due(time.monotonic()))
 
     def close(self) -> None:
         """Nothing more will be recorded."""
         if self._alarm is not None:
             self._alarm.cancel()
-        self._offer(self._offering.due(math.inf))
+        self._offer(self._feed.due(math.inf))
         self._offered.close()
 
     def _offer(self, step: WholeStep | None) -> None:
         if step is not None:
             self._offered.offer("watch/steps", msgspec.msgpack.encode(step))
-        if self._offering.keeps_one and self._alarm is None:
+        if self._feed.keeps_one and self._alarm is None:
             # If nothing more comes, it is the step at which the network stands.
-            rest_s = self._offering.rest_s(time.monotonic())
+            rest_s = self._feed.rest_s(time.monotonic())
             self._alarm = threading.Timer(rest_s, self._ring)
             self._alarm.daemon = True
             self._alarm.start()

@@ -1,5 +1,7 @@
-"""What those who watch are offered: every step of a network that an eye can follow, and of a faster
-one the newest, so many times a second. What that costs does not grow with the network's speed."""
+"""The feed of whole steps for subscribers: all of a slow network, the newest few of a fast one.
+
+Its cost does not grow with the network's speed.
+"""
 
 from runtime.whole_steps import WholeStep
 
