@@ -139,7 +139,7 @@ def _serve(job: Job, plan: _Plan) -> End:
 
 
 class _Watch:
-    """Waits for the recorder's end or a failure, and obeys the orders of the environment process."""
+    """Waits for the recorder's end or a failure, and obeys the environment process."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""The republisher keeps the latest messages of a process, and repeats those that a link may have lost.
+"""The republisher keeps the latest messages of a process, and repeats them after a loss.
 
 zenoh loses nothing on a link that stands. A link that breaks loses the messages under way, and a
 process that was held up for longer than the lease breaks its own links. In lockstep a node would
