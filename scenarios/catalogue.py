@@ -76,14 +76,12 @@ class Wiring(NamedTuple):
         share_bytes: length of a share.
         estimator: that of a node.
         names: what the options rule, schedule and hold may be here.
-        warnings: what a user must be told before trusting it.
     """
 
     schedule: "Callable[[Scenario], Schedule]"
     share_bytes: Callable[[Scenario], int]
     estimator: "Callable[[Setup, int], Estimator]"
     names: dict[str, tuple[str, ...]]
-    warnings: Callable[[Scenario], tuple[str, ...]]
 
 
 class Kind(NamedTuple):

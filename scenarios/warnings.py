@@ -33,7 +33,7 @@ def warnings_of(setup: Setup) -> tuple[str, ...]:
     """
     wiring = kind_of(setup.scenario.name).wiring
     if wiring is not None:
-        return (*idle_options(setup), *wiring.warnings(setup.scenario))
+        return tuple(idle_options(setup))
     return (
         *idle_options(setup),
         *kind_of(setup.scenario.name).warnings(setup.scenario),

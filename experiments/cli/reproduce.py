@@ -2,8 +2,8 @@
 
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
@@ -13,55 +13,22 @@ from rich.console import Console
 
 from experiments.results.folder import new_folder
 from experiments.user_errors import user_errors
-from papers.kit import REPORT, Report, Reproduction, report_of, to_markdown
-from runtime.disk import writing
+from papers.kit.report import REPORT, Paper, Report, check_runs, report_of, write_report
 from topology.names import unknown_name
 
-
-def _wac(runs: int | None) -> Reproduction:
-    # Only here: it draws pictures and designs controllers, which takes long to import.
-    from papers.wac.reproduce import REPRODUCTION
-
-    if runs is not None:
-        raise ValueError(f"--runs {runs}: wac has runs of its own; leave --runs out")
-    return REPRODUCTION
+NAMES = ("wac", "meng2025", "adlukf", "labelled", "liu2021")
+PAPERS = {name: f"papers.{name}.reproduce" for name in NAMES}
 
 
-def _meng2025(runs: int | None) -> Reproduction:
-    # Only here: it draws pictures.
-    from papers.meng2025.reproduce import reproduction
+def paper_of(name: str) -> Paper:
+    """The reproduction of a paper; its modules are imported now.
 
-    return reproduction(runs)
-
-
-def _adlukf(runs: int | None) -> Reproduction:
-    # Only here: it draws pictures and simulates cars.
-    from papers.adlukf.reproduce import SEEDS, reproduction
-
-    return reproduction(SEEDS if runs is None else runs)
-
-
-def _liu2021(runs: int | None) -> Reproduction:
-    # Only here: it draws pictures.
-    from papers.liu2021.reproduce import SEQUENCES, reproduction
-
-    return reproduction(SEQUENCES if runs is None else runs)
-
-
-def _labelled(runs: int | None) -> Reproduction:
-    # Only here: it draws pictures.
-    from papers.labelled.reproduce import reproduction
-
-    return reproduction(runs)
-
-
-REPRODUCTIONS: dict[str, Callable[[int | None], Reproduction]] = {
-    "wac": _wac,
-    "meng2025": _meng2025,
-    "adlukf": _adlukf,
-    "labelled": _labelled,
-    "liu2021": _liu2021,
-}
+    Raises:
+        ValueError: there is no such paper.
+    """
+    if name not in PAPERS:
+        raise unknown_name("paper", name, PAPERS)
+    return import_module(PAPERS[name]).PAPER
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,8 +42,10 @@ class ReproduceOptions:
     labelled measurements beside consensus on beliefs."""
     out: Path
     """Folder for the report and the pictures. It must not exist."""
-    runs: Annotated[int | None, tyro.conf.arg(aliases=["--seeds", "--sequences"])] = None
-    """Runs of a Monte Carlo, for papers that have one; as many as in the paper if left out."""
+    seed: int | None = None
+    """Seed of all noise; that of the project's published figures if left out."""
+    runs: int | None = None
+    """Runs of the Monte Carlo; as many as the project's published figures have if left out."""
     json: bool = False
     """Print one JSON object instead of a summary."""
 
@@ -84,37 +53,32 @@ class ReproduceOptions:
 def reproduce(options: Annotated[ReproduceOptions, tyro.conf.arg(name="")]) -> None:
     """Reproduce a paper; exit code 1 if a check fails."""
     with user_errors():
-        if options.paper not in REPRODUCTIONS:
-            raise unknown_name("paper", options.paper, REPRODUCTIONS)
-        reproduction = REPRODUCTIONS[options.paper](options.runs)
+        paper = paper_of(options.paper)
+        seed = paper.seed if options.seed is None else options.seed
+        runs = paper.runs if options.runs is None else options.runs
+        check_runs(paper, runs)
         _, folder = new_folder(options.out, options.paper)
-    sys.stderr.write(f"seed {reproduction.seed}; results in {folder}\n")
+    sys.stderr.write(f"seed {seed}, {runs} runs; results in {folder}\n")
     started = time.monotonic()
-    report = carry_out(options.paper, reproduction, folder)
+    report = carry_out(options.paper, paper, folder, seed, runs)
     sys.stderr.write(f"done in {time.monotonic() - started:.0f} s\n")
     _show(report, folder, options.json)
     if not report.ok:
         sys.exit(1)
 
 
-def carry_out(paper: str, reproduction: Reproduction, folder: Path) -> Report:
+def carry_out(name: str, paper: Paper, folder: Path, seed: int, runs: int) -> Report:
     """The whole reproduction, section by section on standard error. The report in `folder` is at
     every time as far as the work."""
     done = []
-    for section in reproduction.sections(folder):
+    for section in paper.sections(folder, seed, runs):
         done.append(section)
         sys.stderr.write(f"done: {section.title}\n")
         sys.stderr.flush()
-        report = report_of(paper, reproduction.seed, done, complete=False)
-        _write(report, reproduction, folder)
-    report = report_of(paper, reproduction.seed, done, complete=True)
-    _write(report, reproduction, folder)
+        write_report(report_of(name, seed, runs, done, complete=False), paper.title, folder)
+    report = report_of(name, seed, runs, done, complete=True)
+    write_report(report, paper.title, folder)
     return report
-
-
-def _write(report: Report, reproduction: Reproduction, folder: Path) -> None:
-    with writing(folder / REPORT):
-        (folder / REPORT).write_text(to_markdown(report, reproduction.title), encoding="utf-8")
 
 
 def _show(report: Report, folder: Path, as_json: bool) -> None:

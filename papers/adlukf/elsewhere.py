@@ -11,7 +11,8 @@ from papers.adlukf import tables
 from papers.adlukf.drives import DRIVEN
 from papers.adlukf.filters import CONTESTANTS
 from papers.adlukf.study import CASES, TIME_STEP_S, build_study, estimate, score
-from papers.kit import Section, below, markdown_table
+from papers.kit.checks import below
+from papers.kit.report import Section, markdown_table
 from plants.vehicle.manoeuvres import MANOEUVRES
 from plants.vehicle.truth import TRUE_CARS, data_sheet, simulate
 

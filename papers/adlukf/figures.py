@@ -1,6 +1,5 @@
 """Figures 4, 5 and 9 of the ADLUKF paper in form: states and estimates over time."""
 
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -8,18 +7,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from nodes.messages import Array
+from papers.kit.figures import BLACK, BLUE, GREY, SKY, VERMILION
 
-GREY = "#999999"
-TRUTH: dict[str, Any] = {"color": "#000000", "lw": 3.0, "label": "truth"}
+TRUTH: dict[str, Any] = {"color": BLACK, "lw": 3.0, "label": "truth"}
 LOGGED: dict[str, Any] = {
     "color": "#C8C8C8",
     "lw": 1.0,
     "label": "logged, sensor noise and all",
 }
 LINES: dict[str, dict[str, Any]] = {
-    "CKF": {"color": "#D55E00", "ls": "-", "lw": 2.0},
-    "FAUKF": {"color": "#56B4E9", "ls": "-", "lw": 1.3},
-    "ADLUKF": {"color": "#0072B2", "ls": (0, (4, 1.5)), "lw": 1.1},
+    "CKF": {"color": VERMILION, "ls": "-", "lw": 2.0},
+    "FAUKF": {"color": SKY, "ls": "-", "lw": 1.3},
+    "ADLUKF": {"color": BLUE, "ls": (0, (4, 1.5)), "lw": 1.1},
 }
 """Where lines lie on each other, those below are wider. Colours are Okabe and Ito's, which most
 people can tell apart."""
@@ -40,7 +39,7 @@ class Trace(NamedTuple):
     errors: dict[str, Array]
 
 
-def draw_manoeuvre(path: Path, title: str, traces: tuple[Trace, ...]) -> None:
+def manoeuvre_figure(title: str, traces: tuple[Trace, ...]) -> Figure:
     """Figure 4 or 5: (a) yaw rate, (b) side slip, (c) speed, (d) mean absolute error of speed.
 
     And (e), which the paper lacks: that of the yaw rate, whose lines (a) cannot tell apart.
@@ -63,10 +62,10 @@ def draw_manoeuvre(path: Path, title: str, traces: tuple[Trace, ...]) -> None:
     for axes, letter, label in zip(grid[:, 0], "abcde", labels, strict=True):
         axes.set_ylabel(f"({letter})  {label}")
     _legend(figure, grid[0, 0], title)
-    figure.savefig(path, dpi=DPI)
+    return figure
 
 
-def draw_drives(path: Path, title: str, traces: tuple[Trace, ...]) -> None:
+def drives_figure(title: str, traces: tuple[Trace, ...]) -> Figure:
     """Figure 9: yaw rate, side slip and speed of logged drives, one column each."""
     figure = Figure(figsize=(6.2 * len(traces), 8.8), layout="constrained")
     grid = figure.subplots(3, len(traces), squeeze=False, sharex="col")
@@ -79,7 +78,7 @@ def draw_drives(path: Path, title: str, traces: tuple[Trace, ...]) -> None:
         _zoom_speed(column[2], (trace,))
         column[2].set(xlabel="time [s]", xlim=(0, trace.time_s[-1]))
     _legend(figure, grid[0, 0], title)
-    figure.savefig(path, dpi=DPI)
+    return figure
 
 
 def _states(axes: Axes, trace: Trace, state: int, reference: dict[str, Any]) -> None:

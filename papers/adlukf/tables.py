@@ -3,12 +3,12 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.stats import t as student
 
+from experiments.monte_carlo.intervals import mean_t
 from nodes.messages import Array
 from papers.adlukf.filters import CONTESTANTS
 from papers.adlukf.study import CASES, STATES, UNITS, Scores
-from papers.kit import markdown_table
+from papers.kit.report import markdown_table
 
 Results = dict[str, Scores]
 """The scores of every filter by name."""
@@ -48,18 +48,10 @@ def state_index(name: str) -> int:
     return STATES.index(name)
 
 
-def interval(values: Array) -> tuple[float, float]:
-    """Mean of values (seeds,) and half the width of its 95 % interval (Student's t)."""
-    count = len(values)
-    if count < 2:
-        return float(values.mean()), float("nan")
-    half = student.ppf(0.975, count - 1) * values.std(ddof=1) / np.sqrt(count)
-    return float(values.mean()), float(half)
-
-
 def with_interval(values: Array) -> str:
     """Mean ± half width, both to the first digit of the half width, or two if it is a 1."""
-    mean, half = interval(values)
+    mean, low, high = mean_t(values)
+    half = (high - low) / 2
     if not (np.isfinite(half) and half > 0):
         return f"{mean:.3g}"
     magnitude = int(np.floor(np.log10(half)))
@@ -92,7 +84,8 @@ def against_ckf_table(results: Results, manoeuvre: int, filters: Sequence[str]) 
 
 
 def _signed(values: Array) -> str:
-    mean, half = interval(values)
+    mean, low, high = mean_t(values)
+    half = (high - low) / 2
     return f"{mean:+.1f} ± {half:.1f}" if np.isfinite(half) else f"{mean:+.1f}"
 
 

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from nodes.messages import Array
 from papers.adlukf import tables
+from papers.adlukf.claims import MANOEUVRES
 from papers.adlukf.drives import (
     DRIVEN,
     IDENTIFIED_FROM,
@@ -12,9 +13,10 @@ from papers.adlukf.drives import (
 )
 from papers.adlukf.elsewhere import Elsewhere, in_words
 from papers.adlukf.figures import Trace
-from papers.adlukf.sections import MANOEUVRES, SHOWN
+from papers.adlukf.sections import SHOWN
 from papers.adlukf.tables import COMPARED, Results, case_index, state_index
-from papers.kit import Section, above, at_most, below, markdown_table
+from papers.kit.checks import above, at_most, below
+from papers.kit.report import Section, markdown_table
 from plants.vehicle.tyre_identification import Identified
 
 

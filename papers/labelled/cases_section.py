@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from papers.kit import Check, Section, at_most, markdown_table
+from papers.kit.checks import Check, at_most
+from papers.kit.report import Section, markdown_table
 from papers.labelled.cases import CUT, HUB, HUB_DEAD, Case, CaseOutcome, runs_of_case
 from papers.labelled.study import jackknife, side_by_side
 
@@ -70,13 +71,13 @@ CASES: dict[str, Case] = {
 Found = Mapping[str, Sequence[CaseOutcome]]
 
 
-def case_outcomes(runs: int) -> Iterator[tuple[str, list[CaseOutcome]]]:
+def case_outcomes(seed: int, runs: int) -> Iterator[tuple[str, list[CaseOutcome]]]:
     """Every case by name, with its runs."""
-    jobs = [(case, runs) for case in CASES.values()]
+    jobs = [(case, runs, seed) for case in CASES.values()]
     yield from zip(CASES, side_by_side("special cases", _runs, jobs), strict=True)
 
 
-def _runs(job: tuple[Case, int]) -> list[CaseOutcome]:
+def _runs(job: tuple[Case, int, int]) -> list[CaseOutcome]:
     return runs_of_case(*job)
 
 

@@ -1,6 +1,7 @@
 """Section of `concord reproduce labelled`: what is exact, held against independent searches."""
 
-from papers.kit import Section, at_most, markdown_table
+from papers.kit.checks import at_most
+from papers.kit.report import Section, markdown_table
 from papers.labelled.exact import FULL_INFORMATION, audit, full_information
 
 NETWORKS = 50

@@ -12,13 +12,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import ScalarFormatter
 
-from papers.kit import Check, Reproduction, Section, at_most, markdown_table
+from papers.kit.checks import Check, at_most
+from papers.kit.figures import save
+from papers.kit.report import Paper, Section, markdown_table
+from papers.kit.traces import write_traces
 from papers.labelled.cases_section import case_outcomes, cases_section
 from papers.labelled.exact_section import NETWORKS, exact_section
-from papers.labelled.study import FORMS, OCCUPANCIES, SEED, Cell, cells
+from papers.labelled.study import FORMS, OCCUPANCIES, Cell, cells
 
-RUNS = 50
-PICTURE = "labelled.png"
+PICTURE = "labelled"
 EXCESS_MOST = 0.03
 _COLOURS = {
     "labelled, hybrid": "#0072B2",
@@ -41,21 +43,37 @@ _STUDY = {
 Table = dict[tuple[str, float], Cell]
 
 
-def reproduction(runs: int | None) -> Reproduction:
-    """The study with so many runs of each cell, 50 unless given; cases with a fifth of that."""
-    count = RUNS if runs is None else runs
-    return Reproduction(
-        "Labelled measurements on TRACK", SEED, lambda folder: _sections(folder, count)
-    )
-
-
-def _sections(folder: Path, runs: int) -> Iterator[Section]:
+def _sections(folder: Path, seed: int, runs: int) -> Iterator[Section]:
+    """`runs` of each cell; of the special cases a fifth of that."""
     yield exact_section(NETWORKS)
-    table: Table = {(form.name, part): cell for form, part, cell in cells(FORMS, runs)}
-    draw(table, folder / PICTURE)
+    table: Table = {(form.name, part): cell for form, part, cell in cells(FORMS, seed, runs)}
+    save(figure_of(table), folder, PICTURE, dpi=110)
+    _write(folder, table)
     yield error_section(table, runs)
     few = max(2, runs // 5)
-    yield cases_section(dict(case_outcomes(few)))
+    yield cases_section(dict(case_outcomes(seed, few)))
+
+
+PAPER = Paper(
+    "Labelled measurements on TRACK",
+    seed=1,
+    runs=50,
+    least_runs=2,
+    because="so that an interval can be made",
+    sections=_sections,
+)
+
+
+def _write(folder: Path, table: Table) -> None:
+    forms, parts = ([*dict.fromkeys(key[i] for key in table)] for i in (0, 1))
+    variables = {
+        name: (
+            ("form", "occupancy"),
+            np.array([[getattr(table[form, part], name) for part in parts] for form in forms]),
+        )
+        for name in Cell._fields
+    }
+    write_traces(folder, variables, {"form": forms, "occupancy": np.array(parts)})
 
 
 def error_section(table: Table, runs: int) -> Section:
@@ -77,7 +95,7 @@ def error_section(table: Table, runs: int) -> Section:
         f"{runs} runs of `target-tracking`, 20 nodes, 3 rounds; RMSE over that of the centralised "
         "filter on the same noise, with 95 % jackknife intervals; bytes and microseconds per step "
         "of all nodes. Said: before numbers, headers and the padding of static frames.\n\n"
-        f"![error against bytes]({PICTURE})\n\n{markdown_table(head, rows)}"
+        f"![error against bytes]({PICTURE}.png)\n\n{markdown_table(head, rows)}"
     )
     return Section(2, "Error and bytes", text, checks=list(_checks(table)))
 
@@ -116,7 +134,7 @@ def _consistency_check(name: str, c: Cell) -> Check:
     )
 
 
-def draw(table: Table, file: Path) -> None:
+def figure_of(table: Table) -> Figure:
     """Error against bytes, a line per form, a point per occupancy."""
     figure = Figure(figsize=(12, 5.5), layout="constrained")
     said, wire = figure.subplots(1, 2, sharey=True)
@@ -127,7 +145,7 @@ def draw(table: Table, file: Path) -> None:
     said.set_ylabel("RMSE over that of the centralised filter")
     said.legend(fontsize=8, ncols=2)
     figure.suptitle("TRACK: occupancy 1, 0.5, 0.25, 0.1 from right to left")
-    figure.savefig(file, dpi=110)
+    return figure
 
 
 def _draw_against(axes: Axes, table: Table, cost: Callable[[Cell], float], name: str) -> None:

@@ -24,7 +24,6 @@ from scenarios.build import build_plan
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup, prepare, share_bytes
 
-SEED = 1
 OCCUPANCIES = (1.0, 0.5, 0.25, 0.1)
 CONFIDENCE = 0.95
 
@@ -59,6 +58,7 @@ class Job(NamedTuple):
 
     form: Form
     occupancy: float
+    seed: int
     runs: int
 
 
@@ -103,7 +103,7 @@ class Cell(NamedTuple):
 def outcomes(job: Job) -> list[Outcome]:
     """What came of each run of a cell."""
     options = ScenarioOptions(
-        scenario="target-tracking", nodes=20, seed=SEED, occupancy=job.occupancy,
+        scenario="target-tracking", nodes=20, seed=job.seed, occupancy=job.occupancy,
         **job.form.options,
     )  # fmt: skip
     setup = prepare(options.resolve())
@@ -135,9 +135,9 @@ def outcomes(job: Job) -> list[Outcome]:
     return found
 
 
-def cells(forms: Sequence[Form], runs: int) -> Iterator[tuple[Form, float, Cell]]:
+def cells(forms: Sequence[Form], seed: int, runs: int) -> Iterator[tuple[Form, float, Cell]]:
     """All cells of the table, one after the other, as they get ready."""
-    jobs = [Job(form, part, runs) for form in forms for part in OCCUPANCIES]
+    jobs = [Job(form, part, seed, runs) for form in forms for part in OCCUPANCIES]
     for job, found in zip(jobs, side_by_side("errors and bytes", outcomes, jobs), strict=True):
         yield job.form, job.occupancy, cell(found)
 

@@ -1,13 +1,12 @@
 """Figures 2 to 7 of Liu et al. (2021), the size of every estimator's sets, and sets over time."""
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from filters.sets.ellipsoid import Ellipsoid, image, outline
 from nodes.messages import Array
+from papers.kit.figures import one_axes
 from papers.liu2021.runs import Batch, G, N, Outcome
 
 TRUE, PAPER, TIGHT, LIGHT = "0.15", "C0", "C1", "0.75"
@@ -16,10 +15,10 @@ COLOURS = {"paper": PAPER, "fast": "C9", "tight": TIGHT, "fast-rate": "C3", "zon
 _SHOWN_CYCLES = (0, 1, 2, 3)
 
 
-def draw_all(folder: Path, batch: Batch, outcomes: dict[str, Outcome]) -> dict[str, Path]:
-    """Write figure-2.png to figure-9.png of the paper's sequence; returns captions and paths."""
+def figures(batch: Batch, outcomes: dict[str, Outcome]) -> dict[str, Figure]:
+    """Figures 2 to 9 of the paper's sequence by caption."""
     paper, tight = outcomes["paper"], outcomes["tight"]
-    figures = {
+    drawn = {
         f"Figure {state + 2}: state x{state + 1}, its estimate and the bounds of the paper's "
         "estimator": _state(batch, paper, tight, state)
         for state in range(N)
@@ -27,18 +26,14 @@ def draw_all(folder: Path, batch: Batch, outcomes: dict[str, Outcome]) -> dict[s
     for number, states in ((6, (0, 1)), (7, (2, 3))):
         names = " and ".join(f"e{state + 1}" for state in states)
         caption = f"Figure {number}: estimation errors {names} and their upper bounds"
-        figures[caption] = _errors(batch, paper, tight, states)
-    figures["Figure 8: how large the sets of x are, every estimator on the paper's noise"] = _sizes(
+        drawn[caption] = _errors(batch, paper, tight, states)
+    drawn["Figure 8: how large the sets of x are, every estimator on the paper's noise"] = _sizes(
         outcomes
     )
-    figures["Figure 9: the sets of x after the first four cycles, in two planes"] = _sets(
+    drawn["Figure 9: the sets of x after the first four cycles, in two planes"] = _sets(
         batch, paper, tight, outcomes["fast-rate"]
     )
-    paths = {}
-    for number, (caption, figure) in enumerate(figures.items(), start=2):
-        paths[caption] = folder / f"figure-{number}.png"
-        figure.savefig(paths[caption], dpi=150)
-    return paths
+    return drawn
 
 
 def blocks(outcome: Outcome) -> tuple[Array, Array]:
@@ -56,7 +51,8 @@ def blocks(outcome: Outcome) -> tuple[Array, Array]:
 
 
 def _state(batch: Batch, paper: Outcome, tight: Outcome, state: int) -> Figure:
-    figure, axes = _canvas(3.4)
+    figure, axes = one_axes(3.4, 7.2)
+    _tidy(axes)
     truth = batch.states[0, :, state]
     steps = np.arange(1, len(truth))
     for outcome, colour, alpha, label in (
@@ -143,13 +139,6 @@ def _first(kept: object, matrix: Array) -> Ellipsoid:
     """The paper's sequence, and of its set what the matrix picks."""
     assert isinstance(kept, Ellipsoid), "zonotopes have no outline here"
     return image(Ellipsoid(kept.centre[0], kept.factor[0]), matrix)
-
-
-def _canvas(height: float) -> tuple[Figure, Axes]:
-    figure = Figure(figsize=(7.2, height), layout="constrained")
-    axes = figure.subplots()
-    _tidy(axes)
-    return figure, axes
 
 
 def _tidy(axes: Axes) -> None:

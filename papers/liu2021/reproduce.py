@@ -1,39 +1,23 @@
 """`concord reproduce liu2021`: set membership over FlexRay: figures, tables, guarantee."""
 
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from nodes.messages import Array
-from papers.kit import (
-    Check,
-    Reproduction,
-    Section,
-    above,
-    at_most,
-    markdown_table,
-    near,
-)
-from papers.liu2021.claims import claims
+from papers.kit.checks import Check, above, at_most, near
+from papers.kit.figures import save_all
+from papers.kit.report import Paper, Section, markdown_table
+from papers.kit.traces import write_traces
+from papers.liu2021.claims import claims, errata, gather
 from papers.liu2021.costs import Costs, measure
-from papers.liu2021.figures import draw_all
-from papers.liu2021.recursive_estimator import optimal_step
-from papers.liu2021.runs import (
-    ESTIMATORS,
-    FAMILIES,
-    Batch,
-    G,
-    Outcome,
-    by_cycle,
-    paper,
-    simulate,
-)
+from papers.liu2021.figures import figures
+from papers.liu2021.mutants import Mutant, mutant_of_rule, mutant_of_sign
+from papers.liu2021.runs import ESTIMATORS, FAMILIES, Batch, G, Outcome, simulate
 from papers.liu2021.tables import PUBLISHED, difference, gains_of_tables
 
-SEED, SEQUENCES, CYCLES = 1, 200, 13
+CYCLES = 13
 LONG_SEQUENCES, LONG_CYCLES = 20, 60
 # What an independent implementation measured on the paper's noise.
 TRACES = (
@@ -42,62 +26,50 @@ TRACES = (
 _RELATIVE = 1e-3
 
 
-def reproduction(sequences: int) -> Reproduction:
-    """The reproduction with so many noise sequences beside the paper's.
-
-    Raises:
-        ValueError: fewer than one.
-    """
-    if sequences < 1:
-        raise ValueError(f"--sequences {sequences}: must be at least 1, beside the paper's own")
-    return Reproduction(
-        "Recursive set-membership state estimation over a FlexRay network (Liu et al. 2021)",
-        SEED,
-        partial(_sections, sequences),
-    )
-
-
-class Mutant(NamedTuple):
-    """The paper's estimator with one mistake planted, on the same kind of sequences.
-
-    Attributes:
-        outside: instants at which the truth is outside the ellipsoid.
-        contradicted: instants with no ellipsoid left: the terms contradict each other.
-        sequences: how many sequences are touched by either. instants, of: how many there are.
-    """
-
-    outside: int
-    contradicted: int
-    sequences: int
-    instants: int
-    of: int
-
-
-def _sections(sequences: int, folder: Path) -> Iterator[Section]:
-    batch = simulate(SEED, sequences, CYCLES)
+def _sections(folder: Path, seed: int, sequences: int) -> Iterator[Section]:
+    """`sequences`: beside the paper's own."""
+    batch = simulate(seed, sequences, CYCLES)
     outcomes = {name: estimate(batch) for name, estimate in ESTIMATORS.items()}
-    yield _figures(folder, batch, outcomes)
+    _write(folder, batch, outcomes)
+    yield Section(3, "Figures", save_all(figures(batch, outcomes), folder, first=2))
     gains = gains_of_tables()
-    yield _tables(gains)
-    flipped, wrong_rule = mutant_of_sign(batch), mutant_of_rule(sequences)
+    yield _tables(gains, batch)
+    flipped, wrong_rule = mutant_of_sign(batch), mutant_of_rule(seed, sequences, CYCLES)
     yield _guarantee(outcomes, flipped, wrong_rule)
     yield _traces(outcomes)
-    long = simulate(SEED, LONG_SEQUENCES, LONG_CYCLES)
+    long = simulate(seed, LONG_SEQUENCES, LONG_CYCLES)
     yield _long_runs(long, {name: estimate(long) for name, estimate in ESTIMATORS.items()})
-    costs = measure(simulate(SEED, 0, CYCLES))
-    yield _costs(costs, outcomes["paper"])
-    yield Section(1, "Claims", claims=claims(batch, outcomes, gains, flipped, wrong_rule, costs))
+    yield _costs(measure(simulate(seed, 0, CYCLES)))
+    evidence = gather(batch, outcomes["paper"], gains, flipped, wrong_rule)
+    yield Section(1, "Claims", claims=claims(evidence))
+    yield Section(2, "Errata", errata=errata(outcomes))
+
+
+PAPER = Paper(
+    "Recursive set-membership state estimation over a FlexRay network (Liu et al. 2021)",
+    seed=1,
+    runs=200,
+    least_runs=1,
+    because="noise sequences beside the paper's own",
+    sections=_sections,
+)
+
+
+def _write(folder: Path, batch: Batch, outcomes: dict[str, Outcome]) -> None:
+    variables: dict[str, tuple[tuple[str, ...], Array]] = {
+        "state": (("sequence", "step", "x"), batch.states)
+    }
+    for name, one in outcomes.items():
+        time = "instant" if len(one.steps) > CYCLES else "cycle"
+        name = name.replace("-", "_")
+        variables[f"{name}_radius"] = ((time, "sequence"), one.radius)
+        variables[f"{name}_trace"] = ((time, "sequence"), one.trace)
+        variables[f"{name}_centre"] = ((time, "sequence", "x"), one.centre)
+        variables[f"{name}_half_width"] = ((time, "sequence", "x"), one.half_widths)
+    write_traces(folder, variables, {})
 
 
 # --- figures and tables --------------------------------------------------------------------------
-
-
-def _figures(folder: Path, batch: Batch, outcomes: dict[str, Outcome]) -> Section:
-    drawn = draw_all(folder, batch, outcomes)
-    text = "\n\n".join(
-        f"![{caption}]({path.name})\n\n*{caption}.*" for caption, path in drawn.items()
-    )
-    return Section(2, "Figures", text)
 
 
 _TABLES = """\
@@ -111,7 +83,7 @@ same reasons. Many entries below 0.0007 are printed as 0.0000.
 """
 
 
-def _tables(gains: Array) -> Section:
+def _tables(gains: Array, batch: Batch) -> Section:
     apart = [difference(ours, printed) for ours, printed in zip(gains, PUBLISHED, strict=True)]
     rows = [
         (f"Table {numeral}", f"{one.largest:.2g}", f"{one.relative:.2%}")
@@ -121,7 +93,7 @@ def _tables(gains: Array) -> Section:
         f"Table {numeral}, ours (printed):\n\n" + _beside(ours, printed)
         for numeral, ours, printed in zip(("I", "II", "III"), gains, PUBLISHED, strict=True)
     )
-    winners = simulate(SEED, 0, CYCLES).received.winner[0, :3] + 3
+    winners = batch.received.winner[0, :3] + 3
     text = _TABLES.format(winners=", ".join(map(str, winners)))
     head = ("table", "largest difference", "relative, Frobenius")
     checks = [
@@ -130,7 +102,7 @@ def _tables(gains: Array) -> Section:
         at_most("Table III: largest difference", apart[2].largest, 2e-3),
     ]
     text = text + "\n" + markdown_table(head, rows) + "\n\n" + beside
-    return Section(3, "Tables I to III", text, checks, data={"gains": gains.tolist()})
+    return Section(4, "Tables I to III", text, checks, data={"gains": gains.tolist()})
 
 
 def _beside(ours: Array, printed: Array) -> str:
@@ -142,32 +114,6 @@ def _beside(ours: Array, printed: Array) -> str:
 
 
 # --- the guarantee -------------------------------------------------------------------------------
-
-
-def mutant_of_sign(batch: Batch) -> Mutant:
-    """The sign of Xi in (20) flipped, which is the same as negative weights."""
-    return _mutant(by_cycle(optimal_step, batch, lambda c: c._replace(weights=-c.weights)))
-
-
-def mutant_of_rule(sequences: int) -> Mutant:
-    """Winners by Q y^2, as the tables suggest, and the estimator believing in (5)."""
-    return _mutant(paper(simulate(SEED, sequences, CYCLES, _largest_value)))
-
-
-def _largest_value(values: Array, held: Array, weights: Array) -> np.ndarray:
-    return np.argmax(weights * values**2, axis=-1)
-
-
-def _mutant(outcome: Outcome) -> Mutant:
-    contradicted = np.isnan(outcome.radius)
-    hurt = outcome.violations
-    return Mutant(
-        outside=int((hurt & ~contradicted).sum()),
-        contradicted=int(contradicted.sum()),
-        sequences=int(hurt.any(0).sum()),
-        instants=hurt.size,
-        of=hurt.shape[1],
-    )
 
 
 _GUARANTEE = """\
@@ -212,7 +158,7 @@ def _guarantee(outcomes: dict[str, Outcome], flipped: Mutant, wrong_rule: Mutant
     checks += [above(f"{name}: violations", m.outside, 0) for name, m in planted.items()]
     data = {name: {"violations": int(one.violations.sum())} for name, one in outcomes.items()}
     data |= {name: m._asdict() for name, m in planted.items()}
-    return Section(4, "The guarantee", text, checks, data=data)
+    return Section(5, "The guarantee", text, checks, data=data)
 
 
 def _row(name: str, outcome: Outcome) -> tuple[str, ...]:
@@ -252,7 +198,7 @@ def _traces(outcomes: dict[str, Outcome]) -> Section:
     shrunk = outcomes["tight"].trace[-1] / outcomes["paper"].trace[-1]
     checks.append(at_most("tight: tr P at the end against the paper's, worst", shrunk.max(), 0.95))
     data = {name: values.tolist() for name, values in by_cycle_.items()}
-    return Section(5, "Size over time", text, checks, data=data)
+    return Section(6, "Size over time", text, checks, data=data)
 
 
 def _long_runs(batch: Batch, outcomes: dict[str, Outcome]) -> Section:
@@ -275,13 +221,13 @@ def _long_runs(batch: Batch, outcomes: dict[str, Outcome]) -> Section:
         at_most(f"{name}, long runs: sets that do not hold the truth", int(one.violations.sum()), 0)
         for name, one in outcomes.items()
     ]
-    return Section(6, "Long unstable runs", text + "\n\n" + markdown_table(head, rows), checks)
+    return Section(7, "Long unstable runs", text + "\n\n" + markdown_table(head, rows), checks)
 
 
 # --- the solver, and what it costs ---------------------------------------------------------------
 
 
-def _costs(costs: Costs, outcome: Outcome) -> Section:
+def _costs(costs: Costs) -> Section:
     rows = [
         (name, f"{each:.3g}", f"{each * CYCLES:.3g}", "" if apart is None else f"{apart:.1e}")
         for name, each, apart in costs.rows
@@ -297,4 +243,4 @@ def _costs(costs: Costs, outcome: Outcome) -> Section:
         text += "\n\nThe cross-check needs the extra `convex` (cvxpy and clarabel), not installed."
     else:
         checks.append(at_most("semidefinite solver: tr P apart, relative", costs.solver, 1e-5))
-    return Section(7, "Cross-check and times", text, checks)
+    return Section(8, "Cross-check and times", text, checks)

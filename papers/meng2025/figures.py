@@ -1,11 +1,9 @@
 """Figures 2 to 5 of Meng et al. (2025), with the recommended filter beside the printed one."""
 
-from pathlib import Path
-
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from papers.kit.figures import one_axes
 from papers.meng2025.runs import Batch, Outcome
 from papers.meng2025.table import mse_by_step, trace_by_step
 from plants import meng2025
@@ -14,9 +12,9 @@ TRUE, OURS, PRINTED, DYNAMIC = "0.15", "C0", "C3", "C1"
 _TWO_SIGMA = 2.0
 
 
-def draw_all(folder: Path, batch: Batch, recommended: Outcome, printed: Outcome) -> dict[str, Path]:
-    """Write figure-2.png to figure-5.png of run 0 (4: of all runs); returns captions and paths."""
-    figures = {
+def figures(batch: Batch, recommended: Outcome, printed: Outcome) -> dict[str, Figure]:
+    """Figures 2 to 5 by caption, of run 0 (4: of all runs)."""
+    return {
         "Figure 2: state x1 and its estimate, run 0": _states(batch, recommended, printed, 0),
         "Figure 3: state x2 and its estimate, run 0": _states(batch, recommended, printed, 1),
         f"Figure 4: mean square error over {batch.runs} runs, and what the filters report": _errors(
@@ -24,15 +22,10 @@ def draw_all(folder: Path, batch: Batch, recommended: Outcome, printed: Outcome)
         ),
         "Figure 5: the sensor that has access to the bus, run 0": _access(recommended),
     }
-    paths = {}
-    for number, (caption, figure) in enumerate(figures.items(), start=2):
-        paths[caption] = folder / f"figure-{number}.png"
-        figure.savefig(paths[caption], dpi=150)
-    return paths
 
 
 def _states(batch: Batch, recommended: Outcome, printed: Outcome, state: int) -> Figure:
-    figure, axes = _canvas(3.6)
+    figure, axes = one_axes(3.6)
     steps = np.arange(len(batch.truth))
     mean = recommended.mean[:, 0, state]
     half = _TWO_SIGMA * np.sqrt(recommended.cov[:, 0, state, state])
@@ -53,7 +46,7 @@ def _states(batch: Batch, recommended: Outcome, printed: Outcome, state: int) ->
 
 
 def _errors(batch: Batch, recommended: Outcome, printed: Outcome) -> Figure:
-    figure, axes = _canvas(4.2)
+    figure, axes = one_axes(4.2)
     steps = np.arange(len(batch.truth))
     for outcome, colour, name in (
         (printed, PRINTED, "paper-literal"),
@@ -76,7 +69,7 @@ def _errors(batch: Batch, recommended: Outcome, printed: Outcome) -> Figure:
 
 
 def _access(outcome: Outcome) -> Figure:
-    figure, axes = _canvas(3.0)
+    figure, axes = one_axes(3.0)
     sent = outcome.sent[:, 0]
     for sensors, colour, label in (
         (range(meng2025.STATIC_SLOTS), OURS, "static slot (round robin)"),
@@ -95,10 +88,3 @@ def _access(outcome: Outcome) -> Figure:
     axes.set_axisbelow(True)
     axes.legend(frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     return figure
-
-
-def _canvas(height_inches: float) -> tuple[Figure, Axes]:
-    figure = Figure(figsize=(7.5, height_inches), layout="constrained")
-    axes = figure.subplots()
-    axes.spines[["top", "right"]].set_visible(False)
-    return figure, axes

@@ -21,19 +21,19 @@ from bus.flexray.measurement_bus import (
 from bus.flexray.schedule import Schedule
 from filters.gaussian import Gaussian
 from filters.stochastic_ukf import RECOMMENDED, MeasurementFilter, Received
-from filters.stochastic_ukf_printed import (
+from nodes.messages import Array
+from papers.kit.plant_runs import plant_runs
+from papers.meng2025.filter_as_printed import (
     PAPER_LITERAL,
     PAPER_LITERAL_R,
     on_fresh_rows,
     pseudo_inverse,
     update,
 )
-from nodes.messages import Array
 from plants import meng2025
 from plants.stochastic import StochasticNonlinearity, StochasticSystem
 from scenarios.definitions.measurement_runs import Estimator, estimate, first_received, slots_of
 from scenarios.definitions.meng2025 import KIND, SENSORS, SYSTEM, paper_points
-from scenarios.setup import generator
 
 EVERYBODY = range(1, SENSORS + 1)
 STATIC = range(1, meng2025.STATIC_SLOTS + 1)
@@ -102,20 +102,10 @@ def deterministic() -> StochasticSystem:
 
 def simulate(seed: int, runs: int, steps: int) -> Batch:
     """Runs 0, 1, ... under a seed, for steps 0..steps."""
-    plant = KIND.plant(KIND.defaults)
-    draws = [
-        plant.draw(partial(generator, replace(KIND.defaults, seed=seed, run=run)), steps + 1)
-        for run in range(runs)
-    ]
-    state = plant.initial(np.stack([one.initial for one in draws]))[0]
-    process = np.stack([one.process for one in draws], axis=1)
-    sensing = np.stack([one.measurement for one in draws], axis=1)
-    truth, measurement = [state], [np.full((runs, SYSTEM.entries), np.nan)]
-    for step in range(1, steps + 1):
-        state = plant.advance(state, None, process[step - 1], step - 1)
-        truth.append(state)
-        measurement.append(SYSTEM.observe(state, sensing[step], step))
-    return Batch(seed, np.stack(truth), np.stack(measurement))
+    driven = plant_runs(replace(KIND.defaults, seed=seed, steps=steps + 1), range(runs))
+    measurement = driven.readings[:, :, 1:, 0].copy()
+    measurement[0] = np.nan
+    return Batch(seed, driven.truth, measurement)
 
 
 def transmit(batch: Batch, schedule: Schedule) -> Slot:

@@ -4,20 +4,13 @@ import msgspec
 import numpy as np
 from scipy import stats
 
+from experiments.monte_carlo.intervals import Interval, mean_t
 from filters.metrics import nees
 from nodes.messages import Array
 from papers.meng2025.runs import Batch, Outcome
 
-CONFIDENCE = 0.95
+ELLIPSE = 0.95
 DIVERGED = 1e3
-
-
-class Interval(msgspec.Struct, frozen=True):
-    """A mean over runs, and where the expected value is with 95 % confidence."""
-
-    value: float
-    low: float
-    high: float
 
 
 class Row(msgspec.Struct, frozen=True):
@@ -55,30 +48,20 @@ def row(name: str, label: str, batch: Batch, outcome: Outcome, reference: Outcom
     cov = outcome.cov[1:, ~lost]
     squared = (kept**2).mean(axis=0)
     normalised = nees(kept, cov)
-    inside = normalised <= stats.chi2.ppf(CONFIDENCE, errors.shape[-1])
+    inside = normalised <= stats.chi2.ppf(ELLIPSE, errors.shape[-1])
     trace = np.trace(cov, axis1=-2, axis2=-1).mean()
     return Row(
         name,
         label,
-        rmse=[_root(interval(of_state)) for of_state in squared.T],
-        anees=interval(normalised.mean(axis=0)),
-        coverage=interval(inside.mean(axis=0)),
+        rmse=[_root(mean_t(of_state)) for of_state in squared.T],
+        anees=mean_t(normalised.mean(axis=0)),
+        coverage=mean_t(inside.mean(axis=0)),
         diverged=float(lost.mean()),
-        mse=interval(squared.sum(axis=-1)),
+        mse=mean_t(squared.sum(axis=-1)),
         mse_to_trace=float(squared.sum(axis=-1).mean() / trace),
         largest_error=float(np.abs(kept).max(initial=0.0)),
-        difference=None if reference is None else _difference(batch, outcome, reference),
+        difference=None if reference is None else difference(batch, outcome, reference),
     )
-
-
-def interval(per_run: Array) -> Interval:
-    """The mean of independent runs (R,), and Student's interval for it."""
-    count = len(per_run)
-    if count < 2:
-        return Interval(float(per_run.mean()) if count else np.nan, np.nan, np.nan)
-    half = stats.t.ppf((1 + CONFIDENCE) / 2, count - 1) * per_run.std(ddof=1) / np.sqrt(count)
-    mean = float(per_run.mean())
-    return Interval(mean, mean - float(half), mean + float(half))
 
 
 def mse_by_step(batch: Batch, outcome: Outcome) -> Array:
@@ -91,11 +74,12 @@ def trace_by_step(outcome: Outcome) -> Array:
     return np.trace(outcome.cov, axis1=-2, axis2=-1).mean(axis=1)
 
 
-def _difference(batch: Batch, outcome: Outcome, reference: Outcome) -> Interval:
+def difference(batch: Batch, outcome: Outcome, reference: Outcome) -> Interval:
+    """Mean square error minus that of the reference, run by run."""
     errors, known = (one.mean[1:] - batch.truth[1:] for one in (outcome, reference))
     kept = ~(_diverged(errors) | _diverged(known))
     ours, theirs = ((e[:, kept] ** 2).sum(axis=-1).mean(axis=0) for e in (errors, known))
-    return interval(ours - theirs)
+    return mean_t(ours - theirs)
 
 
 def _diverged(errors: Array) -> np.ndarray:
@@ -104,4 +88,4 @@ def _diverged(errors: Array) -> np.ndarray:
 
 
 def _root(square: Interval) -> Interval:
-    return Interval(*(float(np.sqrt(max(x, 0.0))) for x in msgspec.structs.astuple(square)))
+    return Interval(*(float(np.sqrt(max(x, 0.0))) for x in square))

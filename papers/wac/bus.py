@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 
-from papers.kit import Check, Section, above, at_most, below, markdown_table, near
+from papers.kit.checks import Check, above, at_most, below, near
+from papers.kit.report import Section, markdown_table
 from papers.wac.bench import Cell, Study
 from papers.wac.occupancy import (
     FULL,

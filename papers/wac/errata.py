@@ -1,19 +1,6 @@
 """The errata of the consensus paper that the project's study lists, by its numbers."""
 
-from collections.abc import Sequence
-from typing import NamedTuple
-
-from papers.kit import Claim, Section, markdown_table
-
-
-class Erratum(NamedTuple):
-    """What is printed where, and what is correct."""
-
-    number: int
-    where: str
-    printed: str
-    correct: str
-
+from papers.kit.claims import Erratum
 
 ERRATA = (
     Erratum(1, "(3)", "a trailing factor m/Ns", "it is the unit; the function is 1/(ms + b)"),
@@ -86,18 +73,9 @@ ERRATA = (
         "N, graph, Π, l and the sensors of the nodes: without them no distributed result of the "
         "paper can be repeated",
     ),
+    Erratum(
+        23, "III, N-bar", "inv(A, B; C, D) gives N-bar, with the C of (21)",
+        "with the two rows of C the matrix is not square: the controlled row alone; with the "
+        "integrator of the bus there is no N-bar",
+    ),
 )  # fmt: skip
-
-
-def section(place: int, claims: Sequence[Claim]) -> Section:
-    """The list, with what became of each where it could be measured."""
-    measured = {claim.erratum for claim in claims if claim.verdict != "reproduced"}
-    rows = [
-        (
-            str(erratum.number), erratum.where, erratum.printed, erratum.correct,
-            "above" if erratum.number in measured else "of the text",
-        )
-        for erratum in ERRATA
-    ]  # fmt: skip
-    head = ("number", "where", "printed", "correct", "measured")
-    return Section(place, "Errata", markdown_table(head, rows))

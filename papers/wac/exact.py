@@ -11,7 +11,7 @@ import numpy as np
 
 from experiments.progress import progress
 from nodes.messages import Array
-from papers.kit import Check, above, at_most, near
+from papers.kit.checks import Check, above, at_most, near
 from papers.wac.exact_covariance import figures_of, network_of, over_nodes, propagate
 from papers.wac.exact_rules import RULES
 from plants.control.cruise import cruise

@@ -3,7 +3,7 @@
 import numpy as np
 
 from nodes.messages import Array
-from papers.kit import Section, markdown_table
+from papers.kit.report import Section, markdown_table
 from papers.wac.exact import (
     FUSED,
     GEOMETRIC_SEED,

@@ -1,6 +1,6 @@
 """Figs. 10-14 of the consensus paper as pictures, drawn from `papers.wac.responses`.
 
-Colours are Okabe and Ito's, which most people can tell apart; lines differ in width and dash too.
+Lines differ in width and dash too.
 """
 
 from pathlib import Path
@@ -10,10 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from nodes.messages import Array
+from papers.kit.figures import BLACK, BLUE, GREY, ORANGE, SKY, VERMILION, save
 from papers.wac.responses import OUTPUT, Trial
 
-BLACK, ORANGE, SKY = "#000000", "#E69F00", "#56B4E9"
-BLUE, VERMILION, GREY = "#0072B2", "#D55E00", "#999999"
 DPI = 110
 MOST_DOTS = 400
 
@@ -30,20 +29,25 @@ ERROR_LABELS = {
     "position": "error of $\\theta$ [rad]",
 }
 FILES = {
-    "cruise": "fig10_cruise.png",
-    "bus": "fig11_suspension.png",
-    "pitch": "fig12_pitch.png",
-    "speed": "fig13_motor_speed.png",
-    "position": "fig14_motor_position.png",
+    "cruise": "fig10_cruise",
+    "bus": "fig11_suspension",
+    "pitch": "fig12_pitch",
+    "speed": "fig13_motor_speed",
+    "position": "fig14_motor_position",
 }
 
 
 def draw(trials: dict[str, dict[str, Trial]], folder: Path) -> list[str]:
     """Write all five pictures; returns their names."""
-    for plant, name in FILES.items():
-        figure = _bus(trials["bus"]) if plant == "bus" else _followers(plant, trials[plant])
-        figure.savefig(folder / name, dpi=DPI)
-    return list(FILES.values())
+    return [
+        save(
+            _bus(trials["bus"]) if plant == "bus" else _followers(plant, trials[plant]),
+            folder,
+            name,
+            DPI,
+        )
+        for plant, name in FILES.items()
+    ]
 
 
 def _followers(plant: str, trials: dict[str, Trial]) -> Figure:

@@ -6,11 +6,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from papers.wac.figures import BLACK, BLUE, DPI, GREY, ORANGE, VERMILION
+from papers.kit.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, save
+from papers.wac.figures import DPI
 from papers.wac.root_loci import Panel, figure_7
 from plants.control.transfer_functions import root_locus
 
-FILE = "fig07_root_loci.png"
+FILE = "fig07_root_loci"
 
 # Windows (re low, re high, im low, im high) in 1/s that show where each locus is decided.
 WINDOWS = {
@@ -48,8 +49,7 @@ def draw(folder: Path) -> str:
         axes.set_ylabel("imaginary part [rad/s]")
     handles, labels = grid[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False)
-    figure.savefig(folder / FILE, dpi=DPI)
-    return FILE
+    return save(figure, folder, FILE, DPI)
 
 
 def _locus(axes: Axes, panel: Panel, *, designed: bool) -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from nodes.messages import Array
-from papers.kit import Check, above, at_most, below, near, refused
+from papers.kit.checks import Check, above, at_most, below, near, refused
 from papers.wac.loops import Loops
 from plants.control import motor, suspension
 from plants.control.design import continuous_gain_feedback, precompensation

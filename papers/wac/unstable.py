@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from nodes.messages import Array
-from papers.kit import Check, Section, below, markdown_table
+from papers.kit.checks import Check, below
+from papers.kit.report import Section, markdown_table
 from papers.wac.exact_covariance import LinearNetwork, Moments, propagate
 from papers.wac.exact_rules import RULES
 from topology.graphs import ring

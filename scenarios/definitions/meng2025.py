@@ -27,7 +27,6 @@ from bus.flexray.schedule import Schedule
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule, scaled_unscented
 from filters.stochastic_ukf import RECOMMENDED, MeasurementFilter, Received
-from filters.stochastic_ukf_printed import PAPER_LITERAL, PAPER_LITERAL_R
 from nodes.estimator import Estimator
 from nodes.rules.measurement_bus import ReceiverNode, SensorNode
 from nodes.rules.measurement_codec import MeasurementCodec
@@ -47,11 +46,7 @@ Array = NDArray[np.float64]
 
 SYSTEM, SENSORS = meng2025.SYSTEM, meng2025.SENSORS
 ZERO_ORDER, ZERO_INPUT = "zero-order", "zero-input"
-FILTERS: dict[str, MeasurementFilter] = {
-    "recommended": RECOMMENDED,
-    "paper-literal": PAPER_LITERAL,
-    "paper-literal-R": PAPER_LITERAL_R,
-}
+FILTERS: dict[str, MeasurementFilter] = {"recommended": RECOMMENDED}
 
 _SILENT = {ZERO_ORDER: zero_order_hold, ZERO_INPUT: zero_input}
 _EVERYBODY = range(1, SENSORS + 1)
@@ -140,11 +135,6 @@ def _check(scenario: Scenario) -> None:
             raise unknown_name(f"{option} for a measurement bus", value, known)
 
 
-def _warnings(scenario: Scenario) -> tuple[str, ...]:
-    warning = FILTERS[scenario.rule].warning
-    return (warning,) if warning else ()
-
-
 _NAMES = {"rule": tuple(FILTERS), "schedule": tuple(_SCHEDULES), "hold": tuple(_SILENT)}
 _WHO = f"node 0 estimates and hears the sensors, nodes 1 to {SENSORS}"
 
@@ -171,7 +161,6 @@ KIND = Kind(
         share_bytes=lambda scenario: _codec(scenario).size,
         estimator=_estimator,
         names=_NAMES,
-        warnings=_warnings,
     ),
     listen=_listen,
 )

@@ -10,7 +10,7 @@ from experiments.cli.reproduce import carry_out
 from experiments.scenario_options import ScenarioOptions
 from papers.labelled.cases import Case, CaseOutcome, halves, runs_of_case
 from papers.labelled.cases_section import CASES, cases_section
-from papers.labelled.reproduce import draw, error_section, reproduction
+from papers.labelled.reproduce import PAPER, error_section, figure_of
 from papers.labelled.study import FORMS, OCCUPANCIES, Form, Job, Outcome, cell
 from papers.labelled.study import outcomes as runs_of
 from scenarios.setup import prepare
@@ -41,7 +41,7 @@ def test_the_interval_is_that_of_the_delta_method():
 
 def test_a_run_is_what_a_summary_would_say():
     form = Form("labelled", {"rule": "labelled", "schedule": "dynamic", "steps": 30})
-    (found, _) = runs_of(Job(form, 0.25, 2))
+    (found, _) = runs_of(Job(form, 0.25, 1, 2))
     assert 1.0 < np.sqrt(found.squared / found.squared_centralised) < 3.0
     assert found.consistency.shape == (20,)
     # Fifteen frames a step at most, each of at least ten bytes and at most 254, and 8 around.
@@ -73,7 +73,7 @@ def test_a_case_loses_what_it_says():
 def test_the_report_has_a_picture_and_a_row_for_every_cell(tmp_path: Path):
     generator = np.random.default_rng(1)
     table = {(f.name, part): cell(outcomes(generator, 5)) for f in FORMS for part in OCCUPANCIES}
-    draw(table, tmp_path / "labelled.png")
+    figure_of(table).savefig(tmp_path / "labelled.png")
     assert (tmp_path / "labelled.png").stat().st_size > 10_000
     section = error_section(table, 5)
     assert section.text.count("\n| ") == 1 + 1 + len(table)
@@ -90,7 +90,7 @@ def test_the_report_has_a_picture_and_a_row_for_every_cell(tmp_path: Path):
 @pytest.mark.slow
 def test_the_command_does_all_of_it(tmp_path: Path):
     """Two runs say little of errors; what is exact must hold all the same."""
-    report = carry_out("labelled", reproduction(2), tmp_path)
+    report = carry_out("labelled", PAPER, tmp_path, PAPER.seed, 2)
     assert report.complete and [section.place for section in report.sections] == [1, 2, 3]
     assert all(check.ok for check in report.sections[0].checks)
     assert (tmp_path / "labelled.png").exists()

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from experiments.__main__ import main
+from experiments.monte_carlo.intervals import Interval
+from papers.adlukf.claims import Evidence, Printed, claims
 from papers.adlukf.consistency import average_nees, matched_study
 from papers.adlukf.cost import costs
 from papers.adlukf.elsewhere import Elsewhere, in_words
@@ -20,10 +22,11 @@ from papers.adlukf.study import (
     quantities,
     score,
 )
-from papers.adlukf.tables import interval, per_state, ratio, with_interval
+from papers.adlukf.tables import per_state, ratio, with_interval
 from plants.vehicle.drive import Drive
 from plants.vehicle.model import linear_tyre, single_track
 from plants.vehicle.parameters import BMW_320I
+from tests.papers.support import every_claim_can_fail
 
 STEPS = 250
 
@@ -119,13 +122,6 @@ def matched():
     return build_study((twice,), (CASES["true R"],), 2, seed=1)
 
 
-def test_an_interval_is_students():
-    """Of the values 1, 2, 3: t(.975, 2) = 4.303, s / sqrt(3) = .577."""
-    mean, half = interval(np.array([1.0, 2.0, 3.0]))
-    assert mean == pytest.approx(2.0)
-    assert half == pytest.approx(4.3027 / np.sqrt(3), rel=1e-4)
-
-
 @pytest.mark.parametrize(
     ("half", "says"),
     [
@@ -167,9 +163,43 @@ def test_what_holds_elsewhere_is_counted():
     assert words.endswith("beats the CKF in both states in 1.")
 
 
+def _exactly(*values: float) -> tuple[Interval, ...]:
+    return tuple(Interval(value, value, value) for value in values)
+
+
+MEASURED = Evidence(
+    printed=Printed((0.126, 0.139), (0.338, 0.0704, 0.311), 17.9, 193.4),
+    beaten={
+        ("rmse", "yaw rate"): _exactly(0.02, -0.05, 0.02, 0.01),
+        ("rmse", "side slip"): _exactly(-0.003, 0.001, 0.0, 0.0),
+        ("mae", "v_x"): _exactly(0.002, 0.001, 0.002, 0.001),
+    },
+    mean={
+        ("rmse", "yaw rate"): "", ("rmse", "side slip"): "", ("mae", "v_x"): "",
+    },
+    yaw_error=(0.14, 0.12), yaw_signal=(6.0, 10.0), yaw_spread=(9.1, 13.3),
+    adlukf_ratio=_exactly(0.99, 0.99, 1.04, 0.96), ckf_ratio=_exactly(4.6, 1.6, 2.8, 1.35),
+    ckf_side_slip_ratio=_exactly(0.93, 0.96), cost=(9.3, 4.0), printed_cost=1.01, lost=(0, 0),
+    printed_over_ckf=_exactly(4.7, 1.03, 4.4, 3.4, 1.02, 2.8),
+)  # fmt: skip
+
+
+def test_claims_get_the_verdicts_that_the_figures_say():
+    verdicts = [claim.verdict for claim in claims(MEASURED)]
+    assert verdicts == [
+        "does not hold", "does not hold", "does not hold", "contradicts itself", "does not hold",
+        "holds", "does not hold", "contradicts itself", "does not hold", "does not hold",
+        "does not hold", "does not hold",
+    ]  # fmt: skip
+
+
+def test_every_claim_can_fail():
+    every_claim_can_fail(claims, MEASURED)
+
+
 def test_one_seed_is_refused(tmp_path: Path, capsys):
     with pytest.raises(SystemExit) as ended:
-        main(["reproduce", "adlukf", "--seeds", "1", "--out", str(tmp_path / "x")])
+        main(["reproduce", "adlukf", "--runs", "1", "--out", str(tmp_path / "x")])
     assert ended.value.code == 2
     assert "at least 2" in capsys.readouterr().err
 
@@ -180,7 +210,7 @@ def test_one_seed_is_refused(tmp_path: Path, capsys):
 )
 def test_the_whole_reproduction_holds(tmp_path: Path, capsys):
     folder = tmp_path / "adlukf"
-    main(["reproduce", "adlukf", "--seeds", "20", "--out", str(folder), "--json"])
+    main(["reproduce", "adlukf", "--runs", "20", "--out", str(folder), "--json"])
     report = json.loads(capsys.readouterr().out)
     assert report["ok"]
     for name in ("figure-4.png", "figure-5.png", "figure-9.png"):

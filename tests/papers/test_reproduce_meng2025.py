@@ -4,14 +4,19 @@ import struct
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
+import xarray
 
-from experiments.cli.reproduce import REPRODUCTIONS, carry_out
+from experiments.cli.reproduce import carry_out
+from experiments.monte_carlo.intervals import Interval
 from experiments.results.trace import read_trace
-from papers.meng2025.claims import claims, order_of_slots
+from papers.kit.report import check_runs
+from papers.meng2025.claims import Evidence, claims, gather
+from papers.meng2025.errata import order_of_slots
 from papers.meng2025.particles import log_likelihood, track
-from papers.meng2025.reproduce import reproduction
+from papers.meng2025.reproduce import PAPER, checks_of
 from papers.meng2025.runs import (
     Batch,
     Method,
@@ -21,12 +26,13 @@ from papers.meng2025.runs import (
     simulate,
 )
 from papers.meng2025.runs import carry_out as estimate_by
-from papers.meng2025.table import Interval, Row, interval, row
+from papers.meng2025.table import Row, row
 from plants import meng2025
 from runtime.drivers import in_memory
 from scenarios.definitions.meng2025 import SYSTEM
 from scenarios.setup import prepare
 from tests.experiments.support import scenario
+from tests.papers.support import every_claim_can_fail
 
 # RMSE x1, x2 and ANEES over 200 runs of an independent implementation (the study of the paper).
 STUDY = {
@@ -72,11 +78,10 @@ def half(one: Interval) -> float:
 # --- the runs ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("rule", ["recommended", "paper-literal-R"])
-def test_a_run_of_the_batch_is_that_run_of_the_scenario(rule: str):
+def test_a_run_of_the_batch_is_that_run_of_the_scenario():
     few = simulate(5, 3, 30)
-    outcome = estimate_by(few, methods()[rule])
-    setup = prepare(scenario("meng2025", seed=5, run=2, rule=rule, steps=31))
+    outcome = estimate_by(few, methods()["recommended"])
+    setup = prepare(scenario("meng2025", seed=5, run=2, steps=31))
     trace = read_trace(setup, in_memory(setup))
     np.testing.assert_allclose(trace.truth, few.truth[:, 2], rtol=1e-12, atol=1e-12)
     readings = trace.readings[:, 1:, 0, 0]
@@ -195,32 +200,39 @@ def test_runs_that_diverge_are_counted_and_left_out():
     assert found.difference == Interval(0.0, 0.0, 0.0)
 
 
-def test_an_interval_holds_the_mean_as_often_as_it_says():
-    generator = np.random.default_rng(9)
-    trials = [interval(generator.standard_exponential(60)) for _ in range(2000)]
-    held = np.mean([one.low <= 1.0 <= one.high for one in trials])
-    # A skewed law costs Student's interval about two points at sixty runs.
-    assert 0.91 < held < 0.97
-
-
 # --- the report ----------------------------------------------------------------------------------
 
 
-def test_claims_get_the_verdicts_that_the_figures_say(
-    batch: Batch, outcomes: dict[str, Outcome], rows: dict[str, Row]
-):
-    found = {claim.says: claim.verdict for claim in claims(batch, outcomes, rows)}
+@pytest.fixture(scope="module")
+def evidence(batch: Batch, outcomes: dict[str, Outcome], rows: dict[str, Row]) -> Evidence:
+    return gather(batch, outcomes, rows)
+
+
+def test_claims_get_the_verdicts_that_the_figures_say(evidence: Evidence):
+    found = {claim.says: claim.verdict for claim in claims(evidence)}
     assert found == {
-        "the gain is P_xy P_yy^-1": "not reproducible as printed",
-        "the impact of the protocol is reflected in the filter": "wrong",
-        "the estimates follow the states": "not reproducible as printed",
-        "log MSE is consistently below the log of its upper bound": "not reproducible as printed",
-        "the impact of the stochastic nonlinearities is reflected in the filter": "reproduced",
-        "four sensors in turn, then one of the last two": "reproduced",
-        "data transmission is effectively reduced": "reproduced",
-        "FlexRay has advantages over other protocols": "not reproducible as printed",
-        "smaller alpha and gamma decrease the computational complexity": "wrong",
+        "the gain is P_xy P_yy^-1": "contradicts itself",
+        "the impact of the protocol is reflected in the filter": "does not hold",
+        "the estimates follow the states": "does not hold",
+        "log MSE is consistently below the log of its upper bound": "does not hold",
+        "the impact of the stochastic nonlinearities is reflected in the filter": "holds",
+        "FlexRay has advantages over other protocols": "does not hold",
     }
+
+
+def test_every_claim_can_fail(evidence: Evidence):
+    every_claim_can_fail(claims, evidence)
+
+
+def test_bands_come_from_the_runs_own_intervals(rows: dict[str, Row]):
+    exact = {check.name: check for check in checks_of(200, rows)}
+    assert all(check.ok for check in exact.values())
+    ours = rows["recommended"]
+    far = msgspec.structs.replace(
+        ours, rmse=[Interval(1.2 * i.value, 1.2 * i.low, 1.2 * i.high) for i in ours.rmse]
+    )
+    worse = {check.name: check for check in checks_of(200, rows | {"recommended": far})}
+    assert not worse["recommended: RMSE x1"].ok
 
 
 def test_the_order_of_slots(outcomes: dict[str, Outcome]):
@@ -229,10 +241,10 @@ def test_the_order_of_slots(outcomes: dict[str, Outcome]):
 
 
 def test_the_whole_reproduction(tmp_path: Path):
-    report = carry_out("meng2025", reproduction(12), tmp_path)
-    assert report.complete
+    report = carry_out("meng2025", PAPER, tmp_path, seed=7, runs=12)
+    assert report.complete and (report.seed, report.runs) == (7, 12)
     assert [section.title for section in report.sections] == [
-        "Claims", "Figures", "Comparison", "Checks",
+        "Claims", "Errata", "Figures", "Comparison", "Checks",
     ]  # fmt: skip
     text = (tmp_path / "report.md").read_text()
     for number in range(2, 6):
@@ -240,22 +252,25 @@ def test_the_whole_reproduction(tmp_path: Path):
         picture = (tmp_path / f"figure-{number}.png").read_bytes()
         width, height = struct.unpack(">II", picture[16:24])
         assert width > 1000 and height > 400
+        assert (tmp_path / f"figure-{number}.svg").read_text().startswith("<?xml")
     labels = [method.label for method in methods().values()]
     assert all(label in text for label in labels)
-    assert report.sections[2].data["runs"] == 12
+    assert report.sections[3].data["rows"]["recommended"]["name"] == "recommended"
+    with xarray.open_dataset(tmp_path / "traces.nc", engine="h5netcdf") as traces:
+        assert traces["mean"].sizes == {"estimator": 11, "step": 101, "run": 12, "state": 2}
+        np.testing.assert_array_equal(traces["truth"], simulate(7, 12, 100).truth)
 
 
 @pytest.mark.slow
 def test_every_check_holds_over_the_runs_of_the_study(tmp_path: Path):
-    report = REPRODUCTIONS["meng2025"](None)
-    done = carry_out("meng2025", report, tmp_path)
+    done = carry_out("meng2025", PAPER, tmp_path, PAPER.seed, PAPER.runs)
     failed = [c.name for section in done.sections for c in section.checks if not c.ok]
     assert not failed
 
 
 def test_one_run_cannot_be_compared():
     with pytest.raises(ValueError, match="--runs 1: must be at least 2"):
-        REPRODUCTIONS["meng2025"](1)
+        check_runs(PAPER, 1)
 
 
 def test_methods_differ_from_the_first_in_one_thing():

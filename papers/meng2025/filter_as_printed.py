@@ -1,7 +1,7 @@
 """The unscented Kalman filter under the FlexRay protocol as it is printed, and with one repair.
 
 `PAPER_LITERAL` cannot run as printed: Pyy in (19) is singular. It takes a pseudo-inverse, and is
-there to show what that gives (see its warning). `PAPER_LITERAL_R` has measurement noise on every
+there to show what that gives. `PAPER_LITERAL_R` has measurement noise on every
 row, which makes Pyy regular. For anything else there is `filters.stochastic_ukf.RECOMMENDED`.
 
 Source: Meng et al. (2025), UKF for nonlinear systems with stochastic nonlinearities under FlexRay
@@ -29,16 +29,6 @@ from filters.stochastic_ukf import (
 
 # Eigenvalues below this part of the largest count as zero in a pseudo-inverse.
 PSEUDO_INVERSE_CUTOFF = 1e-10
-
-_WARNING = (
-    "paper-literal: Pyy of (19) is singular, its rank is at most 2n+1 however many rows there are; "
-    "a pseudo-inverse is used, and the fresh sample receives zero gain. Use the recommended filter "
-    "for any conclusion."
-)
-_WARNING_R = (
-    "paper-literal-R: noise on every row of (19) makes Pyy regular, but held measurements are "
-    "taken as new ones again and again. Use the recommended filter for any conclusion."
-)
 
 
 class PrintedState(NamedTuple):
@@ -155,11 +145,9 @@ PAPER_LITERAL = MeasurementFilter(
     start,
     predict,
     partial(update, pseudo_inverse, on_fresh_rows),
-    _WARNING,
 )
 PAPER_LITERAL_R = MeasurementFilter(
     start,
     predict,
     partial(update, inverse_spd, on_all_rows),
-    _WARNING_R,
 )
