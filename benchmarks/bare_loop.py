@@ -19,6 +19,7 @@ import numpy as np
 
 from benchmarks.cases import beliefs, readings, turn
 from bus.flexray.publication import Slot
+from bus.flexray.share_frames import payload_lengths, to_frames, whole_body
 from filters.fusion.averaging import INFORMATION
 from filters.gaussian import Gaussian
 from filters.linalg import pack_upper
@@ -26,7 +27,6 @@ from filters.sigma_points import scaled_unscented
 from filters.ukf import predict, update
 from nodes.belief_codec import BeliefCodec
 from nodes.messages import Estimate, Measured, decode, encode, to_wire
-from nodes.share import payload_lengths, to_frames, whole_body
 from runtime.network.links import RECORDER, WORLD, Links, free_ports, names, plan_links
 from runtime.network.zenoh_transport import Transport, start_router
 from runtime.processes.supervisor import Ended, Supervisor

@@ -27,6 +27,7 @@ from runtime.interpreter import fresh_command, fresh_variables
 from runtime.network.control_client import Client
 from runtime.network.network_file import read_network
 from runtime.recording import McapRecorder
+from scenarios.bus_plan import frame_format
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup, prepare
 
@@ -116,7 +117,9 @@ def _update_ms(nodes: int) -> list[float]:
     setup = _setup(nodes, 30)
     with tempfile.TemporaryDirectory() as folder:
         recording = Path(folder) / "run.mcap"
-        recorder = McapRecorder(recording, setup.scenario.rounds, setup.time_step_s)
+        recorder = McapRecorder(
+            recording, setup.scenario.rounds, setup.time_step_s, frame_format(setup.scenario)
+        )
         drive(setup, recorder, lambda _: None)
         recorder.close()
         page = open_recording(setup, recording, "127.0.0.1", 0, light=False)

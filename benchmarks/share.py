@@ -6,8 +6,8 @@ from collections.abc import Callable
 from benchmarks.cases import turn
 from benchmarks.measure import Figures, figure, in_turns, say
 from bus.flexray.publication import Slot
+from bus.flexray.share_frames import payload_lengths, read_body, read_frame, to_frames, whole_body
 from nodes.belief_codec import BeliefCodec
-from nodes.share import payload_lengths, read_body, read_frame, to_frames, whole_body
 
 TURNS, TIMES = 20, 1_000
 

@@ -19,6 +19,7 @@ from experiments.monte_carlo.other_runs import expected, told_by
 from runtime.batched.build import without_array_form
 from runtime.drivers import drive
 from runtime.recording import McapRecorder
+from scenarios.bus_plan import frame_format
 from scenarios.catalogue import kind_of
 from scenarios.rules import is_certain
 from scenarios.setup import Setup, prepare
@@ -108,7 +109,9 @@ def _take(browser: Any, shot: Shot, file: Path) -> None:
     setup = prepare(msgspec.structs.replace(kind_of(shot.scenario).defaults, **shot.changes))
     with tempfile.TemporaryDirectory() as folder:
         recording = Path(folder) / "run.mcap"
-        recorder = McapRecorder(recording, setup.scenario.rounds, setup.time_step_s)
+        recorder = McapRecorder(
+            recording, setup.scenario.rounds, setup.time_step_s, frame_format(setup.scenario)
+        )
         drive(setup, recorder, lambda _: None)
         recorder.close()
         page = open_recording(setup, recording, "127.0.0.1", 0, shot.light, _expectation(setup))

@@ -12,7 +12,6 @@ from msgspec.structs import replace
 from nodes.estimator import Rejected, Share
 from nodes.messages import NodeEvent, ShareHeard
 from nodes.node_state import NodeConfig, NodeState, Phase
-from nodes.share import whole_body
 
 
 def take_due(
@@ -24,7 +23,7 @@ def take_due(
     if not (is_open and config.hears_all):
         return state, events
     cycle, inbox, estimator = state.cycle, state.inbox, config.estimator
-    size, counts = estimator.share_bytes, config.cycle_counts
+    size, due_body = estimator.share_bytes, config.bus.due_body
     due = list(config.groups(cycle)[state.group].neighbours)
     if inbox.shares or inbox.parts:
         known = inbox.shares.keys() | inbox.parts.keys()
@@ -34,7 +33,7 @@ def take_due(
         if not isinstance(event, ShareHeard) or event.sender not in due:
             break
         sender = event.sender
-        body = whole_body(event.frame, config.slots(sender, cycle)[0], size, cycle, counts)
+        body = due_body(event.frame, sender, cycle, size)
         if body is None:
             break
         try:

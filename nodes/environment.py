@@ -7,8 +7,12 @@ the run controller allows. Every change is made while nothing is under way
 (`nodes/environment_changes.py`). `TRANSITIONS` says what each event does in each phase.
 """
 
+from collections.abc import Sequence
+
+import numpy as np
 from msgspec import UNSET
 
+from bus.arbitration import NO_BID, ArbiterState, begin_arbitration
 from nodes.changes import UNCHANGED, Event, Gone, Joined, after, without_return
 from nodes.environment_state import EnvironmentConfig, EnvironmentPhase, EnvironmentState
 from nodes.faults.active import hangs
@@ -31,6 +35,9 @@ from nodes.messages import (
 from nodes.node import contenders_left
 from nodes.transitions import Transition
 
+# A float64 holds every whole number up to here.
+_LARGEST_BID = 2**53
+
 
 def begin(config: EnvironmentConfig) -> EnvironmentState:
     """The state before the first heartbeats."""
@@ -47,7 +54,7 @@ def begin(config: EnvironmentConfig) -> EnvironmentState:
         next_group=0,
         won=(),
         bids={},
-        arbiter=config.arbiter_state,
+        arbiter=begin_arbitration(config.nodes),
         delivery=delivery,
         limit=0,
         latest={},
@@ -315,10 +322,8 @@ def _grant(
         if not awaits_bids(config, state) or (unheard and contest > closed):
             return state
         # In node order: who asked first on the wire must not matter.
-        requests = tuple(bids[node] for node in sorted(contenders) if node in bids)
-        arbiter, winners = state.arbiter, ()
-        if requests:
-            arbiter, winners = config.arbitrate(arbiter, state.next_cycle, requests)
+        requests = [bids[node] for node in sorted(contenders) if node in bids]
+        arbiter, winners = _award(config, state, contest, requests)
         grant = Grant(state.next_cycle, list(winners), state.next_group, unheard or UNSET)
         outbox.append(grant)
         rest = {key: asked for key, asked in state.bids.items() if key != contest}
@@ -326,6 +331,29 @@ def _grant(
             arbiter=arbiter, bids=rest, next_group=state.next_group + 1, won=state.won + winners
         )
         state = skip_quiet_cycles(config, state)
+
+
+def _award(
+    config: EnvironmentConfig,
+    state: EnvironmentState,
+    contest: tuple[int, int],
+    requests: Sequence[Bid],
+) -> tuple[ArbiterState, tuple[int, ...]]:
+    """Return the arbiter's memory and the winners of a contest, ascending."""
+    nodes = [request.node for request in requests]
+    # A peer may bid any number: what is beyond all bids is as urgent as can be.
+    bids = [
+        NO_BID if request.bid is None else min(max(request.bid, 0), _LARGEST_BID)
+        for request in requests
+    ]
+    arbiter, wins = config.bus.arbitrate(
+        state.arbiter,
+        *contest,
+        nodes,
+        np.array(bids, dtype=np.int64),
+        np.array([request.payload_bytes for request in requests], dtype=np.int64),
+    )
+    return arbiter, tuple(node for node, won in zip(nodes, wins.tolist(), strict=True) if won)
 
 
 _HELD, _BIDS, _ESTIMATES, _FINISHED = EnvironmentPhase

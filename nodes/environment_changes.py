@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from bus.arbitration import begin_arbitration
 from nodes.changes import Change, Event, Joined, Set, Settings, Welcome, after
 from nodes.environment import skip_quiet_cycles
 from nodes.environment_state import EnvironmentConfig, EnvironmentState
@@ -31,7 +32,7 @@ def apply(
             next_group=0,
             won=(),
             bids={},
-            arbiter=config.arbiter_state,
+            arbiter=begin_arbitration(config.nodes),
         )
         state = skip_quiet_cycles(config, state)
     outbox: list[EnvironmentMessage] = [Event(state.released, change) for change in changes]

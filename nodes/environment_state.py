@@ -7,7 +7,9 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from bus.flexray.schedule import Schedule
+from bus.arbitration import ArbiterState
+from bus.bus import Bus
+from bus.schedule import Schedule
 from nodes.changes import Change, Standing
 from nodes.faults.active import HEALTHY, Faults
 from nodes.messages import Array, Bid, Estimate
@@ -74,17 +76,14 @@ def _exact(readings: Array) -> Array:
     return np.zeros_like(readings)
 
 
-Arbitrate = Callable[[Any, int, tuple[Bid, ...]], tuple[Any, tuple[int, ...]]]
-
-
 @dataclass(frozen=True)
 class EnvironmentConfig:
     """Everything the environment knows before the start.
 
-    `arbitrate(state, cycle, bids) -> (state, winners)` serves the dynamic segment; `neighbours` are
-    whom each node hears; `faults` decide what is wrong; `spread` gives the standard deviations
-    (nodes, r, d) of readings of that shape. The configuration holds from `first_step` on, whose
-    cycles begin at `first_cycle`; `rebuild(standing)` makes the one that goes with other settings.
+    `bus` says who may send when and awards slots; `neighbours` are whom each node hears; `faults`
+    decide what is wrong; `spread` gives the standard deviations (nodes, r, d) of readings of that
+    shape. The configuration holds from `first_step` on, whose cycles begin at `first_cycle`;
+    `rebuild(standing)` makes the one that goes with other settings.
     """
 
     plant: Plant
@@ -94,9 +93,7 @@ class EnvironmentConfig:
     steps: int
     rounds: int
     lead: int
-    schedule: Schedule
-    arbitrate: Arbitrate
-    arbiter_state: Any
+    bus: Bus
     controller: Controller | None
     states: int
     delivery: Delivery | None = None
@@ -106,6 +103,11 @@ class EnvironmentConfig:
     rebuild: "Callable[[Standing], EnvironmentConfig] | None" = None
     faults: Faults = HEALTHY
     spread: Callable[[Array], Array] = _exact
+
+    @property
+    def schedule(self) -> Schedule:
+        """Who may send in which cycle."""
+        return self.bus.schedule
 
     def cycle_of(self, step: int) -> int:
         """The first communication cycle of a step that is not before `first_step`."""
@@ -131,7 +133,7 @@ class EnvironmentState(NamedTuple):
     next_group: int
     won: tuple[int, ...]
     bids: dict[tuple[int, int], dict[int, Bid]]
-    arbiter: Any
+    arbiter: ArbiterState
     delivery: Any
     limit: int
     latest: dict[int, Estimate]

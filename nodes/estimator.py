@@ -7,19 +7,12 @@ only the estimator reads.
 
 from typing import Any, Protocol, runtime_checkable
 
+from bus.bus import Rejected as Rejected
 from filters.gaussian import Gaussian
 from nodes.messages import Array, Measured
 
 Content = Any
 Share = Any
-
-
-class Rejected(Exception):
-    """A peer's share that cannot be used; `reason` is a short word that is counted."""
-
-    def __init__(self, reason: str) -> None:
-        super().__init__(reason)
-        self.reason = reason
 
 
 class Estimator(Protocol):

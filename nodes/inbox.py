@@ -6,16 +6,14 @@ due take a shorter way (`nodes/due_frames.py`).
 
 from collections.abc import Collection
 
-import msgspec
 from msgspec.structs import replace
 
-from nodes.estimator import Rejected
+from bus.bus import Fragment, Place, Rejected
 from nodes.faults.links import Arrival, Passage, arrival
 from nodes.faults.losses import hears
 from nodes.faults.senders import spoofed
 from nodes.messages import ShareHeard
 from nodes.node_state import Inbox, NodeConfig, NodeState, Phase, count
-from nodes.share import Fragment, fragments_of, in_slot, read_body, read_frame
 
 # How many steps a neighbour's share may be ahead of us and still be kept: bounds the inbox. The
 # world lets nobody run further ahead than its lead.
@@ -25,13 +23,6 @@ EARLY_CYCLES = 512
 # So many frames, or grants, are kept for later at most.
 MOST_EARLY = 4096
 _LATE = "late"
-
-
-class _Place(msgspec.Struct, frozen=True):
-    """A frame is number `number` of `frames` of a share."""
-
-    number: int
-    frames: int
 
 
 def hear(config: NodeConfig, state: NodeState, event: ShareHeard) -> NodeState:
@@ -58,7 +49,7 @@ def _keep_early(
         return count(state, "rejected future")
     if is_settled:
         try:
-            _place(config, event.sender, fragment)
+            config.bus.place(event.sender, fragment)
         except Rejected as rejected:
             return count(state, _counter(rejected))
     key = (event.sender, cycle, fragment.frame_id)
@@ -119,9 +110,7 @@ def _read(config: NodeConfig, cycle: int, frame: bytes) -> Fragment:
     Raises:
         Rejected: with the reason of the check that failed.
     """
-    fragment = read_frame(frame)
-    if fragment.cycle % config.cycle_counts != fragment.cycle_count:
-        raise Rejected("cycle-count")
+    fragment = config.bus.receive(frame)
     if fragment.cycle < cycle:
         raise Rejected(_LATE)
     return fragment
@@ -136,29 +125,12 @@ def _end_cycle(config: NodeConfig, state: NodeState) -> int:
     return config.first_cycle + (state.step + 1 - config.first_step) * config.rounds
 
 
-def _place(config: NodeConfig, sender: int, fragment: Fragment) -> _Place:
-    """Where a frame belongs in its share.
-
-    Raises:
-        Rejected: nowhere.
-    """
-    frames = fragments_of(fragment.data)
-    schedule, cycle = config.schedule, fragment.cycle
-    if sender not in schedule.static_senders(cycle) and sender not in schedule.contenders(cycle):
-        raise Rejected("unscheduled")
-    # A share takes the first of its sender's slots, as many as it needs.
-    for number, slot in enumerate(config.slots(sender, cycle)[:frames]):
-        if slot.frame_id == fragment.frame_id:
-            return _Place(number, frames)
-    raise Rejected("wrong-slot")
-
-
 def _file(
     config: NodeConfig, state: NodeState, sender: int, fragment: Fragment, frame: bytes
 ) -> NodeState:
     """A frame of the open step: keep it with its share, or count why not."""
     try:
-        place = _place(config, sender, fragment)
+        place = config.bus.place(sender, fragment)
     except Rejected as rejected:
         return count(state, _counter(rejected))
     key = (fragment.cycle, sender)
@@ -184,13 +156,13 @@ def _hear_faulty(
     state: NodeState,
     sender: int,
     fragment: Fragment,
-    place: _Place,
+    place: Place,
     frame: bytes,
 ) -> NodeState:
     """A frame as it comes where something is wrong, and what else comes with it."""
     cycle, key = fragment.cycle, (fragment.cycle, sender)
     way = Passage(state.step, cycle, sender, config.index, place.number, fragment.frame_id)
-    came = arrival(config.faults, way, frame, config.cycle_counts)
+    came = arrival(config.faults, way, frame, config.bus)
     state = count(state, *came.counted)
     data = None
     if came.in_slot:
@@ -220,7 +192,7 @@ def _read_in_slot(config: NodeConfig, cycle: int, sender: int, frame: bytes) -> 
     fragment = _read(config, cycle, frame)
     if fragment.cycle > cycle:
         raise Rejected("future")
-    _place(config, sender, fragment)
+    config.bus.place(sender, fragment)
     return fragment
 
 
@@ -235,7 +207,7 @@ def _hear_again(
         return count(state, _counter(rejected))
     if _is_known(state.inbox, key, fragment.frame_id):
         return count(state, "repeated")
-    place = _place(config, sender, fragment)
+    place = config.bus.place(sender, fragment)
     return _keep(config, state, key, place, fragment.frame_id, fragment.data)
 
 
@@ -244,8 +216,8 @@ def _in_other_names(
 ) -> list[bytes]:
     """Frames that the sender also sends, in slots of others."""
     victims = spoofed(config.faults, way.step, way.cycle, way.sender, way.number)
-    slots = [slot for victim in victims for slot in config.slots(victim, way.cycle)[:1]]
-    return [in_slot(frame, slot.frame_id) for slot in slots]
+    moved = [config.bus.in_slot_of(frame, victim, way.cycle) for victim in victims]
+    return [copy for copy in moved if copy is not None]
 
 
 def _remember(state: NodeState, came: Arrival, cycle: int) -> NodeState:
@@ -259,7 +231,7 @@ def _keep(
     config: NodeConfig,
     state: NodeState,
     key: tuple[int, int],
-    place: _Place,
+    place: Place,
     frame_id: int,
     data: bytes | None,
 ) -> NodeState:
@@ -288,7 +260,7 @@ def _complete(
     whole = [fragment for fragment in fragments if fragment is not None]
     if len(whole) == len(fragments):
         try:
-            share = config.estimator.accept(read_body(whole))
+            share = config.estimator.accept(config.bus.frame_format.join(whole))
             state = count(state, "heard")
         except Rejected as rejected:
             state = count(state, _counter(rejected))

@@ -57,7 +57,7 @@ class Bid(msgspec.Struct, frozen=True):
     """Contender to world: how urgent a slot in the dynamic segment is; None asks for no slot.
 
     `payload_bytes` is the length of all its payloads together; `group` the part of the cycle that
-    is composed at once (`bus.flexray.schedule.Schedule.groups`).
+    is composed at once (`bus.schedule.Schedule.groups`).
     """
 
     node: NodeIndex

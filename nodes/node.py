@@ -18,7 +18,7 @@ from typing import Any, cast
 
 from msgspec.structs import replace
 
-from bus.flexray.schedule import Schedule
+from bus.schedule import Schedule
 from filters.linalg import pack_upper
 from nodes.changes import Gone
 from nodes.due_frames import take_due
@@ -47,7 +47,6 @@ from nodes.messages import (
     to_wire,
 )
 from nodes.node_state import Inbox, NodeConfig, NodeState, Phase, count, counted
-from nodes.share import payload_bytes, to_frames
 from nodes.transitions import Completion, Transition
 
 
@@ -211,12 +210,12 @@ def contenders_left(schedule: Schedule, cycle: int, won: tuple[int, ...]) -> tup
 
 
 def _bid(config: NodeConfig, state: NodeState) -> Bid:
-    slots = config.slots(config.index, state.cycle)
     # Composing changes nothing here: it says how long the share would be.
     _, body = config.estimator.compose(state.content)
     hung = hangs(config.faults, state.step, config.index)
     bid = None if hung else config.estimator.bid(state.content)
-    return Bid(config.index, state.cycle, bid, payload_bytes(body, slots), state.group)
+    payloads = config.bus.payloads(config.index, state.cycle, len(body))
+    return Bid(config.index, state.cycle, bid, sum(payloads), state.group)
 
 
 def _send(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> NodeState:
@@ -226,8 +225,7 @@ def _send(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> No
     content, body = config.estimator.compose(state.content)
     if faults.standing:
         body = spoken(faults, step, cycle, config.index, body)
-    slots = config.slots(config.index, cycle)
-    frames = to_frames(body, cycle, slots, config.cycle_counts)
+    frames = config.bus.encode(config.index, cycle, body)
     outbox.extend(ShareSent(config.index, cycle, frame) for frame in frames)
     counters = counted(state.counters, *["sent" for _ in frames])
     return replace(state, content=content, counters=counters)

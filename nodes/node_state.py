@@ -9,15 +9,14 @@ from typing import NamedTuple
 import msgspec
 from msgspec.structs import replace
 
-from bus.flexray.publication import Slot
-from bus.flexray.schedule import Schedule
+from bus.bus import Bus, Fragment
+from bus.schedule import Schedule
 from filters.gaussian import Gaussian
 from nodes.changes import UNCHANGED, Standing
 from nodes.estimator import Content, Estimator, Share
 from nodes.faults.active import HEALTHY, Faults
 from nodes.faults.losses import PERFECT, LinkState
 from nodes.messages import Measured
-from nodes.share import CYCLE_COUNTS, Fragment
 
 
 class Phase(Enum):
@@ -34,11 +33,10 @@ class Phase(Enum):
 class NodeConfig:
     """Everything a node knows before the start.
 
-    `neighbours` ascend, as the weights do; `slots(node, cycle)` are those of a node's share;
-    the cluster's cycle counter wraps at `cycle_counts`; `links` says which frames do not arrive,
-    `scenario_links` which would not if nothing had changed, `faults` what else is wrong. In a
-    `timed` network a part of a cycle ends when its time is over (`CycleClosed`), and not when all
-    has come.
+    `neighbours` ascend, as the weights do; `bus` says who sends when and in which frames; `links`
+    says which frames do not arrive, `scenario_links` which would not if nothing had changed,
+    `faults` what else is wrong. In a `timed` network a part of a cycle ends when its time is over
+    (`CycleClosed`), and not when all has come.
 
     The configuration holds from `first_step` on, whose cycles begin at `first_cycle`. `standing` is
     what changes have made of the network; `rebuild(standing, step, belief)` makes the configuration
@@ -49,10 +47,8 @@ class NodeConfig:
     neighbours: tuple[int, ...]
     rounds: int
     steps: int
-    schedule: Schedule
-    slots: Callable[[int, int], tuple[Slot, ...]]
+    bus: Bus
     estimator: Estimator
-    cycle_counts: int = CYCLE_COUNTS
     links: LinkState = PERFECT
     first_step: int = 0
     first_cycle: int = 0
@@ -61,6 +57,11 @@ class NodeConfig:
     timed: bool = False
     faults: Faults = HEALTHY
     scenario_links: LinkState = PERFECT
+
+    @property
+    def schedule(self) -> Schedule:
+        """Who may send in which cycle."""
+        return self.bus.schedule
 
     def groups(self, cycle: int) -> "tuple[NodeGroup, ...]":
         """What is composed at once in a cycle, in order of time."""

@@ -13,6 +13,7 @@ from runtime.processes.job import Happened
 from runtime.processes.launcher import run_processes
 from runtime.recording import McapRecorder, MemoryRecorder, Recorder
 from scenarios.build import build_environment, build_node
+from scenarios.bus_plan import frame_format
 from scenarios.script import script_of
 from scenarios.setup import Setup, complete_settings
 
@@ -31,7 +32,9 @@ def in_this_process(
     setup: Setup, _run: str, recording: Path, _port: int | None, on_step: Callable[[int], None]
 ) -> Pace:
     """All nodes and the world in this process."""
-    recorder = McapRecorder(recording, setup.scenario.rounds, setup.time_step_s)
+    recorder = McapRecorder(
+        recording, setup.scenario.rounds, setup.time_step_s, frame_format(setup.scenario)
+    )
     started = time.monotonic()
     try:
         drive(setup, recorder, on_step)

@@ -4,11 +4,10 @@ Who records hears everybody, also somebody who obeys no rule: what is no message
 the network, is kept as it came and means nothing.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from nodes.estimator import Rejected
-from nodes.messages import MalformedMessage, decode, is_topic
-from nodes.share import Fragment, read_frame
+from bus.bus import Fragment, FrameFormat, Rejected
+from nodes.messages import MalformedMessage, Message, decode, is_topic
 
 
 class SharedFrame(NamedTuple):
@@ -18,15 +17,27 @@ class SharedFrame(NamedTuple):
     fragment: Fragment
 
 
-def meaning(topic: str, data: bytes, nodes: int) -> Any:
-    """The message (`nodes/messages.py`) or `SharedFrame` of a network of so many nodes; None for
-    anything else."""
+def meaning(
+    topic: str, data: bytes, nodes: int, frame_format: FrameFormat
+) -> Message | SharedFrame | None:
+    """Return the message or the frame in recorded bytes of a network of so many nodes, whose bus
+    has frames of this format; None for anything else."""
+    kind, _, owner = topic.partition("/")
+    if kind != "share":
+        return message_of(topic, data, nodes)
     if not is_topic(topic, nodes):
         return None
-    kind, _, owner = topic.partition("/")
     try:
-        if kind == "share":
-            return SharedFrame(int(owner), read_frame(data))
+        return SharedFrame(int(owner), frame_format.read(data))
+    except Rejected:
+        return None
+
+
+def message_of(topic: str, data: bytes, nodes: int) -> Message | None:
+    """Return the message (`nodes/messages.py`) in recorded bytes; None for anything else."""
+    if not is_topic(topic, nodes):
+        return None
+    try:
         return decode(topic, data)
-    except (MalformedMessage, Rejected):
+    except MalformedMessage:
         return None

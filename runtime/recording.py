@@ -19,10 +19,10 @@ from mcap.records import Message as McapMessage
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC, Writer
 
+from bus.bus import FrameFormat
 from nodes.bounds import UNREADABLE, Instant
 from nodes.history import history_of, with_event
 from nodes.messages import MalformedMessage, decode, message_types
-from nodes.share import cycle_of
 from runtime.disk import NotWritten, writing
 
 _RECORD_HEADER = struct.Struct("<BQ")
@@ -71,7 +71,10 @@ class McapRecorder:
     file.
     """
 
-    def __init__(self, path: Path, rounds: int, time_step_s: float) -> None:
+    def __init__(
+        self, path: Path, rounds: int, time_step_s: float, frame_format: FrameFormat
+    ) -> None:
+        self._frames = frame_format
         self._history = history_of(rounds, ())
         self._last_ns = 0
         self._step_ns = round(time_step_s * 1e9)
@@ -120,12 +123,12 @@ class McapRecorder:
 
     def _register(self, topic: str) -> int:
         schema = self._schemas.get(topic.partition("/")[0], 0)
-        encoding = "json" if schema else "flexray"
+        encoding = "json" if schema else self._frames.name
         return self._writer.register_channel(topic, encoding, schema)
 
     def _time_ns(self, topic: str, data: bytes) -> int:
         if topic.startswith("share/"):
-            return self._history.place(cycle_of(data))[0] * self._step_ns
+            return self._history.place(self._frames.cycle_of(data))[0] * self._step_ns
         try:
             if topic == "event":
                 self._history = with_event(self._history, decode(topic, data))

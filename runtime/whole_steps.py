@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import msgspec
 
+from bus.bus import FrameFormat
 from nodes.bounds import UNREADABLE, Instant, node_of
 from nodes.history import history_of, with_event
 from nodes.messages import MalformedMessage, decode
-from nodes.share import cycle_of
 
 # More than the world ever runs ahead of the slowest estimate.
 _PATIENCE_STEPS = 8
@@ -52,8 +52,10 @@ class _Step:
 class WholeSteps:
     """Takes the messages of a run one by one, from the first on, and gives its steps in order."""
 
-    def __init__(self, nodes: int, rounds: int) -> None:
-        """A network of so many nodes that begins with so many rounds per step."""
+    def __init__(self, nodes: int, rounds: int, frame_format: FrameFormat) -> None:
+        """A network of so many nodes that begins with so many rounds per step, on a bus with frames
+        of this format."""
+        self._cycle_of = frame_format.cycle_of
         self.nodes = nodes
         self._everybody = frozenset(range(nodes))
         self._history = history_of(rounds, ())
@@ -70,7 +72,7 @@ class WholeSteps:
             self._hear(data)
             return self._over()
         if kind == "share":
-            self._shares.append((cycle_of(data), (topic, data)))
+            self._shares.append((self._cycle_of(data), (topic, data)))
             return []
         number = self._step_of(kind, data)
         # Nobody else is further ahead of the plant than its messages are under way.

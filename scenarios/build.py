@@ -6,8 +6,8 @@ from functools import partial
 import msgspec
 import numpy as np
 
-from bus.flexray.arbitration import ArbiterState
-from bus.flexray.schedule import Schedule
+from bus.bus import Bus
+from bus.schedule import Schedule
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
 from nodes.changes import UNCHANGED, Standing
@@ -15,7 +15,7 @@ from nodes.environment_state import Controller, EnvironmentConfig
 from nodes.estimator import Estimator
 from nodes.messages import from_wire
 from nodes.node_state import NodeConfig
-from scenarios.bus_plan import BusPlan, arbitrate, plan_bus
+from scenarios.bus_plan import plan_bus
 from scenarios.catalogue import kind_of
 from scenarios.definitions.control import control_node
 from scenarios.equipment import build_faults, spread_of
@@ -30,7 +30,7 @@ from scenarios.setup import Setup, complete_settings, generator, share_bytes, wi
 OPEN_LOOP_LEAD = 4
 
 
-def build_plan(setup: Setup) -> BusPlan:
+def build_bus(setup: Setup) -> Bus:
     """The bus of a setup."""
     return plan_bus(setup.scenario, share_bytes(setup), setup.neighbours)
 
@@ -43,23 +43,21 @@ def build_node(setup: Setup, node: int) -> NodeConfig:
 def _node(setup: Setup, node: int, standing: Standing, step: int) -> NodeConfig:
     """That of a node which begins at a step, where `setup` holds by what has been set since."""
     scenario = setup.scenario
-    plan = build_plan(setup)
+    bus = build_bus(setup)
     cycle = standing.first_cycle + (step - standing.first_step) * scenario.rounds
     return NodeConfig(
         node,
         tuple(setup.neighbours[node]),
         scenario.rounds,
         scenario.steps,
-        plan.schedule,
-        plan.slots,
-        _estimator(setup, node, plan.schedule, Beginning(step, cycle)),
-        plan.cycle_counts,
+        bus,
+        _estimator(setup, node, bus.schedule, Beginning(step, cycle)),
         link_state(setup),
         standing.first_step,
         standing.first_cycle,
         standing,
         partial(_rebuilt, setup, node),
-        faults=build_faults(setup, plan),
+        faults=build_faults(setup, bus),
         scenario_links=link_state(setup),
     )
 
@@ -122,7 +120,7 @@ def everybody_of(setup: Setup, schedule: Schedule) -> Everybody:
 def build_environment(setup: Setup) -> EnvironmentConfig:
     """The configuration of the world, with all its randomness drawn."""
     scenario = setup.scenario
-    plan = build_plan(setup)
+    bus = build_bus(setup)
     kind = kind_of(scenario.name)
     plant = kind.plant(scenario)
     controller = build_controller(scenario)
@@ -135,14 +133,12 @@ def build_environment(setup: Setup) -> EnvironmentConfig:
         steps=scenario.steps,
         rounds=scenario.rounds,
         lead=OPEN_LOOP_LEAD if controller is None or controller.node is None else 1,
-        schedule=plan.schedule,
-        arbitrate=arbitrate(scenario, plan),
-        arbiter_state=ArbiterState(),
+        bus=bus,
         controller=controller,
         delivery=kind.delivery(scenario) if kind.delivery else None,
         neighbours=setup.neighbours,
         rebuild=partial(_environment_rebuilt, setup),
-        faults=build_faults(setup, plan),
+        faults=build_faults(setup, bus),
         spread=partial(spread_of, scenario),
     )
 

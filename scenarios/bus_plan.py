@@ -1,22 +1,20 @@
-"""The bus of a scenario: cluster, schedule, slots and arbiter, checked against each other."""
+"""The bus of a scenario: schedule, cluster and arbiter, checked against each other."""
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import msgspec
 
-from bus.flexray import arbitration
-from bus.flexray.arbitration import Arbiter, ArbiterState
+from bus.arbitration import ARBITERS
+from bus.bus import Bus, FrameFormat
 from bus.flexray.cluster import Cluster
 from bus.flexray.cluster_files import FILE_ENDINGS, read_cluster_file
-from bus.flexray.dynamic_segment import Request
 from bus.flexray.fitted import fitted_cluster
+from bus.flexray.flexray_bus import flexray_bus
 from bus.flexray.presets import PRESETS, preset
-from bus.flexray.publication import Publications, Slot
-from bus.flexray.relay import check_relay
-from bus.flexray.schedule import (
+from bus.flexray.share_frames import SHARE_FRAMES, payload_lengths
+from bus.ideal import IdealBus
+from bus.schedule import (
     Schedule,
     dynamic_only,
     full_publish,
@@ -24,10 +22,6 @@ from bus.flexray.schedule import (
     publishers_per_cycle,
     round_robin,
 )
-from bus.flexray.slot_table import SlotTable, allocate
-from bus.flexray.timing import check_timing
-from nodes.messages import Bid
-from nodes.share import CYCLE_COUNTS, payload_lengths
 from scenarios.catalogue import kind_of
 from scenarios.scenario import Scenario
 from topology.names import unknown_name
@@ -56,25 +50,6 @@ _SCHEDULES: dict[str, Callable[[int, float, Neighbours], Schedule]] = {
     ),
     "dynamic": lambda nodes, occupancy, _neighbours: dynamic_only(nodes, occupancy),
 }
-_ARBITERS: dict[str, Arbiter] = {
-    "wtod": arbitration.wtod,
-    "minislot": arbitration.minislot,
-    "round-robin": arbitration.round_robin,
-}
-
-
-class BusPlan(NamedTuple):
-    """Who may send when, in which slots; `cluster` and `table` are None on a bus without time."""
-
-    schedule: Schedule
-    cluster: Cluster | None
-    table: SlotTable | None
-    slots: Callable[[int, int], tuple[Slot, ...]]
-
-    @property
-    def cycle_counts(self) -> int:
-        """Where the cycle counter in a frame's header wraps."""
-        return CYCLE_COUNTS if self.cluster is None else self.cluster.number_of_cycles
 
 
 def schedule_names() -> tuple[str, ...]:
@@ -84,7 +59,7 @@ def schedule_names() -> tuple[str, ...]:
 
 def arbiter_names() -> tuple[str, ...]:
     """The arbiters of the dynamic segment there are."""
-    return tuple(_ARBITERS)
+    return tuple(ARBITERS)
 
 
 def cluster_names() -> tuple[str, ...]:
@@ -117,79 +92,44 @@ def has_contenders(scenario: Scenario, neighbours: Neighbours = ()) -> bool:
     return any(build_schedule(scenario, neighbours).dynamic_slot_table)
 
 
-def plan_bus(scenario: Scenario, share_bytes: int, neighbours: Neighbours = ()) -> BusPlan:
-    """The bus of a scenario whose shares have at most that many bytes.
+def plan_bus(scenario: Scenario, share_bytes: int, neighbours: Neighbours = ()) -> Bus:
+    """Return the bus of a scenario whose shares have at most that many bytes.
 
     Raises:
         ValueError: unknown names, unreadable files, or a cluster that does not hold the schedule.
     """
     schedule = build_schedule(scenario, neighbours)
-    if scenario.arbiter not in _ARBITERS:
-        raise unknown_name("arbiter", scenario.arbiter, _ARBITERS)
+    if scenario.arbiter not in ARBITERS:
+        raise unknown_name("arbiter", scenario.arbiter, ARBITERS)
     if scenario.cluster == NO_CLUSTER:
-        if schedule.relay:
-            raise ValueError(
-                "--relay True --cluster none: whether a host can latch a frame at its slot depends "
-                "on the time between frames; choose a cluster, or leave --relay out"
-            )
-        return _timeless(schedule, share_bytes)
+        _check_timeless(schedule)
+        return IdealBus(schedule, share_bytes)
     cluster = _cluster(scenario, schedule, share_bytes)
-    # A cluster fitted to a schedule without static slots has no room for a share in them.
-    static: tuple[int, ...] = ()
-    if any(schedule.static_table):
-        static = payload_lengths(share_bytes, cluster.static_payload_bytes)
-    dynamic = payload_lengths(share_bytes, cluster.dynamic_payload_bytes)
-    table = allocate(schedule, cluster, static, dynamic)
-    if schedule.relay:
-        check_relay(schedule, cluster, table, scenario.latch_delay_us)
-    return BusPlan(schedule, cluster, table, Publications(table, cluster).slots)
+    arbiter = ARBITERS[scenario.arbiter]
+    return flexray_bus(schedule, cluster, share_bytes, arbiter, scenario.latch_delay_us)
 
 
-def check_bus(plan: BusPlan, scenario: Scenario, time_step_s: float) -> None:
-    """Refuse communication cycles that do not fit the plant's sampling time.
+def frame_format(scenario: Scenario) -> FrameFormat:
+    """Return how the frames of a scenario's bus carry shares."""
+    return SHARE_FRAMES
+
+
+def _check_timeless(schedule: Schedule) -> None:
+    """Refuse what a bus without time cannot say.
 
     Raises:
-        TimingError: they do not.
+        ValueError: naming the options and the cure.
     """
-    if plan.cluster is not None:
-        check_timing(plan.cluster, scenario.rounds, time_step_s, scenario.stretch)
-
-
-def arbitrate(
-    scenario: Scenario, plan: BusPlan
-) -> Callable[[ArbiterState, int, tuple[Bid, ...]], tuple[ArbiterState, tuple[int, ...]]]:
-    """The world's arbiter: (state, cycle, bids) -> (state, winning nodes in bus order)."""
-    return partial(_arbitrate, _ARBITERS[scenario.arbiter], plan)
-
-
-def _arbitrate(
-    arbiter: Arbiter, plan: BusPlan, state: ArbiterState, cycle: int, bids: tuple[Bid, ...]
-) -> tuple[ArbiterState, tuple[int, ...]]:
-    assert plan.cluster is not None, "a dynamic segment has a cluster: plan_bus refuses the rest"
-    requests = [
-        Request(bid.node, plan.slots(bid.node, cycle)[0].frame_id, bid.bid, bid.payload_bytes)
-        for bid in bids
-        if bid.bid is not None
-    ]
-    slots = plan.schedule.groups(cycle)[bids[0].group].dynamic_slots
-    state, winners = arbiter(state, requests, cluster=plan.cluster, slots=slots)
-    return state, tuple(winner.node for winner in winners)
-
-
-def _timeless(schedule: Schedule, share_bytes: int) -> BusPlan:
-    """Each node its own consecutive frame IDs in every cycle, and nothing said of time."""
+    if schedule.relay:
+        raise ValueError(
+            "--relay True --cluster none: whether a host can latch a frame at its slot depends "
+            "on the time between frames; choose a cluster, or leave --relay out"
+        )
     if any(schedule.dynamic_slot_table):
         raise ValueError(
             "--cluster none: the arbiter of a dynamic segment needs minislots; choose a cluster, "
             "or --schedule full or round-robin"
         )
-    lengths = payload_lengths(share_bytes)
-
-    def slots(node: int, _cycle: int) -> tuple[Slot, ...]:
-        first = node * len(lengths) + 1
-        return tuple(Slot(first + part, length) for part, length in enumerate(lengths))
-
-    return BusPlan(schedule, None, None, slots)
 
 
 def _cluster(scenario: Scenario, schedule: Schedule, share_bytes: int) -> Cluster:

@@ -11,7 +11,7 @@ from scenarios.scenario import Scenario
 from topology.names import unknown_name
 
 if TYPE_CHECKING:
-    from bus.flexray.schedule import Schedule
+    from bus.schedule import Schedule
     from filters.gaussian import Gaussian
     from filters.sigma_points import SigmaPointRule
     from nodes.environment_state import Delivery

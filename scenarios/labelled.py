@@ -5,8 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bus.flexray.fragments import PREFIX_BYTES as FRAGMENT_BYTES
-from bus.flexray.schedule import Schedule, publishers_per_cycle
+from bus.schedule import Schedule, publishers_per_cycle
 from nodes.belief_codec import BeliefCodec
 from nodes.commands import Configure, Restart
 from nodes.rules.labelled_frame import (
@@ -17,7 +16,7 @@ from nodes.rules.labelled_frame import (
 )
 from nodes.rules.local_filter import Sensor, StateNoise
 from nodes.rules.record_codec import Calibrated, record_codec
-from nodes.share import PREFIX_BYTES as CYCLE_BYTES
+from scenarios.bus_plan import frame_format
 from scenarios.catalogue import kind_of
 from scenarios.scenario import Scenario
 from scenarios.script import script_of
@@ -76,7 +75,7 @@ def largest_share(scenario: Scenario, states: int) -> int:
     Raises:
         ValueError: it does not hold a checkpoint of so many states.
     """
-    limit = scenario.payload_bytes - CYCLE_BYTES - FRAGMENT_BYTES
+    limit = scenario.payload_bytes - frame_format(scenario).numbering_bytes
     checkpoint = BeliefCodec(states, _CHECKPOINT_NUMBER).size
     check_limit(limit, scenario.nodes, digest_of(scenario), checkpoint)
     return limit

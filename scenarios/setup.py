@@ -19,7 +19,7 @@ from nodes.changes import Settings
 from nodes.commands import SETTINGS
 from nodes.faults.active import Equipment
 from nodes.messages import to_wire
-from scenarios.bus_plan import check_bus, plan_bus
+from scenarios.bus_plan import plan_bus
 from scenarios.catalogue import kind_of
 from scenarios.equipment import equipment_of
 from scenarios.links import losses_of, network_of, stream_of
@@ -104,8 +104,8 @@ def prepare(scenario: Scenario) -> Setup:
 def _equipment(setup: Setup, settings: Settings) -> Equipment:
     """What a network has that can be wrong, when these fields of its scenario are set."""
     changed = with_settings(setup, settings)
-    plan = plan_bus(changed.scenario, share_bytes(changed), changed.neighbours)
-    return equipment_of(changed, plan)
+    bus = plan_bus(changed.scenario, share_bytes(changed), changed.neighbours)
+    return equipment_of(changed, bus)
 
 
 def setup_of_run(setup: Setup, run: int) -> Setup:
@@ -138,8 +138,8 @@ def check_network(setup: Setup) -> None:
     kind.check(scenario)
     if kind.wiring is None:
         check_rule(scenario, setup.neighbours, from_per_node(setup.weights, setup.neighbours))
-    plan = plan_bus(scenario, share_bytes(setup), setup.neighbours)
-    check_bus(plan, scenario, setup.time_step_s)
+    bus = plan_bus(scenario, share_bytes(setup), setup.neighbours)
+    bus.check_pace(scenario.rounds, setup.time_step_s, scenario.stretch)
 
 
 def complete_settings(setup: Setup, settings: Settings) -> Settings:

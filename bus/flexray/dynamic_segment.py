@@ -14,14 +14,13 @@ from bus.flexray.frame import MAX_FRAME_ID
 
 
 class Request(NamedTuple):
-    """A node's wish to send: `frame_id` is its priority in the segment, `bid` its own urgency.
+    """A node's wish to send: `frame_id` is its place in the segment.
 
     More payload than one frame holds is sent as several frames, in slots `frame_id` and following.
     """
 
     node: int
     frame_id: int
-    bid: int
     payload_bytes: int
 
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from bus.flexray.cluster import Cluster
 from bus.flexray.presets import DEMO
-from bus.flexray.schedule import Schedule
+from bus.schedule import Schedule
 
 _MIN_STATIC_SLOTS = 2
 _MIN_STATIC_PAYLOAD_BYTES = 2

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.flexray.schedule import Schedule
+from bus.schedule import Schedule
 
 Array = NDArray[np.float64]
 

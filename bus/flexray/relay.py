@@ -2,8 +2,8 @@
 
 from bus.flexray.cluster import Cluster
 from bus.flexray.dynamic_segment import walk
-from bus.flexray.schedule import Schedule
 from bus.flexray.slot_table import SlotTable
+from bus.schedule import Schedule
 
 
 def check_relay(
@@ -31,7 +31,7 @@ def check_relay(
     if not (slots and contenders):
         return
     # The last IDs are the worst: every slot before them counts by empty.
-    worst = [table.request(node, 0) for node in contenders[-slots:]]
+    worst = [table.request(node) for node in contenders[-slots:]]
     waiting = walk(cluster, worst).waiting
     if waiting:
         raise ValueError(

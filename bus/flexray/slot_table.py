@@ -13,7 +13,7 @@ import msgspec
 from bus.flexray.cluster import Channels, Cluster, Segment
 from bus.flexray.dynamic_segment import Request, walk
 from bus.flexray.frame import MAX_FRAME_ID
-from bus.flexray.schedule import Schedule
+from bus.schedule import Schedule
 
 REPETITIONS = (1, 2, 4, 8, 16, 32, 64)
 """Cycle repetitions that every FlexRay controller has."""
@@ -49,7 +49,7 @@ class SlotTable(msgspec.Struct, frozen=True):
             if slot.frame_id < self.first_dynamic_id and slot.sends(cycle)
         )
 
-    def request(self, node: int, bid: int) -> Request:
+    def request(self, node: int) -> Request:
         """The request with which this node asks for the dynamic segment for one share."""
         ids = [
             slot.frame_id
@@ -58,7 +58,7 @@ class SlotTable(msgspec.Struct, frozen=True):
         ]
         if not ids:
             raise ValueError(f"node {node} owns no dynamic slot; it sends in static slots only")
-        return Request(node, min(ids), bid, sum(self.dynamic_payloads))
+        return Request(node, min(ids), sum(self.dynamic_payloads))
 
 
 def allocate(
@@ -96,7 +96,7 @@ def allocate(
     )
     table = SlotTable(slots + dynamic, first, tuple(static_payloads), tuple(dynamic_payloads))
     for node in contenders:
-        _check_reachable(table.request(node, 0), cluster)
+        _check_reachable(table.request(node), cluster)
     return table
 
 
@@ -201,7 +201,7 @@ def _check_assignment(slot: SlotAssignment, nodes: int, cluster: Cluster) -> Non
             f"1..{MAX_FRAME_ID}"
         )
     if slot.frame_id > cluster.static_slots:
-        _check_reachable(Request(slot.node, slot.frame_id, 0, 0), cluster)
+        _check_reachable(Request(slot.node, slot.frame_id, 0), cluster)
 
 
 def _check_single_owners(slots: Sequence[SlotAssignment]) -> None:

@@ -1,39 +1,15 @@
 """When what is on the bus: frames and segments of a cycle in microseconds, load, what fits."""
 
 from collections.abc import Iterable
-from typing import NamedTuple
 
-from bus.flexray.cluster import Channels, Cluster, Segment
+from bus.bus import SegmentTime, Transmission
+from bus.flexray.cluster import Cluster
 from bus.flexray.dynamic_segment import Request, walk
 from bus.flexray.slot_table import SlotAssignment
 
 
 class TimingError(ValueError):
     """The communication cycles of a step do not fit into the plant's sampling time."""
-
-
-class Transmission(NamedTuple):
-    """A frame on the bus, from the first bit of TSS to the end of FES, from the start of the cycle.
-
-    `minislot` is the first of its dynamic slot and 0 in the static segment.
-    """
-
-    node: int
-    frame_id: int
-    channel: Channels
-    segment: Segment
-    payload_bytes: int
-    start_us: float
-    end_us: float
-    minislot: int = 0
-
-
-class SegmentTime(NamedTuple):
-    """A part of the communication cycle and its place in it."""
-
-    name: str
-    start_us: float
-    end_us: float
 
 
 def static_transmissions(

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
-from bus.flexray.frame import OVERHEAD_BYTES, TRAILER_BYTES, Channel, inspect
+from bus.flexray.frame import OVERHEAD_BYTES, TRAILER_BYTES, inspect
 
 LINK_TYPE_FLEXRAY = 210
 _MAGIC_NANOSECONDS = 0xA1B23C4D
@@ -28,7 +28,7 @@ class Captured(NamedTuple):
 
     time_us: float
     data: bytes
-    channel: Channel = "A"
+    channel: str = "A"
 
 
 def file_header() -> bytes:
@@ -46,7 +46,7 @@ def packet(captured: Captured) -> bytes:
     if len(data) < OVERHEAD_BYTES:
         body = bytes((measurement, _CODING_ERROR)) + data
     else:
-        _, header_crc_ok, frame_crc_ok = inspect(data, captured.channel)
+        _, header_crc_ok, frame_crc_ok = inspect(data, "B" if captured.channel == "B" else "A")
         errors = (0 if header_crc_ok else _HEADER_CRC_ERROR) | (
             0 if frame_crc_ok else _FRAME_CRC_ERROR
         )

@@ -31,7 +31,7 @@ class Assembler:
         everybody = frozenset(range(stage.nodes))
         self._network = network or Network(everybody, (0, 0, stage.rounds))
         self._changes: list[Change] = []
-        self._bus = BusView(stage.plan)
+        self._bus = BusView(stage.bus)
         self._events: list[Event] = []
         self._last: int | None = None
         n, nodes = len(stage.setup.prior_mean), stage.nodes
@@ -60,7 +60,7 @@ class Assembler:
 
     def frame(self, step: WholeStep) -> Frame | None:
         """The frame of a step later than all before; none without a truth."""
-        told = read_step(step, self._stage.nodes)
+        told = read_step(step, self._stage.nodes, self._stage.bus.frame_format)
         late = self._last is not None and step.number <= self._last
         if told.truth is None or late:
             return None
@@ -91,7 +91,7 @@ class Assembler:
             self._events.append(event)
             if change.what == "settings":
                 self._stage = restaged(self._stage, dict(self._network.settings))
-                self._bus = BusView(self._stage.plan)
+                self._bus = BusView(self._stage.bus)
 
     def _drawn(self, number: int, truth: Array, told: Told) -> Frame:
         stage = self._stage

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.flexray.timing import Transmission
+from bus.bus import Transmission
 from filters.gaussian import Gaussian
 
 Array = NDArray[np.float64]

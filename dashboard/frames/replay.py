@@ -22,7 +22,7 @@ def replayed(stage: Stage, recording: Path) -> Iterator[Frame]:
 def assembled(stage: Stage, messages: Iterable[tuple[str, bytes]]) -> Iterator[Frame]:
     """The frames that the (topic, bytes) of a run make, from its beginning on."""
     assembler = Assembler(stage)
-    steps = WholeSteps(stage.nodes, stage.rounds)
+    steps = WholeSteps(stage.nodes, stage.rounds, stage.bus.frame_format)
     for topic, data in messages:
         if topic == "event":
             assembler.hear(data)

@@ -14,9 +14,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.flexray.cluster import Cluster
-from scenarios.build import build_plan
-from scenarios.bus_plan import BusPlan
+from bus.bus import Bus
+from scenarios.build import build_bus
 from scenarios.catalogue import Score, kind_of
 from scenarios.rules import is_certain
 from scenarios.setup import Setup
@@ -48,7 +47,7 @@ class Stage:
     """
 
     setup: Setup
-    plan: BusPlan
+    bus: Bus
     names: tuple[str, ...]
     state_names: tuple[str, ...]
     state_units: tuple[str, ...]
@@ -68,10 +67,6 @@ class Stage:
     @property
     def rounds(self) -> int:
         return self.setup.scenario.rounds
-
-    @property
-    def cluster(self) -> Cluster | None:
-        return self.plan.cluster
 
     @property
     def deviations(self) -> float:
@@ -124,7 +119,7 @@ def set_stage(setup: Setup) -> Stage:
     hearing = [(i, j) for i, heard in enumerate(setup.neighbours) for j in heard]
     return Stage(
         setup=setup,
-        plan=build_plan(setup),
+        bus=build_bus(setup),
         names=_names(setup, picture),
         state_names=tuple(plant.state_names),
         state_units=tuple(plant.state_units),
@@ -143,7 +138,7 @@ def restaged(stage: Stage, settings: dict[str, Any]) -> Stage:
     """The stage of a network whose settings have changed; all else stays."""
     scenario = msgspec.structs.replace(stage.setup.scenario, **settings)
     setup = msgspec.structs.replace(stage.setup, scenario=scenario)
-    return replace(stage, setup=setup, plan=build_plan(setup), certain=is_certain(scenario))
+    return replace(stage, setup=setup, bus=build_bus(setup), certain=is_certain(scenario))
 
 
 def _names(setup: Setup, picture: Picture) -> tuple[str, ...]:

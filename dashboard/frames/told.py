@@ -3,11 +3,9 @@
 from collections import Counter
 from dataclasses import dataclass, field
 
-from bus.flexray.frame import OVERHEAD_BYTES
+from bus.bus import FrameFormat, Rejected
 from nodes.bounds import node_of
-from nodes.estimator import Rejected
 from nodes.messages import Estimate, MalformedMessage, Measured, Truth, decode
-from nodes.share import read_frame
 from runtime.whole_steps import WholeStep
 
 
@@ -21,13 +19,13 @@ class Told:
     sizes: Counter[tuple[int, int]] = field(default_factory=Counter)
 
 
-def read_step(step: WholeStep, nodes: int) -> Told:
-    """Return the content of a step; data that is no message is ignored."""
+def read_step(step: WholeStep, nodes: int, frames: FrameFormat) -> Told:
+    """Return the content of a step, whose shares are such frames; ignore what is no message."""
     told = Told()
     for topic, data in step.messages:
         kind, _, number = topic.partition("/")
         if kind == "share":
-            _read_share(told, node_of(number, nodes), data)
+            _read_share(told, node_of(number, nodes), data, frames)
             continue
         try:
             message = decode(topic, data)
@@ -43,10 +41,10 @@ def read_step(step: WholeStep, nodes: int) -> Told:
     return told
 
 
-def _read_share(told: Told, sender: int | None, data: bytes) -> None:
+def _read_share(told: Told, sender: int | None, data: bytes, frames: FrameFormat) -> None:
     try:
-        cycle = read_frame(data).cycle
+        cycle = frames.read(data).cycle
     except Rejected:
         return
     if sender is not None:
-        told.sizes[cycle, sender] += len(data) - OVERHEAD_BYTES
+        told.sizes[cycle, sender] += len(data) - frames.overhead_bytes

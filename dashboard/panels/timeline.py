@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-from bus.flexray.timing import SegmentTime, segments
 from dashboard.frames.frame import BusCycle, Frame
 from dashboard.frames.stage import Stage
 from dashboard.panels.timeline_marks import (
@@ -27,13 +26,9 @@ class TimelineView:
 
     def __init__(self, stage: Stage) -> None:
         self._stage = stage
-        cluster = stage.cluster
-        if cluster is None:
-            senders = max(len(row) for row in stage.plan.schedule.static_table)
-            self._axis = Axis(float(max(senders, 1)))
-            self._segments = (SegmentTime("static", 0.0, self._axis.span_us),)
-        else:
-            self._axis, self._segments = Axis(cluster.cycle_us), segments(cluster)
+        self._bus = stage.bus
+        self._segments = stage.bus.segments()
+        self._axis = Axis(self._segments[-1].end_us)
 
     def draw(
         self,
@@ -56,7 +51,7 @@ class TimelineView:
             self._bar(theme, cycle, now_us, selected, lost),
             self._raster(theme, past),
             "</svg>",
-            legend(theme, self._stage.cluster, cycle),
+            legend(theme, self._bus, cycle),
         ]
         return "".join(parts)
 
@@ -102,7 +97,9 @@ class TimelineView:
         parts.append(self._grid_of_slots(theme))
         names = self._stage.names
         parts += [
-            silent_slot(self._axis, theme, names[node], node, self._silent_span_us(cycle, node))
+            silent_slot(
+                self._axis, theme, names[node], node, self._bus.own_slot_us(node, cycle.cycle)
+            )
             for node in cycle.silent
         ]
         for frame in cycle.frames:
@@ -131,31 +128,18 @@ class TimelineView:
 
     def _grid_of_slots(self, theme: Theme) -> str:
         """Where slots begin: ticks for static slots and for minislots."""
-        cluster = self._stage.cluster
-        if cluster is None:
-            return ""
+        ends, minislots = self._bus.marks_us()
         path: list[str] = []
-        slot_px = self._axis.x(cluster.static_slot_us) - LEFT
-        if slot_px > 3:
-            ends = [k * cluster.static_slot_us for k in range(1, cluster.static_slots)]
+        if ends and self._axis.x(ends[0]) - LEFT > 3:
             path += [f"M{self._axis.x(end):.1f} {TOP:g}v{BAR:g}" for end in ends]
-        stride = max(1, round(3.0 / max(self._axis.x(cluster.minislot_us) - LEFT, 1e-6)))
-        for number in range(1, cluster.minislots + 1, stride):
-            path.append(
-                f"M{self._axis.x(cluster.minislot_start_us(number)):.1f} {TOP + BAR - 5:g}v5"
-            )
+        if minislots:
+            width_us = minislots[1] - minislots[0] if len(minislots) > 1 else self._axis.span_us
+            stride = max(1, round(3.0 / max(self._axis.x(width_us) - LEFT, 1e-6)))
+            for start in minislots[::stride]:
+                path.append(f"M{self._axis.x(start):.1f} {TOP + BAR - 5:g}v5")
+        if not path:
+            return ""
         return f'<path d="{"".join(path)}" stroke="{css(theme.panel)}" stroke-width="1"/>'
-
-    def _silent_span_us(self, cycle: BusCycle, node: int) -> tuple[float, float]:
-        """Return begin and end of the slots of an owner that sent nothing."""
-        cluster, table = self._stage.cluster, self._stage.plan.table
-        if cluster is None or table is None:
-            place = self._stage.plan.schedule.static_senders(cycle.cycle).index(node)
-            return place, place + 1.0
-        rows = len(self._stage.plan.schedule.static_table)
-        owned = [s.frame_id for s in table.static_slots(cycle.cycle % rows) if s.node == node]
-        end_us = cluster.slot_start_us(max(owned)) + cluster.static_slot_us
-        return cluster.slot_start_us(min(owned)), end_us
 
     def _raster(self, theme: Theme, past: Sequence[BusCycle]) -> str:
         """One row per past cycle and one path per row and colour."""
@@ -178,7 +162,8 @@ class TimelineView:
                     shade = css(mixed(colour, theme.panel, 0.75 * share))
                     parts.append(f'<path d="{"".join(boxes)}" fill="{shade}"/>')
             silent = [
-                self._axis.box(*self._silent_span_us(cycle, node), y) for node in cycle.silent
+                self._axis.box(*self._bus.own_slot_us(node, cycle.cycle), y)
+                for node in cycle.silent
             ]
             if silent:
                 shade = css(mixed(theme.down, theme.panel, share))

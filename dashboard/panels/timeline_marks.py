@@ -5,8 +5,7 @@ from html import escape
 from itertools import groupby
 from typing import NamedTuple
 
-from bus.flexray.cluster import Cluster
-from bus.flexray.timing import Transmission, bus_load
+from bus.bus import Bus, Transmission
 from dashboard.frames.frame import BusCycle
 from dashboard.theme import Theme, css, mixed
 
@@ -102,7 +101,7 @@ def silent_slot(
     )
 
 
-def legend(theme: Theme, cluster: Cluster | None, cycle: BusCycle) -> str:
+def legend(theme: Theme, bus: Bus, cycle: BusCycle) -> str:
     """Return the colours with their meaning, and the facts of the shown cycle."""
     entries = [
         (theme.seeing, "static frame"),
@@ -117,10 +116,10 @@ def legend(theme: Theme, cluster: Cluster | None, cycle: BusCycle) -> str:
         for colour, text in entries
     )
     facts = "a bus without time"
-    if cluster is not None:
-        load = 100 * bus_load(cluster, cycle.frames)
+    if bus.has_time:
+        load = 100 * bus.load(cycle.frames)
         facts = (
-            f"{escape(cluster.name)}: cycle {cluster.cycle_us / 1e3:.4g} ms, "
+            f"{escape(bus.name)}: cycle {bus.cycle_us / 1e3:.4g} ms, "
             f"{len(cycle.frames)} frames, load {load:.0f} %"
         )
     return (

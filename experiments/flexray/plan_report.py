@@ -5,21 +5,22 @@ from collections import defaultdict
 
 import msgspec
 
+from bus.bus import Bus
 from bus.flexray.cluster import Cluster
+from bus.flexray.flexray_bus import FlexRayBus
 from bus.flexray.slot_table import SlotTable, deviations
 from bus.flexray.timing import TimingError
 from experiments.flexray.rehearsal import (
     Alternative,
     alternatives,
     changed,
-    dynamic_room,
     prepare_without_bus,
     rehearse,
     shares_per_cycle,
 )
 from experiments.results.bus_report import BusFigures, bus_figures
-from scenarios.build import build_plan
-from scenarios.bus_plan import FITTED, BusPlan, build_schedule, check_bus
+from scenarios.build import build_bus
+from scenarios.bus_plan import FITTED, build_schedule
 from scenarios.catalogue import kind_of
 from scenarios.scenario import Scenario, check_ranges
 from scenarios.setup import Setup, share_bytes
@@ -91,28 +92,28 @@ def answer_plan(scenario: Scenario) -> Answer:
     build_schedule(scenario)
     setup = prepare_without_bus(scenario)
     try:
-        bus = build_plan(setup)
+        bus = build_bus(setup)
     except ValueError as error:
         others = [_report(other) for other in alternatives(setup)]
         if not others:
             raise
         return Answer(scenario, str(error), _fitted_cycle_us(setup), others[0], others)
-    cluster_of(bus, scenario)
-    return Answer(scenario, None, None, _report(Alternative(setup, bus)), [])
+    timed = with_cluster(bus, scenario)
+    return Answer(scenario, None, None, _report(Alternative(setup, timed)), [])
 
 
-def cluster_of(bus: BusPlan, scenario: Scenario) -> Cluster:
-    """The cluster of a bus with time.
+def with_cluster(bus: Bus, scenario: Scenario) -> FlexRayBus:
+    """The bus, if it has a cluster.
 
     Raises:
-        ValueError: the bus has none.
+        ValueError: it has none.
     """
-    if bus.cluster is None:
+    if not isinstance(bus, FlexRayBus):
         raise ValueError(
             f"--cluster {scenario.cluster}: a bus without time has no plan; leave --cluster out, "
             "or choose a preset or a file"
         )
-    return bus.cluster
+    return bus
 
 
 def slot_rows(table: SlotTable) -> list[SlotRow]:
@@ -142,11 +143,9 @@ def run_command(scenario: Scenario) -> str:
 
 def _report(alternative: Alternative) -> PlanReport:
     setup, bus = alternative
-    scenario, table = setup.scenario, bus.table
-    cluster = cluster_of(bus, scenario)
-    assert table is not None
+    scenario, table, cluster = setup.scenario, bus.table, bus.cluster
     rehearsal = rehearse(setup, bus, min(scenario.steps, MOST_REHEARSED_STEPS))
-    time, fits_time = _time(setup, bus, cluster)
+    time, fits_time = _time(setup, bus)
     return PlanReport(
         schedule=scenario.schedule,
         number=scenario.number,
@@ -158,7 +157,7 @@ def _report(alternative: Alternative) -> PlanReport:
         static_payloads=list(table.static_payloads),
         dynamic_payloads=list(table.dynamic_payloads),
         dynamic_slots=max(bus.schedule.dynamic_slot_table),
-        dynamic_room=dynamic_room(bus),
+        dynamic_room=bus.dynamic_room(),
         time=time,
         fits_time=fits_time,
         remarks=list(deviations(table.assignments, cluster)),
@@ -168,22 +167,21 @@ def _report(alternative: Alternative) -> PlanReport:
     )
 
 
-def _time(setup: Setup, bus: BusPlan, cluster: Cluster) -> tuple[str, bool]:
+def _time(setup: Setup, bus: Bus) -> tuple[str, bool]:
     rounds, stretch = setup.scenario.rounds, setup.scenario.stretch
     try:
-        check_bus(bus, setup.scenario, setup.time_step_s)
+        bus.check_pace(rounds, setup.time_step_s, stretch)
     except TimingError as error:
         return f"does not fit the sampling time: {error}", False
     step_ms = setup.time_step_s * stretch * 1e3
     return (
-        f"{rounds} cycles of {cluster.cycle_us / 1e3:.4g} ms are "
-        f"{rounds * cluster.cycle_us / 1e3:.4g} ms of the {step_ms:g} ms of a step"
+        f"{rounds} cycles of {bus.cycle_us / 1e3:.4g} ms are "
+        f"{rounds * bus.cycle_us / 1e3:.4g} ms of the {step_ms:g} ms of a step"
     ), True
 
 
 def _fitted_cycle_us(setup: Setup) -> float | None:
     try:
-        cluster = build_plan(changed(setup, cluster=FITTED)).cluster
+        return build_bus(changed(setup, cluster=FITTED)).cycle_us
     except ValueError:
         return None
-    return None if cluster is None else cluster.cycle_us

@@ -9,17 +9,15 @@ from rich.console import Console
 from rich.table import Table
 
 from bus.flexray.timeline import timeline
-from bus.flexray.timing import bus_load, segments
-from experiments.flexray.plan_report import Answer, PlanReport, SlotRow, answer_plan, cluster_of
+from experiments.flexray.plan_report import Answer, PlanReport, SlotRow, answer_plan, with_cluster
 from experiments.flexray.rehearsal import rehearse
 from experiments.results import bus_report
-from experiments.results.bus_report import channels
+from experiments.results.bus_report import timetable
 from experiments.scenario_options import ScenarioOptions
 from experiments.user_errors import user_errors
-from scenarios.build import build_plan
+from scenarios.build import build_bus
 from scenarios.bus_plan import FITTED
 from scenarios.setup import prepare
-from scenarios.timetable import timetable
 
 REHEARSED = "every contender asks in every cycle, the longest silent most urgently"
 
@@ -57,8 +55,7 @@ def show(
     """
     with user_errors():
         setup = prepare(scenario.resolve())
-        bus = build_plan(setup)
-        cluster = cluster_of(bus, setup.scenario)
+        bus = with_cluster(build_bus(setup), setup.scenario)
         rounds, cycles = setup.scenario.rounds, setup.scenario.steps * setup.scenario.rounds
         if not 0 <= cycle < cycles:
             raise ValueError(
@@ -71,16 +68,16 @@ def show(
         sys.stderr.write(f"rehearsed: {REHEARSED}\n")
     if json:
         result = {
-            "cluster": cluster,
+            "cluster": bus.cluster,
             "cycle": cycle,
-            "cycle_count": cycle % cluster.number_of_cycles,
-            "load": max(bus_load(cluster, frames, name) for name in channels(cluster.channels)),
-            "segments": [part._asdict() for part in segments(cluster)],
+            "cycle_count": cycle % bus.cluster.number_of_cycles,
+            "load": bus.load(frames),
+            "segments": [part._asdict() for part in bus.segments()],
             "frames": [frame._asdict() for frame in frames],
         }
         sys.stdout.write(msgspec.json.encode(result).decode() + "\n")
         return
-    sys.stdout.write(timeline(cluster, cycle, frames))
+    sys.stdout.write(timeline(bus.cluster, cycle, frames))
 
 
 def _print_answer(answer: Answer) -> None:

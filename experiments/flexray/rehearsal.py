@@ -9,12 +9,11 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from bus.flexray.arbitration import ArbiterState
-from bus.flexray.dynamic_segment import walk
-from bus.flexray.schedule import Schedule
-from nodes.messages import Bid
-from scenarios.build import build_plan
-from scenarios.bus_plan import NO_CLUSTER, BusPlan, arbitrate
+from bus.arbitration import begin_arbitration
+from bus.flexray.flexray_bus import FlexRayBus
+from bus.schedule import Schedule
+from scenarios.build import build_bus
+from scenarios.bus_plan import NO_CLUSTER
 from scenarios.scenario import Scenario, check_ranges
 from scenarios.setup import Setup, prepare
 
@@ -48,7 +47,7 @@ class Alternative(NamedTuple):
     """A bus that holds its schedule, and the setup it belongs to."""
 
     setup: Setup
-    plan: BusPlan
+    bus: FlexRayBus
 
 
 def prepare_without_bus(scenario: Scenario) -> Setup:
@@ -85,7 +84,7 @@ def alternatives(setup: Setup) -> list[Alternative]:
         for schedule in ALTERNATIVE_SCHEDULES
     ]
     fitting = [alternative for alternative in found if alternative is not None]
-    return sorted(fitting, key=lambda one: -shares_per_cycle(one.plan.schedule))
+    return sorted(fitting, key=lambda one: -shares_per_cycle(one.bus.schedule))
 
 
 def shares_per_cycle(schedule: Schedule) -> int:
@@ -96,40 +95,25 @@ def shares_per_cycle(schedule: Schedule) -> int:
     )
 
 
-def dynamic_room(plan: BusPlan) -> int:
-    """How many shares the dynamic segment holds whoever wins, up to what the schedule lets in."""
-    contenders = sorted({node for row in plan.schedule.contender_table for node in row})
-    wanted = min(max(plan.schedule.dynamic_slot_table), len(contenders))
-    if plan.cluster is None or plan.table is None:
-        return wanted
-    # The worst case: the winners have the last IDs, and every slot before them counts by empty.
-    requests = [plan.table.request(node, 0) for node in contenders]
-    for count in range(wanted, 0, -1):
-        if not walk(plan.cluster, requests[-count:]).waiting:
-            return count
-    return 0
-
-
-def rehearse(setup: Setup, plan: BusPlan, steps: int) -> Rehearsal:
+def rehearse(setup: Setup, bus: FlexRayBus, steps: int) -> Rehearsal:
     """Go through so many steps of a schedule without filters."""
-    scenario, schedule = setup.scenario, plan.schedule
+    scenario, schedule = setup.scenario, bus.schedule
     cycles = steps * scenario.rounds
     payload_bytes = np.zeros((cycles, scenario.nodes), dtype=np.int64)
     asked = np.zeros((cycles, scenario.nodes), dtype=bool)
-    serve, state = arbitrate(scenario, plan), ArbiterState()
+    state = begin_arbitration(scenario.nodes)
     silent = [0] * scenario.nodes
     for cycle in range(cycles):
         contenders = sorted(schedule.contenders(cycle))
         senders = schedule.static_senders(cycle)
         if contenders:
-            bids = tuple(
-                Bid(i, cycle, silent[i], _payload_bytes(plan, i, cycle)) for i in contenders
-            )
-            state, winners = serve(state, cycle, bids)
+            sizes = np.array([_payload_bytes(bus, i, cycle) for i in contenders])
+            bids = np.array([silent[i] for i in contenders])
+            state, wins = bus.arbitrate(state, cycle, 0, contenders, bids, sizes)
             asked[cycle, contenders] = True
-            senders += winners
+            senders += tuple(np.array(contenders)[wins].tolist())
         for node in senders:
-            payload_bytes[cycle, node] = _payload_bytes(plan, node, cycle)
+            payload_bytes[cycle, node] = _payload_bytes(bus, node, cycle)
         silent = [
             0 if sent else waited + 1
             for sent, waited in zip(payload_bytes[cycle], silent, strict=True)
@@ -138,8 +122,8 @@ def rehearse(setup: Setup, plan: BusPlan, steps: int) -> Rehearsal:
     return Rehearsal(payload_bytes.reshape(shape), asked.reshape(shape))
 
 
-def _payload_bytes(plan: BusPlan, node: int, cycle: int) -> int:
-    return sum(slot.payload_bytes for slot in plan.slots(node, cycle))
+def _payload_bytes(bus: FlexRayBus, node: int, cycle: int) -> int:
+    return sum(slot.payload_bytes for slot in bus.slots(node, cycle))
 
 
 def _largest(setup: Setup) -> Alternative | None:
@@ -158,8 +142,10 @@ def _largest(setup: Setup) -> Alternative | None:
 
 def _fitting(setup: Setup) -> Alternative | None:
     try:
-        plan = build_plan(setup)
+        bus = build_bus(setup)
     except ValueError:
         return None
-    wanted = max(plan.schedule.dynamic_slot_table)
-    return Alternative(setup, plan) if dynamic_room(plan) >= wanted else None
+    fits = isinstance(bus, FlexRayBus) and bus.dynamic_room() >= max(
+        bus.schedule.dynamic_slot_table
+    )
+    return Alternative(setup, bus) if fits else None

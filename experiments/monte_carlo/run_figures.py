@@ -9,8 +9,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri
 
-from bus.flexray.frame import MAX_PAYLOAD_BYTES, OVERHEAD_BYTES
-from bus.flexray.timing import bus_load, fusion_delay_us
 from experiments.monte_carlo.energy import energy_per_bit_nj
 from experiments.monte_carlo.run_frame import Frame
 from experiments.monte_carlo.simulate import Histories
@@ -18,11 +16,11 @@ from filters.linalg import symmetrise
 from filters.metrics import largest_of_known, mean_of_known, nees, rmse
 from nodes.messages import Array
 from runtime.batched.build import turnings_of
-from scenarios.build import build_plan
+from scenarios.build import build_bus
+from scenarios.bus_plan import frame_format
 from scenarios.catalogue import Score, kind_of
 from scenarios.rules import is_certain
 from scenarios.setup import Setup
-from scenarios.timetable import placement
 
 COVERED = 0.95
 
@@ -139,9 +137,9 @@ def _anees_central(setup: Setup, errors: Array, cov: Array, counted: np.ndarray)
 
 def traffic_of(setup: Setup, histories: Histories) -> dict[str, Array]:
     """Who sent how much, what that asked of the bus and of the batteries, and how old it grew."""
-    payload = histories.payload_bytes
-    frames = np.ceil(payload / MAX_PAYLOAD_BYTES)
-    sent = (payload + OVERHEAD_BYTES * frames).sum(axis=2)
+    payload, form = histories.payload_bytes, frame_format(setup.scenario)
+    frames = np.ceil(payload / form.payload_limit_bytes)
+    sent = (payload + form.overhead_bytes * frames).sum(axis=2)
     plant = kind_of(setup.scenario.name).plant(setup.scenario)
     energy_nj = energy_per_bit_nj(setup.neighbours, plant.positions(0))
     heard = kept(histories)[1].reshape(len(payload), -1)
@@ -170,20 +168,19 @@ def _cycles(setup: Setup) -> int:
 
 def _bus(setup: Setup, payload: np.ndarray) -> tuple[Array, Array]:
     """Mean load (R,) and mean delay (R,); NaN on a bus without time, or of several settings."""
-    plan = build_plan(setup)
+    bus = build_bus(setup)
     runs, steps, rounds, nodes = payload.shape
-    if plan.cluster is None or any(turning.anew for turning in turnings_of(setup)):
+    if not bus.has_time or any(turning.anew for turning in turnings_of(setup)):
         return np.full(runs, np.nan), np.full(runs, np.nan)
-    cluster, place = plan.cluster, placement(plan)
-    cycles = np.arange(steps * rounds) % plan.schedule.period
+    cycles = np.arange(steps * rounds) % bus.schedule.period
     rows = np.column_stack((np.tile(cycles, runs), payload.reshape(-1, nodes)))
     # The same nodes in the same cycle of the schedule take the same time.
     kinds, which = np.unique(rows, axis=0, return_inverse=True)
     load, delay_us = np.empty(len(kinds)), np.empty(len(kinds))
     for number, (cycle, *sizes) in enumerate(kinds.tolist()):
-        frames = place(cycle, sizes)
-        load[number] = max(bus_load(cluster, frames, channel) for channel in cluster.channels)
-        delay_us[number] = fusion_delay_us(cluster, rounds, frames)
+        frames = bus.transmissions(cycle, sizes)
+        load[number] = bus.load(frames)
+        delay_us[number] = bus.fusion_delay_us(rounds, frames)
     shape = (runs, steps, rounds)
     last = delay_us[which].reshape(shape)[:, :, -1]
     return load[which].reshape(shape).mean(axis=(1, 2)), last.mean(axis=1)

@@ -10,21 +10,13 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from bus.flexray.cluster import Cluster
-from bus.flexray.frame import OVERHEAD_BYTES, Channel, decode, encode
-from bus.flexray.timing import (
-    Transmission,
-    bus_load,
-    fusion_delay_us,
-)
+from bus.bus import Bus, Transmission
 from bus.recordings.pcap import Captured
 from experiments.results.trace import Trace
 from nodes.messages import Array
-from runtime.recorded import meaning
-from scenarios.build import build_plan
-from scenarios.bus_plan import BusPlan
+from runtime.recorded import SharedFrame, meaning
+from scenarios.build import build_bus
 from scenarios.setup import Setup
-from scenarios.timetable import timetable
 
 
 class BusFigures(msgspec.Struct, frozen=True):
@@ -77,46 +69,53 @@ class BusTimes(NamedTuple):
 
 def figures_of(setup: Setup, trace: Trace) -> BusFigures | None:
     """The figures of a run's bus; None where the bus has no time, or was another in the run."""
-    plan = build_plan(setup)
-    if plan.cluster is None or not trace.history.one_bus:
+    bus = build_bus(setup)
+    if not (bus.has_time and trace.history.one_bus):
         return None
-    tables = (*plan.schedule.static_table, *plan.schedule.contender_table)
+    tables = (*bus.schedule.static_table, *bus.schedule.contender_table)
     publishers = {node for row in tables for node in row}
     heard = [
         trace.ages[:, node, [j for j in neighbours if j in publishers]].ravel()
         for node, neighbours in enumerate(setup.neighbours)
     ]
-    return bus_figures(plan, trace.payload_bytes, trace.asked, np.concatenate(heard))
+    return bus_figures(bus, trace.payload_bytes, trace.asked, np.concatenate(heard))
 
 
 def times_of(setup: Setup, trace: Trace) -> BusTimes | None:
     """When what was on the bus in a run; None where the bus has no time, or was another."""
-    plan = build_plan(setup)
-    timeless = plan.cluster is None or not trace.history.one_bus
-    return None if timeless else bus_times(plan, trace.payload_bytes)
+    bus = build_bus(setup)
+    timed = bus.has_time and trace.history.one_bus
+    return bus_times(bus, trace.payload_bytes) if timed else None
+
+
+def timetable(bus: Bus, payload_bytes: np.ndarray) -> list[tuple[Transmission, ...]]:
+    """Return the frames of every cycle; `payload_bytes` (..., N) has one row per cycle from cycle 0
+    on, of what each node sends (`Bus.transmissions`)."""
+    rows = payload_bytes.reshape(-1, bus.schedule.nodes).tolist()
+    return [bus.transmissions(cycle, sizes) for cycle, sizes in enumerate(rows)]
 
 
 def bus_figures(
-    plan: BusPlan, payload_bytes: np.ndarray, asked: np.ndarray, ages: np.ndarray
+    bus: Bus, payload_bytes: np.ndarray, asked: np.ndarray, ages: np.ndarray
 ) -> BusFigures:
     """The figures of a bus with time.
 
     `payload_bytes` (steps, rounds, N) say who sent how much, `asked` who asked for the dynamic
     segment; `ages` (any,) are those of the shares behind the estimates, -1 where there was none.
     """
-    cluster, cycles = _cluster(plan), timetable(plan, payload_bytes)
+    cycles = timetable(bus, payload_bytes)
     rounds, nodes = payload_bytes.shape[1:]
     frames = [len(cycle) for cycle in cycles]
-    load = [_load(cluster, cycle) for cycle in cycles]
-    delay_us = [fusion_delay_us(cluster, rounds, last) for last in cycles[rounds - 1 :: rounds]]
+    load = [bus.load(cycle) for cycle in cycles]
+    delay_us = [bus.fusion_delay_us(rounds, last) for last in cycles[rounds - 1 :: rounds]]
     sent_frames = [frame for cycle in cycles for frame in cycle]
-    wire_bytes_per_step, wire_us_per_step = _on_the_wire(sent_frames, len(cycles) / rounds)
+    wire_bytes_per_step, wire_us_per_step = _on_the_wire(bus, sent_frames, len(cycles) / rounds)
     asked, sent = asked.reshape(-1, nodes), payload_bytes.reshape(-1, nodes) > 0
     waits = longest_waits(asked, sent)
     starved = np.flatnonzero(asked.any(axis=0) & ~(asked & sent).any(axis=0))
     return BusFigures(
-        cluster=cluster.name,
-        cycle_us=cluster.cycle_us,
+        cluster=bus.name,
+        cycle_us=bus.cycle_us,
         frames=sum(frames),
         frames_per_cycle_mean=float(np.mean(frames)),
         frames_per_cycle_max=max(frames),
@@ -135,21 +134,22 @@ def bus_figures(
     )
 
 
-def wire_per_step(plan: BusPlan, payload_bytes: np.ndarray) -> tuple[float, float]:
+def wire_per_step(bus: Bus, payload_bytes: np.ndarray) -> tuple[float, float]:
     """Bytes of all frames with headers and padding, and microseconds, per step: of a bus with time
     on which was sent what `payload_bytes` (steps, rounds, N) says."""
-    cycles = timetable(plan, payload_bytes)
-    return _on_the_wire([frame for cycle in cycles for frame in cycle], len(payload_bytes))
+    cycles = timetable(bus, payload_bytes)
+    return _on_the_wire(bus, [frame for cycle in cycles for frame in cycle], len(payload_bytes))
 
 
-def _on_the_wire(frames: Sequence[Transmission], steps: float) -> tuple[float, float]:
-    wire_bytes = sum(frame.payload_bytes + OVERHEAD_BYTES for frame in frames)
+def _on_the_wire(bus: Bus, frames: Sequence[Transmission], steps: float) -> tuple[float, float]:
+    overhead_bytes = bus.frame_format.overhead_bytes
+    wire_bytes = sum(frame.payload_bytes + overhead_bytes for frame in frames)
     return wire_bytes / steps, sum(frame.end_us - frame.start_us for frame in frames) / steps
 
 
-def bus_times(plan: BusPlan, payload_bytes: np.ndarray) -> BusTimes:
+def bus_times(bus: Bus, payload_bytes: np.ndarray) -> BusTimes:
     """When what is on a bus with time; `payload_bytes` (steps, rounds, N) say who sends what."""
-    cluster, cycles = _cluster(plan), timetable(plan, payload_bytes)
+    cycles = timetable(bus, payload_bytes)
     rounds, nodes = payload_bytes.shape[1:]
     start_us = np.full((len(cycles), nodes), np.nan)
     end_us = np.full((len(cycles), nodes), np.nan)
@@ -158,8 +158,8 @@ def bus_times(plan: BusPlan, payload_bytes: np.ndarray) -> BusTimes:
             start_us[number, frame.node] = np.fmin(start_us[number, frame.node], frame.start_us)
             end_us[number, frame.node] = np.fmax(end_us[number, frame.node], frame.end_us)
     return BusTimes(
-        np.array([_load(cluster, cycle) for cycle in cycles]).reshape(-1, rounds),
-        np.array([fusion_delay_us(cluster, rounds, last) for last in cycles[rounds - 1 :: rounds]]),
+        np.array([bus.load(cycle) for cycle in cycles]).reshape(-1, rounds),
+        np.array([bus.fusion_delay_us(rounds, last) for last in cycles[rounds - 1 :: rounds]]),
         start_us.reshape(payload_bytes.shape),
         end_us.reshape(payload_bytes.shape),
     )
@@ -187,36 +187,31 @@ def capture(
     Frames of steps that not every node completed are left out, and so are frames of shares of which
     the recording has lost a part. A cluster with two channels carries each frame on both.
     """
-    plan = build_plan(setup)
-    if plan.cluster is None or not trace.history.one_bus:
+    bus = build_bus(setup)
+    if not (bus.has_time and trace.history.one_bus):
         return None
-    rounds, cycle_us = setup.scenario.rounds, plan.cluster.cycle_us
+    rounds, frames = setup.scenario.rounds, bus.frame_format
     step_us = setup.time_step_s * setup.scenario.stretch * 1e6
     placed = [
         {(frame.node, frame.frame_id): frame for frame in cycle}
-        for cycle in timetable(plan, trace.payload_bytes)
+        for cycle in timetable(bus, trace.payload_bytes)
     ]
     captured: list[Captured] = []
     for topic, data in messages:
-        sent = meaning(topic, data, setup.scenario.nodes) if topic.startswith("share/") else None
-        if sent is None or sent.fragment.cycle >= len(placed):
+        sent = meaning(topic, data, setup.scenario.nodes, frames)
+        if not isinstance(sent, SharedFrame) or sent.fragment.cycle >= len(placed):
             continue
         fragment = sent.fragment
         frame = placed[fragment.cycle].get((sent.node, fragment.frame_id))
         if frame is None:
             continue
         step, number = divmod(fragment.cycle, rounds)
-        time_us = step * step_us + number * cycle_us + frame.start_us
+        time_us = step * step_us + number * bus.cycle_us + frame.start_us
         captured += [
-            Captured(time_us, _on_channel(data, channel), channel)
-            for channel in channels(frame.channel)
+            Captured(time_us, frames.on_channel(data, channel), channel)
+            for channel in frame.channel
         ]
     return sorted(captured, key=lambda one: (one.time_us, one.channel))
-
-
-def channels(names: str) -> Sequence[Channel]:
-    """The channels that "A", "B" or "AB" names."""
-    return [channel for channel in ("A", "B") if channel in names]
 
 
 def lines(figures: BusFigures) -> list[str]:
@@ -251,17 +246,3 @@ def starvation(figures: BusFigures) -> str:
     if not figures.starved:
         return f"{wait}, nobody starved"
     return f"{wait}, starved (never sent): nodes {', '.join(map(str, figures.starved))}"
-
-
-def _cluster(plan: BusPlan) -> Cluster:
-    assert plan.cluster is not None, "a bus without time"
-    return plan.cluster
-
-
-def _load(cluster: Cluster, cycle: Sequence[Transmission]) -> float:
-    return max(bus_load(cluster, cycle, channel) for channel in channels(cluster.channels))
-
-
-def _on_channel(data: bytes, channel: Channel) -> bytes:
-    """A recorded frame as it is on a channel: shares travel with the checksum of channel A."""
-    return data if channel == "A" else encode(decode(data), channel)

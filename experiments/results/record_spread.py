@@ -10,11 +10,10 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from nodes.estimator import Rejected
+from bus.bus import Fragment, FrameFormat, Rejected
 from nodes.faults.losses import LinkState, hears_all
 from nodes.messages import Array
 from nodes.rules.labelled import LabelledFlooding
-from nodes.share import Fragment, read_body
 from scenarios.build import build_node
 from scenarios.links import link_state
 from scenarios.setup import Setup
@@ -75,7 +74,8 @@ def record_spread(
     send no records."""
     if setup.scenario.rule != "labelled":
         return None
-    estimator = build_node(setup, 0).estimator
+    config = build_node(setup, 0)
+    estimator = config.estimator
     if not isinstance(estimator, LabelledFlooding):
         return None
     taken = np.sum(~np.isnan(readings), axis=(2, 3)) > 0
@@ -89,7 +89,7 @@ def record_spread(
     arrival = np.full((nodes, steps, nodes), steps)
     for step, node in np.argwhere(taken):
         arrival[node, step, node] = step
-    shares = _shares(fragments, steps * rounds)
+    shares = _shares(fragments, steps * rounds, config.bus.frame_format)
     body_bytes = np.zeros(steps, dtype=int)
     checkpoints = records = 0
     for (cycle, sender), (body, frames) in shares.items():
@@ -169,21 +169,21 @@ def _reached(
 
 
 def _shares(
-    fragments: Iterable[tuple[int, Fragment]], cycles: int
+    fragments: Iterable[tuple[int, Fragment]], cycles: int, frame_format: FrameFormat
 ) -> dict[tuple[int, int], tuple[bytes, int]]:
     """The body and number of frames of each complete share in these cycles, by cycle and sender."""
     parts: dict[tuple[int, int], list[bytes]] = defaultdict(list)
     for node, fragment in fragments:
         if fragment.cycle < cycles:
             parts[fragment.cycle, node].append(fragment.data)
-    bodies = {key: (_body(data), len(data)) for key, data in sorted(parts.items())}
+    bodies = {key: (_body(data, frame_format), len(data)) for key, data in sorted(parts.items())}
     return {key: (body, frames) for key, (body, frames) in bodies.items() if body is not None}
 
 
-def _body(parts: list[bytes]) -> bytes | None:
+def _body(parts: list[bytes], frame_format: FrameFormat) -> bytes | None:
     """What they say together; None where the recording has lost a part."""
     try:
-        return read_body(parts)
+        return frame_format.join(parts)
     except Rejected:
         return None
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from nodes.messages import Grant, Timing
 from nodes.tempo import Tempo
-from runtime.recorded import meaning
+from runtime.recorded import message_of
 
 
 class Spread(msgspec.Struct, frozen=True):
@@ -48,7 +48,7 @@ def figures_of(
 ) -> TimingFigures:
     """The figures of recorded (topic, bytes), of a step at least, and of each node's counters."""
     wanted = (one for one in messages if one[0] == "grant" or one[0].startswith("timing/"))
-    read = [meaning(*one, len(counters)) for one in wanted]
+    read = [message_of(*one, len(counters)) for one in wanted]
     said = [one for one in read if isinstance(one, Timing)]
     grants = [one for one in read if isinstance(one, Grant)]
     incomplete = sum(timing.incomplete for timing in said)

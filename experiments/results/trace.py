@@ -5,14 +5,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bus.flexray.frame import OVERHEAD_BYTES
+from bus.bus import Fragment
 from experiments.results.record_spread import RecordSpread, record_spread
 from filters.linalg import unpack_upper
 from nodes.changes import Event
 from nodes.history import History, history_of, with_holes, without_lost_words
 from nodes.messages import Array, Bid, Estimate, Measured, Timing, Truth, from_wire
-from nodes.share import Fragment
 from runtime.recorded import SharedFrame, meaning
+from scenarios.bus_plan import frame_format
 from scenarios.setup import Setup
 
 
@@ -66,11 +66,11 @@ def read_trace(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> Trace:
     asked: list[tuple[int, int, int]] = []
     events: list[Event] = []
     last: dict[int, int] = {}
-    timed = False
+    timed, frames = False, frame_format(setup.scenario)
     for topic, data in messages:
-        match meaning(topic, data, nodes):
+        match meaning(topic, data, nodes, frames):
             case SharedFrame(node, fragment):
-                sent.append((node, fragment, len(data) - OVERHEAD_BYTES))
+                sent.append((node, fragment, len(data) - frames.overhead_bytes))
             case Truth() as message:
                 truths[message.step] = message
             case Bid() as message if message.bid is not None:

@@ -68,8 +68,11 @@ def _run(case: Case, injected: Counter[str], struck: Counter[str]) -> History:
     setup = prepare(case.scenario)
     configs = [build_node(setup, node) for node in range(case.scenario.nodes)]
     faults, calm_step = read_wire(case.wire), case.calm_step
-    books = Books(case.scenario.rounds, len(configs), loses_frames=bool({*faults} & {*LOSING}))
-    wire = Wire(case.seed, faults, lambda cycle: books.step_of(cycle) >= calm_step)
+    bus, loses_frames = configs[0].bus, bool({*faults} & {*LOSING})
+    books = Books(bus, case.scenario.rounds, len(configs), loses_frames)
+    wire = Wire(
+        case.seed, faults, lambda cycle: books.step_of(cycle) >= calm_step, bus.frame_format
+    )
     try:
         in_process.run(
             build_environment(setup),

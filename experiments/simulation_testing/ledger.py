@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from bus.flexray.fragments import join
+from bus.bus import Bus
 from experiments.simulation_testing.broken import Broken
 from experiments.simulation_testing.node_ledger import Key, Page, Sent
 from experiments.simulation_testing.outcomes import Fate, fate_of, must_be_silent
@@ -30,7 +30,6 @@ from nodes.messages import (
     decode,
 )
 from nodes.node_state import NodeConfig, NodeState, Phase
-from nodes.share import read_frame
 
 _BOOKED = ("sent", "silent", "heard", "lost", "late", "repeated", "reordered", "missed")
 _EVENTS_PER_FRAME = 50
@@ -39,9 +38,11 @@ _NO_NUMBERS = (np.full(1, np.nan, "<f8").tobytes(), np.full(2, np.nan, "<f4").to
 
 
 class Books:
-    """Recorder and onlooker of one run; `loses_frames` says that some never come."""
+    """Recorder and onlooker of one run, which begins with this bus; `loses_frames` says that some
+    never come."""
 
-    def __init__(self, rounds: int, nodes: int, loses_frames: bool) -> None:
+    def __init__(self, bus: Bus, rounds: int, nodes: int, loses_frames: bool) -> None:
+        self._frames = bus.frame_format
         self.history: History = history_of(rounds, ())
         self.estimates: dict[tuple[int, int], Estimate] = {}
         self.truths: dict[int, Truth] = {}
@@ -90,9 +91,11 @@ class Books:
         """Nothing to do."""
 
     def _note_frame(self, node: int, frame: bytes) -> None:
-        fragment = read_frame(frame)
-        data = fragment.data
-        sent = Sent(node, fragment.cycle, fragment.frame_id, data[0], data[1], data, frame)
+        fragment = self._frames.read(frame)
+        data, place = fragment.data, self._frames.numbered(fragment.data)
+        sent = Sent(
+            node, fragment.cycle, fragment.frame_id, place.number, place.frames, data, frame
+        )
         self._genuine[frame] = sent
         self._sent.setdefault((node, fragment.cycle), []).append(sent)
         self._pages[node].counts["sent"] += 1
@@ -112,7 +115,7 @@ class Books:
     def body(self, node: int, cycle: int) -> bytes | None:
         """What a node has sent in a cycle; None for nothing."""
         frames = self._sent.get((node, cycle))
-        return None if frames is None else join([one.data for one in frames])
+        return None if frames is None else self._frames.join([one.data for one in frames])
 
     def _note_change(self, event: Event) -> None:
         self.history = with_event(self.history, event)
@@ -261,7 +264,7 @@ class Books:
             self._faults(config, step),
             way,
             sent.frame,
-            lambda node: bool(config.slots(node, sent.cycle)),
+            lambda node: config.bus.in_slot_of(sent.frame, node, sent.cycle) is not None,
         )
 
     # --- what nodes say of themselves ---------------------------------------------------------

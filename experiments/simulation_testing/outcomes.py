@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from nodes.faults.active import EVERYBODY, Faults
-from nodes.faults.links import FLIPPED_BITS, Passage
+from nodes.faults.links import Passage
 from nodes.faults.vocabulary import PASSING
 
 
@@ -149,7 +149,7 @@ def _flipped(faults: Faults, way: Passage, length: int) -> set[int]:
     def drawn(what: str, below: int) -> int:
         return int(below * faults.draw(what, way.cycle, way.sender, way.receiver, way.number))
 
-    flips = 1 + drawn("corrupted bits", FLIPPED_BITS)
+    flips = 1 + drawn("corrupted bits", faults.equipment.noticed_bits)
     return {drawn(f"corrupted bit {place}", 8 * length) for place in range(flips)}
 
 

@@ -24,7 +24,7 @@ from nodes.commands import (
 from nodes.faults.active import Equipment
 from nodes.faults.vocabulary import CHANNELS, EVERY_FAULT, Number
 from nodes.run_controller import Scripted
-from scenarios.build import build_plan
+from scenarios.build import build_bus
 from scenarios.equipment import equipment_of
 from scenarios.setup import Setup, complete_settings, with_settings
 
@@ -220,7 +220,7 @@ class _Author:
 
     def _equipped(self) -> Equipment:
         changed = with_settings(self._setup, self._settings)
-        return equipment_of(changed, build_plan(changed))
+        return equipment_of(changed, build_bus(changed))
 
     def _calm(self, step: int) -> None:
         """All is well again, as far as the scenario's own links are."""

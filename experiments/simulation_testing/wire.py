@@ -14,8 +14,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
-from bus.flexray.frame import Frame, decode, encode
-from nodes.share import cycle_of
+from bus.bus import Fragment, FrameFormat
 from runtime import in_process
 
 WIRE_FAULTS = ("vanish", "garbage", "shuffle")
@@ -27,11 +26,11 @@ _SEQUENCE = 2
 
 
 def _chance(
-    seed: int, kind: str, sender: int, receiver: int, frame: bytes, number: int = 0
+    seed: int, kind: str, sender: int, receiver: int, fragment: Fragment, number: int = 0
 ) -> float:
     """A number in [0, 1) that belongs to a frame on its way, and to what is asked of it."""
-    identity = int.from_bytes(frame[:2], "big") % 2048
-    where = _DRAWN.pack(seed, sender, receiver, cycle_of(frame), number)
+    identity = fragment.frame_id
+    where = _DRAWN.pack(seed, sender, receiver, fragment.cycle, number)
     digest = hashlib.blake2b(where, digest_size=8, person=kind.encode(), salt=b"%d" % identity)
     return int.from_bytes(digest.digest(), "big") / 2**64
 
@@ -60,7 +59,14 @@ def read_wire(words: Sequence[str]) -> dict[str, float]:
 class Wire:
     """Does faults to what travels, and counts them; `calm(cycle)` says when it does nothing."""
 
-    def __init__(self, seed: int, faults: Mapping[str, float], calm: Callable[[int], bool]) -> None:
+    def __init__(
+        self,
+        seed: int,
+        faults: Mapping[str, float],
+        calm: Callable[[int], bool],
+        frame_format: FrameFormat,
+    ) -> None:
+        self._frames = frame_format
         self.injected: Counter[str] = Counter()
         self._seed, self._faults, self._calm = seed, faults, calm
         self._last: dict[tuple[int, int], bytes] = {}
@@ -84,32 +90,35 @@ class Wire:
         before = self._last.get((sender, receiver), b"")
         stranger = next((f for s, f in self._overheard.items() if s != sender), b"")
         self._last[sender, receiver] = self._overheard[sender] = frame
-        if self._calm(cycle_of(frame)):
+        fragment = self._frames.read(frame)
+        if self._calm(fragment.cycle):
             return (frame,)
 
         def strikes(kind: str) -> bool:
-            struck = _chance(self._seed, kind, sender, receiver, frame) < self._faults.get(kind, 0)
+            struck = _chance(self._seed, kind, sender, receiver, fragment) < self._faults.get(
+                kind, 0
+            )
             self.injected[kind] += struck
             return struck
 
         def drawn(below: int, number: int) -> int:
-            return int(_chance(self._seed, "garbage", sender, receiver, frame, number) * below)
+            return int(_chance(self._seed, "garbage", sender, receiver, fragment, number) * below)
 
         arrives = [] if strikes("vanish") else [frame]
         if strikes("garbage"):
-            forms = _garbage(frame, before, stranger, drawn(2**16, 2))
+            forms = _garbage(self._frames, frame, before, stranger, drawn(2**16, 2))
             arrives.insert(drawn(2, 3), forms[drawn(len(forms), 1)])
         return arrives
 
 
-def _garbage(frame: bytes, before: bytes, stranger: bytes, drawn: int) -> tuple[bytes, ...]:
+def _garbage(
+    form: FrameFormat, frame: bytes, before: bytes, stranger: bytes, drawn: int
+) -> tuple[bytes, ...]:
     """What a receiver may not use: nothing at all, half of a frame, a flipped bit, a null frame, a
     counter that is not that of its cycle; the same frame once more, the one that the sender has
     sent before it, and one that somebody else has sent."""
-    whole = decode(frame)
-    odd = Frame(whole.frame_id, (whole.cycle_count + 1 + drawn % 63) % 64, whole.payload)
-    null = Frame(whole.frame_id, whole.cycle_count, whole.payload, null=True)
+    odd = form.miscounted(frame, 1 + drawn % 63)
     flipped = bytearray(frame)
     flipped[drawn % len(frame)] ^= 1 << drawn % 8
     half = frame[: drawn % len(frame)]
-    return (b"", half, bytes(flipped), encode(null), encode(odd), frame, before, stranger)
+    return (b"", half, bytes(flipped), form.emptied(frame), odd, frame, before, stranger)

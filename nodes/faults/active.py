@@ -27,6 +27,7 @@ class Equipment(NamedTuple):
         precision_us: how far two clocks may be apart before a frame leaves its slot.
         number: the numpy type code of the numbers in a share; "" for shares of something else.
         codec: of shares that are beliefs.
+        noticed_bits: a receiver finds any this many wrong bits in a frame.
     """
 
     channels: str = "A"
@@ -34,6 +35,7 @@ class Equipment(NamedTuple):
     precision_us: float = 0.0
     number: str = ""
     codec: BeliefCodec | None = None
+    noticed_bits: int = 1
 
 
 PLAIN = Equipment()

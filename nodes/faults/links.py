@@ -7,12 +7,9 @@ agree. Bytes that are altered go through the receiver's own checks, which must f
 
 from typing import NamedTuple
 
+from bus.bus import Bus
 from nodes.faults.active import EVERYBODY, Faults, hangs
 from nodes.faults.senders import sent
-
-# FlexRay's frame CRC finds any so many wrong bits, whatever the length of the payload: its Hamming
-# distance is 6 up to 248 bytes of payload and 4 beyond (protocol specification 2.1, 4.5).
-FLIPPED_BITS = 3
 
 
 class Passage(NamedTuple):
@@ -45,7 +42,7 @@ class Arrival(NamedTuple):
     is_overtaken: bool = False
 
 
-def arrival(faults: Faults, way: Passage, frame: bytes, cycle_counts: int) -> Arrival:
+def arrival(faults: Faults, way: Passage, frame: bytes, bus: Bus) -> Arrival:
     """What a receiver gets of a frame, which is what its sender meant to send."""
     if hangs(faults, way.step, way.receiver):
         return _nothing("lost")
@@ -57,7 +54,7 @@ def arrival(faults: Faults, way: Passage, frame: bytes, cycle_counts: int) -> Ar
         return _nothing("rejected collision")
     if not _carried(faults, way):
         return _nothing("lost")
-    whole = sent(faults, way.step, way.cycle, way.sender, way.number, frame, cycle_counts)
+    whole = sent(faults, way.step, way.cycle, way.sender, way.number, frame, bus)
     read = _corrupted(faults, way, whole)
     replay = faults.at("replay", way.step, way.sender)
     later = (int(replay[1]),) if replay and _before(faults, "replay", way, replay[0]) else ()
@@ -106,10 +103,11 @@ def _carried(faults: Faults, way: Passage) -> bool:
 
 
 def _corrupted(faults: Faults, way: Passage, frame: bytes) -> bytes:
+    """The frame with so few wrong bits that its receiver is sure to find them."""
     if not _strikes(faults, "corrupt", way):
         return frame
     bits = bytearray(frame)
-    flipped = 1 + int(FLIPPED_BITS * _draw(faults, "corrupted bits", way))
+    flipped = 1 + int(faults.equipment.noticed_bits * _draw(faults, "corrupted bits", way))
     places = {
         int(8 * len(frame) * _draw(faults, f"corrupted bit {place}", way))
         for place in range(flipped)

@@ -2,13 +2,10 @@
 
 import numpy as np
 
-from bus.flexray.frame import Frame
-from bus.flexray.frame import decode as decode_frame
-from bus.flexray.frame import encode as encode_frame
+from bus.bus import Bus
 from filters.gaussian import Gaussian
 from nodes.belief_codec import BeliefCodec
 from nodes.faults.active import EVERYBODY, Faults
-from nodes.share import renumbered
 
 # A bit of the checksum that a broken controller turns over.
 _LAST_BIT = 1
@@ -30,17 +27,15 @@ def spoken(faults: Faults, step: int, cycle: int, node: int, body: bytes) -> byt
 
 
 def sent(
-    faults: Faults, step: int, cycle: int, node: int, number: int, frame: bytes, cycle_counts: int
+    faults: Faults, step: int, cycle: int, node: int, number: int, frame: bytes, bus: Bus
 ) -> bytes:
     """Frame `number` of a node's share in a cycle as its bus controller sends it."""
     wrong = faults.at("wrong-step", step, node)
     if wrong is not None and faults.draw("wrong-step", cycle, node, EVERYBODY, number) < wrong[0]:
         # Before the first cycle there is no earlier one.
-        frame = renumbered(frame, max(0, cycle - int(wrong[1])), cycle_counts)
+        frame = bus.renumbered(frame, max(0, cycle - int(wrong[1])))
     if _strikes(faults, "null", step, cycle, node, number):
-        header = decode_frame(frame)
-        empty = bytes(len(header.payload))
-        frame = encode_frame(Frame(header.frame_id, header.cycle_count, empty, null=True))
+        frame = bus.frame_format.emptied(frame)
     if _strikes(faults, "crc", step, cycle, node, number):
         frame = frame[:-1] + bytes([frame[-1] ^ _LAST_BIT])
     return frame

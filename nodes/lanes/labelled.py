@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bus.flexray.schedule import Schedule
+from bus.schedule import Schedule
 from filters.fusion.determinant_intersection import determinant_intersection
 from filters.gaussian import Gaussian
 from filters.linalg import cholesky, pack_upper, unpack_upper

@@ -6,13 +6,16 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from bus.flexray.schedule import Schedule
+from bus.arbitration import ArbiterState
+from bus.schedule import Schedule
 from filters.gaussian import Gaussian
 from nodes.environment_state import Controller, Delivery, Plant
 from nodes.lanes.filter import Counters
 from nodes.messages import Array
 
-Contest = Callable[[Any, int, int, np.ndarray, np.ndarray], tuple[Any, np.ndarray]]
+Contest = Callable[
+    [ArbiterState, int, int, np.ndarray, np.ndarray], tuple[ArbiterState, np.ndarray]
+]
 """The arbiter of all runs: (memory, cycle, group of it, nodes (C,) that may ask, bids (R, C)) ->
 (memory, wins (R, C)); `bids.NO_BID` does not ask."""
 
@@ -95,7 +98,7 @@ class Regime(NamedTuple):
     rounds: int
     schedule: Schedule
     contest: Contest
-    contest_memory: Any
+    contest_memory: ArbiterState
     framed: Framed
     fleet: Fleet
 

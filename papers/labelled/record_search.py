@@ -6,7 +6,7 @@ passed. A rule that loses nothing on its way reaches exactly this.
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
-from bus.flexray.schedule import Schedule
+from bus.schedule import Schedule
 from nodes.messages import Grant, decode
 
 Label = tuple[int, int]  # step, source

@@ -20,7 +20,7 @@ from filters.gaussian import Gaussian
 from filters.metrics import nees
 from nodes.messages import Array
 from scenarios.baselines import centralised_of_runs
-from scenarios.build import build_plan
+from scenarios.build import build_bus
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup, prepare, share_bytes
 
@@ -114,7 +114,7 @@ def outcomes(job: Job) -> list[Outcome]:
     network = Gaussian(histories.mean, histories.cov)
     scores = (_scored(setup, histories.truth, belief) for belief in (network, central))
     (squared, consistency), (squared_central, consistency_central) = scores
-    plan = build_plan(setup)
+    bus = build_bus(setup)
     found = []
     for run in range(job.runs):
         spread = figures_of(histories.spreads[run]) if job.form.labelled else None
@@ -127,7 +127,7 @@ def outcomes(job: Job) -> list[Outcome]:
                 consistency[run],
                 consistency_central[run].mean(),
                 shares if spread is None else spread.body_bytes_per_step,
-                *wire_per_step(plan, sent),
+                *wire_per_step(bus, sent),
                 np.nan if spread is None else spread.coverage,
                 np.nan if spread is None else spread.checkpoint_share,
             )

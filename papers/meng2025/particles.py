@@ -3,7 +3,7 @@
 import numpy as np
 from msgspec.structs import replace
 
-from bus.flexray.schedule import Schedule
+from bus.schedule import Schedule
 from filters.particle import Particles, cov, mean, resample
 from nodes.messages import Array
 from papers.meng2025.runs import Batch, Outcome, transmit

@@ -18,7 +18,7 @@ from bus.flexray.measurement_bus import (
     round_robin,
     try_once_discard,
 )
-from bus.flexray.schedule import Schedule
+from bus.schedule import Schedule
 from filters.gaussian import Gaussian
 from filters.stochastic_ukf import RECOMMENDED, MeasurementFilter, Received
 from nodes.messages import Array

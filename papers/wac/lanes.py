@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bus.flexray.schedule import Schedule
+from bus.schedule import Schedule
 from filters.fusion import hybrid_consensus, information_weighted
 from filters.fusion.hold import sharpness
 from filters.fusion.packed import pack, unpack

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bus.flexray.schedule import full_publish
+from bus.schedule import full_publish
 from experiments.progress import progress
 from filters.fusion import hold
 from filters.gaussian import Gaussian

@@ -2,32 +2,25 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import Any
 
 import msgspec
 import numpy as np
 
-from bus.flexray import arbitration_lanes
-from bus.flexray.arbitration import ArbiterState
-from bus.flexray.arbitration_lanes import Order, serve
-from bus.flexray.dynamic_segment import walk
+from bus.arbitration import ArbiterState, begin_arbitration
+from bus.bus import Bus
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
-from nodes.bids import asked
 from nodes.changes import UNCHANGED, Standing
 from nodes.commands import Configure, Inject
 from nodes.faults.losses import LinkState, hears_all
 from nodes.lanes.filter import LocalFilters, SensorGroup
 from nodes.lanes.links import Links, Shares, links_of, places
-from nodes.lanes.network import Contest, Era, Network, Regime
-from nodes.messages import Bid
+from nodes.lanes.network import Era, Network, Regime
 from nodes.node import contenders_left
 from nodes.node_changes import with_standing
-from nodes.share import frame_payloads
 from runtime.batched.changes import Turning, foreseen
 from runtime.batched.streams import streams_of
-from scenarios.build import build_controller, build_plan, everybody_of
-from scenarios.bus_plan import BusPlan, arbitrate
+from scenarios.build import build_bus, build_controller, everybody_of
 from scenarios.catalogue import kind_of
 from scenarios.fleets import FleetSeat
 from scenarios.links import link_state
@@ -35,12 +28,6 @@ from scenarios.rules import hold_policy, rule_of, wire_number
 from scenarios.scenario import Scenario
 from scenarios.script import script_of
 from scenarios.setup import Setup, complete_settings, share_bytes, with_settings
-
-_ORDERS: dict[str, Order] = {
-    "wtod": arbitration_lanes.wtod,
-    "minislot": arbitration_lanes.minislot,
-    "round-robin": arbitration_lanes.round_robin,
-}
 
 
 def without_array_form(scenario: Scenario) -> str | None:
@@ -124,45 +111,44 @@ def _eras(setup: Setup, scenarios: Sequence[Scenario], links: Links) -> Iterator
     """What holds when, in runs of these scenarios."""
     scenario = setup.scenario
     states = [link_state(msgspec.structs.replace(setup, scenario=one)) for one in scenarios]
-    changed, plan, regime = setup, build_plan(setup), None
+    changed, bus, regime = setup, build_bus(setup), None
     for step, standing, joined, anew in turnings_of(setup):
         if regime is None or anew:
             changed = with_settings(setup, standing.settings)
-            plan = build_plan(changed)
-            regime = _regime(changed, plan, links, standing, len(scenarios))
+            bus = build_bus(changed)
+            regime = _regime(changed, bus, links, standing, len(scenarios))
         present = np.ones(scenario.nodes, dtype=bool)
         present[list(standing.absent)] = False
         standing_states = [with_standing(state, standing) for state in states]
         lost = None
         if not standing_states[0].perfect:
-            lost = partial(_lost, standing_states, links, partial(frames_of, changed, plan))
+            lost = partial(_lost, standing_states, links, partial(frames_of, changed, bus))
         yield Era(step, regime, present, joined, lost)
 
 
-def _regime(setup: Setup, plan: BusPlan, links: Links, standing: Standing, runs: int) -> Regime:
+def _regime(setup: Setup, bus: Bus, links: Links, standing: Standing, runs: int) -> Regime:
     """Rule and bus of a setup whose settings are those that stand."""
     rule = rule_of(setup.scenario)
     assert rule.fleet is not None, "without_array_form has looked"
-    contest, memory = _contest(setup, plan, runs)
     return Regime(
         standing.first_step,
         standing.first_cycle,
         setup.scenario.rounds,
-        plan.schedule,
-        contest,
-        memory,
-        partial(framed, setup, plan),
-        rule.fleet(_seat(setup, plan, links)),
+        bus.schedule,
+        partial(_contest, setup, bus),
+        begin_arbitration(setup.scenario.nodes, (runs,)),
+        partial(framed, setup, bus),
+        rule.fleet(_seat(setup, bus, links)),
     )
 
 
-def _seat(setup: Setup, plan: BusPlan, links: Links) -> FleetSeat:
+def _seat(setup: Setup, bus: Bus, links: Links) -> FleetSeat:
     scenario = setup.scenario
     kind = kind_of(scenario.name)
     own = np.array([row[0] for row in setup.weights])
     link = np.array([weight for row in setup.weights for weight in row[1:]])
     points = kind.points(scenario) if kind.points else scaled_unscented(len(setup.prior_mean))
-    contenders = {node for row in plan.schedule.contender_table for node in row}
+    contenders = {node for row in bus.schedule.contender_table for node in row}
     return FleetSeat(
         LocalFilters(kind.model(scenario), sensor_groups(scenario), points),
         links,
@@ -173,7 +159,7 @@ def _seat(setup: Setup, plan: BusPlan, links: Links) -> FleetSeat:
         scenario.trigger,
         wire_number(scenario),
         setup.neighbours,
-        partial(everybody_of, setup, plan.schedule),
+        partial(everybody_of, setup, bus.schedule),
     )
 
 
@@ -189,35 +175,34 @@ def sensor_groups(scenario: Scenario) -> tuple[SensorGroup, ...]:
 # --- the bus -------------------------------------------------------------------------------------
 
 
-def frames_of(setup: Setup, plan: BusPlan, cycle: int) -> tuple[np.ndarray, np.ndarray]:
+def frames_of(setup: Setup, bus: Bus, cycle: int) -> tuple[np.ndarray, np.ndarray]:
     """How many frames a share of each node takes in a cycle, and the payload in bytes of all of
     them together, (N,) each; 0 for nodes that have no slot. For rules whose shares have one length.
     """
-    frames, payload = np.zeros((2, plan.schedule.nodes), dtype=np.int64)
-    static = plan.schedule.static_senders(cycle)
-    for nodes in (static, contenders_left(plan.schedule, cycle, ())):
+    frames, payload = np.zeros((2, bus.schedule.nodes), dtype=np.int64)
+    static = bus.schedule.static_senders(cycle)
+    for nodes in (static, contenders_left(bus.schedule, cycle, ())):
         if nodes:
             # All static slots of a cluster are alike, and so are the dynamic ones of all nodes.
-            lengths = frame_payloads(share_bytes(setup), plan.slots(nodes[0], cycle))
+            lengths = bus.payloads(nodes[0], cycle, share_bytes(setup))
             owners = places(nodes)
             frames[owners], payload[owners] = len(lengths), sum(lengths)
     return frames, payload
 
 
 def framed(
-    setup: Setup, plan: BusPlan, cycle: int, sends: np.ndarray, body_bytes: np.ndarray | None
+    setup: Setup, bus: Bus, cycle: int, sends: np.ndarray, body_bytes: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Number of frames and bytes of payload (R, N) of those that send (R, N) in a cycle, shares of
     `body_bytes` (R, N); None where all have one length."""
     if body_bytes is None:
-        frames, payload = frames_of(setup, plan, cycle)
+        frames, payload = frames_of(setup, bus, cycle)
         return np.where(sends, frames, 0), np.where(sends, payload, 0)
     frames = np.zeros(sends.shape, dtype=np.int64)
     payload = np.zeros_like(frames)
     for node in np.flatnonzero(sends.any(axis=0)).tolist():
-        slots = plan.slots(node, cycle)
         lengths, which = np.unique(body_bytes[:, node], return_inverse=True)
-        made = [frame_payloads(length, slots) for length in lengths.tolist()]
+        made = [bus.payloads(node, cycle, length) for length in lengths.tolist()]
         frames[:, node] = np.array([len(sizes) for sizes in made])[which]
         payload[:, node] = np.array([sum(sizes) for sizes in made])[which]
     return np.where(sends, frames, 0), np.where(sends, payload, 0)
@@ -241,70 +226,15 @@ def _lost(
     return lost
 
 
-def _contest(setup: Setup, plan: BusPlan, runs: int) -> tuple[Contest, Any]:
-    """The arbiter of all runs and what it remembers: in arrays where whoever wins fits."""
-    if _whoever_wins_fits(plan):
-        return partial(_serve, _ORDERS[setup.scenario.arbiter], plan), np.zeros(
-            runs, dtype=np.int64
-        )
-    return partial(_serve_one_by_one, setup, plan), (ArbiterState(),) * runs
-
-
-def _whoever_wins_fits(plan: BusPlan) -> bool:
-    slots = max(plan.schedule.dynamic_slot_table)
-    contenders = sorted({node for row in plan.schedule.contender_table for node in row})
-    if not (slots and contenders):
-        return True
-    assert plan.cluster is not None and plan.table is not None, "a dynamic segment has a cluster"
-    # The last IDs are the worst: every slot before them counts by empty.
-    requests = [plan.table.request(node, 0) for node in contenders[-slots:]]
-    return not walk(plan.cluster, requests).waiting
-
-
-def _serve(
-    order: Order,
-    plan: BusPlan,
-    last: np.ndarray,
-    cycle: int,
-    group: int,
-    nodes: np.ndarray,
-    bids: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    frame_ids = np.array([plan.slots(int(node), cycle)[0].frame_id for node in nodes])
-    ascending = np.argsort(frame_ids)
-    last, ordered = serve(
-        order,
-        last,
-        frame_ids[ascending],
-        bids[:, ascending],
-        bids[:, ascending] >= 0,
-        plan.schedule.groups(cycle)[group].dynamic_slots,
-    )
-    wins = np.empty_like(ordered)
-    wins[:, ascending] = ordered
-    return last, wins
-
-
-def _serve_one_by_one(
+def _contest(
     setup: Setup,
-    plan: BusPlan,
-    states: tuple[ArbiterState, ...],
+    bus: Bus,
+    state: ArbiterState,
     cycle: int,
     group: int,
     nodes: np.ndarray,
     bids: np.ndarray,
-) -> tuple[tuple[ArbiterState, ...], np.ndarray]:
-    """What fits beside what hangs on frame IDs: each run has the arbiter of the world."""
-    decide = arbitrate(setup.scenario, plan)
-    payload = frames_of(setup, plan, cycle)[1].tolist()
-    wins = np.zeros(bids.shape, dtype=bool)
-    after = []
-    for run, state in enumerate(states):
-        requests = tuple(
-            Bid(node, cycle, asked(bid), payload[node], group)
-            for node, bid in zip(nodes.tolist(), bids[run], strict=True)
-        )
-        state, winners = decide(state, cycle, requests)
-        wins[run] = np.isin(nodes, winners)
-        after.append(state)
-    return tuple(after), wins
+) -> tuple[ArbiterState, np.ndarray]:
+    """The arbiter of all runs."""
+    payload = np.broadcast_to(frames_of(setup, bus, cycle)[1][nodes], bids.shape)
+    return bus.arbitrate(state, cycle, group, nodes, bids, payload)

@@ -3,16 +3,15 @@
 from collections import deque
 from collections.abc import Sequence
 
-from nodes.estimator import Rejected
+from bus.bus import FrameFormat, Rejected
 from nodes.messages import Grant, Measured, NodeEvent, ShareHeard
 from nodes.node_state import NodeState
-from nodes.share import read_frame
 
 # As much as all processes of a network of 64 nodes keep, and more.
 _REMEMBERED = 1 << 17
 
 
-def is_missing(state: NodeState, event: NodeEvent) -> bool:
+def is_missing(state: NodeState, event: NodeEvent, frame_format: FrameFormat) -> bool:
     """Whether a node can use a message that was said again: one that has come changes nothing, and
     no counter."""
     inbox = state.inbox
@@ -24,7 +23,7 @@ def is_missing(state: NodeState, event: NodeEvent) -> bool:
             return key >= (state.cycle, state.group) and key not in inbox.grants
         case ShareHeard(sender, frame):
             try:
-                fragment = read_frame(frame)
+                fragment = frame_format.read(frame)
             except Rejected:
                 # It never was a frame: that is for the state machine to count.
                 return True

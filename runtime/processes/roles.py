@@ -29,6 +29,7 @@ from runtime.processes.supervisor import TRY_AGAIN
 from runtime.recording import McapRecorder
 from runtime.whole_steps import WholeSteps
 from scenarios.build import build_environment
+from scenarios.bus_plan import frame_format
 from scenarios.script import script_of
 from scenarios.setup import complete_settings, fingerprint
 
@@ -50,8 +51,9 @@ def be_recorder(job: Job, links: dict[str, Links], tell: Callable[[Happened], No
     """Keep what is said, and let others hear it."""
     scenario = job.setup.scenario
     try:
-        recorder = McapRecorder(Path(job.recording), scenario.rounds, job.setup.time_step_s)
-        steps = WholeSteps(scenario.nodes, scenario.rounds)
+        frames = frame_format(scenario)
+        recorder = McapRecorder(Path(job.recording), scenario.rounds, job.setup.time_step_s, frames)
+        steps = WholeSteps(scenario.nodes, scenario.rounds, frames)
         _joining(partial(run_recorder, job.run, links[RECORDER], links[WATCH], recorder, steps))
     except NotWritten as error:
         tell(Happened("failed", detail=str(error)))

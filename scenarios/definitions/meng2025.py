@@ -23,7 +23,7 @@ from bus.flexray.measurement_bus import (
     zero_input,
     zero_order_hold,
 )
-from bus.flexray.schedule import Schedule
+from bus.schedule import Schedule
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule, scaled_unscented
 from filters.stochastic_ukf import RECOMMENDED, MeasurementFilter, Received

@@ -25,7 +25,7 @@ from bus.flexray.measurement_matrices import (
     slot_matrices,
     static_turn,
 )
-from bus.flexray.schedule import Schedule
+from bus.schedule import Schedule
 
 FLEXRAY_SENSORS = st.integers(2, 7).flatmap(
     lambda sensors: st.tuples(

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from bus.flexray.dynamic_segment import Request
 from bus.flexray.presets import AUDI, DEMO, FLEXRAY_ADAPTER
-from bus.flexray.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
 from bus.flexray.slot_table import (
     SlotAssignment,
     SlotTable,
@@ -17,6 +16,7 @@ from bus.flexray.slot_table import (
     deviations,
     schedule_from_slots,
 )
+from bus.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
 from tests.bus.support import quick
 
 BIG = msgspec.structs.replace(
@@ -100,16 +100,16 @@ def test_other_periods_are_told():
 def test_contenders_get_the_dynamic_ids_that_follow_the_static_segment():
     table = allocate(hybrid(4, 0.5), AUDI, (34,) * 3, (100,))
     assert [slot.node for slot in table.static_slots(0)] == [0, 0, 0]
-    assert table.request(2, 7) == Request(2, 52, 7, 100)
-    assert table.request(3, 7).frame_id == 53
+    assert table.request(2) == Request(2, 52, 100)
+    assert table.request(3).frame_id == 53
     with pytest.raises(ValueError, match="node 0 owns no dynamic slot"):
-        table.request(0, 7)
+        table.request(0)
 
 
 def test_long_shares_take_consecutive_dynamic_slots():
     table = allocate(dynamic_only(3, 0.5), FLEXRAY_ADAPTER, (), (16, 16, 8))
-    assert [table.request(node, 0).frame_id for node in range(3)] == [61, 64, 67]
-    assert table.request(0, 0).payload_bytes == 40
+    assert [table.request(node).frame_id for node in range(3)] == [61, 64, 67]
+    assert table.request(0).payload_bytes == 40
 
 
 def test_more_static_slots_than_the_cluster_holds_are_refused():

@@ -7,6 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from bus.flexray.share_frames import SHARE_FRAMES
 from dashboard.frames.assembler import Assembler
 from dashboard.frames.frame import Frame
 from dashboard.frames.network import Network
@@ -140,7 +141,7 @@ def test_a_share_that_did_not_arrive_is_lost_at_its_receiver():
 
 
 def steps_of(messages=MESSAGES) -> list[WholeStep]:
-    together = WholeSteps(8, 3)
+    together = WholeSteps(8, 3, SHARE_FRAMES)
     return [step for message in messages for step in together.take(*message)]
 
 

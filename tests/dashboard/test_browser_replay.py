@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from bus.flexray.share_frames import SHARE_FRAMES
 from dashboard.serve import open_recording
 from runtime.drivers import drive
 from runtime.recording import McapRecorder
@@ -31,7 +32,9 @@ _PRESS_AND_MOVE_ON = """([first, second, third]) => {
 def page(chromium, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
     setup = setup_of("target-tracking", nodes=8, steps=40, schedule="hybrid", occupancy=0.5)
     folder = tmp_path_factory.mktemp("recorded")
-    recorder = McapRecorder(folder / "run.mcap", setup.scenario.rounds, setup.time_step_s)
+    recorder = McapRecorder(
+        folder / "run.mcap", setup.scenario.rounds, setup.time_step_s, SHARE_FRAMES
+    )
     drive(setup, recorder, lambda _: None)
     recorder.close()
     (folder / "run.json").write_text("{}")

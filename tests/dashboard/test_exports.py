@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from bus.flexray.share_frames import SHARE_FRAMES
 from dashboard.frames.expected import nothing_expected
 from dashboard.frames.replay import replayed
 from dashboard.panels.chart_export import charts_page
@@ -105,7 +106,7 @@ def recorded(place: Path) -> Path:
     """A recording of the run, in a folder of its own."""
     file = place / "run" / "run.mcap"
     file.parent.mkdir()
-    recorder = McapRecorder(file, STAGE.rounds, STAGE.setup.time_step_s)
+    recorder = McapRecorder(file, STAGE.rounds, STAGE.setup.time_step_s, SHARE_FRAMES)
     drive(STAGE.setup, recorder, lambda _: None)
     recorder.close()
     return file

@@ -66,8 +66,8 @@ def test_a_told_change_is_read():
 
 def test_settings_change_the_bus_that_is_drawn():
     stage = set_stage(setup_of("target-tracking", nodes=8, steps=2))
-    assert len(stage.plan.schedule.static_senders(0)) == 8
+    assert len(stage.bus.schedule.static_senders(0)) == 8
     other = restaged(stage, {"occupancy": 0.25, "schedule": "hybrid", "rounds": 1, "rule": "wac"})
-    assert len(other.plan.schedule.static_senders(0)) < 8
+    assert len(other.bus.schedule.static_senders(0)) < 8
     assert (other.rounds, other.setup.scenario.rule) == (1, "wac")
     assert (stage.rounds, stage.setup.scenario.rule) == (3, "ci")

@@ -17,11 +17,12 @@ import msgspec
 import numpy as np
 import tyro
 
+from bus.flexray.share_frames import SHARE_FRAMES
 from nodes.commands import Speed
 from nodes.messages import Estimate, decode
 from runtime.drivers import in_memory
 from runtime.network.links import RECORDER, WORLD, names
-from runtime.recorded import meaning
+from runtime.recorded import meaning, message_of
 from scenarios.catalogue import kind_of
 from scenarios.setup import prepare
 from tests.endurance.intruder import Intruder, intruders
@@ -82,7 +83,7 @@ def believed(messages: list[tuple[str, bytes]], nodes: int) -> tuple[dict, dict[
     """What so many nodes have estimated (node, step), and the counters of each at its end."""
     estimates, counters = {}, {}
     for topic, data in messages:
-        if meaning(topic, data, nodes) is None or not topic.startswith("estimate/"):
+        if message_of(topic, data, nodes) is None or not topic.startswith("estimate/"):
             continue
         estimate: Estimate = decode(topic, data)
         told = (estimate.mean, estimate.cov, estimate.ages)
@@ -123,7 +124,9 @@ def fuzz(messages: int, seed: int, steps: int = STEPS) -> Outcome:
             one.transport.close()
         running.end()
         recorded = running.recorded()
-    refused[RECORDER] = sum(meaning(topic, data, NODES) is None for topic, data in recorded)
+    refused[RECORDER] = sum(
+        meaning(topic, data, NODES, SHARE_FRAMES) is None for topic, data in recorded
+    )
     alone, quiet = believed(sound, NODES)
     stormed, counters = believed(recorded, NODES)
     reasons: Counter[str] = Counter()

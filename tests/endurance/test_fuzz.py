@@ -13,7 +13,7 @@ from runtime.network.links import RECORDER, WATCH, WORLD, Links, names
 from runtime.network.zenoh_transport import Transport
 from runtime.processes.environment.inbox import ENVIRONMENT_QUEUE
 from runtime.processes.recorder.process import STRANGE
-from runtime.recorded import meaning
+from runtime.recorded import message_of
 from runtime.recording import read_recording
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup, prepare
@@ -187,5 +187,7 @@ def test_in_real_time_nobody_is_deaf_for_what_was_said_long_ago(tmp_path: Path):
         intruder.send("start", b"no start")
     assert running.ended_within(60) and running.failure is None
     intruder.close()
-    told = [meaning(topic, data, 2) for topic, data in running.recorded() if topic == "estimate/0"]
+    told = [
+        message_of(topic, data, 2) for topic, data in running.recorded() if topic == "estimate/0"
+    ]
     assert told[-1].step == 29

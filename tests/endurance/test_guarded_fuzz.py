@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bus.flexray.share_frames import SHARE_FRAMES
 from experiments.__main__ import main
 from experiments.results.folder import read_description
 from runtime.drivers import in_memory
@@ -85,7 +86,9 @@ def test_who_has_no_key_says_nothing_and_a_member_no_word_of_others(tmp_path: Pa
     for node in description.setup.neighbours[INSIDER]:
         told = counters[str(node)] - quiet[str(node)]
         assert sum(n for name, n in told.items() if name.startswith(REFUSED)) == EACH
-    came = Counter(topic for topic, data in recorded if meaning(topic, data, NODES) is None)
+    came = Counter(
+        topic for topic, data in recorded if meaning(topic, data, NODES, SHARE_FRAMES) is None
+    )
     assert came == {topic: EACH for topic in own if not topic.startswith("hello")}
 
 

@@ -2,11 +2,11 @@
 
 from typing import NamedTuple
 
+from bus.bus import Bus
 from experiments.results.trace import Trace, read_trace
 from experiments.scenario_options import ScenarioOptions
 from runtime.drivers import in_memory
-from scenarios.build import build_plan
-from scenarios.bus_plan import BusPlan
+from scenarios.build import build_bus
 from scenarios.setup import Setup, prepare
 
 
@@ -16,8 +16,8 @@ class Run(NamedTuple):
     messages: list[tuple[str, bytes]]
 
     @property
-    def plan(self) -> BusPlan:
-        return build_plan(self.setup)
+    def plan(self) -> Bus:
+        return build_bus(self.setup)
 
 
 def run(**options) -> Run:

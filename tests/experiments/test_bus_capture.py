@@ -11,12 +11,12 @@ import xarray
 
 from bus.flexray.cluster_files import cluster_to_toml
 from bus.flexray.presets import AUDI, DEMO
+from bus.flexray.share_frames import read_frame
 from experiments.results.bus_report import (
     capture,
     figures_of,
 )
 from experiments.results.trace import read_trace
-from nodes.share import read_frame
 from runtime.recording import read_recording
 from tests.experiments.bus_runs import run
 from tests.experiments.flexray_support import concord, dissect, needs_tshark

@@ -11,18 +11,18 @@ from hypothesis import strategies as st
 
 from bus.flexray.cluster_files import cluster_to_toml
 from bus.flexray.dynamic_segment import walk
+from bus.flexray.flexray_bus import FlexRayBus
 from experiments.flexray.plan_report import answer_plan, run_command, slot_rows
 from experiments.flexray.rehearsal import (
     alternatives,
     changed,
-    dynamic_room,
     prepare_without_bus,
     rehearse,
 )
 from experiments.results.trace import read_trace
 from experiments.scenario_options import ScenarioOptions
 from runtime.drivers import in_memory
-from scenarios.build import build_plan
+from scenarios.build import build_bus
 from scenarios.setup import Setup, prepare
 from tests.experiments.flexray_support import concord, refused
 from tests.experiments.test_bus_report import SMALL
@@ -137,15 +137,15 @@ def test_one_share_more_does_not_fit(nodes: int, cluster: str, number: str):
     sizes = [round(other.setup.scenario.occupancy * nodes) for other in found]
     assert sizes == sorted(sizes, reverse=True)
     for other, size in zip(found, sizes, strict=True):
-        assert dynamic_room(other.plan) == max(other.plan.schedule.dynamic_slot_table)
+        assert other.bus.dynamic_room() == max(other.bus.schedule.dynamic_slot_table)
         if size == nodes:
             continue
         more = changed(other.setup, occupancy=(size + 1) / nodes)
         try:
-            plan = build_plan(more)
+            plan = flexray(more)
         except ValueError:
             continue
-        assert dynamic_room(plan) < max(plan.schedule.dynamic_slot_table)
+        assert plan.dynamic_room() < max(plan.schedule.dynamic_slot_table)
 
 
 @settings(max_examples=30)
@@ -153,19 +153,24 @@ def test_one_share_more_does_not_fit(nodes: int, cluster: str, number: str):
 def test_dynamic_room_is_the_most_that_any_winners_fit(nodes: int, cluster: str, data):
     setup = changed(unplanned(nodes, cluster), schedule="dynamic", occupancy=1.0)
     try:
-        plan = build_plan(setup)
+        plan = flexray(setup)
     except ValueError:
         return
     car = plan.cluster
-    assert car is not None and plan.table is not None
-    room = dynamic_room(plan)
-    requests = [plan.table.request(node, 0) for node in range(nodes)]
+    room = plan.dynamic_room()
+    requests = [plan.table.request(node) for node in range(nodes)]
 
     def fits(count: int) -> bool:
         return all(not walk(car, some).waiting for some in combinations(requests, count))
 
     assert fits(room)
     assert room == nodes or not fits(room + 1)
+
+
+def flexray(setup: Setup) -> FlexRayBus:
+    bus = build_bus(setup)
+    assert isinstance(bus, FlexRayBus)
+    return bus
 
 
 # --- slot tables and command lines ---------------------------------------------------------------
@@ -175,8 +180,7 @@ def test_dynamic_room_is_the_most_that_any_winners_fit(nodes: int, cluster: str,
 @given(st.integers(2, 30), st.floats(0.05, 1.0), st.sampled_from(["round-robin", "hybrid"]))
 def test_the_shown_slots_are_those_of_the_schedule(nodes: int, occupancy: float, schedule: str):
     setup = changed(unplanned(nodes, "fitted"), schedule=schedule, occupancy=occupancy)
-    plan = build_plan(setup)
-    assert plan.table is not None
+    plan = flexray(setup)
     rows = [row for row in slot_rows(plan.table) if row.segment == "static"]
     for cycle in range(2 * plan.schedule.period):
         sending = [row for row in rows if cycle % row.repetition == row.base_cycle]
@@ -231,14 +235,14 @@ def test_where_bids_do_not_matter_the_rehearsal_is_the_run(schedule, arbiter, cl
     )  # fmt: skip
     setup = prepare(options.resolve())
     trace = read_trace(setup, in_memory(setup))
-    rehearsal = rehearse(setup, build_plan(setup), 5)
+    rehearsal = rehearse(setup, flexray(setup), 5)
     np.testing.assert_array_equal(rehearsal.published, trace.published)
     np.testing.assert_array_equal(rehearsal.asked, trace.asked)
 
 
 def test_under_growing_bids_the_longest_silent_go_first():
     setup = changed(unplanned(9, "demo"), schedule="dynamic", occupancy=1 / 3)
-    rehearsal = rehearse(setup, build_plan(setup), 4)
+    rehearsal = rehearse(setup, flexray(setup), 4)
     turns = rehearsal.published.reshape(-1, 9)
     assert (turns.sum(1) == 3).all()
     # Three of nine win: everybody once in any three cycles, so nothing gets older than two.
@@ -248,7 +252,7 @@ def test_under_growing_bids_the_longest_silent_go_first():
 
 def test_ages_of_a_rehearsal_by_hand():
     setup = changed(unplanned(3, "fitted"), schedule="round-robin", occupancy=1 / 3)
-    rehearsal = rehearse(setup, build_plan(setup), 2)
+    rehearsal = rehearse(setup, flexray(setup), 2)
     # One node a cycle in turn, three cycles a step: after each step they are 2, 1 and 0 old.
     assert rehearsal.ages.tolist() == [[2, 1, 0], [2, 1, 0]]
 

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bus.flexray.share_frames import read_frame
 from experiments.results.timing_figures import TimingFigures, figures_of
 from experiments.results.trace import Trace
 from nodes.changes import Event, Gone, Joined, Left
 from nodes.commands import in_words
 from nodes.messages import decode
-from nodes.share import read_frame
 from scenarios.build import build_environment
 from scenarios.setup import Setup
 from scenarios.tempo import tempo_of

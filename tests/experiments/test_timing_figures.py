@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bus.flexray.share_frames import cycle_of
 from experiments.results.timing_figures import figures_of
 from nodes.messages import Estimate, Timing, decode, encode, topic
-from nodes.share import cycle_of
 from nodes.tempo import Tempo
 from runtime.processes.clock import EnvironmentClock
 from scenarios.setup import Setup

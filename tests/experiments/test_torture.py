@@ -7,6 +7,7 @@ import msgspec
 import pytest
 
 from bus.flexray.publication import Slot
+from bus.flexray.share_frames import SHARE_FRAMES, to_frames
 from experiments.cli.command_line import main
 from experiments.simulation_testing.case import Case
 from experiments.simulation_testing.case_run import torture
@@ -16,7 +17,6 @@ from experiments.simulation_testing.script import WORDS, calm_from, is_harmless
 from experiments.simulation_testing.shrink import replay_command, run_command, shrink
 from experiments.simulation_testing.wire import LOSING, WIRE_FAULTS, Wire
 from nodes.faults.vocabulary import EVERY_FAULT
-from nodes.share import to_frames
 from scenarios.script import script_of
 from scenarios.setup import prepare
 from tests.experiments.torture_bugs import BUGS, MOST_SEEDS, Bug, first_found, planted
@@ -200,12 +200,12 @@ def test_shrinking_keeps_what_matters():
 @pytest.mark.parametrize("kind", WIRE_FAULTS)
 def test_the_wire_strikes_as_often_as_it_should_until_calm(kind: str):
     if kind == "shuffle":  # happens to messages that wait, and not on a link
-        wire = Wire(3, {kind: 0.3}, calm=lambda _: False)
+        wire = Wire(3, {kind: 0.3}, calm=lambda _: False, frame_format=SHARE_FRAMES)
         picked = [wire.pick(10) for _ in range(500)]
         assert min(picked) == 0 and max(picked) == 9
         assert 80 < wire.injected[kind] < 180
         return
-    wire = Wire(3, {kind: 0.3}, calm=lambda cycle: cycle >= 400)
+    wire = Wire(3, {kind: 0.3}, calm=lambda cycle: cycle >= 400, frame_format=SHARE_FRAMES)
     frames = [to_frames(b"0123456789", cycle, [Slot(1, 18)])[0] for cycle in range(500)]
     arrived = []
     for frame in frames:

@@ -61,13 +61,13 @@ BUGS = (
     ),
     Bug(
         "the cycle counter is not checked",
-        "nodes.inbox", "_read",
-        (("if fragment.cycle % config.cycle_counts != fragment.cycle_count:", "if False:"),),
+        "bus.flexray.share_frames", "read_frame",
+        (("if cycle_counts is not None and", "if False and"),),
     ),
     Bug(
         "the owner of a slot is not checked",
-        "nodes.inbox", "_place",
-        (('raise Rejected("wrong-slot")', "return _Place(0, frames)"),),
+        "bus.flexray.slotted_bus", "SlottedBus.place",
+        (('raise Rejected("wrong-slot")', "return Place(0, frames)"),),
     ),
     Bug(
         "the frame's checksum is not checked",
@@ -75,16 +75,16 @@ BUGS = (
     ),
     Bug(
         "the checksum of a frame that is due is not checked",
-        "nodes.share", "whole_body", (("and is_intact(frame)", ""),),
+        "bus.flexray.share_frames", "whole_body", (("and is_intact(frame)", ""),),
     ),
     Bug(
         "a frame that is due is that of any cycle",
-        "nodes.share", "whole_body",
+        "bus.flexray.share_frames", "whole_body",
         (("frame.startswith(start)", "frame.startswith(shape.header[:2])"),),
     ),
     Bug(
         "a null frame is read",
-        "nodes.share", "read_frame", (("if frame.null:", "if False:"),),
+        "bus.flexray.share_frames", "read_frame", (("if frame.null:", "if False:"),),
     ),
     Bug(
         "a cut holds in one direction only",

@@ -2,26 +2,25 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import islice
 from typing import Any
 
 import numpy as np
 
 from bus.flexray.publication import Slot
-from bus.flexray.schedule import Schedule
+from bus.flexray.share_frames import read_body, read_frame
+from bus.schedule import Schedule
 from filters.gaussian import Gaussian
 from nodes.belief_codec import BeliefCodec
-from nodes.messages import Array, Bid, Measured, decode, from_wire
+from nodes.messages import Array, Measured, decode, from_wire
 from nodes.rules.labelled import Content, LabelledFlooding
 from nodes.rules.labelled_frame import LabelledFrameCodec
 from nodes.rules.record_codec import RecordCodec
 from nodes.rules.window_filter import WindowFilter
-from nodes.share import read_body, read_frame
 from papers.labelled import record_search
 from papers.labelled.record_search import Held
 from runtime.in_process import Link
-from tests.nodes.networks import Adjacency, Network, Outcome, WholeState, keenest, network
+from tests.nodes.networks import Adjacency, Network, Outcome, WholeState, network, with_slots
 from tests.nodes.rule_networks import F, Q, noise_cov
 
 PRIOR = Gaussian(np.array([1.0, -1.0]), np.diag([4.0, 2.0]))
@@ -77,9 +76,8 @@ def labelled(
             schedule=schedule,
             rounds=rounds,
         )
-        nodes.append(replace(config, estimator=estimator, slots=_slots))
-    world = replace(net.world, arbitrate=partial(_by_group, schedule))
-    return Network(world, nodes)
+        nodes.append(with_slots(replace(config, estimator=estimator), _slots))
+    return Network(replace(net.world, bus=nodes[0].bus), nodes)
 
 
 _FRAMES = 16
@@ -88,13 +86,6 @@ _FRAMES = 16
 def _slots(node: int, cycle: int) -> tuple[Slot, ...]:
     first = _FRAMES * node + 1
     return tuple(Slot(first + part, 254, fixed=False) for part in range(_FRAMES))
-
-
-def _by_group(
-    schedule: Schedule, state: Any, cycle: int, bids: Sequence[Bid]
-) -> tuple[Any, tuple[int, ...]]:
-    slots = schedule.groups(cycle)[bids[0].group].dynamic_slots
-    return keenest(slots, state, cycle, bids)
 
 
 # --- what should be held, found without the rule -------------------------------------------------

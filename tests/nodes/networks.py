@@ -1,10 +1,9 @@
 """Small networks for the tests of nodes/: a linear plant, chosen priors, links that lose frames."""
 
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from hypothesis import strategies as st
@@ -12,7 +11,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from bus.flexray.publication import Slot
-from bus.flexray.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
+from bus.ideal import IdealBus
+from bus.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
 from filters.fusion import hold
 from filters.fusion.averaging import INFORMATION, MOMENTS, Averaged
 from filters.gaussian import Gaussian
@@ -21,10 +21,9 @@ from filters.sigma_points import scaled_unscented
 from nodes.belief_codec import BeliefCodec
 from nodes.environment_state import Controller, EnvironmentConfig
 from nodes.faults.losses import LinkState
-from nodes.messages import Array, Bid, Estimate, decode, from_wire
+from nodes.messages import Array, Estimate, decode, from_wire
 from nodes.node import NodeConfig, NodeState
 from nodes.rules.belief_consensus import BeliefConsensus, HoldPolicy
-from nodes.share import payload_lengths
 from runtime import in_process
 from runtime.recording import MemoryRecorder
 from topology.weights import metropolis
@@ -97,17 +96,11 @@ class Network(NamedTuple):
     nodes: list[NodeConfig]
 
 
-def consecutive_slots(lengths: tuple[int, ...], node: int, cycle: int) -> tuple[Slot, ...]:
-    """Each node its own frame IDs, whatever the cycle."""
-    first = node * len(lengths) + 1
-    return tuple(Slot(first + part, length) for part, length in enumerate(lengths))
-
-
-def keenest(slots: int, state: Any, cycle: int, bids: Sequence[Bid]) -> tuple[Any, tuple[int, ...]]:
-    """An arbiter: the largest bids win."""
-    asking = [bid for bid in bids if bid.bid is not None]
-    asking.sort(key=lambda bid: (-(bid.bid or 0), bid.node))
-    return state, tuple(sorted(bid.node for bid in asking[:slots]))
+def with_slots(config: NodeConfig, slots: Callable[[int, int], tuple[Slot, ...]]) -> NodeConfig:
+    """The node on a bus on which a share has these slots: (node, cycle) -> slots."""
+    bus = IdealBus(config.schedule, config.estimator.share_bytes)
+    bus.slots = slots
+    return replace(config, bus=bus)
 
 
 def network(
@@ -138,6 +131,7 @@ def network(
     weights = metropolis(csr_array(adjacency)).toarray()
     schedule = full_publish(count) if schedule is None else schedule
     codec = BeliefCodec(n, number)
+    bus = IdealBus(schedule, codec.size)
     generator = np.random.default_rng(seed)
     nodes = []
     for i in range(count):
@@ -152,8 +146,7 @@ def network(
             weights=weights[i, [i, *heard]],
             codec=codec,
         )
-        slots = partial(consecutive_slots, payload_lengths(codec.size))
-        nodes.append(NodeConfig(i, tuple(heard), rounds, steps, schedule, slots, estimator))
+        nodes.append(NodeConfig(i, tuple(heard), rounds, steps, bus, estimator))
     world = EnvironmentConfig(
         plant=plant,
         initial_state=np.ones(n),
@@ -166,9 +159,7 @@ def network(
         steps=steps,
         rounds=rounds,
         lead=lead,
-        schedule=schedule,
-        arbitrate=partial(keenest, max(schedule.dynamic_slot_table)),
-        arbiter_state=None,
+        bus=bus,
         controller=controller,
     )
     return Network(world, nodes)

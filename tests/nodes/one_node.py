@@ -4,12 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bus.flexray.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
+from bus.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
 from filters.fusion.averaging import INFORMATION
 from filters.gaussian import Gaussian
 from nodes.messages import Estimate, Grant, Measured, NodeEvent, NodeMessage, ShareHeard
 from nodes.node import NodeConfig, NodeState, initial_state, step
-from nodes.share import to_frames
 from tests.nodes.networks import DECAYED, network, path, random_priors
 
 STEPS, ROUNDS = 4, 2
@@ -35,7 +34,7 @@ def middle_node(schedule: Schedule | None = None) -> NodeConfig:
 def share(config: NodeConfig, sender: int, cycle: int, belief: Gaussian | None = None) -> bytes:
     """The frame that a neighbour sends in a cycle."""
     body = config.estimator.codec.encode(belief or PRIORS[sender])  # type: ignore[attr-defined]
-    return to_frames(body, cycle, config.slots(sender, cycle))[0]
+    return config.bus.encode(sender, cycle, body)[0]
 
 
 def feed(config: NodeConfig, events: Sequence[NodeEvent]) -> tuple[NodeState, list[NodeMessage]]:

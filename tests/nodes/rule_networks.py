@@ -1,14 +1,14 @@
 """Networks of any fusion rule for the tests of nodes/, with sensors that see a part each."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
-from bus.flexray.schedule import Schedule
+from bus.flexray.share_frames import read_frame
+from bus.ideal import IdealBus
+from bus.schedule import Schedule
 from filters.gaussian import Gaussian
 from nodes.messages import Array
-from nodes.share import payload_lengths, read_frame
 from runtime.in_process import Link
 from scenarios.estimators import Seat
 from scenarios.rules import build_estimator, hold_policy
@@ -18,7 +18,6 @@ from tests.nodes.networks import (
     Network,
     Outcome,
     WholeState,
-    consecutive_slots,
     network,
     run,
 )
@@ -79,8 +78,8 @@ def ruled(
             number=number,
         )
         estimator = build_estimator(scenario, seat)
-        slots = partial(consecutive_slots, payload_lengths(estimator.share_bytes))
-        nodes.append(replace(config, estimator=estimator, slots=slots))
+        bus = IdealBus(config.schedule, estimator.share_bytes)
+        nodes.append(replace(config, estimator=estimator, bus=bus))
     return net._replace(nodes=nodes)
 
 

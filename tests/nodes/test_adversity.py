@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.flexray.schedule import full_publish, hybrid, round_robin
+from bus.flexray.share_frames import read_frame
+from bus.schedule import full_publish, hybrid, round_robin
 from filters.fusion.averaging import INFORMATION, MOMENTS
 from filters.gaussian import Gaussian
 from nodes.faults.losses import LinkState, Outage, hears
 from nodes.rules.belief_consensus import HoldPolicy
-from nodes.share import read_frame
 from runtime.in_process import first_come
 from tests.nodes.networks import (
     DECAYED,

@@ -30,6 +30,7 @@ pytestmark = [
 
 NETWORK = """
 import os, sys
+from bus.flexray.share_frames import SHARE_FRAMES
 from functools import partial
 from pathlib import Path
 import msgspec
@@ -55,8 +56,10 @@ supervisor, (quiet, hold) = Supervisor(), os.pipe()
 def tell(step):
     os.write(1, f"{{step}}\\n".encode())
 def record():
-    recorder = McapRecorder(Path("run.mcap"), setup.scenario.rounds, setup.time_step_s)
-    run_recorder("broken", links[RECORDER], links[WATCH], recorder, WholeSteps(count, 3))
+    rounds, step_s = setup.scenario.rounds, setup.time_step_s
+    recorder = McapRecorder(Path("run.mcap"), rounds, step_s, SHARE_FRAMES)
+    steps = WholeSteps(count, 3, SHARE_FRAMES)
+    run_recorder("broken", links[RECORDER], links[WATCH], recorder, steps)
 def be(i):
     peers = peers_of(i, setup.neighbours)
     membership = Membership("broken", links[str(i)], build_node(setup, i), peers, mark)

@@ -8,7 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.flexray.schedule import Schedule, dynamic_only, hybrid
+from bus.arbitration import Arbiter
+from bus.ideal import IdealBus
+from bus.schedule import Schedule, dynamic_only, hybrid
 from filters.gaussian import Gaussian
 from nodes import environment, environment_changes
 from nodes.changes import Gone, Joined
@@ -106,11 +108,10 @@ def test_grants_do_not_depend_on_the_order_of_bids(urgencies: list[int | None]):
 
 
 def test_an_arbiter_that_believes_the_order_still_gives_the_same():
-    """Even one that serves whoever asked first, because it is handed bids by node."""
-    config = replace(
-        world_of(3, 1, 1, dynamic_only(3, 0.3)),
-        arbitrate=lambda state, cycle, bids: (state, (bids[0].node,)),
-    )
+    """Even one that serves whichever request it is handed first, as it is handed them by node."""
+    first = Arbiter(lambda state, bids, frame_ids: np.arange(len(bids)))
+    config = world_of(3, 1, 1, dynamic_only(3, 0.3))
+    config = replace(config, bus=IdealBus(config.schedule, 30, first))
     for order in permutations([Bid(node, 0, 1, 30) for node in range(3)]):
         assert granted(config, list(order))[0] == [Grant(0, [0])]
 

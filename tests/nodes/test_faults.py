@@ -8,13 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bus.flexray.flexray_bus import FlexRayBus
+from bus.flexray.share_frames import read_frame
 from experiments.results.trace import Trace
 from nodes import node as state_machine
 from nodes.changes import Fault, Standing
 from nodes.faults.vocabulary import EVERY_FAULT, FAULTS
 from nodes.messages import Measured, ShareHeard
-from nodes.share import read_frame
-from scenarios.build import build_environment, build_node, build_plan
+from scenarios.build import build_bus, build_environment, build_node
 from scenarios.setup import Setup
 from tests.experiments.support import small
 from tests.nodes.changing import run, same_bits, script
@@ -224,8 +225,9 @@ def test_who_hangs_asks_for_no_slot():
 @pytest.mark.parametrize("ppm", [600.0, -1300.0])
 def test_a_clock_that_drifts_is_refused_once_it_is_beyond_the_precision(ppm: float):
     setup = ring()
-    cluster = build_plan(setup).cluster
-    assert cluster is not None
+    bus = build_bus(setup)
+    assert isinstance(bus, FlexRayBus)
+    cluster = bus.cluster
     off_us, refused = 0.0, 0
     for _ in range((STEPS - FIRST) * ROUNDS):
         off_us += ppm * 1e-6 * cluster.cycle_us

@@ -13,7 +13,6 @@ from nodes.estimator import Rejected
 from nodes.messages import Array, CycleClosed, Estimate, Measured, NodeEvent, ShareHeard
 from nodes.node import NodeConfig, Phase, initial_state, step
 from nodes.rules.fresh_consensus import FreshConsensus
-from nodes.share import to_frames
 from tests.nodes.networks import Linear, WholeState, path, random_priors
 from tests.nodes.rule_networks import FRESH, F, Q, noise_cov, ruled
 
@@ -184,7 +183,7 @@ def test_absurd_numbers_with_right_checksums_stop_nobody(rule: str):
             for number in range(config.steps):
                 events: list[NodeEvent] = [Measured(1, number, READING)]
                 for cycle in range(2 * number, 2 * number + 2):
-                    frames = to_frames(numbers.tobytes(), cycle, config.slots(0, cycle))
+                    frames = config.bus.encode(0, cycle, numbers.tobytes())
                     events += [ShareHeard(0, frame) for frame in frames]
                     events.append(CycleClosed(cycle))
                 for event in events:

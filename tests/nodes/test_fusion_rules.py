@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.flexray.schedule import Schedule, full_publish, hybrid, round_robin
+from bus.schedule import Schedule, full_publish, hybrid, round_robin
 from filters import ukf
 from filters.gaussian import Gaussian
 from filters.kernels import compiled

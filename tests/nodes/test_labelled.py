@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.flexray.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
+from bus.flexray.share_frames import cycle_of
+from bus.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
 from filters.gaussian import Gaussian
 from nodes.estimator import Rejected
 from nodes.faults.losses import LinkState
@@ -16,7 +17,6 @@ from nodes.messages import Measured
 from nodes.rules.labelled import LabelledFlooding
 from nodes.rules.labelled_frame import LabelledShare
 from nodes.rules.record_codec import RecordCodec
-from nodes.share import cycle_of
 from tests.nodes.labelled_networks import (
     PRIOR,
     carried,

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from bus.flexray.schedule import full_publish
+from bus.schedule import full_publish
 from filters.gaussian import Gaussian
 from nodes.messages import Measured
 from nodes.rules.labelled import LabelledFlooding

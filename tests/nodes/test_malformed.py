@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.flexray.schedule import hybrid
+from bus.flexray.share_frames import SHARE_FRAMES, in_slot
+from bus.schedule import hybrid
 from nodes.bounds import MAX_FRAME_BYTES, MAX_MESSAGE_BYTES
 from nodes.changes import Set
 from nodes.inbox import EARLY_CYCLES, EARLY_STEPS, MOST_EARLY
@@ -27,7 +28,6 @@ from nodes.messages import (
 )
 from nodes.node import NodeConfig, Phase, initial_state, step
 from nodes.node_changes import apply
-from nodes.share import in_slot, to_frames
 from runtime.recording import McapRecorder, read_recording
 from scenarios.build import build_node
 from scenarios.catalogue import kind_of
@@ -82,10 +82,7 @@ def malformed_frames(config: NodeConfig, seed: int, count: int) -> Iterator[Shar
     rng = np.random.default_rng(seed)
     sound = [share(config, j, cycle) for j in (0, 2) for cycle in range(STEPS * ROUNDS)]
     far = STEPS * ROUNDS + max(EARLY_STEPS * ROUNDS, EARLY_CYCLES) + 1
-    future = [
-        to_frames(sound[0][9:40], far + more, config.slots(0, far + more))[0]
-        for more in (0, 1, 999, 2**31)
-    ]
+    future = [config.bus.encode(0, far + more, sound[0][9:40])[0] for more in (0, 1, 999, 2**31)]
     sizes = rng.integers(0, MAX_FRAME_BYTES + 8, count).tolist()
     picks = rng.integers(0, len(sound), count).tolist()
     for number, (size, pick) in enumerate(zip(sizes, picks, strict=True)):
@@ -227,7 +224,7 @@ def test_any_bytes_can_be_recorded(topic: str, data: bytes):
     """What a stranger says is kept as it came, and what comes after it too."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.mcap"
-        recorder = McapRecorder(path, 2, 0.1)
+        recorder = McapRecorder(path, 2, 0.1, SHARE_FRAMES)
         recorder.record([(topic, data)])
         recorder.record([("bid/1", TOPICS["bid/1"])])
         recorder.close()

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bus.flexray.publication import Slot
-from bus.flexray.schedule import Schedule, dynamic_only, round_robin
+from bus.flexray.share_frames import to_frames
+from bus.schedule import Schedule, dynamic_only, round_robin
 from nodes.faults.losses import LinkState, hears
 from nodes.messages import (
     Bid,
@@ -27,7 +28,7 @@ from nodes.node import (
     initial_state,
     step,
 )
-from nodes.share import to_frames
+from tests.nodes.networks import with_slots
 from tests.nodes.one_node import (
     PRIORS,
     ROUNDS,
@@ -104,18 +105,10 @@ def test_any_order_of_events_gives_the_same_estimates(name: str, random):
 def _nuisances(config: NodeConfig, cycle: int) -> dict[str, NodeEvent]:
     """Each kind of useless event while `cycle` is open, by the counter that it must raise."""
     sound = share(config, 0, cycle)
-    wrong_slot = to_frames(
-        config.estimator.codec.encode(PRIORS[0]),  # type: ignore[attr-defined]
-        cycle,
-        config.slots(2, cycle),
-    )[0]
+    body = config.estimator.codec.encode(PRIORS[0])  # type: ignore[attr-defined]
+    wrong_slot = config.bus.encode(2, cycle, body)[0]
     flipped = bytes([*sound[:-1], sound[-1] ^ 1])
-    miscounted = to_frames(
-        config.estimator.codec.encode(PRIORS[0]),  # type: ignore[attr-defined]
-        cycle + 8,
-        config.slots(0, cycle),
-        8,
-    )[0]
+    miscounted = config.bus.frame_format.miscounted(config.bus.encode(0, cycle + 8, body)[0], 8)
     unscheduled = {0: 0, 1: 2, 2: 0}[cycle % 3]
     kinds: dict[str, NodeEvent] = {
         "rejected stranger": ShareHeard(STRANGER, sound),
@@ -257,7 +250,7 @@ def test_an_inbox_does_not_grow_with_time():
 def test_a_share_is_lost_with_any_of_its_frames_and_nobody_waits_for_the_rest():
     """Shares of three frames, of which the link loses some: counted one by one, used whole or not
     at all, in whatever order they come."""
-    plain = replace(middle_node(), slots=three_slots)
+    plain = with_slots(middle_node(), three_slots)
     for key in range(40):
         config = replace(plain, links=LinkState((key, 0), 0.3))
         frames = to_frames(plain.estimator.codec.encode(PRIORS[0]), 0, three_slots(0, 0))  # type: ignore[attr-defined]

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.flexray.schedule import hybrid
+from bus.schedule import hybrid
 from filters.gaussian import Gaussian
 from nodes import environment, node
 from nodes.changes import Gone

@@ -6,12 +6,12 @@ from typing import Any, cast
 
 import numpy as np
 
+from bus.flexray.share_frames import read_frame
 from filters.gaussian import Gaussian
 from nodes.estimator import Estimator
 from nodes.messages import Array, Bid, Estimate, Grant, Measured, Truth, decode, from_wire
 from nodes.node import NodeConfig
 from nodes.rules.belief_consensus import BeliefConsensus
-from nodes.share import read_frame
 from runtime import in_process
 from tests.nodes.networks import Network
 

@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
+from bus.flexray.share_frames import SHARE_FRAMES
 from runtime import in_process
 from runtime.recording import McapRecorder, MemoryRecorder, read_recording
 from tests.nodes.networks import DECAYED, network, path, random_priors, run
@@ -30,7 +31,7 @@ MESSAGES = run(
 
 def write(path: Path, messages: list[tuple[str, bytes]]) -> tuple[bytes, bytes]:
     """The content of the file before the recorder was closed, and after."""
-    recorder = McapRecorder(path, ROUNDS, STEP_S)
+    recorder = McapRecorder(path, ROUNDS, STEP_S, SHARE_FRAMES)
     recorder.record(messages[:5])
     for message in messages[5:]:
         recorder.record([message])
@@ -157,7 +158,7 @@ def test_an_interruption_at_any_moment_leaves_a_readable_recording(tmp_path: Pat
     try:
         for attempt in range(40):
             file = tmp_path / f"{attempt}.mcap"
-            recorder = McapRecorder(file, 1, STEP_S)
+            recorder = McapRecorder(file, 1, STEP_S, SHARE_FRAMES)
             signal.setitimer(signal.ITIMER_REAL, 0.002 + attempt * 0.0007)
             try:
                 in_process.run(net.world, net.nodes, recorder)

@@ -6,6 +6,7 @@ from typing import Any
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bus.flexray.share_frames import SHARE_FRAMES
 from nodes.faults.losses import LinkState
 from nodes.messages import NodeEvent, ShareHeard, decode, encode, topic
 from nodes.node import initial_state, step
@@ -40,7 +41,7 @@ class Listener:
         self.sent += [(topic(message), encode(message)) for message in messages]
 
     def hear_again(self, event: NodeEvent) -> None:
-        if is_missing(self.state, event):
+        if is_missing(self.state, event, SHARE_FRAMES):
             self.hear(event)
 
 

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bus.flexray.share_frames import SHARE_FRAMES
 from nodes.messages import decode
 from runtime.drivers import in_memory
 from runtime.processes.recorder.throttled_feed import STEPS_PER_S, ThrottledFeed
@@ -46,7 +47,7 @@ def sources(messages: list[Said]) -> dict[str, list[tuple[int, Said]]]:
 
 
 def steps_of(messages: list[Said]) -> list[WholeStep]:
-    together = WholeSteps(NODES, ROUNDS)
+    together = WholeSteps(NODES, ROUNDS, SHARE_FRAMES)
     return [step for message in messages for step in together.take(*message)]
 
 
@@ -77,7 +78,7 @@ def test_processes_may_overtake_each_other(seed: int):
 
 
 def test_a_step_is_given_with_the_last_word_of_those_who_are_in():
-    together = WholeSteps(NODES, ROUNDS)
+    together = WholeSteps(NODES, ROUNDS, SHARE_FRAMES)
     waiting: set[str] = set()
     for topic, data in MESSAGES:
         given_now = together.take(topic, data)

@@ -96,6 +96,7 @@ def test_the_world_refuses_a_node_with_another_configuration(tmp_path: Path):
     text = """
 import signal
 from pathlib import Path
+from bus.flexray.share_frames import SHARE_FRAMES
 from runtime.processes.node.process import run_node
 from runtime.processes.recorder.process import run_recorder
 from runtime.processes.environment.pacing import Lockstep
@@ -113,8 +114,8 @@ defaults = kind_of("oscillator").defaults
 setup = prepare(msgspec.structs.replace(defaults, nodes=2, graph="path", steps=3))
 links = plan_links(setup.neighbours, free_ports(names(setup.neighbours)))
 def record():
-    recorder = McapRecorder(Path("run.mcap"), 3, 0.1)
-    run_recorder("refuse", links[RECORDER], links[WATCH], recorder, WholeSteps(2, 3))
+    recorder = McapRecorder(Path("run.mcap"), 3, 0.1, SHARE_FRAMES)
+    run_recorder("refuse", links[RECORDER], links[WATCH], recorder, WholeSteps(2, 3, SHARE_FRAMES))
 def node(i, mark):
     config, peers = build_node(setup, i), setup.neighbours[i]
     membership = Membership("refuse", links[str(i)], config, peers, mark)

@@ -16,7 +16,7 @@ from runtime import in_process
 from runtime.drivers import DRIVERS, in_memory
 from runtime.recording import MemoryRecorder
 from scenarios.baselines import centralised, local_only
-from scenarios.build import build_environment, build_node, build_plan
+from scenarios.build import build_bus, build_environment, build_node
 from scenarios.definitions.measurement_runs import Estimator, estimate, first_received, slots_of
 from scenarios.definitions.meng2025 import FILTERS, SYSTEM, bus_of, paper_points
 from scenarios.scenario import Scenario
@@ -232,6 +232,6 @@ def test_processes_give_the_same_bits(setup: Setup, tmp_path: Path):
 
 
 def test_the_schedule_of_the_star_fits_a_cluster():
-    plan = build_plan(star())
-    assert plan.cluster is not None
-    assert plan.schedule.period == 5
+    bus = build_bus(star())
+    assert bus.has_time
+    assert bus.schedule.period == 5

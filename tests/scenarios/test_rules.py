@@ -7,9 +7,9 @@ import msgspec
 import numpy as np
 import pytest
 
+from bus.flexray.share_frames import payload_lengths
 from experiments.cli.agree import first_difference
 from experiments.results.trace import Trace, read_trace
-from nodes.share import payload_lengths
 from runtime.drivers import DRIVERS, in_memory
 from runtime.recording import read_recording
 from scenarios import rules
@@ -48,7 +48,8 @@ def test_every_share_has_the_length_that_the_bus_was_told(rule: str, number: str
     content = node.estimator.start()
     lengths = {node.estimator.share_bytes, len(node.estimator.compose(content)[1])}
     assert lengths == {share_bytes(setup)}
-    assert len(node.slots(0, 0)) == len(payload_lengths(share_bytes(setup)))
+    frames = node.bus.encode(0, 0, bytes(share_bytes(setup)))
+    assert len(frames) == len(payload_lengths(share_bytes(setup)))
 
 
 def test_shares_are_as_long_as_their_formulas_say():

@@ -34,6 +34,7 @@ class LockstepInbox:
         self._shares = {j: f"share/{j}" for j in config.neighbours}
         self._senders = {name: j for j, name in self._shares.items()}
         self._topics = node_topics(config)
+        self._frames = config.bus.frame_format
         self.queues = Overflow(transport, self._topics, NODE_QUEUE)
         self.gone: deque[Gone] = deque()
         self.again: deque[tuple[str, bytes]] = deque(maxlen=NODE_QUEUE)
@@ -71,7 +72,8 @@ class LockstepInbox:
         name, data = self.again.popleft()
         if name.startswith("share/") and name not in self._senders:
             return ()
-        return [event for event in self._events(name, data) if is_missing(state, event)]
+        events = self._events(name, data)
+        return [event for event in events if is_missing(state, event, self._frames)]
 
     def taken_aside(self) -> list[NodeEvent]:
         """Messages that were taken aside while the node waited for something else, as events."""

@@ -29,7 +29,6 @@ from nodes.messages import (
     topic,
 )
 from nodes.node_state import NodeConfig, NodeState, Phase, count
-from nodes.share import cycle_of
 from nodes.tempo import Tempo
 from runtime.network.links import WORLD
 from runtime.network.zenoh_transport import Transport
@@ -59,6 +58,7 @@ class RealTimeNode:
         self._late_welcomes: list[Welcome] = []
         self._start_s = self._asked_s = 0.0
         self._first_step = 0
+        self._cycle_of = membership.config.bus.frame_format.cycle_of
         self.transport = Transport(membership.run, membership.links, [], 1)
         self.transport.watch(PeerTimeout(WORLD, membership.peer_timeout_s).see)
         self._start = StartTime(self.transport)
@@ -154,7 +154,7 @@ class RealTimeNode:
         """Return the events that a message means to the node now."""
         kind, _, owner = name.partition("/")
         if kind == "share":
-            if state.step < self._first_step and cycle_of(data) < state.cycle:
+            if state.step < self._first_step and self._cycle_of(data) < state.cycle:
                 # It was for the nodes that took part then.
                 return ()
             return (ShareHeard(int(owner), data),)

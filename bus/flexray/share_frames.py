@@ -1,4 +1,4 @@
-"""A share on the bus: the body cut into FlexRay frames, and what a frame says of its share.
+"""A share in FlexRay frames: the body cut into payloads, and what a frame says of its share.
 
 The payload of each frame begins with the number of its communication cycle since the start, and so
 with the step, as a step has a fixed number of cycles; the frame's own header repeats the last six
@@ -11,28 +11,27 @@ from functools import lru_cache
 
 import msgspec
 
+from bus.bus import Fragment, FrameFormat, Place, Rejected
 from bus.flexray.fragments import PREFIX_BYTES as NUMBERING_BYTES
 from bus.flexray.fragments import FragmentError, fragment_count, join, payload_sizes, split
-from bus.flexray.frame import MAX_PAYLOAD_BYTES, Frame, FrameError, is_intact
+from bus.flexray.frame import (
+    HEADER_BYTES,
+    MAX_PAYLOAD_BYTES,
+    OVERHEAD_BYTES,
+    Frame,
+    FrameError,
+    is_intact,
+)
 from bus.flexray.frame import decode as decode_frame
 from bus.flexray.frame import encode as encode_frame
 from bus.flexray.publication import Slot
-from nodes.estimator import Rejected
 
 CYCLE_COUNTS = 64
-HEADER_BYTES = 5
 _CYCLE = struct.Struct("<I")
 PREFIX_BYTES = _CYCLE.size
-
-
-class Fragment(msgspec.Struct, frozen=True):
-    """What one frame carries of a share, in which cycle since the start it was sent, and what the
-    counter in its header says."""
-
-    frame_id: int
-    cycle: int
-    cycle_count: int
-    data: bytes
+# The frame CRC finds any so many wrong bits, whatever the length of the payload: its Hamming
+# distance is 6 up to 248 bytes of payload and 4 beyond (protocol specification 2.1, 4.5).
+_NOTICED_BITS = 3
 
 
 def payload_lengths(share_bytes: int, limit_bytes: int = MAX_PAYLOAD_BYTES) -> tuple[int, ...]:
@@ -64,11 +63,6 @@ def to_frames(
         )
         for slot, fragment in zip(slots, fragments, strict=False)
     ]
-
-
-def payload_bytes(body: bytes, slots: Sequence[Slot]) -> int:
-    """Length of all payloads together that `to_frames` makes of a body in these slots."""
-    return sum(frame_payloads(len(body), slots))
 
 
 def frame_payloads(share_bytes: int, slots: Sequence[Slot]) -> tuple[int, ...]:
@@ -115,8 +109,8 @@ def whole_body(
     return frame[len(start) : len(start) + share_bytes]
 
 
-def read_frame(data: bytes) -> Fragment:
-    """What a frame carries.
+def read_frame(data: bytes, cycle_counts: int | None = None) -> Fragment:
+    """What a frame carries; with `cycle_counts` its header must count the cycle by that.
 
     Raises:
         Rejected: with the reason of the check that failed.
@@ -130,7 +124,9 @@ def read_frame(data: bytes) -> Fragment:
     if len(frame.payload) < PREFIX_BYTES:
         raise Rejected("too-short")
     cycle = _CYCLE.unpack_from(frame.payload)[0]
-    return Fragment(frame.frame_id, cycle, frame.cycle_count, frame.payload[PREFIX_BYTES:])
+    if cycle_counts is not None and cycle % cycle_counts != frame.cycle_count:
+        raise Rejected("cycle-count")
+    return Fragment(frame.frame_id, cycle, frame.payload[PREFIX_BYTES:])
 
 
 def renumbered(frame: bytes, cycle: int, cycle_counts: int = CYCLE_COUNTS) -> bytes:
@@ -154,16 +150,48 @@ def in_slot(frame: bytes, frame_id: int) -> bytes:
     return encode_frame(Frame(frame_id, told.cycle_count, told.payload))
 
 
-def fragments_of(data: bytes) -> int:
-    """How many frames the share takes that a fragment belongs to.
+def emptied(frame: bytes) -> bytes:
+    """The null frame in the place of a sound one.
+
+    Raises:
+        FrameError: it is no frame.
+    """
+    told = decode_frame(frame)
+    payload = bytes(len(told.payload))
+    return encode_frame(Frame(told.frame_id, told.cycle_count, payload, null=True))
+
+
+def on_channel(frame: bytes, channel: str) -> bytes:
+    """The frame as it is on a channel: shares travel with the checksum of channel A.
+
+    Raises:
+        FrameError: it is no frame.
+    """
+    return frame if channel == "A" else encode_frame(decode_frame(frame), "B")
+
+
+def miscounted(frame: bytes, cycles: int) -> bytes:
+    """The frame whose header counts so many cycles more than its payload.
+
+    Raises:
+        FrameError: it is no frame.
+    """
+    told = decode_frame(frame)
+    count = (told.cycle_count + cycles) % CYCLE_COUNTS
+    return encode_frame(Frame(told.frame_id, count, told.payload))
+
+
+def numbered(data: bytes) -> Place:
+    """Where a fragment says that it belongs in its share.
 
     Raises:
         Rejected: the fragment is too short to say.
     """
     try:
-        return fragment_count(data)
+        frames = fragment_count(data)
     except FragmentError as error:
         raise Rejected(f"fragment-{error.reason}") from None
+    return Place(data[0], frames)
 
 
 def read_body(fragments: Sequence[bytes]) -> bytes:
@@ -182,3 +210,20 @@ def cycle_of(frame: bytes) -> int:
     """The cycle that a frame's payload begins with, unchecked; 0 where the frame is too short."""
     whole = len(frame) >= HEADER_BYTES + PREFIX_BYTES
     return _CYCLE.unpack_from(frame, HEADER_BYTES)[0] if whole else 0
+
+
+SHARE_FRAMES = FrameFormat(
+    name="flexray",
+    payload_limit_bytes=MAX_PAYLOAD_BYTES,
+    overhead_bytes=OVERHEAD_BYTES,
+    numbering_bytes=PREFIX_BYTES + NUMBERING_BYTES,
+    noticed_bits=_NOTICED_BITS,
+    read=read_frame,
+    cycle_of=cycle_of,
+    numbered=numbered,
+    join=read_body,
+    emptied=emptied,
+    miscounted=miscounted,
+    on_channel=on_channel,
+)
+"""How shares travel in FlexRay frames."""
