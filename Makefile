@@ -37,7 +37,7 @@ format: .venv/dev.stamp
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-# Compiled kernels, for this machine; needs a C++ compiler. concord works without them.
+# The compiled kernel, for this machine; needs a C++ compiler. concord works without it.
 fast: .venv/run.stamp
 	$(BIN)/pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir .venv/wheels ./fast
 	-$(BIN)/pip uninstall --quiet --disable-pip-version-check --yes concord-fast

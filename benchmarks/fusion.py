@@ -10,10 +10,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.measure import Figures, figure, in_turns, median_us, ratio, say, without_kernels
+from benchmarks.measure import Figures, figure, in_turns, median_us, ratio, say
 from experiments.scenario_options import ScenarioOptions
 from filters.gaussian import Gaussian
-from filters.kernels import compiled
 from nodes.lanes.network import Fleet
 from runtime.batched.build import build_network
 from scenarios.setup import Setup, prepare
@@ -100,9 +99,7 @@ def main() -> Figures:
     contestants = {"loop": timed(lambda: loop(few, setup), NODES * LOOP_RUNS)}
     for name, (fleet, rounds) in fleets.items():
         run = timed(lambda fleet=fleet, rounds=rounds: fuse(fleet, given, rounds), NODES * RUNS)
-        contestants[f"numpy, {name}"] = without_kernels(run)
-        if compiled.KERNELS is not None:
-            contestants[f"compiled, {name}"] = run
+        contestants[f"numpy, {name}"] = run
     return _figures(in_turns(contestants, TURNS))
 
 
@@ -122,18 +119,15 @@ def _figures(given: dict[str, list[float]]) -> Figures:
         )
         results[f"{name} us"] = figure([1e6 * one for one in spent], "us/node", "less")
         results[f"{name} x loop"] = beside
-    for kind in ("numpy", "compiled"):
-        for how in ("", " by sharpness"):
-            one, many = f"{kind}, 1 round{how}", f"{kind}, {MANY} rounds{how}"
-            if one not in given:
-                continue
-            pairs = zip(given[many], given[one], strict=True)
-            cost = figure([after / before for after, before in pairs], "x", "less")
-            results[f"{kind}, five rounds over one{how}"] = cost
-            say(
-                f"  {kind}{how}: {MANY} rounds cost {cost.value:.2f} x one "
-                f"({cost.low:.2f} - {cost.high:.2f})"
-            )
+    for how in ("", " by sharpness"):
+        one, many = f"numpy, 1 round{how}", f"numpy, {MANY} rounds{how}"
+        pairs = zip(given[many], given[one], strict=True)
+        cost = figure([after / before for after, before in pairs], "x", "less")
+        results[f"numpy, five rounds over one{how}"] = cost
+        say(
+            f"  numpy{how}: {MANY} rounds cost {cost.value:.2f} x one "
+            f"({cost.low:.2f} - {cost.high:.2f})"
+        )
     return results
 
 

@@ -1,9 +1,9 @@
 """A Monte Carlo from end to end beside the filter steps and fusions that it cannot do without.
 
 20 nodes, 500 runs, 100 steps, 3 rounds. End to end means `simulate`: noise,
-plant, sensors, schedule, weights by determinants and age, fusion, metrics, histories. The kernels
-are the functions that it calls for all its lanes at once: `ukf.predict` and `ukf.update`, with the
-same models and readings, and the rounds of its fleet, `start` and `exchange`.
+plant, sensors, schedule, weights by determinants and age, fusion, metrics, histories. Beside it
+stand the functions that it calls for all its lanes at once: `ukf.predict` and `ukf.update`, with
+the same models and readings, and the rounds of its fleet, `start` and `exchange`.
 """
 
 import time
@@ -13,11 +13,10 @@ from functools import partial
 import numpy as np
 
 from benchmarks.fusion import fuse
-from benchmarks.measure import Figures, figure, in_turns, peak_mb, say, without_kernels
+from benchmarks.measure import Figures, figure, in_turns, peak_mb, say
 from experiments.monte_carlo.simulate import READINGS, simulate
 from experiments.scenario_options import ScenarioOptions
 from filters.gaussian import Gaussian
-from filters.kernels import compiled
 from filters.sigma_points import scaled_unscented
 from filters.ukf import predict, update
 from plants.targets import Target
@@ -37,18 +36,12 @@ def main() -> Figures:
         "UKF": _filters(setup),
         "fusion": _fusions(setup),
     }
-    contestants = {f"numpy, {name}": without_kernels(run) for name, run in parts.items()}
-    if compiled.KERNELS is not None:
-        contestants |= {f"compiled, {name}": run for name, run in parts.items()}
-    given = in_turns(contestants, TURNS)
+    given = in_turns({f"numpy, {name}": run for name, run in parts.items()}, TURNS)
     say(
         f"Monte Carlo, {NODES} nodes x {RUNS} runs x {STEPS} steps x {setup.scenario.rounds} "
         f"rounds, {TURNS} turns"
     )
-    results: Figures = {}
-    for kind in ("numpy", "compiled"):
-        if f"{kind}, end to end" in given:
-            results |= _beside_kernels(kind, given)
+    results = _beside_kernels("numpy", given)
     results["peak MB"] = figure([peak_mb()], "MB", "less")
     say(f"  peak {peak_mb():.0f} MB")
     return results

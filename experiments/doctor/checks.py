@@ -28,7 +28,7 @@ _ANSWER_S = 5.0
 EXTRAS = {
     "convex": ("cvxpy", "the tight bounds of set-membership filters"),
     "dask": ("distributed", "sweeps over Dask"),
-    "fast": ("concord_fast", "compiled kernels"),
+    "fast": ("concord_fast", "the compiled kernel of fusion"),
     "secure": ("cryptography", "concord keys"),
     "vehicle": ("vehiclemodels", "the simulated cars"),
 }

@@ -10,9 +10,7 @@ import numpy as np
 
 from filters.fusion.hold import check_weights, renormalise, sharpness, sharpness_of_factor
 from filters.gaussian import Gaussian, Information, to_gaussian
-from filters.kernels import columns, compiled
-from filters.kernels.columns import in_columns
-from filters.linalg import along_lanes, factor_and_inverse, multiply, pack_upper, unpack_upper
+from filters.linalg import factor_and_inverse, multiply, pack_upper, unpack_upper
 
 
 def packed_length(states: int) -> int:
@@ -55,31 +53,18 @@ def informed(belief: Gaussian) -> tuple[np.ndarray, np.ndarray]:
     """Packed information (..., m) of a belief, and its `hold.sharpness` (...), from one
     factorisation; NaN where the covariance is not positive definite."""
     mean, cov = belief
-    n = mean.shape[-1]
-    if cov.shape == (*mean.shape, n) and compiled.serves(n):
-        return compiled.informed(mean, cov)
     factor, matrix = factor_and_inverse(cov)
     return pack(Information(multiply(matrix, mean), matrix)), sharpness_of_factor(factor)
 
 
 def concluded(numbers: np.ndarray) -> Gaussian:
     """The belief of packed information (..., m); NaN where that is not positive definite."""
-    n = states_of(numbers)
-    if compiled.serves(n):
-        return Gaussian(*compiled.concluded(numbers, n))
     return to_gaussian(unpack(numbers))
 
 
 def packed_sharpness(numbers: np.ndarray) -> np.ndarray:
     """`hold.sharpness` (...) of the matrices in packed pairs (..., m), taken as covariances."""
-    n = states_of(numbers)
-    triangle = numbers[..., n:]
-    if compiled.serves(n):
-        return compiled.sharpness(triangle, n)
-    if along_lanes(triangle, 1):
-        pivots = columns.packed_pivots(in_columns(triangle, 1), n)
-        return np.exp(np.log(pivots).sum(axis=0) / -n).reshape(triangle.shape[:-1])
-    return sharpness(unpack_upper(triangle))
+    return sharpness(unpack(numbers).matrix)
 
 
 def average(numbers: np.ndarray, weights: np.ndarray) -> np.ndarray:

@@ -1,8 +1,8 @@
 """The compiled kernels, built for this machine, pass the tests that numpy passes.
 
 The suite itself takes what is installed, which on a new machine is numpy alone. Here the kernels
-are built into a folder that ends with the tests, and the tests that compare them with numpy, path
-by path, and the drivers with each other, run again with the kernels demanded.
+are built into a folder that ends with the tests, and the tests that compare them with numpy,
+and the drivers with each other, run again with the kernels demanded.
 """
 
 import os
@@ -16,9 +16,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 DEMANDED = (
-    "tests/filters/test_paths.py",
-    "tests/filters/test_ukf.py",
-    "tests/filters/test_packed.py",
+    "tests/filters/test_compiled.py",
     "tests/filters/test_fusion.py",
     "tests/test_agreement.py",
     "tests/test_batched_agreement.py",
