@@ -6,15 +6,15 @@ Each joins one filter with one adaptation, so that what either brings can be tol
 import numpy as np
 
 from filters import ukf
-from filters.adaptive import fuzzy_noise, sage_husa
-from filters.adaptive.fuzzy_noise import FuzzyNoise
+from filters.adaptive import sage_husa
 from filters.adaptive.sage_husa import BOUNDS, Bounds, NoiseEstimate
 from filters.gaussian import Gaussian
 from filters.moments import Model, Residual, moments
 from filters.sigma_points import SigmaPointRule, sigma_points
 from filters.update import Update
-from papers.adlukf import dual_layer
+from papers.adlukf import dual_layer, fuzzy_noise
 from papers.adlukf import sage_husa_as_printed as sage_husa_literal
+from papers.adlukf.fuzzy_noise import FuzzyNoise
 from papers.adlukf.sage_husa_as_printed import Evidence, NoiseStatistics
 
 

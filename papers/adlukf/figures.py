@@ -29,7 +29,7 @@ SPEED_ERROR, YAW_RATE_ERROR = "mean |error| of $v_x$ [m/s]", "mean |error| of ya
 
 
 class Trace(NamedTuple):
-    """States (steps, 4) as `reproduce_adlukf_study.quantities` orders them: the reference, NaN
+    """States (steps, 4) as `study.quantities` orders them: the reference, NaN
     where nobody knows it, and by filter; `errors` (steps, 4) mean over seeds, by filter."""
 
     title: str

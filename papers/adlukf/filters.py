@@ -6,13 +6,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from filters import ukf
-from filters.adaptive import correntropy, fuzzy_noise, sage_husa
+from filters.adaptive import correntropy, sage_husa
 from filters.gaussian import Gaussian
 from filters.moments import Model
 from filters.sigma_points import SigmaPointRule, cubature, scaled_unscented
 from nodes.messages import Array
 from papers.adlukf import adaptive_filters as adaptive
-from papers.adlukf import dual_layer
+from papers.adlukf import dual_layer, fuzzy_noise
 from papers.adlukf import sage_husa_as_printed as sage_husa_literal
 
 Memory = Any

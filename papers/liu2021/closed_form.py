@@ -2,7 +2,7 @@
 
 With rho = 0 two multipliers are left, a for the ellipsoid before and (1 - a) / g for the noise. One
 eigendecomposition makes every P(a) diagonal; its trace is convex in a, so Newton's method on one
-number ends it. The same guarantee as `set_membership_paper`, some hundred times faster.
+number ends it. The same guarantee as `recursive_estimator`, some hundred times faster.
 
 Source: Liu et al. (2021), theorem 1 with rho_j = 0; a sum of two ellipsoids after the feedback.
 """

@@ -4,7 +4,7 @@ After every cycle the ellipsoid of least trace that theorem 1 proves: one multip
 ellipsoid before, one for the noise of all samples together, and one for each contending output that
 lost, which says that the winner's change was larger. The received values are used through the
 feedback and, in the terms of the losers, through the estimate, but never to cut the set: what they
-exclude stays in (`set_membership_tight` cuts).
+exclude stays in (`tight_estimator` cuts).
 
 Source: Liu et al. (2021), theorem 1, corollary 1 and algorithm 1, with the held values of (30)
 those before the cycle.

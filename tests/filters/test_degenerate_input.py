@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from filters import square_root, ukf
-from filters.adaptive import correntropy, fuzzy_noise, sage_husa
+from filters.adaptive import correntropy, sage_husa
 from filters.diagnosis import failures
 from filters.gaussian import Gaussian, SquareRootGaussian, from_square_root, to_square_root
 from filters.sigma_points import cubature, scaled_unscented
 from filters.update import Update
 from papers.adlukf import adaptive_filters as adaptive
-from papers.adlukf import dual_layer
+from papers.adlukf import dual_layer, fuzzy_noise
 from papers.adlukf import sage_husa_as_printed as sage_husa_literal
 from plants.vehicle.model import linear_tyre, single_track
 from plants.vehicle.parameters import BMW_320I

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from filters import ukf
-from filters.adaptive import fuzzy_noise, sage_husa
+from filters.adaptive import sage_husa
 from filters.gaussian import Gaussian
 from filters.sigma_points import cubature, scaled_unscented
 from papers.adlukf import adaptive_filters as adaptive
+from papers.adlukf import fuzzy_noise
 from papers.adlukf import sage_husa_as_printed as sage_husa_literal
 from plants.vehicle.model import linear_tyre, single_track
 from plants.vehicle.parameters import BMW_320I
