@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: browser screenshots demo test test-slow test-all check format fast bench bench-compare kills fuzz docs lock clean
+.PHONY: browser screenshots demo test test-slow test-all check format fast bench bench-compare kills fuzz stories docs lock clean
 
 demo: .venv/run.stamp
 	$(BIN)/concord run --scenario target-tracking --nodes 12 --graph geometric --seed 7 --driver processes
@@ -59,9 +59,14 @@ kills: .venv/dev.stamp
 fuzz: .venv/dev.stamp
 	$(BIN)/python -m tests.endurance.fuzz
 
+# Golden transcripts of faults and phases; read the difference before you commit it.
+stories: .venv/dev.stamp
+	CONCORD_REWRITE=1 $(BIN)/python -m pytest tests/nodes/test_stories.py tests/nodes/test_transcript.py
+
 docs: .venv/run.stamp
 	$(BIN)/python -m docs.picture
 	$(BIN)/python -m docs.labelled_picture
+	$(BIN)/python -m docs.state_diagram
 
 lock:
 	uv pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes \
