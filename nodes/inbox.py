@@ -1,4 +1,4 @@
-"""What a node makes of the frames that arrive: kept with their share, or counted by why not.
+"""Frames that arrive at a node: kept with their share, or counted with the reason.
 
 Nothing here is waited for, used or answered, and nothing raises for a peer's fault. Frames that are
 due take a shorter way (`nodes/due_frames.py`).
@@ -16,7 +16,7 @@ from nodes.messages import ShareHeard
 from nodes.node_state import Inbox, NodeConfig, NodeState, Phase, count
 
 # How many steps a neighbour's share may be ahead of us and still be kept: bounds the inbox. The
-# world lets nobody run further ahead than its lead.
+# environment lets no node run further ahead than its lead.
 EARLY_STEPS = 8
 # And cycles at least, as a change may bring more rounds than there are now.
 EARLY_CYCLES = 512
@@ -105,7 +105,7 @@ def let_in_overtaken(config: NodeConfig, state: NodeState) -> NodeState:
 
 
 def _read(config: NodeConfig, cycle: int, frame: bytes) -> Fragment:
-    """What a frame carries that comes in this cycle or before it.
+    """Read a frame that comes in this cycle or before it.
 
     Raises:
         Rejected: with the reason of the check that failed.
@@ -184,7 +184,7 @@ def _hear_faulty(
 
 
 def _read_in_slot(config: NodeConfig, cycle: int, sender: int, frame: bytes) -> Fragment:
-    """What a frame carries that comes in a slot of this cycle.
+    """Read a frame that comes in a slot of this cycle.
 
     Raises:
         Rejected: it does not belong there.

@@ -95,7 +95,7 @@ def awaited_neighbours(config: NodeConfig, state: NodeState) -> list[int]:
 
 
 def is_complete(config: NodeConfig, state: NodeState) -> bool:
-    """Whether the open part of a cycle lacks nothing that is due."""
+    """Whether the open group lacks nothing that is due."""
     return state.phase is Phase.SHARES and not awaited_neighbours(config, state)
 
 
@@ -186,7 +186,7 @@ def _begin_step(config: NodeConfig, state: NodeState) -> NodeState:
 
 
 def _open_group(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> NodeState:
-    """Begin a part of a cycle: bid where there are slots to win, send where a slot is owned."""
+    """Begin a group: bid where there are slots to win, send where a slot is owned."""
     if state.inbox.late:
         state = hear_late(config, state)
     group = config.groups(state.cycle)[state.group]
@@ -204,7 +204,7 @@ def _open_group(config: NodeConfig, state: NodeState, outbox: list[NodeMessage])
 
 
 def contenders_left(schedule: Schedule, cycle: int, won: tuple[int, ...]) -> tuple[int, ...]:
-    """Who may still ask for a dynamic slot in this cycle: nobody sends twice."""
+    """The nodes that may still ask for a dynamic slot in this cycle: no node sends twice."""
     served = won + schedule.static_senders(cycle)
     return tuple(node for node in schedule.contenders(cycle) if node not in served)
 
@@ -232,8 +232,10 @@ def _send(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> No
 
 
 def _due(config: NodeConfig, state: NodeState) -> tuple[int, ...]:
-    """Neighbours that send in the open part of the cycle, as far as the node knows. Of one that is
-    out there is what came before its end."""
+    """Neighbours that send in the open group, as far as the node knows.
+
+    Of a neighbour that is out, a share that came before its end counts.
+    """
     due = config.groups(state.cycle)[state.group].neighbours
     if state.inbox.grants:
         granted = state.inbox.grants.get((state.cycle, state.group), ())

@@ -1,4 +1,4 @@
-"""What a node knows before the start, and what it is between two events."""
+"""The configuration of a node, and its state between two events."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from nodes.messages import Measured
 
 
 class Phase(Enum):
-    """What a node waits for."""
+    """The events that a node waits for."""
 
     MEASUREMENT = "measurement"
     CHANGE = "change"
@@ -35,8 +35,8 @@ class NodeConfig:
 
     `neighbours` ascend, as the weights do; `bus` says who sends when and in which frames; `links`
     says which frames do not arrive, `scenario_links` which would not if nothing had changed,
-    `faults` what else is wrong. In a `timed` network a part of a cycle ends when its time is over
-    (`CycleClosed`), and not when all has come.
+    `faults` what else is wrong. In a `timed` network a group ends when its time is over
+    (`CycleClosed`), and not when all its frames have come.
 
     The configuration holds from `first_step` on, whose cycles begin at `first_cycle`. `standing` is
     what changes have made of the network; `rebuild(standing, step, belief)` makes the configuration
@@ -60,11 +60,11 @@ class NodeConfig:
 
     @property
     def schedule(self) -> Schedule:
-        """Who may send in which cycle."""
+        """The schedule: which nodes may send in which cycle."""
         return self.bus.schedule
 
     def groups(self, cycle: int) -> "tuple[NodeGroup, ...]":
-        """What is composed at once in a cycle, in order of time."""
+        """The groups of frames that are composed at once, in order of time."""
         # Kept: a node asks with every event, and turns repeat.
         turn = cycle % self._period
         known = self._known_turns.get(turn)
@@ -79,7 +79,7 @@ class NodeConfig:
 
     @cached_property
     def hears_all(self) -> bool:
-        """What is sent arrives as it was sent."""
+        """Whether frames arrive as they were sent."""
         return self.links.perfect and not self.faults.standing
 
     @cached_property
@@ -101,8 +101,10 @@ class NodeGroup(NamedTuple):
 
 
 class Inbox(msgspec.Struct, frozen=True):
-    """What has come before its time: heartbeats by step, grants by (cycle, group), shares and their
-    parts by (cycle, sender). What the link has lost is None: nobody waits for it any more.
+    """Messages that came before their time.
+
+    Heartbeats are kept by step, grants by (cycle, group), shares and their parts by (cycle,
+    sender). A frame that the link has lost is None: the node does not wait for it.
 
     Frames of later steps wait in `early` by (sender, cycle, frame ID): changes may come before
     them, and say what they are. `overtaken` shares by (cycle, sender) come after all others of
@@ -122,9 +124,9 @@ class Inbox(msgspec.Struct, frozen=True):
 class NodeState(msgspec.Struct, frozen=True):
     """A node between two events.
 
-    `step` is the last begun, `cycle` the one that is open or next, `group` its open part; `won` are
-    the nodes that have had a dynamic slot in earlier parts of it; `absent` those that are out;
-    `pattern` is a heartbeat as all are formed.
+    `step` is the last begun, `cycle` the one that is open or next, `group` its open group. `won`
+    are the nodes that have had a dynamic slot in earlier groups of the cycle, `absent` those that
+    are out. `pattern` is a heartbeat as all are formed.
     """
 
     phase: Phase

@@ -8,7 +8,6 @@ bits for it.
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import partial
 from typing import NamedTuple
 
 from nodes import environment, environment_changes
@@ -242,19 +241,9 @@ class RunController:
                 wanted = self._stage.check({**self.state.standing.settings, **settings})
                 return [environment_changes.setting(self.config, self.state, wanted)]
             case Inject():
-                return self._faults(command)
+                return fault_changes(command, self.config, self.state.released)
             case _:
                 return link_changes(command, self.config.neighbours, self.state.standing)
-
-    def _faults(self, command: Inject) -> list[Change]:
-        """Return the changes of a fault: two where a link has it both ways."""
-        kind, nodes = command.kind, command.nodes
-        is_link = FAULTS[kind].place == "link" and len(nodes) == 2
-        links = partial(_links, self.config.neighbours, both=command.both)
-        places = links(*nodes) if is_link else [nodes]
-        released = self.state.released
-        cycle = self.config.cycle_of(released)
-        return [Fault(kind, tuple(place), command.numbers, released, cycle) for place in places]
 
     def _has_company(self, node: int) -> bool:
         return any(j not in self.state.standing.absent for j in self.config.neighbours[node])
@@ -274,6 +263,15 @@ class RunController:
         if self._paced_to is not None:
             limits.append(self._paced_to)
         return min(limits)
+
+
+def fault_changes(command: Inject, config: EnvironmentConfig, step: int) -> list[Change]:
+    """Return the changes of a fault that begins at a step: two where a link has it both ways."""
+    kind, nodes = command.kind, command.nodes
+    is_link = FAULTS[kind].place == "link" and len(nodes) == 2
+    places = _links(config.neighbours, *nodes, both=command.both) if is_link else [nodes]
+    cycle = config.cycle_of(step)
+    return [Fault(kind, tuple(place), command.numbers, step, cycle) for place in places]
 
 
 LinkCommand = CutLink | HealLink | LoseFrames | Partition | Soothe

@@ -19,7 +19,7 @@ class NotWritten(Exception):
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """What writes a file, and says so where it cannot.
+    """A writer of files that names the file where it fails.
 
     Raises:
         NotWritten: it cannot be written.

@@ -31,7 +31,7 @@ Driver = Callable[[Setup, str, Path, int | None, Callable[[int], None]], Pace]
 def in_this_process(
     setup: Setup, _run: str, recording: Path, _port: int | None, on_step: Callable[[int], None]
 ) -> Pace:
-    """All nodes and the world in this process."""
+    """Run all nodes and the environment in this process."""
     recorder = McapRecorder(
         recording, setup.scenario.rounds, setup.time_step_s, frame_format(setup.scenario)
     )

@@ -1,4 +1,4 @@
-"""The in-process driver: world and nodes in one thread, messages handed over in a queue.
+"""The in-process driver: environment and nodes in one thread, messages handed over in a queue.
 
 It is the reference: no process, no clock, one order of events that depends on nothing but its
 arguments. Tests make it hostile through `link` (what becomes of a frame on its way) and `pick`
@@ -30,7 +30,7 @@ from nodes.node_state import NodeConfig, NodeState, Phase
 from nodes.run_controller import RunController, Scripted, Stage
 from runtime.recording import Recorder
 
-WORLD = -1
+ENVIRONMENT = -1
 Link = Callable[[int, int, bytes], Iterable[bytes]]
 Pick = Callable[[int], int]
 Watch = Callable[[NodeConfig, NodeEvent | Welcome, NodeState], None]
@@ -47,7 +47,7 @@ def first_come(waiting: int) -> int:
 
 
 def unwatched(config: NodeConfig, event: NodeEvent | Welcome, state: NodeState) -> None:
-    """Nobody looks on."""
+    """No-op observer."""
 
 
 def _as_they_are(settings: Settings) -> Settings:
@@ -80,7 +80,7 @@ def run(
 
     def start(node: int) -> bool:
         out.discard(node)
-        # What was on its way to its former life has missed it.
+        # Messages to its former life are lost.
         queue[:] = [one for one in queue if one[0] != node]
         return True
 
@@ -100,7 +100,7 @@ def run(
         if not queue:
             queue.extend(_close_oldest_cycle(states, out))
         destination, event = queue.pop(pick(len(queue)))
-        if destination == WORLD:
+        if destination == ENVIRONMENT:
             post(controller.take(event))  # type: ignore[arg-type]
         elif destination not in out:
             config, state = configs[destination], states[destination]
@@ -120,7 +120,7 @@ def run(
 def _deliveries(
     message: NodeMessage | EnvironmentMessage, audience: list[list[int]], link: Link
 ) -> Iterable[tuple[int, NodeEvent | EnvironmentEvent]]:
-    """Who gets a message, as events."""
+    """Return the receivers of a message, each with its event."""
     match message:
         case ShareSent():
             return [
@@ -135,7 +135,7 @@ def _deliveries(
         case Truth() | Event() | Gone() | Welcome():
             return []
         case _:
-            return [(WORLD, message)]
+            return [(ENVIRONMENT, message)]
 
 
 def _close_oldest_cycle(
@@ -149,4 +149,4 @@ def _close_oldest_cycle(
     ]
     assert waiting, "the network stands still although no node waits for a share"
     oldest = min(waiting)[:2]
-    return [(node, CycleClosed(*part)) for *part, node in waiting if tuple(part) == oldest]
+    return [(node, CycleClosed(*group)) for *group, node in waiting if tuple(group) == oldest]

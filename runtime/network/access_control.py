@@ -1,4 +1,4 @@
-"""Who may say what in a network that is guarded: zenoh access control as data.
+"""Rights of each process in a guarded network: zenoh access control as data.
 
 Routers ask every process for its certificate and let pass what the table below allows; all else is
 dropped. A rule holds where its key includes the key of the message, so that each list is read as
@@ -12,7 +12,7 @@ from nodes.bounds import MAX_FRAME_BYTES, MAX_MESSAGE_BYTES
 from runtime.network.links import RECORDER, WORLD
 
 MONITOR, OPERATOR, ROUTER_NAME = "monitor", "operator", "router"
-_HEARING = ("declare_subscriber", "declare_liveliness_subscriber", "liveliness_query")
+_SUBSCRIBING = ("declare_subscriber", "declare_liveliness_subscriber", "liveliness_query")
 _DELIVERED = (
     "put",
     "declare_subscriber",
@@ -22,13 +22,13 @@ _DELIVERED = (
     "reply",
 )
 _KINDS = ("hello", "bid", "share", "estimate", "timing", "unreachable")
-# What is said again, to whoever waits for it and to the recorder (`py`).
+# Retransmissions, to processes that wait and to the recorder (`runtime/processes/republisher.py`).
 _REPEATED = ("again/", "keep/")
-_EVERYTHING = tuple(dict.fromkeys((*_HEARING, *_DELIVERED)))
+_EVERYTHING = tuple(dict.fromkeys((*_SUBSCRIBING, *_DELIVERED)))
 
 
 class Rights(NamedTuple):
-    """What one process may do, as topics below `concord/<run>/`."""
+    """The rights of one process, as topics below `concord/<run>/`."""
 
     says: tuple[str, ...] = ()
     is_ready: tuple[str, ...] = ()
@@ -43,7 +43,7 @@ def certificate_name(node: int) -> str:
 
 
 def rights(nodes: int) -> dict[str, Rights]:
-    """What each process of a network of `nodes` nodes may do, by the name in its certificate.
+    """The rights of each process of a network of `nodes` nodes, by the name in its certificate.
 
     Routers are not listed: what they pass on between hosts has been checked where it came in.
     """
@@ -106,7 +106,7 @@ def access_control(nodes: int, routers: Sequence[str] = (ROUTER_NAME,)) -> dict[
             for what, messages, topics in (
                 ("says", ("put",), allowed.says),
                 ("is ready", ("liveliness_token",), allowed.is_ready),
-                ("hears", _HEARING, allowed.hears),
+                ("hears", _SUBSCRIBING, allowed.hears),
                 ("answers", ("declare_queryable", "reply"), allowed.answers),
                 ("asks", ("query",), allowed.asks),
             )

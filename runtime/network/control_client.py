@@ -17,7 +17,7 @@ class NotThere(ValueError):
 
 
 class Client:
-    """Somebody who watches a network and may command it; close it to leave."""
+    """A client that watches a network and may command it; close it to leave."""
 
     def __init__(
         self, connect: Sequence[str], run: str | None = None, keys: str | None = None
@@ -53,7 +53,7 @@ class Client:
             anybody.close()
 
     def _ask(self, transport: Transport, topic: str, payload: bytes) -> bytes:
-        # What the world has declared may still be on its way to us.
+        # Declarations of the environment process may still be on their way to us.
         deadline = time.monotonic() + _CONNECT_S
         while time.monotonic() < deadline:
             answer = transport.ask(topic, payload, 2 * _CONNECT_S)

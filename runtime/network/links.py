@@ -1,4 +1,4 @@
-"""Who connects to whom: the zenoh links of one run, on one machine or several, as data."""
+"""The zenoh links between the processes of one run, on one machine or several, as data."""
 
 import re
 import socket
@@ -53,7 +53,7 @@ def names(neighbours: Sequence[Sequence[int]]) -> list[str]:
 def plan_links(neighbours: Sequence[Sequence[int]], ports: dict[str, int]) -> dict[str, Links]:
     """The links of every process of a run, by name.
 
-    Mesh: one link per edge, opened by the higher index; every node links to world and recorder.
+    Mesh: one link per edge, opened by the higher index; every node links to environment and recorder.
     Router: everybody is its client.
     """
     at = {name: f"tcp/{LOOPBACK}:{port}" for name, port in ports.items()}
@@ -132,7 +132,7 @@ def checked_run(run: str) -> str:
     return run
 
 
-def watchers_endpoints(ports: dict[str, int]) -> list[str]:
+def subscribers_endpoints(ports: dict[str, int]) -> list[str]:
     """Where a watcher connects to: what is recorded, and who answers."""
     answers = ROUTER if ROUTER in ports else WORLD
     return [f"tcp/{LOOPBACK}:{ports[name]}" for name in (WATCH, answers)]
@@ -141,8 +141,7 @@ def watchers_endpoints(ports: dict[str, int]) -> list[str]:
 def free_ports(names: Sequence[str]) -> dict[str, int]:
     """A free loopback port for each name.
 
-    Somebody else may take one before we listen on it; whoever starts the processes tries again
-    then.
+    Another program may take one before we listen on it; the launcher process tries again then.
     """
     sockets = [socket.socket(socket.AF_INET, socket.SOCK_STREAM) for _ in names]
     try:

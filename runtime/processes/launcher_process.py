@@ -28,7 +28,7 @@ from runtime.network.links import (
     names,
     plan_links,
     ports_from,
-    watchers_endpoints,
+    subscribers_endpoints,
 )
 from runtime.processes.job import Happened, Job, Order, Place
 from runtime.processes.roles import be_environment, be_node, be_recorder, be_router
@@ -86,7 +86,7 @@ def _plans(job: Job) -> Iterator[_Plan]:
         ports = free_ports(wanted) if job.port is None else ports_from(job.port, wanted)
         links = plan_links(job.setup.neighbours, ports)
         router = f"tcp/127.0.0.1:{ports[ROUTER]}" if ROUTER in ports else None
-        yield _Plan(everybody, links, watchers_endpoints(ports), router)
+        yield _Plan(everybody, links, subscribers_endpoints(ports), router)
 
 
 def _at(place: Place) -> _Plan:
