@@ -5,10 +5,9 @@ constraints: 2.1). A violation is one sentence: the rule, both sides with their 
 """
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
-if TYPE_CHECKING:
-    from bus.flexray.cluster import Cluster
+from bus.flexray.cluster_parameters import ClusterParameters
 
 
 class Parameter(NamedTuple):
@@ -44,13 +43,13 @@ BIT_RATES_MBPS = (10.0, 5.0, 2.5)
 MICROTICKS_US = (0.0125, 0.025, 0.05)
 
 
-def violations(cluster: "Cluster") -> tuple[str, ...]:
+def violations(cluster: ClusterParameters) -> tuple[str, ...]:
     """Every rule that the cluster breaks. The sums are looked at when all ranges are kept."""
     ranges = (*_name_and_choices(cluster), *_ranges(cluster))
     return ranges or (*_tick_constraints(cluster), *_length_constraints(cluster))
 
 
-def _name_and_choices(cluster: "Cluster") -> Iterator[str]:
+def _name_and_choices(cluster: ClusterParameters) -> Iterator[str]:
     name = cluster.name
     if not name or name != name.strip() or not name.isprintable():
         yield (
@@ -71,7 +70,7 @@ def _name_and_choices(cluster: "Cluster") -> Iterator[str]:
         )
 
 
-def _ranges(cluster: "Cluster") -> Iterator[str]:
+def _ranges(cluster: ClusterParameters) -> Iterator[str]:
     for field, (standard_name, low, high) in PARAMETERS.items():
         value = getattr(cluster, field)
         kind, number = ((int, float), "a number") if field in TIMES else (int, "a whole number")
@@ -87,7 +86,7 @@ def _ranges(cluster: "Cluster") -> Iterator[str]:
             )
 
 
-def _tick_constraints(cluster: "Cluster") -> Iterator[str]:
+def _tick_constraints(cluster: ClusterParameters) -> Iterator[str]:
     product_us = cluster.macrotick_us * cluster.macroticks_per_cycle
     # Both sides are rounded decimals in a file; they agree when no microtick is gained or lost.
     if abs(product_us - cluster.cycle_us) > 0.5 * cluster.microtick_us:
@@ -109,7 +108,7 @@ def _tick_constraints(cluster: "Cluster") -> Iterator[str]:
     yield from _cycle_sum(cluster)
 
 
-def _cycle_sum(cluster: "Cluster") -> Iterator[str]:
+def _cycle_sum(cluster: ClusterParameters) -> Iterator[str]:
     difference = cluster.action_point_difference_macroticks
     busy = (
         cluster.static_slots * cluster.static_slot_macroticks
@@ -133,7 +132,7 @@ def _cycle_sum(cluster: "Cluster") -> Iterator[str]:
     )
 
 
-def _length_constraints(cluster: "Cluster") -> Iterator[str]:
+def _length_constraints(cluster: ClusterParameters) -> Iterator[str]:
     need = cluster.static_frame_macroticks(cluster.static_payload_bytes)
     if need > cluster.static_slot_macroticks:
         yield (

@@ -10,7 +10,8 @@ from math import gcd, lcm
 
 import msgspec
 
-from bus.flexray.cluster import Channels, Cluster, Segment
+from bus.flexray.cluster import Cluster
+from bus.flexray.cluster_parameters import Channels, Segment
 from bus.flexray.dynamic_segment import Request, walk
 from bus.flexray.frame import MAX_FRAME_ID
 from bus.schedule import Schedule

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bus.flexray.cluster import Segment
+from bus.flexray.cluster_parameters import Segment
 from bus.flexray.constraints import BIT_RATES_MBPS
 from bus.flexray.frame import MAX_PAYLOAD_BYTES, OVERHEAD_BYTES, Channel, Frame, encode, inspect
 from bus.recordings.bitstream import BitError, Bits, byte_bits, decode_bits

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.flexray.cluster import Segment
+from bus.flexray.cluster_parameters import Segment
 from bus.recordings.decoder import DecodedFrame, Decoding
 
 REPETITIONS = (1, 2, 4, 8, 16, 32, 64)
