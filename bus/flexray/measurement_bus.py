@@ -5,7 +5,7 @@ measurement of every silent sensor (or takes it to be zero). Sensors that conten
 with the weighted squared change since their last transmission (weighted try-once-discard).
 
 Source: Meng et al. (2025), UKF for nonlinear systems with stochastic nonlinearities under FlexRay
-protocol, equations (2) to (5), the plain rule; `bus.flexray.measurement_matrices` has (6) to (9).
+protocol, equations (2) to (5), the plain rule; a test holds it against the matrices (6) to (9).
 """
 
 from collections.abc import Callable, Sequence

@@ -1,19 +1,15 @@
 """Which node owns which slot: frame ID, channel, and by cycle multiplexing in which cycles.
 
-`allocate` gives a schedule its slots on a cluster; `schedule_from_slots` goes the other way, from
-a slot table that somebody wrote (or a car has) to a schedule.
+`allocate` gives a schedule its slots on a cluster.
 """
 
 from collections.abc import Iterable, Sequence
-from itertools import combinations
-from math import gcd, lcm
 
 import msgspec
 
 from bus.flexray.cluster import Cluster
 from bus.flexray.cluster_parameters import Channels, Segment
 from bus.flexray.dynamic_segment import Request, walk
-from bus.flexray.frame import MAX_FRAME_ID
 from bus.schedule import Schedule
 
 REPETITIONS = (1, 2, 4, 8, 16, 32, 64)
@@ -101,29 +97,6 @@ def allocate(
     return table
 
 
-def schedule_from_slots(
-    nodes: int,
-    assignments: Iterable[SlotAssignment],
-    cluster: Cluster,
-    dynamic_slots: int | None = None,
-) -> Schedule:
-    """The schedule that a written slot table gives; a node may own several slots of a cycle.
-
-    `dynamic_slots` limits how many contenders win in a cycle (None: the segment alone does). Raises
-    ValueError for slots with two owners, or that the cluster or the network does not have.
-    """
-    slots = sorted(assignments, key=lambda slot: slot.frame_id)
-    for slot in slots:
-        _check_assignment(slot, nodes, cluster)
-    _check_single_owners(slots)
-    static = [slot for slot in slots if slot.frame_id <= cluster.static_slots]
-    dynamic = [slot for slot in slots if slot.frame_id > cluster.static_slots]
-    contenders = _rows(dynamic)
-    limit = nodes if dynamic_slots is None else dynamic_slots
-    winners = tuple(min(limit, len(row)) for row in contenders)
-    return Schedule(nodes, _rows(static), contenders, winners)
-
-
 def deviations(assignments: Iterable[SlotAssignment], cluster: Cluster) -> tuple[str, ...]:
     """Where a table asks for more than cycle multiplexing can do, one sentence per frame ID."""
     slots = [
@@ -169,58 +142,6 @@ def _static_assignments(
             for frame in range(frames):
                 frame_id = place * frames + frame + 1
                 yield SlotAssignment(frame_id, node, channel, base, repetition)
-
-
-def _rows(slots: Sequence[SlotAssignment]) -> tuple[tuple[int, ...], ...]:
-    """Nodes that own one of the slots, in slot order, for each cycle of a period."""
-    period = lcm(*(slot.repetition for slot in slots))
-    return tuple(
-        tuple(dict.fromkeys(slot.node for slot in slots if slot.sends(cycle)))
-        for cycle in range(period)
-    )
-
-
-def _check_assignment(slot: SlotAssignment, nodes: int, cluster: Cluster) -> None:
-    if not 0 <= slot.node < nodes:
-        raise ValueError(
-            f"slot {slot.frame_id} belongs to node {slot.node}, but there are nodes 0..{nodes - 1}"
-        )
-    if slot.repetition not in REPETITIONS or not 0 <= slot.base_cycle < slot.repetition:
-        raise ValueError(
-            f"slot {slot.frame_id} of node {slot.node} has base cycle {slot.base_cycle} and "
-            f"repetition {slot.repetition}; the repetition must be 1, 2, 4, ..., 64 and the base "
-            "cycle below it"
-        )
-    if not set(slot.channel) <= set(cluster.channels):
-        raise ValueError(
-            f"slot {slot.frame_id} of node {slot.node} uses channel {slot.channel}, but cluster "
-            f"{cluster.name!r} has {cluster.channels}"
-        )
-    if not 1 <= slot.frame_id <= MAX_FRAME_ID:
-        raise ValueError(
-            f"slot {slot.frame_id} of node {slot.node} does not exist; frame IDs are "
-            f"1..{MAX_FRAME_ID}"
-        )
-    if slot.frame_id > cluster.static_slots:
-        _check_reachable(Request(slot.node, slot.frame_id, 0), cluster)
-
-
-def _check_single_owners(slots: Sequence[SlotAssignment]) -> None:
-    by_id: dict[int, list[SlotAssignment]] = {}
-    for slot in slots:
-        by_id.setdefault(slot.frame_id, []).append(slot)
-    for rivals in by_id.values():
-        for one, other in combinations(rivals, 2):
-            shared = set(one.channel) & set(other.channel)
-            # Both send in one cycle if and only if their bases agree modulo the common divisor.
-            common = gcd(one.repetition, other.repetition)
-            if shared and (one.base_cycle - other.base_cycle) % common == 0:
-                raise ValueError(
-                    f"slot {one.frame_id} on channel {''.join(sorted(shared))} has two owners, "
-                    f"node {one.node} (base {one.base_cycle}, repetition {one.repetition}) and "
-                    f"node {other.node} (base {other.base_cycle}, repetition {other.repetition}); "
-                    "give them different slots, channels or cycles"
-                )
 
 
 def _check_reachable(request: Request, cluster: Cluster) -> None:

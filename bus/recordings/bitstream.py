@@ -32,20 +32,6 @@ def byte_bits(data: bytes) -> Bits:
     return np.concatenate(([1], coded.ravel(), [0, 1])).astype(np.uint8)
 
 
-def encode_bits(data: bytes, transmission_start_bits: int, trailing_low_bits: int = 0) -> Bits:
-    """The bits of a frame on the wire. `trailing_low_bits` > 0 adds a DTS of so many low bits.
-
-    Raises ValueError for a start sequence outside of 1..15 bits.
-    """
-    if not 1 <= transmission_start_bits <= 15:
-        raise ValueError(
-            f"a transmission start sequence of {transmission_start_bits} bits; it has 1..15"
-        )
-    start = np.zeros(transmission_start_bits, dtype=np.uint8)
-    trail = [0] * trailing_low_bits + [1] if trailing_low_bits else []
-    return np.concatenate((start, byte_bits(data), trail)).astype(np.uint8)
-
-
 def decode_bits(bits: Bits) -> bytes:
     """The bytes of the frame whose bits these are, from TSS to FES; what follows is not looked at.
 

@@ -4,13 +4,10 @@ As text: CSV of `time_ns,level`, one line for each change of level (high is idle
 """
 
 from collections.abc import Iterable
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-
-from bus.recordings.bitstream import Bits
 
 MAX_TIME_NS = 2**62
 
@@ -34,11 +31,6 @@ class Reading(NamedTuple):
 
     waveform: Waveform
     unreadable_lines: int
-
-
-def read_waveform(path: Path) -> Reading:
-    """Read a CSV file of `time_ns,level`. Raises WaveformError, OSError."""
-    return parse_waveform(path.read_text(encoding="utf-8", errors="replace"))
 
 
 def parse_waveform(text: str) -> Reading:
@@ -98,29 +90,6 @@ def without_spikes(waveform: Waveform, shortest_ns: float) -> Waveform:
             times.append(time)
             levels.append(level)
     return Waveform(np.array(times, dtype=np.int64), np.array(levels, dtype=np.uint8))
-
-
-def from_bits(transmissions: Iterable[tuple[float, Bits]], bit_ns: float) -> Waveform:
-    """The signal of frames: each a start time in ns and its bits (`encode_bits`).
-
-    The bus is idle (high) before, between and after them. Raises WaveformError if they overlap.
-    """
-    times: list[int] = [0]
-    levels: list[int] = [1]
-    for start_ns, bits in sorted(transmissions, key=lambda transmission: transmission[0]):
-        edges = np.flatnonzero(np.diff(bits, prepend=1)).tolist()
-        for edge in edges:
-            times.append(round(start_ns + edge * bit_ns))
-            levels.append(int(bits[edge]))
-        times.append(round(start_ns + len(bits) * bit_ns))
-        levels.append(1)
-    return from_samples(times, levels)
-
-
-def format_waveform(waveform: Waveform) -> str:
-    """The CSV text of a waveform."""
-    rows = zip(waveform.times_ns.tolist(), waveform.levels.tolist(), strict=True)
-    return "time_ns,level\n" + "".join(f"{time},{level}\n" for time, level in rows)
 
 
 def _sample(line: str) -> tuple[int, int] | None:

@@ -11,10 +11,10 @@ from bus.flexray.frame import Frame, encode
 from bus.flexray.presets import BOSCH, FLEXRAY_ADAPTER
 from bus.flexray.slot_table import SlotAssignment
 from bus.flexray.timing import Transmission, dynamic_transmissions, static_transmissions
-from bus.recordings.bitstream import encode_bits
 from bus.recordings.decoder import Decoding, decode_waveform
 from bus.recordings.fit import fit
-from bus.recordings.waveform import Waveform, from_bits
+from bus.recordings.waveform import Waveform
+from tests.bus.signals import encode_bits, from_bits
 from tests.bus.support import served
 
 

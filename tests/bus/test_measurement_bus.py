@@ -18,14 +18,14 @@ from bus.flexray.measurement_bus import (
     try_once_discard,
     zero_input,
 )
-from bus.flexray.measurement_matrices import (
+from bus.schedule import Schedule
+from tests.bus.measurement_matrices import (
     receive,
     receive_by_segments,
     segment,
     slot_matrices,
     static_turn,
 )
-from bus.schedule import Schedule
 
 FLEXRAY_SENSORS = st.integers(2, 7).flatmap(
     lambda sensors: st.tuples(
