@@ -283,4 +283,4 @@ def _ratios(results: Results, name: str, states: tuple[str, ...]) -> tuple[Inter
 
 
 def _values(ratios: tuple[Interval, ...]) -> str:
-    return ", ".join(f"{ratio.value:.2f}" for ratio in ratios)
+    return ", ".join(f"{one.value:.2f} [{one.low:.2f}, {one.high:.2f}]" for one in ratios)
