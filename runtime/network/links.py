@@ -53,7 +53,7 @@ def names(neighbours: Sequence[Sequence[int]]) -> list[str]:
 def plan_links(neighbours: Sequence[Sequence[int]], ports: dict[str, int]) -> dict[str, Links]:
     """The links of every process of a run, by name.
 
-    Mesh: one link per edge, opened by the higher index; every node links to environment and recorder.
+    Mesh: one link per edge, opened by the higher index; all nodes link to environment and recorder.
     Router: everybody is its client.
     """
     at = {name: f"tcp/{LOOPBACK}:{port}" for name, port in ports.items()}
