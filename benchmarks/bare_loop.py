@@ -18,8 +18,8 @@ import msgspec
 import numpy as np
 
 from benchmarks.cases import beliefs, readings, turn
-from bus.flexray.publication import Slot
-from bus.flexray.share_frames import payload_lengths, to_frames, whole_body
+from bus.ideal import TimelessBus
+from bus.schedule import full_publish
 from filters.fusion.averaging import INFORMATION
 from filters.gaussian import Gaussian
 from filters.linalg import pack_upper
@@ -118,8 +118,7 @@ class _Messages:
         case, places = turn(), range(len(load.neighbours))
         self._belief, self._reading = case.start, [to_wire(readings(case, ()))]
         self._codec = BeliefCodec(len(case.start.mean))
-        (payload_bytes,) = payload_lengths(self._codec.size)
-        self._slots = [Slot(1 + node, payload_bytes) for node in places]
+        self._bus = TimelessBus(full_publish(len(places)), self._codec.size)
         self._ages = [[0] * len(heard) for heard in load.neighbours]
         self._counters = {"sent": 1000, "heard": 1000}
 
@@ -127,7 +126,7 @@ class _Messages:
         return encode(Measured(node, step, self._reading))
 
     def share(self, node: int, cycle: int) -> bytes:
-        return to_frames(self._codec.encode(self._belief), cycle, [self._slots[node]])[0]
+        return self._bus.encode(node, cycle, self._codec.encode(self._belief))[0]
 
     def estimate(self, node: int, step: int) -> bytes:
         mean, cov = to_wire(self._belief.mean), to_wire(pack_upper(self._belief.cov))
@@ -136,7 +135,7 @@ class _Messages:
     def hear_shares(self, cycle: int, came: Sequence[tuple[int, bytes]]) -> None:
         codec, bodies = self._codec, []
         for node, data in came:
-            body = whole_body(data, self._slots[node], codec.size, cycle)
+            body = self._bus.due_body(data, node, cycle, codec.size)
             assert body is not None, "what is sent is what is due"
             bodies.append(codec.check(body))
         codec.unpack(*bodies)

@@ -31,7 +31,7 @@ class Fragment(msgspec.Struct, frozen=True):
     data: bytes
 
 
-class Place(msgspec.Struct, frozen=True):
+class SharePlace(msgspec.Struct, frozen=True):
     """A frame is number `number` of the `frames` of a share."""
 
     number: int
@@ -90,7 +90,7 @@ class FrameFormat(NamedTuple):
     noticed_bits: int
     read: Callable[[bytes], Fragment]
     cycle_of: Callable[[bytes], int]
-    numbered: Callable[[bytes], Place]
+    numbered: Callable[[bytes], SharePlace]
     join: Callable[[Sequence[bytes]], bytes]
     emptied: Callable[[bytes], bytes]
     miscounted: Callable[[bytes, int], bytes]
@@ -142,7 +142,7 @@ class Bus(Protocol):
         """
         ...
 
-    def place(self, sender: int, fragment: Fragment) -> Place:
+    def place(self, sender: int, fragment: Fragment) -> SharePlace:
         """Return where a fragment of this sender belongs in its share.
 
         Raises:

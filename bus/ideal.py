@@ -14,7 +14,7 @@ from bus.flexray.slotted_bus import SlottedBus
 from bus.schedule import Schedule
 
 
-class IdealBus(SlottedBus):
+class TimelessBus(SlottedBus):
     """The bus whose cycles take no time and hold whatever the schedule lets in.
 
     Each node has consecutive frame IDs of its own in every cycle. The times of its frames are

@@ -8,7 +8,7 @@ from collections.abc import Collection
 
 from msgspec.structs import replace
 
-from bus.bus import Fragment, Place, Rejected
+from bus.bus import Fragment, Rejected, SharePlace
 from nodes.faults.links import Arrival, Passage, arrival
 from nodes.faults.losses import hears
 from nodes.faults.senders import spoofed
@@ -156,7 +156,7 @@ def _hear_faulty(
     state: NodeState,
     sender: int,
     fragment: Fragment,
-    place: Place,
+    place: SharePlace,
     frame: bytes,
 ) -> NodeState:
     """A frame as it comes where something is wrong, and what else comes with it."""
@@ -231,7 +231,7 @@ def _keep(
     config: NodeConfig,
     state: NodeState,
     key: tuple[int, int],
-    place: Place,
+    place: SharePlace,
     frame_id: int,
     data: bytes | None,
 ) -> NodeState:

@@ -1,7 +1,7 @@
 """The closed vocabulary of the network: what world and nodes say to each other, and its bytes.
 
-A share is not in this list of encodings: it travels as the bytes of FlexRay frames
-(`nodes/share.py`). Everything else is JSON, which anyone can read in a recording and which carries
+A share is not in this list of encodings: it travels as the bytes of the bus's frames
+(`bus/bus.py`). Everything else is JSON, which anyone can read in a recording and which carries
 a float64 without loss (shortest representation that reads back to the same bits); a missing value
 is `null`.
 """
@@ -46,7 +46,7 @@ class Measured(msgspec.Struct, frozen=True):
 
 
 class ShareSent(msgspec.Struct, frozen=True):
-    """Node to its neighbours: one FlexRay frame on the bus in communication cycle `cycle`."""
+    """Node to its neighbours: one frame on the bus in communication cycle `cycle`."""
 
     node: NodeIndex
     cycle: Instant

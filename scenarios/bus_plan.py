@@ -13,7 +13,7 @@ from bus.flexray.fitted import fitted_cluster
 from bus.flexray.flexray_bus import flexray_bus
 from bus.flexray.presets import PRESETS, preset
 from bus.flexray.share_frames import SHARE_FRAMES, payload_lengths
-from bus.ideal import IdealBus
+from bus.ideal import TimelessBus
 from bus.schedule import (
     Schedule,
     dynamic_only,
@@ -103,7 +103,7 @@ def plan_bus(scenario: Scenario, share_bytes: int, neighbours: Neighbours = ()) 
         raise unknown_name("arbiter", scenario.arbiter, ARBITERS)
     if scenario.cluster == NO_CLUSTER:
         _check_timeless(schedule)
-        return IdealBus(schedule, share_bytes)
+        return TimelessBus(schedule, share_bytes)
     cluster = _cluster(scenario, schedule, share_bytes)
     arbiter = ARBITERS[scenario.arbiter]
     return flexray_bus(schedule, cluster, share_bytes, arbiter, scenario.latch_delay_us)

@@ -11,7 +11,7 @@ from functools import lru_cache
 
 import msgspec
 
-from bus.bus import Fragment, FrameFormat, Place, Rejected
+from bus.bus import Fragment, FrameFormat, Rejected, SharePlace
 from bus.flexray.fragments import PREFIX_BYTES as NUMBERING_BYTES
 from bus.flexray.fragments import FragmentError, fragment_count, join, payload_sizes, split
 from bus.flexray.frame import (
@@ -181,7 +181,7 @@ def miscounted(frame: bytes, cycles: int) -> bytes:
     return encode_frame(Frame(told.frame_id, count, told.payload))
 
 
-def numbered(data: bytes) -> Place:
+def numbered(data: bytes) -> SharePlace:
     """Where a fragment says that it belongs in its share.
 
     Raises:
@@ -191,7 +191,7 @@ def numbered(data: bytes) -> Place:
         frames = fragment_count(data)
     except FragmentError as error:
         raise Rejected(f"fragment-{error.reason}") from None
-    return Place(data[0], frames)
+    return SharePlace(data[0], frames)
 
 
 def read_body(fragments: Sequence[bytes]) -> bytes:

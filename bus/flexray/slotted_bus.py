@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bus.arbitration import Arbiter, ArbiterState, Fits, award
-from bus.bus import Fragment, Place, Rejected
+from bus.bus import Fragment, Rejected, SharePlace
 from bus.flexray.publication import Slot
 from bus.flexray.share_frames import (
     SHARE_FRAMES,
@@ -55,7 +55,7 @@ class SlottedBus:
         """Return what a frame carries; raise `Rejected` for one that is not sound."""
         return read_frame(frame, self._cycle_counts)
 
-    def place(self, sender: int, fragment: Fragment) -> Place:
+    def place(self, sender: int, fragment: Fragment) -> SharePlace:
         """Return where a fragment belongs in its share; raise `Rejected` if nowhere."""
         frames = numbered(fragment.data).frames
         schedule, cycle = self.schedule, fragment.cycle
@@ -66,7 +66,7 @@ class SlottedBus:
         # A share takes the first of its sender's slots, as many as it needs.
         for number, slot in enumerate(self.slots(sender, cycle)[:frames]):
             if slot.frame_id == fragment.frame_id:
-                return Place(number, frames)
+                return SharePlace(number, frames)
         raise Rejected("wrong-slot")
 
     def in_slot_of(self, frame: bytes, node: int, cycle: int) -> bytes | None:

@@ -67,7 +67,7 @@ BUGS = (
     Bug(
         "the owner of a slot is not checked",
         "bus.flexray.slotted_bus", "SlottedBus.place",
-        (('raise Rejected("wrong-slot")', "return Place(0, frames)"),),
+        (('raise Rejected("wrong-slot")', "return SharePlace(0, frames)"),),
     ),
     Bug(
         "the frame's checksum is not checked",

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from bus.flexray.publication import Slot
-from bus.ideal import IdealBus
+from bus.ideal import TimelessBus
 from bus.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
 from filters.fusion import hold
 from filters.fusion.averaging import INFORMATION, MOMENTS, Averaged
@@ -98,7 +98,7 @@ class Network(NamedTuple):
 
 def with_slots(config: NodeConfig, slots: Callable[[int, int], tuple[Slot, ...]]) -> NodeConfig:
     """The node on a bus on which a share has these slots: (node, cycle) -> slots."""
-    bus = IdealBus(config.schedule, config.estimator.share_bytes)
+    bus = TimelessBus(config.schedule, config.estimator.share_bytes)
     bus.slots = slots
     return replace(config, bus=bus)
 
@@ -131,7 +131,7 @@ def network(
     weights = metropolis(csr_array(adjacency)).toarray()
     schedule = full_publish(count) if schedule is None else schedule
     codec = BeliefCodec(n, number)
-    bus = IdealBus(schedule, codec.size)
+    bus = TimelessBus(schedule, codec.size)
     generator = np.random.default_rng(seed)
     nodes = []
     for i in range(count):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from bus.flexray.share_frames import read_frame
-from bus.ideal import IdealBus
+from bus.ideal import TimelessBus
 from bus.schedule import Schedule
 from filters.gaussian import Gaussian
 from nodes.messages import Array
@@ -78,7 +78,7 @@ def ruled(
             number=number,
         )
         estimator = build_estimator(scenario, seat)
-        bus = IdealBus(config.schedule, estimator.share_bytes)
+        bus = TimelessBus(config.schedule, estimator.share_bytes)
         nodes.append(replace(config, estimator=estimator, bus=bus))
     return net._replace(nodes=nodes)
 

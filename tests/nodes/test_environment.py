@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bus.arbitration import Arbiter
-from bus.ideal import IdealBus
+from bus.ideal import TimelessBus
 from bus.schedule import Schedule, dynamic_only, hybrid
 from filters.gaussian import Gaussian
 from nodes import environment, environment_changes
@@ -111,7 +111,7 @@ def test_an_arbiter_that_believes_the_order_still_gives_the_same():
     """Even one that serves whichever request it is handed first, as it is handed them by node."""
     first = Arbiter(lambda state, bids, frame_ids: np.arange(len(bids)))
     config = world_of(3, 1, 1, dynamic_only(3, 0.3))
-    config = replace(config, bus=IdealBus(config.schedule, 30, first))
+    config = replace(config, bus=TimelessBus(config.schedule, 30, first))
     for order in permutations([Bid(node, 0, 1, 30) for node in range(3)]):
         assert granted(config, list(order))[0] == [Grant(0, [0])]
 
