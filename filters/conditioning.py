@@ -16,7 +16,7 @@ def condition(
     cross_cov: np.ndarray,
     residual: Residual = np.subtract,
     gate: float | None = None,
-) -> Update[Gaussian]:
+) -> Update:
     """The belief given a measurement, from moments that some rule has found.
 
     Args:

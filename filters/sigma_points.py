@@ -64,25 +64,6 @@ def cubature(n: int) -> SigmaPointRule:
     return SigmaPointRule(np.vstack([axes, -axes]), weights, weights)
 
 
-def gauss_hermite(n: int, order: int) -> SigmaPointRule:
-    """The tensor product of the Gauss-Hermite rule, S = order^n, exact to degree 2 order - 1.
-
-    Source: Ito and Xiong (2000), Gaussian filters for nonlinear filtering problems.
-
-    Raises:
-        ValueError: n < 1, or order < 2 (a single point has no spread).
-    """
-    _check_dimension(n)
-    if order < 2:
-        raise ValueError(f"order is {order}, but one point has no spread: choose order >= 2")
-    nodes, line_weights = np.polynomial.hermite_e.hermegauss(order)
-    index = np.indices((order,) * n).reshape(n, -1).T
-    weights = np.prod(line_weights[index] / math.sqrt(2 * math.pi), axis=-1)
-    heaviest_first = np.argsort(-weights, kind="stable")
-    weights = weights[heaviest_first]
-    return SigmaPointRule(nodes[index[heaviest_first]], weights, weights)
-
-
 def sigma_points(belief: Gaussian, rule: SigmaPointRule) -> np.ndarray:
     """The points (S, ..., n) of a belief; NaN in a lane whose covariance is not positive definite.
 

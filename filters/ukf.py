@@ -66,7 +66,7 @@ def update(
     residual: Residual = np.subtract,
     state_residual: Residual = np.subtract,
     gate: float | None = None,
-) -> Update[Gaussian]:
+) -> Update:
     """The belief given a measurement.
 
     Args:

@@ -33,7 +33,7 @@ def update(
     *,
     iterations: int = 10,
     residual: Residual = np.subtract,
-) -> Update[Gaussian]:
+) -> Update:
     """The belief given a measurement, its outliers discounted.
 
     Fails: a measurement noise that has grown for good looks like many outliers; the filter then

@@ -118,7 +118,7 @@ def take_reading(
     sensor: Sensor,
     points: SigmaPointRule,
     gate: float | None = None,
-) -> Update[Gaussian]:
+) -> Update:
     """Beliefs (..., n) after one reading of values (..., m) and noise covariances (..., m, m),
     unless it lies beyond the gate."""
     value, noise_cov = interpreted

@@ -30,7 +30,7 @@ def update(
     forgetting: float = 0.98,
     bounds: Bounds = BOUNDS,
     outlier_limit: float | None = None,
-) -> tuple[Update[Gaussian], NoiseEstimate]:
+) -> tuple[Update, NoiseEstimate]:
     """`ukf.update` with the noise estimated so far, then that estimate by `sage_husa.adapt`.
 
     With `sigma_points.cubature` it is an adaptive cubature filter.
@@ -66,7 +66,7 @@ def fuzzy_update(
     *,
     residual: Residual = np.subtract,
     bounds: Bounds = BOUNDS,
-) -> tuple[Update[Gaussian], FuzzyNoise]:
+) -> tuple[Update, FuzzyNoise]:
     """`ukf.update` with the noise estimated so far, then that estimate by `fuzzy_noise.adapt`.
 
     Args and raises as `update`.
@@ -87,7 +87,7 @@ def dual_layer_step(
     residual: Residual = np.subtract,
     forgetting: float = 0.98,
     bounds: Bounds = BOUNDS,
-) -> tuple[Update[Gaussian], NoiseEstimate]:
+) -> tuple[Update, NoiseEstimate]:
     """The ADLUKF in the form that works: `dual_layer.literal`, then R alone by `sage_husa.adapt`.
 
     Args and raises as `dual_layer.literal` and `update`.
@@ -111,7 +111,7 @@ def dual_layer_literal_step(
     residual: Residual = np.subtract,
     forgetting: float = 0.97,
     means: bool = False,
-) -> tuple[Update[Gaussian], NoiseStatistics]:
+) -> tuple[Update, NoiseStatistics]:
     """The ADLUKF as printed: `dual_layer.literal`, then everything by `sage_husa_literal.adapt`.
 
     `means` adapts q and r too. Args and raises as `dual_layer.literal`.

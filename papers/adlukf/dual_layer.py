@@ -32,7 +32,7 @@ class DualLayerStep(NamedTuple):
         measured_cov: (..., m, m), covariance of the outer points' measurements, without noise.
     """
 
-    update: Update[Gaussian]
+    update: Update
     predicted: np.ndarray
     measured_cov: np.ndarray
 

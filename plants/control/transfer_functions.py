@@ -34,11 +34,6 @@ def proportional(gain: float) -> Rational:
     return Rational((gain,), (1.0,))
 
 
-def proportional_derivative(proportional_gain: float, derivative_gain: float) -> Rational:
-    """PD of (23)."""
-    return Rational((derivative_gain, proportional_gain), (1.0,))
-
-
 def proportional_integral(proportional_gain: float, integral_gain: float) -> Rational:
     """PI of (23)."""
     return Rational((proportional_gain, integral_gain), (1.0, 0.0))

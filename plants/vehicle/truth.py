@@ -75,14 +75,13 @@ class Body(NamedTuple):
     sample: Callable[[Array, Array, Any], list[float]]
 
 
-_STEERING, _HEADING = 2, 4  # in the states of either body
+_STEERING, _HEADING = 2, 4  # in the states of the body
 
 
 def simulate(
     manoeuvre: Manoeuvre,
     car: TrueCar,
     time_step_s: float,
-    body: Callable[[], Body] | None = None,
     integration_step_s: float = INTEGRATION_STEP_S,
 ) -> Drive:
     """The true drive of a car through a manoeuvre.
@@ -93,7 +92,6 @@ def simulate(
         manoeuvre: who steers, how fast.
         car: which car.
         time_step_s: between samples of the drive; a multiple of the integration step.
-        body: `multi_body` (None takes it) or `single_track_drift`.
         integration_step_s: of the method.
 
     Raises:
@@ -107,7 +105,7 @@ def simulate(
             f"{integration_step_s:g} s"
         )
     parameters = _parameters(car)
-    model = multi_body() if body is None else body()
+    model = multi_body()
     steps = round(manoeuvre.duration_s / integration_step_s)
     state = np.array(model.begin(manoeuvre.speed_m_s.at(0.0), parameters))
     rows = []
@@ -145,27 +143,6 @@ def multi_body() -> Body:
         lambda speed, p: init_mb([0.0, 0.0, 0.0, speed, 0.0, 0.0, 0.0], p),
         vehicle_dynamics_mb,
         lambda x: Motion(x[0], x[1], x[4], x[3], x[10]),
-        sample,
-    )
-
-
-def single_track_drift() -> Body:
-    """The 9-state model with two wheels and combined-slip tyres."""
-    _require_library()
-    from vehiclemodels.init_std import init_std
-    from vehiclemodels.vehicle_dynamics_std import vehicle_dynamics_std
-
-    def sample(x: Array, f: Array, p: Any) -> list[float]:
-        cosine, sine = math.cos(x[6]), math.sin(x[6])
-        vx, vy = x[3] * cosine, x[3] * sine
-        side = 0.5 * np.array([-p.T_f, p.T_f, -p.T_r, p.T_r]) * x[5]
-        wheels = p.R_w * np.array([x[7], x[7], x[8], x[8]]) + side
-        return [x[5], vx, vy, f[3] * cosine - vy * f[6], f[3] * sine + vx * f[6], *wheels]
-
-    return Body(
-        lambda speed, p: init_std([0.0, 0.0, 0.0, speed, 0.0, 0.0, 0.0], p),
-        vehicle_dynamics_std,
-        lambda x: Motion(x[0], x[1], x[4], x[3] * math.cos(x[6]), x[3] * math.sin(x[6])),
         sample,
     )
 

@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
-from filters import kalman
 from filters.fusion import hybrid_consensus, information_weighted
 from filters.fusion.hybrid_consensus import classical_gain, safe_gain
 from filters.fusion.novelty import novelty
 from filters.fusion.packed import average
 from filters.gaussian import Gaussian, to_information
+from tests.filters import kalman
 from tests.filters.support import BATCHES, random_belief, random_spd
 from tests.nodes.networks import graphs
 from topology.weights import metropolis

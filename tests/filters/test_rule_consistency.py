@@ -6,12 +6,12 @@ from functools import partial
 import numpy as np
 import pytest
 
-from filters import kalman
 from filters.fusion import hybrid_consensus, information_weighted
 from filters.fusion.averaging import covariance_intersection, weighted_average
 from filters.fusion.packed import average
 from filters.gaussian import Gaussian
 from plants.oscillator import Oscillator
+from tests.filters import kalman
 from topology.graphs import ring
 from topology.weights import metropolis
 

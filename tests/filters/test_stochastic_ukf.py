@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from filters import kalman, ukf
+from filters import ukf
 from filters.gaussian import Gaussian
 from filters.stochastic_ukf import (
     RECOMMENDED,
@@ -17,6 +17,7 @@ from filters.stochastic_ukf import (
     State,
     expected_cov,
 )
+from tests.filters import kalman
 from tests.filters.measurement_runs import (
     PAPER_POINTS,
     SENSING,

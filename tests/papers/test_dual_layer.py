@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from filters import kalman, ukf
+from filters import ukf
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
 from papers.adlukf import dual_layer
+from tests.filters import kalman
 from tests.filters.support import BATCHES, random_belief, random_spd
 
 RULE = scaled_unscented(3, alpha=0.5, kappa=0.0)

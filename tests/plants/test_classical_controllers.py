@@ -21,7 +21,6 @@ from plants.control.transfer_functions import (
     output_feedback,
     pid,
     proportional,
-    proportional_derivative,
     proportional_integral,
     root_locus,
     sampled_compensator,
@@ -83,7 +82,6 @@ def test_proportional_controller_has_no_memory():
 def test_controllers_are_equation_23():
     s = 0.3 + 2j
     assert proportional(3.0)(s) == pytest.approx(3)
-    assert proportional_derivative(3.0, 5.0)(s) == pytest.approx(3 + 5 * s)
     assert proportional_integral(3.0, 2.0)(s) == pytest.approx(3 + 2 / s)
     assert pid(3.0, 2.0, 5.0)(s) == pytest.approx(3 + 2 / s + 5 * s)
     assert lag(2.0, 0.3, 0.03)(0) == pytest.approx(20)

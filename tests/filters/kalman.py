@@ -43,7 +43,7 @@ def update(
     noise_cov: np.ndarray,
     *,
     gate: float | None = None,
-) -> Update[Gaussian]:
+) -> Update:
     """The belief given a measurement z = H x + v.
 
     Args:
@@ -73,7 +73,7 @@ def linear_update(
     noise_cov: np.ndarray,
     missing: np.ndarray | None,
     gate: float | None,
-) -> Update[Gaussian]:
+) -> Update:
     """The Update by an innovation (..., m) that depends on the state through a matrix (..., m, n).
 
     Entries marked in `missing` (..., m), as `update.missing_entries` gives it, are left out.
