@@ -15,8 +15,6 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import NamedTuple
 
-import msgspec
-
 from benchmarks.measure import Figures, figure, ratio, say
 from benchmarks.processor import spent_s
 from dashboard.app import Dashboard
@@ -29,7 +27,8 @@ from runtime.network.network_file import read_network
 from runtime.recording import McapRecorder
 from scenarios.bus_plan import frame_format
 from scenarios.catalogue import kind_of
-from scenarios.setup import Setup, prepare
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 
 SIZES = (24, 100, 400)
 UPDATES_HZ, SECONDS = 10.0, 4.0
@@ -101,8 +100,7 @@ def _setup(nodes: int, steps: int) -> Setup:
     # A neighbourhood of a few nodes at every size; half of 24 publish in a cycle, fewer of more.
     defaults = kind_of("target-tracking").defaults
     return prepare(
-        msgspec.structs.replace(
-            defaults,
+        defaults.with_(
             nodes=nodes,
             steps=steps,
             graph="4-regular",

@@ -11,11 +11,12 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks.measure import Figures, figure, in_turns, median_us, ratio, say
-from experiments.scenario_options import ScenarioOptions
+from experiments.scenario_options import scenario_of
 from filters.gaussian import Gaussian
 from nodes.lanes.network import Fleet
 from runtime.batched.build import build_network
-from scenarios.setup import Setup, prepare
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 
 NODES, RUNS, TURNS, LOOP_RUNS, MANY, REPEATS = 20, 500, 15, 5, 5, 5
 SCENARIO = "target-crossing"  # four states, on a geometric graph
@@ -23,10 +24,10 @@ SCENARIO = "target-crossing"  # four states, on a geometric graph
 
 def network(rounds: int, by_sharpness: bool) -> tuple[Setup, Fleet]:
     """The network of a scenario, and its rule at all nodes of all runs."""
-    options = ScenarioOptions(
+    options = scenario_of(
         scenario=SCENARIO, nodes=NODES, rounds=rounds, determinant_weights=by_sharpness, seed=1
     )
-    setup = prepare(options.resolve())
+    setup = prepare(options)
     return setup, build_network(setup, range(RUNS)).eras[0].regime.fleet
 
 

@@ -20,12 +20,13 @@ import numpy as np
 
 from benchmarks.bare_loop import Load
 from benchmarks.measure import Figures, figure, ratio, say
-from experiments.scenario_options import ScenarioOptions
+from experiments.scenario_options import scenario_of
 from nodes.messages import decode, from_wire
 from runtime.drivers import in_memory, over_processes
 from runtime.interpreter import fresh_command, fresh_variables
 from scenarios.build import OPEN_LOOP_LEAD
-from scenarios.setup import Setup, prepare
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 
 NODES, GRAPH, STEPS, SHORT_STEPS, REPETITIONS = 16, "4-regular", 300, 50, 5
 
@@ -85,7 +86,7 @@ def main() -> Figures:
 
 def setup_of(steps: int) -> Setup:
     """The network that is measured."""
-    return prepare(ScenarioOptions(nodes=NODES, graph=GRAPH, steps=steps, seed=1).resolve())
+    return prepare(scenario_of(nodes=NODES, graph=GRAPH, steps=steps, seed=1))
 
 
 def _pace(run: Run, shorter: Run) -> Pace:

@@ -15,22 +15,23 @@ import numpy as np
 from benchmarks.fusion import fuse
 from benchmarks.measure import Figures, figure, in_turns, peak_mb, say
 from experiments.monte_carlo.simulate import READINGS, simulate
-from experiments.scenario_options import ScenarioOptions
+from experiments.scenario_options import scenario_of
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
 from filters.ukf import predict, update
 from plants.targets import Target
 from runtime.batched.build import build_network
 from scenarios.catalogue import kind_of
-from scenarios.setup import Setup, prepare
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 
 SCENARIO, NODES, RUNS, STEPS, KERNEL_STEPS, TURNS = "target-tracking", 20, 500, 100, 10, 5
 
 
 def main() -> Figures:
     """Print and return seconds of the processor, and the ratio of the whole to its kernels."""
-    options = ScenarioOptions(scenario=SCENARIO, nodes=NODES, steps=STEPS, seed=1)
-    setup = prepare(options.resolve())
+    options = scenario_of(scenario=SCENARIO, nodes=NODES, steps=STEPS, seed=1)
+    setup = prepare(options)
     parts = {
         "end to end": partial(_whole, setup),
         "UKF": _filters(setup),
@@ -88,9 +89,7 @@ def _filters(setup: Setup) -> Callable[[], float]:
     assert isinstance(plant, Target)
     model, sensors = plant.model, plant.sensors
     rule, start = scaled_unscented(len(setup.prior_mean)), _start(setup)
-    short = prepare(
-        ScenarioOptions(scenario=SCENARIO, nodes=NODES, steps=KERNEL_STEPS, seed=1).resolve()
-    )
+    short = prepare(scenario_of(scenario=SCENARIO, nodes=NODES, steps=KERNEL_STEPS, seed=1))
     readings = simulate(short, range(RUNS), keep=(READINGS,)).readings
     assert readings is not None
 

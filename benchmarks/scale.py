@@ -12,8 +12,9 @@ import numpy as np
 
 from benchmarks.measure import Figure, Figures, figure, in_turns, peak_mb, say
 from experiments.monte_carlo.simulate import simulate
-from experiments.scenario_options import ScenarioOptions
-from scenarios.setup import Setup, prepare
+from experiments.scenario_options import scenario_of
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 
 LANES, STEPS, TURNS = 10_000, 8, 5
 SIZES, DEGREE = (10, 100, 1_000, 10_000), 4
@@ -73,10 +74,8 @@ def _slope(spent: Spent) -> Figure:
 
 def _timed(nodes: int, degree: int) -> Callable[[], float]:
     """Seconds of the processor for a network, per run and round."""
-    options = ScenarioOptions(
-        nodes=nodes, graph=f"{degree}-regular", steps=STEPS, seed=1, cluster="none"
-    )
-    setup: Setup = prepare(options.resolve())
+    options = scenario_of(nodes=nodes, graph=f"{degree}-regular", steps=STEPS, seed=1, bus="ideal")
+    setup: Setup = prepare(options)
     runs = range(LANES // nodes)
     work = len(runs) * STEPS * setup.scenario.rounds
 

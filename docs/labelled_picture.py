@@ -15,10 +15,11 @@ from matplotlib.patches import Patch
 
 from experiments.results.record_spread import RecordSpread
 from experiments.results.trace import Trace, read_trace
-from experiments.scenario_options import ScenarioOptions
+from experiments.scenario_options import scenario_of
 from runtime.drivers import in_memory
 from scenarios.catalogue import kind_of
-from scenarios.setup import Setup, prepare
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 
 # Okabe and Ito's colours, which most people can tell apart.
 BLUE, SKY, ORANGE, YELLOW, RED = "#0072B2", "#56B4E9", "#E69F00", "#F0E442", "#D55E00"
@@ -86,8 +87,8 @@ def draw_window(axes: Axes, spread: RecordSpread, node: int) -> None:
 
 def main() -> None:
     """Write docs/labelled.png."""
-    options = ScenarioOptions(nodes=20, rule="labelled", occupancy=0.25, steps=STEP + 12)
-    setup = prepare(options.resolve())
+    options = scenario_of(nodes=20, rule="labelled", occupancy=0.25, steps=STEP + 12)
+    setup = prepare(options)
     trace = read_trace(setup, in_memory(setup))
     spread = trace.spread
     assert spread is not None

@@ -14,11 +14,12 @@ from matplotlib.collections import LineCollection
 from experiments.notebook import plots, sweep
 from experiments.results.palette import save, use_house_style
 from experiments.results.trace import Trace, read_trace
-from experiments.scenario_options import ScenarioOptions
+from experiments.scenario_options import scenario_of
 from runtime.drivers import in_memory
 from scenarios.baselines import centralised
 from scenarios.catalogue import kind_of
-from scenarios.setup import Setup, prepare
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 
 # Okabe and Ito's colours, which most people can tell apart.
 SKY, ORANGE, GREEN, PINK, GREY = "#56B4E9", "#E69F00", "#009E73", "#CC79A7", "#999999"
@@ -76,7 +77,7 @@ def draw_sweep() -> None:
 
 def main() -> None:
     """Write docs/network.png and docs/sweep.png."""
-    setup = prepare(ScenarioOptions(nodes=20, seed=7).resolve())
+    setup = prepare(scenario_of(nodes=20, seed=7))
     trace = read_trace(setup, in_memory(setup))
     figure, (left, right) = plt.subplots(1, 2, figsize=(12, 5.5), layout="constrained")
     draw_map(left, setup, trace)

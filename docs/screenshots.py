@@ -10,8 +10,6 @@ import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import msgspec
-
 from dashboard.app import Dashboard
 from dashboard.frames.expected import Expectation, nothing_expected
 from dashboard.serve import open_recording
@@ -21,8 +19,9 @@ from runtime.drivers import drive
 from runtime.recording import McapRecorder
 from scenarios.bus_plan import frame_format
 from scenarios.catalogue import kind_of
+from scenarios.preparation import prepare
 from scenarios.rules import is_certain
-from scenarios.setup import Setup, prepare
+from scenarios.setup import Setup
 
 _FLAGS = (
     "--no-sandbox",
@@ -106,7 +105,7 @@ def main() -> None:
 
 
 def _take(browser: Any, shot: Shot, file: Path) -> None:
-    setup = prepare(msgspec.structs.replace(kind_of(shot.scenario).defaults, **shot.changes))
+    setup = prepare(kind_of(shot.scenario).defaults.with_(**shot.changes))
     with tempfile.TemporaryDirectory() as folder:
         recording = Path(folder) / "run.mcap"
         recorder = McapRecorder(

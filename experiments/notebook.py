@@ -22,7 +22,7 @@ from experiments.scenario_options import scenario_of
 from experiments.sweep.engines import engine_for
 from experiments.sweep.run import begin, finish
 from experiments.sweep.specification import Specification, Value, shown, specify
-from scenarios.setup import prepare
+from scenarios.preparation import prepare
 
 if TYPE_CHECKING:
     import xarray
@@ -37,7 +37,7 @@ def simulate(scenario: str = "target-tracking", runs: int = 1, **fields: Value) 
     Raises:
         ValueError: a scenario that cannot run.
     """
-    return simulate_setup(prepare(scenario_of(scenario, dict(fields))), range(runs))
+    return simulate_setup(prepare(scenario_of(scenario, **fields)), range(runs))
 
 
 def sweep(

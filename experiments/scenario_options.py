@@ -1,134 +1,158 @@
-"""What a user may say of a scenario on the command line, and the scenario that it means."""
+"""The options of a scenario: generated from the types that declare them, and what they mean."""
 
-from dataclasses import dataclass, fields
-from pathlib import Path
-from typing import Any
+from collections.abc import Iterator
+from functools import cache
+from typing import Any, NamedTuple
 
-import msgspec
-
-from scenarios.catalogue import check_own, kind_of
+from scenarios.catalogue import kind_of, kinds
 from scenarios.scenario import Scenario
 from scenarios.script import with_files
+from scenarios.types.assignment import flat, refuse_left
+from scenarios.types.declarations import Declaration, Owned, every_option
+
+DEFAULT_SCENARIO = "target-tracking"
 
 
-@dataclass(frozen=True, kw_only=True)
-class ScenarioOptions:
-    """Options left out take the scenario's own defaults (`concord list` shows them)."""
+class OfferedOption(NamedTuple):
+    """An option by its name, with the declarations of all values that have it."""
 
-    scenario: str = "target-tracking"
-    """Which scenario; `concord list` names them."""
-    nodes: int | None = None
-    """Number of sensor nodes."""
-    graph: str | None = None
-    """Who hears whom: ring, path, star, grid, complete, 4-regular, geometric, file:PATH, ..."""
-    weights: str | None = None
-    """Consensus weights: metropolis, maximum-degree, best-constant."""
-    rule: str | None = None
-    """Fusion rule."""
-    rounds: int | None = None
-    """Consensus iterations per step, one communication cycle each."""
-    steps: int | None = None
-    """Sampling instants to simulate."""
-    seed: int | None = None
-    """Seed of everything random."""
-    run: int | None = None
-    """Number of the run in a Monte Carlo under one seed."""
-    schedule: str | None = None
-    """Who may publish in a cycle."""
-    occupancy: float | None = None
-    """Share of the nodes that publish in a cycle, in (0, 1]."""
-    cluster: str | None = None
-    """FlexRay cluster: fitted, fitted-ab (on both channels), a preset (audi, bosch, ...), a TOML or
-    FIBEX file, or none."""
-    arbiter: str | None = None
-    """Who wins the dynamic segment: wtod, minislot, round-robin."""
-    static_slots: int | None = None
-    """Sensors with a static slot of their own on a measurement bus (meng2025)."""
-    trigger: float | None = None
-    """Ask for a dynamic slot only after a change larger than this (squared, in covariances)."""
-    stretch: float | None = None
-    """Stretch the plant's sampling time by this factor to hold the bus cycles."""
-    hold: str | None = None
-    """What becomes of a silent neighbour's last share."""
-    decay: float | None = None
-    """Weight factor of a held share per cycle of age, in [0, 1]."""
-    determinant_weights: bool | None = None
-    """Weigh beliefs by the size of their covariance too."""
-    liars: int | None = None
-    """How many of a node's neighbours may say anything at all (rule trimmed-ci)."""
-    number: str | None = None
-    """float64 or float32 on the wire."""
-    relay: bool | None = None
-    """Compose each share at its slot, with what earlier slots of the cycle brought (labelled)."""
-    latch_delay_us: float | None = None
-    """What a host needs for --relay True, from the last bit of a frame to the first of its own."""
-    window_steps: int | None = None
-    """How many steps late a record may come (labelled); the schedule's latency when left out."""
-    digest_steps: int | None = None
-    """Say in each share what is held of so many steps, so that what links lose is sent again
-    (labelled); 8 where links lose frames, when left out."""
-    gate_probability: float | None = None
-    """Do not pass on own readings that are less likely than this (labelled); 0 passes all on."""
-    record_number: str | None = None
-    """int16, float32 or float64 for readings on the wire (labelled)."""
-    payload_bytes: int | None = None
-    """Longest payload of a frame, 254 at most (labelled)."""
-    links: str | None = None
-    """What becomes of links: static, measured (by the graph's own chances), bernoulli:0.1,
-    markov:0.05,0.3, switching:ring,star:10, moving:300."""
-    loss: float | None = None
-    """Probability that a link loses a frame on its way to one receiver, at least 0 and below 1."""
-    changes: tuple[str, ...] | None = None
-    """What becomes of the network, each with its step: "10 kill 3" "20 restart 3" "25 cut 1 2"
-    "30 heal 1 2" "40 loss 0.2" "50 corrupt 0.05" "60 set rule=hcmci rounds=2" (docs/faults.md has
-    all words); file:PATH reads them from a file, one in each line."""
-    control: str | None = None
-    """Whose knowledge closes the loop of a controlled plant: a node's number, truth, or open."""
-    noise: str | None = None
-    """What the sensors really do: matched (as the filters believe), paper (as printed), or for
-    vehicle-network also growing, small, outliers, biased."""
-    car: str | None = None
-    """Which car is simulated (vehicle-network): bmw-320i, bmw-320i-soft, ford-escort or
-    vw-vanagon."""
-    manoeuvre: str | None = None
-    """What the driver does (vehicle-network): double-lane-change, serpentine, ramp-steer, ..."""
-    adaptive: bool | None = None
-    """Let nodes learn the noise of their own sensors (vehicle-network)."""
-    target: int | None = None
-    """The robot to be tracked (mrclam)."""
-    data: Path | None = None
-    """Folder of recorded data (mrclam, vehicle-network)."""
+    name: str
+    owned: tuple[Owned, ...]
 
-    def resolve(self) -> Scenario:
-        """The scenario that these options mean, nothing left open.
+    @property
+    def declaration(self) -> Declaration:
+        """The first declaration; others differ in their names or defaults alone."""
+        return self.owned[0].declaration
 
-        Raises:
-            ValueError: there is no such scenario, or its data cannot be read.
-        """
-        asked: dict[str, Any] = {
-            f.name: getattr(self, f.name)
-            for f in fields(self)
-            if f.name != "scenario" and getattr(self, f.name) is not None
+    @property
+    def group(self) -> str:
+        """The heading under which `--help` shows the option."""
+        return self.owned[0].group
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All names that the option takes; empty for numbers and free texts."""
+        return tuple(dict.fromkeys(name for one in self.owned for name in one.declaration.names))
+
+    @property
+    def kinds(self) -> tuple[Any, ...]:
+        """The types that its value may have."""
+        return (str,) if self.names else self.declaration.kinds
+
+    @property
+    def owners(self) -> str:
+        """The choices that have the option: "--rule ci, wac"; "" where every scenario has it."""
+        found: dict[str, list[str]] = {}
+        for one in self.owned:
+            if not one.owners:
+                return ""
+            choice, name = one.owners[-1]
+            found.setdefault(choice, [])
+            if name not in found[choice]:
+                found[choice].append(name)
+        if all(
+            len(names) == len(offered_options()[choice].names) for choice, names in found.items()
+        ):
+            return ""
+        return "; ".join(f"--{choice} {', '.join(names)}" for choice, names in found.items())
+
+    @property
+    def default(self) -> Any:
+        """Its value when nothing is said, in the default scenario where that has the option."""
+        usual = flat(kind_of(DEFAULT_SCENARIO).defaults)
+        return usual.get(self.name, self.declaration.default)
+
+    @property
+    def varies(self) -> bool:
+        """Whether the scenarios have several defaults for it."""
+        if self.name == "scenario":
+            return False
+        values = {
+            str(chosen[self.name])
+            for chosen in (flat(kind.defaults) for kind in kinds().values())
+            if self.name in chosen
         }
-        if "data" in asked:
-            asked["data"] = str(self.data)
-        return scenario_of(self.scenario, asked)
+        return len(values) > 1
+
+    @property
+    def help(self) -> str:
+        """Meaning, names, unit, range and owners of the option."""
+        says = self.declaration.says
+        text = says.text.removesuffix(".")
+        if self.names and not says.text.count(","):
+            text += f": {', '.join(self.names)}"
+        facts = [f"in {says.unit}"] if says.unit else []
+        if says.range != "finite":
+            facts.append(says.range)
+        if self.owners:
+            facts.append(f"for {self.owners}")
+        return f"{text}." + (f" ({'; '.join(facts)})" if facts else "")
+
+    @property
+    def default_in_words(self) -> str:
+        """Its default as `--help` shows it."""
+        value = self.default
+        shown = {None: "computed", (): "none"}.get(value, value)
+        is_usual = self.name in flat(kind_of(DEFAULT_SCENARIO).defaults)
+        varies = f" for {DEFAULT_SCENARIO}" if is_usual and self.varies else ""
+        return f"(default: {shown}{varies})"
 
 
-def scenario_of(name: str, asked: dict[str, Any]) -> Scenario:
-    """The scenario of that name with the fields that were asked for, nothing left open.
+@cache
+def offered_options() -> dict[str, OfferedOption]:
+    """Every option of a scenario by its name, in the order of declaration."""
+    found: dict[str, list[Owned]] = {}
+    for one in every_option(Scenario):
+        found.setdefault(one.declaration.name, []).append(one)
+    return {name: OfferedOption(name, tuple(owned)) for name, owned in found.items()}
+
+
+def scenario_of(scenario: str = DEFAULT_SCENARIO, **options: Any) -> Scenario:
+    """The scenario of that name with the options that were asked for, nothing left open.
 
     Raises:
-        ValueError: there is no such scenario, it has no such field, or its data cannot be read.
+        ValueError: there is no such scenario or option, a value that is not chosen has the option,
+            or its data cannot be read.
     """
-    kind = kind_of(name)
-    check_own(name, asked)
-    # A part of the bus is a wish for a schedule that can give it.
-    if asked.get("occupancy", 1.0) < 1.0 and "schedule" not in asked:
-        asked = {**asked, "schedule": "hybrid"}
-    if "changes" in asked:
-        asked = {**asked, "changes": with_files(asked["changes"])}
-    scenario = msgspec.structs.replace(kind.defaults, **asked)
-    if kind.all_steps is not None and "steps" not in asked:
-        scenario = msgspec.structs.replace(scenario, steps=kind.all_steps(scenario))
-    return scenario
+    found, left = scenario_with_known(scenario, **options)
+    refuse_left(found, left)
+    return found
+
+
+def scenario_with_known(
+    scenario: str = DEFAULT_SCENARIO, **options: Any
+) -> tuple[Scenario, dict[str, Any]]:
+    """As `scenario_of`, and the options that no chosen value has.
+
+    Raises:
+        ValueError: there is no such scenario, or its data cannot be read.
+    """
+    kind = kind_of(scenario)
+    if "changes" in options:
+        options = {**options, "changes": with_files(options["changes"])}
+    found, left = kind.defaults.with_known(**options)
+    if kind.all_steps is not None and "steps" not in options:
+        found = found.with_(steps=kind.all_steps(found))
+    return found, left
+
+
+def in_options(scenario: Scenario) -> list[str]:
+    """The words of the command line that say a scenario of a name, without its defaults."""
+    usual, chosen = kind_of(scenario.name).defaults, flat(scenario)
+    is_choice = {name: bool(offered_options()[name].declaration.members) for name in chosen}
+    choices = {name: value for name, value in chosen.items() if is_choice[name]}
+    before, with_choices = flat(usual), flat(usual.with_known(**choices)[0])
+    words: list[str] = []
+    for name, value in chosen.items():
+        if value != (before if is_choice[name] else with_choices).get(name):
+            words += _said(name, value)
+    return words
+
+
+def _said(name: str, value: Any) -> Iterator[str]:
+    option = name.replace("_", "-")
+    if isinstance(value, bool):
+        yield f"--{option}" if value else f"--no-{option}"
+        return
+    yield f"--{option}"
+    yield from value if isinstance(value, tuple) else (str(value),)

@@ -59,12 +59,12 @@ class Stage(NamedTuple):
     """The means of a run controller to start and end the processes of nodes.
 
     `kill(node)` ends one; `start(node)` starts a fresh one and says whether it is ready at once;
-    `check(settings)` refuses with a ValueError, or completes, what may not be set.
+    `check(before, asked)` returns all settings after a change, or refuses it with a ValueError.
     """
 
     kill: Callable[[int], None]
     start: Callable[[int], bool]
-    check: Callable[[Settings], Settings]
+    check: Callable[[Settings, Settings], Settings]
 
 
 class RunController:
@@ -145,8 +145,8 @@ class RunController:
                     self._ready.add(node)
                 return self._settle()
             case Configure(settings):
-                wanted = {**self.state.standing.settings, **settings}
-                self._pending.append(Configure(self._stage.check(wanted)))
+                wanted = self._stage.check(self.state.standing.settings, settings)
+                self._pending.append(Configure(wanted))
                 return self._settle()
             case _:
                 self._pending.append(command)
@@ -237,8 +237,8 @@ class RunController:
                     self._ready.add(node)
                 return []
             case Configure(settings):
-                # The scenario completes settings, in a script as well.
-                wanted = self._stage.check({**self.state.standing.settings, **settings})
+                # Settings that were accepted together drop what the last of them rules out.
+                wanted = self._stage.check({**self.state.standing.settings, **settings}, {})
                 return [environment_changes.setting(self.config, self.state, wanted)]
             case Inject():
                 return fault_changes(command, self.config, self.state.released)

@@ -14,8 +14,9 @@ from runtime.processes.launcher import run_processes
 from runtime.recording import McapRecorder, MemoryRecorder, Recorder
 from scenarios.build import build_environment, build_node
 from scenarios.bus_plan import frame_format
+from scenarios.preparation import complete_settings
 from scenarios.script import script_of
-from scenarios.setup import Setup, complete_settings
+from scenarios.setup import Setup
 
 
 class Pace(NamedTuple):

@@ -50,8 +50,8 @@ def unwatched(config: NodeConfig, event: NodeEvent | Welcome, state: NodeState) 
     """No-op observer."""
 
 
-def _as_they_are(settings: Settings) -> Settings:
-    return settings
+def _as_they_are(before: Settings, asked: Settings) -> Settings:
+    return {**before, **asked}
 
 
 def run(
@@ -64,7 +64,7 @@ def run(
     watch: Watch = unwatched,
     on_step: Callable[[int], None] = lambda completed: None,
     script: Sequence[Scripted] = (),
-    check: Callable[[Settings], Settings] = _as_they_are,
+    check: Callable[[Settings, Settings], Settings] = _as_they_are,
 ) -> list[NodeState]:
     """Run to the last step; returns the final states of the nodes.
 

@@ -17,8 +17,9 @@ from nodes.lanes.filter import LocalFilters, SensorGroup
 from nodes.messages import Array
 from nodes.rules.local_filter import Sensor, take_readings
 from scenarios.catalogue import kind_of
+from scenarios.preparation import setup_of_run
 from scenarios.rules import rule_of
-from scenarios.setup import Setup, setup_of_run
+from scenarios.setup import Setup
 
 # An update inverts a matrix of all readings that it takes, so beyond so many they are taken batch
 # by batch, and the cost grows with their number. On a linear plant that is the same; elsewhere each

@@ -19,12 +19,14 @@ from scenarios.bus_plan import plan_bus
 from scenarios.catalogue import kind_of
 from scenarios.definitions.control import control_node
 from scenarios.equipment import build_faults, spread_of
-from scenarios.estimators import Beginning, Seat
-from scenarios.labelled import Everybody
 from scenarios.links import link_state
+from scenarios.preparation import complete_settings, share_bytes, with_settings
 from scenarios.rules import build_estimator, hold_policy, wire_number
 from scenarios.scenario import Scenario
-from scenarios.setup import Setup, complete_settings, generator, share_bytes, with_settings
+from scenarios.seat import Beginning, Everybody, Seat
+from scenarios.setup import Setup
+from scenarios.streams import generator
+from scenarios.types.buses import trigger_of
 
 # Steps by which an undriven world may run ahead of the slowest estimate.
 OPEN_LOOP_LEAD = 4
@@ -71,7 +73,7 @@ def _rebuilt(
         ValueError: they cannot be set so.
     """
     if standing.settings:
-        complete_settings(setup, standing.settings)
+        complete_settings(setup, {}, standing.settings)
     changed = with_settings(setup, standing.settings)
     if belief is not None:
         changed = msgspec.structs.replace(
@@ -96,9 +98,9 @@ def _estimator(setup: Setup, node: int, schedule: Schedule, beginning: Beginning
         prior=Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov)),
         points=kind.points(scenario) if kind.points else scaled_unscented(len(setup.prior_mean)),
         hold=hold_policy(scenario),
-        trigger=scenario.trigger,
+        trigger=trigger_of(scenario.bus.schedule),
         number=wire_number(scenario),
-        liars=scenario.liars,
+        rule=scenario.rule,
         everybody=partial(everybody_of, setup, schedule),
         beginning=beginning,
     )

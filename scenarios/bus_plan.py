@@ -24,9 +24,11 @@ from bus.schedule import (
 )
 from scenarios.catalogue import kind_of
 from scenarios.scenario import Scenario
+from scenarios.types.buses import FlexRay, arbiter_of, occupancy_of
+from scenarios.types.rules import latch_delay_of
 from topology.names import unknown_name
 
-NO_CLUSTER, FITTED = "none", "fitted"
+FITTED = "fitted"
 # The same with every frame on both channels.
 REDUNDANT = "fitted-ab"
 
@@ -64,32 +66,23 @@ def arbiter_names() -> tuple[str, ...]:
 
 def cluster_names() -> tuple[str, ...]:
     """What --cluster takes beside files."""
-    return (FITTED, REDUNDANT, *PRESETS, NO_CLUSTER)
+    return (FITTED, REDUNDANT, *PRESETS)
 
 
 def build_schedule(scenario: Scenario, neighbours: Neighbours = ()) -> Schedule:
     """Who may publish in which cycle, on a graph that says whom each node hears.
 
     Raises:
-        ValueError: there is no such schedule, or an occupancy below one with a full schedule.
+        ValueError: there is no such schedule here.
     """
     wiring = kind_of(scenario.name).wiring
     if wiring is not None:
         return wiring.schedule(scenario)
-    if scenario.schedule not in _SCHEDULES:
-        raise unknown_name("schedule", scenario.schedule, _SCHEDULES)
-    if scenario.schedule == "full" and scenario.occupancy < 1:
-        raise ValueError(
-            f"--schedule full --occupancy {scenario.occupancy:g}: in a full schedule every node "
-            "publishes in every cycle; leave --occupancy out, or choose another schedule"
-        )
-    schedule = _SCHEDULES[scenario.schedule](scenario.nodes, scenario.occupancy, neighbours)
-    return msgspec.structs.replace(schedule, relay=scenario.relay)
-
-
-def has_contenders(scenario: Scenario, neighbours: Neighbours = ()) -> bool:
-    """Whether nodes ask for slots that an arbiter awards."""
-    return any(build_schedule(scenario, neighbours).dynamic_slot_table)
+    chosen = scenario.bus.schedule
+    if chosen.name not in _SCHEDULES:
+        raise unknown_name("schedule", chosen.name, _SCHEDULES)
+    schedule = _SCHEDULES[chosen.name](scenario.nodes, occupancy_of(chosen), neighbours)
+    return msgspec.structs.replace(schedule, relay=latch_delay_of(scenario.rule) is not None)
 
 
 def plan_bus(scenario: Scenario, share_bytes: int, neighbours: Neighbours = ()) -> Bus:
@@ -98,15 +91,16 @@ def plan_bus(scenario: Scenario, share_bytes: int, neighbours: Neighbours = ()) 
     Raises:
         ValueError: unknown names, unreadable files, or a cluster that does not hold the schedule.
     """
-    schedule = build_schedule(scenario, neighbours)
-    if scenario.arbiter not in ARBITERS:
-        raise unknown_name("arbiter", scenario.arbiter, ARBITERS)
-    if scenario.cluster == NO_CLUSTER:
+    schedule, chosen = build_schedule(scenario, neighbours), scenario.bus
+    arbiter = arbiter_of(chosen.schedule)
+    if arbiter not in ARBITERS:
+        raise unknown_name("arbiter", arbiter, ARBITERS)
+    if not isinstance(chosen, FlexRay):
         _check_timeless(schedule)
         return TimelessBus(schedule, share_bytes)
-    cluster = _cluster(scenario, schedule, share_bytes)
-    arbiter = ARBITERS[scenario.arbiter]
-    return flexray_bus(schedule, cluster, share_bytes, arbiter, scenario.latch_delay_us)
+    cluster = _cluster(chosen.cluster, schedule, share_bytes)
+    latch_us = latch_delay_of(scenario.rule) or 0.0
+    return flexray_bus(schedule, cluster, share_bytes, ARBITERS[arbiter], latch_us)
 
 
 def frame_format(scenario: Scenario) -> FrameFormat:
@@ -122,18 +116,17 @@ def _check_timeless(schedule: Schedule) -> None:
     """
     if schedule.relay:
         raise ValueError(
-            "--relay True --cluster none: whether a host can latch a frame at its slot depends "
-            "on the time between frames; choose a cluster, or leave --relay out"
+            "--relay --bus ideal: whether a host can latch a frame at its slot depends "
+            "on the time between frames; use --bus flexray, or leave --relay out"
         )
     if any(schedule.dynamic_slot_table):
         raise ValueError(
-            "--cluster none: the arbiter of a dynamic segment needs minislots; choose a cluster, "
+            "--bus ideal: the arbiter of a dynamic segment needs minislots; use --bus flexray, "
             "or --schedule full or round-robin"
         )
 
 
-def _cluster(scenario: Scenario, schedule: Schedule, share_bytes: int) -> Cluster:
-    name = scenario.cluster
+def _cluster(name: str, schedule: Schedule, share_bytes: int) -> Cluster:
     if name == FITTED:
         return _fitted(schedule, share_bytes)
     if name == REDUNDANT:
@@ -156,6 +149,6 @@ def _fitted(schedule: Schedule, share_bytes: int) -> Cluster:
         )
         raise ValueError(
             f"no FlexRay cycle (16 ms at most) holds {senders} shares of {share_bytes} bytes; "
-            "lower --occupancy, use --number float32, or --cluster none for a bus without time "
+            "lower --occupancy, use --number float32, or --bus ideal for a bus without time "
             f"({error})"
         ) from None

@@ -1,6 +1,6 @@
 """What of a scenario its faults need to know."""
 
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -9,12 +9,10 @@ from nodes.belief_codec import BeliefCodec
 from nodes.faults.active import Equipment, Faults
 from nodes.messages import Array
 from scenarios.catalogue import kind_of
-from scenarios.links import key_of
 from scenarios.rules import rule_of, wire_number
 from scenarios.scenario import Scenario
-
-if TYPE_CHECKING:
-    from scenarios.setup import Setup
+from scenarios.setup import Setup
+from scenarios.streams import key_of
 
 
 @runtime_checkable
@@ -33,12 +31,12 @@ class _Uncalibrated(Protocol):
     def delivered_std(self) -> Array: ...
 
 
-def build_faults(setup: "Setup", bus: Bus) -> Faults:
+def build_faults(setup: Setup, bus: Bus) -> Faults:
     """What decides of the faults of a run, of which none stands yet."""
     return Faults(key_of(setup.scenario, "faults"), equipment_of(setup, bus))
 
 
-def equipment_of(setup: "Setup", bus: Bus) -> Equipment:
+def equipment_of(setup: Setup, bus: Bus) -> Equipment:
     """What the network of a setup has that can be wrong."""
     scenario, number, codec = setup.scenario, "", None
     if kind_of(scenario.name).wiring is None:

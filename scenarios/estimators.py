@@ -1,8 +1,7 @@
 """How a rule's estimator is built at one node's place in the network."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
@@ -10,49 +9,19 @@ from filters.fusion import diffusion, hybrid_consensus, information_weighted, ka
 from filters.fusion.averaging import Averaged, Directly
 from filters.fusion.trimmed import trimmed_intersection
 from filters.gaussian import Gaussian
-from filters.sigma_points import SigmaPointRule
 from nodes.belief_codec import BeliefCodec
 from nodes.estimator import Estimator
 from nodes.messages import Array
-from nodes.rules.belief_consensus import BeliefConsensus, HoldPolicy
+from nodes.rules.belief_consensus import BeliefConsensus
 from nodes.rules.fresh_consensus import FreshConsensus, FreshRule
 from nodes.rules.information_rounds import InformationRounds
 from nodes.rules.labelled import LabelledFlooding
-from nodes.rules.local_filter import Model, Sensor
 from nodes.rules.novelty_rounds import NoveltyRounds
 from nodes.rules.window_filter import WindowFilter
 from nodes.vector_codec import VectorCodec
-from scenarios.labelled import Everybody, frame_codec, gates_of
-
-
-class Beginning(NamedTuple):
-    """The first step of an estimator, and the communication cycle with which it begins."""
-
-    step: int = 0
-    cycle: int = 0
-
-
-class Seat(NamedTuple):
-    """A node's place in the network: all that its estimator is built from.
-
-    `neighbours` are whom each node of the network hears; `weights` (1 + J,) the node's own weight
-    first, then those of its neighbours; `number` is "<f8" or "<f4"; so many of its neighbours may
-    be `liars`; `everybody` tells what rules need to know that use the readings of others.
-    """
-
-    node: int
-    neighbours: Sequence[Sequence[int]]
-    weights: Array
-    model: Model
-    sensor: Sensor | None
-    prior: Gaussian
-    points: SigmaPointRule
-    hold: HoldPolicy
-    trigger: float
-    number: str
-    liars: int = 0
-    everybody: Callable[[], Everybody] | None = None
-    beginning: Beginning = Beginning()
+from scenarios.labelled import frame_codec, gates_of
+from scenarios.seat import Seat
+from scenarios.types.rules import TrimmedCovarianceIntersection
 
 
 def averaging(average: Callable[[Gaussian, Array], Gaussian], seat: Seat) -> Estimator:
@@ -78,8 +47,8 @@ def averaging_numbers(rule: Averaged, seat: Seat) -> Estimator:
 
 def trimmed(seat: Seat) -> Estimator:
     """For covariance intersection among liars: what they claim of themselves gives no weight."""
-    average = partial(trimmed_intersection, liars=seat.liars)
-    return averaging(average, seat._replace(hold=seat.hold._replace(by_sharpness=False)))
+    assert isinstance(seat.rule, TrimmedCovarianceIntersection), "the table of rules chose it"
+    return averaging(partial(trimmed_intersection, liars=seat.rule.liars), seat)
 
 
 def hybrid(gain: hybrid_consensus.Gain, seat: Seat) -> Estimator:

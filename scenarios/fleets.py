@@ -23,7 +23,8 @@ from nodes.lanes.window import WindowFilters
 from nodes.rules.belief_consensus import HoldPolicy
 from nodes.rules.labelled import GAP_STEPS
 from nodes.rules.novelty_rounds import NoveltyRounds
-from scenarios.labelled import Everybody, frame_codec, gates_of
+from scenarios.labelled import frame_codec, gates_of
+from scenarios.seat import Everybody
 
 
 class FleetSeat(NamedTuple):

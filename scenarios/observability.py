@@ -16,7 +16,8 @@ import numpy as np
 from nodes.messages import Array, from_wire
 from nodes.rules.local_filter import Sensor
 from scenarios.catalogue import kind_of
-from scenarios.setup import Setup, generator
+from scenarios.setup import Setup
+from scenarios.streams import generator
 
 # What has less information than this part of the best seen direction is rounding.
 _RANK_TOLERANCE = 1e-13

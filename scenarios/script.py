@@ -93,7 +93,7 @@ def _read(line: str) -> Scripted:
 def check_script(
     scenario: Scenario,
     neighbours: Sequence[Sequence[int]],
-    complete: Callable[[Settings], Settings],
+    complete: Callable[[Settings, Settings], Settings],
     equip: Callable[[Settings], Equipment],
 ) -> None:
     """Refuse changes that cannot follow upon one another; `complete` refuses settings, `equip` says
@@ -121,7 +121,7 @@ def _stands(
     step: int,
     command: ChangeCommand,
     neighbours: Sequence[Sequence[int]],
-    complete: Callable[[Settings], Settings],
+    complete: Callable[[Settings, Settings], Settings],
 ) -> Standing:
     """What matters of it to the changes that follow."""
     match command:
@@ -134,5 +134,5 @@ def _stands(
                 )
             return after(standing, step, Joined(node))
         case Configure(settings):
-            return after(standing, step, Set(complete({**standing.settings, **settings})))
+            return after(standing, step, Set(complete(standing.settings, settings)))
     return standing

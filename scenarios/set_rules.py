@@ -17,11 +17,11 @@ from nodes.rules.set_membership import (
 )
 from nodes.rules.set_shapes import Ellipsoids, Shape, Zonotopes
 from scenarios.catalogue import kind_of
-from scenarios.estimators import Seat
 from scenarios.scenario import Scenario
+from scenarios.seat import Seat
+from scenarios.setup import Setup
 
 if TYPE_CHECKING:
-    from scenarios.setup import Setup
     from topology.weights import Weights
 
 MakeShape = Callable[[int, str], Shape]
@@ -52,21 +52,16 @@ def _estimator(shape: Shape, seat: Seat) -> SetMembership:
 def check_bounded(
     scenario: Scenario, neighbours: Sequence[Sequence[int]], weights: "Weights"
 ) -> None:
-    """Refuse a plant without bounds, and sets that are not carried through it.
+    """Refuse a plant without bounds.
 
     Raises:
         ValueError: naming what is in the way, and the cure.
     """
     _bounded_model(kind_of(scenario.name).model(scenario), scenario)
-    if scenario.hold == "raw":
-        raise ValueError(
-            f"--hold raw with rule {scenario.rule}: a set that is not carried through the plant "
-            "does not hold the truth of a later step; use --hold predict, or drop"
-        )
 
 
 def listen(
-    make: MakeShape, setup: "Setup", nodes: Sequence[int], readings: Array, control: Array | None
+    make: MakeShape, setup: Setup, nodes: Sequence[int], readings: Array, control: Array | None
 ) -> Gaussian:
     """One set that is cut with the readings (steps, N, r, d) of these nodes, after every step."""
     kind = kind_of(setup.scenario.name)
@@ -88,7 +83,7 @@ def listen(
 
 def _bounded_model(model: object, scenario: Scenario | None = None) -> BoundedModel:
     if not isinstance(model, BoundedModel):
-        what = "this rule" if scenario is None else f"rule {scenario.rule} on {scenario.name}"
+        what = "this rule" if scenario is None else f"rule {scenario.rule.name} on {scenario.name}"
         raise ValueError(
             f"{what}: its noise has no bound, and a set can hold the truth only of a plant whose "
             "noise has one; use --scenario liu2021-network, or a Gaussian rule such as ci"

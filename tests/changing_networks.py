@@ -1,11 +1,10 @@
 """Random changes of a network, of those that can follow upon one another."""
 
-import msgspec
 from hypothesis import reject
 from hypothesis import strategies as st
 
+from scenarios.preparation import prepare
 from scenarios.scenario import Scenario
-from scenarios.setup import prepare
 
 VERBS = ("kill", "restart", "cut", "heal", "loss", "loss on")
 
@@ -33,7 +32,7 @@ def changing(
             line = draw(st.sampled_from([one for one in choices if one.split()[0] == verb]))
             absent = _absent(absent, line.split())
             lines.append(f"{step} {line}")
-    changed = msgspec.structs.replace(asked, changes=tuple(lines))
+    changed = asked.with_(changes=tuple(lines))
     try:
         prepare(changed)
     except ValueError:

@@ -6,7 +6,6 @@ What is compared is what was recorded: truth, readings, who published, estimates
 import json
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -15,7 +14,8 @@ from experiments.cli.agree import Difference, first_difference
 from experiments.results.trace import Trace
 from runtime.drivers import DRIVERS
 from runtime.network.links import wants_router
-from scenarios.setup import Setup, prepare
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 from tests.experiments.support import scenario, small, trace_of
 
 # fmt: off
@@ -223,7 +223,7 @@ def test_the_command_names_the_first_difference_and_leaves_with_one(
     """A second driver that runs another seed."""
 
     def other(setup: Setup, *rest):
-        changed = msgspec.structs.replace(setup.scenario, seed=2)
+        changed = setup.scenario.with_(seed=2)
         return DRIVERS["in-process"](prepare(changed), *rest)
 
     monkeypatch.setattr(

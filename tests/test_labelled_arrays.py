@@ -11,8 +11,8 @@ from experiments.monte_carlo.simulate import simulate
 from experiments.results.trace import read_trace
 from runtime.batched.build import build_network, without_array_form
 from runtime.drivers import in_memory
+from scenarios.preparation import prepare, setup_of_run
 from scenarios.scenario import Scenario
-from scenarios.setup import prepare, setup_of_run
 from tests.changing_networks import changing
 from tests.experiments.support import scenario
 from tests.test_batched_agreement import check_agreement

@@ -41,12 +41,12 @@ def loaded(imports: str, work: str = "") -> set[str]:
 
 @pytest.mark.parametrize("name", ["oscillator", "target-tracking", "target-crossing"])
 def test_a_node_process_stays_light(name: str):
-    from msgspec import json, structs
+    from msgspec import json
 
     from scenarios.catalogue import kind_of
-    from scenarios.setup import prepare
+    from scenarios.preparation import prepare
 
-    defaults = structs.replace(kind_of(name).defaults, nodes=6, steps=2)
+    defaults = kind_of(name).defaults.with_(nodes=6, steps=2)
     work = NODE_WORK.format(setup=json.encode(prepare(defaults)))
     heavy = (
         loaded("import runtime.processes.node.process, runtime.processes.launcher_process", work)

@@ -145,7 +145,7 @@ def build_network(
         if data is None:
             raise ValueError(
                 f"graph {name} is read from the Intel lab data: name their folder as "
-                f"{name}:FOLDER, with --data, or with the environment variable {DATA_VARIABLE}"
+                f"{name}:FOLDER, or with the environment variable {DATA_VARIABLE}"
             )
         return _SOURCES[source](data, nodes)
     if source in _SOURCES and colon:

@@ -21,7 +21,7 @@ def check_relay(
     time_us = least_gap_us(schedule, cluster)
     if latch_delay_us > time_us:
         raise ValueError(
-            f"--relay True with --latch-delay-us {latch_delay_us:g}: cluster {cluster.name!r} "
+            f"--relay with --latch-delay-us {latch_delay_us:g}: cluster {cluster.name!r} "
             f"leaves {time_us:.3g} us from the last bit of a frame to the first of the next, and a "
             "host must have read the one and composed the other by then; leave --relay out, or "
             "use a cluster with longer slots or minislots"

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from bus.bus import Bus
 from scenarios.build import build_bus
-from scenarios.catalogue import Score, kind_of
+from scenarios.catalogue import kind_of
+from scenarios.kind import Score
 from scenarios.rules import is_certain
 from scenarios.setup import Setup
 
@@ -136,7 +137,7 @@ def set_stage(setup: Setup) -> Stage:
 
 def restaged(stage: Stage, settings: dict[str, Any]) -> Stage:
     """The stage of a network whose settings have changed; all else stays."""
-    scenario = msgspec.structs.replace(stage.setup.scenario, **settings)
+    scenario, _ = stage.setup.scenario.with_known(**settings)
     setup = msgspec.structs.replace(stage.setup, scenario=scenario)
     return replace(stage, setup=setup, bus=build_bus(setup), certain=is_certain(scenario))
 

@@ -41,7 +41,7 @@ def charts_picture(stage: Stage, charts: Sequence[Drawn], view: View) -> bytes:
 def _title(stage: Stage, view: View) -> str:
     scenario = stage.setup.scenario
     return (
-        f"{scenario.name}: {scenario.nodes} nodes, {scenario.rule}, seed {scenario.seed}, "
+        f"{scenario.name}: {scenario.nodes} nodes, {scenario.rule.name}, seed {scenario.seed}, "
         f"up to step {view.step}"
     )
 

@@ -8,7 +8,9 @@ from dashboard.frames.stage import Stage
 from dashboard.inputs import Inputs, at_once
 from dashboard.panels.commands import Commands
 from scenarios.bus_plan import arbiter_names
-from scenarios.rules import RULE_SUMMARIES
+from scenarios.scenario import Scenario
+from scenarios.types.buses import arbiter_of, occupancy_of
+from scenarios.types.rules import RULE_SUMMARIES
 
 _RULES = tuple(RULE_SUMMARIES)
 
@@ -21,13 +23,11 @@ class NetworkControls:
         scenario = stage.setup.scenario
         with gui.add_folder("Network"):
             self.rounds: Any = gui.add_number("Rounds", scenario.rounds, min=1, max=20, step=1)
-            rules = _RULES if scenario.rule in _RULES else (scenario.rule, *_RULES)
-            self.rule: Any = gui.add_dropdown("Rule", rules, initial_value=scenario.rule)
-            self.occupancy: Any = gui.add_slider(
-                "Occupancy", 0.05, 1.0, 0.05, _on_slider(scenario.occupancy)
-            )
+            now = _settings_of(scenario)
+            self.rule: Any = gui.add_dropdown("Rule", _RULES, initial_value=now["rule"])
+            self.occupancy: Any = gui.add_slider("Occupancy", 0.05, 1.0, 0.05, now["occupancy"])
             self.arbiter: Any = gui.add_dropdown(
-                "Arbiter", arbiter_names(), initial_value=scenario.arbiter
+                "Arbiter", arbiter_names(), initial_value=now["arbiter"]
             )
             self.apply: Any = gui.add_button("Apply at the next step", icon=viser.Icon.CHECK)
         self.apply.on_click(at_once(self._apply))
@@ -38,11 +38,10 @@ class NetworkControls:
             "rounds": int(self.rounds.value), "rule": self.rule.value,
             "occupancy": float(self.occupancy.value), "arbiter": self.arbiter.value,
         }  # fmt: skip
-        there = {name: getattr(scenario, name) for name in wanted}
-        there["occupancy"] = _on_slider(scenario.occupancy)
+        there = _settings_of(scenario)
         changed = {name: value for name, value in wanted.items() if there[name] != value}
         # A full schedule has no room for less; half of the slots static is the house's default.
-        if changed.get("occupancy", 1.0) < 1.0 and scenario.schedule == "full":
+        if changed.get("occupancy", 1.0) < 1.0 and scenario.bus.schedule.name == "full":
             changed["schedule"] = "hybrid"
         if not changed:
             self._commands.tell(
@@ -53,12 +52,20 @@ class NetworkControls:
 
     def set_stage(self, stage: Stage) -> None:
         """Show the settings that the network has now."""
-        self._stage, scenario = stage, stage.setup.scenario
-        self._inputs.show(self.rounds, value=scenario.rounds)
-        self._inputs.show(self.arbiter, value=scenario.arbiter)
-        self._inputs.show(self.occupancy, value=_on_slider(scenario.occupancy))
-        if scenario.rule in self.rule.options:
-            self._inputs.show(self.rule, value=scenario.rule)
+        self._stage = stage
+        for name, value in _settings_of(stage.setup.scenario).items():
+            self._inputs.show(getattr(self, name), value=value)
+
+
+def _settings_of(scenario: Scenario) -> dict[str, Any]:
+    """Return the settings of a scenario as the widgets show them."""
+    schedule = scenario.bus.schedule
+    return {
+        "rounds": scenario.rounds,
+        "rule": scenario.rule.name,
+        "occupancy": _on_slider(occupancy_of(schedule)),
+        "arbiter": arbiter_of(schedule),
+    }
 
 
 def _on_slider(occupancy: float) -> float:

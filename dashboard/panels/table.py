@@ -140,7 +140,8 @@ def status(stage: Stage, theme: Theme, frame: Frame | None, state: str, detail: 
     )
     name = escape(stage.setup.scenario.name)
     scenario = stage.setup.scenario
-    about = f"{name}, {escape(scenario.graph)}, {escape(scenario.rule)}, {scenario.rounds} rounds"
+    graph, rule = escape(scenario.network.graph), scenario.rule.name
+    about = f"{name}, {graph}, {rule}, {scenario.rounds} rounds"
     return (
         f'<div style="font-size:12.5px;color:{css(theme.text)};padding:4px 12px">{pill}'
         f'<div style="margin:5px 0;color:{css(theme.quiet)};font-size:11px">{about}</div>'

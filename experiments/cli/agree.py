@@ -13,16 +13,17 @@ import msgspec
 import numpy as np
 import tyro
 
+from experiments.cli.scenario_flags import ScenarioFlags, resolved
 from experiments.progress import progress
 from experiments.results.near_agreement import TOLERANCE, departures
 from experiments.results.trace import Trace, read_trace
-from experiments.scenario_options import ScenarioOptions
 from experiments.user_errors import user_errors
 from runtime.batched.build import without_array_form
 from runtime.drivers import DRIVERS
 from runtime.processes.launcher import NetworkFailed
 from runtime.recording import read_recording
-from scenarios.setup import Setup, prepare
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 
 BATCHED = "batched"
 _COMPARED = ("truth", "readings", "published", "mean", "cov", "ages")
@@ -47,12 +48,12 @@ class AgreeOptions:
 
 
 def agree(
-    scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")],
+    scenario: Annotated[ScenarioFlags, tyro.conf.arg(name="")],
     options: Annotated[AgreeOptions, tyro.conf.arg(name="")],
 ) -> None:
     """Run a scenario in every driver; exit code 1 if they do not agree."""
     with user_errors():
-        setup = prepare(scenario.resolve())
+        setup = prepare(resolved(scenario))
     traces = {driver: _run(setup, driver) for driver in DRIVERS}
     reference = next(iter(traces))
     differences = [
@@ -117,7 +118,9 @@ def _show(
         }
         sys.stdout.write(msgspec.json.encode(result).decode() + "\n")
         return
-    what = f"{scenario.name}, {scenario.nodes} nodes, {scenario.graph}, {scenario.steps} steps"
+    what = (
+        f"{scenario.name}, {scenario.nodes} nodes, {scenario.network.graph}, {scenario.steps} steps"
+    )
     if not differences:
         also = f"; {BATCHED} to {TOLERANCE:g}" if near else ""
         sys.stdout.write(f"{what}: {' = '.join(drivers)}, bit for bit{also}\n")

@@ -93,7 +93,7 @@ def _show(figures: Figures, description: Description, as_json: bool) -> None:
     console = Console()
     scenario = description.setup.scenario
     title = (
-        f"{scenario.name}: {scenario.nodes} nodes, {scenario.graph}, {scenario.rule}, "
+        f"{scenario.name}: {scenario.nodes} nodes, {scenario.network.graph}, {scenario.rule.name}, "
         f"{scenario.rounds} rounds, seed {scenario.seed}, {description.driver}"
     )
     console.print(table(figures, title))

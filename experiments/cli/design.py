@@ -12,6 +12,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from experiments.cli.scenario_flags import said_in
 from experiments.cli.sweep import FILE_WIDTH
 from experiments.design.candidates import COST_UNITS, Candidate, Refused
 from experiments.design.results import (
@@ -27,7 +28,7 @@ from experiments.design.search import Found, Task, search
 from experiments.design.space import space_of
 from experiments.design.target import parse_target
 from experiments.sweep.engines import engine_for
-from experiments.sweep.options import FieldOptions, asked_fields
+from experiments.sweep.options import FieldOptions
 from experiments.sweep.specification import shown, specify
 from experiments.sweep.workers import WorkerLost
 from experiments.user_errors import user_errors
@@ -66,7 +67,7 @@ def design(
         if options.runs < 2:
             raise ValueError(f"--runs {options.runs}: an interval needs at least 2")
         target = parse_target(options.target_rmse)
-        settled, space = space_of(specify(asked_fields(fields)))
+        settled, space = space_of(specify(said_in(fields)))
         engine = engine_for(options.workers, options.dask)
         check_place(out)
         task = Task(target, options.minimise, settled, space, options.runs, engine, _say)

@@ -14,16 +14,17 @@ import tyro
 
 from experiments.cli.collect import completed, finish
 from experiments.cli.place import place_of, read_setup, take_part
+from experiments.cli.scenario_flags import ScenarioFlags, resolved
 from experiments.progress import progress
 from experiments.results.folder import RECORDING, describe, make_folder, new_name, write_description
-from experiments.scenario_options import ScenarioOptions
 from experiments.user_errors import user_errors
 from nodes.commands import Kill, Restart
 from runtime.drivers import Pace
 from runtime.network.links import RECORDER, WORLD, checked_endpoints, checked_run
 from runtime.processes.job import Happened, Job
+from scenarios.preparation import prepare
 from scenarios.script import script_of
-from scenarios.setup import Setup, prepare
+from scenarios.setup import Setup
 from scenarios.tempo import tempo_of
 
 
@@ -42,7 +43,7 @@ class SetupOptions:
 
 
 def setup(
-    scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")],
+    scenario: Annotated[ScenarioFlags, tyro.conf.arg(name="")],
     options: Annotated[SetupOptions, tyro.conf.arg(name="")],
 ) -> None:
     """Work out a scenario and write it down, for the hosts of a network."""
@@ -52,7 +53,7 @@ def setup(
                 f"--cycle-stretch {options.cycle_stretch:g} with --driver {options.driver}: "
                 "nothing is timed there; use --driver realtime, or leave it out"
             )
-        prepared = prepare(scenario.resolve())
+        prepared = prepare(resolved(scenario))
         _check_changes(prepared)
         tempo = tempo_of(prepared, options.cycle_stretch) if options.driver == "realtime" else None
         name = checked_run(

@@ -10,10 +10,11 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from experiments.scenario_options import offered_options
 from nodes.faults.vocabulary import EVERY_FAULT, usage
 from scenarios.bus_plan import arbiter_names, cluster_names, schedule_names
 from scenarios.catalogue import kinds
-from scenarios.rules import RULE_SUMMARIES, hold_names
+from scenarios.types.rules import RULE_SUMMARIES
 from topology.choices import GRAPHS, WEIGHTS
 from topology.link_names import NAMES as LINK_NAMES
 
@@ -35,7 +36,8 @@ def list_all(options: Annotated[ListOptions, tyro.conf.arg(name="")]) -> None:
         "schedules": list(schedule_names()),
         "clusters": list(cluster_names()),
         "arbiters": list(arbiter_names()),
-        "holds": list(hold_names()),
+        "holds": list(offered_options()["hold"].names),
+        "buses": list(offered_options()["bus"].names),
     }
     own = {name: kind.wiring.names for name, kind in kinds().items() if kind.wiring}
     if options.json:
@@ -50,7 +52,9 @@ def list_all(options: Annotated[ListOptions, tyro.conf.arg(name="")]) -> None:
     scenarios = Table("scenario", "what it is", "nodes", "graph", "steps")
     for name, kind in kinds().items():
         d = kind.defaults
-        scenarios.add_row(name, kind.summary, str(d.nodes), d.graph, str(d.steps))
+        scenarios.add_row(
+            name, type(d.plant).summary(), str(d.nodes), d.network.graph, str(d.steps)
+        )
     console.print(scenarios)
     rules = Table("rule", "what it promises")
     for name, summary in RULE_SUMMARIES.items():

@@ -11,6 +11,7 @@ import tyro
 from experiments.cli.collect import completed, finish
 from experiments.cli.page_options import LOOPBACK, check_place
 from experiments.cli.page_process import PageProcess
+from experiments.cli.scenario_flags import ScenarioFlags, resolved
 from experiments.monte_carlo.run_many import run_many
 from experiments.progress import progress
 from experiments.results.folder import (
@@ -20,15 +21,15 @@ from experiments.results.folder import (
     new_name,
     write_description,
 )
-from experiments.scenario_options import ScenarioOptions
 from experiments.user_errors import user_errors
 from nodes.tempo import Tempo
 from runtime.disk import NotWritten
 from runtime.drivers import DRIVERS, Pace, over_processes
 from runtime.network.links import names, ports_from
 from runtime.processes.launcher import NetworkFailed
+from scenarios.preparation import prepare
 from scenarios.scenario import require
-from scenarios.setup import Setup, prepare
+from scenarios.setup import Setup
 from scenarios.tempo import tempo_of
 from scenarios.warnings import warnings_of
 
@@ -63,13 +64,13 @@ class RunOptions:
 
 
 def run(
-    scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")],
+    scenario: Annotated[ScenarioFlags, tyro.conf.arg(name="")],
     options: Annotated[RunOptions, tyro.conf.arg(name="")],
 ) -> None:
     """Run a scenario, once or many times, and print how well its nodes did."""
     with user_errors():
         _check(options)
-        setup = prepare(scenario.resolve())
+        setup = prepare(resolved(scenario))
         if options.port is not None:
             ports_from(options.port, names(setup.neighbours))
         name = new_name(setup.scenario.name)

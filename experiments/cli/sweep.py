@@ -10,9 +10,10 @@ import msgspec
 import tyro
 from rich.console import Console
 
+from experiments.cli.scenario_flags import said_in
 from experiments.progress import progress
 from experiments.sweep.engines import engine_for
-from experiments.sweep.options import FieldOptions, asked_fields
+from experiments.sweep.options import FieldOptions
 from experiments.sweep.run import Begin, Swept, begin, finish
 from experiments.sweep.specification import specify
 from experiments.sweep.store import folder_of
@@ -20,7 +21,7 @@ from experiments.sweep.summary import figures_of, table
 from experiments.sweep.workers import WorkerLost
 from experiments.user_errors import user_errors
 from runtime.disk import NotWritten
-from scenarios.setup import prepare
+from scenarios.preparation import prepare
 from scenarios.warnings import warnings_of
 
 FILE_WIDTH = 120
@@ -59,7 +60,7 @@ def sweep(
     out = options.out or Path("runs") / f"sweep-{time.strftime('%Y%m%d-%H%M%S')}.nc"
     with user_errors():
         specification = specify(
-            asked_fields(fields),
+            said_in(fields),
             runs=options.runs,
             first_run=options.first_run,
             samples=options.latin_hypercube,

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import msgspec
 import tyro
 
+from experiments.cli.scenario_flags import said_in
 from experiments.progress import progress
 from experiments.simulation_testing.case import Case
 from experiments.simulation_testing.case_run import Outcome
@@ -19,7 +20,6 @@ from experiments.simulation_testing.draw import draw_case
 from experiments.simulation_testing.options import FixedOptions, fixed_fields, read_seeds
 from experiments.simulation_testing.shrink import replay_command, run_command, shrink
 from experiments.sweep.engines import engine_for
-from experiments.sweep.options import asked_fields
 from experiments.sweep.workers import WorkerLost
 from experiments.user_errors import user_errors
 
@@ -34,6 +34,9 @@ class TortureOptions:
     """Seeds of the cases: 17, or 1..1000."""
     workers: int | None = None
     """Processes on this machine; one per core when left out."""
+    wire: str | None = None
+    """What no word of --changes says, each with its probability: 'vanish 0.05, garbage 0.2, shuffle
+    0.5'; drawn from the seed when left out."""
     json: bool = False
     """Print one JSON object instead of lines."""
 
@@ -45,7 +48,8 @@ def torture(
     """Draw a scenario and a swarm of faults from each seed, run it, and check after every cycle."""
     with user_errors():
         seeds = read_seeds(options.seeds)
-        fields = fixed_fields(asked_fields(fixed))
+        wire = {} if options.wire is None else {"wire": options.wire}
+        fields = fixed_fields({**said_in(fixed), **wire})
         # What no case can be is said before any runs.
         draw_case(seeds[0], fields)
         engine = engine_for(options.workers, None)

@@ -1,7 +1,7 @@
 """What is known of the candidates of a design: their figures run by run, and how they stand."""
 
 from collections.abc import Callable, Sequence
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -9,13 +9,14 @@ import numpy as np
 from experiments.design.space import Values
 from experiments.design.target import Target, error_of
 from experiments.monte_carlo.intervals import Interval
-from experiments.scenario_options import scenario_of
+from experiments.scenario_options import scenario_with_known
 from experiments.sweep.cells import sorted_out
 from experiments.sweep.pieces import Piece, compute
 from experiments.sweep.specification import Cell
 from experiments.sweep.workers import Engine
 from nodes.messages import Array
 from scenarios.catalogue import kind_of
+from scenarios.types.assignment import refuse_left
 
 Cost = Literal["occupancy", "bytes", "energy"]
 _COSTS: dict[Cost, str] = {
@@ -74,9 +75,10 @@ def candidates_of(
     """
     cells = []
     for number, values in enumerate(wanted, start=first_number):
-        fields = {**settled, **values}
-        name = str(fields.pop("scenario", "target-tracking"))
-        cells.append(Cell(number, values, scenario_of(name, fields)))
+        asked: dict[str, Any] = {**settled, **values}
+        scenario, left = scenario_with_known(**asked)
+        refuse_left(scenario, {name: value for name, value in left.items() if name in settled})
+        cells.append(Cell(number, values, scenario))
     good, bad = sorted_out(cells)
     return (
         [Candidate(cell, {}) for cell in good],

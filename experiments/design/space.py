@@ -36,7 +36,7 @@ def space_of(specification: Specification) -> tuple[Values, dict[str, list[Value
     """
     settled = dict(specification.base)
     name = str(settled.get("scenario", "target-tracking"))
-    own = kind_of(name).defaults.graph
+    own = kind_of(name).defaults.network.graph
     space = {field: list(values) for field, values in OPEN.items() if field not in settled}
     if "graph" in space and own not in space["graph"]:
         space["graph"].insert(0, own)

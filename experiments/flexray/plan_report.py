@@ -19,11 +19,15 @@ from experiments.flexray.rehearsal import (
     shares_per_cycle,
 )
 from experiments.results.bus_report import BusFigures, bus_figures
+from experiments.scenario_options import in_options
 from scenarios.build import build_bus
 from scenarios.bus_plan import FITTED, build_schedule
-from scenarios.catalogue import kind_of
-from scenarios.scenario import Scenario, check_ranges
-from scenarios.setup import Setup, share_bytes
+from scenarios.preparation import share_bytes
+from scenarios.scenario import Scenario
+from scenarios.setup import Setup
+from scenarios.types.assignment import check_ranges
+from scenarios.types.buses import occupancy_of, stretch_of
+from scenarios.types.rules import number_of
 
 MOST_REHEARSED_STEPS = 500
 
@@ -110,8 +114,7 @@ def with_cluster(bus: Bus, scenario: Scenario) -> FlexRayBus:
     """
     if not isinstance(bus, FlexRayBus):
         raise ValueError(
-            f"--cluster {scenario.cluster}: a bus without time has no plan; leave --cluster out, "
-            "or choose a preset or a file"
+            f"--bus {scenario.bus.name}: a bus without time has no plan; use --bus flexray"
         )
     return bus
 
@@ -132,13 +135,7 @@ def slot_rows(table: SlotTable) -> list[SlotRow]:
 
 def run_command(scenario: Scenario) -> str:
     """The command line that runs a scenario."""
-    defaults = kind_of(scenario.name).defaults
-    words = ["concord", "run", "--scenario", scenario.name]
-    for field in msgspec.structs.fields(scenario):
-        value = getattr(scenario, field.name)
-        if field.name != "name" and value != getattr(defaults, field.name):
-            words += [f"--{field.encode_name.replace('_', '-')}", str(value)]
-    return shlex.join(words)
+    return shlex.join(["concord", "run", "--scenario", scenario.name, *in_options(scenario)])
 
 
 def _report(alternative: Alternative) -> PlanReport:
@@ -147,9 +144,9 @@ def _report(alternative: Alternative) -> PlanReport:
     rehearsal = rehearse(setup, bus, min(scenario.steps, MOST_REHEARSED_STEPS))
     time, fits_time = _time(setup, bus)
     return PlanReport(
-        schedule=scenario.schedule,
-        number=scenario.number,
-        occupancy=scenario.occupancy,
+        schedule=scenario.bus.schedule.name,
+        number=number_of(scenario.rule),
+        occupancy=occupancy_of(scenario.bus.schedule),
         shares_per_cycle=shares_per_cycle(bus.schedule),
         command=run_command(scenario),
         cluster=cluster,
@@ -168,7 +165,7 @@ def _report(alternative: Alternative) -> PlanReport:
 
 
 def _time(setup: Setup, bus: Bus) -> tuple[str, bool]:
-    rounds, stretch = setup.scenario.rounds, setup.scenario.stretch
+    rounds, stretch = setup.scenario.rounds, stretch_of(setup.scenario.bus)
     try:
         bus.check_pace(rounds, setup.time_step_s, stretch)
     except TimingError as error:

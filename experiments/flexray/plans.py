@@ -9,22 +9,22 @@ from rich.console import Console
 from rich.table import Table
 
 from bus.flexray.timeline import timeline
+from experiments.cli.scenario_flags import ScenarioFlags, resolved
 from experiments.flexray.plan_report import Answer, PlanReport, SlotRow, answer_plan, with_cluster
 from experiments.flexray.rehearsal import rehearse
 from experiments.results import bus_report
 from experiments.results.bus_report import timetable
-from experiments.scenario_options import ScenarioOptions
 from experiments.user_errors import user_errors
 from scenarios.build import build_bus
 from scenarios.bus_plan import FITTED
-from scenarios.setup import prepare
+from scenarios.preparation import prepare
+from scenarios.types.buses import FlexRay, occupancy_of
+from scenarios.types.rules import number_of
 
 REHEARSED = "every contender asks in every cycle, the longest silent most urgently"
 
 
-def plan(
-    scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")], *, json: bool = False
-) -> None:
+def plan(scenario: Annotated[ScenarioFlags, tyro.conf.arg(name="")], *, json: bool = False) -> None:
     """Plan the bus of a scenario: slot table, occupancy, load, delays, what would starve.
 
     What does not fit the cluster is said with its numbers, and the largest occupancy that does fit
@@ -34,7 +34,7 @@ def plan(
         json: Print one JSON object.
     """
     with user_errors():
-        answer = answer_plan(scenario.resolve())
+        answer = answer_plan(resolved(scenario))
     if json:
         sys.stdout.write(msgspec.json.encode(answer).decode() + "\n")
         return
@@ -42,7 +42,7 @@ def plan(
 
 
 def show(
-    scenario: Annotated[ScenarioOptions, tyro.conf.arg(name="")],
+    scenario: Annotated[ScenarioFlags, tyro.conf.arg(name="")],
     *,
     cycle: int = 0,
     json: bool = False,
@@ -54,7 +54,7 @@ def show(
         json: Print one JSON object.
     """
     with user_errors():
-        setup = prepare(scenario.resolve())
+        setup = prepare(resolved(scenario))
         bus = with_cluster(build_bus(setup), setup.scenario)
         rounds, cycles = setup.scenario.rounds, setup.scenario.steps * setup.scenario.rounds
         if not 0 <= cycle < cycles:
@@ -82,17 +82,19 @@ def show(
 
 def _print_answer(answer: Answer) -> None:
     asked, shown = answer.asked, answer.shown
+    cluster = asked.bus.cluster if isinstance(asked.bus, FlexRay) else "none"
     out = sys.stdout.write
     console = Console()
     out(
-        f"asked for: {asked.name}, {asked.nodes} nodes, {asked.schedule} schedule, occupancy "
-        f"{asked.occupancy:g}, {asked.number}, cluster {asked.cluster}\n"
+        f"asked for: {asked.name}, {asked.nodes} nodes, {asked.bus.schedule.name} schedule, "
+        f"occupancy {occupancy_of(asked.bus.schedule):g}, {number_of(asked.rule)}, cluster "
+        f"{cluster}\n"
     )
     if answer.problem is not None:
         out(f"does not fit: {answer.problem}\n\n")
         out("what fits, largest occupancy first:\n")
         console.print(_alternative_table(answer.alternatives))
-        if answer.fitted_cycle_us is not None and asked.cluster != FITTED:
+        if answer.fitted_cycle_us is not None and cluster != FITTED:
             cycle_ms = answer.fitted_cycle_us / 1e3
             out(f"--cluster {FITTED} holds what was asked for in cycles of {cycle_ms:.4g} ms\n")
         out(f"\nshown below: NOT what was asked for, but the first of these\n  {shown.command}\n")

@@ -13,9 +13,12 @@ from bus.arbitration import begin_arbitration
 from bus.flexray.flexray_bus import FlexRayBus
 from bus.schedule import Schedule
 from scenarios.build import build_bus
-from scenarios.bus_plan import NO_CLUSTER
-from scenarios.scenario import Scenario, check_ranges
-from scenarios.setup import Setup, prepare
+from scenarios.preparation import prepare
+from scenarios.scenario import Scenario
+from scenarios.setup import Setup
+from scenarios.types.assignment import check_ranges
+from scenarios.types.buses import Ideal
+from scenarios.types.rules import NumberRule
 
 ALTERNATIVE_SCHEDULES = ("hybrid", "dynamic", "round-robin")
 ANY_STRETCH = 1e9
@@ -57,13 +60,12 @@ def prepare_without_bus(scenario: Scenario) -> Setup:
         ValueError: for any other mistake.
     """
     check_ranges(scenario)
-    patient = msgspec.structs.replace(scenario, stretch=ANY_STRETCH)
-    free = {"cluster": NO_CLUSTER, "schedule": "full", "occupancy": 1.0}
+    patient, _ = scenario.with_known(stretch=ANY_STRETCH)
     try:
         setup = prepare(patient)
     except ValueError as refusal:
         try:
-            setup = prepare(msgspec.structs.replace(patient, **free))
+            setup = prepare(msgspec.structs.replace(patient, bus=Ideal()))
         except ValueError:
             raise refusal from None
     return msgspec.structs.replace(setup, scenario=scenario)
@@ -71,15 +73,16 @@ def prepare_without_bus(scenario: Scenario) -> Setup:
 
 def changed(setup: Setup, **fields: object) -> Setup:
     """The setup with other choices about its bus."""
-    scenario = msgspec.structs.replace(setup.scenario, **fields)
+    scenario, _ = setup.scenario.with_known(**fields)
     return msgspec.structs.replace(setup, scenario=scenario)
 
 
 def alternatives(setup: Setup) -> list[Alternative]:
     """Per schedule and number format the largest occupancy whose shares all fit, largest first."""
-    numbers = dict.fromkeys((setup.scenario.number, "float32"))
+    rule = setup.scenario.rule
+    numbers = dict.fromkeys((rule.number, "float32")) if isinstance(rule, NumberRule) else ("",)
     found = [
-        _largest(changed(setup, number=number, schedule=schedule))
+        _largest(changed(setup, schedule=schedule, **({"number": number} if number else {})))
         for number in numbers
         for schedule in ALTERNATIVE_SCHEDULES
     ]

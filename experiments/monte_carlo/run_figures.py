@@ -18,7 +18,8 @@ from nodes.messages import Array
 from runtime.batched.build import turnings_of
 from scenarios.build import build_bus
 from scenarios.bus_plan import frame_format
-from scenarios.catalogue import Score, kind_of
+from scenarios.catalogue import kind_of
+from scenarios.kind import Score
 from scenarios.rules import is_certain
 from scenarios.setup import Setup
 

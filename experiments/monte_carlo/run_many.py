@@ -116,7 +116,7 @@ def _show(figures: ManyFigures, setup: Setup, as_json: bool) -> None:
     console = Console()
     scenario = setup.scenario
     title = (
-        f"{scenario.name}: {scenario.nodes} nodes, {scenario.graph}, {scenario.rule}, "
+        f"{scenario.name}: {scenario.nodes} nodes, {scenario.network.graph}, {scenario.rule.name}, "
         f"{scenario.rounds} rounds, seed {scenario.seed}, batched"
     )
     console.print(table(figures, title))

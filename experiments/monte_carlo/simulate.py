@@ -23,7 +23,8 @@ from runtime.batched.driver import Instant, run
 from runtime.batched.memory import keep_freed_memory
 from runtime.drivers import in_memory
 from scenarios.catalogue import kind_of
-from scenarios.setup import Setup, setup_of_run
+from scenarios.preparation import setup_of_run
+from scenarios.setup import Setup
 
 # Runs are taken so many at a time that this many nodes are computed at once: enough that numpy is
 # worth its calls, little enough for caches and memory.

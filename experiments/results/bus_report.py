@@ -17,6 +17,7 @@ from nodes.messages import Array
 from runtime.recorded import SharedFrame, meaning
 from scenarios.build import build_bus
 from scenarios.setup import Setup
+from scenarios.types.buses import stretch_of
 
 
 class BusFigures(msgspec.Struct, frozen=True):
@@ -191,7 +192,7 @@ def capture(
     if not (bus.has_time and trace.history.one_bus):
         return None
     rounds, frames = setup.scenario.rounds, bus.frame_format
-    step_us = setup.time_step_s * setup.scenario.stretch * 1e6
+    step_us = setup.time_step_s * stretch_of(setup.scenario.bus) * 1e6
     placed = [
         {(frame.node, frame.frame_id): frame for frame in cycle}
         for cycle in timetable(bus, trace.payload_bytes)

@@ -17,6 +17,7 @@ from nodes.rules.labelled import LabelledFlooding
 from scenarios.build import build_node
 from scenarios.links import link_state
 from scenarios.setup import Setup
+from scenarios.types.rules import MeasurementFlooding
 
 NEVER = -1
 
@@ -72,7 +73,7 @@ def record_spread(
 ) -> RecordSpread | None:
     """From what each node sent (node, fragment), and readings (steps, N, r, d); None for rules that
     send no records."""
-    if setup.scenario.rule != "labelled":
+    if not isinstance(setup.scenario.rule, MeasurementFlooding):
         return None
     config = build_node(setup, 0)
     estimator = config.estimator

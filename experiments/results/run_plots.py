@@ -13,6 +13,7 @@ from nodes.messages import Array
 from scenarios.baselines import centralised
 from scenarios.catalogue import kind_of
 from scenarios.rules import is_certain
+from scenarios.types.buses import occupancy_of
 
 if TYPE_CHECKING:
     import xarray
@@ -123,6 +124,6 @@ def _finish(figure: Any, axes: Any, description: Description) -> None:
 def _title(description: Description) -> str:
     scenario = description.setup.scenario
     return (
-        f"{scenario.name}: {scenario.nodes} nodes, {scenario.graph}, {scenario.rule}, "
-        f"occupancy {scenario.occupancy:g}, seed {scenario.seed}"
+        f"{scenario.name}: {scenario.nodes} nodes, {scenario.network.graph}, {scenario.rule.name}, "
+        f"occupancy {occupancy_of(scenario.bus.schedule):g}, seed {scenario.seed}"
     )

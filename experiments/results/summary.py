@@ -18,7 +18,8 @@ from filters.gaussian import Gaussian
 from filters.metrics import anees, disagreement, largest_of_known, rmse
 from nodes.messages import Array
 from scenarios.baselines import centralised, local_only
-from scenarios.catalogue import Score, kind_of
+from scenarios.catalogue import kind_of
+from scenarios.kind import Score
 from scenarios.rules import is_certain
 from scenarios.setup import Setup
 

@@ -13,6 +13,8 @@ from experiments.simulation_testing.broken import Broken
 from experiments.simulation_testing.promises import BOUNDED, LINEAR, nodes_are_honest, promises
 from experiments.simulation_testing.verdict import History
 from scenarios.catalogue import kind_of
+from scenarios.types.plants import noise_of
+from scenarios.types.rules import number_of
 
 # Of the bound: differences and inverses on both sides, and numbers of single length on the bus.
 _ROUNDING = {"float64": 1e-6, "float32": 1e-3}
@@ -25,7 +27,7 @@ def check_bound(run: History) -> None:
         Broken: one is.
     """
     scenario = run.setup.scenario
-    if not (scenario.name in LINEAR and scenario.noise == "matched"):
+    if not (scenario.name in LINEAR and noise_of(scenario.plant) == "matched"):
         return
     if not (promises(scenario, BOUNDED) and nodes_are_honest(scenario)):
         return
@@ -35,7 +37,10 @@ def check_bound(run: History) -> None:
     whitener = np.linalg.inv(np.linalg.cholesky(bound))[:, None]
     share = np.linalg.eigvalsh(whitener @ cov @ whitener.mT)[..., 0]
     step, node = np.unravel_index(np.argmin(share), share.shape)
-    if share[step, node] < 1 - _ROUNDING[scenario.number]:
+    if (
+        share[step, node]
+        < 1 - _ROUNDING["float32" if number_of(scenario.rule) == "float32" else "float64"]
+    ):
         raise Broken(
             "nobody is surer than who hears all",
             f"node {node} in step {step} believes {share[step, node]:.6g} of that variance",

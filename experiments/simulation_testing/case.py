@@ -9,6 +9,7 @@ from experiments.simulation_testing.script import calm_from
 from experiments.simulation_testing.wire import read_wire
 from scenarios.scenario import Scenario
 from scenarios.script import script_of
+from scenarios.types.assignment import flat
 
 
 class Case(msgspec.Struct, frozen=True):
@@ -38,7 +39,7 @@ def with_fields(case: Case, fields: Mapping[str, Any]) -> Case:
     """The case with these fields of its own or of its scenario."""
     own = {name: value for name, value in fields.items() if name in OWN_FIELDS}
     other = {name: value for name, value in fields.items() if name not in OWN_FIELDS}
-    scenario = msgspec.structs.replace(case.scenario, **other)
+    scenario, _ = case.scenario.with_known(**other)
     return msgspec.structs.replace(case, scenario=scenario, **own)
 
 
@@ -54,9 +55,8 @@ def check_case(case: Case) -> None:
 def differences(case: Case, drawn: Case) -> dict[str, Any]:
     """The fields in which a case is not the drawn one, by the names of options."""
     one, other = _fields(case), _fields(drawn)
-    return {name: value for name, value in one.items() if value != other[name]}
+    return {name: value for name, value in one.items() if value != other.get(name)}
 
 
 def _fields(case: Case) -> dict[str, Any]:
-    scenario = {name: getattr(case.scenario, name) for name in case.scenario.__struct_fields__}
-    return {**scenario, **{name: getattr(case, name) for name in OWN_FIELDS}}
+    return {**flat(case.scenario), **{name: getattr(case, name) for name in OWN_FIELDS}}

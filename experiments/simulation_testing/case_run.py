@@ -22,8 +22,8 @@ from experiments.simulation_testing.wire import LOSING, Wire, read_wire
 from nodes.commands import Configure
 from runtime import in_process
 from scenarios.build import build_environment, build_node
+from scenarios.preparation import complete_settings, prepare
 from scenarios.script import script_of
-from scenarios.setup import complete_settings, prepare
 
 
 class Outcome(NamedTuple):

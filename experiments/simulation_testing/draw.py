@@ -12,13 +12,13 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from experiments.scenario_options import scenario_of
+from experiments.scenario_options import offered_options, scenario_with_known
 from experiments.simulation_testing.case import OWN_FIELDS, Case, check_case, with_fields
 from experiments.simulation_testing.script import draw_script
 from experiments.simulation_testing.verdict import RECOVERY_STEPS
 from experiments.simulation_testing.wire import WIRE_FAULTS
+from scenarios.preparation import prepare
 from scenarios.scenario import Scenario
-from scenarios.setup import prepare
 from topology.names import unknown_name
 
 _ATTEMPTS = 200
@@ -87,7 +87,7 @@ def _completed(
     calm_step = int(generator.integers(4, _MOST_CALM))
     drawn = msgspec.structs.replace(drawn, steps=calm_step + RECOVERY_STEPS)
     case = Case(seed, drawn, _draw_wire(generator))
-    known = {*drawn.__struct_fields__, *OWN_FIELDS}
+    known = {*offered_options(), *OWN_FIELDS}
     for name in fixed:
         if name not in known:
             raise unknown_name("option", name, known)
@@ -128,7 +128,7 @@ def _drawn(generator: np.random.Generator) -> Scenario:
         "seed": int(generator.integers(1, 2**31)),
         "schedule": schedule,
         "occupancy": 1.0 if schedule == "full" else one(0.2, 0.5, 0.8),
-        "cluster": one("fitted", "fitted-ab", "fitted-ab", "none"),
+        "cluster": one("fitted", "fitted-ab", "fitted-ab", ""),
         "arbiter": one("wtod", "wtod", "minislot", "round-robin"),
         "trigger": one(0.0, 0.0, 0.0, 0.5),
         "hold": one(*_HOLDS),
@@ -140,6 +140,8 @@ def _drawn(generator: np.random.Generator) -> Scenario:
         # The time of the bus is not what is tortured here.
         "stretch": 1000.0,
     }
+    if not asked["cluster"]:
+        asked["bus"] = "ideal"
     if rule == "labelled":
         window = one(None, None, 6, 12)
         asked |= {
@@ -162,7 +164,7 @@ def _drawn(generator: np.random.Generator) -> Scenario:
         asked["hold"] = "decayed"
     if name in (*_LINEAR, "liu2021-network"):
         asked["control"] = one("truth", "0", "1")
-    return scenario_of(name, asked)
+    return scenario_with_known(name, **asked)[0]
 
 
 def _weighted(generator: np.random.Generator, weights: Mapping[str, int]) -> str:

@@ -1,19 +1,15 @@
 """What the command line says of cases of torture: fields of the scenario, seeds and the wire."""
 
 from collections.abc import Mapping
+from functools import reduce
+from operator import or_
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from experiments.cli.scenario_flags import grouped_flags, texts
+from experiments.scenario_options import offered_options
 from experiments.simulation_testing.wire import read_wire
-from experiments.sweep.options import meanings, options_of
-from experiments.sweep.specification import FIELDS
-
-_OWN: dict[str, Any] = {"wire": tuple[str, ...]}
-_OWN_MEANINGS = {
-    "wire": "what no word of --changes says, each with its probability: 'vanish 0.05, garbage 0.2, "
-    "shuffle 0.5'.",
-}
 
 if TYPE_CHECKING:
 
@@ -21,12 +17,11 @@ if TYPE_CHECKING:
         """A text or None for each field of a case."""
 
 else:
-    FixedOptions = options_of(
+    FixedOptions = grouped_flags(
         "FixedOptions",
-        [*FIELDS, *_OWN],
-        {**meanings(), **_OWN_MEANINGS},
-        "VALUE",
         "What is the same in all cases; everything else is drawn from the seed.",
+        texts("VALUE"),
+        without=("run",),
     )
 
 
@@ -36,15 +31,14 @@ def fixed_fields(asked: Mapping[str, str]) -> dict[str, Any]:
     Raises:
         ValueError: a text that means no value of its field, or no fault.
     """
-    types = {**FIELDS, **_OWN}
-    fixed = {}
+    fixed: dict[str, Any] = {}
     for name, text in asked.items():
-        is_list = name in ("changes", "wire")
-        value = tuple(part.strip() for part in text.split(",") if part.strip()) if is_list else text
+        if name in ("changes", "wire"):
+            fixed[name] = tuple(part.strip() for part in text.split(",") if part.strip())
+            continue
+        kind = reduce(or_, offered_options()[name].kinds)
         try:
-            fixed["name" if name == "scenario" else name] = msgspec.convert(
-                value, types[name], strict=False
-            )
+            fixed[name] = msgspec.convert(text, kind, strict=False)
         except msgspec.ValidationError as error:
             raise ValueError(f"--{name.replace('_', '-')} {text}: {error}") from None
     read_wire(fixed.get("wire", ()))

@@ -10,6 +10,8 @@ from nodes.commands import Configure, Inject
 from scenarios.scenario import Scenario
 from scenarios.script import script_of
 from scenarios.setup import Setup
+from scenarios.types.assignment import flat
+from scenarios.types.rules import TrimmedCovarianceIntersection
 from topology.robustness import is_robust
 
 # After these a reading says what its sensor never promised.
@@ -36,7 +38,7 @@ MATCHED = (*LINEAR, "target-tracking", "target-crossing")
 
 def promises(scenario: Scenario, rules: tuple[str, ...]) -> bool:
     """Whether only such rules are used in a run, and no share is taken for one of another step."""
-    used: list[dict[str, Any]] = [{"rule": scenario.rule, "hold": scenario.hold}]
+    used: list[dict[str, Any]] = [flat(scenario)]
     used += [
         one.command.settings for one in script_of(scenario) if isinstance(one.command, Configure)
     ]
@@ -70,11 +72,13 @@ def brings_back(setup: Setup) -> bool:
     brings nodes back where they agree with each other: on robust graphs that stay as they are.
     """
     scenario, neighbours, liars = setup.scenario, setup.neighbours, liars_of(setup.scenario)
-    if scenario.rule == "trimmed-ci":
-        agrees = is_robust(neighbours, 2 * scenario.liars + 1)
-        if not agrees or scenario.links != "static":
+    rule, expected = scenario.rule, 0
+    if isinstance(rule, TrimmedCovarianceIntersection):
+        expected = rule.liars
+        agrees = is_robust(neighbours, 2 * expected + 1)
+        if not agrees or scenario.network.links != "static":
             return False
-    few = all(len(liars & {*heard}) <= scenario.liars for heard in neighbours)
+    few = all(len(liars & {*heard}) <= expected for heard in neighbours)
     return not liars or (few and promises(scenario, ("trimmed-ci",)))
 
 

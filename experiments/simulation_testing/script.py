@@ -26,7 +26,8 @@ from nodes.faults.vocabulary import CHANNELS, EVERY_FAULT, Number
 from nodes.run_controller import Scripted
 from scenarios.build import build_bus
 from scenarios.equipment import equipment_of
-from scenarios.setup import Setup, complete_settings, with_settings
+from scenarios.preparation import complete_settings, with_settings
+from scenarios.setup import Setup
 
 # What begins no fault, beside the words of faults.
 OTHER_WORDS = ("restart", "heal", "set")
@@ -210,7 +211,7 @@ class _Author:
         name = self._one(list(_SETTINGS))
         value = self._one(_SETTINGS[name])
         try:
-            settings = complete_settings(self._setup, {**self._settings, name: value})
+            settings = complete_settings(self._setup, self._settings, {name: value})
         except ValueError:
             # Not every value goes with every network.
             return

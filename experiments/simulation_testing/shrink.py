@@ -6,23 +6,21 @@ from typing import Any
 
 import msgspec
 
-from experiments.scenario_options import scenario_of
+from experiments.scenario_options import in_options
 from experiments.simulation_testing.case import Case, check_case, differences, with_fields
 from experiments.simulation_testing.draw import draw_case
-from scenarios.setup import prepare
+from scenarios.preparation import prepare
 
 MOST_TRIES = 200
 FEWEST_NODES = 2
 
 # What is plain, in the order in which it is tried: one value of each field, so that it ends.
 _PLAIN: tuple[dict[str, Any], ...] = (
-    {"name": "oscillator", "control": "open"},
+    {"scenario": "oscillator"},
     {"rule": "ci"},
-    {"rule": "ci", "relay": False, "window_steps": None, "digest_steps": None,
-     "record_number": "int16", "payload_bytes": 254},
     {"links": "static"},
     {"loss": 0.0},
-    {"schedule": "full", "occupancy": 1.0},
+    {"schedule": "full"},
     {"relay": False},
     {"cluster": "fitted"},
     {"arbiter": "wtod"},
@@ -117,25 +115,15 @@ def replay_command(case: Case) -> str:
         said |= differences(case, drawn)
     words = ["concord", "torture", "--seeds", str(case.seed)]
     for name, value in said.items():
-        words += ["--" + ("scenario" if name == "name" else name.replace("_", "-")), written(value)]
+        words += ["--" + name.replace("_", "-"), written(value)]
     return shlex.join(words)
 
 
 def run_command(case: Case) -> str:
     """The command that runs the scenario of a case and records it, in any driver; what the wire
     did besides is the torture's own."""
-    plain = scenario_of(case.scenario.name, {})
-    words = ["concord", "run", "--scenario", case.scenario.name]
-    for name in case.scenario.__struct_fields__:
-        value = getattr(case.scenario, name)
-        if value == getattr(plain, name):
-            continue
-        option = name.replace("_", "-")
-        if isinstance(value, bool):
-            words.append(f"--{option}" if value else f"--no-{option}")
-        else:
-            words += [f"--{option}", *(value if isinstance(value, tuple) else [written(value)])]
-    return shlex.join(words)
+    scenario = case.scenario
+    return shlex.join(["concord", "run", "--scenario", scenario.name, *in_options(scenario)])
 
 
 def written(value: object) -> str:

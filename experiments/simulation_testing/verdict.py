@@ -22,6 +22,7 @@ from filters.linalg import unpack_upper
 from nodes.messages import Array, from_wire
 from scenarios.scenario import Scenario
 from scenarios.setup import Setup
+from scenarios.types.plants import noise_of
 
 # An error beyond this has a chance of 2e-12. A thousand seeds judge half a million errors, so that
 # all of them together raise a false alarm in one of a million such commands.
@@ -110,7 +111,7 @@ def check_consistency(run: History) -> None:
     scenario = run.setup.scenario
     if not (sensors_are_honest(scenario) and nodes_are_honest(scenario)):
         return
-    if promises(scenario, CERTAIN) and scenario.noise == "matched":
+    if promises(scenario, CERTAIN) and noise_of(scenario.plant) == "matched":
         most, invariant = 1.0 + _SET_TOLERANCE, "a set holds the truth"
     elif promises(scenario, CONSISTENT) and scenario.name in MATCHED:
         most, invariant = float(chdtri(run.mean.shape[-1], IMPROBABLE)), "errors are as believed"

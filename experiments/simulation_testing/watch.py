@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
 
 from experiments.simulation_testing.broken import Broken
@@ -25,6 +24,7 @@ from nodes.rules.information_rounds import InformationRounds
 from nodes.rules.novelty_rounds import NoveltyRounds
 from nodes.rules.set_membership import SetMembership
 from scenarios.scenario import Scenario
+from scenarios.types.rules import TrimmedCovarianceIntersection
 
 _ROUNDING = 1e-9
 _REFUSALS = ("rejected not-positive-definite", "rejected unsound")
@@ -44,7 +44,7 @@ def watched(config: NodeConfig, books: Books, scenario: Scenario) -> NodeConfig:
 
     def rebuilt(standing: Standing, step: int, belief: Gaussian | None) -> NodeConfig:
         assert rebuild is not None, "a node of a scenario can be rebuilt"
-        changed = msgspec.structs.replace(scenario, **standing.settings)
+        changed, _ = scenario.with_known(**standing.settings)
         return watched(rebuild(standing, step, belief), books, changed)
 
     return replace(config, estimator=Watched(config, books, scenario), rebuild=rebuilt)
@@ -204,8 +204,9 @@ class Watched:
     def _check_average(self, beliefs: Gaussian, weights: Array, fused: Gaussian) -> None:
         self._check_weights(weights)
         liars = [1 + n for n, j in enumerate(self._config.neighbours) if j in self._books.liars]
-        if self._scenario.rule == "trimmed-ci" and np.isfinite(fused.mean).all():
-            seen = broken_promise(beliefs, weights, fused, liars, self._scenario.liars)
+        rule = self._scenario.rule
+        if isinstance(rule, TrimmedCovarianceIntersection) and np.isfinite(fused.mean).all():
+            seen = broken_promise(beliefs, weights, fused, liars, rule.liars)
             if seen:
                 raise self._broken("liars move nobody beyond what honest nodes say", seen)
 

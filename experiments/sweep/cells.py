@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import msgspec
 
 from experiments.sweep.specification import Cell, Specification, cells_of, shown
-from scenarios.setup import prepare
+from scenarios.preparation import prepare
 
 
 def checked_cells(specification: Specification) -> list[Cell]:

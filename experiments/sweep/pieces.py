@@ -11,8 +11,8 @@ from experiments.monte_carlo.run_frame import frame_of
 from experiments.monte_carlo.simulate import simulate
 from experiments.sweep.specification import Cell, Specification
 from nodes.messages import Array
+from scenarios.preparation import prepare
 from scenarios.scenario import Scenario
-from scenarios.setup import prepare
 
 # Estimates of a piece that are in memory at once: nodes x runs x steps.
 LARGEST = 500_000

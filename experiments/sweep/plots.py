@@ -21,7 +21,7 @@ from experiments.sweep.plot_layout import (
 from experiments.sweep.results import flattened
 from experiments.sweep.specification import named, shown
 from nodes.messages import Array
-from scenarios.setup import prepare
+from scenarios.preparation import prepare
 
 if TYPE_CHECKING:
     import xarray

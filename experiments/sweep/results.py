@@ -15,7 +15,8 @@ from experiments.results.folder import commit, versions
 from experiments.results.netcdf_file import write_dataset
 from experiments.sweep.specification import Cell, Specification, Value, cells_of
 from nodes.messages import Array
-from scenarios.catalogue import Kind, kind_of
+from scenarios.catalogue import kind_of
+from scenarios.kind import Kind
 
 if TYPE_CHECKING:
     import xarray
@@ -137,7 +138,7 @@ def _fields(specification: Specification, cells: Sequence[Cell]) -> dict[str, Se
 def _states(cells: Sequence[Cell], kinds: Sequence[Kind]) -> dict[str, str]:
     """Names of all states and their units, in order."""
     states: dict[str, str] = {}
-    for kind, scenario in {kind.summary: (kind, cell.scenario)
+    for kind, scenario in {cell.scenario.name: (kind, cell.scenario)
                            for cell, kind in zip(cells, kinds, strict=True)}.values():  # fmt: skip
         plant = kind.plant(scenario)
         states |= dict(zip(plant.state_names, plant.state_units, strict=True))

@@ -2,7 +2,6 @@
 
 import itertools
 import math
-import types
 import typing
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -10,17 +9,14 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from experiments.scenario_options import scenario_of
+from experiments.scenario_options import offered_options, scenario_with_known
 from scenarios.scenario import Scenario
+from scenarios.types.assignment import flat, refuse_left
 from topology.names import unknown_name
 
 Value = str | float | int | bool | None
 # Runs are numbered by the sweep itself.
-FIELDS = {
-    ("scenario" if field.name == "name" else field.name): field.type
-    for field in msgspec.structs.fields(Scenario)
-    if field.name != "run"
-}
+FIELDS = {name: option for name, option in offered_options().items() if name != "run"}
 _TRUE, _FALSE = ("true", "yes"), ("false", "no")
 _NO_CHANGES = "none"
 
@@ -133,18 +129,25 @@ def cells_of(specification: Specification) -> list[Cell]:
     """The cells, the last field fastest; their scenarios are complete but not yet checked.
 
     Raises:
-        ValueError: a scenario of an unknown name, or without its data.
+        ValueError: a scenario of an unknown name, or without its data, or an option that no cell
+            has.
     """
     combinations = _sampled(specification) if specification.samples else _factorial(specification)
-    cells = []
+    cells: list[Cell] = []
+    used: set[str] = set()
+    unused: dict[str, tuple[Scenario, Any]] = {}
     for number, values in enumerate(combinations):
-        fields = {**specification.base, **values}
-        name = str(fields.pop("scenario", "target-tracking"))
-        if "changes" in fields:
-            asked: dict[str, Any] = {**fields, "changes": _changes(str(fields["changes"]))}
-        else:
-            asked = fields
-        cells.append(Cell(number, values, scenario_of(name, asked)))
+        asked: dict[str, Any] = {**specification.base, **values}
+        if "changes" in asked:
+            asked["changes"] = _changes(str(asked["changes"]))
+        # An option of one rule is left out of the cells of the others.
+        scenario, left = scenario_with_known(**asked)
+        used |= flat(scenario).keys()
+        unused |= {name: (scenario, value) for name, value in left.items()}
+        cells.append(Cell(number, values, scenario))
+    for name, (scenario, value) in unused.items():
+        if name not in used:
+            refuse_left(scenario, {name: value})
     return cells
 
 
@@ -247,8 +250,7 @@ def _whole(field: str, text: str, between: Range) -> list[Value]:
 
 
 def _kinds(field: str) -> Sequence[Any]:
-    kind = FIELDS[field]
-    return typing.get_args(kind) if isinstance(kind, types.UnionType) else (kind,)
+    return FIELDS[field].kinds
 
 
 def _option(field: str) -> str:

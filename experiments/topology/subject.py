@@ -9,11 +9,13 @@ import msgspec
 import numpy as np
 from scipy.sparse import csr_array
 
-from experiments.scenario_options import ScenarioOptions
+from experiments.scenario_options import scenario_of
 from nodes.messages import Array
 from scenarios.catalogue import kind_of
 from scenarios.links import link_up
-from scenarios.setup import Setup, prepare
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
+from scenarios.types.buses import Ideal
 from topology.adjacency import (
     Adjacency,
     from_links,
@@ -147,20 +149,23 @@ def _network(source: str, options: SubjectOptions) -> Network:
     return build_network(name, nodes, options.seed, data=None if data is None else str(data))
 
 
+def _with_data(name: str, data: Path | None) -> str:
+    """The name of a graph that is read from a folder of data, with that folder."""
+    return f"{name}:{data}" if data is not None and name.startswith("intel-lab") else name
+
+
 def _of_scenario(source: str, options: SubjectOptions) -> Subject:
     assert options.scenario is not None
-    asked = ScenarioOptions(
-        scenario=options.scenario,
-        nodes=options.nodes,
-        graph=graph_name(source) if source else None,
-        weights=options.weights,
-        links=options.links,
-        seed=options.seed,
-        data=options.data,
-    )
+    asked = {
+        "nodes": options.nodes,
+        "graph": _with_data(graph_name(source), options.data) if source else None,
+        "weights": options.weights,
+        "links": options.links,
+        "seed": options.seed,
+    }
+    said = {name: value for name, value in asked.items() if value is not None}
     # Who hears whom is looked at, and no bus need have room for that.
-    unlimited = {"cluster": "none", "schedule": "full", "occupancy": 1.0}
-    setup = prepare(msgspec.structs.replace(asked.resolve(), **unlimited))
+    setup = prepare(msgspec.structs.replace(scenario_of(options.scenario, **said), bus=Ideal()))
     scenario = setup.scenario
     neighbours = setup.neighbours
     hearers = np.repeat(np.arange(len(neighbours)), [len(heard) for heard in neighbours])
@@ -173,13 +178,19 @@ def _of_scenario(source: str, options: SubjectOptions) -> Subject:
     weights = from_per_node(setup.weights, neighbours)
     phases = _phases(setup, adjacency)
     return Subject(
-        scenario.graph, scenario.weights, scenario.links, network, weights, setup, phases
+        scenario.network.graph,
+        scenario.network.weights,
+        scenario.network.links,
+        network,
+        weights,
+        setup,
+        phases,
     )
 
 
 def _phases(setup: Setup, adjacency: Adjacency) -> tuple[Adjacency, ...]:
     """The graph of each step of a scenario in which graphs take turns or nodes move."""
-    plan = parse_links(setup.scenario.links)
+    plan = parse_links(setup.scenario.network.links)
     up = link_up(setup)
     if up is None or plan.kind not in ("switching", "moving"):
         return ()

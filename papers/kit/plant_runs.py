@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from nodes.messages import Array
 from scenarios.catalogue import kind_of
 from scenarios.scenario import Scenario
-from scenarios.setup import generator
+from scenarios.streams import generator
 
 
 class PlantRuns(NamedTuple):

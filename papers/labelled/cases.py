@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from experiments.results.trace import read_trace
-from experiments.scenario_options import ScenarioOptions
+from experiments.scenario_options import scenario_of
 from filters.gaussian import Gaussian
 from filters.metrics import nees
 from nodes.faults.losses import Outage
@@ -25,7 +25,9 @@ from scenarios.baselines import centralised
 from scenarios.build import build_environment, build_node
 from scenarios.catalogue import kind_of
 from scenarios.links import link_state
-from scenarios.setup import Setup, generator, prepare, setup_of_run
+from scenarios.preparation import prepare, setup_of_run
+from scenarios.setup import Setup
+from scenarios.streams import generator
 
 HUB, HUB_DEAD = 13, range(40, 70)
 CUT = range(50, 70)
@@ -67,7 +69,7 @@ class CaseOutcome(NamedTuple):
 def runs_of_case(case: Case, runs: int, seed: int = 1) -> list[CaseOutcome]:
     """Runs 0, 1, ... of TRACK in which this goes wrong: all at once, but for a node that dies."""
     chosen = {"scenario": "target-tracking", "nodes": 20, "rule": "labelled", **case.options}
-    setup = prepare(ScenarioOptions(**chosen, seed=seed).resolve())
+    setup = prepare(scenario_of(**chosen, seed=seed))
     if case.hub_dies:
         return [
             outcome(setup_of_run(setup, run), _with_dead_hub(setup, run)) for run in range(runs)

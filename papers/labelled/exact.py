@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from experiments.results.trace import read_trace
-from experiments.scenario_options import ScenarioOptions
+from experiments.scenario_options import scenario_of
 from filters.gaussian import Gaussian
 from nodes.faults.losses import LinkState, hears
 from nodes.messages import Array
@@ -19,7 +19,8 @@ from runtime.recording import MemoryRecorder
 from scenarios.baselines import centralised
 from scenarios.build import build_environment, build_node
 from scenarios.links import link_state
-from scenarios.setup import Setup, prepare
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 
 # Every record is everywhere before its step is over.
 FULL_INFORMATION: tuple[dict[str, Any], ...] = (
@@ -53,7 +54,7 @@ class Audit(NamedTuple):
 def full_information(options: dict[str, Any]) -> float:
     """Largest deviation of any node at any step from the centralised filter (`deviation`)."""
     chosen = {"rule": "labelled", "steps": 40, "record_number": "float64", **options}
-    setup = prepare(ScenarioOptions(**chosen).resolve())
+    setup = prepare(scenario_of(**chosen))
     trace = read_trace(setup, in_memory(setup))
     best = centralised(setup, trace.readings, trace.control)
     everybody = Gaussian(trace.mean.swapaxes(0, 1), trace.cov.swapaxes(0, 1))
@@ -73,7 +74,7 @@ def deviation(belief: Gaussian, best: Gaussian) -> float:
 def audit(number: int) -> Audit:
     """A network of a random graph, schedule, loss, window and plant."""
     options, links = _random_network(number)
-    setup = prepare(ScenarioOptions(**options).resolve())
+    setup = prepare(scenario_of(**options))
     links = links._replace(key=link_state(setup).key)
     used, messages = _watched(setup, links)
     readings = read_trace(setup, messages).readings
@@ -102,7 +103,7 @@ def audit(number: int) -> Audit:
 def _counted_once(options: dict[str, Any], links: LinkState) -> float:
     """The same network with a window that never passes, and readings that are not rounded."""
     options = {**options, "window_steps": STEPS, "digest_steps": 4, "record_number": "float64"}
-    setup = prepare(ScenarioOptions(**options).resolve())
+    setup = prepare(scenario_of(**options))
     used, messages = _watched(setup, links)
     trace = read_trace(setup, messages)
     return max(

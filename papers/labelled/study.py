@@ -15,14 +15,15 @@ from experiments.monte_carlo.simulate import COV, READINGS, simulate
 from experiments.progress import progress
 from experiments.results.bus_report import wire_per_step
 from experiments.results.record_spread import figures_of
-from experiments.scenario_options import ScenarioOptions
+from experiments.scenario_options import scenario_of
 from filters.gaussian import Gaussian
 from filters.metrics import nees
 from nodes.messages import Array
 from scenarios.baselines import centralised_of_runs
 from scenarios.build import build_bus
 from scenarios.catalogue import kind_of
-from scenarios.setup import Setup, prepare, share_bytes
+from scenarios.preparation import prepare, share_bytes
+from scenarios.setup import Setup
 
 OCCUPANCIES = (1.0, 0.5, 0.25, 0.1)
 CONFIDENCE = 0.95
@@ -102,11 +103,11 @@ class Cell(NamedTuple):
 
 def outcomes(job: Job) -> list[Outcome]:
     """What came of each run of a cell."""
-    options = ScenarioOptions(
+    options = scenario_of(
         scenario="target-tracking", nodes=20, seed=job.seed, occupancy=job.occupancy,
         **job.form.options,
     )  # fmt: skip
-    setup = prepare(options.resolve())
+    setup = prepare(options)
     histories = simulate(setup, range(job.runs), keep=(READINGS, COV))
     assert histories.readings is not None and histories.cov is not None
     central = centralised_of_runs(setup, range(job.runs), histories.readings, histories.control)

@@ -1,7 +1,6 @@
 """The yardstick of `reproduce meng2025`: a bootstrap particle filter behind the same bus."""
 
 import numpy as np
-from msgspec.structs import replace
 
 from bus.schedule import Schedule
 from filters.particle import Particles, cov, mean, resample
@@ -9,7 +8,7 @@ from nodes.messages import Array
 from papers.meng2025.runs import Batch, Outcome, transmit
 from plants import meng2025
 from scenarios.definitions.meng2025 import KIND, SYSTEM
-from scenarios.setup import generator
+from scenarios.streams import generator
 
 PARTICLES = 2000
 # So many runs at a time: their particles fit into the cache.
@@ -37,7 +36,7 @@ def _track(
     """Means (S + 1, R, n) and covariances of some runs."""
     n, numbers = meng2025.STATES, meng2025.STATES + SYSTEM.process(0).numbers
     streams = [
-        generator(replace(KIND.defaults, seed=seed, run=int(run)), "particles", 0) for run in runs
+        generator(KIND.defaults.with_(seed=seed, run=int(run)), "particles", 0) for run in runs
     ]
     start = np.stack([stream.standard_normal((particles, n)) for stream in streams])
     states = meng2025.PRIOR_MEAN + start @ np.linalg.cholesky(meng2025.PRIOR_COV).T

@@ -7,7 +7,6 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from msgspec.structs import replace
 
 from bus.flexray.measurement_bus import (
     MeasurementBus,
@@ -102,7 +101,7 @@ def deterministic() -> StochasticSystem:
 
 def simulate(seed: int, runs: int, steps: int) -> Batch:
     """Runs 0, 1, ... under a seed, for steps 0..steps."""
-    driven = plant_runs(replace(KIND.defaults, seed=seed, steps=steps + 1), range(runs))
+    driven = plant_runs(KIND.defaults.with_(seed=seed, steps=steps + 1), range(runs))
     measurement = driven.readings[:, :, 1:, 0].copy()
     measurement[0] = np.nan
     return Batch(seed, driven.truth, measurement)

@@ -7,7 +7,6 @@ frames that takes. Intervals are of 95 %, by the bootstrap over runs.
 from typing import NamedTuple
 
 import numpy as np
-from msgspec.structs import replace
 
 from filters.gaussian import Gaussian
 from filters.metrics import nees
@@ -17,8 +16,8 @@ from papers.wac.lanes import averaging_of, centralised, estimate, wire
 from papers.wac.runs import Runs, simulate
 from scenarios.bus_plan import build_schedule
 from scenarios.catalogue import kind_of
+from scenarios.preparation import prepare
 from scenarios.scenario import Scenario
-from scenarios.setup import prepare
 
 RESAMPLES = 2000
 
@@ -89,7 +88,7 @@ def attempt(
     bench: Bench, rule: str, policy: HoldPolicy, occupancy: float, rounds: int, schedule: str
 ) -> Cell:
     """One rule with one hold policy at one occupancy."""
-    scenario = replace(bench.study.scenario, rounds=rounds, occupancy=occupancy, schedule=schedule)
+    scenario = bench.study.scenario.with_(rounds=rounds, occupancy=occupancy, schedule=schedule)
     wiring = wire(bench.weights, rounds, build_schedule(scenario), policy)
     states = bench.runs.prior.mean.shape[-1]
     belief = estimate(bench.runs, wiring, averaging_of(rule, scenario.nodes, states))

@@ -10,7 +10,6 @@ from itertools import count
 from typing import NamedTuple
 
 import numpy as np
-from msgspec.structs import replace
 
 from experiments.progress import progress
 from filters.fusion import hold
@@ -101,14 +100,14 @@ SCHEDULES = ("round-robin", "hybrid", "dynamic")
 
 def track(seed: int, runs: int = 24) -> Study:
     """Twenty nodes follow a turning target."""
-    scenario = replace(kind_of("target-tracking").defaults, seed=seed, rounds=3)
+    scenario = kind_of("target-tracking").defaults.with_(seed=seed, rounds=3)
     return Study("TRACK", scenario, runs, 20, position_only=True)
 
 
 def motor(seed: int, runs: int = 12) -> Study:
     """Eight nodes on a ring watch a motor's position."""
     default = kind_of("dc-motor-position").defaults
-    scenario = replace(default, seed=seed, rounds=3, control="truth")
+    scenario = default.with_(seed=seed, rounds=3, control="truth")
     return Study("MOTOR", scenario, runs, 60, position_only=False)
 
 

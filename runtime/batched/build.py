@@ -24,10 +24,13 @@ from scenarios.build import build_bus, build_controller, everybody_of
 from scenarios.catalogue import kind_of
 from scenarios.fleets import FleetSeat
 from scenarios.links import link_state
+from scenarios.preparation import complete_settings, share_bytes, with_settings
 from scenarios.rules import hold_policy, rule_of, wire_number
 from scenarios.scenario import Scenario
 from scenarios.script import script_of
-from scenarios.setup import Setup, complete_settings, share_bytes, with_settings
+from scenarios.setup import Setup
+from scenarios.types.buses import trigger_of
+from scenarios.types.plants import VehicleNetwork
 
 
 def without_array_form(scenario: Scenario) -> str | None:
@@ -35,14 +38,14 @@ def without_array_form(scenario: Scenario) -> str | None:
     kind = kind_of(scenario.name)
     if kind.wiring is not None:
         return f"scenario {scenario.name}"
-    if kind.around is not None and scenario.adaptive:
+    if isinstance(scenario.plant, VehicleNetwork) and scenario.plant.adaptive:
         return "noise that nodes learn (--adaptive)"
     if any(isinstance(one.command, Inject) for one in script_of(scenario)):
         return "faults but kills, cuts and losses (--changes)"
     for held in (scenario, *_set_in(scenario)):
         rule = rule_of(held)
         if rule.fleet is None:
-            return f"rule {held.rule}"
+            return f"rule {held.rule.name}"
         if (lacking := rule.lacking(held)) is not None:
             return lacking
     return None
@@ -52,7 +55,7 @@ def _set_in(scenario: Scenario) -> Iterator[Scenario]:
     """The scenario each time that its changes have set something."""
     for _, command in script_of(scenario):
         if isinstance(command, Configure):
-            scenario = msgspec.structs.replace(scenario, **command.settings)
+            scenario, _ = scenario.with_known(**command.settings)
             yield scenario
 
 
@@ -156,7 +159,7 @@ def _seat(setup: Setup, bus: Bus, links: Links) -> FleetSeat:
         hold_policy(scenario),
         scenario.rounds,
         np.array(sorted(contenders), dtype=np.int64),
-        scenario.trigger,
+        trigger_of(scenario.bus.schedule),
         wire_number(scenario),
         setup.neighbours,
         partial(everybody_of, setup, bus.schedule),

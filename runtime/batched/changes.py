@@ -32,7 +32,7 @@ def foreseen(
     neighbours: Sequence[Sequence[int]],
     steps: int,
     rounds: int,
-    complete: Callable[[Settings], Settings],
+    complete: Callable[[Settings, Settings], Settings],
 ) -> tuple[Turning, ...]:
     """When a network in which node i hears neighbours[i], of so many rounds, will change, and how.
 
@@ -70,7 +70,7 @@ def _stands(
     command: ChangeCommand,
     neighbours: Sequence[Sequence[int]],
     rounds: int,
-    complete: Callable[[Settings], Settings],
+    complete: Callable[[Settings, Settings], Settings],
 ) -> Standing:
     """What stands after a command that holds from `step` on."""
     match command:
@@ -80,7 +80,7 @@ def _stands(
             # Other faults move nobody, and have no array form.
             return standing
         case Configure(settings):
-            wanted = complete({**standing.settings, **settings})
+            wanted = complete(standing.settings, settings)
             past = (step - standing.first_step) * int(standing.settings.get("rounds", rounds))
             return after(standing, step, Set(wanted, standing.first_cycle + past))
         case _:

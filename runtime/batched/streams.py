@@ -15,8 +15,8 @@ import numpy as np
 from numpy.random import PCG64, Generator, SeedSequence
 from numpy.random.bit_generator import ISeedSequence
 
-from scenarios.links import code_of
 from scenarios.scenario import Scenario
+from scenarios.streams import code_of
 
 # Words of 32 bits: in a seed sequence, and in what a generator begins with.
 _POOL, _STATE = 4, 8

@@ -30,8 +30,8 @@ from runtime.recording import McapRecorder
 from runtime.whole_steps import WholeSteps
 from scenarios.build import build_environment
 from scenarios.bus_plan import frame_format
+from scenarios.preparation import complete_settings, fingerprint
 from scenarios.script import script_of
-from scenarios.setup import complete_settings, fingerprint
 
 _PROGRESS_PERIOD_S = 0.05
 

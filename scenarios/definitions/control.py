@@ -18,18 +18,29 @@ from plants.control.motor import (
 from plants.control.pitch import pitch, pitch_controller
 from plants.control.suspension import suspension, suspension_controller
 from plants.linear import LinearModel, LinearPlant, LinearSensor
-from scenarios.catalogue import Kind, Score
+from scenarios.kind import Kind, Score
 from scenarios.scenario import Scenario
-from topology.names import unknown_name
+from scenarios.types.buses import FlexRay
+from scenarios.types.network import SensorNetwork
+from scenarios.types.plants import (
+    AircraftPitch,
+    ControlledPlant,
+    CruiseControl,
+    MotorPosition,
+    MotorSpeed,
+    Suspension,
+)
 
 OPEN, TRUTH = "open", "truth"
-_PRESETS = ("matched", "paper")
+
+
+AnyControlled = CruiseControl | Suspension | AircraftPitch | MotorSpeed | MotorPosition
 
 
 class _Plant(NamedTuple):
     """A plant of the paper: how to make it and its controller, what its error is measured on."""
 
-    summary: str
+    plant: AnyControlled
     make: Callable[..., LinearPlant]
     controller: Callable[[], Any]
     scored: int
@@ -39,11 +50,9 @@ class _Plant(NamedTuple):
 
 
 _PLANTS = {
-    "cruise-control": _Plant(
-        "speed of a car under cruise control", cruise, cruise_controller, 0, "m/s", 1
-    ),
+    "cruise-control": _Plant(CruiseControl(), cruise, cruise_controller, 0, "m/s", 1),
     "suspension": _Plant(
-        "quarter-bus suspension under integral control",
+        Suspension(),
         suspension,
         suspension_controller,
         2,
@@ -52,11 +61,9 @@ _PLANTS = {
         # No FlexRay cycle is as short as its sampling time of half a millisecond.
         stretch=8.0,
     ),
-    "aircraft-pitch": _Plant(
-        "pitch of an aircraft under linear-quadratic control", pitch, pitch_controller, 2, "rad", 3
-    ),
+    "aircraft-pitch": _Plant(AircraftPitch(), pitch, pitch_controller, 2, "rad", 3),
     "dc-motor-speed": _Plant(
-        "speed of a DC motor under state feedback",
+        MotorSpeed(),
         motor_speed,
         motor_speed_controller,
         0,
@@ -64,7 +71,7 @@ _PLANTS = {
         2,
     ),
     "dc-motor-position": _Plant(
-        "position of a DC motor under state feedback",
+        MotorPosition(),
         motor_position,
         motor_position_controller,
         0,
@@ -81,26 +88,33 @@ def _made(name: str, nodes: int, noise: str) -> LinearPlant:
 
 def plant_of(scenario: Scenario) -> LinearPlant:
     """The plant of a scenario, made once."""
-    return _made(scenario.name, scenario.nodes, scenario.noise)
+    return _made(scenario.name, scenario.nodes, controlled(scenario).noise)
+
+
+def controlled(scenario: Scenario) -> ControlledPlant:
+    """The plant of a scenario that has a controller."""
+    assert isinstance(scenario.plant, ControlledPlant), "the catalogue chose this file"
+    return scenario.plant
 
 
 def control_node(scenario: Scenario) -> int | None:
     """The node whose estimate closes the loop; None where no estimate does."""
-    return int(scenario.control) if scenario.control.isdigit() else None
+    plant = scenario.plant
+    if not isinstance(plant, ControlledPlant) or not plant.control.isdigit():
+        return None
+    return int(plant.control)
 
 
 def check_control(scenario: Scenario) -> None:
-    """Refuse a --noise or a --control that there is not.
+    """Refuse a --control that there is not.
 
     Raises:
         ValueError: naming the option, its value, and what there is.
     """
-    if scenario.noise not in _PRESETS:
-        raise unknown_name("noise", scenario.noise, _PRESETS)
-    node = control_node(scenario)
-    if node is None and scenario.control not in (OPEN, TRUTH):
+    node, control = control_node(scenario), controlled(scenario).control
+    if node is None and control not in (OPEN, TRUTH):
         raise ValueError(
-            f"--control {scenario.control}: must be the number of a node, {TRUTH!r} or {OPEN!r}"
+            f"--control {control}: must be the number of a node, {TRUTH!r} or {OPEN!r}"
         )
     if node is not None and node >= scenario.nodes:
         raise ValueError(
@@ -121,15 +135,16 @@ def _warnings(scenario: Scenario) -> tuple[str, ...]:
     return (warning,) if warning else ()
 
 
-def _kind(name: str, plant: _Plant) -> Kind:
+def _kind(plant: _Plant) -> Kind:
     def controller(scenario: Scenario) -> Any:
-        return None if scenario.control == OPEN else plant.controller()
+        return None if controlled(scenario).control == OPEN else plant.controller()
 
     return Kind(
-        own=("noise", "control"),
-        summary=plant.summary,
         defaults=Scenario(
-            name=name, nodes=8, graph="ring", steps=300, control="0", stretch=plant.stretch
+            plant=plant.plant,
+            network=SensorNetwork(nodes=8, graph="ring"),
+            bus=FlexRay(stretch=plant.stretch),
+            steps=300,
         ),
         check=check_control,
         plant=plant_of,
@@ -147,4 +162,4 @@ def _kind(name: str, plant: _Plant) -> Kind:
     )
 
 
-KINDS = {name: _kind(name, plant) for name, plant in _PLANTS.items()}
+KINDS = {name: _kind(plant) for name, plant in _PLANTS.items()}

@@ -10,9 +10,12 @@ from functools import cache
 
 from plants import liu2021
 from plants.bounded_network import BoundedModel, BoundedNetwork, OutputSensor
-from scenarios.catalogue import Kind, Score
-from scenarios.definitions.control import OPEN, check_control
+from scenarios.definitions.control import OPEN, check_control, controlled
+from scenarios.kind import Kind, Score
 from scenarios.scenario import Scenario
+from scenarios.types.network import SensorNetwork
+from scenarios.types.plants import UnstableBounded
+from scenarios.types.rules import EllipsoidIntersection
 
 _STEPS = 1000
 
@@ -23,7 +26,7 @@ def _made(nodes: int, noise: str) -> BoundedNetwork:
 
 
 def _plant(scenario: Scenario) -> BoundedNetwork:
-    return _made(scenario.nodes, scenario.noise)
+    return _made(scenario.nodes, controlled(scenario).noise)
 
 
 def _model(scenario: Scenario) -> BoundedModel:
@@ -35,14 +38,15 @@ def _sensor(scenario: Scenario, node: int) -> OutputSensor:
 
 
 def _controller(scenario: Scenario) -> liu2021.Stabiliser | None:
-    return None if scenario.control == OPEN else liu2021.Stabiliser()
+    return None if controlled(scenario).control == OPEN else liu2021.Stabiliser()
 
 
 KIND = Kind(
-    own=("noise", "control"),
-    summary="an unstable plant under bounded noise, for sets that hold the truth for certain",
     defaults=Scenario(
-        name="liu2021-network", nodes=6, graph="ring", steps=_STEPS, rule="ellipsoid", control="0"
+        plant=UnstableBounded(),
+        network=SensorNetwork(nodes=6, graph="ring"),
+        rule=EllipsoidIntersection(),
+        steps=_STEPS,
     ),
     check=check_control,
     plant=_plant,

@@ -1,13 +1,12 @@
 """`meng2025`: six sensors and one estimator on a FlexRay measurement bus, one slot per step.
 
-`--rule` names the filter of the estimator (node 0), `--schedule` who gets the slot,
+`--filter` names the filter of the estimator (node 0), `--schedule` who gets the slot,
 `--static-slots` is l, `--hold` says what a silent sensor is taken to measure. Step s is the paper's
 s: step 0 is the prior, slot 1 belongs to step 1, and node j is the paper's sensor j.
 """
 
 from collections.abc import Callable, Sequence
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,15 +31,19 @@ from nodes.rules.measurement_bus import ReceiverNode, SensorNode
 from nodes.rules.measurement_codec import MeasurementCodec
 from plants import meng2025
 from plants.sensed import SensedPlant, sensors_on_a_bus
-from scenarios.catalogue import Kind, Score, Wiring
 from scenarios.definitions import measurement_runs
 from scenarios.definitions.measurement_runs import first_received
 from scenarios.definitions.stochastic_models import SystemModel, SystemSensor
+from scenarios.kind import Kind, Score, Wiring
 from scenarios.scenario import Scenario, require
+from scenarios.setup import Setup
+from scenarios.types.assignment import flat
+from scenarios.types.buses import FlexRay, SensorSlots, trigger_of
+from scenarios.types.filters import RecommendedFilter
+from scenarios.types.network import SensorNetwork
+from scenarios.types.plants import MeasuredPlantChoice, StochasticReceiver
+from scenarios.types.rules import Reception
 from topology.names import unknown_name
-
-if TYPE_CHECKING:
-    from scenarios.setup import Setup
 
 Array = NDArray[np.float64]
 
@@ -71,29 +74,49 @@ def _plant() -> SensedPlant:
 
 
 def _schedule(scenario: Scenario) -> Schedule:
-    return _SCHEDULES[scenario.schedule](scenario.static_slots)
+    return _SCHEDULES[scenario.bus.schedule.name](static_slots_of(scenario))
+
+
+def static_slots_of(scenario: Scenario) -> int:
+    """How many sensors own a slot, checked.
+
+    Raises:
+        ValueError: no sensor is left to contend.
+    """
+    assert isinstance(scenario.plant, MeasuredPlantChoice), "the catalogue chose this file"
+    slots = scenario.plant.static_slots
+    rule = f"in 0..{SENSORS - 1}: at least one of {SENSORS} sensors contends for the dynamic slot"
+    require(0 <= slots < SENSORS, "static-slots", slots, rule)
+    return slots
+
+
+def _reception(scenario: Scenario) -> Reception:
+    assert isinstance(scenario.rule, Reception), "check refuses others"
+    return scenario.rule
 
 
 def bus_of(scenario: Scenario) -> MeasurementBus:
     """The measurement bus of a scenario."""
-    return MeasurementBus(SYSTEM.sizes, _schedule(scenario), silent=_SILENT[scenario.hold])
+    return MeasurementBus(
+        SYSTEM.sizes, _schedule(scenario), silent=_SILENT[_reception(scenario).hold.name]
+    )
 
 
 def _codec(scenario: Scenario) -> MeasurementCodec:
-    return MeasurementCodec(max(SYSTEM.sizes), _NUMBERS[scenario.number])
+    return MeasurementCodec(max(SYSTEM.sizes), _NUMBERS[_reception(scenario).number])
 
 
 def _sensor(scenario: Scenario, node: int) -> SystemSensor | None:
     return None if node == RECEIVER else SystemSensor(SYSTEM, bus_of(scenario).rows(node))
 
 
-def _estimator(setup: "Setup", node: int) -> Estimator:
+def _estimator(setup: Setup, node: int) -> Estimator:
     scenario = setup.scenario
     prior = Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov))
     held = first_received(SYSTEM, prior.mean)
     bus, codec = bus_of(scenario), _codec(scenario)
     if node == RECEIVER:
-        method = FILTERS[scenario.rule]
+        method = FILTERS[scenario.filter.name]
         return ReceiverNode(SYSTEM, method, prior, paper_points(), held, bus.silent, codec)
     size = SYSTEM.sizes[node - 1]
     return SensorNode(
@@ -106,7 +129,7 @@ def _estimator(setup: "Setup", node: int) -> Estimator:
     )
 
 
-def _listen(setup: "Setup", nodes: Sequence[int], readings: Array) -> Gaussian:
+def _listen(setup: Setup, nodes: Sequence[int], readings: Array) -> Gaussian:
     """The recommended filter with all readings (steps, N, 1, d) of some sensors at every step."""
     values = np.full((len(readings) - 1, SYSTEM.entries), np.nan)
     bus = bus_of(setup.scenario)
@@ -120,36 +143,34 @@ def _listen(setup: "Setup", nodes: Sequence[int], readings: Array) -> Gaussian:
 
 def _check(scenario: Scenario) -> None:
     require(scenario.nodes == 1 + SENSORS, "nodes", scenario.nodes, f"{1 + SENSORS}: {_WHO}")
-    require(scenario.graph == "star", "graph", scenario.graph, f"star: {_WHO}")
+    require(scenario.network.graph == "star", "graph", scenario.network.graph, f"star: {_WHO}")
     require(scenario.rounds == 1, "rounds", scenario.rounds, "1: a step is one slot of the bus")
-    require(scenario.trigger == 0, "trigger", scenario.trigger, "0: sensors ask in every slot")
-    require(
-        0 <= scenario.static_slots < SENSORS,
-        "static-slots",
-        scenario.static_slots,
-        f"in 0..{SENSORS - 1}: at least one of {SENSORS} sensors contends for the dynamic slot",
-    )
+    static_slots_of(scenario)
+    chosen = flat(scenario)
     for option, known in _NAMES.items():
-        value = getattr(scenario, option)
-        if value not in known:
-            raise unknown_name(f"{option} for a measurement bus", value, known)
+        if chosen[option] not in known:
+            raise unknown_name(f"{option} for a measurement bus", chosen[option], known)
+    trigger = trigger_of(scenario.bus.schedule)
+    require(trigger == 0, "trigger", trigger, "0: sensors ask in every slot")
 
 
-_NAMES = {"rule": tuple(FILTERS), "schedule": tuple(_SCHEDULES), "hold": tuple(_SILENT)}
+_NAMES = {
+    "rule": ("reception",),
+    "filter": tuple(FILTERS),
+    "schedule": tuple(_SCHEDULES),
+    "hold": tuple(_SILENT),
+}
 _WHO = f"node 0 estimates and hears the sensors, nodes 1 to {SENSORS}"
 
 KIND = Kind(
-    own=("static_slots",),
-    summary="six sensors share one slot per step to an estimator (Meng et al. 2025)",
     defaults=Scenario(
-        name="meng2025",
-        nodes=1 + SENSORS,
-        graph="star",
-        rule="recommended",
+        plant=StochasticReceiver(),
+        network=SensorNetwork(nodes=1 + SENSORS, graph="star"),
+        rule=Reception(),
         rounds=1,
+        bus=FlexRay(schedule=SensorSlots()),
+        filter=RecommendedFilter(),
         steps=101,
-        schedule="flexray",
-        hold=ZERO_ORDER,
     ),
     check=_check,
     plant=lambda _: _plant(),

@@ -8,7 +8,6 @@ network, with any rule. The paper names distributed estimation as its future wor
 
 from collections.abc import Sequence
 from functools import cache, partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,14 +19,14 @@ from nodes.environment_state import Delivery
 from plants import meng2025
 from plants.sensed import SensedPlant, clusters
 from plants.stochastic import replicated
-from scenarios.catalogue import Kind, Score
 from scenarios.definitions.measurement_runs import Estimator, estimate, first_received
-from scenarios.definitions.meng2025 import SENSORS, SYSTEM, paper_points
+from scenarios.definitions.meng2025 import SENSORS, SYSTEM, paper_points, static_slots_of
 from scenarios.definitions.stochastic_models import SystemModel, SystemSensor
-from scenarios.scenario import Scenario, require
-
-if TYPE_CHECKING:
-    from scenarios.setup import Setup
+from scenarios.kind import Kind, Score
+from scenarios.scenario import Scenario
+from scenarios.setup import Setup
+from scenarios.types.network import SensorNetwork
+from scenarios.types.plants import StochasticNetwork
 
 Array = NDArray[np.float64]
 
@@ -53,12 +52,12 @@ def _transmit(
 
 
 def _delivery(scenario: Scenario) -> Delivery:
-    bus = MeasurementBus(SYSTEM.sizes, flexray(SENSORS, scenario.static_slots))
+    bus = MeasurementBus(SYSTEM.sizes, flexray(SENSORS, static_slots_of(scenario)))
     received = np.tile(first_received(SYSTEM, meng2025.PRIOR_MEAN), (scenario.nodes, 1))
     return Delivery(partial(_transmit, bus), received)
 
 
-def _listen(setup: "Setup", nodes: Sequence[int], readings: Array) -> Gaussian:
+def _listen(setup: Setup, nodes: Sequence[int], readings: Array) -> Gaussian:
     """The recommended filter with what the buses of some nodes delivered (steps, N, 1, m).
 
     All of it at once: how one filter took them one by one would hang on their order.
@@ -71,18 +70,13 @@ def _listen(setup: "Setup", nodes: Sequence[int], readings: Array) -> Gaussian:
 
 
 def _check(scenario: Scenario) -> None:
-    require(
-        0 <= scenario.static_slots < SENSORS,
-        "static-slots",
-        scenario.static_slots,
-        f"in 0..{SENSORS - 1}: at least one of {SENSORS} sensors contends for the dynamic slot",
-    )
+    static_slots_of(scenario)
 
 
 KIND = Kind(
-    own=("static_slots",),
-    summary="a network of such estimators, each behind a bus of its own",
-    defaults=Scenario(name="meng2025-network", nodes=8, graph="ring", steps=101),
+    defaults=Scenario(
+        plant=StochasticNetwork(), network=SensorNetwork(nodes=8, graph="ring"), steps=101
+    ),
     check=_check,
     plant=lambda scenario: _plant(scenario.nodes),
     model=lambda _: SystemModel(SYSTEM),

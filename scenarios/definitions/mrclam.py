@@ -7,8 +7,10 @@ from plants.recorded.confined_motion import ConfinedMotion
 from plants.recorded.mrclam import RecordedTarget, recorded_target
 from plants.recorded.mrclam_files import read_recording
 from plants.recorded.sighting import Sighting
-from scenarios.catalogue import Kind, Score
+from scenarios.kind import Kind, Score
 from scenarios.scenario import Scenario
+from scenarios.types.network import SensorNetwork
+from scenarios.types.plants import RecordedRobots
 
 DATA_VARIABLE = "CONCORD_MRCLAM"
 _NODES = 4
@@ -20,16 +22,16 @@ def _plant(data: str, target: int) -> RecordedTarget:
 
 
 def _recorded(scenario: Scenario) -> RecordedTarget:
-    data = scenario.data or os.environ.get(DATA_VARIABLE)
+    robots = scenario.plant
+    assert isinstance(robots, RecordedRobots), "the catalogue chose this file"
+    data = robots.data or os.environ.get(DATA_VARIABLE)
     if data is None:
         raise ValueError(
             "scenario mrclam replays recorded data: name the folder of a data set with --data, or "
             f"with the environment variable {DATA_VARIABLE} (UTIAS MRCLAM, files Barcodes.dat, "
             "Robot1_Groundtruth.dat, ...)"
         )
-    if scenario.target is None:
-        raise ValueError("scenario mrclam needs --target, the robot to be tracked: 1 to 5")
-    return _plant(data, scenario.target)
+    return _plant(data, robots.target)
 
 
 def _check(scenario: Scenario) -> None:
@@ -52,9 +54,12 @@ def _sensor(_: Scenario, node: int) -> Sighting:
 
 
 KIND = Kind(
-    own=("target",),
-    summary="four real robots track the fifth; needs --data and --target",
-    defaults=Scenario(name="mrclam", nodes=_NODES, graph="complete", rounds=1, steps=1, target=1),
+    defaults=Scenario(
+        plant=RecordedRobots(),
+        network=SensorNetwork(nodes=_NODES, graph="complete"),
+        rounds=1,
+        steps=1,
+    ),
     check=_check,
     plant=_recorded,
     model=lambda _: ConfinedMotion(),

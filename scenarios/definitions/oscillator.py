@@ -3,10 +3,14 @@
 from functools import cache
 
 from plants.oscillator import Oscillation, Oscillator, ScalarSensor
-from scenarios.catalogue import Kind, Score
+from scenarios.kind import Kind, Score
 from scenarios.scenario import Scenario
+from scenarios.types.network import SensorNetwork
+from scenarios.types.plants import DampedOscillator
 
-DEFAULTS = Scenario(name="oscillator", nodes=8, graph="ring", steps=200)
+DEFAULTS = Scenario(
+    plant=DampedOscillator(), network=SensorNetwork(nodes=8, graph="ring"), steps=200
+)
 
 
 @cache
@@ -27,7 +31,6 @@ def _check(_: Scenario) -> None:
 
 
 KIND = Kind(
-    summary="lightly damped oscillator; nodes see position, velocity or nothing",
     defaults=DEFAULTS,
     check=_check,
     plant=lambda scenario: _plant(scenario.nodes),

@@ -10,8 +10,10 @@ from functools import cache
 from plants.placement import place_sensors
 from plants.range_bearing import RangeBearing
 from plants.targets import Target, straight_target, turning_target
-from scenarios.catalogue import Kind, Score
+from scenarios.kind import Kind, Score
 from scenarios.scenario import Scenario
+from scenarios.types.network import SensorNetwork
+from scenarios.types.plants import TargetCrossing, TargetTracking
 
 RADIO_RANGE_M = 330.0
 
@@ -26,13 +28,14 @@ def _check(scenario: Scenario) -> None:
     _target(turning_target, scenario.nodes)
 
 
-def _kind(name: str, summary: str, make: Callable[..., Target], states: int) -> Kind:
+def _kind(plant: TargetTracking | TargetCrossing, make: Callable[..., Target], states: int) -> Kind:
     def sensor(scenario: Scenario, node: int) -> RangeBearing:
         return _target(make, scenario.nodes).sensor(node)
 
     return Kind(
-        summary=summary,
-        defaults=Scenario(name=name, nodes=20, graph="geometric", steps=120),
+        defaults=Scenario(
+            plant=plant, network=SensorNetwork(nodes=20, graph="geometric"), steps=120
+        ),
         check=_check,
         plant=lambda scenario: _target(make, scenario.nodes),
         model=lambda scenario: _target(make, scenario.nodes).model,
@@ -44,14 +47,12 @@ def _kind(name: str, summary: str, make: Callable[..., Target], states: int) -> 
 
 
 TURNING = _kind(
-    "target-tracking",
-    "a turning target seen by range-bearing sensors with a limited field of view",
+    TargetTracking(),
     turning_target,
     states=5,
 )
 CROSSING = _kind(
-    "target-crossing",
-    "a target on a straight course seen by the same sensors",
+    TargetCrossing(),
     straight_target,
     states=4,
 )

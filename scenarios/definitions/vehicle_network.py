@@ -5,7 +5,7 @@ with --data. Every node learns how noisy its own sensors are (--no-adaptive: bel
 sheets). --noise says what the sensors really do.
 """
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 
 import numpy as np
@@ -34,10 +34,14 @@ from plants.vehicle.network import (
 )
 from plants.vehicle.parameters import Car
 from plants.vehicle.sensors import SensorError
-from scenarios.catalogue import Kind, Score
-from scenarios.estimators import Seat
+from scenarios.kind import Kind, Score
 from scenarios.scenario import Scenario
+from scenarios.seat import Seat
 from scenarios.setup import Setup
+from scenarios.types.buses import FlexRay
+from scenarios.types.network import SensorNetwork
+from scenarios.types.plants import VehicleNetwork
+from scenarios.types.rules import MeasurementFlooding
 from topology.names import unknown_name
 
 TIME_STEP_S = 0.005
@@ -79,18 +83,20 @@ def _simulated(car: str, manoeuvre: str, noise: str) -> DrivenOnce:
 
 
 def _plant(scenario: Scenario) -> DrivenOnce:
-    if scenario.data is not None:
-        return _logged(scenario.data)
-    known: dict[str, Collection[str]] = {
-        "car": FITTED_CARS,
-        "manoeuvre": MANOEUVRES,
-        "noise": NOISES,
-    }
-    for option, names in known.items():
-        name = getattr(scenario, option)
-        if name not in names:
-            raise unknown_name(option, name, names)
-    return _simulated(scenario.car, scenario.manoeuvre, scenario.noise)
+    vehicle = vehicle_of(scenario)
+    if vehicle.data is not None:
+        return _logged(vehicle.data)
+    if vehicle.car not in FITTED_CARS:
+        raise unknown_name("car", vehicle.car, FITTED_CARS)
+    if vehicle.manoeuvre not in MANOEUVRES:
+        raise unknown_name("manoeuvre", vehicle.manoeuvre, MANOEUVRES)
+    return _simulated(vehicle.car, vehicle.manoeuvre, vehicle.noise)
+
+
+def vehicle_of(scenario: Scenario) -> VehicleNetwork:
+    """The car of a scenario, its drive and its sensors."""
+    assert isinstance(scenario.plant, VehicleNetwork), "the catalogue chose this file"
+    return scenario.plant
 
 
 @cache
@@ -100,7 +106,8 @@ def _believed(name: str, data: str | None) -> DrivenCar:
 
 
 def _model(scenario: Scenario) -> DrivenCar:
-    return _believed(scenario.car, scenario.data)
+    vehicle = vehicle_of(scenario)
+    return _believed(vehicle.car, vehicle.data)
 
 
 def _sensor(scenario: Scenario, node: int) -> CarSensor:
@@ -113,19 +120,20 @@ def _check(scenario: Scenario) -> None:
             f"--nodes {scenario.nodes}: the car has {len(NODES)}, {', '.join(NODES)}; leave "
             "--nodes out"
         )
-    if scenario.adaptive and scenario.rule == "labelled":
+    vehicle = vehicle_of(scenario)
+    if vehicle.adaptive and isinstance(scenario.rule, MeasurementFlooding):
         raise ValueError(
             "rule labelled sends readings, whose noise every node takes from the data sheet: use "
             "--no-adaptive with it, or rule ci"
         )
     simulated_only = [
-        f"--{option} {getattr(scenario, option)}"
+        f"--{option} {getattr(vehicle, option)}"
         for option in ("car", "manoeuvre", "noise")
-        if getattr(scenario, option) != getattr(KIND.defaults, option)
+        if getattr(vehicle, option) != getattr(KIND.defaults.plant, option)
     ]
-    if scenario.data is not None and simulated_only:
+    if vehicle.data is not None and simulated_only:
         raise ValueError(
-            f"{', '.join(simulated_only)}: of simulated drives, but --data {scenario.data} is a "
+            f"{', '.join(simulated_only)}: of simulated drives, but --data {vehicle.data} is a "
             "logged one, which has its own car, course and noise; leave one of the two out"
         )
     plant = _plant(scenario)
@@ -137,7 +145,7 @@ def _check(scenario: Scenario) -> None:
 
 
 def _around(scenario: Scenario, seat: Seat, rule: Estimator) -> Estimator:
-    if not scenario.adaptive:
+    if not vehicle_of(scenario).adaptive:
         return rule
     assert seat.sensor is not None, "every node of the car has a sensor"
     return AdaptiveNoise(rule, seat.sensor, seat.points)
@@ -161,7 +169,7 @@ def _listen(setup: Setup, nodes: Sequence[int], readings: Array) -> Gaussian:
                 taken = AdaptedSensor(own, noises[node])
             belief, _ = take_own(belief, measured, taken, points)
             for reading in delivered[node]:
-                if scenario.adaptive and not np.isnan(reading).all():
+                if vehicle_of(scenario).adaptive and not np.isnan(reading).all():
                     noise = noises.get(node) or declared_noise(own, reading)
                     noises[node] = learn(noise, belief, reading, own, points, step)
         means.append(belief.mean)
@@ -170,18 +178,12 @@ def _listen(setup: Setup, nodes: Sequence[int], readings: Array) -> Gaussian:
 
 
 KIND = Kind(
-    own=("car", "manoeuvre", "adaptive", "noise"),
-    summary="a car's sensors on its FlexRay bus estimate its motion; learns its sensors' noise",
     defaults=Scenario(
-        name="vehicle-network",
-        nodes=len(NODES),
-        graph="complete",
+        plant=VehicleNetwork(),
+        network=SensorNetwork(nodes=len(NODES), graph="complete"),
         rounds=1,
+        bus=FlexRay(cluster="audi"),
         steps=1,
-        cluster="audi",
-        manoeuvre="serpentine",
-        noise="growing",
-        adaptive=True,
     ),
     check=_check,
     plant=_plant,

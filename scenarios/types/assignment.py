@@ -29,7 +29,7 @@ def flat(value: Struct) -> dict[str, Any]:
             found |= flat(held)
         elif declared.members:
             found |= {declared.name: held.name, **flat(held)}
-        else:
+        elif _has(value, declared.says.needs, {}):
             found[declared.name] = held
     return found
 

@@ -92,18 +92,28 @@ class FlexRay(SharedBus, frozen=True, kw_only=True, tag="flexray"):
     ] = 1.0  # fmt: skip
 
 
-class IdealBus(SharedBus, frozen=True, kw_only=True, tag="ideal"):
+class Ideal(SharedBus, frozen=True, kw_only=True, tag="ideal"):
     """Slots without time: whatever the schedule allows is transmitted."""
 
     schedule: Annotated[TimelessSchedule, SCHEDULE] = FullSchedule()
 
 
-BusChoice = FlexRay | IdealBus
+BusChoice = FlexRay | Ideal
 
 
 def occupancy_of(schedule: BusSchedule) -> float:
     """The share of the nodes that publish in a cycle; 1 where the schedule lets all publish."""
     return schedule.occupancy if isinstance(schedule, PartialSchedule) else 1.0
+
+
+def arbiter_of(schedule: BusSchedule) -> str:
+    """The arbiter of the dynamic segment; the usual one where no node contends."""
+    return schedule.arbiter if isinstance(schedule, ContendedSchedule) else "wtod"
+
+
+def stretch_of(bus: SharedBus) -> float:
+    """The factor by which the plant's sampling time is stretched; 1 on a bus without time."""
+    return bus.stretch if isinstance(bus, FlexRay) else 1.0
 
 
 def trigger_of(schedule: BusSchedule) -> float:

@@ -15,12 +15,4 @@ class RecommendedFilter(FilterBase, frozen=True, kw_only=True, tag="recommended"
     """Unscented filter with exact moments of noise that grows with the state (meng2025)."""
 
 
-class PrintedFilter(FilterBase, frozen=True, kw_only=True, tag="paper-literal"):
-    """The filter of Meng et al. (2025) as printed (meng2025)."""
-
-
-class PrintedNoiseFilter(FilterBase, frozen=True, kw_only=True, tag="paper-literal-R"):
-    """The filter of Meng et al. (2025) as printed, with its printed R (meng2025)."""
-
-
-FilterChoice = UnscentedFilter | RecommendedFilter | PrintedFilter | PrintedNoiseFilter
+FilterChoice = UnscentedFilter | RecommendedFilter

@@ -117,3 +117,8 @@ PlantChoice = (
     | UnstableBounded
     | VehicleNetwork
 )
+
+
+def noise_of(plant: SensedPlantChoice) -> str:
+    """What the sensors of a plant really do; matched where it has no choice."""
+    return plant.noise if isinstance(plant, ControlledPlant | VehicleNetwork) else "matched"

@@ -1,18 +1,19 @@
 """Fusion rules as values: which rule the nodes use, with the rule's own options."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from scenarios.types.holds import (
     BeliefHold,
     Decayed,
     Fading,
+    Hold,
     Predicted,
     SensorHold,
     SetHold,
     TrimmedHold,
     ZeroOrder,
 )
-from scenarios.types.option import Choice, Option
+from scenarios.types.option import Choice, Option, name_of
 
 Number = Literal["float64", "float32"]
 HOLD = Option("What becomes of the last share of a silent neighbour.", group="rule")
@@ -152,3 +153,28 @@ RuleChoice = (
     | ZonotopeIntersection
     | Reception
 )
+RULE_SUMMARIES = {name_of(rule): rule.summary() for rule in get_args(RuleChoice)}
+
+
+def hold_of(rule: FusionRule) -> Hold | None:
+    """The hold policy of a rule; None for one that uses only fresh shares."""
+    match rule:
+        case AverageRule() | TrimmedCovarianceIntersection() | SetRule() | Reception():
+            return rule.hold
+    return None
+
+
+def latch_delay_of(rule: FusionRule) -> float | None:
+    """What a host needs to relay, in us; None for a rule that does not relay."""
+    is_relayed = isinstance(rule, MeasurementFlooding) and rule.relay
+    return rule.latch_delay_us if is_relayed else None
+
+
+def number_of(rule: FusionRule) -> str:
+    """The format of numbers in a share; that of its readings for a rule that floods these."""
+    match rule:
+        case NumberRule():
+            return rule.number
+        case MeasurementFlooding():
+            return rule.record_number
+    return "float64"

@@ -275,7 +275,7 @@ def test_rule_and_rounds_hold_from_the_next_step_for_all(page: Page, onlooker: C
     page.enter("Rounds", 2)
     page.until(lambda: page.dashboard.controls.network.rounds.value == 2)
     page.press("Apply at the next step")
-    page.until(lambda: page.dashboard.stage.setup.scenario.rule == "wac")
+    page.until(lambda: page.dashboard.stage.setup.scenario.rule.name == "wac")
     page.until(lambda: len(newest(page).cycles) == 2)
     assert onlooker.state()["standing"]["settings"] == {"rule": "wac", "rounds": 2}
     page.page.get_by_text("Log", exact=True).first.click()
@@ -289,7 +289,7 @@ def test_occupancy_and_arbiter_give_the_bus_to_fewer_and_to_others(page: Page, o
     page.choose("Arbiter", "round-robin")
     page.until(lambda: page.dashboard.controls.network.arbiter.value == "round-robin")
     page.press("Apply at the next step")
-    page.until(lambda: page.dashboard.stage.setup.scenario.occupancy == 0.5)
+    page.until(lambda: page.dashboard.stage.setup.scenario.bus.schedule.occupancy == 0.5)
     settings = onlooker.state()["standing"]["settings"]
     assert (settings["occupancy"], settings["arbiter"]) == (0.5, "round-robin")
     steps_on(page, 3)

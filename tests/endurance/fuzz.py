@@ -24,7 +24,7 @@ from runtime.drivers import in_memory
 from runtime.network.links import RECORDER, WORLD, names
 from runtime.recorded import meaning, message_of
 from scenarios.catalogue import kind_of
-from scenarios.setup import prepare
+from scenarios.preparation import prepare
 from tests.endurance.intruder import Intruder, intruders
 from tests.endurance.malformed import malformed
 from tests.endurance.running import Running, memory_mb, neighbouring_ports
@@ -96,7 +96,7 @@ def fuzz(messages: int, seed: int, steps: int = STEPS) -> Outcome:
     """A network of four in lockstep in such a storm."""
     defaults = kind_of("oscillator").defaults
     wanted = {"nodes": NODES, "graph": "ring", "steps": steps}
-    setup = prepare(msgspec.structs.replace(defaults, **wanted))
+    setup = prepare(defaults.with_(**wanted))
     sound = in_memory(setup)
     cast = names(setup.neighbours)
     ports = neighbouring_ports(cast)

@@ -27,7 +27,8 @@ from nodes.commands import Restart, Speed
 from nodes.tempo import Tempo
 from runtime.network.network_file import read_network
 from scenarios.catalogue import kind_of
-from scenarios.setup import Setup, prepare
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 from scenarios.tempo import tempo_of
 from tests.endurance.running import PROC, Running
 
@@ -158,7 +159,7 @@ def kill_in_lockstep(network: Network, count: int, rng: np.random.Generator) -> 
     stalls = np.diff(network.heard_s) - 1 / RATE
     left = network.end()
     trace = network.trace()
-    graph = network.setup.scenario.graph
+    graph = network.setup.scenario.network.graph
     say(f"{count} kills and restarts, {NODES} processes, {graph}, lockstep at {RATE:g} steps/s")
     say(f"  told to be gone after {spread(gone_s)} s")
     say(f"  longest stall of the others {max(stalls):.3f} s")
@@ -245,7 +246,7 @@ def main(options: Options) -> None:
     """Both, one after the other."""
     defaults = kind_of("oscillator").defaults
     wanted = {"nodes": NODES, "graph": options.graph, "steps": 1_000_000}
-    setup = prepare(msgspec.structs.replace(defaults, **wanted))
+    setup = prepare(defaults.with_(**wanted))
     rng = np.random.default_rng(options.seed)
     plays: list[tuple[int, Tempo | None, Callable]] = [
         (options.kills, None, kill_in_lockstep),

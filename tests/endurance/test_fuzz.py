@@ -16,7 +16,8 @@ from runtime.processes.recorder.process import STRANGE
 from runtime.recorded import message_of
 from runtime.recording import read_recording
 from scenarios.catalogue import kind_of
-from scenarios.setup import Setup, prepare
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 from scenarios.tempo import tempo_of
 from tests.endurance.fuzz import fuzz
 from tests.endurance.running import PROC, Running, neighbouring_ports
@@ -32,7 +33,7 @@ pytestmark = [
 def two_nodes(steps: int) -> tuple[Setup, dict[str, int]]:
     """A network of two, and its ports."""
     wanted = {"nodes": 2, "graph": "path", "steps": steps}
-    setup = prepare(msgspec.structs.replace(kind_of("oscillator").defaults, **wanted))
+    setup = prepare(kind_of("oscillator").defaults.with_(**wanted))
     return setup, neighbouring_ports(names(setup.neighbours))
 
 

@@ -4,10 +4,11 @@ from typing import NamedTuple
 
 from bus.bus import Bus
 from experiments.results.trace import Trace, read_trace
-from experiments.scenario_options import ScenarioOptions
+from experiments.scenario_options import scenario_of
 from runtime.drivers import in_memory
 from scenarios.build import build_bus
-from scenarios.setup import Setup, prepare
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 
 
 class Run(NamedTuple):
@@ -22,6 +23,6 @@ class Run(NamedTuple):
 
 def run(**options) -> Run:
     options = {"scenario": "oscillator", "graph": "ring", "nodes": 5, "steps": 3, **options}
-    setup = prepare(ScenarioOptions(**options).resolve())
+    setup = prepare(scenario_of(**options))
     messages = in_memory(setup)
     return Run(setup, read_trace(setup, messages), messages)

@@ -25,10 +25,11 @@ from experiments.results.bus_report import (
     timetable,
 )
 from experiments.results.trace import read_trace
-from experiments.scenario_options import ScenarioOptions
+from experiments.scenario_options import scenario_with_known
 from runtime.drivers import in_memory
 from scenarios.build import build_bus
-from scenarios.setup import Setup, prepare
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 from tests.experiments.bus_runs import run
 
 # --- by hand -----------------------------------------------------------------------------------
@@ -166,7 +167,7 @@ choices = st.fixed_dictionaries(
 def prepared(options: dict) -> Setup:
     options = {"scenario": "oscillator", "graph": "ring", "steps": 2, **options}
     try:
-        return prepare(ScenarioOptions(**options).resolve())
+        return prepare(scenario_with_known(**options)[0])
     except ValueError:
         assume(False)
         raise
@@ -248,6 +249,6 @@ def test_ages_are_cycles_since_the_sender_last_had_the_bus(options: dict):
 
 
 def test_a_bus_without_time_has_no_report():
-    silent = run(cluster="none")
+    silent = run(bus="ideal")
     assert figures_of(silent.setup, silent.trace) is None
     assert capture(silent.setup, silent.trace, silent.messages) is None

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from bus.flexray.cluster_files import cluster_to_toml
 from bus.flexray.dynamic_segment import walk
 from bus.flexray.flexray_bus import FlexRayBus
+from experiments.cli.scenario_flags import ScenarioFlags, resolved
 from experiments.flexray.plan_report import answer_plan, run_command, slot_rows
 from experiments.flexray.rehearsal import (
     alternatives,
@@ -20,10 +21,12 @@ from experiments.flexray.rehearsal import (
     rehearse,
 )
 from experiments.results.trace import read_trace
-from experiments.scenario_options import ScenarioOptions
+from experiments.scenario_options import scenario_of
 from runtime.drivers import in_memory
 from scenarios.build import build_bus
-from scenarios.setup import Setup, prepare
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
+from scenarios.types.buses import occupancy_of
 from tests.experiments.flexray_support import concord, refused
 from tests.experiments.test_bus_report import SMALL
 
@@ -118,10 +121,10 @@ def test_a_cluster_too_small_for_one_share_is_refused(tmp_path, capsys):
 
 
 def unplanned(nodes: int, cluster: str, number: str = "float64") -> Setup:
-    options = ScenarioOptions(
+    options = scenario_of(
         scenario="oscillator", graph="ring", nodes=nodes, cluster=cluster, number=number, steps=4
     )
-    return prepare_without_bus(options.resolve())
+    return prepare_without_bus(options)
 
 
 @settings(max_examples=20)
@@ -134,7 +137,7 @@ def test_one_share_more_does_not_fit(nodes: int, cluster: str, number: str):
     setup = unplanned(nodes, cluster, number)
     found = alternatives(setup)
     assert found
-    sizes = [round(other.setup.scenario.occupancy * nodes) for other in found]
+    sizes = [round(occupancy_of(other.setup.scenario.bus.schedule) * nodes) for other in found]
     assert sizes == sorted(sizes, reverse=True)
     for other, size in zip(found, sizes, strict=True):
         assert other.bus.dynamic_room() == max(other.bus.schedule.dynamic_slot_table)
@@ -208,10 +211,10 @@ def test_the_shown_slots_are_those_of_the_schedule(nodes: int, occupancy: float,
     )
 )
 def test_the_command_line_means_the_scenario(options: dict):
-    scenario = ScenarioOptions(scenario="oscillator", **options).resolve()
+    scenario = scenario_of(scenario="oscillator", **options)
     program, command, *words = shlex.split(run_command(scenario))
     assert (program, command) == ("concord", "run")
-    assert tyro.cli(ScenarioOptions, args=words).resolve() == scenario
+    assert resolved(tyro.cli(ScenarioFlags, args=words)) == scenario
 
 
 # --- rehearsals --------------------------------------------------------------------------------
@@ -229,11 +232,11 @@ def test_the_command_line_means_the_scenario(options: dict):
 )
 @pytest.mark.parametrize("cluster", ["fitted", "bosch"])
 def test_where_bids_do_not_matter_the_rehearsal_is_the_run(schedule, arbiter, cluster):
-    options = ScenarioOptions(
+    options = scenario_of(
         scenario="oscillator", nodes=7, graph="ring", steps=5, occupancy=0.4, schedule=schedule,
         arbiter=arbiter, cluster=cluster,
     )  # fmt: skip
-    setup = prepare(options.resolve())
+    setup = prepare(options)
     trace = read_trace(setup, in_memory(setup))
     rehearsal = rehearse(setup, flexray(setup), 5)
     np.testing.assert_array_equal(rehearsal.published, trace.published)
@@ -302,4 +305,4 @@ def test_only_cycles_of_the_run_can_be_shown(capsys):
 
 def test_the_plan_of_a_bad_scenario_is_an_error_not_an_alternative():
     with pytest.raises(ValueError, match="unknown schedule"):
-        answer_plan(ScenarioOptions(schedule="chaos").resolve())
+        answer_plan(scenario_of(schedule="chaos"))

@@ -20,7 +20,7 @@ from filters.gaussian import Gaussian
 from runtime.drivers import in_memory
 from scenarios.baselines import listener
 from scenarios.catalogue import kind_of
-from scenarios.setup import prepare, setup_of_run
+from scenarios.preparation import prepare, setup_of_run
 from tests.dashboard.runs import setup_of
 from tests.processes import holds_within
 
@@ -70,7 +70,7 @@ def test_runs_of_what_was_recorded_once_are_no_band():
     if not data.is_dir():
         pytest.skip("needs the recorded robots in ../shared/data/mrclam6")
     defaults = kind_of("mrclam").defaults
-    setup = prepare(msgspec.structs.replace(defaults, data=str(data), target=4, steps=30))
+    setup = prepare(defaults.with_(data=str(data), target=4, steps=30))
     told = told_by(setup, 3)
     assert told.nees_low == told.nees_high == [None] * 30
 

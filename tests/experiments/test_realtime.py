@@ -217,7 +217,7 @@ def test_every_command_is_obeyed_or_refused_with_reason_and_cure(tmp_path: Path)
 @pytest.mark.parametrize(
     ("changed", "stretch", "named"),
     [
-        ({"cluster": "none"}, None, "--cluster none: a bus without time sets no pace"),
+        ({"bus": "ideal"}, None, "--bus ideal: a bus without time sets no pace"),
         ({"changes": ("3 kill 1", "5 set rounds=2")}, None, "set at step 5 waits until all"),
         ({}, 0.5, "--cycle-stretch 0.5: must be at least 1"),
     ],

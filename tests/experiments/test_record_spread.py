@@ -6,17 +6,18 @@ import pytest
 from experiments.results.record_spread import NEVER, RecordSpread, figures_of
 from experiments.results.summary import lines, summarise
 from experiments.results.trace import read_trace
-from experiments.scenario_options import ScenarioOptions
+from experiments.scenario_options import scenario_of
 from runtime import in_process
 from runtime.drivers import drive
 from runtime.recording import MemoryRecorder
 from scenarios.build import build_environment, build_node
-from scenarios.setup import Setup, prepare
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 
 
 def setup_of(**options) -> Setup:
     chosen = {"scenario": "oscillator", "nodes": 6, "steps": 20, **options}
-    return prepare(ScenarioOptions(**chosen).resolve())
+    return prepare(scenario_of(**chosen))
 
 
 @pytest.mark.parametrize("lossy", [{}, {"loss": 0.4}, {"loss": 0.2, "cluster": "audi"}])

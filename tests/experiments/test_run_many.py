@@ -17,7 +17,8 @@ from experiments.results.trace import read_trace
 from runtime.drivers import in_memory
 from scenarios.baselines import READINGS_AT_ONCE, centralised_of_runs
 from scenarios.catalogue import kind_of
-from scenarios.setup import Setup, setup_of_run
+from scenarios.preparation import setup_of_run
+from scenarios.setup import Setup
 from tests.experiments.support import small
 
 RUNS = range(2, 5)
@@ -69,7 +70,7 @@ def test_figures_are_means_of_those_of_the_runs(name: str):
 
 def test_a_large_network_has_a_centralised_filter_too():
     """That takes readings batch by batch: of a linear plant the same as the filter of all."""
-    setup = small(nodes=READINGS_AT_ONCE + 7, steps=3, graph="ring", cluster="none")
+    setup = small(nodes=READINGS_AT_ONCE + 7, steps=3, graph="ring", bus="ideal")
     histories = simulate(setup, [0])
     figures = summarise(histories, Cost(1.0, 1.0))
     assert 0 < figures.rmse_centralised.value < figures.rmse.value

@@ -15,7 +15,7 @@ from experiments.results.summary import Figures, lines, summarise, table
 from experiments.results.trace import read_trace
 from runtime.drivers import in_memory
 from runtime.recording import read_recording
-from scenarios.setup import prepare
+from scenarios.preparation import prepare
 from tests.experiments.support import scenario, small
 
 SETUP = small(steps=30, nodes=4)

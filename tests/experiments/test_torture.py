@@ -17,8 +17,8 @@ from experiments.simulation_testing.script import WORDS, calm_from, is_harmless
 from experiments.simulation_testing.shrink import replay_command, run_command, shrink
 from experiments.simulation_testing.wire import LOSING, WIRE_FAULTS, Wire
 from nodes.faults.vocabulary import EVERY_FAULT
+from scenarios.preparation import prepare
 from scenarios.script import script_of
-from scenarios.setup import prepare
 from tests.experiments.torture_bugs import BUGS, MOST_SEEDS, Bug, first_found, planted
 
 # Those that are found within one small case, and so in a fast test.
@@ -60,7 +60,7 @@ def test_the_whole_vocabulary_is_drawn():
     harmless = [case for case in cases if is_harmless(script_of(case.scenario))]
     liars = [case for case in cases if liars_of(case.scenario)]
     assert len(harmless) > 5 and len(liars) > 5
-    assert {case.scenario.rule for case in liars} > {"trimmed-ci"}
+    assert {case.scenario.rule.name for case in liars} > {"trimmed-ci"}
 
 
 @pytest.mark.parametrize(
@@ -190,7 +190,7 @@ def test_shrinking_keeps_what_matters():
     small = shrink(case, breaks)
     assert small.scenario.changes == ("2 kill 1",)
     assert small.wire == ("garbage 0.5",)
-    assert (small.scenario.steps, small.scenario.nodes, small.scenario.rule) == (3, 2, "ci")
+    assert (small.scenario.steps, small.scenario.nodes, small.scenario.rule.name) == (3, 2, "ci")
     assert small.scenario.rounds > 1
     words = shlex.split(replay_command(small))
     assert "2 kill 1" in words and "garbage 0.5" in words

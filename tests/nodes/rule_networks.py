@@ -10,9 +10,9 @@ from bus.schedule import Schedule
 from filters.gaussian import Gaussian
 from nodes.messages import Array
 from runtime.in_process import Link
-from scenarios.estimators import Seat
+from scenarios.catalogue import kind_of
 from scenarios.rules import build_estimator, hold_policy
-from scenarios.scenario import Scenario
+from scenarios.seat import Seat
 from tests.nodes.networks import (
     Adjacency,
     Network,
@@ -60,7 +60,7 @@ def ruled(
         number=number,
         seed=seed,
     )
-    scenario = Scenario(name="", nodes=len(priors), graph="", rule=rule, steps=steps)
+    scenario = kind_of("oscillator").defaults.with_(nodes=len(priors), rule=rule, steps=steps)
     neighbours = [node.neighbours for node in net.nodes]
     nodes = []
     for config in net.nodes:

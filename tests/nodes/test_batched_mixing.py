@@ -14,7 +14,7 @@ from nodes.lanes.beliefs import BeliefFleet
 from nodes.lanes.links import Shares, links_of
 from nodes.lanes.mixing import FEW_NODES, mixed, weighed
 from runtime.batched.build import build_network
-from scenarios.setup import prepare
+from scenarios.preparation import prepare
 from tests.experiments.support import scenario
 
 SIZES = st.one_of(st.integers(1, 9), st.just(FEW_NODES + 1))

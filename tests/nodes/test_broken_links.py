@@ -46,7 +46,8 @@ from runtime.whole_steps import WholeSteps
 from runtime.processes.environment.pacing import Lockstep
 from runtime.processes.environment.process import run_environment
 from scenarios.build import build_node, build_environment
-from scenarios.setup import Setup, fingerprint
+from scenarios.preparation import fingerprint
+from scenarios.setup import Setup
 setup = msgspec.json.decode(Path("setup.json").read_bytes(), type=Setup)
 mark, count = fingerprint(setup), setup.scenario.nodes
 links = plan_links(setup.neighbours, {ports})

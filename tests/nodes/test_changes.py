@@ -15,7 +15,8 @@ from nodes.history import Absence, Epoch, history_of
 from nodes.messages import CycleClosed, Estimate, Measured, ShareHeard, to_wire
 from nodes.node import initial_state
 from scenarios.build import build_node
-from scenarios.setup import Setup, prepare
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 from tests.experiments.support import scenario, small
 from tests.nodes.changing import run, same_bits
 from tests.nodes.networks import last_come, shuffled

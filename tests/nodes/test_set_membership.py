@@ -17,7 +17,8 @@ from runtime import in_process
 from runtime.in_process import Link
 from runtime.recording import MemoryRecorder
 from scenarios.build import build_environment, build_node
-from scenarios.setup import Setup, prepare
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 from tests.experiments.support import scenario
 
 SEEDS = st.integers(0, 2**32 - 1)

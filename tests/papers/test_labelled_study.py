@@ -7,13 +7,13 @@ import pytest
 from scipy import stats
 
 from experiments.cli.reproduce import carry_out
-from experiments.scenario_options import ScenarioOptions
+from experiments.scenario_options import scenario_of
 from papers.labelled.cases import Case, CaseOutcome, halves, runs_of_case
 from papers.labelled.cases_section import CASES, cases_section
 from papers.labelled.reproduce import PAPER, error_section, figure_of
 from papers.labelled.study import FORMS, OCCUPANCIES, Form, Job, Outcome, cell
 from papers.labelled.study import outcomes as runs_of
-from scenarios.setup import prepare
+from scenarios.preparation import prepare
 
 
 def outcomes(generator: np.random.Generator, runs: int) -> list[Outcome]:
@@ -50,7 +50,7 @@ def test_a_run_is_what_a_summary_would_say():
 
 
 def test_the_halves_of_the_cut_hang_together():
-    setup = prepare(ScenarioOptions(scenario="target-tracking", nodes=20).resolve())
+    setup = prepare(scenario_of(scenario="target-tracking", nodes=20))
     side = halves(setup)
     assert side.sum() == 8
     for part in (side, ~side):

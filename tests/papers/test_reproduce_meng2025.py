@@ -30,7 +30,7 @@ from papers.meng2025.table import Row, row
 from plants import meng2025
 from runtime.drivers import in_memory
 from scenarios.definitions.meng2025 import SYSTEM
-from scenarios.setup import prepare
+from scenarios.preparation import prepare
 from tests.experiments.support import scenario
 from tests.papers.support import every_claim_can_fail
 

@@ -30,9 +30,10 @@ from runtime.drivers import in_memory
 from scenarios.baselines import centralised as centralised_alone
 from scenarios.bus_plan import build_schedule
 from scenarios.catalogue import kind_of
+from scenarios.preparation import prepare
 from scenarios.rules import hold_policy
 from scenarios.scenario import Scenario
-from scenarios.setup import Setup, prepare
+from scenarios.setup import Setup
 from tests.papers.support import every_claim_can_fail
 
 # --- the array program ---------------------------------------------------------------------------
@@ -47,7 +48,7 @@ def weights_of(setup: Setup) -> np.ndarray:
 
 def small(name: str, **changes) -> Scenario:
     sizes = {"target-tracking": {"nodes": 8}, "dc-motor-position": {"control": "truth"}}
-    return replace(kind_of(name).defaults, steps=15, seed=5, **sizes[name], **changes)
+    return kind_of(name).defaults.with_(steps=15, seed=5, **sizes[name], **changes)
 
 
 HALF = {"schedule": "hybrid", "occupancy": 0.5}
@@ -61,10 +62,10 @@ HALF = {"schedule": "hybrid", "occupancy": 0.5}
         small("target-tracking", rule="ci", hold="in-step", **HALF),
         small("dc-motor-position", rule="wac", hold="predict", **HALF),
         small("dc-motor-position", rule="ci", hold="drop", schedule="dynamic", occupancy=0.25),
-        small("dc-motor-position", rule="hcmci", hold="renormalise", **HALF),
-        small("dc-motor-position", rule="icf", hold="renormalise"),
+        small("dc-motor-position", rule="hcmci", **HALF),
+        small("dc-motor-position", rule="icf"),
     ],
-    ids=lambda scenario: f"{scenario.name} {scenario.rule} {scenario.hold}",
+    ids=lambda scenario: f"{scenario.name} {scenario.rule.name}",
 )
 def test_every_lane_is_the_network_that_runs(scenario: Scenario):
     runs = simulate(scenario, [0, 3])
@@ -74,7 +75,7 @@ def test_every_lane_is_the_network_that_runs(scenario: Scenario):
     wiring = wire(
         weights_of(setup), scenario.rounds, build_schedule(scenario), hold_policy(scenario)
     )
-    rule = averaging_of(scenario.rule, scenario.nodes, trace.mean.shape[-1])
+    rule = averaging_of(scenario.rule.name, scenario.nodes, trace.mean.shape[-1])
     belief = estimate(runs, wiring, rule)
     deviations = np.sqrt(np.diagonal(trace.cov, axis1=-2, axis2=-1))
     assert np.abs((belief.mean[:, 1] - trace.mean) / deviations).max() < 1e-9

@@ -5,7 +5,6 @@ import math
 import random
 from collections import defaultdict
 
-import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,14 +15,12 @@ from runtime.drivers import in_memory
 from runtime.processes.recorder.throttled_feed import STEPS_PER_S, ThrottledFeed
 from runtime.whole_steps import WholeStep, WholeSteps
 from scenarios.catalogue import kind_of
-from scenarios.setup import prepare
+from scenarios.preparation import prepare
 
 NODES, STEPS, ROUNDS = 5, 24, 3
 CHANGES = ("6 kill 2", "10 restart 2", "13 set rounds=1", "17 kill 4", "19 set rounds=20")
 SETUP = prepare(
-    msgspec.structs.replace(
-        kind_of("oscillator").defaults, nodes=NODES, steps=STEPS, rounds=ROUNDS, changes=CHANGES
-    )
+    kind_of("oscillator").defaults.with_(nodes=NODES, steps=STEPS, rounds=ROUNDS, changes=CHANGES)
 )
 MESSAGES = in_memory(SETUP)
 Said = tuple[str, bytes]

@@ -108,10 +108,10 @@ from runtime.processes.node.membership import Membership
 from runtime.whole_steps import WholeSteps
 from scenarios.build import build_node, build_environment
 from scenarios.catalogue import kind_of
-from scenarios.setup import prepare
+from scenarios.preparation import prepare
 import msgspec
 defaults = kind_of("oscillator").defaults
-setup = prepare(msgspec.structs.replace(defaults, nodes=2, graph="path", steps=3))
+setup = prepare(defaults.with_(nodes=2, graph="path", steps=3))
 links = plan_links(setup.neighbours, free_ports(names(setup.neighbours)))
 def record():
     recorder = McapRecorder(Path("run.mcap"), 3, 0.1, SHARE_FRAMES)

@@ -15,7 +15,8 @@ from scenarios.baselines import (
     local_only,
     local_only_of_runs,
 )
-from scenarios.setup import Setup, setup_of_run
+from scenarios.preparation import setup_of_run
+from scenarios.setup import Setup
 from tests.experiments.support import small
 
 SETUP = small(steps=40, nodes=5)

@@ -5,7 +5,7 @@ import pytest
 
 from experiments.results.trace import read_trace
 from runtime.drivers import in_memory
-from scenarios.setup import prepare
+from scenarios.preparation import prepare
 from scenarios.warnings import warnings_of
 from tests.experiments.support import scenario
 

@@ -8,7 +8,7 @@ import pytest
 from experiments.results.trace import read_trace
 from runtime.drivers import in_memory
 from scenarios.links import link_state
-from scenarios.setup import prepare, setup_of_run
+from scenarios.preparation import prepare, setup_of_run
 from tests.experiments.support import scenario, small
 from tests.test_batched_agreement import check_agreement
 from topology.adjacency import neighbours_of
@@ -100,7 +100,7 @@ def test_chances_in_a_file_are_those_of_the_links(tmp_path):
         ({"links": "switching:ring,rign:3"}, "unknown graph 'rign': did you mean 'ring'"),
         ({"links": "bernoulli:0.1", "rule": "centralised", "graph": "complete", "rounds": 1},
          "centralised with --links bernoulli:0.1"),
-        ({"graph": "intel-lab"}, "intel-lab:FOLDER, with --data"),
+        ({"graph": "intel-lab"}, "intel-lab:FOLDER, or with"),
     ],
 )  # fmt: skip
 def test_links_that_cannot_be_are_refused(changes, message, monkeypatch):

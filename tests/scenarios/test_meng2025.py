@@ -19,8 +19,9 @@ from scenarios.baselines import centralised, local_only
 from scenarios.build import build_bus, build_environment, build_node
 from scenarios.definitions.measurement_runs import Estimator, estimate, first_received, slots_of
 from scenarios.definitions.meng2025 import FILTERS, SYSTEM, bus_of, paper_points
+from scenarios.preparation import prepare
 from scenarios.scenario import Scenario
-from scenarios.setup import Setup, prepare
+from scenarios.setup import Setup
 from tests.experiments.support import scenario, trace_of
 
 STAR: dict = {"steps": 41}
@@ -140,11 +141,12 @@ def test_short_numbers_on_the_wire_and_frames_that_get_lost():
         ({"nodes": 6}, "--nodes 6: must be 7"),
         ({"graph": "ring"}, "--graph ring: must be star"),
         ({"rounds": 2}, "--rounds 2: must be 1: a step is one slot"),
-        ({"trigger": 1.0}, "--trigger 1.0: must be 0"),
+        ({"schedule": "dynamic", "trigger": 1.0}, "--trigger 1.0: must be 0"),
         ({"static_slots": 6}, "--static-slots 6: must be in 0..5"),
-        ({"rule": "ci"}, "unknown rule for a measurement bus 'ci'.*recommended"),
+        ({"rule": "wac", "hold": "decayed"}, "unknown rule for a measurement bus 'wac'.*reception"),
+        ({"filter": "ukf"}, "unknown filter for a measurement bus 'ukf'.*recommended"),
         ({"schedule": "hybrid"}, "unknown schedule for a measurement bus"),
-        ({"hold": "decayed"}, "unknown hold for a measurement bus.*zero-order"),
+        ({"hold": "decayed"}, "unknown hold 'decayed'.*zero-order"),
     ],
 )
 def test_what_the_star_cannot_be(changes: dict, says: str):

@@ -13,7 +13,7 @@ import pytest
 from experiments.results.summary import Figures, summarise
 from experiments.results.trace import Trace, read_trace
 from runtime.drivers import in_memory
-from scenarios.setup import prepare
+from scenarios.preparation import prepare
 from tests.experiments.support import scenario
 
 TARGETS = (1, 2, 3, 4, 5)

@@ -6,10 +6,11 @@ import pytest
 from bus.arbitration import ARBITERS, Arbiter, ArbiterState, Numbers
 from experiments.monte_carlo.simulate import simulate
 from experiments.results.trace import Trace, read_trace
-from experiments.scenario_options import ScenarioOptions
+from experiments.scenario_options import scenario_of
 from runtime.drivers import in_memory
 from scenarios.bus_plan import arbiter_names
-from scenarios.setup import Setup, prepare
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 
 NAME = "longest-wait"
 
@@ -20,11 +21,11 @@ def longest_wait(state: ArbiterState, bids: Numbers, frame_ids: Numbers) -> Numb
 
 
 def setup_of(arbiter: str, cluster: str) -> Setup:
-    options = ScenarioOptions(
+    options = scenario_of(
         scenario="oscillator", graph="ring", nodes=8, steps=6, schedule="dynamic", occupancy=0.4,
         arbiter=arbiter, cluster=cluster, number="float32",
     )  # fmt: skip
-    return prepare(options.resolve())
+    return prepare(options)
 
 
 def trace_of(setup: Setup) -> Trace:

@@ -21,7 +21,8 @@ from runtime.drivers import DRIVERS, in_memory
 from scenarios.baselines import local_only
 from scenarios.build import build_node
 from scenarios.catalogue import kind_of
-from scenarios.setup import Setup, prepare
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 from tests.experiments.support import scenario, trace_of
 
 pytestmark = pytest.mark.skipif(
