@@ -8,7 +8,7 @@ from msgspec import Meta, MsgspecError
 UNREADABLE = (MsgspecError, UnicodeDecodeError, RecursionError)
 # An estimate of a hundred states takes about 120 kB of JSON.
 MAX_MESSAGE_BYTES = 1 << 20
-# The longest FlexRay frame: header (5), payload (254), checksum (3).
+# The longest frame of any bus: header (5), payload (254), checksum (3).
 MAX_FRAME_BYTES = 262
 
 NodeIndex = Annotated[int, Meta(ge=0, lt=1 << 16)]

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from bus.flexray.measurement_bus import bid
+from bus.measurement_bus import bid
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule
 from filters.stochastic_ukf import (
@@ -106,7 +106,7 @@ class SensorNode:
         return SensorContent(measured.step, reading, content.held, False), ()
 
     def bid(self, content: SensorContent) -> int | None:
-        """The weighted change since the last transmission (`bus.flexray.measurement_bus.bid`)."""
+        """The weighted change since the last transmission (`bus.measurement_bus.bid`)."""
         urgency = int(bid(content.reading - content.held, self.weight))
         return None if urgency < 0 else urgency
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bus.flexray.measurement_bus import (
+from bus.measurement_bus import (
     MeasurementBus,
     Slot,
     all_at_once,

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.flexray.measurement_bus import MeasurementBus, Slot
+from bus.measurement_bus import MeasurementBus, Slot
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule
 from filters.stochastic_ukf import MeasurementFilter, Received

@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.flexray.measurement_bus import (
+from bus.measurement_bus import (
     RECEIVER,
     MeasurementBus,
     all_at_once,

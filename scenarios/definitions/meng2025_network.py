@@ -12,7 +12,7 @@ from functools import cache, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.flexray.measurement_bus import MeasurementBus, flexray
+from bus.measurement_bus import MeasurementBus, flexray
 from filters.gaussian import Gaussian
 from filters.stochastic_ukf import RECOMMENDED, Received
 from nodes.environment_state import Delivery

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.flexray.measurement_bus import (
+from bus.measurement_bus import (
     BID_RESOLUTION,
     MeasurementBus,
     all_at_once,

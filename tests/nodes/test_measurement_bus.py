@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bus.flexray.measurement_bus import BID_RESOLUTION, zero_input, zero_order_hold
+from bus.measurement_bus import BID_RESOLUTION, zero_input, zero_order_hold
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
 from filters.stochastic_ukf import RECOMMENDED

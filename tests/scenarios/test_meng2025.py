@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bus.flexray.measurement_bus import MeasurementBus
+from bus.measurement_bus import MeasurementBus
 from experiments.cli.agree import first_difference
 from experiments.results.summary import summarise
 from experiments.results.trace import Trace, read_trace
