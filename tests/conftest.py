@@ -5,6 +5,7 @@ import os
 # Before anything imports numpy: results must not depend on how many threads share a sum.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,14 @@ ROOT = Path(__file__).resolve().parent.parent
 settings.register_profile("concord", deadline=None, print_blob=True)
 settings.register_profile("ci", settings.get_profile("concord"), derandomize=True)
 settings.load_profile("ci" if os.environ.get("CI") else "concord")
+
+
+@pytest.fixture(autouse=True)
+def _same_priority() -> Iterator[None]:
+    """Fail a test that lowers the priority of the process that runs all tests."""
+    before = os.getpriority(os.PRIO_PROCESS, 0)
+    yield
+    assert os.getpriority(os.PRIO_PROCESS, 0) == before, "this test has reniced the test process"
 
 
 @pytest.fixture(scope="session")

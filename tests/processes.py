@@ -13,6 +13,11 @@ from pathlib import Path
 MARK = "CONCORD_TEST_MARK"
 PROC = Path("/proc")
 CONCORD = (sys.executable, "-m", "experiments")
+# On an idle machine a command ends at once within 3 s, and its descendants 0.5 s after it.
+_AT_ONCE_S = 3.0
+_LEFT_S = 0.5
+# Waiting for a certain event ends after this many seconds; a defect makes it last for ever.
+PATIENCE_S = 60.0
 
 
 class Family:
@@ -30,6 +35,21 @@ class Family:
             text=True,
             start_new_session=True,
         )
+        self._began_s = time.monotonic()
+        self._first_line_s = 0.0
+
+    @property
+    def at_once_s(self) -> float:
+        """Return within how many seconds this command must end: 3 on an idle machine.
+
+        A busy machine delays the end as it has delayed the start. The limit is at least twice the
+        time to the first line that a test awaited.
+        """
+        return max(_AT_ONCE_S, 2 * self._first_line_s)
+
+    def gone_at_once(self) -> bool:
+        """Wait until no process is left, 0.5 s on an idle machine."""
+        return self.gone_within(self.at_once_s * _LEFT_S / _AT_ONCE_S)
 
     def alive(self) -> list[int]:
         """Process numbers of all that live (a zombie does not)."""
@@ -52,7 +72,7 @@ class Family:
         """A signal to all that a terminal would send it to."""
         os.killpg(self.process.pid, signal_number)
 
-    def await_line(self, part: str, seconds: float = 20.0) -> str:
+    def await_line(self, part: str, seconds: float = PATIENCE_S) -> str:
         """Read standard error up to a line that has this in it."""
         deadline = time.monotonic() + seconds
         stream = self.process.stderr
@@ -61,6 +81,7 @@ class Family:
         while time.monotonic() < deadline and (line := stream.readline()):
             said.append(line)
             if part in line:
+                self._first_line_s = self._first_line_s or time.monotonic() - self._began_s
                 return line
         raise AssertionError(f"no line with {part!r}, but {said}")
 

@@ -7,7 +7,6 @@ closes.
 
 import subprocess
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -67,11 +66,22 @@ def run_job(job: Job, folder: Path | None, on_event: Callable[[Happened], None])
         start_new_session=True,
     )
     assert child.stdin is not None and child.stdout is not None
+    is_loaded = False
+
+    def hear(happened: Happened) -> None:
+        nonlocal is_loaded
+        is_loaded = True
+        _note(job.run, folder, on_event, happened)
+
     try:
         child.stdin.write(msgspec.json.encode(job) + b"\n")
         child.stdin.flush()
-        _follow(child.stdout, partial(_note, job.run, folder, on_event))
+        _follow(child.stdout, hear)
     finally:
+        if not is_loaded:
+            # While the process loads its modules it does not read its lifeline. Children that it
+            # has forked by now watch their own lifeline.
+            child.terminate()
         child.stdin.close()
         child.stdout.close()
         try:

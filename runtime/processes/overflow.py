@@ -52,13 +52,17 @@ class Overflow:
 
     def take(self) -> list[tuple[str, bytes]]:
         """Messages that were taken aside, (topic, bytes), each topic in the order of arrival."""
-        self._keeps = False
-        return [kept.popleft() for kept in self._aside.values() for _ in range(len(kept))]
+        # Without the lock the thread could add to full deques, which then drop their oldest.
+        with self._emptying:
+            return self._taken()
 
     def take_all(self) -> list[tuple[str, bytes]]:
         """All messages that have come, (topic, bytes), each topic in the order of arrival."""
-        self._empty()
-        return self.take()
+        with self._emptying:
+            # A message that is aside came first, and its place is needed for a later one.
+            taken = self._taken()
+            self._fill()
+            return taken + self._taken()
 
     @property
     def awaited(self) -> str:
@@ -83,11 +87,20 @@ class Overflow:
 
     def _empty(self) -> None:
         with self._emptying:
-            for topic, kept in self._aside.items():
-                # Never more than fits at once, however fast it comes.
-                for _ in range(self._queue):
-                    received = self._transport.receive_at_once(topic)
-                    if received is None:
-                        break
-                    kept.append(received)
-                    self._keeps = True
+            self._fill()
+
+    def _taken(self) -> list[tuple[str, bytes]]:
+        """Return what is aside. Holds: the lock."""
+        self._keeps = False
+        return [kept.popleft() for kept in self._aside.values() for _ in range(len(kept))]
+
+    def _fill(self) -> None:
+        """Take aside what waits in the queues. Holds: the lock."""
+        for topic, kept in self._aside.items():
+            # Never more than fits at once, however fast it comes.
+            for _ in range(self._queue):
+                received = self._transport.receive_at_once(topic)
+                if received is None:
+                    break
+                kept.append(received)
+                self._keeps = True

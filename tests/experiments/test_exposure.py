@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from experiments.__main__ import main
+from experiments.cli import dashboard as dashboard_command
 from experiments.sweep.store import folder_of, load_cells, save_cell
 from runtime.network.network_file import Network, read_network, write_network
 from tests.experiments.test_hosts import write_setup
@@ -58,10 +59,15 @@ def test_network_router_and_page_listen_on_loopback_alone(tmp_path: Path, graph:
     "name", ["../x", "..", "/x", "a/b", "*", "a/**", "$*", "a\\n", "", "x" * 101]
 )
 def test_a_name_that_is_none_is_refused_wherever_it_comes_from(
-    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    name: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ):
     """It becomes a folder and a part of every key: on the command line, in a setup, in a run's
     folder."""
+    # The command lowers the priority of its process, which here runs all tests.
+    monkeypatch.setattr(dashboard_command, "give_way", lambda niceness: None)
     setup = write_setup(tmp_path)
     hostile = tmp_path / "hostile.json"
     told: dict[str, Any] = msgspec.json.decode(setup.read_bytes())

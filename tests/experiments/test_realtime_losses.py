@@ -22,7 +22,7 @@ from scenarios.setup import Setup
 from scenarios.tempo import tempo_of
 from tests.endurance.running import Running
 from tests.experiments.support import small, trace_of
-from tests.processes import PROC, holds_within, lives
+from tests.processes import PATIENCE_S, PROC, holds_within, lives
 
 pytestmark = [
     pytest.mark.zenoh,
@@ -77,7 +77,7 @@ def playing(setup: Setup, folder: Path) -> Iterator[Running]:
 
 
 def reaches(network: Running, step: int) -> bool:
-    return holds_within(30, lambda: network.client.state()["completed"] >= step)
+    return holds_within(PATIENCE_S, lambda: network.client.state()["completed"] >= step)
 
 
 def has_member(network: Running, node: int) -> bool:
@@ -132,9 +132,13 @@ def test_who_dies_in_real_time_is_back_on_command_and_agrees_at_once(tmp_path: P
         check_books(played, gone, joined)
     # Whoever commands does not set the clock: no reading comes before its time.
     assert all((one.heartbeat_late_s or 0.0) > -0.01 for one in played.told("timing"))
-    # A late share was missed, and what was said before it was back is late for nobody.
-    for counters in played.trace.counters:
-        assert counters.get("late", 0) <= counters.get("missed", 0)
+    # A late share was missed, and what was said before it was back is late for nobody. After a kill
+    # on command nobody misses the shares that the node sends until its process ends.
+    rounds = setup.scenario.rounds
+    unmissed = sum(gone * rounds <= cycle < joined * rounds for cycle in played.cycles_sent(STRUCK))
+    for node, counters in enumerate(played.trace.counters):
+        spare = unmissed if node in setup.neighbours[STRUCK] else 0
+        assert counters.get("late", 0) <= counters.get("missed", 0) + spare
     usual = played.apart(STRUCK, 10, gone)
     first = joined + AGREES_CYCLES // setup.scenario.rounds
     # A busy machine takes shares and readings from anybody: then no more from it than from others.
@@ -203,4 +207,10 @@ def test_a_script_starts_a_process_at_its_step_and_time_does_not_wait_for_it(tmp
     assert set(np.flatnonzero(out[:, STRUCK])) == set(range(8, joined))
     others = [one for one in played.told("timing") if one.node != STRUCK]
     assert [one.step for one in others if one.node == 0] == list(range(50))
-    assert max(one.delay_s for one in others) < 0.3
+    # A wait would hold up both neighbours of the node, or all nodes; a busy machine holds up one.
+    near = set(setup.neighbours[STRUCK])
+    for nodes in (near, set(range(5)) - near - {STRUCK}):
+        for step in range(50):
+            assert (
+                min(one.delay_s for one in others if one.step == step and one.node in nodes) < 0.3
+            )

@@ -21,10 +21,12 @@ from scenarios.setup import Setup
 from scenarios.tempo import tempo_of
 from tests.endurance.running import Running
 from tests.experiments.support import small, trace_of
-from tests.processes import PROC, holds_within
+from tests.processes import PATIENCE_S, PROC, holds_within
 
 # It looks on up to this step, and leaves before the end.
-STEPS, LAST = 34, 28
+STEPS, LAST = 20, 15
+# With cycles of 100 ms a busy machine delays an onlooker by less than half a cycle.
+SLOWER, STOP_S = 5, 1.5
 LATE_S = st.floats(-0.01, 0.2)
 
 
@@ -66,18 +68,18 @@ class Onlooker:
         self.estimates_s[said.node, said.step] = time.monotonic() - self._start_s
 
 
-def watched(setup: Setup, folder: Path, stopped: int, stop_s: float) -> tuple[Running, Onlooker]:
+def watched(setup: Setup, folder: Path, stopped: int, tempo: Tempo) -> tuple[Running, Onlooker]:
     """A run in real time in which a node is stopped for a while, to its end."""
-    network = Running(setup, "realtime", folder, tempo=tempo_of(setup, None))
+    network = Running(setup, "realtime", folder, tempo=tempo)
     try:
         onlooker = Onlooker(network)
-        assert holds_within(30, lambda: network.client.state()["completed"] >= 10)
+        assert holds_within(PATIENCE_S, lambda: network.client.state()["completed"] >= 4)
         pid = network.pids[str(stopped)]
         os.kill(pid, signal.SIGSTOP)
-        time.sleep(stop_s)
+        time.sleep(STOP_S)
         os.kill(pid, signal.SIGCONT)
         whole = {(node, LAST) for node in range(setup.scenario.nodes)}
-        assert holds_within(30, lambda: whole <= set(onlooker.estimates_s))
+        assert holds_within(PATIENCE_S, lambda: whole <= set(onlooker.estimates_s))
     finally:
         network.end()
     return network, onlooker
@@ -88,8 +90,9 @@ def watched(setup: Setup, folder: Path, stopped: int, stop_s: float) -> tuple[Ru
 def test_what_nodes_say_of_their_time_is_what_an_onlooker_sees(tmp_path: Path):
     setup = small(graph="ring", steps=STEPS)
     rounds, stopped = setup.scenario.rounds, 1
-    network, onlooker = watched(setup, tmp_path, stopped, 0.4)
-    tempo, messages = tempo_of(setup, None), network.recorded()
+    tempo = tempo_of(setup, SLOWER * tempo_of(setup, None).stretch)
+    network, onlooker = watched(setup, tmp_path, stopped, tempo)
+    messages = network.recorded()
     said = {
         (one.node, one.step): one
         for one in (decode(t, data) for t, data in messages if t.startswith("timing/"))
@@ -134,9 +137,16 @@ def test_what_nodes_say_of_their_time_is_what_an_onlooker_sees(tmp_path: Path):
         assert sum(one.incomplete for one in mine) <= missed
         assert missed <= 2 * sum(one.incomplete + one.overrun for one in mine)
     assert figures.late_shares == sum(one.get("late", 0) for one in ends)
-    # The one that was stopped: what it began when it should have been over is heard later still.
-    overrun = sum(late >= tempo.cycle_s for (node, _), late in late_s.items() if node == stopped)
+    # The onlooker hears no cycle before its end that the stopped node began after its end. Frames
+    # that follow each other at once may get lost.
     mine = [said[stopped, step] for step in range(LAST + 1)]
-    told = sum(late >= tempo.cycle_s for one in mine for late in one.cycle_late_s)
-    assert told == sum(one.overrun for one in mine)
-    assert 6 < told <= overrun + 3
+    told = {
+        (stopped, step * rounds + number)
+        for step, one in enumerate(mine)
+        for number, late in enumerate(one.cycle_late_s)
+        if late >= tempo.cycle_s
+    }
+    assert len(told) == sum(one.overrun for one in mine)
+    heard_s = [late_s[key] for key in told & set(late_s)]
+    assert len(heard_s) > 6
+    assert min(heard_s) > tempo.cycle_s - margin_s

@@ -7,7 +7,7 @@ from collections import deque
 import pytest
 
 from nodes.changes import Gone
-from nodes.commands import Speed
+from nodes.commands import Kill, Restart, Speed
 from nodes.environment_state import EnvironmentConfig
 from nodes.messages import Bid, BidsClosed, Grant, decode, encode, topic
 from nodes.tempo import Tempo
@@ -16,7 +16,7 @@ from runtime.processes import republisher as said
 from runtime.processes.environment import inbox
 from runtime.processes.environment import process as environment_process
 from runtime.processes.environment.management import Management
-from runtime.processes.environment.notices import Presence
+from runtime.processes.environment.notices import Hello, Presence, Recorded
 from runtime.processes.environment.pacing import EnvironmentPacing, Lockstep, RealTime
 from runtime.processes.environment.process import EnvironmentProcess
 from runtime.processes.environment.timetable import Beat
@@ -116,3 +116,22 @@ def test_bids_that_are_there_when_the_world_looks_are_in_time(
     assert set(grant.winners) <= set(contenders[:came])
     assert bool(grant.winners) == bool(came)
     assert list(grant.unheard or ()) == list(contenders[came:])
+
+
+def test_a_killed_node_is_not_let_in_before_it_is_restarted(monkeypatch: pytest.MonkeyPatch):
+    """Its process lives until the recorder has its last message, and hears that it is gone."""
+    config = build_environment(small(steps=9))
+    process, _ = process_of(monkeypatch, config, RealTime(Tempo(1.0, 0.02, 0.1)))
+    controller, hello = process.controller, Hello(2, "a" * 64)
+    controller.command(Speed(10.0))
+    controller.command(Kill(2))
+    process.attend(Beat())
+    assert list(controller.state.standing.absent) == [2]
+    # The kill is ordered when the recorder has kept all, and carried out a little later.
+    for notice in (hello, Recorded(2), hello):
+        process.attend(notice)
+        assert not controller._ready
+    process.attend(Presence(2, False))
+    controller.command(Restart(2))
+    process.attend(hello)
+    assert controller._ready == {2}

@@ -19,7 +19,7 @@ from runtime.processes.job import Happened, Job
 from runtime.processes.launcher import NetworkFailed, run_processes
 from scenarios.setup import Setup
 from tests.experiments.support import small, trace_of
-from tests.processes import PROC, family, holds_within, lives
+from tests.processes import PATIENCE_S, PROC, family, holds_within, lives
 
 pytestmark = [
     pytest.mark.zenoh,
@@ -80,7 +80,7 @@ def test_a_killed_process_ends_the_run_and_is_named(tmp_path: Path, victim: str,
     watcher = Watcher(lambda pids: os.kill(pids[victim], signal.SIGKILL), 20)
     with pytest.raises(NetworkFailed, match=f"{named} ended with signal 9"):
         run_processes(setup, "killed", tmp_path / "run.mcap", None, watcher)
-    assert holds_within(1, lambda: nobody(watcher.pids))
+    assert holds_within(PATIENCE_S, lambda: nobody(watcher.pids))
     trace = trace_of(setup, tmp_path / "run.mcap")
     assert 15 <= trace.steps < LONG
 
@@ -96,7 +96,7 @@ def test_a_killed_launcher_process_takes_all_with_it(tmp_path: Path):
     watcher = Watcher(kill_parent, 20)
     with pytest.raises(NetworkFailed, match="parent"):
         run_processes(setup, "killed", tmp_path / "run.mcap", None, watcher)
-    assert holds_within(1, lambda: nobody(watcher.pids))
+    assert holds_within(PATIENCE_S, lambda: nobody(watcher.pids))
     assert trace_of(setup, tmp_path / "run.mcap").steps >= 15
 
 
@@ -107,7 +107,7 @@ def test_an_error_of_the_launcher_takes_all_with_it(tmp_path: Path):
     watcher = Watcher(strike, 10)
     with pytest.raises(ZeroDivisionError):
         run_processes(small(steps=LONG), "error", tmp_path / "run.mcap", None, watcher)
-    assert holds_within(1, lambda: nobody(watcher.pids))
+    assert holds_within(PATIENCE_S, lambda: nobody(watcher.pids))
 
 
 def test_a_port_in_use_is_refused_before_anything_starts(tmp_path: Path):
@@ -170,7 +170,7 @@ def test_a_port_that_somebody_takes_first_is_no_end(
         assert child.process.stdin is not None
         child.process.stdin.write(job.decode() + "\n")
         child.process.stdin.flush()
-        assert holds_within(20, lambda: child.process.poll() is not None)
+        assert holds_within(PATIENCE_S, lambda: child.process.poll() is not None)
         out = child.process.stdout.read()  # type: ignore[union-attr]
     said = [msgspec.json.decode(line, type=Happened).what for line in out.splitlines()]
     assert said.count("started") == 2
@@ -193,7 +193,7 @@ def test_two_runs_at_once_do_not_mix(tmp_path: Path):
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join(30)
+        thread.join(PATIENCE_S)
     for number, setup in enumerate(setups):
         assert first_difference(reference(setup, tmp_path), traces[number], "together") is None
 
@@ -201,6 +201,6 @@ def test_two_runs_at_once_do_not_mix(tmp_path: Path):
 def test_a_launcher_process_without_a_job_leaves_quietly(tmp_path: Path):
     """The launcher was killed before it said what to do."""
     with family([sys.executable, "-m", "runtime.processes.launcher_process"], tmp_path) as child:
-        _, out, err = child.end(10)
+        _, out, err = child.end(PATIENCE_S)
     assert out == ""
     assert "Traceback" not in err

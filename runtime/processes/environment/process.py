@@ -79,6 +79,8 @@ class EnvironmentProcess:
         self._management, self._pacing = management, pacing
         # Nodes that leave on command, and may be killed when the recorder has kept what they said.
         self._leaving: set[int] = set()
+        # Nodes whose processes are being killed.
+        self._dying: set[int] = set()
         stage = Stage(self._leaving.add, self._start_node, management.check)
         config = pacing.configured(config)
         self.controller = RunController(config, script, stage, pacing.timed)
@@ -182,6 +184,7 @@ class EnvironmentProcess:
 
     def _see(self, node: int, is_there: bool) -> None:
         if not is_there:
+            self._dying.discard(node)
             self.controller.lost(node)
             self._give_up(node)
         elif node in self.controller.state.standing.absent:
@@ -192,6 +195,9 @@ class EnvironmentProcess:
         if hello.fingerprint != self._fingerprint:
             self.inbox.refuse(f"node {hello.node} comes with another setup; refused")
             return
+        if hello.node in self._leaving | self._dying:
+            # A node that is told of its own end asks to be let in until its process is killed.
+            return
         if hello.node not in self.controller.state.standing.absent:
             # It was started again before its end was seen.
             self._take(Gone(hello.node))
@@ -200,6 +206,7 @@ class EnvironmentProcess:
     def _end(self, node: int) -> None:
         if node in self._leaving:
             self._leaving.discard(node)
+            self._dying.add(node)
             self._management.kill(node)
         else:
             self.inbox.refuse(f"node {node} was not to leave")
@@ -229,6 +236,7 @@ class EnvironmentProcess:
 
     def _start_node(self, node: int) -> bool:
         self._leaving.discard(node)
+        self._dying.discard(node)
         self._management.start(node)
         return False
 
