@@ -3,7 +3,7 @@
 20 nodes, 500 runs, 100 steps, 3 rounds. End to end means `simulate`: noise,
 plant, sensors, schedule, weights by determinants and age, fusion, metrics, histories. Beside it
 stand the functions that it calls for all its lanes at once: `ukf.predict` and `ukf.update`, with
-the same models and readings, and the rounds of its fleet, `start` and `exchange`.
+the same models and readings, and the rounds of its rule, `start` and `exchange`.
 """
 
 import time
@@ -118,13 +118,13 @@ def _filters(setup: Setup) -> Callable[[], float]:
 
 
 def _fusions(setup: Setup) -> Callable[[], float]:
-    start, fleet = _start(setup), build_network(setup, range(RUNS)).eras[0].regime.fleet
+    start, rule = _start(setup), build_network(setup, range(RUNS)).eras[0].regime.rule
 
     def run() -> float:
         belief = start
         started = time.thread_time()
         for _ in range(KERNEL_STEPS):
-            belief = fuse(fleet, belief, setup.scenario.rounds)
+            belief = fuse(rule, belief, setup.scenario.rounds)
         return (time.thread_time() - started) * STEPS / KERNEL_STEPS
 
     return run

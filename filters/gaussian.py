@@ -24,11 +24,12 @@ class Information(NamedTuple):
     matrix: np.ndarray
 
 
-def joined(own: Gaussian, held: Gaussian, *others: Gaussian) -> Gaussian:
-    """A belief (n,), those that are held (J, n), and others (n,), as one (K, n)."""
-    means = [own.mean[None], held.mean, *[other.mean[None] for other in others]]
-    covs = [own.cov[None], held.cov, *[other.cov[None] for other in others]]
-    return Gaussian(np.concatenate(means), np.concatenate(covs))
+def joined(own: Gaussian, held: Gaussian) -> Gaussian:
+    """A belief (..., n) and those that are held (..., J, n) as one (..., 1 + J, n)."""
+    return Gaussian(
+        np.concatenate((own.mean[..., None, :], held.mean), axis=-2),
+        np.concatenate((own.cov[..., None, :, :], held.cov), axis=-3),
+    )
 
 
 def to_information(belief: Gaussian) -> Information:

@@ -13,9 +13,8 @@ import numpy as np
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule, scaled_unscented
 from filters.ukf import predict, update
-from nodes.lanes.filter import LocalFilters, SensorGroup
 from nodes.messages import Array
-from nodes.rules.local_filter import Sensor, take_readings
+from nodes.rules.local_filter import LocalFilters, Sensor, SensorGroup, take_readings
 from scenarios.catalogue import kind_of
 from scenarios.preparation import setup_of_run
 from scenarios.rules import rule_of

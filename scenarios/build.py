@@ -23,7 +23,7 @@ from scenarios.links import link_state
 from scenarios.preparation import complete_settings, share_bytes, with_settings
 from scenarios.rules import build_estimator, hold_policy, wire_number
 from scenarios.scenario import Scenario
-from scenarios.seat import Beginning, Everybody, Seat
+from scenarios.seat import Beginning, Everybody, RuleContext, Seat
 from scenarios.setup import Setup
 from scenarios.streams import generator
 from scenarios.types.buses import trigger_of
@@ -91,21 +91,31 @@ def _estimator(setup: Setup, node: int, schedule: Schedule, beginning: Beginning
         return kind.wiring.estimator(setup, node)
     seat = Seat(
         node,
-        setup.neighbours,
+        rule_context(setup),
         weights=np.array(setup.weights[node]),
         model=kind.model(scenario),
         sensor=kind.sensor(scenario, node),
         prior=Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov)),
         points=kind.points(scenario) if kind.points else scaled_unscented(len(setup.prior_mean)),
-        hold=hold_policy(scenario),
-        trigger=trigger_of(scenario.bus.schedule),
-        number=wire_number(scenario),
-        rule=scenario.rule,
         everybody=partial(everybody_of, setup, schedule),
         beginning=beginning,
     )
     rule = build_estimator(scenario, seat)
     return kind.around(scenario, seat, rule) if kind.around else rule
+
+
+def rule_context(setup: Setup, contends: bool = True) -> RuleContext:
+    """What the rule of a setup is built from."""
+    scenario = setup.scenario
+    return RuleContext(
+        len(setup.prior_mean),
+        setup.neighbours,
+        hold_policy(scenario),
+        trigger_of(scenario.bus.schedule),
+        wire_number(scenario),
+        scenario.rule,
+        contends,
+    )
 
 
 def everybody_of(setup: Setup, schedule: Schedule) -> Everybody:

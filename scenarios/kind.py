@@ -11,7 +11,7 @@ from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule
 from nodes.environment_state import Delivery
 from nodes.estimator import Estimator
-from nodes.rules.belief_consensus import Model, Sensor
+from nodes.rules.local_filter import Model, Sensor
 from scenarios.scenario import Scenario
 from scenarios.seat import Seat
 from scenarios.setup import Setup

@@ -7,40 +7,36 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from filters.fusion import hold
-from filters.fusion.averaging import INFORMATION, MOMENTS
+from filters.fusion.averaging import INFORMATION, MOMENTS, Directly
 from filters.fusion.hybrid_consensus import classical_gain, safe_gain
 from filters.fusion.local import keep_own
 from filters.fusion.packed import packed_length
 from filters.gaussian import Gaussian
 from nodes.estimator import Estimator
-from nodes.lanes.network import Fleet
+from nodes.lanes.network import BatchedRule
 from nodes.messages import Array
 from nodes.rules.belief_consensus import HoldPolicy
 from nodes.rules.set_shapes import Ellipsoids, Zonotopes
 from scenarios import set_rules
 from scenarios.estimators import (
+    alone_in_batch,
+    at_node,
+    averages_in_batch,
     averaging,
-    averaging_numbers,
+    beliefs_in_batch,
     diffused,
     flooding,
+    flooding_in_batch,
     hybrid,
+    in_batch,
     pulled,
+    set_at_node,
     trimmed,
     weighted_information,
 )
-from scenarios.fleets import (
-    FleetSeat,
-    averaging_fleet,
-    diffused_fleet,
-    flooding_fleet,
-    hybrid_fleet,
-    local_fleet,
-    pulled_fleet,
-    weighted_information_fleet,
-)
 from scenarios.labelled import check_labelled, largest_share, without_arrays
 from scenarios.scenario import Scenario, lossy_links
-from scenarios.seat import Seat
+from scenarios.seat import BatchSeat, Seat
 from scenarios.setup import Setup
 from scenarios.types.buses import FullSchedule
 from scenarios.types.holds import Decayed, Dropped, Fading, InStep, Predicted, Raw
@@ -60,23 +56,23 @@ class Rule(NamedTuple):
         share_numbers: how many numbers are in a share, for so many states and nodes; None for
             shares of any length up to `scenario.payload_bytes`.
         estimator: builds that of one node.
+        batched: builds the rule at all nodes of many runs.
         check: refuses scenario, neighbours of each node and weights (N, N) that it cannot do with.
         certain: covariances are shape matrices of ellipsoids that hold the truth for certain.
         listen: (setup, nodes, readings (steps, N, r, d), control (steps, p) or None) -> beliefs
             (steps,) of one filter that takes the readings of these nodes; None for the Gaussian
             filter of the scenario.
-        fleet: builds the rule at all nodes of many runs; None for a rule without an array form.
-        lacking: what of a scenario the array form does not have; None if it has all.
+        lacking: what of a scenario the batched rule does not have; None if it has all.
         shares_beliefs: a share is a mean and a covariance.
         weighted: the network's consensus weights are used.
     """
 
     share_numbers: Callable[[int, int], int] | None
     estimator: Callable[[Seat], Estimator]
+    batched: Callable[[BatchSeat], BatchedRule]
     check: "Callable[[Scenario, Sequence[Sequence[int]], Weights], None] | None" = None
     certain: bool = False
     listen: Callable[[Setup, Sequence[int], Array, Array | None], Gaussian] | None = None
-    fleet: Callable[[FleetSeat], Fleet] | None = None
     lacking: Callable[[Scenario], str | None] = lambda _: None
     shares_beliefs: bool = False
     weighted: bool = True
@@ -246,75 +242,77 @@ def _require_all_at_once(
 _RULES: dict[str, Rule] = {
     "ci": Rule(
         lambda n, _: packed_length(n),
-        partial(averaging_numbers, INFORMATION),
-        fleet=partial(averaging_fleet, INFORMATION),
+        partial(at_node, partial(averaging, INFORMATION), "belief"),
+        partial(beliefs_in_batch, INFORMATION),
         shares_beliefs=True,
     ),
     "trimmed-ci": Rule(
         lambda n, _: packed_length(n),
-        trimmed,
+        partial(at_node, trimmed, "belief"),
+        partial(in_batch, trimmed, "belief"),
         check=_require_honest_majorities,
         shares_beliefs=True,
     ),
     "wac": Rule(
         lambda n, _: packed_length(n),
-        partial(averaging_numbers, MOMENTS),
-        fleet=partial(averaging_fleet, MOMENTS),
+        partial(at_node, partial(averaging, MOMENTS), "belief"),
+        partial(beliefs_in_batch, MOMENTS),
         shares_beliefs=True,
     ),
     "hcmci": Rule(
         lambda n, nodes: 2 * packed_length(n) + nodes,
-        partial(hybrid, safe_gain),
-        fleet=partial(hybrid_fleet, safe_gain),
+        partial(at_node, partial(hybrid, safe_gain), "share"),
+        partial(averages_in_batch, partial(hybrid, safe_gain), "share"),
     ),
     "hcmci-classical": Rule(
         lambda n, nodes: 2 * packed_length(n) + nodes,
-        partial(hybrid, classical_gain),
-        fleet=partial(hybrid_fleet, classical_gain),
+        partial(at_node, partial(hybrid, classical_gain), "share"),
+        partial(averages_in_batch, partial(hybrid, classical_gain), "share"),
         check=_require_the_average,
     ),
     "icf": Rule(
         lambda n, _: packed_length(n),
-        weighted_information,
-        fleet=weighted_information_fleet,
+        partial(at_node, weighted_information, "share"),
+        partial(averages_in_batch, weighted_information, "share"),
         check=_require_the_average,
     ),
     "diffusion": Rule(
         lambda n, _: packed_length(n),
-        diffused,
-        fleet=diffused_fleet,
+        partial(at_node, diffused, "share"),
+        partial(in_batch, diffused, "share"),
     ),
     "kcf": Rule(
         lambda n, _: packed_length(n) + n,
-        pulled,
-        fleet=pulled_fleet,
+        partial(at_node, pulled, "share"),
+        partial(in_batch, pulled, "share"),
         weighted=False,
     ),
     "labelled": Rule(
         None,
         flooding,
+        flooding_in_batch,
         check=check_labelled,
-        fleet=flooding_fleet,
         lacking=without_arrays,
         weighted=False,
     ),
     "local": Rule(
         lambda n, _: packed_length(n),
-        partial(averaging, keep_own),
-        fleet=local_fleet,
+        partial(at_node, partial(averaging, Directly(keep_own)), "belief"),
+        alone_in_batch,
         shares_beliefs=True,
         weighted=False,
     ),
     "centralised": Rule(
         lambda n, _: packed_length(n),
-        diffused,
-        fleet=diffused_fleet,
+        partial(at_node, diffused, "share"),
+        partial(in_batch, diffused, "share"),
         check=_require_all_at_once,
         weighted=False,
     ),
     "ellipsoid": Rule(
         lambda n, _: packed_length(n),
-        set_rules.ellipsoids,
+        partial(set_at_node, partial(set_rules.set_membership, Ellipsoids), "belief"),
+        partial(in_batch, partial(set_rules.set_membership, Ellipsoids), "belief"),
         check=set_rules.check_bounded,
         certain=True,
         listen=partial(set_rules.listen, Ellipsoids),
@@ -322,7 +320,8 @@ _RULES: dict[str, Rule] = {
     ),
     "zonotope": Rule(
         lambda n, _: n + n**2,
-        set_rules.zonotopes,
+        partial(set_at_node, partial(set_rules.set_membership, Zonotopes), "share"),
+        partial(in_batch, partial(set_rules.set_membership, Zonotopes), "share"),
         check=set_rules.check_bounded,
         certain=True,
         listen=partial(set_rules.listen, Zonotopes),

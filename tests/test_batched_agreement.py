@@ -29,7 +29,7 @@ TOLERANCES = {"float64": 1e-10, "float32": 8 * float(np.finfo(np.float32).eps)}
 RUNS = (0, 3)
 PLANTS = ("oscillator", "target-crossing", "dc-motor-position", "cruise-control")
 FRESH = ("hcmci", "hcmci-classical", "icf", "diffusion", "kcf")
-RULES = ("ci", "wac", "local", *FRESH)
+RULES = ("ci", "wac", "local", "trimmed-ci", *FRESH)
 HOLDS = ("decayed", "predict", "raw", "drop", "renormalise", "in-step")
 WEIGHTS = ("metropolis", "maximum-degree", "equal-neighbour")  # the last leads to no average
 ARBITERS = ("wtod", "minislot", "round-robin")
@@ -112,7 +112,11 @@ def scenarios(draw: st.DrawFn) -> Scenario:
         # The time of the bus is not what is compared here.
         "stretch": 100.0,
     }
-    if rule in ("ci", "wac"):
+    if rule == "trimmed-ci":
+        # Every node must hear two for each liar.
+        asked["nodes"] = draw(st.integers(3, 6))
+        asked["graph"] = draw(st.sampled_from(["ring", "complete"]))
+    if rule in ("ci", "wac", "trimmed-ci"):
         asked["hold"] = draw(st.sampled_from(HOLDS))
         asked["decay"] = draw(st.sampled_from([0.0, 0.5, 1.0]))
         asked["determinant_weights"] = draw(st.booleans())
@@ -209,6 +213,40 @@ def test_graphs_that_change_agree(links: str, rule: str):
     check_agreement(
         scenario("oscillator", links=links, rule=rule, nodes=5, steps=6, graph="complete")
     )
+
+
+@st.composite
+def bounded_scenarios(draw: st.DrawFn) -> Scenario:
+    """Small networks of sets, of every hold policy that keeps the truth inside."""
+    schedule = draw(st.sampled_from(["full", "round-robin", "hybrid", "dynamic"]))
+    return scenario(
+        "liu2021-network",
+        rule=draw(st.sampled_from(["ellipsoid", "zonotope"])),
+        nodes=draw(st.integers(1, 5)),
+        graph=draw(st.sampled_from(["ring", "path", "complete"])),
+        rounds=draw(st.integers(1, 2)),
+        steps=draw(st.integers(1, 6)),
+        seed=draw(st.integers(0, 99)),
+        schedule=schedule,
+        occupancy=1.0 if schedule == "full" else draw(st.sampled_from([0.2, 0.5])),
+        trigger=draw(st.sampled_from([0.0, 0.5])),
+        hold=draw(st.sampled_from(["decayed", "predict", "drop", "in-step"])),
+        loss=draw(st.sampled_from([0.0, 0.3])),
+        control=draw(st.sampled_from(["open", "0"])),
+        stretch=100.0,
+    )
+
+
+@given(bounded_scenarios())
+@settings(max_examples=15)
+def test_random_networks_of_sets_agree(asked: Scenario):
+    check_agreement(asked)
+
+
+@pytest.mark.parametrize("rule", ["ellipsoid", "zonotope"])
+def test_sets_agree_through_kills_restarts_cuts_and_losses(rule: str):
+    changes = ("2 kill 3", "3 loss 0.3", "4 restart 3", "5 cut 0 1", "6 heal 0 1")
+    check_agreement(scenario("liu2021-network", nodes=4, steps=8, rule=rule, changes=changes))
 
 
 def test_the_centralised_rule_agrees():

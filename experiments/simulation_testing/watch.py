@@ -13,16 +13,18 @@ from experiments.simulation_testing.trimmed import broken_promise
 from experiments.simulation_testing.weights import promised_weights
 from filters.fusion.averaging import Averaged, Fused
 from filters.gaussian import Gaussian, joined
+from nodes.belief_codec import belief_of
 from nodes.changes import Standing
 from nodes.estimator import Estimator, Rejected
 from nodes.messages import Array, Measured
 from nodes.node_state import NodeConfig
 from nodes.rules import information_rounds
+from nodes.rules.at_node import AtNode
 from nodes.rules.belief_consensus import BeliefConsensus
 from nodes.rules.fresh_consensus import FreshConsensus
 from nodes.rules.information_rounds import InformationRounds
 from nodes.rules.novelty_rounds import NoveltyRounds
-from nodes.rules.set_membership import SetMembership
+from nodes.rules.set_membership import SetAtNode
 from scenarios.scenario import Scenario
 from scenarios.types.rules import TrimmedCovarianceIntersection
 
@@ -135,9 +137,10 @@ class Watched:
 
     def _is_indefinite(self, body: bytes) -> bool:
         """Whether a share is a belief with a variance that is negative."""
-        if not isinstance(self._inner, BeliefConsensus):
+        if not isinstance(self._inner, AtNode) or self._inner.codec.what != "belief":
             return False
-        return bool((np.diagonal(self._inner.codec.decode(body).cov) < 0).any())
+        belief = belief_of(self._inner.codec.decode(body), len(self._inner.prior.mean))
+        return bool((np.diagonal(belief.cov) < 0).any())
 
     def _check_refusals(self, indefinite: int, refused: int) -> None:
         """What is no covariance is refused, and nothing else."""
@@ -175,16 +178,17 @@ class Watched:
 
     def _check_troubles(self, troubles: tuple[str, ...]) -> None:
         """Sets that hold the truth have it in common, if no sensor says what it does not read."""
-        certain = isinstance(self._inner, SetMembership) and self._honest
+        certain = isinstance(self._inner, SetAtNode) and self._honest
         bad = [trouble for trouble in troubles if certain and trouble in _CONTRADICTIONS]
         if bad:
             raise self._broken("sets of the truth meet", bad[0])
 
     def _with_weights_shown(self, estimator: Estimator) -> Estimator:
         """The same estimator, with an eye on its weights over fresh and held beliefs."""
-        if not isinstance(estimator, BeliefConsensus):
+        if not (isinstance(estimator, AtNode) and isinstance(estimator.rule, BeliefConsensus)):
             return estimator
-        weigh = estimator.hold.weigh
+        rule = estimator.rule
+        weigh = rule.hold.weigh
 
         def shown(base: Array, ages: Array, sharpness: Array, cycles: int) -> Array:
             weights = weigh(base, ages, sharpness, cycles)
@@ -195,11 +199,12 @@ class Watched:
                 )
             return weights
 
-        return replace(
-            estimator,
-            hold=estimator.hold._replace(weigh=shown),
-            rule=_ShownRule(estimator.rule, self._check_average),
+        watched_rule = replace(
+            rule,
+            hold=rule.hold._replace(weigh=shown),
+            average=_ShownRule(rule.average, self._check_average),
         )
+        return replace(estimator, rule=watched_rule)
 
     def _check_average(self, beliefs: Gaussian, weights: Array, fused: Gaussian) -> None:
         self._check_weights(weights)
@@ -216,14 +221,15 @@ class Watched:
 
     def _check_mixing(self, content: Any, came: list[bool]) -> None:
         """What all agree on stays as it is, whoever was heard: the weights used sum to one."""
-        if not isinstance(self._inner, FreshConsensus):
+        inner = self._inner
+        if not (isinstance(inner, AtNode) and isinstance(inner.rule, FreshConsensus)):
             return
-        rule = self._inner.rule
+        rule, weights = inner.rule.exchange, inner.place.weights
         said = np.where([True, *came], 1.0, np.nan)[:, None]
         if isinstance(rule, InformationRounds):
-            mixed = information_rounds.average(said, rule.weights)
+            mixed = information_rounds.average(said, weights)
         elif isinstance(rule, NoveltyRounds):
-            mixed = rule.mix(said * np.ones(len(content.belief.mean)))
+            mixed = rule.mix(said * np.ones(len(inner.prior.mean)), weights)
         else:
             return
         if np.abs(mixed - 1).max() > _ROUNDING:

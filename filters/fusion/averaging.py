@@ -14,11 +14,11 @@ from filters.linalg import multiply, symmetrise
 
 
 class Fused(NamedTuple):
-    """What a node makes of its own belief and those of J others.
+    """What nodes make of their own beliefs and those of J others.
 
-    `belief` (n,) is what they come to, NaN where they come to none, its covariance symmetric to the
-    last bit; `weights` (1 + J,) are those that were used, the own first; `sharpness` (1 + J,) is
-    `hold.sharpness` of each, NaN where a covariance is not positive definite.
+    `belief` (..., n) is what they come to, NaN where they come to none, its covariance symmetric to
+    the last bit; `weights` (..., 1 + J) are those that were used, the own first; `sharpness`
+    (..., 1 + J) is `hold.sharpness` of each, NaN where a covariance is not positive definite.
     """
 
     belief: Gaussian
@@ -32,8 +32,8 @@ class Averaged(Protocol):
     def fuse(
         self, own: Gaussian, others: Gaussian, weights: np.ndarray, by_sharpness: bool, /
     ) -> Fused:
-        """The own belief (n,) and others (J, n) with weights (1 + J,), each multiplied by its
-        sharpness where that counts (`hold.sharpened`)."""
+        """The own belief (..., n) and others (..., J, n) with weights (..., 1 + J), each multiplied
+        by its sharpness where that counts (`hold.sharpened`)."""
         ...
 
 
@@ -81,7 +81,7 @@ class Averaging:
         self, own: Gaussian, others: Gaussian, weights: np.ndarray, by_sharpness: bool
     ) -> Fused:
         """As `Averaged.fuse`."""
-        numbers, sharp = self.weigh_up(joined(own, others), own.mean)
+        numbers, sharp = self.weigh_up(joined(own, others), own.mean[..., None, :])
         used = sharpened(weights, sharp) if by_sharpness else weights
         mean, cov = self.average(numbers, used, own.mean)
         return Fused(Gaussian(mean, symmetrise(cov)), used, sharp)
@@ -94,7 +94,7 @@ class _Intersection(Averaging):
         self, own: Gaussian, others: Gaussian, weights: np.ndarray, by_sharpness: bool
     ) -> Fused:
         """As `Averaged.fuse`."""
-        if not compiled.serves(own.mean.shape[-1]):
+        if own.mean.ndim > 1 or not compiled.serves(own.mean.shape[-1]):
             return Averaging.fuse(self, own, others, weights, by_sharpness)
         mean, cov, used, sharp = compiled.fused(*own, *others, weights, by_sharpness)
         return Fused(Gaussian(mean, cov), used, sharp)

@@ -26,6 +26,7 @@ from filters.sets.ellipsoid import (
 # The weight is looked for on a grid of its logarithm, each time around the best of the last.
 _GRID, _ZOOMS = 25, 4
 _MARGIN = 18.0
+_TIE = 1e-12
 
 
 def intersection(own: Ellipsoid, other: Ellipsoid) -> Ellipsoid:
@@ -142,5 +143,9 @@ def _best_of_grid(
     at = 1.0 + weights[..., None] * squares[..., None, :]
     room = _room(weights, squares[..., None, :], shifts[..., None, :], beyond[..., None])
     traces = room * (sizes[..., None, :] / at).sum(-1)
-    best = np.argmin(np.where(np.isnan(traces), np.inf, traces), axis=-1)[..., None]
+    traces = np.where(np.isnan(traces), np.inf, traces)
+    least = traces.min(axis=-1, keepdims=True)
+    # Two sets that are nearly one have the same trace for every weight: the least weight is taken,
+    # and not the one that rounding favours.
+    best = np.argmax(traces <= least + _TIE * np.abs(least), axis=-1)[..., None]
     return np.take_along_axis(grid, best, -1)[..., 0], spacing[..., 0]

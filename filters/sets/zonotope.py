@@ -63,6 +63,25 @@ def reduced(zonotope: Zonotope, generators: int) -> Zonotope:
     return grown(Zonotope(zonotope.centre, kept), box)
 
 
+def reduced_to(zonotope: Zonotope, generators: int) -> Zonotope:
+    """A zonotope around it with exactly so many generators, of which some may be zero.
+
+    Lanes with no more generators than that, zeros apart, keep them; the others are `reduced`.
+    """
+    count = zonotope.generators.shape[-1]
+    if count <= generators:
+        missing = np.zeros((*zonotope.centre.shape, generators - count))
+        return Zonotope(zonotope.centre, join_columns(zonotope.generators, missing))
+    lengths = (zonotope.generators**2).sum(-2)
+    few = np.count_nonzero(lengths, axis=-1) <= generators
+    boxed = reduced(zonotope, generators)
+    if not few.any():
+        return boxed
+    order = np.argsort(-lengths, axis=-1, kind="stable")[..., :generators]
+    kept = np.take_along_axis(zonotope.generators, order[..., None, :], -1)
+    return Zonotope(zonotope.centre, np.where(few[..., None, None], kept, boxed.generators))
+
+
 def parallelotope(zonotope: Zonotope) -> Zonotope:
     """A zonotope with n generators around it: a box along its principal axes or along the state's,
     whichever is narrower in the sum of its half-widths."""

@@ -54,7 +54,7 @@ class Numbers(NamedTuple):
 class Content(NamedTuple):
     """What all nodes know in a step.
 
-    belief: the own ones; within a step those before its rounds, where the fleet is not `eager`.
+    belief: the own ones; within a step those before its rounds, where the rule is not `eager`.
     own, held: the own ones and what is held, by slot, about `origin` and `held_origin` (R, 1, n).
     ages: (R, E) by link, or (1, E) where they are those of all runs.
     """
@@ -73,7 +73,7 @@ class Content(NamedTuple):
 
 
 @dataclass(frozen=True)
-class BeliefFleet:
+class BatchedBeliefs:
     """All nodes of a network under a rule that averages beliefs, in so many rounds a step.
 
     `base` are the weights of one run; `contenders` (C,) whoever may ask for the dynamic segment.

@@ -1,62 +1,18 @@
 """What every rule does in arrays (runs, nodes, ...) before anybody is heard, and what it counts."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from filters.gaussian import Gaussian
-from filters.sigma_points import SigmaPointRule
 from nodes.bids import FIRST_BID, bid_for_change
 from nodes.lanes.links import Links
 from nodes.messages import Array
-from nodes.rules.local_filter import Model, Sensor, carry, take_readings, where
+from nodes.rules.local_filter import LocalFilters, where
 
 Counters = Mapping[str, np.ndarray]
 """Totals (R, N) since the start by the names that `nodes.node` and the rules give them."""
-
-
-class SensorGroup(NamedTuple):
-    """Nodes (an index into their axis) that one sensor value serves: its arrays have their axis."""
-
-    nodes: slice | np.ndarray
-    sensor: Sensor
-
-
-@dataclass(frozen=True)
-class LocalFilters:
-    """What the nodes believe of plant and sensors; nodes in no group are blind."""
-
-    model: Model
-    groups: tuple[SensorGroup, ...]
-    points: SigmaPointRule
-
-    def carry(
-        self, belief: Gaussian, control: Array | None, step: int
-    ) -> tuple[Gaussian, np.ndarray]:
-        """Beliefs (R, N, n) of the step before at `step`, and where that went well (R, N)."""
-        driven = None if control is None else control[:, None, :]
-        moved, sound = carry(belief, driven, step, self.model, self.points)
-        return where(sound, moved, belief), sound
-
-    def take(
-        self, belief: Gaussian, readings: Array, step: int
-    ) -> tuple[Gaussian, dict[str, np.ndarray]]:
-        """Beliefs (R, N, n) after each node's own readings (R, N, r, d), and what went wrong."""
-        if len(self.groups) == 1 and self.groups[0].nodes == slice(None):
-            sensor = self.groups[0].sensor
-            return take_readings(belief, readings, step, sensor, self.points)
-        mean, cov = belief.mean.copy(), belief.cov.copy()
-        counted: dict[str, np.ndarray] = {}
-        for nodes, sensor in self.groups:
-            own = Gaussian(belief.mean[:, nodes], belief.cov[:, nodes])
-            after, troubles = take_readings(own, readings[:, nodes], step, sensor, self.points)
-            mean[:, nodes], cov[:, nodes] = after
-            for name, count in troubles.items():
-                total = counted.setdefault(name, np.zeros(mean.shape[:2], dtype=int))
-                total[:, nodes] += count
-        return Gaussian(mean, cov), counted
 
 
 def added(counters: Counters, more: Mapping[str, np.ndarray]) -> Counters:

@@ -80,7 +80,7 @@ class _Came(NamedTuple):
 
 
 @dataclass(frozen=True)
-class LabelledFleet:
+class BatchedFlooding:
     """All nodes of a network; the fields are those of `nodes.rules.labelled.LabelledFlooding`."""
 
     windows: WindowFilters

@@ -37,10 +37,10 @@ class Spread(NamedTuple):
     held: np.ndarray
 
 
-class Fleet(Protocol):
+class BatchedRule(Protocol):
     """A fusion rule at all nodes of all runs: `nodes.estimator.Estimator` in arrays.
 
-    Contents are values that only the fleet reads. Links are those of its network, in its order.
+    Contents are values that only the rule reads. Links are those of its network, in its order.
     """
 
     def start(self, prior: Gaussian) -> Any:
@@ -81,7 +81,7 @@ class Fleet(Protocol):
 
 
 @runtime_checkable
-class FleetWithReturns(Fleet, Protocol):
+class RuleWithReturns(BatchedRule, Protocol):
     """One whose nodes may die and come back; records of nodes that began apart have no arrays."""
 
     def restarted(self, content: Any, nodes: np.ndarray, belief: Gaussian) -> Any:
@@ -100,7 +100,7 @@ class Regime(NamedTuple):
     contest: Contest
     contest_memory: ArbiterState
     framed: Framed
-    fleet: Fleet
+    rule: BatchedRule
 
     def cycles(self, step: int) -> range:
         """Those of a step."""

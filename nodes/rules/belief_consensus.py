@@ -4,33 +4,29 @@ A neighbour that was silent in a round is represented by its last share. Shares 
 policy says whether a held share is carried through the plant and what it still weighs.
 """
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
-import msgspec
 import numpy as np
-from msgspec.structs import replace
 
 from filters.fusion.averaging import Averaged
-from filters.gaussian import Gaussian, joined
-from filters.sigma_points import SigmaPointRule
-from nodes.belief_codec import BeliefCodec
-from nodes.bids import FIRST_BID, asked, bid_for_change
-from nodes.messages import Array, Measured
-from nodes.rules.local_filter import (
-    Model,
-    Sensor,
-    at,
-    carry,
-    control_of,
-    finite,
-    stacked,
-    take_own,
-    where,
+from filters.gaussian import Gaussian
+from nodes.belief_codec import belief_numbers, belief_of
+from nodes.messages import Array
+from nodes.rules.lane_rule import (
+    Failures,
+    LaneContent,
+    LocalStep,
+    Place,
+    Published,
+    nothing_published,
+    older,
 )
+from nodes.rules.local_filter import finite, finite_lanes, where
+
+_ALIKE = np.ones(1)
 
 
 class HoldPolicy(NamedTuple):
@@ -48,155 +44,140 @@ class HoldPolicy(NamedTuple):
     by_sharpness: bool = False
 
 
-class Content(msgspec.Struct, frozen=True):
-    """A node's knowledge: its `own` belief (n,), what it holds of its J neighbours (J, n), and what
-    it has sent and they hold of it (n,), if it has."""
+class OwnBelief(NamedTuple):
+    """The own belief (..., n), and what neighbours hold of it."""
 
-    own: Gaussian
-    held: Gaussian
-    ages: tuple[int, ...]
-    published: Gaussian | None
-    cycles_in_step: int
+    belief: Gaussian
+    published: Published
+
+
+class HeldBeliefs(NamedTuple):
+    """The last shares of neighbours (..., J, n), and cycles since they were sent (..., J)."""
+
+    beliefs: Gaussian
+    ages: np.ndarray
+
+
+BeliefContent = LaneContent[OwnBelief, HeldBeliefs]
 
 
 @dataclass(frozen=True)
 class BeliefConsensus:
-    """The estimator of rules that average beliefs (covariance intersection, the paper's WAC)."""
+    """The rules that average beliefs (covariance intersection, the paper's WAC), as a `LaneRule`.
 
-    model: Model
-    sensor: Sensor | None
-    prior: Gaussian
-    points: SigmaPointRule
-    rule: Averaged
+    Source: the weights of held shares are this project's (`filters.fusion.hold`).
+    """
+
+    average: Averaged
     hold: HoldPolicy
-    weights: Array
-    codec: BeliefCodec
+    states: int
     trigger: float = 0.0
+    contends: bool = True
 
-    @property
-    def share_bytes(self) -> int:
-        """Length of an encoded belief."""
-        return self.codec.size
-
-    def start(self) -> Content:
+    def start(self, node: np.ndarray, prior: Gaussian, held: Gaussian) -> BeliefContent:
         """The prior, and neighbours never heard (their place holds the prior at no weight)."""
-        neighbours = len(self.weights) - 1
-        held = Gaussian(
-            np.repeat(self.prior.mean[None], neighbours, axis=0),
-            np.repeat(self.prior.cov[None], neighbours, axis=0),
-        )
-        return Content(self.prior, held, (-1,) * neighbours, None, 0)
+        nobody = HeldBeliefs(held, np.full(held.mean.shape[:-1], -1))
+        return LaneContent(OwnBelief(prior, nothing_published(prior)), nobody, 0)
 
-    def begin_step(self, content: Content, measured: Measured) -> tuple[Content, tuple[str, ...]]:
+    def begin_step(
+        self, node: np.ndarray, content: BeliefContent, now: LocalStep
+    ) -> tuple[BeliefContent, Failures]:
         """Predict everything that is carried, then take the own readings one by one."""
-        troubles: tuple[str, ...] = ()
-        if measured.step > 0:
-            content, troubles = self._carry(content, measured)
-        own, troubled = take_own(content.own, measured, self.sensor, self.points)
-        return replace(content, own=own, cycles_in_step=0), troubles + troubled
+        own, held, _ = content
+        failures: dict[str, np.ndarray] = {}
+        if now.step > 0:
+            own, held, failures = self._predicted(own, held, now)
+        belief, failed = now.update(own.belief)
+        return LaneContent(own._replace(belief=belief), held, 0), {**failures, **failed}
 
-    def _carry(self, content: Content, measured: Measured) -> tuple[Content, tuple[str, ...]]:
-        before = content.own
+    def _predicted(
+        self, own: OwnBelief, held: HeldBeliefs, now: LocalStep
+    ) -> tuple[OwnBelief, HeldBeliefs, dict[str, np.ndarray]]:
+        beliefs = [own.belief]
         if self.hold.carried:
-            carries = joined(before, content.held, content.published or before)
-        else:
-            carries = stacked([before])
-        control = control_of(measured)
-        moved, sound = carry(carries, control, measured.step, self.model, self.points)
-        own, troubles = (at(moved, 0), ()) if sound[0] else (before, ("predict-failed",))
-        if not self.hold.carried:
-            return replace(content, own=own), troubles
-        ages, published = content.ages, content.published and at(moved, -1)
-        if not sound.all():
+            beliefs += [held.beliefs, own.published.belief][: 1 + self.contends]
+        (moved, sound), *others = now.predict(*beliefs)
+        own = own._replace(belief=where(sound, moved, own.belief))
+        failures = {} if sound.all() else {"predict-failed": ~sound}
+        if others:
+            kept = others[0]
             # A held pair that cannot be carried on is forgotten, not used at a wrong time.
-            moved = where(sound, moved, self.prior)
-            ages = tuple(age if sound[1 + j] else -1 for j, age in enumerate(ages))
-            published = published if sound[-1] else None
-        held = Gaussian(moved.mean[1:-1], moved.cov[1:-1])
-        return replace(content, own=own, held=held, ages=ages, published=published), troubles
+            ages = held.ages if kept.sound.all() else np.where(kept.sound, held.ages, -1)
+            held = HeldBeliefs(where(kept.sound, kept.beliefs, held.beliefs), ages)
+        if len(others) > 1:
+            own = own._replace(published=own.published.moved(others[1]))
+        return own, held, failures
 
-    def bid(self, content: Content) -> int | None:
-        """How far the belief has moved since it was last published (`bids.bid_for_change`)."""
-        published = content.published
-        if published is None:
-            return FIRST_BID
-        return asked(bid_for_change(content.own, published, self.trigger))
+    def bid(self, content: BeliefContent) -> np.ndarray:
+        """How far the belief has moved since it was last published."""
+        return content.own.published.bid(content.own.belief, self.trigger)
 
-    def compose(self, content: Content) -> tuple[Content, bytes]:
-        """The pair before the iteration; the node remembers what its neighbours now hold of it."""
-        return replace(content, published=content.own), self.codec.encode(content.own)
+    def say(self, content: BeliefContent) -> Array:
+        """The pair before the iteration."""
+        return belief_numbers(content.own.belief)
 
-    def accept(self, body: bytes) -> bytes:
-        """A body of which a belief can be read (`BeliefCodec.check`)."""
-        return self.codec.check(body)
+    def sent(self, content: BeliefContent, sends: np.ndarray) -> BeliefContent:
+        """The node remembers what its neighbours now hold of it."""
+        own = content.own
+        if not self.contends:
+            return content
+        published = own.published.sent(own.belief, sends)
+        return content._replace(own=own._replace(published=published))
+
+    def read(self, numbers: Array) -> tuple[Gaussian, None, str]:
+        """Beliefs; whether they are positive definite shows when they are fused."""
+        return belief_of(numbers, self.states), None, ""
 
     def fuse(
-        self, content: Content, shares: tuple[bytes | None, ...]
-    ) -> tuple[Content, tuple[str, ...]]:
+        self, place: Place, content: BeliefContent, said: Gaussian, heard: np.ndarray
+    ) -> tuple[BeliefContent, Failures]:
         """Average the own pair with the neighbours' pairs, fresh or held, in sender order."""
-        own, held = content.own, self._with_shares(content.held, shares)
-        ages = _aged(content.ages, shares)
-        weights = self._weights_of_ages(ages, content.cycles_in_step)
-        fused = self.rule.fuse(own, held, weights, self.hold.by_sharpness)
-        unsound = _unsound(fused.sharpness[1:].tolist(), shares)
-        if unsound:
-            # Few shares fail this check, and what is held instead is weighed up in a second go.
-            usable = [None if j in unsound else share for j, share in enumerate(shares)]
-            content, troubles = self.fuse(content, tuple(usable))
-            return content, ("rejected not-positive-definite",) * len(unsound) + troubles
-        troubles = ()
-        if finite(fused.belief):
-            own = fused.belief
+        own, before, cycles = content
+        if heard.all():
+            held = HeldBeliefs(said, np.zeros(heard.shape, dtype=np.int64))
         else:
-            troubles = ("fuse-failed",)
-        return Content(own, held, ages, content.published, content.cycles_in_step + 1), troubles
+            ages = np.where(heard, 0, older(before.ages))
+            held = HeldBeliefs(where(heard, said, before.beliefs), ages)
+        weights = self._weights(place.weights, held.ages, cycles)
+        fused = self.average.fuse(own.belief, held.beliefs, weights, self.hold.by_sharpness)
+        unsound = np.isnan(fused.sharpness[..., 1:])
+        if unsound.any() and (unsound := heard & unsound).any():
+            # Few shares fail this check, and what is held instead is weighed in a second go.
+            content, failures = self.fuse(place, content, said, heard & ~unsound)
+            return content, {"rejected not-positive-definite": unsound.sum(axis=-1), **failures}
+        if finite(fused.belief):
+            return LaneContent(OwnBelief(fused.belief, own.published), held, cycles + 1), {}
+        sound = finite_lanes(fused.belief)
+        belief = where(sound, fused.belief, own.belief)
+        after = LaneContent(OwnBelief(belief, own.published), held, cycles + 1)
+        return after, {"fuse-failed": ~sound}
 
-    def _with_shares(self, held: Gaussian, shares: tuple[bytes | None, ...]) -> Gaussian:
-        """The held beliefs, with each share in the place of its sender."""
-        came = [share for share in shares if share is not None]
-        if not came:
-            return held
-        told = self.codec.unpack(*came)
-        if len(came) == len(shares):
-            return told
-        mean, cov = held.mean.copy(), held.cov.copy()
-        places = [j for j, share in enumerate(shares) if share is not None]
-        mean[places], cov[places] = told
-        return Gaussian(mean, cov)
+    def _weights(self, base: Array, ages: np.ndarray, cycles: int) -> Array:
+        """Weights (..., 1 + J) of the own pair and each neighbour's, but for their sharpness."""
+        if ages.ndim > 1:
+            return self.hold.weigh(base, _with_own(ages), _ALIKE, cycles)
+        return self._kept_weights(base.tobytes(), ages.tobytes(), cycles)
 
     @cached_property
-    def _weights_of_ages(self) -> Callable[[tuple[int, ...], int], Array]:
-        """What the own pair and each neighbour's weigh in a round but for their sharpness."""
-
-        # Kept: few patterns of ages come again and again.
+    def _kept_weights(self) -> Callable[[bytes, bytes, int], Array]:
+        # A node meets the same few patterns of ages again and again.
         @lru_cache
-        def weigh(ages: tuple[int, ...], cycles: int) -> Array:
-            alike = np.ones(len(self.weights))
-            return self.hold.weigh(self.weights, np.array((0, *ages)), alike, cycles)
+        def weights(base: bytes, ages: bytes, cycles: int) -> Array:
+            own_row, known = np.frombuffer(base), np.frombuffer(ages, dtype=np.int64)
+            return self.hold.weigh(own_row, _with_own(known), np.ones(len(own_row)), cycles)
 
-        return weigh
+        return weights
 
-    def belief(self, content: Content) -> Gaussian:
+    def belief(self, content: BeliefContent) -> Gaussian:
         """The own pair."""
-        return content.own
+        return content.own.belief
 
-    def ages(self, content: Content) -> Array:
+    def ages(self, content: BeliefContent) -> np.ndarray:
         """Cycles since each neighbour's held pair was sent."""
-        return np.array(content.ages, dtype=int)
+        return content.held.ages
 
 
-def _unsound(sharpness: list[float], shares: tuple[bytes | None, ...]) -> list[int]:
-    """The places of shares of this sharpness that are not positive definite: theirs is NaN."""
-    if not math.isnan(sum(sharpness)):
-        return []
-    return [j for j, sharp in enumerate(sharpness) if math.isnan(sharp) and shares[j] is not None]
-
-
-def _aged(ages: tuple[int, ...], shares: tuple[bytes | None, ...]) -> tuple[int, ...]:
-    """How old what is held is, one cycle later, when these shares have come."""
-    if None not in shares:
-        return (0,) * len(shares)
-    return tuple(
-        0 if share is not None else age if age < 0 else age + 1
-        for share, age in zip(shares, ages, strict=True)
-    )
+def _with_own(ages: np.ndarray) -> np.ndarray:
+    """Ages (..., 1 + J), the node's own first."""
+    own = np.zeros((*ages.shape[:-1], 1), dtype=ages.dtype)
+    return np.concatenate((own, ages), axis=-1)

@@ -11,160 +11,173 @@ import numpy as np
 
 from filters.gaussian import Gaussian
 from filters.linalg import cholesky, symmetrise
-from filters.sigma_points import SigmaPointRule
-from nodes.bids import FIRST_BID, asked, bid_for_change
-from nodes.messages import Array, Measured
-from nodes.rules.local_filter import (
-    Model,
-    Sensor,
-    at,
-    carry,
-    control_of,
-    finite_lanes,
-    stacked,
-    take_own,
+from nodes.messages import Array
+from nodes.rules.lane_rule import (
+    Failures,
+    LaneContent,
+    LocalStep,
+    Place,
+    Published,
+    nothing_published,
+    older,
 )
-from nodes.vector_codec import VectorCodec
+from nodes.rules.local_filter import finite_lanes, where
 
 
-class FreshRule(Protocol):
-    """A fusion rule whose shares are vectors of numbers (m,).
+class Exchange(Protocol):
+    """What nodes exchange: vectors of numbers (..., m), one of each lane.
 
     `cycle` counts the communication cycles in a step from 0; `prior` is the belief before the
     node's own readings of the step.
     """
 
-    def begin(self, prior: Gaussian, posterior: Gaussian) -> Array:
-        """What a node knows (m,) after its own readings."""
+    def begin(self, node: np.ndarray, prior: Gaussian, posterior: Gaussian) -> Array:
+        """What nodes (...) know (..., m) after their own readings."""
         ...
 
     def say(self, cycle: int, known: Array, belief: Gaussian) -> Array:
-        """What it shares (m,) in a round."""
+        """What they share (..., m) in a round."""
         ...
 
-    def sound(self, prior: Gaussian, shares: Array) -> np.ndarray:
-        """Which of shares (J, m) can be used: (J,) bool; False where one is NaN."""
+    def sound(self, shares: Array) -> np.ndarray:
+        """Which of shares (..., m) any node can use: (...) bool; False where one is NaN."""
+        ...
+
+    def usable(self, prior: Gaussian, shares: Array) -> np.ndarray | None:
+        """Which of shares (..., J, m) can be used beside the own prior: (..., J) bool; None for a
+        rule to which the prior does not matter."""
         ...
 
     def fuse(
-        self, cycle: int, prior: Gaussian, known: Array, belief: Gaussian, shares: Array
+        self,
+        cycle: int,
+        weights: Array,
+        prior: Gaussian,
+        known: Array,
+        belief: Gaussian,
+        shares: Array,
     ) -> tuple[Array, Gaussian]:
-        """What is known (m,) and believed after a round.
+        """What is known (..., m) and believed after a round.
 
-        Shares (1 + J, m) are the node's own and those of its neighbours, NaN where nothing came. A
-        belief that is not finite, or not positive definite, says that it went wrong.
+        Shares (..., 1 + J, m) are the node's own and those of its neighbours, NaN where nothing
+        came; so are the weights (..., 1 + J). A belief that is not finite, or not positive
+        definite, says that it went wrong.
         """
         ...
 
 
-class Content(NamedTuple):
-    """A node's knowledge; `published` is the belief when it last sent, carried on to now."""
+class FreshOwn(NamedTuple):
+    """A node's knowledge: beliefs before and after the readings of the step (..., n), and what it
+    shares (..., m)."""
 
     prior: Gaussian
     belief: Gaussian
     known: Array
-    ages: Array
-    published: Gaussian | None
-    cycles_in_step: int
+    published: Published
+
+
+class LastUsed(NamedTuple):
+    """Cycles since a share of each neighbour was used (..., J), -1 for never."""
+
+    ages: np.ndarray
+
+
+FreshContent = LaneContent[FreshOwn, LastUsed]
 
 
 @dataclass(frozen=True)
 class FreshConsensus:
-    """The estimator of such rules at a node with as many neighbours."""
+    """The rules that exchange fresh shares, as a `LaneRule`."""
 
-    model: Model
-    sensor: Sensor | None
-    prior: Gaussian
-    points: SigmaPointRule
-    rule: FreshRule
-    neighbours: int
-    codec: VectorCodec
+    exchange: Exchange
     trigger: float = 0.0
+    contends: bool = True
 
-    @property
-    def share_bytes(self) -> int:
-        """Length of an encoded share."""
-        return self.codec.size
-
-    def start(self) -> Content:
+    def start(self, node: np.ndarray, prior: Gaussian, held: Gaussian) -> FreshContent:
         """The prior, and neighbours never heard."""
-        known = self.rule.begin(self.prior, self.prior)
-        return Content(self.prior, self.prior, known, np.full(self.neighbours, -1), None, 0)
+        known = self.exchange.begin(node, prior, prior)
+        own = FreshOwn(prior, prior, known, nothing_published(prior))
+        return LaneContent(own, LastUsed(np.full(held.mean.shape[:-1], -1)), 0)
 
-    def begin_step(self, content: Content, measured: Measured) -> tuple[Content, tuple[str, ...]]:
+    def begin_step(
+        self, node: np.ndarray, content: FreshContent, now: LocalStep
+    ) -> tuple[FreshContent, Failures]:
         """Predict, then take the own readings one by one."""
-        troubles: list[str] = []
-        prior, published = content.belief, content.published
-        if measured.step > 0:
-            beliefs = stacked([prior] if published is None else [prior, published])
-            carried = carry(beliefs, control_of(measured), measured.step, self.model, self.points)
-            if carried.sound[0]:
-                prior = at(carried.beliefs, 0)
-            else:
-                troubles.append("predict-failed")
-            if published is not None:
-                published = at(carried.beliefs, 1) if carried.sound[1] else None
-        belief, troubled = take_own(prior, measured, self.sensor, self.points)
-        known = self.rule.begin(prior, belief)
-        content = Content(prior, belief, known, content.ages, published, 0)
-        return content, (*troubles, *troubled)
+        prior, published = content.own.belief, content.own.published
+        failures: dict[str, np.ndarray] = {}
+        if now.step > 0:
+            (moved, sound), *others = now.predict(*(prior, published.belief)[: 1 + self.contends])
+            prior = where(sound, moved, prior)
+            failures = {} if sound.all() else {"predict-failed": ~sound}
+            if others:
+                published = published.moved(others[0])
+        belief, failed = now.update(prior)
+        known = self.exchange.begin(node, prior, belief)
+        own = FreshOwn(prior, belief, known, published)
+        return LaneContent(own, content.held, 0), {**failures, **failed}
 
-    def bid(self, content: Content) -> int | None:
-        """How far the belief has moved since it was last published (`bids.bid_for_change`)."""
-        if content.published is None:
-            return FIRST_BID
-        return asked(bid_for_change(content.belief, content.published, self.trigger))
+    def bid(self, content: FreshContent) -> np.ndarray:
+        """How far the belief has moved since it was last published."""
+        return content.own.published.bid(content.own.belief, self.trigger)
 
-    def compose(self, content: Content) -> tuple[Content, bytes]:
-        """What the rule says in this round; the node remembers what it believed then."""
-        body = self.codec.encode(self._say(content))
-        return content._replace(published=content.belief), body
+    def say(self, content: FreshContent) -> Array:
+        """What is exchanged in this round."""
+        return self.exchange.say(content.cycles_in_step, content.own.known, content.own.belief)
 
-    def accept(self, body: bytes) -> Array:
-        """The numbers in a share (`VectorCodec.decode`)."""
-        return self.codec.decode(body)
+    def sent(self, content: FreshContent, sends: np.ndarray) -> FreshContent:
+        """The node remembers what it believed then."""
+        own = content.own
+        if not self.contends:
+            return content
+        published = own.published.sent(own.belief, sends)
+        return content._replace(own=own._replace(published=published))
+
+    def read(self, numbers: Array) -> tuple[Array, np.ndarray, str]:
+        """The numbers themselves."""
+        return numbers, self.exchange.sound(numbers), "unsound"
 
     def fuse(
-        self, content: Content, shares: tuple[Array | None, ...]
-    ) -> tuple[Content, tuple[str, ...]]:
+        self, place: Place, content: FreshContent, said: Array, heard: np.ndarray
+    ) -> tuple[FreshContent, Failures]:
         """One round of the rule with what was heard, in sender order."""
-        everyone, troubles = self._usable(content, shares)
-        silent = np.isnan(everyone[1:]).any(axis=-1)
-        ages = np.where(silent, np.where(content.ages < 0, -1, content.ages + 1), 0)
-        cycle = content.cycles_in_step
-        known, belief = self.rule.fuse(
-            cycle, content.prior, content.known, content.belief, everyone
+        own, _, cycle = content
+        failures: dict[str, np.ndarray] = {}
+        usable = self.exchange.usable(own.prior, np.where(heard[..., None], said, 0.0))
+        if usable is not None and (refused := heard & ~usable).any():
+            failures = {"rejected unsound": refused.sum(axis=-1)}
+            heard = heard & usable
+        everyone = np.concatenate(
+            (self.say(content)[..., None, :], np.where(heard[..., None], said, np.nan)), axis=-2
         )
-        content = content._replace(ages=ages, cycles_in_step=cycle + 1)
+        known, belief = self.exchange.fuse(
+            cycle, place.weights, own.prior, own.known, own.belief, everyone
+        )
+        content, failed = self.settled(content, known, belief, heard)
+        return content, {**failures, **failed}
+
+    def settled(
+        self, content: FreshContent, known: Array, belief: Gaussian, heard: np.ndarray
+    ) -> tuple[FreshContent, Failures]:
+        """The content after a round that came to this, where it is a belief; `heard` as in `fuse`,
+        or (R, E) of links."""
+        own, (ages,), cycle = content
         belief = Gaussian(belief.mean, symmetrise(belief.cov))
-        if not believable(belief):
-            return content, (*troubles, "fuse-failed")
-        return content._replace(known=known, belief=belief), troubles
+        sound = believable(belief)
+        own = own._replace(
+            belief=where(sound, belief, own.belief),
+            known=known if sound.all() else np.where(sound[..., None], known, own.known),
+        )
+        failures = {} if sound.all() else {"fuse-failed": ~sound}
+        used = LastUsed(np.where(heard, 0, older(ages)))
+        return LaneContent(own, used, cycle + 1), failures
 
-    def _usable(
-        self, content: Content, shares: tuple[Array | None, ...]
-    ) -> tuple[Array, tuple[str, ...]]:
-        """The own share and the others' (1 + J, m), NaN where none came that can be used."""
-        everyone = np.full((1 + len(shares), self.codec.length), np.nan)
-        everyone[0] = self._say(content)
-        came = [1 + j for j, share in enumerate(shares) if share is not None]
-        if not came:
-            return everyone, ()
-        numbers = np.stack([share for share in shares if share is not None])
-        sound = self.rule.sound(content.prior, numbers)
-        everyone[came] = np.where(sound[:, None], numbers, np.nan)
-        return everyone, ("rejected unsound",) * int((~sound).sum())
-
-    def _say(self, content: Content) -> Array:
-        return self.rule.say(content.cycles_in_step, content.known, content.belief)
-
-    def belief(self, content: Content) -> Gaussian:
+    def belief(self, content: FreshContent) -> Gaussian:
         """What the rule makes of all it has heard so far in this step."""
-        return content.belief
+        return content.own.belief
 
-    def ages(self, content: Content) -> Array:
+    def ages(self, content: FreshContent) -> np.ndarray:
         """Cycles since a share of each neighbour was last used."""
-        return content.ages
+        return content.held.ages
 
 
 def believable(belief: Gaussian) -> np.ndarray:

@@ -11,32 +11,40 @@ from nodes.messages import Array
 
 
 class InformationRounds(NamedTuple):
-    """Averages by `weights` (1 + J,), the node's own first, renormalised over who was heard.
+    """Averages by the weights, renormalised over who was heard (`fresh_consensus.Exchange`).
 
-    `open(prior, posterior)` is what is known (m,) before the first round, `conclude(known)` the
-    belief that an average comes to, `check(shares (J, m))` tells sound ones (J,).
+    `open(node, prior, posterior)` is what is known (..., m) before the first round,
+    `conclude(known)` the belief that an average comes to, `check(shares)` tells sound ones.
     """
 
-    open: Callable[[Gaussian, Gaussian], Array]
+    open: Callable[[np.ndarray, Gaussian, Gaussian], Array]
     conclude: Callable[[Array], Gaussian]
     check: Callable[[Array], np.ndarray]
-    weights: Array
 
-    def begin(self, prior: Gaussian, posterior: Gaussian) -> Array:
-        """What the rule averages (m,)."""
-        return self.open(prior, posterior)
+    def begin(self, node: np.ndarray, prior: Gaussian, posterior: Gaussian) -> Array:
+        """What the rule averages (..., m)."""
+        return self.open(node, prior, posterior)
 
     def say(self, cycle: int, known: Array, belief: Gaussian) -> Array:
         """All that is known."""
         return known
 
-    def sound(self, prior: Gaussian, shares: Array) -> np.ndarray:
-        """Which of shares (J, m) are of nodes in their senses: (J,) bool."""
+    def sound(self, shares: Array) -> np.ndarray:
+        """Which of shares (..., m) are of nodes in their senses: (...) bool."""
         return self.check(shares)
 
+    def usable(self, prior: Gaussian, shares: Array) -> None:
+        """A share is sound or not by itself."""
+
     def fuse(
-        self, cycle: int, prior: Gaussian, known: Array, belief: Gaussian, shares: Array
+        self,
+        cycle: int,
+        weights: Array,
+        prior: Gaussian,
+        known: Array,
+        belief: Gaussian,
+        shares: Array,
     ) -> tuple[Array, Gaussian]:
-        """The average of shares (1 + J, m), and the belief that it comes to."""
-        mixed = average(shares, self.weights)
+        """The average of shares (..., 1 + J, m), and the belief that it comes to."""
+        mixed = average(shares, weights)
         return mixed, self.conclude(mixed)

@@ -1,6 +1,7 @@
 """What every rule does before it hears anybody: predict, and take the node's own readings."""
 
 import math
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import NamedTuple, Protocol, cast, runtime_checkable
 
@@ -72,11 +73,6 @@ def carry(
     return Carried(moved, finite_lanes(moved))
 
 
-def stacked(beliefs: list[Gaussian]) -> Gaussian:
-    """Beliefs (n,) as one (K, n): the plant's functions cost more to enter than to evaluate."""
-    return Gaussian(np.array([b.mean for b in beliefs]), np.array([b.cov for b in beliefs]))
-
-
 def at(beliefs: Gaussian, place: int) -> Gaussian:
     """One (n,) of beliefs (K, n)."""
     return Gaussian(beliefs.mean[place], beliefs.cov[place])
@@ -143,6 +139,71 @@ def take_own(
         return belief, ()
     belief, troubles = take_readings(belief, from_wire(taken), measured.step, sensor, points)
     return belief, tuple(name for name, count in troubles.items() for _ in range(int(count)))
+
+
+class SensorGroup(NamedTuple):
+    """Nodes that one sensor value serves, an index into the second axis of the lanes; its arrays
+    have one entry for each of them. All lanes where the index is `slice(None)`."""
+
+    nodes: slice | np.ndarray
+    sensor: Sensor
+
+    @property
+    def whole(self) -> bool:
+        """Whether the group has all lanes."""
+        return isinstance(self.nodes, slice) and self.nodes == slice(None)
+
+    def of(self, values: Array) -> Array:
+        """The values (R, K, ...) of the group, of those of all lanes (R, N, ...)."""
+        return values if self.whole else values[:, self.nodes]
+
+    def put(self, values: Array, part: Array) -> Array:
+        """The values (R, N, ...) of all lanes with those of the group (R, K, ...) replaced."""
+        if self.whole:
+            return part
+        changed = values.copy()
+        changed[:, self.nodes] = part
+        return changed
+
+
+@dataclass(frozen=True)
+class LocalFilters:
+    """What the nodes believe of plant and sensors; nodes in no group are blind."""
+
+    model: Model
+    groups: tuple[SensorGroup, ...]
+    points: SigmaPointRule
+
+    def carry(
+        self, belief: Gaussian, control: Array | None, step: int
+    ) -> tuple[Gaussian, np.ndarray]:
+        """Beliefs (R, N, n) of the step before at `step`, and where that went well (R, N)."""
+        driven = None if control is None else control[:, None, :]
+        moved, sound = carry(belief, driven, step, self.model, self.points)
+        return where(sound, moved, belief), sound
+
+    def take(
+        self, belief: Gaussian, readings: Array, step: int
+    ) -> tuple[Gaussian, dict[str, np.ndarray]]:
+        """Beliefs (..., n) after each node's own readings (..., r, d), and what went wrong.
+
+        The last axis of the lanes is that of the nodes where groups divide them.
+        """
+        if not self.groups:
+            return belief, {}
+        if len(self.groups) == 1 and self.groups[0].whole:
+            sensor = self.groups[0].sensor
+            return take_readings(belief, readings, step, sensor, self.points)
+        mean, cov = belief.mean.copy(), belief.cov.copy()
+        counted: dict[str, np.ndarray] = {}
+        for nodes, sensor in self.groups:
+            own = Gaussian(belief.mean[:, nodes], belief.cov[:, nodes])
+            after, troubles = take_readings(own, readings[:, nodes], step, sensor, self.points)
+            mean[:, nodes], cov[:, nodes] = after
+            for name, count in troubles.items():
+                total = counted.setdefault(name, np.zeros(mean.shape[:2], dtype=int))
+                total[:, nodes] += count
+        return Gaussian(mean, cov), counted
 
 
 def _count(troubles: dict[str, np.ndarray], name: str, lanes: np.ndarray) -> None:

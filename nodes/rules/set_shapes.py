@@ -1,12 +1,11 @@
 """The two shapes of set that a node can keep, ellipsoid and zonotope, and how each travels.
 
 What is on the wire holds what was kept: a sender grows its set by what the number format loses, a
-receiver by what decoding does.
+receiver by what decoding does. All functions take sets of many lanes (...).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -16,39 +15,38 @@ from filters.sets import ellipsoid, zonotope
 from filters.sets.ellipsoid import Ellipsoid, rounding_bound
 from filters.sets.ellipsoid_intersection import intersection, strip_intersection
 from filters.sets.zonotope import Zonotope
-from nodes.belief_codec import BeliefCodec
-from nodes.estimator import Rejected
+from nodes.belief_codec import belief_numbers, belief_of
 from nodes.messages import Array
-from nodes.vector_codec import VectorCodec
+from nodes.rules.lane_rule import mapped
 
-HeldSet = Any
+HeldSet = TypeVar("HeldSet")
 _UNITS = {"<f8": 0.0, "<f4": 2.0**-24}
 
 
-class Shape(Protocol):
-    """What a node does with its sets. All of them hold the truth if what they are made of does."""
-
-    @property
-    def share_bytes(self) -> int:
-        """Length of an encoded set."""
-        ...
+class Shape(Protocol[HeldSet]):
+    """What nodes do with their sets. All of them hold the truth if what they are made of does."""
 
     def around(self, prior: Gaussian) -> HeldSet:
-        """The ellipsoid with this mean and this shape matrix (n, n)."""
+        """The ellipsoids with these means (..., n) and these shape matrices (..., n, n)."""
         ...
 
-    def moved(
-        self, sets: Sequence[HeldSet], centres: Array, transition: Array, noise: Array
-    ) -> list[HeldSet]:
-        """Sets one step later under x' = A x + B v, |v| <= 1; their centres go to (K, n)."""
+    def centres(self, sets: HeldSet) -> Array:
+        """Their centres (..., n)."""
         ...
 
-    def cut(self, own: HeldSet, row: Array, value: float, half_width: float) -> HeldSet | None:
-        """Around own and |value - row x| <= half_width; None where they have nothing in common."""
+    def moved(self, sets: HeldSet, centres: Array, transition: Array, noise: Array) -> HeldSet:
+        """Sets one step later under x' = A x + B v, |v| <= 1; their centres go to (..., n)."""
         ...
 
-    def meet(self, own: HeldSet, other: HeldSet) -> HeldSet | None:
-        """Around own and other, not larger than own; None where they have nothing in common."""
+    def cut(
+        self, own: HeldSet, row: Array, value: Array, half_width: float
+    ) -> tuple[HeldSet, np.ndarray]:
+        """Around own and |value - row x| <= half_width; False (...) where they have nothing in
+        common, and the set is anything."""
+        ...
+
+    def meet(self, own: HeldSet, other: HeldSet) -> tuple[HeldSet, np.ndarray]:
+        """Around own and other, not larger than own; False (...) as for `cut`."""
         ...
 
     def bounds(self, own: HeldSet) -> Gaussian:
@@ -56,24 +54,33 @@ class Shape(Protocol):
         ...
 
     def generators_of(self, own: HeldSet) -> Array | None:
-        """The generators (n, q) of a zonotope; None of another shape."""
+        """The generators (n, q) of one zonotope; None of another shape."""
         ...
 
-    def size(self, own: HeldSet) -> float:
-        """Sum of the squared half-widths."""
+    def size(self, own: HeldSet) -> Array:
+        """Sum of the squared half-widths (...)."""
         ...
 
-    def encode(self, own: HeldSet) -> bytes:
-        """A set around it as bytes."""
+    def numbers_of(self, own: HeldSet) -> Array:
+        """The numbers (..., m) of sets around these."""
         ...
 
-    def decode(self, body: bytes) -> HeldSet:
-        """A set around the one that was encoded.
-
-        Raises:
-            Rejected: bytes that are no set of this network.
-        """
+    def read(self, numbers: Array) -> tuple[HeldSet, np.ndarray]:
+        """Sets around those whose numbers (..., m) were sent; False (...) where these are none."""
         ...
+
+
+def chosen_sets(chosen: np.ndarray, one: HeldSet, other: HeldSet) -> HeldSet:
+    """`one` in the lanes (...) that are chosen, `other` elsewhere."""
+    if chosen.all():
+        return one
+
+    def pick(first: Array, second: Array) -> Array:
+        return np.where(
+            chosen.reshape(chosen.shape + (1,) * (first.ndim - chosen.ndim)), first, second
+        )
+
+    return mapped(pick, one, other)
 
 
 @dataclass(frozen=True)
@@ -83,34 +90,27 @@ class Ellipsoids:
     states: int
     number: str = "<f8"
 
-    @property
-    def _codec(self) -> BeliefCodec:
-        return BeliefCodec(self.states, self.number)
-
-    @property
-    def share_bytes(self) -> int:
-        """Centre and upper triangle of the shape matrix."""
-        return self._codec.size
-
     def around(self, prior: Gaussian) -> Ellipsoid:
         """The ellipsoid itself."""
         return _from_shape(prior)
 
-    def moved(
-        self, sets: Sequence[Ellipsoid], centres: Array, transition: Array, noise: Array
-    ) -> list[Ellipsoid]:
-        """All in one call: arrays cost more to enter than to compute."""
-        together = Ellipsoid(np.stack([s.centre for s in sets]), np.stack([s.factor for s in sets]))
-        after = ellipsoid.moved(together, centres, transition, noise)
-        return [Ellipsoid(*pair) for pair in zip(*after, strict=True)]
+    def centres(self, sets: Ellipsoid) -> Array:
+        """Their centres."""
+        return sets.centre
 
-    def cut(self, own: Ellipsoid, row: Array, value: float, half_width: float) -> Ellipsoid | None:
-        """The ellipsoid of least trace around both."""
-        return _sound(strip_intersection(own, row, np.asarray(value), np.asarray(half_width)))
+    def moved(self, sets: Ellipsoid, centres: Array, transition: Array, noise: Array) -> Ellipsoid:
+        """The ellipsoids of least trace."""
+        return ellipsoid.moved(sets, centres, transition, noise)
 
-    def meet(self, own: Ellipsoid, other: Ellipsoid) -> Ellipsoid | None:
+    def cut(
+        self, own: Ellipsoid, row: Array, value: Array, half_width: float
+    ) -> tuple[Ellipsoid, np.ndarray]:
         """The ellipsoid of least trace around both."""
-        return _sound(intersection(own, other))
+        return _found(strip_intersection(own, row, value, np.asarray(half_width)))
+
+    def meet(self, own: Ellipsoid, other: Ellipsoid) -> tuple[Ellipsoid, np.ndarray]:
+        """The ellipsoid of least trace around both."""
+        return _found(intersection(own, other))
 
     def bounds(self, own: Ellipsoid) -> Gaussian:
         """Its own centre and shape matrix."""
@@ -119,73 +119,67 @@ class Ellipsoids:
     def generators_of(self, own: Ellipsoid) -> None:
         """It has none."""
 
-    def size(self, own: Ellipsoid) -> float:
+    def size(self, own: Ellipsoid) -> Array:
         """The trace of the shape matrix."""
-        return float((own.factor**2).sum())
+        return (own.factor**2).sum(axis=(-2, -1))
 
-    def encode(self, own: Ellipsoid) -> bytes:
+    def numbers_of(self, own: Ellipsoid) -> Array:
         """Centre and shape matrix, grown by what they lose in this number format."""
         unit = _UNITS[self.number]
         if unit > 0.0:
             own = ellipsoid.grow(own, unit * np.abs(own.centre))
-        shape = _rounded_up(ellipsoid.shape_matrix(own), unit)
-        return self._codec.encode(Gaussian(own.centre, shape))
+        return belief_numbers(Gaussian(own.centre, _rounded_up(ellipsoid.shape_matrix(own), unit)))
 
-    def decode(self, body: bytes) -> Ellipsoid:
-        """Raises Rejected: `belief-length`, `belief-not-finite` or `not-positive-definite`."""
-        decoded = _from_shape(self._codec.decode(body))
-        if np.isnan(decoded.factor).any():
-            raise Rejected("not-positive-definite")
-        return decoded
+    def read(self, numbers: Array) -> tuple[Ellipsoid, np.ndarray]:
+        """False where the shape is not positive definite."""
+        return _found(_from_shape(belief_of(numbers, self.states)))
 
 
 @dataclass(frozen=True)
 class Zonotopes:
-    """Sets of `states` dimensions with up to `generators`; shared as parallelotopes."""
+    """Sets of `states` dimensions with `generators`, some of them zero; shared as parallelotopes.
+
+    All have as many columns, so that the sets of many lanes are one array.
+    """
 
     states: int
     number: str = "<f8"
     generators: int = 20
 
-    @property
-    def _codec(self) -> VectorCodec:
-        return VectorCodec(self.states + self.states**2, self.number)
-
-    @property
-    def share_bytes(self) -> int:
-        """Centre and as many generators as states."""
-        return self._codec.size
-
     def around(self, prior: Gaussian) -> Zonotope:
         """The box around the ellipsoid along its own axes."""
-        return zonotope.around(_from_shape(prior))
+        return self._reduced(zonotope.around(_from_shape(prior)))
 
-    def moved(
-        self, sets: Sequence[Zonotope], centres: Array, transition: Array, noise: Array
-    ) -> list[Zonotope]:
-        """One by one: they differ in their number of generators."""
-        pairs = zip(sets, centres, strict=True)
-        after = [zonotope.moved(s, centre, transition, noise) for s, centre in pairs]
-        return [zonotope.reduced(s, self.generators) for s in after]
+    def centres(self, sets: Zonotope) -> Array:
+        """Their centres."""
+        return sets.centre
 
-    def cut(self, own: Zonotope, row: Array, value: float, half_width: float) -> Zonotope | None:
-        """Around both; None where the strip misses the zonotope."""
-        seen = np.abs(row @ own.generators).sum() + half_width
-        reach = np.abs(row) @ (np.abs(own.centre) + zonotope.half_widths(own)) + abs(value)
-        missed = abs(value - row @ own.centre)
-        if missed > seen + rounding_bound(own.generators.shape[-1]) * reach:
-            return None
-        both = zonotope.strip_intersection(own, row, np.asarray(value), np.asarray(half_width))
-        return zonotope.reduced(both, self.generators)
+    def _reduced(self, own: Zonotope) -> Zonotope:
+        return zonotope.reduced_to(own, self.generators)
 
-    def meet(self, own: Zonotope, other: Zonotope) -> Zonotope | None:
-        """Around both; None where their boxes have nothing in common."""
+    def moved(self, sets: Zonotope, centres: Array, transition: Array, noise: Array) -> Zonotope:
+        """The sums, reduced."""
+        return self._reduced(zonotope.moved(sets, centres, transition, noise))
+
+    def cut(
+        self, own: Zonotope, row: Array, value: Array, half_width: float
+    ) -> tuple[Zonotope, np.ndarray]:
+        """Around both; False where the strip misses the zonotope."""
+        seen = np.abs((row[..., None] * own.generators).sum(axis=-2)).sum(axis=-1) + half_width
+        extent = np.abs(own.centre) + zonotope.half_widths(own)
+        reach = (np.abs(row) * extent).sum(axis=-1) + np.abs(value)
+        missed = np.abs(value - (row * own.centre).sum(axis=-1))
+        meets = missed <= seen + rounding_bound(self.generators) * reach
+        both = zonotope.strip_intersection(own, row, value, np.asarray(half_width))
+        return self._reduced(both), meets
+
+    def meet(self, own: Zonotope, other: Zonotope) -> tuple[Zonotope, np.ndarray]:
+        """Around both; False where their boxes have nothing in common."""
         gap = np.abs(own.centre - other.centre)
         widths = zonotope.half_widths(own) + zonotope.half_widths(other)
         largest = widths + np.abs(own.centre) + np.abs(other.centre)
-        if (gap > widths + rounding_bound(own.generators.shape[-1]) * largest).any():
-            return None
-        return zonotope.reduced(zonotope.intersection(own, other), self.generators)
+        meets = (gap <= widths + rounding_bound(self.generators) * largest).all(axis=-1)
+        return self._reduced(zonotope.intersection(own, other)), meets
 
     def bounds(self, own: Zonotope) -> Gaussian:
         """An ellipsoid around it."""
@@ -193,43 +187,44 @@ class Zonotopes:
         return Gaussian(around.centre, _rounded_up(ellipsoid.shape_matrix(around), 0.0))
 
     def generators_of(self, own: Zonotope) -> Array:
-        """Its own."""
-        return own.generators
+        """Its own, but for those that are zero."""
+        return own.generators[:, own.generators.any(axis=0)]
 
-    def size(self, own: Zonotope) -> float:
+    def size(self, own: Zonotope) -> Array:
         """Sum of the squared half-widths."""
-        return float((zonotope.half_widths(own) ** 2).sum())
+        return (zonotope.half_widths(own) ** 2).sum(axis=-1)
 
-    def encode(self, own: Zonotope) -> bytes:
+    def numbers_of(self, own: Zonotope) -> Array:
         """A parallelotope around it."""
         box = zonotope.parallelotope(own)
-        return self._codec.encode(np.concatenate((box.centre, box.generators.ravel())))
+        flat = box.generators.reshape(*box.centre.shape[:-1], self.states**2)
+        return np.concatenate((box.centre, flat), axis=-1)
 
-    def decode(self, body: bytes) -> Zonotope:
-        """Raises Rejected: `share-length` or `share-not-finite`."""
+    def read(self, numbers: Array) -> tuple[Zonotope, np.ndarray]:
+        """Any finite numbers are a zonotope."""
         n, unit = self.states, _UNITS[self.number]
-        numbers = self._codec.decode(body)
-        came = Zonotope(numbers[:n], numbers[n:].reshape(n, n))
-        if unit == 0.0:
-            return came
-        # Every number that was rounded was within this of the one that came.
-        lost = 2.0 * unit * (np.abs(came.centre) + zonotope.half_widths(came))
-        return zonotope.grown(came, lost)
+        came = Zonotope(numbers[..., :n], numbers[..., n:].reshape(*numbers.shape[:-1], n, n))
+        if unit > 0.0:
+            # Every number that was rounded was within this of the one that came.
+            lost = 2.0 * unit * (np.abs(came.centre) + zonotope.half_widths(came))
+            came = zonotope.grown(came, lost)
+        return self._reduced(came), np.ones(numbers.shape[:-1], dtype=bool)
 
 
-def _sound(found: Ellipsoid) -> Ellipsoid | None:
-    return None if np.isnan(found.factor).any() else found
+def _found(sets: Ellipsoid) -> tuple[Ellipsoid, np.ndarray]:
+    return sets, ~np.isnan(sets.factor).any(axis=(-2, -1))
 
 
 def _rounded_up(shape: Array, unit: float) -> Array:
-    """A shape matrix (n, n) above every one that rounding, of its own or by `unit`, makes of it.
+    """Shape matrices (..., n, n) above all that rounding, of their own or by `unit`, makes of them.
 
     An error of at most e sqrt(P_ii P_jj) in every entry is at most n e diag P.
     """
-    n = len(shape)
-    return shape + np.diag(n * (2.0 * unit + rounding_bound(n)) * np.diagonal(shape))
+    n = shape.shape[-1]
+    diagonal = np.diagonal(shape, axis1=-2, axis2=-1)
+    return shape + np.eye(n) * (n * (2.0 * unit + rounding_bound(n)) * diagonal)[..., None]
 
 
 def _from_shape(belief: Gaussian) -> Ellipsoid:
-    """An ellipsoid around it, by Cholesky factors; NaN where the shape is not positive definite."""
+    """Ellipsoids around these, by Cholesky factors; NaN where a shape is not positive definite."""
     return Ellipsoid(belief.mean, cholesky(_rounded_up(belief.cov, 0.0)))

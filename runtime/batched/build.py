@@ -13,23 +13,22 @@ from filters.sigma_points import scaled_unscented
 from nodes.changes import UNCHANGED, Standing
 from nodes.commands import Configure, Inject
 from nodes.faults.losses import LinkState, hears_all
-from nodes.lanes.filter import LocalFilters, SensorGroup
 from nodes.lanes.links import Links, Shares, links_of, places
 from nodes.lanes.network import Era, Network, Regime
 from nodes.node import contenders_left
 from nodes.node_changes import with_standing
+from nodes.rules.local_filter import LocalFilters, SensorGroup
 from runtime.batched.changes import Turning, foreseen
 from runtime.batched.streams import streams_of
-from scenarios.build import build_bus, build_controller, everybody_of
+from scenarios.build import build_bus, build_controller, everybody_of, rule_context
 from scenarios.catalogue import kind_of
-from scenarios.fleets import FleetSeat
 from scenarios.links import link_state
 from scenarios.preparation import complete_settings, share_bytes, with_settings
-from scenarios.rules import hold_policy, rule_of, wire_number
+from scenarios.rules import rule_of
 from scenarios.scenario import Scenario
 from scenarios.script import script_of
+from scenarios.seat import BatchSeat
 from scenarios.setup import Setup
-from scenarios.types.buses import trigger_of
 from scenarios.types.plants import VehicleNetwork
 
 
@@ -44,8 +43,6 @@ def without_array_form(scenario: Scenario) -> str | None:
         return "faults but kills, cuts and losses (--changes)"
     for held in (scenario, *_set_in(scenario)):
         rule = rule_of(held)
-        if rule.fleet is None:
-            return f"rule {held.rule.name}"
         if (lacking := rule.lacking(held)) is not None:
             return lacking
     return None
@@ -132,7 +129,6 @@ def _eras(setup: Setup, scenarios: Sequence[Scenario], links: Links) -> Iterator
 def _regime(setup: Setup, bus: Bus, links: Links, standing: Standing, runs: int) -> Regime:
     """Rule and bus of a setup whose settings are those that stand."""
     rule = rule_of(setup.scenario)
-    assert rule.fleet is not None, "without_array_form has looked"
     return Regime(
         standing.first_step,
         standing.first_cycle,
@@ -141,27 +137,24 @@ def _regime(setup: Setup, bus: Bus, links: Links, standing: Standing, runs: int)
         partial(_contest, setup, bus),
         begin_arbitration(setup.scenario.nodes, (runs,)),
         partial(framed, setup, bus),
-        rule.fleet(_seat(setup, bus, links)),
+        rule.batched(_seat(setup, bus, links)),
     )
 
 
-def _seat(setup: Setup, bus: Bus, links: Links) -> FleetSeat:
+def _seat(setup: Setup, bus: Bus, links: Links) -> BatchSeat:
     scenario = setup.scenario
     kind = kind_of(scenario.name)
     own = np.array([row[0] for row in setup.weights])
     link = np.array([weight for row in setup.weights for weight in row[1:]])
     points = kind.points(scenario) if kind.points else scaled_unscented(len(setup.prior_mean))
     contenders = {node for row in bus.schedule.contender_table for node in row}
-    return FleetSeat(
+    return BatchSeat(
+        rule_context(setup, bool(contenders)),
         LocalFilters(kind.model(scenario), sensor_groups(scenario), points),
         links,
         Shares(own[None], link[None]),
-        hold_policy(scenario),
         scenario.rounds,
         np.array(sorted(contenders), dtype=np.int64),
-        trigger_of(scenario.bus.schedule),
-        wire_number(scenario),
-        setup.neighbours,
         partial(everybody_of, setup, bus.schedule),
     )
 

@@ -15,7 +15,7 @@ from nodes.bids import NO_BID
 from nodes.environment_state import Delivery
 from nodes.lanes.filter import Counters, with_lanes
 from nodes.lanes.links import places
-from nodes.lanes.network import Era, FleetWithReturns, Network, Regime, Spread
+from nodes.lanes.network import Era, Network, Regime, RuleWithReturns, Spread
 from nodes.messages import Array
 from nodes.node import contenders_left
 from runtime.batched.tally import Tally, masked
@@ -57,31 +57,31 @@ def run(network: Network) -> Iterator[Instant]:
     memory = network.controller.memory if network.controller else None
     deliver = _delivery(network.delivery, len(truth))
     era = eras[0]
-    content, arbiter = era.regime.fleet.start(network.prior), era.regime.contest_memory
+    content, arbiter = era.regime.rule.start(network.prior), era.regime.contest_memory
     for step in range(network.steps):
         if step > 0:
-            believed = era.regime.fleet.belief(content)
+            believed = era.regime.rule.belief(content)
             control, memory = _steer(network, era, believed, truth, control, memory, step - 1)
             truth = plant.advance(truth, control, network.process[step - 1], step - 1)
             if step in eras:
                 before, era = era, eras[step]
                 content, arbiter, tally = _turned(before, era, content, arbiter, tally)
-        fleet = era.regime.fleet
+        rule = era.regime.rule
         readings = deliver(plant.observe(truth, network.measurement[step], step), step)
         # Who is out goes on for itself, and nobody hears of it: so it stays a number.
-        content = fleet.begin_step(content, readings, control, step)
+        content = rule.begin_step(content, readings, control, step)
         content, arbiter, said = _communicated(era, content, arbiter, step)
-        spread = fleet.spread(content)
+        spread = rule.spread(content)
         frames, payload = _framed(era.regime, step, said.sends, spread)
-        tally = tally.after(fleet.counters(content), frames, era.present)
+        tally = tally.after(rule.counters(content), frames, era.present)
         here, heard = era.present, era.present[network.receivers]
         yield Instant(
             step,
             truth,
             masked(here, readings),
             control,
-            Gaussian(*(masked(here, values) for values in fleet.belief(content))),
-            fleet.ages(content) if heard.all() else np.where(heard, fleet.ages(content), -1),
+            Gaussian(*(masked(here, values) for values in rule.belief(content))),
+            rule.ages(content) if heard.all() else np.where(heard, rule.ages(content), -1),
             payload,
             said.asked,
             tally.shown,
@@ -95,16 +95,16 @@ def _turned(
     """What nodes know, what the arbiter remembers, and the counters, as the era begins."""
     nodes = np.array([node for node, _ in era.joined], dtype=np.int64)
     sources = np.array([source for _, source in era.joined], dtype=np.int64)
-    believed = before.regime.fleet.belief(content)
+    believed = before.regime.rule.belief(content)
     told = Gaussian(believed.mean[:, sources], believed.cov[:, sources])
     tally = tally.forgetting(nodes)
     if era.regime is not before.regime:
-        content = era.regime.fleet.start(with_lanes(believed, nodes, told))
+        content = era.regime.rule.start(with_lanes(believed, nodes, told))
         return content, era.regime.contest_memory, tally._replace(seen={})
     if len(nodes):
-        fleet = era.regime.fleet
-        assert isinstance(fleet, FleetWithReturns), "the scenario goes message by message"
-        content = fleet.restarted(content, nodes, told)
+        rule = era.regime.rule
+        assert isinstance(rule, RuleWithReturns), "the scenario goes message by message"
+        content = rule.restarted(content, nodes, told)
     return content, arbiter, tally
 
 
@@ -158,12 +158,12 @@ def _cycle(
     era: Era, content: Any, arbiter: Any, cycle: int, lost: np.ndarray | None
 ) -> tuple[Any, Any, np.ndarray, np.ndarray]:
     """A cycle, group by group; and who sent in it and asked for its dynamic segment: (R, N)."""
-    fleet, schedule = era.regime.fleet, era.regime.schedule
-    shape = fleet.belief(content).mean.shape[:2]
+    rule, schedule = era.regime.rule, era.regime.schedule
+    shape = rule.belief(content).mean.shape[:2]
     spoke, asked = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
     for number in range(len(schedule.groups(cycle))):
         arbiter, speak, ask = _access(era, arbiter, content, (cycle, number), spoke)
-        content = fleet.exchange(content, speak, lost)
+        content = rule.exchange(content, speak, lost)
         spoke, asked = spoke | speak, asked | ask
     return content, arbiter, spoke, asked
 
@@ -181,7 +181,7 @@ def _access(
     sends &= era.present
     contenders = places(contenders_left(schedule, cycle, ()))
     if group.dynamic_slots and len(contenders):
-        bids = era.regime.fleet.bids(content, contenders)
+        bids = era.regime.rule.bids(content, contenders)
         silent = spoke[:, contenders] | ~era.present[contenders]
         bids = np.where(silent, NO_BID, bids)
         arbiter, wins = era.regime.contest(arbiter, cycle, number, contenders, bids)

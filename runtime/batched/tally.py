@@ -9,9 +9,9 @@ from nodes.messages import Array
 
 
 class Tally(NamedTuple):
-    """Totals (R, N) by name: those that are `shown`, and those of the fleet as last `seen`.
+    """Totals (R, N) by name: those that are `shown`, and those of the rule as last `seen`.
 
-    A fleet counts on for nodes that are out; what is shown of them stays what it was.
+    A rule counts on for nodes that are out; what is shown of them stays what it was.
     """
 
     shown: Counters

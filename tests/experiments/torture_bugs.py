@@ -122,8 +122,8 @@ BUGS = (
     ),
     Bug(
         "a held share never ages",
-        "nodes.rules.belief_consensus",
-        "_aged", (("else age if age < 0 else age + 1", "else age"),),
+        "nodes.rules.lane_rule",
+        "older", (("ages + 1", "ages"),),
     ),
     Bug(
         "a share of an earlier cycle is not dropped",
@@ -188,13 +188,13 @@ BUGS = (
     ),
     Bug(
         "a share of no numbers is read",
-        "nodes.belief_codec", "BeliefCodec.check",
+        "nodes.vector_codec", "VectorCodec.check",
         (("if not (math.isfinite", "if False and not (math.isfinite"),),
     ),
     Bug(
         "a covariance that is none is used",
-        "nodes.rules.belief_consensus", "_unsound",
-        (("if math.isnan(sharp) and shares[j] is not None", "if False and math.isnan(sharp)"),),
+        "nodes.rules.belief_consensus", "BeliefConsensus.fuse",
+        (("unsound = heard & ", "unsound = heard & False & "),),
     ),
     Bug(
         "those who agree most are taken for liars",

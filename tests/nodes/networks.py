@@ -23,7 +23,9 @@ from nodes.environment_state import Controller, EnvironmentConfig
 from nodes.faults.losses import LinkState
 from nodes.messages import Array, Estimate, decode, from_wire
 from nodes.node import NodeConfig, NodeState
+from nodes.rules.at_node import AtNode
 from nodes.rules.belief_consensus import BeliefConsensus, HoldPolicy
+from nodes.rules.lane_rule import Place
 from runtime import in_process
 from runtime.recording import MemoryRecorder
 from topology.weights import metropolis
@@ -136,15 +138,14 @@ def network(
     nodes = []
     for i in range(count):
         heard = np.flatnonzero(adjacency[i]).tolist()
-        estimator = BeliefConsensus(
+        estimator = AtNode(
+            BeliefConsensus(average, hold_policy, n),
+            Place(np.array(i), weights[i, [i, *heard]]),
             model=plant,
             sensor=WholeState(0.5 * np.eye(n)) if i in seeing else None,
             prior=priors[i],
             points=scaled_unscented(n),
-            rule=average,
-            hold=hold_policy,
-            weights=weights[i, [i, *heard]],
-            codec=codec,
+            codec=codec.vector,
         )
         nodes.append(NodeConfig(i, tuple(heard), rounds, steps, bus, estimator))
     world = EnvironmentConfig(

@@ -7,6 +7,7 @@ import numpy as np
 from bus.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
 from filters.fusion.averaging import INFORMATION
 from filters.gaussian import Gaussian
+from nodes.belief_codec import BeliefCodec
 from nodes.messages import Estimate, Grant, Measured, NodeEvent, NodeMessage, ShareHeard
 from nodes.node import NodeConfig, NodeState, initial_state, step
 from tests.nodes.networks import DECAYED, network, path, random_priors
@@ -33,7 +34,7 @@ def middle_node(schedule: Schedule | None = None) -> NodeConfig:
 
 def share(config: NodeConfig, sender: int, cycle: int, belief: Gaussian | None = None) -> bytes:
     """The frame that a neighbour sends in a cycle."""
-    body = config.estimator.codec.encode(belief or PRIORS[sender])  # type: ignore[attr-defined]
+    body = BeliefCodec(2).encode(belief or PRIORS[sender])
     return config.bus.encode(sender, cycle, body)[0]
 
 

@@ -12,7 +12,7 @@ from nodes.messages import Array
 from runtime.in_process import Link
 from scenarios.catalogue import kind_of
 from scenarios.rules import build_estimator, hold_policy
-from scenarios.seat import Seat
+from scenarios.seat import RuleContext, Seat
 from tests.nodes.networks import (
     Adjacency,
     Network,
@@ -65,17 +65,15 @@ def ruled(
     nodes = []
     for config in net.nodes:
         plain = config.estimator
+        context = RuleContext(len(priors[0].mean), neighbours, hold_policy(scenario), 0.0, number)
         seat = Seat(
             config.index,
-            neighbours,
-            plain.weights,  # type: ignore[attr-defined]
+            context,
+            plain.place.weights,  # type: ignore[attr-defined]
             model=plain.model,  # type: ignore[attr-defined]
             sensor=WholeState(noise_cov(config.index)) if config.index in seeing else None,
             prior=priors[config.index],
             points=plain.points,  # type: ignore[attr-defined]
-            hold=hold_policy(scenario),
-            trigger=0.0,
-            number=number,
         )
         estimator = build_estimator(scenario, seat)
         bus = TimelessBus(config.schedule, estimator.share_bytes)

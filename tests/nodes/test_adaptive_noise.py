@@ -12,7 +12,7 @@ from plants.oscillator import Oscillation, ScalarSensor
 from scenarios.catalogue import kind_of
 from scenarios.rules import build_estimator, hold_policy
 from scenarios.scenario import Scenario
-from scenarios.seat import Seat
+from scenarios.seat import RuleContext, Seat
 
 MODEL = Oscillation()
 SENSOR = ScalarSensor(np.array([1.0, 0.0]), np.array(0.5))
@@ -25,15 +25,12 @@ def seat() -> tuple[Scenario, Seat]:
     scenario = kind_of("oscillator").defaults.with_(nodes=2, graph="path", steps=1)
     return scenario, Seat(
         node=0,
-        neighbours=[[1], [0]],
+        context=RuleContext(len(PRIOR.mean), [[1], [0]], hold_policy(scenario), 0.0, "<f8"),
         weights=np.array([0.5, 0.5]),
         model=MODEL,
         sensor=SENSOR,
         prior=PRIOR,
         points=POINTS,
-        hold=hold_policy(scenario),
-        trigger=0.0,
-        number="<f8",
         everybody=lambda: pytest.fail("these rules know nothing of all nodes"),
     )
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from experiments.monte_carlo.simulate import COV, simulate
 from filters.gaussian import Gaussian
 from nodes.lanes import mixing as batched_mixing
-from nodes.lanes.beliefs import BeliefFleet
+from nodes.lanes.beliefs import BatchedBeliefs
 from nodes.lanes.links import Shares, links_of
 from nodes.lanes.mixing import FEW_NODES, mixed, weighed
 from runtime.batched.build import build_network
@@ -63,7 +63,7 @@ def test_few_nodes_and_many_go_different_ways_to_the_same_beliefs(asked, monkeyp
     np.testing.assert_allclose(few.cov, many.cov, rtol=1e-10, atol=1e-10)
 
 
-def network(rounds: int, by_sharpness: bool) -> tuple[BeliefFleet, list[list[int]]]:
+def network(rounds: int, by_sharpness: bool) -> tuple[BatchedBeliefs, list[list[int]]]:
     """Seven nodes in three runs, where what is held weighs like what is fresh; a node may give all
     of its weight to others."""
     setup = prepare(
@@ -71,21 +71,21 @@ def network(rounds: int, by_sharpness: bool) -> tuple[BeliefFleet, list[list[int
             "target-crossing", nodes=7, rounds=rounds, determinant_weights=by_sharpness, decay=1.0
         )
     )
-    fleet = build_network(setup, range(3)).eras[0].regime.fleet
-    assert isinstance(fleet, BeliefFleet)
-    base = fleet.base._replace(own=np.array([[0.0, 0.2, 0.3, 0.1, 0.2, 0.5, 0.2]]))
-    return replace(fleet, base=base), setup.neighbours
+    rule = build_network(setup, range(3)).eras[0].regime.rule
+    assert isinstance(rule, BatchedBeliefs)
+    base = rule.base._replace(own=np.array([[0.0, 0.2, 0.3, 0.1, 0.2, 0.5, 0.2]]))
+    return replace(rule, base=base), setup.neighbours
 
 
 def rounds_by_loops(
-    fleet: BeliefFleet, neighbours: list[list[int]], given: Gaussian, sends: np.ndarray, run: int
+    rule: BatchedBeliefs, neighbours: list[list[int]], given: Gaussian, sends: np.ndarray, run: int
 ) -> Gaussian:
     """Every node by itself: those whose matrix has a negative eigenvalue say nothing."""
     beliefs = [
         (np.linalg.inv(cov), mean)
         for mean, cov in zip(given.mean[run], given.cov[run], strict=True)
     ]
-    row = np.split(fleet.base.link[0], fleet.links.offsets[1:-1])
+    row = np.split(rule.base.link[0], rule.links.offsets[1:-1])
     held: list[dict] = [{} for _ in beliefs]
     for speaks in sends[:, run]:
         for node, others in enumerate(neighbours):
@@ -94,14 +94,14 @@ def rounds_by_loops(
                     held[node][other] = beliefs[other]
         after = []
         for node, others in enumerate(neighbours):
-            known = [(beliefs[node], fleet.base.own[0, node])]
+            known = [(beliefs[node], rule.base.own[0, node])]
             known += [
                 (held[node][other], weight)
                 for other, weight in zip(others, row[node], strict=True)
                 if other in held[node]
             ]
             used = [(one, weight) for one, weight in known if weight > 0] or [(beliefs[node], 1.0)]
-            if fleet.hold.by_sharpness:
+            if rule.hold.by_sharpness:
                 used = [
                     (one, w * np.linalg.det(one[0]) ** 0.25 if len(used) > 1 else w)
                     for one, w in used
@@ -125,7 +125,7 @@ def rounds_by_loops(
 )
 def test_rounds_are_averages_whoever_is_silent_in_them(full, by_sharpness, broken, seed):
     generator = np.random.default_rng(seed)
-    fleet, neighbours = network(len(full), by_sharpness)
+    rule, neighbours = network(len(full), by_sharpness)
     root = generator.standard_normal((3, 7, 4, 6))
     given_ = Gaussian(generator.standard_normal((3, 7, 4)), root @ root.mT + 0.1 * np.eye(4))
     if broken:
@@ -133,12 +133,12 @@ def test_rounds_are_averages_whoever_is_silent_in_them(full, by_sharpness, broke
     sends = generator.random((len(full), 3, 7)) < 0.5
     sends[np.array(full)] = True
 
-    content = fleet.start(given_)
+    content = rule.start(given_)
     for speaks in sends:
-        content = fleet.exchange(content, speaks, None)
-    found = fleet.belief(content)
+        content = rule.exchange(content, speaks, None)
+    found = rule.belief(content)
 
     for run in range(3):
-        expected = rounds_by_loops(fleet, neighbours, given_, sends, run)
+        expected = rounds_by_loops(rule, neighbours, given_, sends, run)
         np.testing.assert_allclose(found.mean[run], expected.mean, rtol=1e-8, atol=1e-8)
         np.testing.assert_allclose(found.cov[run], expected.cov, rtol=1e-8, atol=1e-8)

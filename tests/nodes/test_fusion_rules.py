@@ -140,9 +140,9 @@ def test_rounds_of_information_are_powers_of_the_weights(
     start = []
     for i, config in enumerate(net.nodes):
         after = kalman(priors[i], {i: read[i]} if i in read else {})
-        start.append(config.estimator.rule.begin(priors[i], after))  # type: ignore[attr-defined]
+        start.append(config.estimator.rule.exchange.begin(np.array(i), priors[i], after))  # type: ignore[attr-defined]
     expected = np.linalg.matrix_power(weight_matrix(net), rounds) @ np.array(start)
-    known = np.array([state.content.known for state in outcome.states])
+    known = np.array([state.content.own.known for state in outcome.states])
     scale = max(1.0, np.abs(expected).max())
     np.testing.assert_allclose(known, expected, rtol=0, atol=1e-12 * scale)
 
@@ -190,7 +190,7 @@ def test_the_row_that_travels_is_that_of_the_weights_really_used(
                 used[receiver, sender] = weight_matrix(net)[receiver, sender]
         product = used / used.sum(axis=1, keepdims=True) @ product
     for i, state in enumerate(outcome.states):
-        row = state.content.known[-count:]
+        row = state.content.own.known[-count:]
         np.testing.assert_allclose(row, product[i], rtol=0, atol=1e-12)
         gain = 1 / row.max()
         assert (gain * row <= 1 + 1e-12).all()

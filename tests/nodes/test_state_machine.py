@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from bus.flexray.publication import Slot
 from bus.flexray.share_frames import to_frames
 from bus.schedule import Schedule, dynamic_only, round_robin
+from nodes.belief_codec import BeliefCodec
 from nodes.faults.losses import LinkState, hears
 from nodes.messages import (
     Bid,
@@ -105,7 +106,7 @@ def test_any_order_of_events_gives_the_same_estimates(name: str, random):
 def _nuisances(config: NodeConfig, cycle: int) -> dict[str, NodeEvent]:
     """Each kind of useless event while `cycle` is open, by the counter that it must raise."""
     sound = share(config, 0, cycle)
-    body = config.estimator.codec.encode(PRIORS[0])  # type: ignore[attr-defined]
+    body = BeliefCodec(2).encode(PRIORS[0])
     wrong_slot = config.bus.encode(2, cycle, body)[0]
     flipped = bytes([*sound[:-1], sound[-1] ^ 1])
     miscounted = config.bus.frame_format.miscounted(config.bus.encode(0, cycle + 8, body)[0], 8)
@@ -229,7 +230,7 @@ def test_without_a_grant_what_a_contender_sent_still_counts():
     closed, _ = step(config, state, CycleClosed(0))
     granted, _ = step(config, state, Grant(0, [2]))
     assert closed.cycle == granted.cycle == 1
-    np.testing.assert_array_equal(closed.content.own.mean, granted.content.own.mean)
+    np.testing.assert_array_equal(closed.content.own.belief.mean, granted.content.own.belief.mean)
     late, _ = step(config, closed, Grant(0, [2]))
     assert late.counters["repeated grant"] == 1
 
@@ -253,7 +254,7 @@ def test_a_share_is_lost_with_any_of_its_frames_and_nobody_waits_for_the_rest():
     plain = with_slots(middle_node(), three_slots)
     for key in range(40):
         config = replace(plain, links=LinkState((key, 0), 0.3))
-        frames = to_frames(plain.estimator.codec.encode(PRIORS[0]), 0, three_slots(0, 0))  # type: ignore[attr-defined]
+        frames = to_frames(BeliefCodec(2).encode(PRIORS[0]), 0, three_slots(0, 0))
         assert len(frames) == 3
         arrive = [hears(config.links, 0, 0, 0, 1, number) for number in range(3)]
         outcomes = []
