@@ -25,7 +25,7 @@ NAMES = (
     "moving:RANGE",
     "moving:RANGE,WANDER,PERIOD",
 )
-_EXAMPLES = {
+EXAMPLES = {
     "static": "static",
     "measured": "measured",
     "bernoulli": "bernoulli:0.1",
@@ -50,7 +50,7 @@ def parse_links(text: str) -> LinkPlan:
         ValueError: for an unknown name, and for numbers that cannot be, with rule and example.
     """
     kind, _, rest = text.partition(":")
-    if kind not in _EXAMPLES:
+    if kind not in EXAMPLES:
         raise unknown_name("links", text, NAMES)
     if kind == "switching":
         return _switching(text, rest)
@@ -77,7 +77,7 @@ def parse_links(text: str) -> LinkPlan:
     }
     holds, rule = rules[kind]
     if not holds:
-        raise ValueError(f"links {text}: {rule}; for example {_EXAMPLES[kind]}")
+        raise ValueError(f"links {text}: {rule}; for example {EXAMPLES[kind]}")
     return LinkPlan(kind, numbers)
 
 
@@ -87,6 +87,6 @@ def _switching(text: str, rest: str) -> LinkPlan:
     if len(graphs) < 2 or not every.isdecimal() or int(every) < 1:
         raise ValueError(
             f"links {text}: give two graphs or more and the steps that each stays; for example "
-            f"{_EXAMPLES['switching']}"
+            f"{EXAMPLES['switching']}"
         )
     return LinkPlan("switching", (float(every),), graphs)

@@ -20,7 +20,6 @@ RULES: tuple[Rule, ...] = (
 
 AWAITED: tuple[Rule, ...] = (
     no_import_circles,
-    folders_are_small,
     classes_are_small,
     class_names_are_unique,
     aliases_have_one_definition,
