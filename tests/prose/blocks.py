@@ -87,16 +87,22 @@ def _cpp_comments(text: str) -> Iterator[Block]:
 
 
 def _markdown(text: str) -> Iterator[Block]:
-    """Yield paragraphs, items, headings and cells, without fenced code and block quotations."""
+    """Yield paragraphs, items, headings and cells, without code, formulas and block quotations.
+
+    Four spaces after a blank line begin a block of code or formulas, as in CommonMark.
+    """
     lines: list[str] = []
     fence = ""
+    indented = False
     for line in text.splitlines():
         mark = re.match(r"\s*(```|~~~)", line)
         if mark and (not fence or mark[1] == fence):
             fence = "" if fence else mark[1]
             lines.append("")
         else:
-            left_out = fence or line.lstrip().startswith((">", "    ")) or re.match(r"\s*<", line)
+            after_blank = not lines or not lines[-1]
+            indented = line.startswith("    ") and (indented or after_blank)
+            left_out = fence or indented or re.match(r"\s*[<>]", line)
             lines.append("" if left_out else re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", line))
     yield from _paragraphs(lines, 1)
 
