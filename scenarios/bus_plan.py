@@ -73,7 +73,7 @@ def build_schedule(scenario: Scenario, neighbours: Neighbours = ()) -> Schedule:
     """Who may publish in which cycle, on a graph that says whom each node hears.
 
     Raises:
-        ValueError: there is no such schedule here.
+        ValueError: there is no such schedule or arbiter here.
     """
     wiring = kind_of(scenario.name).wiring
     if wiring is not None:
@@ -81,6 +81,8 @@ def build_schedule(scenario: Scenario, neighbours: Neighbours = ()) -> Schedule:
     chosen = scenario.bus.schedule
     if chosen.name not in _SCHEDULES:
         raise unknown_name("schedule", chosen.name, _SCHEDULES)
+    if arbiter_of(chosen) not in ARBITERS:
+        raise unknown_name("arbiter", arbiter_of(chosen), ARBITERS)
     schedule = _SCHEDULES[chosen.name](scenario.nodes, occupancy_of(chosen), neighbours)
     return msgspec.structs.replace(schedule, relay=latch_delay_of(scenario.rule) is not None)
 
@@ -92,15 +94,13 @@ def plan_bus(scenario: Scenario, share_bytes: int, neighbours: Neighbours = ()) 
         ValueError: unknown names, unreadable files, or a cluster that does not hold the schedule.
     """
     schedule, chosen = build_schedule(scenario, neighbours), scenario.bus
-    arbiter = arbiter_of(chosen.schedule)
-    if arbiter not in ARBITERS:
-        raise unknown_name("arbiter", arbiter, ARBITERS)
     if not isinstance(chosen, FlexRay):
         _check_timeless(schedule)
         return TimelessBus(schedule, share_bytes)
     cluster = _cluster(chosen.cluster, schedule, share_bytes)
     latch_us = latch_delay_of(scenario.rule) or 0.0
-    return flexray_bus(schedule, cluster, share_bytes, ARBITERS[arbiter], latch_us)
+    arbiter = ARBITERS[arbiter_of(chosen.schedule)]
+    return flexray_bus(schedule, cluster, share_bytes, arbiter, latch_us)
 
 
 def frame_format(scenario: Scenario) -> FrameFormat:

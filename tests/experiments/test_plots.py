@@ -45,7 +45,7 @@ def test_equal_results_give_equal_pictures(result: Path, tmp_path: Path):
         {"graph": "ring"},
         {"seed": "1,2"},
         {"graph": "ring,path", "weights": "metropolis,best-constant"},
-        {"relay": "false", "determinant_weights": "true,false"},
+        {"determinant_weights": "true,false"},
     ],
 )
 def test_sweeps_of_anything_can_be_drawn(asked: dict[str, str], tmp_path: Path):

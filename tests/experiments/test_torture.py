@@ -97,14 +97,14 @@ def test_calm_begins_when_nothing_is_wrong_any_more(lines: tuple[str, ...], calm
 )
 def test_what_can_do_no_harm_is_known_from_its_words(lines: tuple[str, ...], harmless: bool):
     fixed = {"changes": lines, "nodes": 4, "graph": "ring", "cluster": "fitted-ab"}
-    case = draw_case(1, {**fixed, "rule": "ci", "name": "oscillator", "control": "open"})
+    case = draw_case(1, {**fixed, "rule": "ci", "scenario": "oscillator", "control": "open"})
     assert is_harmless(script_of(case.scenario)) == harmless
 
 
 def test_who_lies_is_forgiven_where_the_rule_expects_so_many_liars():
     def back(rule: str, *lines: str, graph: str = "complete") -> bool:
         fixed = {"nodes": 6, "graph": graph, "rule": rule, "liars": 1, "hold": "decayed"}
-        fixed |= {"name": "oscillator", "control": "open", "links": "static", "changes": lines}
+        fixed |= {"scenario": "oscillator", "control": "open", "links": "static", "changes": lines}
         return brings_back(prepare(draw_case(1, fixed).scenario))
 
     assert back("ci") and back("trimmed-ci") and not back("trimmed-ci", graph="ring")

@@ -72,7 +72,7 @@ def test_the_truth_stays_inside_at_every_node(
 
 
 @RULES
-@pytest.mark.parametrize("hold", ["decayed", "predict", "drop", "in-step"])
+@pytest.mark.parametrize("hold", ["predict", "drop"])
 def test_every_sound_hold_policy_keeps_it_inside(rule: str, hold: str):
     assert (radii(network(rule=rule, hold=hold, schedule="hybrid", occupancy=0.3)) <= 1).all()
 

@@ -15,10 +15,11 @@ LIARS = (3, 5)
 
 def error_m(rule: str, *changes: str, liars: int = 1) -> float:
     """The worst honest node's RMSE of position in m after the lies have begun."""
+    expected = {"liars": liars} if rule == "trimmed-ci" else {}
     setup = prepare(
         scenario(
-            "target-tracking", rule=rule, graph="complete", nodes=NODES, steps=STEPS, liars=liars,
-            changes=changes,
+            "target-tracking", rule=rule, graph="complete", nodes=NODES, steps=STEPS,
+            changes=changes, **expected,
         )
     )  # fmt: skip
     trace = read_trace(setup, in_memory(setup))
