@@ -1,4 +1,4 @@
-"""The picture of docs/labelled.md, made from a run: `make docs`."""
+"""Draw the picture of docs/labelled.md from a run: `make docs`."""
 
 from pathlib import Path
 
@@ -31,7 +31,7 @@ STEP, OLDEST = 60, 12
 def draw_spread(
     axes: Axes, setup: Setup, trace: Trace, spread: RecordSpread, source: int, node: int
 ) -> None:
-    """How long after it was taken each node held the record of one source."""
+    """Draw the delay after which each node held the record of one source."""
     positions = kind_of(setup.scenario.name).plant(setup.scenario).positions(0)
     assert positions is not None
     links = [
@@ -59,7 +59,7 @@ def draw_spread(
 
 
 def draw_window(axes: Axes, spread: RecordSpread, node: int) -> None:
-    """Which records a node holds at a step, and which of them are still on their way."""
+    """Draw the records that a node holds at a step, and those that are still on their way."""
     steps = np.arange(STEP - OLDEST + 1, STEP + 1)
     arrival = spread.arrival_steps[node, steps]
     kind = np.where(spread.taken[steps], np.where((arrival >= 0) & (arrival <= STEP), 2, 1), 0)

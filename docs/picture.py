@@ -1,4 +1,4 @@
-"""The picture of the README, made from a run: `make docs`."""
+"""Draw the pictures of the README and of sweeps from runs: `make docs`."""
 
 from pathlib import Path
 
@@ -26,7 +26,7 @@ SKY, ORANGE, GREEN, PINK, GREY = "#56B4E9", "#E69F00", "#009E73", "#CC79A7", "#9
 
 
 def draw_map(axes: Axes, setup: Setup, trace: Trace) -> None:
-    """Nodes and links, the target's way, and what every node believes at a few instants."""
+    """Draw nodes and links, the target's path, and each node's belief at a few instants."""
     positions = kind_of(setup.scenario.name).plant(setup.scenario).positions(0)
     assert positions is not None
     links = [
@@ -50,7 +50,7 @@ def draw_map(axes: Axes, setup: Setup, trace: Trace) -> None:
 
 
 def draw_errors(axes: Axes, setup: Setup, trace: Trace) -> None:
-    """Each node's position error over time beside the filter that hears everything."""
+    """Draw each node's position error over time beside the filter that hears everything."""
     truth = trace.truth[:, None, [0, 2]]
     errors = np.linalg.norm(trace.mean[..., [0, 2]] - truth, axis=-1)
     central = centralised(setup, trace.readings, trace.control).mean[:, [0, 2]] - truth[:, 0]
@@ -62,7 +62,7 @@ def draw_errors(axes: Axes, setup: Setup, trace: Trace) -> None:
 
 
 def draw_sweep() -> None:
-    """What the share of the bus does to three rules on three graphs: docs/sweep.png."""
+    """Draw the effect of occupancy on three rules on three graphs: docs/sweep.png."""
     use_house_style()
     swept = sweep(
         scenario="target-tracking",

@@ -1,6 +1,7 @@
-"""Pictures of the dashboard: `make screenshots` writes them to runs/screenshots, `--out` elsewhere.
+"""Take pictures of the dashboard: `make screenshots` writes them to runs/screenshots.
 
-Each is a recorded run of this version, shown at a step, in a headless Chromium.
+`--out` names another folder. Each picture shows a recorded run of this version at a step, in a
+headless Chromium.
 """
 
 import argparse
@@ -38,7 +39,7 @@ _CLOSE = "()=>document.querySelectorAll('.mantine-Notification-closeButton').for
 
 
 class Shot(NamedTuple):
-    """One picture: the scenario and what is changed in it, the step, what is chosen on the page."""
+    """One picture: the scenario with its changes, the step, and the selection on the page."""
 
     scenario: str
     changes: dict[str, Any]
@@ -82,7 +83,7 @@ SHOTS = {
 
 
 def main() -> None:
-    """Take the pictures that are named, or all."""
+    """Take the named pictures, or all."""
     parser = argparse.ArgumentParser(prog="docs.screenshots", description=__doc__)
     parser.add_argument("names", nargs="*", help=f"any of {', '.join(SHOTS)}")
     parser.add_argument("--out", type=Path, default=Path("runs/screenshots"))
@@ -121,7 +122,7 @@ def _take(browser: Any, shot: Shot, file: Path) -> None:
 
 
 def _expectation(setup: Setup) -> Expectation:
-    """What other runs tell; of what takes minutes to run again, nothing."""
+    """Return the expectation from other runs; an empty one if other runs would take minutes."""
     if is_certain(setup.scenario) or without_array_form(setup.scenario) is not None:
         return nothing_expected
     told = told_by(setup, 40 if setup.scenario.nodes < 100 else 20)

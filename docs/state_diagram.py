@@ -1,4 +1,4 @@
-"""The state diagrams of node and environment, drawn from their transition tables: `make docs`."""
+"""Draw the state diagrams of node and environment from their transition tables: `make docs`."""
 
 import re
 from collections import defaultdict
@@ -35,7 +35,7 @@ def arrows_of(
     transitions: Mapping[Any, Mapping[type, Transition]],
     completions: Mapping[Any, tuple[Completion, ...]],
 ) -> Iterator[Arrow]:
-    """Yield the arrows of a machine; an event that leaves every phase as it is has none."""
+    """Yield the arrows of a machine; an event that changes no phase has none."""
     for phase, row in transitions.items():
         for event, transition in row.items():
             for after in transition.leads_to:
