@@ -17,6 +17,7 @@ from experiments.results.trace import Trace
 from nodes.changes import Event, Gone, Joined, Left
 from nodes.commands import in_words
 from nodes.messages import decode
+from nodes.tempo import Tempo
 from scenarios.build import build_environment
 from scenarios.setup import Setup
 from scenarios.tempo import tempo_of
@@ -29,11 +30,18 @@ pytestmark = [
     pytest.mark.skipif(not PROC.is_dir(), reason="finds processes in /proc, which is not there"),
 ]
 STRUCK = 2
+# A busy machine does not keep cycles of 20 ms; these last 60 ms, and steps 180 ms.
+SLOWER = 3
 # A death is seen when its links close, and not only after the two seconds of the lease.
-SEEN_CYCLES = 50
+SEEN_CYCLES = 17
 # Three steps of three rounds.
 AGREES_CYCLES = 9
-HANG_S = 0.6
+HANG_S = 1.5
+
+
+def slow_tempo(setup: Setup) -> Tempo:
+    """Return the timetable of these tests."""
+    return tempo_of(setup, SLOWER * tempo_of(setup, None).stretch)
 
 
 class Played:
@@ -42,9 +50,7 @@ class Played:
     def __init__(self, setup: Setup, folder: Path, messages: list[tuple[str, bytes]]) -> None:
         self.setup, self.messages = setup, messages
         self.trace: Trace = trace_of(setup, folder / "run.mcap")
-        self.figures: TimingFigures = figures_of(
-            tempo_of(setup, None), messages, self.trace.counters
-        )
+        self.figures: TimingFigures = figures_of(slow_tempo(setup), messages, self.trace.counters)
 
     def told(self, kind: str) -> list:
         """Messages of a topic, in the order in which they were recorded."""
@@ -69,7 +75,7 @@ class Played:
 @contextmanager
 def playing(setup: Setup, folder: Path) -> Iterator[Running]:
     """A network in real time; it must come to its end by itself."""
-    network = Running(setup, "realtime", folder, tempo=tempo_of(setup, None))
+    network = Running(setup, "realtime", folder, tempo=slow_tempo(setup))
     try:
         yield network
     finally:
@@ -101,7 +107,8 @@ def check_books(played: Played, gone: int, joined: int) -> None:
         counters = played.trace.counters[node]
         # Nobody waits for it from when its death was told; before that each cycle is missed.
         due_of_struck = counters["heard"] + counters.get("missed", 0) - cycles
-        assert died + 1 <= due_of_struck - (cycles - back) <= died + 1 + SEEN_CYCLES
+        # The share of its last cycle may have reached the recorder alone.
+        assert died <= due_of_struck - (cycles - back) <= died + 1 + SEEN_CYCLES
         said = [one for one in played.told("timing") if one.node == node]
         assert sum(one.incomplete for one in said) <= counters.get("missed", 0)
 
@@ -116,11 +123,11 @@ def test_who_dies_in_real_time_is_back_on_command_and_agrees_at_once(tmp_path: P
             os.kill(pid, signal.SIGKILL)
         else:
             say(network, f"kill {STRUCK}")
-        assert holds_within(5, lambda: not has_member(network, STRUCK))
-        assert holds_within(5, lambda: not lives(pid))
+        assert holds_within(PATIENCE_S, lambda: not has_member(network, STRUCK))
+        assert holds_within(PATIENCE_S, lambda: not lives(pid))
         assert reaches(network, 35)
         say(network, f"restart {STRUCK}")
-        assert holds_within(10, lambda: has_member(network, STRUCK))
+        assert holds_within(PATIENCE_S, lambda: has_member(network, STRUCK))
     played = Played(setup, tmp_path, network.recorded())
     assert played.trace.steps == 75
     [gone] = played.step_of(Gone if death == "SIGKILL" else Left)
@@ -175,7 +182,7 @@ def test_who_hangs_over_the_end_of_bids_gets_nothing_and_holds_up_nobody(tmp_pat
     # A busy machine may make it late elsewhere, but nowhere for so long.
     streaks = groupby(its_own, lambda key: STRUCK in unheard[key])
     without = max((list(keys) for is_without, keys in streaks if is_without), key=len)
-    assert len(without) > 0.25 * HANG_S / tempo_of(setup, None).cycle_s
+    assert len(without) > 0.25 * HANG_S / slow_tempo(setup).cycle_s
     for grant in grants:
         missing = unheard[grant.cycle, grant.group]
         assert missing <= contests[grant.cycle, grant.group]
@@ -187,7 +194,7 @@ def test_who_hangs_over_the_end_of_bids_gets_nothing_and_holds_up_nobody(tmp_pat
     assert played.figures.late_bids == sum(map(len, unheard.values()))
     said = played.told("timing")
     delays_s = [one.delay_s for one in said if one.node != STRUCK]
-    # Held up they would be in one step of seven.
+    # Held up they would be in one step of five.
     assert np.quantile(delays_s, 0.9) < HANG_S / 2
     assert not played.step_of(Gone)
     assert not np.isnan(np.delete(played.trace.mean, STRUCK, axis=1)).any()
@@ -207,10 +214,13 @@ def test_a_script_starts_a_process_at_its_step_and_time_does_not_wait_for_it(tmp
     assert set(np.flatnonzero(out[:, STRUCK])) == set(range(8, joined))
     others = [one for one in played.told("timing") if one.node != STRUCK]
     assert [one.step for one in others if one.node == 0] == list(range(50))
-    # A wait would hold up both neighbours of the node, or all nodes; a busy machine holds up one.
+    # A wait would hold up both neighbours of the node, or all nodes, from the restart on. A busy
+    # machine holds up single nodes, or all of them at any time.
     near = set(setup.neighbours[STRUCK])
+    common_s = np.zeros(50)
     for nodes in (near, set(range(5)) - near - {STRUCK}):
         for step in range(50):
-            assert (
-                min(one.delay_s for one in others if one.step == step and one.node in nodes) < 0.3
-            )
+            told = [one.delay_s for one in others if one.step == step and one.node in nodes]
+            common_s[step] = max(common_s[step], min(told))
+    usual_s = np.delete(common_s, np.s_[15 : joined + 1]).max()
+    assert common_s[15 : joined + 1].max() < max(0.5, 2 * usual_s)
