@@ -33,8 +33,11 @@ _TENFOLD = 10.0
 
 
 class Printed(NamedTuple):
-    """What the paper prints: of v_x in m/s, (RMSE, MAE) of the ADLUKF and (RMSE, SD, MAE) of the
-    CKF; of the yaw rate in deg/s, the CKF's mean error and the SD."""
+    """Figures that the paper prints.
+
+    v_x is in m/s: (RMSE, MAE) of the ADLUKF and (RMSE, SD, MAE) of the CKF. The yaw rate is in
+    deg/s: the CKF's mean error and its SD.
+    """
 
     adlukf_v_x: tuple[float, float]
     ckf_v_x: tuple[float, float, float]
@@ -132,7 +135,7 @@ def claims(e: Evidence) -> list[Claim]:
 
 
 def errata() -> list[Erratum]:
-    """What the paper prints and what was made of it."""
+    """Return the errata: the printed text and its reading in this reproduction."""
     low, high = TABLE_3["CKF"]
     return [
         Erratum(

@@ -1,4 +1,4 @@
-"""What a step of each filter costs: evaluations of the models, and time on this machine."""
+"""Measure one step of each filter: evaluations of the models, and time on this machine."""
 
 import time
 from functools import partial

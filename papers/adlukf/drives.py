@@ -1,8 +1,9 @@
 """Logged drives of another car, for Figure 9 and for what a better model brings.
 
-The paper drove a Volkswagen Santana and published no data. In its place a Ford Escort with 29
-states is simulated, its drives written as logs with the noise of their sensors, and from there on
-treated as a user's real drive would be: read, its tyres identified, its states estimated.
+The paper drove a Volkswagen Santana and published no data. In its place this module
+simulates a Ford Escort with 29 states and writes its drives as logs with sensor noise. From there
+on it treats each log as a user's real drive: it reads the log, identifies the tyres and estimates
+the states.
 """
 
 from functools import partial
@@ -70,7 +71,7 @@ def log_drives(folder: Path, seed: int) -> Logged:
 
 
 def estimates(drive: Drive, car: Car, tyre: Tyre, filters: tuple[str, ...]) -> dict[str, Array]:
-    """What filters make of one logged drive: `quantities` (steps, 4) by filter."""
+    """Return the estimates of each filter for one logged drive: `quantities` (steps, 4)."""
     model = single_track(car, tyre, drive.time_step_s, np.diag(PROCESS_VARIANCES))
     readings = np.stack(
         [drive.lateral_acceleration_m_s2, drive.yaw_rate_rad_s, drive.speed_m_s], axis=-1

@@ -24,7 +24,7 @@ from filters.update import Update
 
 
 class DualLayerStep(NamedTuple):
-    """What a step did.
+    """Result of one step.
 
     Attributes:
         update: belief and innovation of the outer filter.

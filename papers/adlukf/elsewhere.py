@@ -98,7 +98,7 @@ linear tyres of its car's data sheet.
 
 
 def in_words(drives: Sequence[Elsewhere]) -> str:
-    """What of the claims holds there."""
+    """Return a paragraph that says which claims hold in these drives."""
     ours, reference = (np.array([drive.ratio[n] for drive in drives]) for n in ("ADLUKF", "CKF"))
     over = np.array([drive.over_ckf["ADLUKF"] for drive in drives])
     within = int((np.abs(ours - 1.0) <= 0.2).all(axis=1).sum())

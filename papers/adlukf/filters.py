@@ -25,7 +25,7 @@ BANDWIDTH = 3.0
 
 
 class Task(NamedTuple):
-    """What a filter is given in a step: models, reading (..., 3) and process noise (..., 3, 3)."""
+    """Input of a filter in one step: models, reading (..., 3) and process noise (..., 3, 3)."""
 
     transition: Model
     measure: Model

@@ -73,7 +73,7 @@ def adapt(
 
 
 def factor(ratio: np.ndarray) -> np.ndarray:
-    """What a variance is multiplied by, (...), for a ratio (...) of found to expected.
+    """Return the factor (...) of a variance for a ratio (...) of found to expected.
 
     Small is 1 up to .5 and 0 from 1 on, large is 0 up to 1 and 1 from 2 on, equal is the rest.
     """

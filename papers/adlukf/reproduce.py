@@ -47,9 +47,12 @@ SHOWN_CASES = ("true R", "2 I")
 
 
 class Outcome(NamedTuple):
-    """What the filters did: scores, traces of the first seed (steps, manoeuvres, cases, 4), mean
-    absolute errors over the seeds likewise, lanes that failed, and the largest difference between
-    UKF and CKF by case."""
+    """Results of the filters.
+
+    traces: of the first seed, (steps, manoeuvres, cases, 4). Mean absolute errors over the seeds
+    have the same shape. Further: the scores, the lanes that failed, and the largest difference
+    between UKF and CKF by case.
+    """
 
     results: Results
     traces: dict[str, Array]

@@ -18,7 +18,7 @@ PROCESS_BOUNDS = Bounds(1e-14, 1e2)
 
 
 class NoiseStatistics(NamedTuple):
-    """All that the paper's filter believes of its noises.
+    """Estimated noise statistics of the paper's filter.
 
     process_mean q (..., n), process_variances (..., n), measurement_mean r (..., m),
     measurement_variances (..., m), taken (...): readings so far.
@@ -32,10 +32,10 @@ class NoiseStatistics(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """What one step says of the noises.
+    """Quantities of one step from which the filter estimates its noises.
 
     Attributes:
-        innovation: e (..., m); NaN was not taken.
+        innovation: e (..., m); NaN marks a reading that was not taken.
         correction: K e (..., n), by which the gain moved the state.
         posterior_variances: of the state after it, (..., n).
         process_residual: x - sum Wm f(X) (..., n), of the posterior to the prediction.

@@ -25,7 +25,7 @@ SHOWN = ("CKF", "FAUKF", "ADLUKF", "AUKF", "MCUKF", "ADLUKF printed", "DLUKF")
 
 
 def set_up(drives: tuple[Drive, ...], seeds: int) -> Section:
-    """What was driven, measured and filtered."""
+    """Return the section on the drives, the measurements and the filters."""
     rows = []
     for name, drive in zip(MANOEUVRES, drives, strict=True):
         side_slip, yaw_rate = np.degrees(drive.side_slip_rad), np.degrees(drive.yaw_rate_rad_s)
@@ -120,7 +120,7 @@ def spread(results: Results, signal_sd: Mapping[str, Array]) -> Section:
 
 
 def consistency(nees: Mapping[str, Array]) -> Section:
-    """Who knows how wrong it is."""
+    """Return the section on consistency: the average NEES of each filter."""
     rows = [[name, tables.with_interval(values)] for name, values in nees.items()]
     seeds = len(nees["UKF"])
     text = f"""\
@@ -159,7 +159,7 @@ def cost(of_filters: Mapping[str, Cost]) -> Section:
 
 
 def ablations(results: Results, ukf_minus_ckf: Mapping[str, float]) -> Section:
-    """What the inner layer brings, and what the adaptation; the two filters' difference by case."""
+    """Return the section on ablations: inner layer, adaptation, and UKF against CKF by case."""
     over = {
         f"{name}: {words}": np.array(
             [

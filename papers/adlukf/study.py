@@ -41,7 +41,7 @@ GROWTH = ((6.0, 4.0),)
 
 
 class Case(NamedTuple):
-    """What a filter believes of R, and what the sensors really do.
+    """One case: the R that a filter assumes, and the true noise of the sensors.
 
     `believed` (3,) are the variances that the filters start with, None for the true ones.
     """
@@ -68,7 +68,7 @@ CASES = {
 
 
 class Study(NamedTuple):
-    """All that the filters are given, (steps, manoeuvres, cases, seeds, ...), and the truth.
+    """Input of the filters, (steps, manoeuvres, cases, seeds, ...), and the truth.
 
     controls and measurements have last axes 2 and 3; `believed` variances and `start`, where the
     filters begin, are (manoeuvres, cases, seeds, 3); `truth` (steps, manoeuvres, 1, 1 or seeds, 3).
@@ -150,7 +150,7 @@ def _measured(drive: Drive, case: Case, stream: partial, seeds: int) -> Array:
 
 
 def estimate(study: Study, contestant: Contestant, model: SingleTrack | None = None) -> Gaussian:
-    """What a filter believes: mean (steps, manoeuvres, cases, seeds, 3), cov likewise."""
+    """Return a filter's beliefs: mean (steps, manoeuvres, cases, seeds, 3), cov likewise."""
     model = study.model if model is None else model
     belief = Gaussian(study.start, np.broadcast_to(PRIOR_COV, (*study.start.shape, 3)))
     Q = model.process_noise_cov(0)

@@ -1,4 +1,4 @@
-"""What of the ADLUKF holds, in words made from numbers; and what a better model brings instead."""
+"""Compose the verdict on the ADLUKF from its figures, and compare it with a better model."""
 
 from collections.abc import Mapping, Sequence
 
@@ -26,7 +26,7 @@ def in_plain_words(
     ukf_minus_ckf: Mapping[str, float],
     others: Sequence[Elsewhere],
 ) -> Section:
-    """What holds and what does not; each sentence that judges has its checks below."""
+    """Return the verdict. Each sentence that judges has its checks below."""
     lines = [
         "With the right R the ADLUKF does not win: "
         f"{_span(results, 'ADLUKF', 'true R')} times the CKF's RMSE.",

@@ -89,7 +89,7 @@ def verdict_of(findings: Sequence[Finding], test: Test = "every finding") -> Ver
 
 
 class Erratum(msgspec.Struct, frozen=True):
-    """What the paper prints where, and what is correct. It states; it has no verdict."""
+    """One error of the paper: its place, the printed text and the correct text; no verdict."""
 
     number: int
     where: str

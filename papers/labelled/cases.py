@@ -1,5 +1,7 @@
-"""What the rule `labelled` makes of links that lose frames, a dead hub, a cut, a long path, and of
-readings that are wrong. The network is TRACK's."""
+"""Run the rule `labelled` under faults, on the network of TRACK.
+
+The faults are links that lose frames, a dead hub, a cut, a long path, and wrong readings.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -31,15 +33,18 @@ from scenarios.streams import generator
 
 HUB, HUB_DEAD = 13, range(40, 70)
 CUT = range(50, 70)
-# What a restarted node believes, one standard deviation: as little as nothing.
+# Standard deviations of a restarted node's prior: so wide that it carries no information.
 _LOST_DEVIATIONS = np.array([300.0, 15.0, 300.0, 15.0, 0.02])
 # How far a wrong reading is off, in standard deviations of the noise, to either side.
 _OUTLIER_DEVIATIONS = 10.0
 
 
 class Case(NamedTuple):
-    """What goes wrong: with the links (`options` say how many frames they lose), the hub, the
-    network in two, a share of the readings."""
+    """Faults of one case.
+
+    The `options` say how many frames the links lose. The hub may die, a cut may divide the network
+    in two, and a fraction of the readings may be wrong.
+    """
 
     options: dict[str, Any]
     hub_dies: bool = False
@@ -48,12 +53,12 @@ class Case(NamedTuple):
 
 
 class CaseOutcome(NamedTuple):
-    """What came of a run.
+    """Figures of one run.
 
-    Squared errors (steps, N) and NEES over dimension (steps, N), NaN while a node knows nothing;
-    squared errors of the centralised filter (steps,), which hears everything that is not wrong;
-    bytes said per step; of all readings that are wrong, and of all others: how many there were, and
-    how many of them were refused.
+    Squared errors (steps, N) and NEES over dimension (steps, N) are NaN while a node knows nothing.
+    The squared errors of the centralised filter are (steps,); it hears each reading that is not
+    wrong. Bytes are those sent per step. Two pairs count the wrong readings and the others: how
+    many there were, and how many of them the nodes refused.
     """
 
     squared: Array
@@ -78,8 +83,10 @@ def runs_of_case(case: Case, runs: int, seed: int = 1) -> list[CaseOutcome]:
 
 
 class Course(NamedTuple):
-    """What happened in a run: truth (steps, n), readings (steps, N, r, d), beliefs (steps, N, n);
-    which readings were `kept`, and which were `wrong` (steps, N); bytes said (steps,)."""
+    """Course of one run: truth (steps, n), readings (steps, N, r, d), beliefs (steps, N, n).
+
+    `kept` and `wrong` (steps, N) mark readings. The bytes sent are (steps,).
+    """
 
     truth: Array
     readings: Array
@@ -90,7 +97,7 @@ class Course(NamedTuple):
 
 
 def outcome(setup: Setup, course: Course) -> CaseOutcome:
-    """What came of a run."""
+    """Return the figures of one run."""
     wrong = course.wrong
     taken = np.logical_not(np.isnan(course.readings).all(axis=(2, 3)))
     right = np.where((wrong & taken)[..., None, None], np.nan, course.readings)
@@ -132,7 +139,7 @@ def _at_once(case: Case, setup: Setup, runs: int) -> list[CaseOutcome]:
 
 
 def _kept_and_said(instant: batched.Instant) -> tuple[np.ndarray, np.ndarray]:
-    """Who recorded what it read (R, N), and what all nodes said in a step in bytes (R,)."""
+    """Return the nodes that recorded their reading (R, N), and the bytes sent in a step (R,)."""
     spread = instant.spread
     assert spread is not None, "the rule is labelled"
     recorded = np.diagonal(spread.held[:, :, -1], axis1=1, axis2=2)

@@ -15,7 +15,8 @@ _SCORED_FROM = 20
 GATE = 1e-4
 # Most steps in which a restarted node may say that it knows nothing, on average.
 _LOST_STEPS_MOST = 2.0
-# What an outlier in twenty readings may cost behind the gate, over the filter without outliers.
+# Largest cost ratio allowed behind the gate with one outlier in twenty readings; the reference is
+# the filter without outliers.
 _GATED_MOST = 1.1
 
 

@@ -1,4 +1,4 @@
-"""What the rule `labelled` promises, held against searches and filters that know nothing of it."""
+"""Compare the promises of the rule `labelled` with independent searches and filters."""
 
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -129,7 +129,7 @@ def _only(readings: Array, labels: set[tuple[int, int]]) -> Array:
 
 
 def _watched(setup: Setup, links: LinkState) -> tuple[list[Held], list[tuple[str, bytes]]]:
-    """What each node used after each step, and the recording."""
+    """Return the records that each node used after each step, and the recording."""
     log: list[list[set[tuple[int, int]]]] = [[] for _ in range(setup.scenario.nodes)]
     configs = []
     for node, seen in enumerate(log):

@@ -1,7 +1,7 @@
-"""What a node can hold at most: a search of the schedule that knows nothing of the rule.
+"""Search the schedule, independently of the rule, for the records that a node can hold at most.
 
-Whoever sends says everything that it holds; whoever hears it holds that too, until the window has
-passed. A rule that loses nothing on its way reaches exactly this.
+Each sender sends each record that it holds. Each receiver then holds these records too, until the
+window has passed. A rule that drops no record reaches exactly this bound.
 """
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -23,7 +23,7 @@ def reachable(
     winners: Winners,
     arrives: Callable[[int, int, int], bool],
 ) -> Iterable[Held]:
-    """What each node can hold at the end of step 0, 1, 2, ...
+    """Yield the records that each node can hold at the end of step 0, 1, 2, ...
 
     `taken` are the labels of all records; `winners` had the dynamic slots; `arrives(sender,
     receiver, cycle)` says whether a share came through.
@@ -49,6 +49,6 @@ def reachable(
 
 
 def winners_of(messages: Iterable[tuple[str, bytes]]) -> Winners:
-    """Who had the dynamic slots, from a recording."""
+    """Return the winners of the dynamic slots, from a recording."""
     grants: list[Grant] = [decode(topic, data) for topic, data in messages if topic == "grant"]
     return {(grant.cycle, grant.group): grant.winners for grant in grants}

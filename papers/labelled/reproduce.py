@@ -1,7 +1,6 @@
 """`concord reproduce labelled`: labelled measurements beside consensus on beliefs, on TRACK.
 
-What it is held against are the project's own study of fusion under bus limits, and its acceptance
-bounds.
+The references are the project's own study of fusion under bus limits, and its acceptance bounds.
 """
 
 from collections.abc import Callable, Iterator
@@ -32,7 +31,7 @@ _COLOURS = {
     "hcmci": "#D55E00",
     "wac": "#999999",
 }
-# What the project's study measured over 200 runs, at these occupancies.
+# The project's study measured these values over 200 runs, at these occupancies.
 _STUDY = {
     "labelled, hybrid": (1.080, 1.114, 1.254, 1.659),
     "labelled, dynamic": (1.080, 1.084, 1.159, 1.370),

@@ -64,11 +64,12 @@ class Job(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What came of a run.
+    """Figures of one run.
 
-    Mean squared errors of network and centralised filter, mean NEES over dimension of each node
-    (N,) and of the centralised filter; per step: bytes said, bytes of all frames with headers and
-    padding, microseconds of all frames; the last two for labelled shares alone.
+    Mean squared errors are those of the network and of the centralised filter. Mean NEES over
+    dimension is given for each node (N,) and for the centralised filter. Per step: the bytes sent,
+    the bytes of all frames with headers and padding, and the microseconds of all frames. The last
+    two exist for labelled shares only.
     """
 
     squared: float
@@ -102,7 +103,7 @@ class Cell(NamedTuple):
 
 
 def outcomes(job: Job) -> list[Outcome]:
-    """What came of each run of a cell."""
+    """Return the figures of each run of a cell."""
     options = scenario_of(
         scenario="target-tracking", nodes=20, seed=job.seed, occupancy=job.occupancy,
         **job.form.options,
@@ -144,7 +145,7 @@ def cells(forms: Sequence[Form], seed: int, runs: int) -> Iterator[tuple[Form, f
 
 
 def side_by_side(title: str, work: Callable[[Any], Any], jobs: Sequence[Any]) -> Iterator[Any]:
-    """What becomes of each job, in their order; all processors work at it."""
+    """Yield the result of each job, in the order of the jobs. The jobs use all processors."""
     with (
         progress(title, len(jobs)) as on_done,
         ProcessPoolExecutor(mp_context=get_context("spawn")) as pool,

@@ -124,7 +124,7 @@ def claims(e: Evidence) -> list[Claim]:
 
 
 def errata(outcomes: dict[str, Outcome]) -> list[Erratum]:
-    """What cannot be measured: formulas that do not fit, and what is loose or not said."""
+    """Return the errata, which no run can measure: wrong formulas, loose bounds and gaps."""
     paper = outcomes["paper"]
     shrunk = outcomes["tight"].trace.mean() / paper.trace.mean()
     bound = liu2021.NOISE_BOUND

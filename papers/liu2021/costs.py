@@ -1,4 +1,4 @@
-"""What a cycle of the set-membership example costs with each method, and the cross-check."""
+"""Measure the cost of a cycle of the set-membership example by method, and cross-check it."""
 
 import time
 import warnings

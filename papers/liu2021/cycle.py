@@ -58,7 +58,7 @@ class Cycle(Protocol):
 
 
 class Step(NamedTuple):
-    """What a filter makes of a cycle: the ellipsoid after it, and the feedback L (..., N, m)."""
+    """Result of a filter for one cycle: the ellipsoid after it, and the feedback L (..., N, m)."""
 
     after: Ellipsoid
     gain: np.ndarray

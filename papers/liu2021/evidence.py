@@ -1,7 +1,7 @@
-"""What a bounded plant does and what was read of it: the input of filters that cut with the data.
+"""Motion and readings of a bounded plant: the input of filters that cut with the data.
 
 A state x (n,) and noise v, g samples of q numbers each in the unit ball. Noise maps have shape
-(rows, g, q); leading axes of everything are lanes.
+(rows, g, q); leading axes are lanes.
 """
 
 from typing import NamedTuple
@@ -12,17 +12,17 @@ from filters.linalg import multiply
 
 
 class Motion(NamedTuple):
-    """What is looked for: state (..., k, n) x + noise (..., k, g, q) v."""
+    """Quantity to bound: state (..., k, n) x + noise (..., k, g, q) v."""
 
     state: np.ndarray
     noise: np.ndarray
 
 
 class Readings(NamedTuple):
-    """What is known: |values - state x - noise v| <= half_widths, row by row; 0 is an equation.
+    """Known constraints: |values - state x - noise v| <= half_widths, row by row; 0 is an equation.
 
-    state (..., m, n), noise (..., m, g, q), values and half_widths (..., m). A value that is NaN
-    was not taken.
+    state (..., m, n), noise (..., m, g, q), values and half_widths (..., m). A NaN value marks
+    a reading that was not taken.
     """
 
     state: np.ndarray
@@ -47,8 +47,10 @@ def bus_evidence(
     held: np.ndarray,
     winner: np.ndarray,
 ) -> Evidence:
-    """What a FlexRay cycle tells: the first `static` outputs and the winner of the others, exactly;
-    and of each loser that its change was not larger than the winner's.
+    """Return the evidence of one FlexRay cycle.
+
+    The first `static` outputs and the winner of the others are known exactly. Of each loser the
+    bus tells that its change was not larger than the winner's.
 
     Args:
         motion: over the cycle, or over its last step.

@@ -1,11 +1,11 @@
 """A plant seen through FlexRay cycles: l outputs in turn, then one of the others, the most changed.
 
-A cycle has g = l + 1 steps. In step r < l output r is sent (round robin); in step l the one of the
-other outputs that differs most, by weight, from what was last sent of it (try once discard), whose
-last values are held. Outputs, cycles and steps are counted from 0 on.
+A cycle has g = l + 1 steps. In step r < l the bus sends output r (round robin). In step l it sends
+one of the other outputs (try once discard): the one that differs most, by weight, from its last
+sent value. The last values of these outputs are held. Outputs, cycles and steps count from 0.
 
-The estimator works once per cycle: `lift` turns g steps of the plant into one, `augment` adds the
-held values to the state, so that a cycle is one step of a time-varying linear system, exactly.
+The estimator works once per cycle. `lift` turns g steps of the plant into one, and `augment` adds
+the held values to the state. A cycle is then exactly one step of a time-varying linear system.
 
 Source: Liu et al. (2021), equations (3) to (16), read with the phase of a cycle as its step modulo
 l + 1 (printed: modulo l) and with arg max in (5).
@@ -25,7 +25,7 @@ Select = Callable[[Array, Array, Array], NDArray[np.int_]]
 
 
 class Received(NamedTuple):
-    """What the bus delivers.
+    """Values that the bus delivers.
 
     Attributes:
         values: (..., cycles, m), ybar(t_k): the outputs sent in cycle k, held ones where not sent.

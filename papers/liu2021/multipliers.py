@@ -1,17 +1,17 @@
 """The small convex problem behind every trace-optimal ellipsoid, and the certificate it leaves.
 
-What is known of theta = (1, p) is quadratic, theta' T_i theta <= 0; what is looked for is the
-smallest ellipsoid that holds image theta, where anything proportional to known theta may be added
-to the centre. By the S-procedure multipliers tau >= 0 with M(tau) = e1 e1' + sum tau_i T_i > 0 give
-one: with any feedback L, P = (image - L known) M^-1 (image - L known)'. L is eliminated exactly
-(least squares), so that a few scalars are left: minimise tr P(tau) over tau >= 0, M(tau) >= 0.
+The constraints on theta = (1, p) are quadratic, theta' T_i theta <= 0. The task is to find the
+smallest ellipsoid that contains image theta. The centre may move by any linear map L of known
+theta. The S-procedure gives such an ellipsoid for multipliers tau >= 0 with
+M(tau) = e1 e1' + sum tau_i T_i > 0: P = (image - L known) M^-1 (image - L known)'. L is eliminated
+exactly (least squares), so that a few scalars are left: minimise tr P(tau) over tau >= 0, M(tau) >= 0.
 
 Every tau on the way is a certificate, so the guarantee never hangs on how far a solver got. Its
 accuracy hangs on it: the trace ends within a few 1e-6 of the least.
 
-Source: Liu et al. (2021), theorem 1 and corollary 1, whose semidefinite programme this is with P
-and L eliminated (projection lemma); Boyd, El Ghaoui, Feron, Balakrishnan (1994), Linear matrix
-inequalities in system and control theory, sections 2.6.2 and 2.6.3.
+Source: Liu et al. (2021), theorem 1 and corollary 1. This is their semidefinite programme with P
+and L eliminated (projection lemma). See also Boyd, El Ghaoui, Feron, Balakrishnan (1994), Linear
+matrix inequalities in system and control theory, sections 2.6.2 and 2.6.3.
 """
 
 from typing import NamedTuple
@@ -36,7 +36,7 @@ _MARGIN = 1e-7
 
 
 class Problem(NamedTuple):
-    """What is known and what is asked, per lane; d is the length of theta = (1, p).
+    """Constraints and target of one problem per lane; d is the length of theta = (1, p).
 
     Attributes:
         terms: (..., c, d, d) symmetric, theta' T_i theta <= 0. The first `balls` of them together
@@ -85,9 +85,9 @@ def smallest_bound(problem: Problem) -> Bound:
 def certified_bound(problem: Problem, multipliers: np.ndarray) -> Bound:
     """The ellipsoid that given multipliers (..., c) prove; NaN where they prove none.
 
-    It holds in floating point: M is kept away from singular by more than it is rounded, and P grows
-    by what rounding can do to M^-1 (relative error d u / least eigenvalue of M with unit diagonal:
-    Higham (2002), 10.1).
+    The bound holds in floating point. M stays away from singular by more than its rounding error.
+    P grows by the largest rounding error of M^-1. That relative error is d u / least eigenvalue of
+    M with unit diagonal (Higham (2002), 10.1).
     """
     # Smaller multipliers are less near the edge: M(s tau) = (1 - s) e1 e1' + s M(tau).
     multipliers = multipliers / (1.0 + _MARGIN + _rounding(problem, multipliers))[..., None]

@@ -10,7 +10,7 @@ from papers.liu2021.runs import Batch, Outcome, by_cycle, paper, simulate
 
 
 class Mutant(NamedTuple):
-    """What a planted mistake does on the same kind of sequences.
+    """Effect of a planted mistake on the same kind of sequences.
 
     Attributes:
         outside: instants at which the truth is outside the ellipsoid.

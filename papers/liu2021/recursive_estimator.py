@@ -1,10 +1,10 @@
 """The recursive set-membership estimator of the paper, with its semidefinite programme solved.
 
-After every cycle the ellipsoid of least trace that theorem 1 proves: one multiplier for the
-ellipsoid before, one for the noise of all samples together, and one for each contending output that
-lost, which says that the winner's change was larger. The received values are used through the
-feedback and, in the terms of the losers, through the estimate, but never to cut the set: what they
-exclude stays in (`tight_estimator` cuts).
+After every cycle the estimator returns the ellipsoid of least trace that theorem 1 proves. One
+multiplier belongs to the ellipsoid before, and one to the noise of all samples together. Each
+contending output that lost has one too: its term says that the winner's change was larger. The
+received values enter through the feedback and, in the terms of the losers, through the estimate.
+They never cut the set: states that they exclude stay in it (`tight_estimator` cuts).
 
 Source: Liu et al. (2021), theorem 1, corollary 1 and algorithm 1, with the held values of (30)
 those before the cycle.
@@ -61,7 +61,7 @@ def _losers(before: Ellipsoid, cycle: Cycle, position: np.ndarray) -> np.ndarray
     noise = flat(cycle.candidates_noise)
     change = join_columns(constant, cycle.candidates @ position, noise)
     squares = cycle.weights[:, None, None] * change[..., :, None] * change[..., None, :]
-    # What rounding may have done to the comparison, as a constant in its disfavour.
+    # A bound of the rounding error of the comparison, added as a constant that weakens the term.
     reach = np.abs(before.centre) + half_widths(before)
     largest = multiply(np.abs(cycle.candidates), reach)
     slack = rounding_bound(change.shape[-1]) * np.abs(cycle.weights) * largest**2

@@ -19,7 +19,7 @@ from papers.liu2021.tables import PUBLISHED, difference, gains_of_tables
 
 CYCLES = 13
 LONG_SEQUENCES, LONG_CYCLES = 20, 60
-# What an independent implementation measured on the paper's noise.
+# An independent implementation measured these traces on the paper's noise.
 TRACES = (
     16.83, 13.05, 13.81, 22.89, 31.46, 14.37, 10.33, 13.31, 29.05, 16.06, 8.97, 9.38, 10.91,
 )  # fmt: skip

@@ -59,15 +59,15 @@ class Batch(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What an estimator made of a batch, at T times that are steps of the plant.
+    """Results of an estimator for a batch, at T times that are steps of the plant.
 
     Attributes:
         steps: (T,).
-        radius: (T, R), e' P^+ e of the whole set, at most 1 where it holds the truth; of a zonotope
-            the square of its gauge, or an upper bound of it that is at most 1.
+        radius: (T, R), e' P^+ e of the whole set, at most 1 where it holds the truth. For a
+            zonotope it is the square of the gauge, or an upper bound of that square that is at most 1.
         trace: (T, R) of the whole set; NaN for zonotopes.
         centre, half_widths: (T, R, n) of the last state in the set.
-        sets: per time, what the estimator kept.
+        sets: per time, the set that the estimator kept.
     """
 
     steps: np.ndarray

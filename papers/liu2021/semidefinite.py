@@ -15,7 +15,7 @@ from papers.liu2021.multipliers import Problem
 
 
 class Solution(NamedTuple):
-    """What the solver returned: P (n, n), L (n, m), multipliers (c,), and its own verdict."""
+    """Result of the solver: P (n, n), L (n, m), multipliers (c,), and its own verdict."""
 
     shape: np.ndarray
     gain: np.ndarray

@@ -1,13 +1,13 @@
 """Set membership that cuts with what was received: the tight relative of the paper's estimator.
 
-Three things make it tighter, and none less certain: every noise sample has a multiplier of its own
-instead of one for all; the received values cut the set of what is possible, where the paper's
-feedback only moves the centre; and once the winner's change is known, what is known of a loser is a
-strip, |change_j| <= sqrt(Q_winner / Q_j) |change_winner|, and convex.
+Three changes make it tighter, and the guarantee stays. First, every noise sample has a multiplier
+of its own instead of one for all. Second, the received values cut the set of possible states; the
+paper's feedback only moves the centre. Third, once the winner's change is known, the constraint on
+a loser is a convex strip, |change_j| <= sqrt(Q_winner / Q_j) |change_winner|.
 
 With one step at a time in place of a whole cycle the same function gives an ellipsoid in every step
-(`step_by_step`); without readings it is the sum of ellipsoids, with one the classical
-set-membership filter (Schweppe (1968); Fogel and Huang (1982)).
+(`step_by_step`). Without readings the result is the sum of ellipsoids. With one reading it is the
+classical set-membership filter (Schweppe (1968); Fogel and Huang (1982)).
 
 Source: Liu et al. (2021), the system of section III under its own bounds; the sections on
 conditioning are ours, after Boyd et al. (1994), section 3.7.

@@ -32,11 +32,11 @@ PSEUDO_INVERSE_CUTOFF = 1e-10
 
 
 class PrintedState(NamedTuple):
-    """What the printed algorithm carries on.
+    """State of the printed algorithm between two steps.
 
     Attributes:
         belief: after the last half step.
-        carried: chihat (S, ..., n) of (11), the points of before moved by f.
+        carried: chihat (S, ..., n) of (11), the previous points moved by f.
         outputs, output: phihat (S, ..., m) of (15) and yhat (..., m) of (16), one step old.
     """
 

@@ -19,7 +19,7 @@ from papers.meng2025.runs import Batch, Outcome, carry_out, methods, simulate
 from papers.meng2025.table import Row, row
 
 RUNS, STEPS = 200, 100
-# What an independent implementation measured over 200 runs, to so many decimals.
+# Number of runs of an independent implementation, and the rounding of its printed figures.
 _STUDY_RUNS, _ROUNDING = 200, {"RMSE": 0.0005, "ANEES": 0.005}
 RECOMMENDED_RMSE, RECOMMENDED_ANEES, PARTICLE_RMSE = (0.243, 0.220), 2.06, (0.237, 0.215)
 REFERENCE = "recommended"

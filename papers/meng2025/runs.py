@@ -52,7 +52,7 @@ class Batch(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What an estimator made of them: mean (S + 1, R, n), cov; and who sent (S, R, N)."""
+    """Results of an estimator: mean (S + 1, R, n), cov, and the sensors that sent (S, R, N)."""
 
     mean: Array
     cov: Array
@@ -70,7 +70,7 @@ class Method(NamedTuple):
 
 
 def methods() -> dict[str, Method]:
-    """What is compared. The first is what the others are compared with."""
+    """Return the compared methods. The first one is the reference for the others."""
     bus = flexray(SENSORS, meng2025.STATIC_SLOTS)
     return {
         "recommended": Method("FlexRay, recommended", bus),
@@ -87,7 +87,7 @@ def methods() -> dict[str, Method]:
 
 
 def deterministic() -> StochasticSystem:
-    """What a filter believes that does not know of the stochastic nonlinearities."""
+    """Return the system as a filter that ignores the stochastic nonlinearities assumes it."""
     return StochasticSystem(
         SYSTEM.transition,
         SYSTEM.measure,
@@ -108,7 +108,7 @@ def simulate(seed: int, runs: int, steps: int) -> Batch:
 
 
 def transmit(batch: Batch, schedule: Schedule) -> Slot:
-    """What the receiver knows after each slot, (S, R, ...)."""
+    """Return the receiver's values after each slot, (S, R, ...)."""
     start = first_received(SYSTEM, meng2025.PRIOR_MEAN)
     return slots_of(
         MeasurementBus(SYSTEM.sizes, schedule),

@@ -80,7 +80,7 @@ CONSISTENT.append(Variant("hcmci", "renorm"))
 
 
 def section(place: int, measured: Occupancy, tracking: Study, turning: Study) -> Section:
-    """The tables, what of the print they reach, and what the study concludes from them."""
+    """Return the section on the bus: tables, agreement with the printed figures, and findings."""
     return Section(
         place,
         "A bus that limits who may publish (section 4 of the study)",

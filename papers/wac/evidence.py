@@ -1,4 +1,4 @@
-"""What can be measured of the consensus paper's formulas, as printed and as corrected."""
+"""Measure the consensus paper's formulas, as printed and as corrected."""
 
 from typing import NamedTuple
 

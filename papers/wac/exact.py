@@ -50,9 +50,10 @@ RECORDED_EVERY = 50
 class Exact(NamedTuple):
     """Relative RMSE, ANEES, lambda_max and disagreement of the network, last axis (4,).
 
-    after: per plant and rule, (graphs, rounds, 4) after STEPS; settled_bus: per rule, (rounds, 4)
-    on the ring after SETTLED_STEPS; worst: per plant and rule, the largest lambda_max (graphs,
-    rounds) over the recorded steps; alone: per plant, (4,) without any fusion; slem: per graph.
+    after: per plant and rule, (graphs, rounds, 4) after STEPS.
+    settled_bus: per rule, (rounds, 4) on the ring after SETTLED_STEPS.
+    worst: per plant and rule, the largest lambda_max (graphs, rounds) over the recorded steps.
+    alone: per plant, (4,) without any fusion. slem: per graph.
     """
 
     after: dict[str, dict[str, Array]]

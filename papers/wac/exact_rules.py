@@ -1,13 +1,13 @@
 """Fusion rules as linear maps of errors, for `papers.wac.exact_covariance`.
 
-With given covariances every rule is linear in the errors. A node's prediction errs by e (n,) and
-its reading tells the score s = H' R^-1 v (n,), of covariance W = H' R^-1 H; its own update leaves
-P_u (P^-1 e + s) with P_u^-1 = P^-1 + W. L rounds in which all nodes publish are one average with
-the weights A = Pi^L, because each rule averages moments or information, and nothing else.
+With given covariances every rule is linear in the errors. A node's prediction errs by e (n,). Its
+reading adds the score s = H' R^-1 v (n,), of covariance W = H' R^-1 H. Its own update leaves the
+error P_u (P^-1 e + s) with P_u^-1 = P^-1 + W. L rounds in which all nodes publish are one average
+with the weights A = Pi^L, because each rule only averages moments or information.
 
 A rule maps predicted covariances (..., N, n, n), averaging weights A (..., N, N) and information W
-(N, n, n) to a `Fusion`. What the rules promise is said where the network's own are (`filters`);
-what is here is written apart from them, so that each can be held against the other.
+(N, n, n) to a `Fusion`. The package `filters` holds the network's own rules and states their
+properties. The rules here are written independently, so that each checks the other.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ from nodes.messages import Array
 
 
 class Fusion(NamedTuple):
-    """What the nodes report after the rounds, and how their errors come about.
+    """Covariances that the nodes report after the rounds, and the gains behind their errors.
 
     covs: (..., N, n, n). Block (i, j) of error_gain and score_gain (..., N, N, n, n) multiplies the
     predicted error and the score of node j in the error of node i.

@@ -1,8 +1,8 @@
 """A network as one array program over many runs: what the tables of many runs are counted with.
 
 The nodes of `nodes/` are the reference; the tests hold this against them, run by run. It serves the
-rules whose rounds are averages (wac, ci, hcmci, icf), one reading per node, on a bus that loses
-nothing: what a sender last said is then the same at all who hear it, and is kept once.
+rules whose rounds are averages (wac, ci, hcmci, icf), with one reading per node, on a bus that
+loses no frame. A sender's last share is then the same at all its receivers, and is kept once.
 
 `simulate`, the driver for scenarios, would not do here for two reasons. The
 study gives a slot to any share, however many FlexRay frames it takes, and a scenario is refused
@@ -42,7 +42,7 @@ class Averaging(NamedTuple):
 
 
 class Wiring(NamedTuple):
-    """Who hears whom, when, and what becomes of old shares.
+    """Neighbours of each node, their weights, the schedule, and the hold policy.
 
     heard: (N, J), each node first and then its neighbours, filled up with itself; weights: (N, J),
     zero where filled up.
@@ -212,7 +212,7 @@ def _take(belief: Gaussian, runs: Runs, step: int) -> Gaussian:
 
 
 def _senders(state: _State, schedule: Schedule, cycle: int) -> np.ndarray:
-    """Who publishes, (R, N): owners of static slots, and the contenders with most to tell."""
+    """Return the publishers, (R, N): owners of static slots and the most urgent contenders."""
     sends = np.zeros(state.ages.shape, dtype=bool)
     sends[:, list(schedule.static_senders(cycle))] = True
     contenders = np.array(schedule.contenders(cycle), dtype=int)
@@ -230,7 +230,7 @@ def _senders(state: _State, schedule: Schedule, cycle: int) -> np.ndarray:
 
 
 def _publish(state: _State, senders: np.ndarray) -> _State:
-    """What everybody holds of everybody after a cycle in which `senders` (R, N) spoke."""
+    """Return the held shares of all nodes after a cycle in which `senders` (R, N) published."""
     mean = np.where(senders[..., None], state.belief.mean, state.published.mean)
     cov = np.where(senders[..., None, None], state.belief.cov, state.published.cov)
     older = np.where(state.ages < 0, -1, state.ages + 1)

@@ -31,7 +31,7 @@ from plants.linear import LinearPlant
 
 
 class Loops(NamedTuple):
-    """What was measured. Times in s, angles in rad; `_n`, `_v` are controls in newton and volt."""
+    """Measured values. Times in s, angles in rad; `_n`, `_v` are controls in newton and volt."""
 
     cruise_gain: float
     cruise_precompensation: float

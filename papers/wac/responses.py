@@ -40,9 +40,12 @@ STAIRS = Staircase(((0.5,), (1.5,), (1.0,)), (100, 100, 100))
 
 
 class Trial(NamedTuple):
-    """One loop. times_s (T,); reference (T,), or None where nothing is followed; truth, estimated
-    and central (T, n): of the plant, of the blind node, of a filter that has all readings; measured
-    (T,) by the measuring node; integral (T,) of the controlled output, in its unit times s."""
+    """One control loop over T times.
+
+    times_s (T,); reference (T,), or None if the loop follows no reference. truth, estimated and
+    central (T, n): of the plant, of the blind node, of a filter that has all readings. measured
+    (T,) by the measuring node. integral (T,) of the controlled output, in its unit times s.
+    """
 
     times_s: Array
     reference: Array | None
