@@ -4,10 +4,10 @@ The constraints on theta = (1, p) are quadratic, theta' T_i theta <= 0. The task
 smallest ellipsoid that contains image theta. The centre may move by any linear map L of known
 theta. The S-procedure gives such an ellipsoid for multipliers tau >= 0 with
 M(tau) = e1 e1' + sum tau_i T_i > 0: P = (image - L known) M^-1 (image - L known)'. L is eliminated
-exactly (least squares), so that a few scalars are left: minimise tr P(tau) over tau >= 0, M(tau) >= 0.
+exactly (least squares), and a few scalars are left: minimise tr P(tau) over tau >= 0, M(tau) >= 0.
 
-Every tau on the way is a certificate, so the guarantee never hangs on how far a solver got. Its
-accuracy hangs on it: the trace ends within a few 1e-6 of the least.
+Every tau on the way is a certificate, so the guarantee does not depend on how far a solver got. Its
+accuracy does: the trace ends within a few 1e-6 of the least.
 
 Source: Liu et al. (2021), theorem 1 and corollary 1. This is their semidefinite programme with P
 and L eliminated (projection lemma). See also Boyd, El Ghaoui, Feron, Balakrishnan (1994), Linear

@@ -64,7 +64,7 @@ class Outcome(NamedTuple):
     Attributes:
         steps: (T,).
         radius: (T, R), e' P^+ e of the whole set, at most 1 where it holds the truth. For a
-            zonotope it is the square of the gauge, or an upper bound of that square that is at most 1.
+            zonotope it is the square of the gauge, or an upper bound of it that is at most 1.
         trace: (T, R) of the whole set; NaN for zonotopes.
         centre, half_widths: (T, R, n) of the last state in the set.
         sets: per time, the set that the estimator kept.
