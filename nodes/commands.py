@@ -14,7 +14,6 @@ from nodes.changes import Settings
 from nodes.faults.vocabulary import CHANNELS, COMMANDS, FAULTS, usage
 
 MAX_COMMAND_BYTES = 4096
-SETTINGS = ("rule", "rounds", "occupancy", "schedule", "arbiter", "hold", "decay", "trigger")
 
 
 class Pause(msgspec.Struct, frozen=True, tag="pause", tag_field="do"):

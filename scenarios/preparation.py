@@ -10,7 +10,6 @@ import msgspec
 from filters.kernels import compiled
 from nodes.bounds import MAX_ROUNDS
 from nodes.changes import Settings
-from nodes.commands import SETTINGS
 from nodes.faults.active import Equipment
 from nodes.messages import to_wire
 from scenarios.bus_plan import plan_bus
@@ -18,7 +17,7 @@ from scenarios.catalogue import kind_of
 from scenarios.equipment import equipment_of
 from scenarios.links import losses_of, network_of
 from scenarios.rules import check_rule, is_certain, share_size
-from scenarios.scenario import Scenario, require
+from scenarios.scenario import SETTINGS, Scenario, require
 from scenarios.script import check_script
 from scenarios.setup import Setup
 from scenarios.streams import generator

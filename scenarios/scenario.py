@@ -6,6 +6,7 @@ import msgspec
 
 from scenarios.types.assignment import assigned, refuse_left
 from scenarios.types.buses import BusChoice, FlexRay, FullSchedule
+from scenarios.types.declarations import every_option
 from scenarios.types.filters import FilterChoice, UnscentedFilter
 from scenarios.types.network import SensorNetwork
 from scenarios.types.option import Option
@@ -22,11 +23,13 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
                flag="scenario"),
     ]  # fmt: skip
     network: Annotated[SensorNetwork, Option("", group="network")]
-    rule: Annotated[RuleChoice, Option("Fusion rule.", group="rule")] = CovarianceIntersection()
+    rule: Annotated[RuleChoice, Option("Fusion rule.", group="rule", is_setting=True)] = (
+        CovarianceIntersection()
+    )
     rounds: Annotated[
         int,
         Option("Consensus iterations per step, one communication cycle each.", group="rule",
-               at_least=1),
+               at_least=1, is_setting=True),
     ] = 3  # fmt: skip
     bus: Annotated[BusChoice, Option("Bus that the nodes share.", group="bus")] = FlexRay()
     filter: Annotated[FilterChoice, Option("Filter of the nodes.", group="filter")] = (
@@ -76,6 +79,14 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             ValueError: an unknown name, or a wrong type.
         """
         return assigned(self, _with_schedule(self, options))
+
+
+SETTINGS = tuple(
+    dict.fromkeys(
+        one.declaration.name for one in every_option(Scenario) if one.declaration.says.is_setting
+    )
+)
+"""The options that a network can change while it runs."""
 
 
 def _with_schedule(scenario: Scenario, options: dict[str, object]) -> dict[str, object]:

@@ -10,10 +10,7 @@ import msgspec
 
 from dashboard.frames.frame import Event
 from nodes.faults.vocabulary import CHANNELS, EVERY_FAULT
-
-SETTINGS = (
-    "rule", "rounds", "occupancy", "schedule", "arbiter", "hold", "decay", "trigger",
-)  # fmt: skip
+from scenarios.scenario import SETTINGS
 
 
 class Network(NamedTuple):

@@ -50,6 +50,7 @@ _RULES = {
 _GRAPHS = ("ring", "path", "star", "complete", "grid", "erdos-renyi", "scale-free", "3-regular")
 _SCHEDULES = ("full", "round-robin", "hybrid", "hybrid-leaves", "dynamic")
 _HOLDS = ("decayed", "decayed", "predict", "drop", "renormalise", "in-step", "raw")
+_HOLDS_OF_SETS = {"decayed": "predict", "renormalise": "drop", "in-step": "drop"}
 _LINKS = ("static", "static", "static", "bernoulli:0.2", "markov:0.1,0.5", "switching:ring,star:4")
 
 
@@ -140,6 +141,8 @@ def _drawn(generator: np.random.Generator) -> Scenario:
         # The time of the bus is not what is tortured here.
         "stretch": 1000.0,
     }
+    if rule in _CERTAIN:
+        asked["hold"] = _HOLDS_OF_SETS.get(asked["hold"], asked["hold"])
     if not asked["cluster"]:
         asked["bus"] = "ideal"
     if rule == "labelled":

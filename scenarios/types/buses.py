@@ -18,7 +18,7 @@ class PartialSchedule(BusSchedule, frozen=True, kw_only=True):
 
     occupancy: Annotated[
         float,
-        Option("Share of the nodes that publish in a cycle.", above=0, at_most=1),
+        Option("Share of the nodes that publish in a cycle.", above=0, at_most=1, is_setting=True),
     ] = 1.0
 
 
@@ -30,12 +30,14 @@ class ContendedSchedule(PartialSchedule, frozen=True, kw_only=True):
     """A schedule with nodes that contend for slots of the dynamic segment."""
 
     arbiter: Annotated[
-        str, Option("Who wins the dynamic segment: wtod, minislot, round-robin.")
+        str,
+        Option("Who wins the dynamic segment: wtod, minislot, round-robin.", is_setting=True),
     ] = "wtod"
     trigger: Annotated[
         float,
         Option("Ask for a dynamic slot only after a change of the estimate larger than this, as a "
-               "squared distance in units of its covariance; 0 asks always.", at_least=0),
+               "squared distance in units of its covariance; 0 asks always.", at_least=0,
+               is_setting=True),
     ] = 0.0  # fmt: skip
 
 
@@ -69,7 +71,7 @@ ScheduleChoice = (
     | SilentSchedule
 )
 TimelessSchedule = FullSchedule | RoundRobinSchedule
-SCHEDULE = Option("Who may publish in a cycle.", group="bus")
+SCHEDULE = Option("Who may publish in a cycle.", group="bus", is_setting=True)
 
 
 class SharedBus(Choice, frozen=True, kw_only=True):

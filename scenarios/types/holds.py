@@ -10,7 +10,12 @@ class Fading(Choice, frozen=True, kw_only=True, tag="decayed"):
 
     decay: Annotated[
         float,
-        Option("Weight factor of a held share per cycle of age.", at_least=0, at_most=1),
+        Option(
+            "Weight factor of a held share per cycle of age.",
+            at_least=0,
+            at_most=1,
+            is_setting=True,
+        ),
     ] = 0.5
 
 

@@ -40,6 +40,7 @@ class Option(NamedTuple):
         flag: name of the option where it is not that of the field.
         above, at_least, below, at_most: range of its number.
         even: whether the number must be even.
+        is_setting: whether a network that runs can change it (`set`).
     """
 
     text: str = ""
@@ -52,6 +53,7 @@ class Option(NamedTuple):
     below: float | None = None
     at_most: float | None = None
     even: bool = False
+    is_setting: bool = False
 
     def holds(self, number: float) -> bool:
         """Whether a number is finite and in the range."""

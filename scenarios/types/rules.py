@@ -16,7 +16,9 @@ from scenarios.types.holds import (
 from scenarios.types.option import Choice, Option, name_of
 
 Number = Literal["float64", "float32"]
-HOLD = Option("What becomes of the last share of a silent neighbour.", group="rule")
+HOLD = Option(
+    "What becomes of the last share of a silent neighbour.", group="rule", is_setting=True
+)
 
 
 class FusionRule(Choice, frozen=True, kw_only=True):
