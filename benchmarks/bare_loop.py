@@ -1,9 +1,9 @@
-"""The floor of a lockstep network: the same processes, links and messages, and the filter calls.
+"""Lower bound of a lockstep network: the same processes, links, messages and filter calls.
 
 `python -m benchmarks.bare_loop` reads one JSON object (`Load`) from standard input and prints the
-lockstep steps per second of a network whose nodes call the filters as a node does, and pass on
-bytes: those of messages that are made and read, checksums and all, or as many that say nothing. No
-state is kept, nothing is counted, scheduled, judged or recorded.
+lockstep steps per second of a network. Its nodes call the filters as a node does and pass on bytes.
+The bytes are encoded and decoded messages with checksums, or as many empty bytes. The network keeps
+no state, and it counts, schedules, evaluates and records nothing.
 """
 
 import secrets
@@ -33,8 +33,11 @@ from runtime.processes.supervisor import Ended, Supervisor
 
 
 class Load(msgspec.Struct, frozen=True):
-    """What travels: messages, or (`says` is False) as many bytes as a measurement, a share and an
-    estimate have; `lead` of the world; in which part of its steps a node `sees` something."""
+    """Load of the loop: messages, or (`says` is False) as many bytes as a measurement, a share and
+    an estimate have.
+
+    `lead` is that of the environment; `sees` is the fraction of a node's steps with a reading.
+    """
 
     neighbours: list[list[int]]
     rounds: int
@@ -186,7 +189,7 @@ def _receive(transport: Transport, topic: str) -> bytes:
 
 
 class _Filters:
-    """What a node of `target-tracking` asks of the filters, on numbers that stay the same."""
+    """Filter calls of a node of `target-tracking`, on constant numbers."""
 
     def __init__(self, neighbours: int) -> None:
         case = turn()
@@ -197,7 +200,7 @@ class _Filters:
         self._reading = readings(case, ())
 
     def predict(self) -> Gaussian:
-        """All that a node holds."""
+        """Predict every belief that a node holds."""
         return predict(self._all, self._case.transition, self._case.process_noise_cov, self._rule)
 
     def update(self) -> None:

@@ -1,8 +1,9 @@
-"""What the dashboard costs: its own processor time per update, and what it takes from a network.
+"""Cost of the dashboard: its processor time per update, and the slowdown of a network.
 
-The first is measured on a page with every panel drawn at 10 Hz from a recorded run, without a
-browser; the second on a network that runs with and without a page attached to it, in turns, while
-somebody looks at the page (`benchmarks/onlooker.py`). What attaching costs once is apart.
+The first figure is measured on a page that draws every panel at 10 Hz from a recorded run, without
+a browser. The second is measured on a network that runs with and without a page, in turns, while a
+client looks at the page (`benchmarks/onlooker.py`). The one-time cost of attaching is measured
+separately.
 """
 
 import os
@@ -51,7 +52,7 @@ def main() -> Figures:
     setup = _setup(NODES, STEPS)
     runs: dict[bool, list[_Pace]] = {False: [], True: []}
     for number in range(REPETITIONS):
-        # Whoever is first has the quieter moment: in turns.
+        # The contestant that runs first has the quieter machine, so the order alternates.
         for attached in (False, True) if number % 2 == 0 else (True, False):
             runs[attached].append(_pace(setup, attached))
     return results | _compared(runs[False], runs[True])
@@ -68,7 +69,8 @@ class _Pace(NamedTuple):
 
 
 def _compared(apart: "list[_Pace]", together: "list[_Pace]") -> Figures:
-    """What a page takes: by the clock, and by the processor time, which others do not disturb."""
+    """Return the cost of a page, by the clock and by processor time, which other
+    processes disturb less."""
     rates = [[run.steps_per_s for run in runs] for runs in (together, apart)]
     costs = [[run.network_ms + run.page_ms for run in runs] for runs in (apart, together)]
     alone = figure(rates[1], "steps per second", "more")

@@ -1,8 +1,8 @@
 """Covariance intersection over a whole network: a round beside a loop over nodes, and many rounds.
 
-What is timed is what the batched driver does between the readings of a step and its estimates:
-the rounds of the rule that a scenario builds. Where beliefs weigh alike however sharp they are,
-the rule takes all rounds as one product; else it looks at their sharpness after every round.
+The benchmark times the rounds of a scenario's rule, which the batched driver executes between the
+readings of a step and its estimates. If the weights do not depend on the covariances, the rule
+takes all rounds as one product. Otherwise it computes the inverse volumes after every round.
 """
 
 import time
@@ -41,7 +41,7 @@ def beliefs(states: int) -> Gaussian:
 
 
 def fuse(rule: BatchedRule, given: Gaussian, rounds: int) -> Gaussian:
-    """What all nodes believe after so many rounds in which everybody is heard."""
+    """Return the beliefs of all nodes after `rounds` rounds in which every frame arrives."""
     content, everybody = rule.start(given), np.ones(given.mean.shape[:2], dtype=bool)
     for _ in range(rounds):
         content = rule.exchange(content, everybody, None)

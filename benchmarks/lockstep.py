@@ -120,7 +120,7 @@ class Traffic(NamedTuple):
 
 
 def traffic_of(messages: Sequence[tuple[str, bytes]]) -> Traffic:
-    """What a run sends."""
+    """Return the traffic of a run."""
     sizes: dict[str, int] = {}
     seen: list[bool] = []
     for topic, data in messages:

@@ -42,8 +42,10 @@ def figure(values: list[float], unit: str, better: Better) -> Figure:
 
 
 def in_turns(contestants: Mapping[str, Callable[[], float]], turns: int) -> dict[str, list[float]]:
-    """What every contestant gives (seconds per unit of its work), turn by turn; the first turn,
-    which loads and compiles, is left out."""
+    """Return each contestant's seconds per unit of work, turn by turn.
+
+    The first turn loads and compiles, so it is left out.
+    """
     keep_freed_memory()
     given: dict[str, list[float]] = {name: [] for name in contestants}
     for turn in range(turns + 1):
@@ -78,7 +80,7 @@ def without_kernels(run: Callable[[], float]) -> Callable[[], float]:
 
 
 def machine() -> dict[str, str]:
-    """What the figures were measured on."""
+    """Return the machine and the versions on which the figures were measured."""
     cpu = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():

@@ -1,8 +1,8 @@
 """One node fed from memory, beside the bare loop of the same messages and filter calls.
 
-Nobody waits and nothing comes over zenoh: this is what a step takes of a processor in a node alone.
-In a network other processes have had the processor before each wait, and the caches hold what is
-theirs; `cold` turns them out wherever a node would wait for the first message of a round.
+The node never waits and zenoh is not used, so the figure is the processor time of a step in one
+node. In a network, other processes use the processor and fill its caches before each wait. `cold`
+therefore clears the caches wherever a node would wait for the first message of a round.
 """
 
 import time
@@ -68,7 +68,7 @@ class _Memory:
         return topic, self._queues[topic].popleft()
 
     def send(self, topic: str, data: bytes) -> None:
-        """Nobody hears it; after its last estimate a node hears that all is over."""
+        """Drop the message; after the node's last estimate, deliver the end of the run."""
         if topic.startswith("estimate/"):
             self._left -= 1
             if not self._left:
@@ -84,7 +84,7 @@ class _Memory:
         """Nothing but what is asked for."""
 
     def watch(self, *_: object) -> None:
-        """Nobody comes or goes."""
+        """Ignore the request, because no peer joins or leaves."""
 
     def wake(self, *_: object) -> None:
         """Nobody sleeps."""

@@ -1,4 +1,4 @@
-"""Somebody who looks at a page, without a browser: takes all that it sends and draws nothing.
+"""Client of a page without a browser: it receives every message and draws nothing.
 
 A browser draws on a graphics card, or on another computer; here it would draw on the processors
 that are measured. `python -m benchmarks.onlooker PORT` looks until it is ended.

@@ -1,4 +1,4 @@
-"""What `make bench` measured as a picture, for the page on performance and the README.
+"""Picture of the results of `make bench`, for the page on performance and the README.
 
 python -m benchmarks.picture runs/bench.json docs/performance.png draws it again.
 """
@@ -70,7 +70,7 @@ INK, GREY = "#2a6f97", "#6b6b6b"
 
 
 def draw(results: Results, path: Path) -> None:
-    """All that was measured, one panel a question; what was not measured is left out."""
+    """Draw the measured results, one panel per question; missing results are left out."""
     import matplotlib.pyplot as plt
 
     figure = plt.figure(figsize=(12.5, 7.2), layout="constrained")

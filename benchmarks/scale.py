@@ -1,8 +1,8 @@
-"""What a step costs as the network grows: ten to ten thousand nodes, and of a thousand nodes two
-thousand to thirty-two thousand edges; always the same number of lanes.
+"""Cost of a step as the network grows, at a constant number of lanes.
 
-`simulate` runs regular networks; runs are as many as make up the lanes, so
-that what is compared is the size of the network and not that of the arrays.
+The sizes are ten to ten thousand nodes and, for a thousand nodes, two thousand to thirty-two
+thousand edges. `simulate` runs regular networks. The number of runs is chosen to fill the lanes, so
+the arrays have one size and only the size of the network varies.
 """
 
 import time

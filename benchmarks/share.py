@@ -1,4 +1,4 @@
-"""What it takes to put a share into its frame and to read it again, checksums and all."""
+"""Time to encode a share into its frame and to decode it, with checksums."""
 
 import time
 from collections.abc import Callable

@@ -13,8 +13,11 @@ _REST = 0.35
 
 
 class Extent(NamedTuple):
-    """What can be shown: steps `first` to `last`, `rounds` cycles in the shown one; `growing` while
-    more will come."""
+    """Extent of the recording: steps `first` to `last`.
+
+    `rounds` is the number of cycles in the shown step; `growing` is True while more steps will
+    come.
+    """
 
     first: int
     last: int

@@ -15,7 +15,7 @@ from plants.draws import Array, Draws, GeneratorFor
 
 @dataclass(frozen=True, eq=False)
 class BoundedModel:
-    """What filters know: the system, and how a known control (p,) enters, by G (n, p)."""
+    """Model of the filters: the system, and how a known control (p,) enters, by G (n, p)."""
 
     system: BoundedSystem
     control_matrix: Array
@@ -37,7 +37,8 @@ class BoundedModel:
 
 @dataclass(frozen=True, eq=False)
 class OutputSensor:
-    """What a node reads: one output of the system; `noise_bound` is its largest disturbance."""
+    """Sensor of a node: it reads one output of the system; `noise_bound` is its largest
+    disturbance."""
 
     system: BoundedSystem
     output: int
@@ -113,7 +114,8 @@ class BoundedNetwork:
         return moved + noise @ self.system.scaled_noise_input(step).T
 
     def observe(self, state: Array, noise: Array, step: int) -> Array:
-        """What the nodes read (..., nodes, 1, 1) of state (..., n), noise (..., nodes, 1, q)."""
+        """Return the nodes' readings (..., nodes, 1, 1) of state (..., n), noise (..., nodes, 1,
+        q)."""
         dealt = np.arange(self.nodes) % len(self.noise_bounds)
         exact = state @ self.system.output(step)[dealt].T
         disturbance = self.system.scaled_feedthrough(step)[dealt][:, None]

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 
 class Output(NamedTuple):
-    """What a node sees: `row` (2,) times the state, with noise of `noise_std`."""
+    """Output that a node measures: `row` (2,) times the state, with noise of `noise_std`."""
 
     row: tuple[float, float]
     noise_std: float
@@ -144,7 +144,7 @@ class Oscillator:
         )
 
     def sensor(self, node: int) -> ScalarSensor:
-        """What one of the nodes sees."""
+        """Return the sensor of one node."""
         return self.sensors.for_node(node)
 
     def positions(self, step: int) -> None:
@@ -166,7 +166,7 @@ class Oscillator:
         return self.model.transition(state, control, step) + noise @ factor.T
 
     def observe(self, state: Array, noise: Array, step: int) -> Array:
-        """What the nodes deliver, (..., nodes, 1, 1), of states (..., 2) for such noise."""
+        """Return the nodes' readings (..., nodes, 1, 1) of states (..., 2) for this noise."""
         exact = self.sensors.measure(state[..., None, :], step)
         delivered = exact + noise[..., 0, :] * self.sensors.noise_std[:, None]
         delivered[..., self._blind, :] = np.nan

@@ -3,8 +3,8 @@
     x[s+1] = f(x[s], u[s], s) + g(x[s], eta[s]) + w[s]
     y[s] = h(x[s], s) + b(x[s], zeta[s]) + v[s]
 
-g and b are sums of terms A Z B x with a matrix Z of independent standard normal numbers, so that
-E{g | x} = 0 and E{g g' | x} = sum_t Pi_t x' Gamma_t x with Pi = A A', Gamma = B' B: any second
+g and b are sums of terms A Z B x with a matrix Z of independent standard normal numbers. So
+E{g | x} = 0 and E{g g' | x} = sum_t Pi_t x' Gamma_t x with Pi = A A', Gamma = B' B. Any second
 moment of that form has such a term. Source: Meng et al. (2025), UKF for nonlinear systems with
 stochastic nonlinearities under FlexRay protocol, equation (1).
 """

@@ -52,7 +52,7 @@ def union(graphs: Sequence[Adjacency]) -> Adjacency:
 
 
 def links_of(adjacency: Adjacency) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Who hears (links,) and who is heard (links,), by hearer and then by heard."""
+    """Return the receivers (links,) and senders (links,), ordered by receiver, then sender."""
     entries = csr_array(adjacency).tocoo()
     order = np.lexsort((entries.col, entries.row))
     return entries.row[order].astype(np.intp), entries.col[order].astype(np.intp)

@@ -1,7 +1,7 @@
-"""The most hops between two nodes: exactly where that can be paid for, else between two bounds.
+"""Diameter of a graph in hops: exact where the cost allows it, otherwise two bounds.
 
-Source: Takes, Kosters (2011), Determining the diameter of small world networks, CIKM: each search
-bounds how far every other node can be from its farthest one, and most need never be searched from.
+Source: Takes, Kosters (2011), "Determining the diameter of small world networks", CIKM. Each search
+bounds the eccentricity of every other node, so most nodes need no search of their own.
 """
 
 import math

@@ -93,7 +93,7 @@ _BUILDERS: dict[str, Callable[[int, int], Adjacency]] = {
 }
 
 
-# What follows the colon is a path.
+# The text after the colon is a path.
 _SOURCES: dict[str, Callable[[str, int | None], Network]] = {
     "file": lambda path, nodes: read_network(path, nodes),
     "directed": lambda path, nodes: read_network(path, nodes, directed=True),

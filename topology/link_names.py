@@ -1,4 +1,4 @@
-"""What becomes of links while a network runs, by name: `bernoulli:0.1`, `switching:ring,star:10`.
+"""Behaviour of links during a run, by name: `bernoulli:0.1`, `switching:ring,star:10`.
 
 | name | meaning |
 |---|---|
@@ -7,8 +7,8 @@
 | bernoulli:P | a link is down with probability P in a step |
 | markov:F,R | an up link fails with probability F in a step, a down one comes back with R |
 | switching:A,B,...:STEPS | one graph after another, for so many steps each |
-| moving:RANGE | who is within RANGE m of where the plant has the nodes hears |
-| moving:RANGE,WANDER,PERIOD | the same, nodes circle around their places: radius in m, steps |
+| moving:RANGE | a node hears the nodes within RANGE m of its position in the plant | |
+moving:RANGE,WANDER,PERIOD | the same, nodes circle around their places: radius in m, steps |
 """
 
 import math
@@ -36,7 +36,7 @@ EXAMPLES = {
 
 
 class LinkPlan(NamedTuple):
-    """What becomes of links: the name of `NAMES`, its numbers, and the names of its graphs."""
+    """Behaviour of links: the name of `NAMES`, its numbers, and the names of its graphs."""
 
     kind: str
     numbers: tuple[float, ...] = ()

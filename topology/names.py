@@ -1,4 +1,4 @@
-"""What to answer when a name is not known."""
+"""Error messages for unknown names."""
 
 import difflib
 from collections.abc import Iterable

@@ -1,1 +1,1 @@
-"""What the dashboard draws: messages and recordings turned into frames."""
+"""Frames that the dashboard draws, made from messages and recordings."""

@@ -54,7 +54,7 @@ class Assembler:
         return self._stage
 
     def hear(self, event: bytes) -> None:
-        """What became of the network, from a step on that it names."""
+        """Apply an event of the network, which holds from the step that it names."""
         change = read_change(event)
         self._changes += [change] if change else []
 

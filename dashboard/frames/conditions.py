@@ -1,4 +1,4 @@
-"""What state each node is in, as one word: the same for scene, table and bus."""
+"""Condition of each node as one word, the same for scene, table and bus."""
 
 import numpy as np
 
@@ -42,7 +42,7 @@ def oldest(stage: Stage, frame: Frame) -> np.ndarray:
 
 
 def sender_at(frame: Frame, cursor: float) -> tuple[int, float]:
-    """Who is on the bus at a place within the step (-1 nobody), and the time within the cycle.
+    """Return the sender on the bus at a cursor (-1: none), and the time within the cycle.
 
     The cursor counts cycles of the step; its fraction is a fraction of the frames of that cycle, so
     that every frame is shown equally long however short it is.

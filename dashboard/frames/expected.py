@@ -1,4 +1,4 @@
-"""What is to be expected of a run: told from outside, from other runs of the same scenario."""
+"""Expected errors of a run, computed elsewhere from other runs of the same scenario."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -22,6 +22,6 @@ Expectation = Callable[[Array], Expected]
 
 
 def nothing_expected(times: Array) -> Expected:
-    """Nobody has computed anything, or not yet."""
+    """Return an expectation without values, for a run whose values are not computed."""
     unknown = np.full(len(times), np.nan)
     return Expected(unknown, unknown, unknown)

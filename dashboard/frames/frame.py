@@ -1,4 +1,4 @@
-"""What is drawn at once: the network after one step, as one value."""
+"""Frame of the dashboard: the network after one step, as one value."""
 
 from typing import NamedTuple
 

@@ -1,7 +1,7 @@
-"""A network that runs: heard without holding it up, commanded through what it answers to.
+"""Running network: received without slowing it, commanded through its control interface.
 
-Hearing costs a processor that the network needs. So the page hears whole steps, of which the
-recorder offers every one of a slow network and some of a fast one (`py`).
+Each received message costs processor time that the network needs. So the page receives whole steps:
+the recorder offers every step of a slow network and some steps of a fast one (`py`).
 """
 
 import time
@@ -28,7 +28,7 @@ _QUEUE = 1000
 
 
 class Standing(msgspec.Struct):
-    """What changes have made of a network so far."""
+    """State of a network after its changes so far."""
 
     settings: dict[str, Any] = {}
     loss: float | None = None
@@ -39,7 +39,7 @@ class Standing(msgspec.Struct):
 
 
 class Situation(msgspec.Struct):
-    """What a network answers to `state` (docs/control.md)."""
+    """Answer of a network to `state` (docs/control.md)."""
 
     run: str
     setup: Setup
@@ -119,13 +119,13 @@ class LiveNetwork:
         before = self._begun_and_done
         try:
             state = msgspec.convert(self._client.state(), _Pause)
-            # What was said before a command and is heard after it is no longer so.
+            # A message that was sent before a command and arrives after it is out of date.
             if self._begun_and_done == before:
                 self._state = state
         except NotThere:
             self._ended = True
         except Exception:
-            # Whoever leaves does not wait for an answer that nobody needs.
+            # A page that closes need not wait for the answer.
             if not self._closed:
                 raise
         finally:
@@ -163,7 +163,7 @@ class LiveNetwork:
 
 
 def network_of(situation: Situation) -> Network:
-    """What is known of a network when one begins to listen."""
+    """Return the network as known when the page begins to receive."""
     standing = situation.standing
     rounds = int(standing.settings.get("rounds", situation.setup.scenario.rounds))
     return Network(

@@ -1,4 +1,4 @@
-"""What has become of a network since its start: who is in it, which links are cut, its settings.
+"""State of a network since its start: its nodes, its cut links, its settings.
 
 The changes are those of docs/control.md; each holds from the step that it names.
 """
@@ -116,7 +116,7 @@ def _loss(network: Network, change: Change, names: tuple[str, ...]) -> tuple[Net
 
 
 def _fault(change: Change, names: tuple[str, ...]) -> Event:
-    """What is wrong from now on, in the words in which it was asked for."""
+    """Return the event of a fault, in the words of its request."""
     kind, facts = str(change.facts["kind"]), change.facts
     place, nodes = EVERY_FAULT[kind].place, [int(node) for node in facts["nodes"]]
     known = CHANNELS if place == "channel" else names

@@ -12,7 +12,7 @@ _FRAMES_PER_POLL = 40
 
 
 class Answer(NamedTuple):
-    """What a network says to a command."""
+    """Answer of a network to a command."""
 
     accepted: bool
     detail: str
@@ -84,7 +84,7 @@ class Recorded:
         return Pace("LOADING" if self._frames is not None else "RECORDED")
 
     def ask(self, command: dict[str, Any]) -> Answer:
-        """Nobody is there to obey."""
+        """Refuse the command, because no network is running."""
         return Answer(False, f"{command.get('do')}: this is a recording; nothing runs")
 
     def close(self) -> None:

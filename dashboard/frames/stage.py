@@ -1,4 +1,4 @@
-"""What a picture of a network stands on: everything that its setup fixes before the first message.
+"""Fixed part of a network's picture: everything that its setup determines before the run.
 
 Plants that live in the plane are drawn where they are; a car is drawn on its track; any other
 network is laid out by its graph, because its nodes have no place in space.
@@ -76,7 +76,7 @@ class Stage:
 
     @property
     def fused_name(self) -> str:
-        """What all believe together; of sets it is made of the ellipsoids that hold them."""
+        """Name of the fused belief of all nodes; sets are fused by their enclosing ellipsoids."""
         return "fused ellipsoids" if self.certain else "fused"
 
     @cached_property

@@ -88,7 +88,7 @@ class Controls:
             self._inputs.alter(lambda view: setattr(view, "speed", rate))
 
     def show_paused(self, paused: bool) -> None:
-        """What the button says."""
+        """Set the button's label."""
         self.pause.label = "Resume" if paused else "Pause"
         self.pause.icon = viser.Icon.PLAYER_PLAY if paused else viser.Icon.PLAYER_PAUSE
 

@@ -1,4 +1,4 @@
-"""What can be taken away: the scene as an animated page, a picture of it, the run."""
+"""Exports: the scene as an animated page, a picture of it, the run."""
 
 import io
 import zipfile

@@ -126,7 +126,7 @@ class _Drawing:
         return [k * step for k in range(1, int(span / step) + 1)]
 
     def _scale_marks(self) -> str:
-        """What the circles or the ends of the axes measure."""
+        """Return the labels of the circles or of the ends of the axes."""
         middle = SIZE / 2
         if self._is_map:
             unit = escape(self._stage.state_units[self._states[0]])
@@ -148,7 +148,7 @@ class _Drawing:
     def _set(
         self, node: int, mean: Array, cov: Array, colour: Colour, opacity: float, width: float
     ) -> str:
-        """What a node believes: its zonotope, where it keeps one, or its ellipse."""
+        """Return the belief of a node: its zonotope, if the node keeps one, or its ellipse."""
         generators = self._frame.zonotopes[node]
         if generators is None:
             return self._ellipse(mean, cov, colour, opacity, width)

@@ -1,4 +1,4 @@
-"""What the network looks at, in the scene: what every picture of a plant must be able to do."""
+"""Plant in the scene, and the interface of every picture of a plant."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol

@@ -9,7 +9,7 @@ from plants.linear import LinearPlant
 
 
 class Controller(Protocol):
-    """What closed_loop asks of a controller; see controllers.py."""
+    """Interface between `closed_loop` and a controller; see controllers.py."""
 
     @property
     def initial_memory(self) -> Array: ...

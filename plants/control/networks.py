@@ -1,8 +1,8 @@
-"""Who measures what on the control plants, and with which noise: the paper names none of it.
+"""Sensors and noise of the control plants, which the paper does not specify.
 
-Two presets. `matched` is this project's proposal: several nodes with one scalar sensor each, two
-blind ones, and a filter that believes the noise the truth has. `paper` is the paper's table as it
-stands, a comparison with it and nothing else (see PAPER_WARNING).
+Two presets. `matched` is this project's proposal: several nodes with one scalar sensor each and two
+nodes without a sensor; the filter assumes the true noise. `paper` is the paper's own table, for
+comparison only (see PAPER_WARNING).
 """
 
 from typing import Literal, NamedTuple

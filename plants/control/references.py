@@ -1,4 +1,4 @@
-"""What a controller is asked to follow, and the road: signals held over whole steps."""
+"""References of the controllers, and the road profile: signals held over whole steps."""
 
 from dataclasses import dataclass
 

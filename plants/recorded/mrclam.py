@@ -56,7 +56,7 @@ class RecordedTarget:
         return self.model.time_step_s
 
     def sensor(self, node: int) -> Sighting:
-        """What one of the nodes sees."""
+        """Return the sensor of one node."""
         return self.sensors.for_node(node)
 
     def positions(self, step: int) -> Array:

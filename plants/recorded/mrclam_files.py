@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 class Robot(NamedTuple):
-    """What one robot left; times are absolute, in s."""
+    """Log of one robot; times are absolute, in s."""
 
     truth: Array  # (t, 4): time, x m, y m, heading rad
     measurements: Array  # (m, 4): time, barcode, range m, bearing rad
@@ -97,7 +97,7 @@ def _table(file: Path, columns: int) -> Array:
 
 
 def _complaint(file: Path, lines: list[str], columns: int) -> ValueError:
-    """What is wrong with the first bad line; looked for only after fast reading has failed."""
+    """Return the error of the first bad line; called only after fast reading has failed."""
     for number, line in enumerate(lines, start=1):
         fields = [] if line.lstrip().startswith("#") else line.split()
         if fields and len(fields) != columns:

@@ -12,7 +12,7 @@ FRONT_LEFT, FRONT_RIGHT, REAR_LEFT, REAR_RIGHT = range(4)
 
 
 class Drive(NamedTuple):
-    """What happened in a drive of (steps,) samples; NaN where nobody knows it.
+    """Time series of a drive of (steps,) samples; NaN where a value is unknown.
 
     ISO 8855 axes at the centre of mass: x forward, y left, yaw positive to the left.
 
@@ -20,8 +20,8 @@ class Drive(NamedTuple):
         time_step_s: between samples.
         steering_rad: road-wheel angle.
         yaw_rate_rad_s, side_slip_rad (atan vy / vx), speed_m_s (vx).
-        longitudinal_acceleration_m_s2, lateral_acceleration_m_s2: what a levelled accelerometer
-            feels, vx' - yaw rate vy and vy' + yaw rate vx.
+        longitudinal_acceleration_m_s2, lateral_acceleration_m_s2: the readings of a levelled
+            accelerometer, vx' - yaw rate vy and vy' + yaw rate vx.
         wheel_speed_m_s: circumference speeds (steps, 4).
         heading_rad: yaw angle, 0 at the start.
     """

@@ -35,7 +35,7 @@ UNITS = {
     "m/s2": 1.0,
     "g": GRAVITY_M_S2,
 }
-"""What one of a unit is in SI."""
+"""Factor from a unit to SI."""
 
 _WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
 _UNEVEN = 0.01  # of a sample: logs are stamped with a little jitter

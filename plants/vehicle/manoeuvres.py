@@ -1,4 +1,4 @@
-"""What a driver does, as data: programs of steering and speed, and a driver who follows a path."""
+"""Manoeuvres as data: programs of steering and speed, and a driver that follows a path."""
 
 import math
 from dataclasses import dataclass
@@ -8,7 +8,8 @@ import numpy as np
 
 
 class Motion(NamedTuple):
-    """What a driver sees of the car: place m, heading rad, speeds m/s along and across it."""
+    """Motion of the car as its driver sees it: place m, heading rad, speeds m/s along and across
+    it."""
 
     x_m: float
     y_m: float
@@ -67,8 +68,11 @@ class Signal(Protocol):
 
 
 class Driver(Protocol):
-    """Who steers: `steering(time, motion)` is the road-wheel angle in rad that is wanted, and
-    `lag_s` how long the wheels take to follow."""
+    """Driver that steers.
+
+    `steering(time, motion)` is the commanded road-wheel angle in rad; `lag_s` is the delay of the
+    wheels.
+    """
 
     @property
     def lag_s(self) -> float: ...

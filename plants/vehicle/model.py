@@ -38,7 +38,7 @@ def tanh_tyre(slip: Array, stiffness: Array | float, limit: Array | float) -> Ar
 
 
 class Axles(NamedTuple):
-    """What the tyres of either axle can do: N/rad and N; floats, or arrays of one shape (...)."""
+    """Stiffness N/rad and greatest force N of both axles; floats, or arrays of one shape (...)."""
 
     front_stiffness: Array | float
     rear_stiffness: Array | float
@@ -97,7 +97,7 @@ class SingleTrack:
         )
 
     def lateral_acceleration(self, state: Array, steering: Array) -> Array:
-        """What a lateral accelerometer feels (...), m/s^2."""
+        """Return the reading of a lateral accelerometer (...), m/s^2."""
         front, rear = self.axle_forces(state, steering)
         return (front + rear) / self.car.mass_kg
 

@@ -43,13 +43,13 @@ ERRORS: tuple[tuple[SensorError, ...], ...] = (
 lateral and longitudinal acceleration; steering; speed and course over ground."""
 
 BELIEVED_STD = ((0.1, 0.1), (0.005, 1.0, 0.05), (0.0005,), (0.05, 0.003))
-"""What the nodes start from: the data sheets, but for the lateral acceleration, which the
-single-track model tells no better than that."""
+"""Noise that the filters assume. The values are those of the data sheets, except the lateral
+acceleration, whose value covers the error of the single-track model."""
 
 
 @dataclass(frozen=True, eq=False)
 class DrivenCar:
-    """What every node believes: the single-track model, driven by what it has of the inputs.
+    """Model of every node: the single-track model, driven by the inputs that the node has.
 
     walk_std: of steering rad and acceleration m/s^2 in a step.
     """
@@ -116,7 +116,7 @@ class CarSensor:
 
 
 def sensor(node: int, single_track: SingleTrack) -> CarSensor:
-    """What one of `NODES` measures."""
+    """Return the sensor of one of `NODES`."""
 
     car = single_track.car
 
@@ -216,7 +216,7 @@ class DrivenOnce:
         return np.broadcast_to(after, state.shape)
 
     def observe(self, state: Array, noise: Array, step: int) -> Array:
-        """What the sensors deliver at a step for noise (..., 4, 1, 3)."""
+        """Return the sensors' readings at a step for noise (..., 4, 1, 3)."""
         return self.exact[step] + self._bias + self._std[step] * noise
 
     @cached_property
@@ -278,7 +278,7 @@ def replayed(drive: Drive, car: Car, time_step_s: float) -> DrivenOnce:
 
 
 def _readings(drive: Drive, car: Car) -> Array:
-    """What all but the satellites deliver (steps, 4, 1, 3)."""
+    """Return the readings (steps, 4, 1, 3) of all sensors except satellite navigation."""
     readings = np.full((drive.steps, len(NODES), 1, CHANNELS), np.nan)
     free = REAR_LEFT if car.driven_axle == "front" else FRONT_LEFT
     readings[:, 0, 0, :2] = drive.wheel_speed_m_s[:, free : free + 2]

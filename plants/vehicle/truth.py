@@ -135,7 +135,7 @@ def multi_body() -> Body:
     from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
 
     def sample(x: Array, f: Array, p: Any) -> list[float]:
-        # What the library calls left is where y is negative: right, in our axes.
+        # The library's left side has negative y, so it is the right side in our axes.
         wheels = [p.R_w * x[wheel] for wheel in (24, 23, 26, 25)]
         return [x[5], x[3], x[10], f[3], f[10], *wheels]
 
@@ -148,7 +148,7 @@ def multi_body() -> Body:
 
 
 def data_sheet(car: TrueCar) -> Car:
-    """What the library's parameters say of a car; stiffness is the slope of its tyres at no slip.
+    """Return a car by the library's parameters; stiffness is the slope of its tyres at no slip.
 
     Raises:
         ValueError: the library is not installed.

@@ -1,11 +1,11 @@
 """Cornering stiffness of a car's axles from one of its drives, by output error.
 
-The single-track model is driven with the steering and the speed of the log; stiffnesses (and the
-friction, for a tyre that saturates) are those for which yaw rate, lateral acceleration and, where
-it is known, side slip come nearest to what was logged, in least squares. Constant offsets of
-steering, lateral acceleration and side slip are estimated along, for no log is free of them; the
-gyroscope is taken to be zeroed, as cars do whenever they stand, or the steering's offset could not
-be told from its own.
+The steering and the speed of the log drive the single-track model. The fit varies the stiffnesses,
+and the friction for a tyre that saturates. It minimises the squared errors of yaw rate, lateral
+acceleration and, where it is known, side slip. The fit also estimates constant offsets of steering,
+lateral acceleration and side slip, because every log has them. It assumes a zeroed gyroscope, as
+cars zero theirs at standstill; the steering's offset could not otherwise be separated from the
+gyroscope's.
 
 Source: Ljung (1999), System identification, chapter 7 (prediction-error methods; with no noise
 model, output error). Standard errors are those of least squares with white residuals; residuals of
@@ -33,7 +33,7 @@ _STEP = 1e-4  # of the finite differences, in the logarithm of a parameter or in
 
 
 class Identified(NamedTuple):
-    """What a drive says of a car.
+    """Parameters of a car, identified from a drive.
 
     Attributes:
         car: with the stiffnesses found (and friction, if it was sought).
