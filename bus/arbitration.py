@@ -1,4 +1,4 @@
-"""Who wins the slots of a cycle for which nodes contend.
+"""Arbitration: choose the winners of the slots for which nodes contend in a cycle.
 
 An arbiter says how urgent each request is; the bus awards its slots in that order. Both work on any
 number of runs at once: a bus that serves messages is a batch of shape `()`.
@@ -17,7 +17,7 @@ NO_BID = -1
 
 
 class ArbiterState(NamedTuple):
-    """What an arbiter may remember, of any number of runs.
+    """State that an arbiter may remember, of any number of runs.
 
     Attributes:
         last_frame_id: (...,), of the slot awarded last; 0 before the first.
@@ -83,7 +83,7 @@ def award(
     slots: int,
     fits: Fits | None = None,
 ) -> tuple[ArbiterState, NDArray[np.bool_]]:
-    """Award the slots of one part of a cycle.
+    """Award the slots of one group of a cycle.
 
     Args:
         arbiter: orders the requests.

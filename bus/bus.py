@@ -24,7 +24,7 @@ class Rejected(Exception):
 
 
 class Fragment(msgspec.Struct, frozen=True):
-    """What one frame carries of a share: in which slot, and in which cycle since the start."""
+    """Fragment of a share in one frame: in which slot, and in which cycle since the start."""
 
     frame_id: int
     cycle: int
@@ -102,12 +102,12 @@ class Bus(Protocol):
 
     @property
     def name(self) -> str:
-        """What people call it."""
+        """Return the name for people."""
         ...
 
     @property
     def schedule(self) -> Schedule:
-        """Who may send in which cycle."""
+        """Return which nodes may send in which cycle."""
         ...
 
     @property
@@ -228,7 +228,7 @@ class Bus(Protocol):
         ...
 
     def load(self, transmissions: Sequence[Transmission]) -> float:
-        """Return which part of a cycle the busier channel carries frames; NaN without time."""
+        """Return the fraction of a cycle that the busier channel is in use; NaN without time."""
         ...
 
     def fusion_delay_us(self, rounds: int, last_cycle: Sequence[Transmission]) -> float:

@@ -28,17 +28,17 @@ LARGEST_BID = 2**53
 
 
 def zero_order_hold(received: Array) -> Array:
-    """What a silent sensor is taken to measure: the last value that it sent."""
+    """Return the assumed measurement of a silent sensor: the last value that it sent."""
     return received
 
 
 def zero_input(received: Array) -> Array:
-    """What a silent sensor is taken to measure: zero."""
+    """Return the assumed measurement of a silent sensor: zero."""
     return np.zeros_like(received)
 
 
 class Slot(NamedTuple):
-    """What the receiver knows after a slot.
+    """Knowledge of the receiver after a slot.
 
     Attributes:
         sent: (..., N), which sensors transmitted in this slot.

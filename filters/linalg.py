@@ -59,7 +59,7 @@ def inverse_spd(matrix: np.ndarray) -> np.ndarray:
 
 
 def factor_and_inverse(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What `cholesky` and `inverse_spd` give, for little more than the price of the second."""
+    """Return the results of `cholesky` and `inverse_spd` for little more than the second costs."""
     factor = cholesky(matrix)
     whitener = inverse_of_triangle(factor)
     return factor, np.einsum("...ki,...kj->...ij", whitener, whitener)

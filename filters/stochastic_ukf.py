@@ -49,7 +49,7 @@ class Observation(NamedTuple):
 
 
 class Received(NamedTuple):
-    """What came in a slot: values (..., m), fresh or held, and which are fresh (..., m)."""
+    """Reception of a slot: values (..., m), fresh or held, and which are fresh (..., m)."""
 
     values: np.ndarray
     fresh: np.ndarray

@@ -3,6 +3,7 @@
 With sigma points X_s of weights w_s, and the model's values Y_s = f(X_s) at them:
 
     predict   x = sum w_s Y_s,  P = sum w_s (Y_s - x) (Y_s - x)' + Q
+
     update    y = sum w_s Y_s,  S = sum w_s (Y_s - y) (Y_s - y)' + R,
               C = sum w_s (X_s - x) (Y_s - y)',  K = C S^-1,
               x + K (z - y),  P - K S K'
@@ -11,7 +12,7 @@ Sigma points lie on the first axis; all axes between it and the last are lanes, 
 plain callables on sigma points, (S, ..., n) -> (S, ..., n or m); the caller binds control and time.
 
 Source: Wan and Van der Merwe (2001), The unscented Kalman filter, in Haykin (ed.), Kalman filtering
-and neural networks, chapter 7, the form for additive noise; with the points redrawn from the
+and neural networks, chapter 7, the form for additive noise. The points are redrawn from the
 predicted belief before the update, so that they spread with the process noise as well.
 """
 

@@ -1,4 +1,4 @@
-"""What a measurement did to a belief; entries that were not taken, lanes that keep their belief."""
+"""Result of a measurement update; helpers for missing entries and for lanes that keep a belief."""
 
 import math
 from typing import NamedTuple

@@ -1,10 +1,10 @@
-"""What any message may be at most, whoever sent it: sizes and ranges, refused before it is used."""
+"""Bounds on the size and the numbers of any message; a receiver checks them before use."""
 
 from typing import Annotated
 
 from msgspec import Meta, MsgspecError
 
-# What a decoder of JSON may raise for bytes that are none, or nested too deep.
+# Exceptions that a decoder of JSON may raise for bytes that are not JSON, or nested too deep.
 UNREADABLE = (MsgspecError, UnicodeDecodeError, RecursionError)
 # An estimate of a hundred states takes about 120 kB of JSON.
 MAX_MESSAGE_BYTES = 1 << 20

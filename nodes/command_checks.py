@@ -1,4 +1,4 @@
-"""Which commands a network can obey that stands as it does: all others are refused, and why."""
+"""Checks of commands: refuse each one that the network cannot obey now, and say why."""
 
 import difflib
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ from nodes.faults.active import PLAIN, Equipment
 from nodes.faults.vocabulary import CHANNELS, FAULTS, usage
 
 MAX_STEPS_AT_ONCE = 1000
-# Whoever wants fewer pauses the network and asks for steps.
+# A user who wants a slower run pauses the network and asks for single steps.
 MIN_STEPS_PER_SECOND, MAX_STEPS_PER_SECOND = 0.001, 1000.0
 
 

@@ -1,4 +1,4 @@
-"""What a person may ask of a network that runs: commands, their bytes, and their words.
+"""Commands that a user may give to a running network, their bytes, and their words.
 
 The words are those of `concord control` and of scripts: `kill 3`, `cut 1 2`, `loss 0.1 1 2`,
 `corrupt 0.05`, `set rule=hcmci rounds=2`; those of faults are in `nodes/faults/vocabulary.py`.
@@ -105,7 +105,7 @@ class Configure(msgspec.Struct, frozen=True, tag="set", tag_field="do", forbid_u
 
 
 PaceCommand = Pause | Resume | Step | Speed
-# What may begin while steps are under way, whoever has missed it.
+# Commands that may take effect while steps are under way, even if some node has missed them.
 TimelyCommand = Kill | Restart | CutLink | HealLink | LoseFrames | Partition | Inject | Soothe
 ChangeCommand = TimelyCommand | Configure
 Command = PaceCommand | ChangeCommand

@@ -1,8 +1,8 @@
 """The short way of the frames that are due: nearly all come when, and as, they are expected.
 
-What is expected of a neighbour in the open cycle is known to the last bit but for the body and its
-checksum. Whatever differs takes the long way (`nodes/inbox.py`), which finds out what it is; a
-frame that is due would come to the same there.
+The frame expected of a neighbour in the open cycle is known to the last bit but for the body and
+its checksum. A frame that differs takes the slow path (`nodes/inbox.py`), which finds out what it
+is. For a frame that is due, both paths give the same result.
 """
 
 from collections.abc import Sequence

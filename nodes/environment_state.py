@@ -106,7 +106,7 @@ class EnvironmentConfig:
 
     @property
     def schedule(self) -> Schedule:
-        """Who may send in which cycle."""
+        """Return which nodes may send in which cycle."""
         return self.bus.schedule
 
     def cycle_of(self, step: int) -> int:

@@ -1,4 +1,4 @@
-"""What a node computes, apart from when: the face that every fusion rule shows the state machine.
+"""Estimator: a node's computation, apart from its timing; the interface of every fusion rule.
 
 `nodes/node.py` decides when a step begins, who is waited for and when a round is over; an
 `Estimator` decides what is shared and what becomes of what was heard. Its `Content` is a value that
@@ -39,7 +39,7 @@ class Estimator(Protocol):
         ...
 
     def compose(self, content: Content) -> tuple[Content, bytes]:
-        """What to share now."""
+        """Return the share to send now."""
         ...
 
     def accept(self, body: bytes) -> Share:

@@ -60,8 +60,8 @@ _CONTROLLER_TAGS = (
 def cluster_from_fibex(text: str | bytes, name: str | None = None) -> Cluster:
     """The FlexRay cluster of a FIBEX document; `name` chooses where there are several.
 
-    What a file without controllers leaves open gets the usual value: microticks of 25 ns, the
-    longest dynamic payload and the largest pLatestTx that the dynamic segment allows. The cycle
+    A file without controllers leaves fields open; they get the usual values: microticks of 25 ns,
+    the longest dynamic payload and the largest pLatestTx that the dynamic segment allows. The cycle
     counter runs to 63, as FlexRay 2.1 has it, unless CYCLE-COUNT-MAX says otherwise. Raises
     FibexError for a document that is not well-formed, declares a document type (entities can be
     made to fill the memory), or has missing or contradictory elements.
@@ -201,8 +201,10 @@ def _bit_rate_mbps(element: Element, where: str) -> float:
 
 
 def _controller_fields(controllers: Sequence[Element]) -> dict[str, Any]:
-    """What the controllers say: the earliest pLatestTx and the longest payload of any; the
-    microtick of the first that has one, as controllers may differ in their clocks."""
+    """Return the controllers' values: the earliest pLatestTx and the longest payload of any.
+
+    The microtick is that of the first controller that has one; controllers may differ in clocks.
+    """
     payload, latest, count, microtick = (
         [
             value

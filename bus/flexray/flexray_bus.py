@@ -91,7 +91,7 @@ class FlexRayBus(SlottedBus):
         return (*static, *dynamic_transmissions(self.cluster, winners))
 
     def load(self, transmissions: Sequence[Transmission]) -> float:
-        """Return which part of a cycle the busier channel carries frames."""
+        """Return the fraction of a cycle in which the busier channel carries frames."""
         return max(bus_load(self.cluster, transmissions, channel) for channel in self.channels)
 
     def fusion_delay_us(self, rounds: int, last_cycle: Sequence[Transmission]) -> float:

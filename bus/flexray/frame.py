@@ -21,8 +21,8 @@ OVERHEAD_BYTES = HEADER_BYTES + TRAILER_BYTES
 
 _HEADER_CRC = anycrc.Model("CRC11-FLEXRAY")
 _FRAME_CRC = {"A": anycrc.Model("CRC24-FLEXRAY-A"), "B": anycrc.Model("CRC24-FLEXRAY-B")}
-# A CRC register that starts at I over 20 bits is one that starts at 0 over the bits with I added
-# to the first 11 of them; then four zero bits in front, which make whole bytes, change nothing.
+# A 20-bit CRC register that starts at I equals one that starts at 0 over the same bits with I added
+# to the first 11. Four zero bits in front then make whole bytes and change nothing.
 _HEADER_CRC_START = 0x01A << 9
 
 
@@ -107,7 +107,7 @@ def decode(data: bytes, channel: Channel = "A") -> Frame:
 
 
 def inspect(data: bytes, channel: Channel = "A") -> Inspection:
-    """What these bytes say, right or wrong: for decoders of recordings.
+    """Return the content of these bytes, right or wrong: for decoders of recordings.
 
     The payload is all that lies between header and frame CRC, whatever length the header announces.
     Raises FrameError ("too-short") for less than a header and a frame CRC.

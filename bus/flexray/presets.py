@@ -21,9 +21,10 @@ AUDI = Cluster(
 )
 """A production car, from a recording of eight cycles of its bus.
 
-Seen: 51 static slots, 17 words, slots of 52.2 us and minislots of 9.0 us (29 and 5 macroticks of
-1.8 us), TSS of 9 bits, a first minislot on the grid of the static slots. A cycle of 5 ms has 2778
-macroticks then: 29/2778 of it are 52.196 us, and stations with one TSS length show 52.1965 us.
+Seen: 51 static slots, 17 words, slots of 52.2 us (29 macroticks of 1.8 us) and minislots of 9.0 us
+(5 macroticks). TSS has 9 bits; the first minislot is on the grid of the static slots. A cycle of
+5 ms then has 2778 macroticks: 29/2778 of it are 52.196 us, and stations with one TSS length show
+52.1965 us.
 Chosen: the action points (2 is the largest that the slot length allows), 255 minislots, the longest
 dynamic payload and pLatestTx that goes with it, no symbol window, the idle time that is left.
 """

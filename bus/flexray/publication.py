@@ -33,7 +33,7 @@ class Publications:
                 dynamic[slot.node].append(slot.frame_id)
         self._static_payload_bytes = cluster.static_payload_bytes
         self._period = lcm(*(slot.repetition for slot in table.assignments))
-        # What was looked up before; a table repeats within few cycles.
+        # Cache of lookups; a table repeats within few cycles.
         self._known: dict[tuple[int, int], tuple[Slot, ...]] = {}
         self._dynamic = {
             node: tuple(

@@ -1,8 +1,9 @@
 """A share in FlexRay frames: the body cut into payloads, and what a frame says of its share.
 
-The payload of each frame begins with the number of its communication cycle since the start, and so
-with the step, as a step has a fixed number of cycles; the frame's own header repeats the last six
-bits. Then comes its fragment of the body (`bus/flexray/fragments.py`). Two checksums guard all.
+The payload of each frame begins with the number of its communication cycle since the start. That
+number gives the step, as a step has a fixed number of cycles. The frame's own header repeats its
+last six bits. Then comes the frame's fragment of the body (`bus/flexray/fragments.py`). Two
+checksums guard the whole.
 """
 
 import struct
@@ -110,7 +111,7 @@ def whole_body(
 
 
 def read_frame(data: bytes, cycle_counts: int | None = None) -> Fragment:
-    """What a frame carries; with `cycle_counts` its header must count the cycle by that.
+    """Return the fragment in a frame; with `cycle_counts` its header must count the cycle by that.
 
     Raises:
         Rejected: with the reason of the check that failed.

@@ -25,8 +25,7 @@ Slots = Callable[[int, int], tuple[Slot, ...]]
 
 
 class SlottedBus:
-    """What a bus does that gives each share consecutive slots: the part of `bus.bus.Bus` that needs
-    no time."""
+    """The part of `bus.bus.Bus` that needs no time: it gives each share consecutive slots."""
 
     frame_format = SHARE_FRAMES
 

@@ -1,6 +1,6 @@
 """From a recorded waveform to the frames that travelled: tolerant, and it counts what it rejects.
 
-A receiver waits for an idle bus, takes the falling edge of TSS as the start of a frame, and sets
+A receiver waits for an idle bus and takes the falling edge of TSS as the start of a frame. It sets
 its clock anew at the falling edge of every byte's BSS (FlexRay protocol specification 2.1, 3.2).
 """
 

@@ -1,4 +1,4 @@
-"""What a recording tells of its cluster: slot grid, minislot, macrotick, multiplexing, sync nodes.
+"""Fit a cluster to a recording: slot grid, minislot, macrotick, multiplexing, sync nodes.
 
 Only times within one cycle are used: recordings are known whose gaps between cycles are not true.
 """

@@ -7,9 +7,9 @@ them as if they were the rule.
 
 Sources: Chen, Liu, Zhao and Principe (2017), Maximum correntropy Kalman filter; Liu, Chen, Xu, Wu
 and Honeine (2017), Maximum correntropy unscented filter (the statistical linearisation). Here the
-noise of the linearised measurement is what the sigma points leave unexplained plus R, so that an
-infinite bandwidth gives `ukf.update` exactly, and the iteration is written with precisions, so that
-a weight of zero is no singularity.
+noise of the linearised measurement is R plus the spread that the sigma points leave unexplained. An
+infinite bandwidth therefore gives `ukf.update` exactly. The iteration uses precisions, so that a
+weight of zero causes no singularity.
 """
 
 from typing import NamedTuple

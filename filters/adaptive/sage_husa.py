@@ -117,7 +117,7 @@ def unexplained(
     rule: SigmaPointRule,
     residual: Residual = np.subtract,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What a posterior leaves of its reading: residual (..., m) and spread (..., m) of `adapt`.
+    """Return the unexplained rest of a reading: residual (..., m), spread (..., m) of `adapt`.
 
     Args:
         posterior: mean (..., n), cov (..., n, n), with the reading taken.

@@ -14,11 +14,11 @@ from filters.linalg import multiply, symmetrise
 
 
 class Fused(NamedTuple):
-    """What nodes make of their own beliefs and those of J others.
+    """Result of averaging a node's own belief with the beliefs of J others.
 
-    `belief` (..., n) is what they come to, NaN where they come to none, its covariance symmetric to
-    the last bit; `weights` (..., 1 + J) are those that were used, the own first; `sharpness`
-    (..., 1 + J) is `hold.sharpness` of each, NaN where a covariance is not positive definite.
+    `belief` (..., n) is the average, NaN where none exists; its covariance is symmetric to the last
+    bit. `weights` (..., 1 + J) are the weights used, the own first. `sharpness` (..., 1 + J) is
+    `hold.sharpness` of each belief, NaN where a covariance is not positive definite.
     """
 
     belief: Gaussian
@@ -32,8 +32,10 @@ class Averaged(Protocol):
     def fuse(
         self, own: Gaussian, others: Gaussian, weights: np.ndarray, by_sharpness: bool, /
     ) -> Fused:
-        """The own belief (..., n) and others (..., J, n) with weights (..., 1 + J), each multiplied
-        by its sharpness where that counts (`hold.sharpened`)."""
+        """Average the own belief (..., n) with others (..., J, n) under weights (..., 1 + J).
+
+        With `by_sharpness`, multiply each weight by the belief's inverse volume (`hold.sharpened`).
+        """
         ...
 
 
@@ -57,10 +59,11 @@ class Directly(NamedTuple):
 class Averaging:
     """A rule as what it averages: numbers (..., m) that a belief is turned into and back.
 
-    `weigh_up(belief, origin)` gives the numbers and the `hold.sharpness` (...) of a belief,
-    `conclude(numbers, origin)` the belief that an average of such numbers comes to,
-    `sharpness(numbers)` the sharpness of that. Means are taken about an `origin` (..., n), any
-    point near them, which spares their digits; beliefs that are averaged must have the same.
+    `weigh_up(belief, origin)` returns the numbers and the `hold.sharpness` (...) of a belief.
+    `conclude(numbers, origin)` returns the belief that an average of such numbers stands for.
+    `sharpness(numbers)` returns the inverse volume of that belief. Means are taken about an
+    `origin` (..., n), any point near them, which preserves their digits. Beliefs that are averaged
+    must have the same origin.
     """
 
     weigh_up: Callable[[Gaussian, np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -108,10 +111,10 @@ def weighted_average(beliefs: Gaussian, weights: np.ndarray) -> Gaussian:
     singular covariances pass.
 
     Fails: it is never tighter than `covariance_intersection`, and a node that sees nothing keeps
-    its vote. On an unstable plant the network diverges even though some nodes see everything: with
+    its vote. On an unstable plant the network diverges even though some nodes see everything. Take
     a scalar plant F, weight matrix Pi, L rounds a step and D = diag(1 for blind nodes, 0 for nearly
-    perfect sensors), the mean if |F| rho(Pi^L D) > 1 and the covariance if F^2 rho(Pi^L D) > 1. The
-    promise assumes weights that do not depend on the errors.
+    perfect sensors). The mean diverges if |F| rho(Pi^L D) > 1, the covariance if
+    F^2 rho(Pi^L D) > 1. The promise assumes weights that do not depend on the errors.
 
     Source: Widjiantoro et al., weighted-average consensus UKF, step beta 3.
 

@@ -14,7 +14,7 @@ from filters.gaussian import Gaussian
 
 
 def begin(prior: Gaussian, posterior: Gaussian) -> np.ndarray:
-    """What a node says in the first round: its novelty, packed (..., n + n (n + 1) / 2).
+    """Return the node's share of the first round: its novelty, packed (..., n + n (n + 1) / 2).
 
     Args:
         prior, posterior: beliefs (..., n), (..., n, n) before and after the own readings.

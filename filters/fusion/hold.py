@@ -5,9 +5,9 @@ Every function takes `base_weights` (..., J), a node's row of the weight matrix 
 if never heard. The node itself is entry 0 and has age 0. Every result (..., J) is non-negative and
 sums to 1; where no weight at all is left, the node keeps its own belief.
 
-Which variants are consistent depends on what is held: a held belief must be predicted once per step
-(control and process noise included), unless it is used within the step of its publication; held as
-it was, it is an estimate of an older state, and every rule loses consistency.
+The held belief decides which variants are consistent. A held belief must be predicted once per step
+(control and process noise included), unless it is used within the step of its publication. A held
+belief without prediction estimates an older state, and every rule then loses consistency.
 """
 
 import numpy as np
@@ -44,11 +44,11 @@ def held_weights(
         base_weights: (..., J), sum 1.
         ages: (..., J), cycles; negative: never heard.
         decay: factor per cycle of age, 0 to 1.
-        sharpness: (..., J) as `sharpness` gives it; those never heard may be anything. By default
-            all beliefs count alike, however sharp they are.
+        sharpness: (..., J), inverse volumes as `sharpness` returns them; the entry of a neighbour
+            never heard may be anything. By default all beliefs weigh alike, whatever their volume.
 
     Returns:
-        (..., J); NaN in a lane where the sharpness of a belief that counts is.
+        (..., J); NaN in a lane where the inverse volume of a belief that counts is NaN.
 
     Raises:
         ValueError: decay is outside [0, 1].
@@ -60,7 +60,7 @@ def held_weights(
 
 
 def sharpened(weights: np.ndarray, sharpness: np.ndarray | float) -> np.ndarray:
-    """Weights (..., J) times the sharpness (..., J) of those that have any, scaled to sum 1."""
+    """Multiply weights (..., J) by inverse volumes (..., J) where they exist; scale to sum 1."""
     worth = weights * np.where(weights > 0, sharpness, 0.0)
     return worth / np.add.reduce(worth, axis=-1, keepdims=True)
 

@@ -27,7 +27,7 @@ _ROW_TOLERANCE = 1e-3
 
 
 def begin(prior: Gaussian, posterior: Gaussian, row: np.ndarray) -> np.ndarray:
-    """What a node averages: prior information, novelty, row; packed one behind the other.
+    """Return the numbers that a node averages: prior information, novelty, row; packed in order.
 
     Args:
         prior, posterior: beliefs (..., n), (..., n, n) before and after the own readings.
@@ -45,10 +45,11 @@ def conclude(numbers: np.ndarray, states: int, gain: Gain) -> Gaussian:
     """The belief that averages (..., 2 (n + n (n + 1) / 2) + N) come to: Omega^- + g dOmega.
 
     With `safe_gain`: promises consistency. If every prior bounds its node's error covariance, the
-    result bounds the fused one, whatever the correlation of the priors: the average of the priors
+    result bounds the fused one, whatever the correlation of the priors. The average of the priors
     is a covariance intersection, and every novelty enters with a factor g_i a_ij <= 1, as if its
-    noise were larger than it is. It is the local filter when nobody was heard (a_i a unit row,
-    g = 1), and tends to the centralised one as the rounds tend to infinity (a_ij -> 1/N, g -> N).
+    noise were larger than it is. The rule equals the local filter when the node heard no neighbour
+    (a_i a unit row, g = 1). It tends to the centralised filter as the rounds tend to infinity
+    (a_ij -> 1/N, g -> N).
 
     With `classical_gain`: the same limit, reached sooner, but before it some novelty enters with
     N a_ij > 1 and the belief is overconfident; so also wherever shares are lost or not published.

@@ -13,7 +13,7 @@ from filters.linalg import cholesky
 
 
 def begin(prior: Gaussian, posterior: Gaussian, nodes: int) -> np.ndarray:
-    """What a node averages: Omega^- / N + dOmega, packed.
+    """Return the numbers that a node averages: Omega^- / N + dOmega, packed.
 
     Args:
         prior, posterior: beliefs (..., n), (..., n, n) before and after the own readings.

@@ -19,7 +19,7 @@ def largest_rate(neighbours: int) -> float:
 
 
 def begin(prior: Gaussian, posterior: Gaussian) -> np.ndarray:
-    """What a node says in the first round: its novelty, packed, and the mean of its prior.
+    """Return the node's share of the first round: its novelty, packed, and the mean of its prior.
 
     Args:
         prior, posterior: beliefs (..., n), (..., n, n) before and after the own readings.

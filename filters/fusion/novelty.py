@@ -1,4 +1,4 @@
-"""What a node's own readings added to its belief, as information that other nodes can use.
+"""Novelty: the information that a node's own readings add to its belief, usable by other nodes.
 
 For a linear sensor z = H x + v of covariance R it is the pair (H' R^-1 z, H' R^-1 H), whatever the
 node believed before. For the unscented filter it is the same with the statistical linearisation
@@ -34,7 +34,7 @@ def absorb(prior: Gaussian, novelties: Information) -> Gaussian:
     which each sensor bends over the spread of the prior.
 
     Fails: a novelty that is lost leaves the node with another prior than its neighbours from then
-    on. One that is absorbed twice is believed twice: never pass on what came from others.
+    on. A novelty absorbed twice is believed twice: never pass on what came from others.
 
     Source: the information filter, Anderson and Moore (1979), Optimal filtering, section 6.3.
 

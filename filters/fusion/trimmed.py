@@ -15,32 +15,32 @@ def trimmed_intersection(beliefs: Gaussian, weights: np.ndarray, liars: int) -> 
 
     1. the F neighbours whose means are farthest from the median of all (entry by entry), in
        standard deviations of the node's own belief, are dropped;
-    2. no neighbour may be surer, in any direction, than the (F + 1)-th surest of all in its surest
-       direction, both against the own covariance: the covariance of one that claims to be is
-       multiplied by what it takes;
+    2. the information is capped: no neighbour may be surer, in any direction, than the (F + 1)-th
+       surest of all in its surest direction, both relative to the own covariance. The covariance of
+       a surer neighbour is scaled up to this cap;
     3. the others are averaged by `covariance_intersection`, each with its weight times the
-       `hold.sharpness` of its covariance as it is by then.
+       `hold.sharpness` of its covariance after the cap.
 
     A node that hears fewer than 2 F neighbours cannot tell who lies, and keeps its own belief.
 
-    Promises, with at most F liars among the neighbours, whatever they say: let c be the median,
-    which lies between the least and the greatest honest mean in each entry; r the distance from c
-    of the farthest honest mean, and l that share of the own covariance to which the surest honest
-    belief comes in its surest direction (both in the frame in which the own covariance is 1). Then
-    no mean that is averaged is farther from c than r, and the fused covariance is at least l times
-    the own. So liars can neither drag the mean out of what honest nodes say nor make the node deaf:
-    with fused mean x and covariance P, (x - c)' P^-1 (x - c) <= r^2 / l.
+    Promises, with at most F liars among the neighbours, whatever they say: no mean that is averaged
+    is farther from c than r, and the fused covariance is at least l times the own. Here c is the
+    median, which lies between the least and the greatest honest mean in each entry. r is the
+    distance from c of the farthest honest mean. l is the share of the own covariance to which the
+    surest honest belief comes in its surest direction. Both r and l are measured in the frame in
+    which the own covariance is 1. So liars can neither drag the mean out of what honest nodes say
+    nor make the node deaf: with fused mean x and covariance P, (x - c)' P^-1 (x - c) <= r^2 / l.
 
-    Fails: one node cannot be believed by itself. What only F neighbours know, or fewer, does not
-    come through at full strength, so that blind nodes next to one that sees learn less. Who is
-    dropped depends on the errors, so that consistency is not proved as it is for
+    Fails: one node cannot be believed by itself. Information that only F neighbours or fewer hold
+    does not come through at full strength, so blind nodes next to one that sees learn less. The
+    errors decide which beliefs are dropped, so consistency is not proved as it is for
     `covariance_intersection`; the caps work the other way. That honest nodes of a network agree is
     proved for scalars, on graphs that are (2 F + 1)-robust (`topology.robustness`).
 
-    Sources: the median, the dropping of F and the condition on the graph from LeBlanc, Zhang,
-    Koutsoukos and Sundaram (2013), Resilient asymptotic consensus in robust networks, IEEE Journal
-    on Selected Areas in Communications 31(4), there for scalars (W-MSR); the cap on information is
-    the project's own.
+    Sources: LeBlanc, Zhang, Koutsoukos and Sundaram (2013), Resilient asymptotic consensus in
+    robust networks, IEEE Journal on Selected Areas in Communications 31(4). That paper gives the
+    median, the dropping of F and the condition on the graph, for scalars (W-MSR). The cap on
+    information is the project's own.
 
     Args:
         beliefs: mean (..., J, n), cov (..., J, n, n), the node's own first. Entries of weight zero

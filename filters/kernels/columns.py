@@ -1,8 +1,8 @@
 """Small matrices in structure-of-arrays form: lanes last, so that every operation runs along them.
 
-A vector is (n, L), a matrix (n, n, L), for L lanes. `in_columns` gives an array of the project's
-order, (..., n) or (..., n, n), in this form, and `in_rows` the other way: both are views where the
-memory already has the order, and the results of this file have it.
+A vector is (n, L), a matrix (n, n, L), for L lanes. `in_columns` converts an array of the project's
+order, (..., n) or (..., n, n), to this form; `in_rows` converts it back. Both return views where
+the memory already has the order. The results of this file have that order.
 
 A lane that fails is NaN, and fails alone. Reasons and measurements: docs/performance.md.
 """

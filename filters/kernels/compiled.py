@@ -61,8 +61,10 @@ def fused(
     weights: np.ndarray,
     by_sharpness: bool,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """As `fusion.Averaging.fuse`, for averages of information of a size that is served: mean (n,)
-    and covariance (n, n), the weights that were used and the sharpness (1 + J,)."""
+    """Average as `fusion.Averaging.fuse` does, for averages of information of a supported size.
+
+    Return mean (n,), covariance (n, n), the weights used and the inverse volumes (1 + J,).
+    """
     n, beliefs = own_mean.shape[-1], weights.shape[-1]
     mean, cov, used, sharp = np.empty(n), np.empty((n, n)), np.empty(beliefs), np.empty(beliefs)
     given = (own_mean, own_cov, means, covs, weights, by_sharpness)

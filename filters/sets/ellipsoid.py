@@ -1,9 +1,9 @@
 """Ellipsoids as sets that hold a state for certain, and what keeps them so in floating point.
 
 An ellipsoid is kept as its centre and a factor, never as an inverse shape: a flat one (a state that
-is known exactly in some direction) is as good as any other. Whoever computes a new ellipsoid grows
-it by a bound on its own rounding (`rounding_bound`, `grow`), so that it holds the true state and
-not only the state of exact arithmetic.
+is known exactly in some direction) is as good as any other. A function that computes a new
+ellipsoid grows it by a bound on its own rounding (`rounding_bound`, `grow`). The result therefore
+holds the true state and not only the state of exact arithmetic.
 """
 
 import math
@@ -89,7 +89,7 @@ def lose(ellipsoid: Ellipsoid, lanes: np.ndarray) -> Ellipsoid:
 
 
 def image(ellipsoid: Ellipsoid, matrix: np.ndarray) -> Ellipsoid:
-    """What a linear map (..., k, n) makes of it; a projection picks coordinates."""
+    """Return the image under a linear map (..., k, n); a projection picks coordinates."""
     return Ellipsoid(multiply(matrix, ellipsoid.centre), matrix @ ellipsoid.factor)
 
 

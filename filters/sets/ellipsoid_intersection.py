@@ -81,7 +81,7 @@ def _narrowed(own: Ellipsoid, rows: np.ndarray, offset: np.ndarray) -> Ellipsoid
     weight = _best_weight(stretch**2, shift**2, beyond, (turned**2).sum(-2))
     eigenvalues = 1.0 + weight[..., None] * stretch**2
     room = _room(weight, stretch**2, shift**2, beyond)
-    # What rounding can have done to the eigenvectors, and to the room.
+    # The room grows by the error that rounding may have caused in the eigenvectors and in itself.
     spread = eigenvalues.max(-1) / eigenvalues.min(-1)
     rounding = rounding_bound(own.centre.shape[-1] + turned.shape[-1])
     room = (room + rounding * (1.0 + weight)) * (1.0 + rounding * spread)

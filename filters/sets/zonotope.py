@@ -110,10 +110,10 @@ def enclosing_ellipsoid(zonotope: Zonotope) -> Ellipsoid:
 def intersection(own: Zonotope, other: Zonotope) -> Zonotope:
     """A zonotope around what both hold, and not wider than `own`; generators of both together.
 
-    Every x in both is W x + (I - W) x for any matrix W; with W = P2 (P1 + P2)^-1, where P = G G',
-    the generators' squares have the least sum (Combastel (2015), Zonotopes and Kalman observers,
-    with a set in place of a reading). Where that is no narrower in the sum of half-widths, `own`
-    stays.
+    Every x in both is W x + (I - W) x for any matrix W. With W = P2 (P1 + P2)^-1, where P = G G',
+    the generators' squares have the least sum. Source: Combastel (2015), Zonotopes and Kalman
+    observers, with a set in place of a reading. Where that is no narrower in the sum of
+    half-widths, `own` stays.
     """
     first = own.generators @ own.generators.mT
     second = other.generators @ other.generators.mT

@@ -1,8 +1,8 @@
-"""What is wrong in a network at a moment, and the draws that decide whom it strikes.
+"""Active faults of a network at a moment, and the draws that decide which frames they strike.
 
-Like the fate of a frame (`py`) a fault is decided by counting: a hash of (cycle,
-sender, receiver, frame) under a key of the run and the word of the fault. So whoever asks gets the
-same answer, and a receiver knows of a slot that stays empty without waiting for it.
+Like the fate of a frame (`nodes/faults/losses.py`) a fault is decided by a hash of (cycle, sender,
+receiver, frame) under a key of the run and the fault word. So every caller gets the same answer,
+and a receiver knows of a slot that stays empty without waiting for it.
 """
 
 import zlib
@@ -20,7 +20,7 @@ EVERYBODY = (1 << 16) + 1
 
 
 class Equipment(NamedTuple):
-    """What of a network its faults need to know.
+    """Properties of a network that its faults need.
 
     Attributes:
         channels: of the cluster. cycle_us: length of a cycle, 0 on a bus without time.
@@ -42,7 +42,7 @@ PLAIN = Equipment()
 
 
 class Faults(NamedTuple):
-    """What is wrong, by kind and place; `key` belongs to (seed, run)."""
+    """Active faults, by fault word and place; `key` belongs to (seed, run)."""
 
     key: tuple[int, int] = (0, 0)
     equipment: Equipment = PLAIN
@@ -61,7 +61,7 @@ class Faults(NamedTuple):
     def at(self, kind: str, step: int, *nodes: int) -> tuple[float, ...] | None:
         """The numbers of a fault that befalls these nodes in a step; None for no fault.
 
-        What is said of a link of its own comes before what is said of all.
+        A fault of one link takes precedence over a fault of all links.
         """
         fault = self.standing.get((kind, nodes)) or self.standing.get((kind, ()))
         if fault is None or not fault.numbers[0]:

@@ -1,4 +1,4 @@
-"""What becomes of one frame on its way to one receiver, where something is wrong.
+"""Faults of links: the outcome of one frame on its way to one receiver.
 
 All frames travel in every driver; what befalls them befalls them here, at the receiver, as a pure
 function of what is wrong and of the frame. So nobody waits for what never comes, and all drivers
@@ -25,7 +25,7 @@ class Passage(NamedTuple):
 
 
 class Arrival(NamedTuple):
-    """What a receiver gets.
+    """Arrival of a frame at a receiver.
 
     Attributes:
         frame: as it comes. in_slot: whether it does so in its own.
@@ -43,7 +43,7 @@ class Arrival(NamedTuple):
 
 
 def arrival(faults: Faults, way: Passage, frame: bytes, bus: Bus) -> Arrival:
-    """What a receiver gets of a frame, which is what its sender meant to send."""
+    """Return the arrival of a frame, given the frame that its sender meant to send."""
     if hangs(faults, way.step, way.receiver):
         return _nothing("lost")
     if abs(_clock_us(faults, way, way.sender) - _clock_us(faults, way, way.receiver)) > (

@@ -1,8 +1,8 @@
 """Which frames a link loses: decided by counting, not by drawing, so that every driver agrees.
 
 The fate of a frame is a hash of (cycle, sender, receiver, number of the frame in its share) under a
-key of the run. Whoever asks, in whatever order, and for one frame or for arrays of them, gets the
-same answer; nothing is kept between two questions.
+key of the run. Every caller gets the same answer, in any order, for one frame or for arrays of
+frames. No state is kept between two calls.
 """
 
 from collections.abc import Callable, Mapping
@@ -29,7 +29,7 @@ class Outage(msgspec.Struct, frozen=True):
 
 
 class LinkState(NamedTuple):
-    """What every link of a run does to frames.
+    """Effect of every link of a run on frames.
 
     Attributes:
         key: two words of 64 bits that belong to (seed, run).

@@ -1,4 +1,4 @@
-"""What a node that is broken or lies puts on the bus: other bodies, and other frames."""
+"""Frames of a node that is broken or lies: other bodies, and other frames on the bus."""
 
 import numpy as np
 

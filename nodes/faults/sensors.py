@@ -1,4 +1,4 @@
-"""What broken sensors deliver, made where the world reads them."""
+"""Faults of sensors: change the readings where the environment reads them."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ _ENTRIES = 1 << 8
 def delivered(
     faults: Faults, step: int, readings: Array, last: Array | None, spread: Array
 ) -> Array:
-    """What the sensors of all nodes deliver.
+    """Return the readings that the sensors of all nodes deliver.
 
     Args:
         readings: (nodes, r, d), what they would if nothing was wrong.
@@ -40,7 +40,7 @@ def delivered(
 def _outliers(
     faults: Faults, step: int, node: int, spread: Array, probability: float, size: float
 ) -> Array:
-    """What is added to the readings (r, d) of a node: each reading is hit or spared as a whole."""
+    """Return the addition to a node's readings (r, d); it hits or spares each reading whole."""
     added = np.zeros_like(spread)
     for number, entries in enumerate(spread):
         if faults.draw("outlier", step, node, number) < probability:

@@ -45,7 +45,7 @@ _CYCLES = Number("CYCLES", 0, 64, True)
 _STEPS = Number("STEPS", 0, 1_000_000, True)
 _SIZE = Number("SIZE", -1e6, 1e6)
 
-# What has a command of its own: nothing below is read by the table.
+# Faults that have a command of their own: the code below does not read this table.
 COMMANDS: dict[str, FaultWord] = {
     "kill": FaultWord("nodes", "node", (), "kill 3", "restart 3", "a node's process ends"),
     "cut": FaultWord("links", "link", (), "cut 1 2", "heal 1 2", "a link loses everything"),
@@ -62,7 +62,7 @@ COMMANDS: dict[str, FaultWord] = {
     ),
 }  # fmt: skip
 
-# What is one command, `nodes.commands.Inject`, and one change, `nodes.changes.Fault`.
+# Faults that share one command, `nodes.commands.Inject`, and one change, `nodes.changes.Fault`.
 FAULTS: dict[str, FaultWord] = {
     "corrupt": FaultWord(
         "links", "link", (_P,), "corrupt 0.05 1 2", "corrupt 0 1 2",

@@ -33,7 +33,7 @@ from nodes.rules.local_filter import LocalFilters
 
 
 class BatchContent(NamedTuple, Generic[Own, Held]):
-    """What all nodes know, and what was counted."""
+    """Knowledge of all nodes, and the counters."""
 
     known: LaneContent[Own, Held]
     counters: Counters
@@ -142,7 +142,7 @@ class InBatch(Generic[Own, Held, Said]):
         return LaneContent(own, held, after.cycles_in_step), failures
 
     def belief(self, content: BatchContent[Own, Held]) -> Gaussian:
-        """What the nodes believe now: (R, N, n), (R, N, n, n)."""
+        """Return the current beliefs of the nodes: (R, N, n), (R, N, n, n)."""
         return self.rule.belief(content.known)
 
     def ages(self, content: BatchContent[Own, Held]) -> np.ndarray:
@@ -150,7 +150,7 @@ class InBatch(Generic[Own, Held, Said]):
         return self.rule.ages(content.known)
 
     def counters(self, content: BatchContent[Own, Held]) -> Counters:
-        """What was counted since the start."""
+        """Return the totals since the start."""
         return content.counters
 
     def spread(self, content: BatchContent[Own, Held]) -> None:
@@ -172,7 +172,7 @@ class AveragesInBatch(InBatch[FreshOwn, LastUsed, Array]):
         exchange = cast(InformationRounds, rule.exchange)
         ages = np.where(came[:1] if came.all() else came, 0, -1)
         mixing = weighed(self.links, self.base, ages, renormalise)
-        # What was not heard has no weight, and its numbers are finite.
+        # A share that was not heard has no weight, and its numbers are finite.
         known = mixed(mixing, before.own.known, said[:, self.links.source])
         return rule.settled(before, known, exchange.conclude(known), came)
 
@@ -187,8 +187,10 @@ def _replaced(values: Array, places: np.ndarray, part: Array) -> Array:
 
 
 def _gathered(some: DegreeClass, values: Array) -> Array:
-    """What is held (R, E, ...) as (R, K, J, ...); of a neighbour that is none, nothing: ages are
-    -1, flags False, and numbers those of another."""
+    """Return held values (R, E, ...) as (R, K, J, ...).
+
+    Places without a neighbour are padded: ages are -1, flags False, and numbers those of another.
+    """
     if values.dtype == bool:
         return some.gathered(values, False)
     return some.gathered(values, -1) if values.dtype.kind == "i" else values[:, some.links]

@@ -1,8 +1,8 @@
 """Consensus on beliefs in arrays: `nodes.rules.belief_consensus` for all nodes of all runs at once.
 
-What is held of others is kept in slots (`links.Links`), as the numbers that the rule
-averages: what a node shares is expressed in them once, and not by each who hears it. Between the
-rounds of a step the own beliefs stay such numbers too, where nobody asks what they mean.
+Held shares are kept in slots (`links.Links`), as the numbers that the rule averages. A share is
+expressed in them once, and not by each node that hears it. Between the rounds of a step the own
+beliefs stay such numbers too, where no caller asks for the beliefs.
 """
 
 from collections.abc import Callable
@@ -52,7 +52,7 @@ class Numbers(NamedTuple):
 
 
 class Content(NamedTuple):
-    """What all nodes know in a step.
+    """Knowledge of all nodes in a step.
 
     belief: the own ones; within a step those before its rounds, where the rule is not `eager`.
     own, held: the own ones and what is held, by slot, about `origin` and `held_origin` (R, 1, n).
@@ -118,7 +118,7 @@ class BatchedBeliefs:
     def begin_step(
         self, content: Content, readings: Array, control: Array | None, step: int
     ) -> Content:
-        """Predict, take the own readings. What is held follows once it is known who is silent."""
+        """Predict, take the own readings. Held shares follow once it is known who is silent."""
         belief, published, counters = content.belief, content.published, content.counters
         if step > 0:
             belief, sound = self.filters.carry(belief, control, step)
@@ -168,12 +168,12 @@ class BatchedBeliefs:
         return self._settled(content, self._fused(content))
 
     def _fused(self, content: Content) -> Numbers:
-        """What everybody averages."""
+        """Return the numbers after averaging at all nodes."""
         own, held = content.own, content.held
         mixing = self._mixing(content.ages, content.cycles_in_step - 1)
         together = own is held and isinstance(mixing.whole, np.ndarray)
         if together and not (self.hold.by_sharpness or self.eager):
-            # Nobody asks what comes of a single round.
+            # No caller needs the result of a single round.
             rounds = mixing.whole if own.rounds is None else mixing.whole @ own.rounds
             return own._replace(rounds=rounds)
         same, own = own is held, own.taken()
@@ -228,7 +228,7 @@ class BatchedBeliefs:
         return content._replace(belief=belief, own=fused, counters=counters)
 
     def _shared(self, content: Content) -> tuple[Numbers, np.ndarray]:
-        """What comes out of the frames of all nodes, and which (R, N) can be read."""
+        """Return the contents of the frames of all nodes, and which (R, N) can be read."""
         if self.number == "<f8":
             return content.own, np.ones(content.own.sharpness.shape, dtype=bool)
         belief = Gaussian(*(received(values, self.number) for values in content.belief))
@@ -238,7 +238,7 @@ class BatchedBeliefs:
         return Numbers(*self.averaging.weigh_up(belief, origin))
 
     def _caught_up(self, content: Content, fresh: np.ndarray) -> tuple[Numbers, np.ndarray]:
-        """What is held of those who do not replace it now, at this step and about its origin."""
+        """Return the held shares without a replacement now, at this step and about its origin."""
         held = content.held
         ages = np.broadcast_to(content.ages, (len(fresh), content.ages.shape[1]))
         known = np.zeros(fresh.shape, dtype=bool)
@@ -269,7 +269,7 @@ class BatchedBeliefs:
         return Numbers(numbers.values[:, source], numbers.sharpness[:, source])
 
     def _refreshed(self, held: Numbers, shared: Numbers, fresh: np.ndarray) -> Numbers:
-        """What is held after those slots that are `fresh` (R, K) have been filled."""
+        """Return the held shares after the slots that are `fresh` (R, K) have been filled."""
         shared = self._by_slot(shared)
         if fresh.all():
             return shared
@@ -297,7 +297,7 @@ class BatchedBeliefs:
         return np.broadcast_to(content.ages, (len(content.origin), content.ages.shape[1]))
 
     def counters(self, content: Content) -> Counters:
-        """What was counted."""
+        """Return the totals."""
         return content.counters
 
     def spread(self, content: Content) -> None:
@@ -315,7 +315,7 @@ def _usable(own: Numbers, mixing: Mixing, values: Array) -> Array:
 
 
 def _times_sharpness(numbers: Numbers) -> Array:
-    """Numbers times their sharpness, and the sharpness: (R, K, m + 1), lanes last in memory."""
+    """Numbers times their inverse volume, and that volume: (R, K, m + 1), lanes last in memory."""
     runs, slots, m = numbers.values.shape
     product = np.empty((m + 1, runs, slots)).transpose(1, 2, 0)
     np.multiply(numbers.values, numbers.sharpness[..., None], out=product[..., :-1])

@@ -1,4 +1,4 @@
-"""What every rule does in arrays (runs, nodes, ...) before anybody is heard, and what it counts."""
+"""Local filters in arrays (runs, nodes, ...), before any share is heard, and their counters."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -24,8 +24,10 @@ def added(counters: Counters, more: Mapping[str, np.ndarray]) -> Counters:
 def traffic(
     links: Links, good: np.ndarray, bad: np.ndarray, lost: np.ndarray | None, reason: str
 ) -> dict[str, np.ndarray]:
-    """What each node counts of a cycle in which nodes (R, N) sent `good` shares, or `bad` ones that
-    are rejected for that `reason`; `lost` (R, E) as `Links.arriving` has it."""
+    """Return each node's counters of a cycle in which nodes (R, N) sent `good` or `bad` shares.
+
+    Receivers reject the `bad` ones for that `reason`. `lost` (R, E) is as in `Links.arriving`.
+    """
     if lost is None and good.all():
         return {"heard": np.broadcast_to(np.diff(links.offsets), good.shape)}
     heard, rejected = (links.per_receiver(links.arriving(sent, lost)) for sent in (good, bad))
@@ -49,7 +51,7 @@ def with_lanes(beliefs: Gaussian, nodes: np.ndarray, others: Gaussian) -> Gaussi
 
 
 class Published(NamedTuple):
-    """What those who may contend (`nodes` (C,)) believed when they last sent: (R, C, n), (..., n).
+    """Last published beliefs of the nodes that may contend, `nodes` (C,): (R, C, n), (..., n).
 
     `known` (R, C) is False where they never did, or what they sent could not be carried on.
     """

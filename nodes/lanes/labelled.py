@@ -38,7 +38,7 @@ from nodes.rules.source_gate import without_outliers
 
 
 class Content(NamedTuple):
-    """What all nodes know; `nodes.rules.labelled.Content` in arrays.
+    """Knowledge of all nodes; `nodes.rules.labelled.Content` in arrays.
 
     held: (R, N, W, B). known, confirmed: (R, E, W, B) of each link, what its receiver believes
     that its sender holds, and what that has said of itself. owed: (R, N). heard: steps (R, E).
@@ -60,8 +60,10 @@ class Content(NamedTuple):
 
 
 class _Shares(NamedTuple):
-    """Shares of lanes (L,): node `nodes` of run `runs` each. What they say: records (L, W, B),
-    whether there is a checkpoint (L,), and which it is (L, ...)."""
+    """Shares of lanes (L,): node `nodes` of run `runs` each.
+
+    Their content: records (L, W, B), whether there is a checkpoint (L,), and which it is (L, ...).
+    """
 
     runs: np.ndarray
     nodes: np.ndarray
@@ -160,7 +162,7 @@ class BatchedFlooding:
         return bids.reshape(shape)
 
     def exchange(self, content: Content, sends: np.ndarray, lost: np.ndarray | None) -> Content:
-        """A part of a cycle: shares are composed at once; then all know what they have heard."""
+        """End a group: nodes compose their shares at once; then all know what they have heard."""
         if not sends.any():
             return self._closed(content)
         content, shares, sound = self._composed(content, *np.nonzero(sends))
@@ -208,7 +210,7 @@ class BatchedFlooding:
         return _Came(runs, links, lanes[runs, self.links.sender[links]])
 
     def _heard(self, content: Content, shares: _Shares, came: _Came) -> Content:
-        """What neighbours say of themselves."""
+        """Note the neighbours' statements about themselves."""
         runs, links = came.runs, came.links
         heard, share_cycles = content.heard.copy(), content.share_cycles.copy()
         known, confirmed = content.known, content.confirmed
@@ -292,7 +294,7 @@ class BatchedFlooding:
         return content._replace(windows=windows, counters=counters)
 
     def _closed(self, content: Content) -> Content:
-        """The next part of the cycle; at the end of a step the windows are filtered."""
+        """Begin the next group of the cycle; at the end of a step filter the windows."""
         if content.group + 1 < len(self.schedule.groups(content.cycle)):
             return content._replace(group=content.group + 1)
         content = content._replace(cycle=content.cycle + 1, group=0)
@@ -312,11 +314,11 @@ class BatchedFlooding:
         return np.where(last < 0, -1, content.cycle - 1 - last)
 
     def counters(self, content: Content) -> Counters:
-        """What was counted."""
+        """Return the totals."""
         return content.counters
 
     def spread(self, content: Content) -> Spread:
-        """What the shares of the step carried, and what is held at its end."""
+        """Return the contents of the step's shares, and the records held at its end."""
         body_bytes, checkpoints, records = content.carried
         held = flags_of(content.held, self._nodes)
         return Spread(body_bytes, checkpoints, records, held)
@@ -328,8 +330,11 @@ class BatchedFlooding:
         nodes: np.ndarray,
         sets: RecordSets | None = None,
     ) -> RecordSets:
-        """What these nodes (L,) hold and each neighbour lacks: (L, J, W, B), filled up with none;
-        or what it has in other `sets` (R, E, W, B) than those of what is known."""
+        """Return the records that these nodes (L,) hold and each neighbour lacks: (L, J, W, B).
+
+        Places without a neighbour are empty. With `sets` (R, E, W, B), compare with those sets
+        instead of the known ones.
+        """
         theirs = (content.known if sets is None else sets)[runs[:, None], self._near.links[nodes]]
         absent = content.held[runs, nodes][:, None] & ~theirs
         return np.where(self._near.real[nodes][..., None, None], absent, np.uint8(0))
@@ -365,7 +370,7 @@ class BatchedFlooding:
 
 
 def _said(base: Gaussian, number: str) -> tuple[Gaussian, np.ndarray]:
-    """What comes out of checkpoints of bases (L, n), and which can be read (L,)."""
+    """Return the decoded checkpoints of bases (L, n), and which can be read (L,)."""
     mean, packed_cov = (received(values, number) for values in (base.mean, pack_upper(base.cov)))
     checkpoint = Gaussian(mean, unpack_upper(packed_cov))
     return checkpoint, finite_lanes(Gaussian(mean, cholesky(checkpoint.cov)))

@@ -1,8 +1,8 @@
-"""Who hears whom as one list of links, and sums along it: cost grows with links, not with pairs.
+"""The links of a network as one list, and sums along it: cost grows with links, not with pairs.
 
 Arrays over links are sorted by receiver, then by sender, as a node's neighbours are. Rules that
-look at one node's neighbourhood as an array (..., J) are served class by class: nodes with about as
-many neighbours are stacked, the places that one lacks filled up with what was never heard.
+look at one node's neighbourhood as an array (..., J) are served class by class. Nodes with about as
+many neighbours are stacked; missing places are padded with shares that were never heard.
 """
 
 from collections.abc import Iterator, Sequence
@@ -39,9 +39,9 @@ class Links(NamedTuple):
     """All links of a network of `nodes`: `receiver` and `sender` (E,), `offsets` (N + 1,) of each
     receiver's first.
 
-    What is held of others is kept in slots: `slot` (E,) is the one that a link reads, `source` (K,)
-    the node of which a slot holds something. Where no frame is lost, all who hear a node hold the
-    same of it, and a slot is a node; else it is a link.
+    Held shares are kept in slots: `slot` (E,) is the one that a link reads, `source` (K,) the node
+    that a slot belongs to. Where no frame is lost, all nodes that hear a node hold the same share
+    of it, and a slot is a node; else it is a link.
     """
 
     nodes: int

@@ -1,4 +1,4 @@
-"""What the batched driver runs: a network as arrays, rule and bus, and what becomes of it."""
+"""Input of the batched driver: a network as arrays, its rule and bus, and its changes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ and bytes of their payload (R, N)."""
 
 
 class Spread(NamedTuple):
-    """What the shares of a step carried, of a rule that passes on records.
+    """Contents of a step's shares, for a rule that passes on records.
 
     body_bytes, checkpoints, records: (rounds, R, N), of what a node sent in a cycle. held: (R, N,
     W, N) bool, whether a node holds what a source took in each of the last W steps, this one last.
@@ -64,7 +64,7 @@ class BatchedRule(Protocol):
         ...
 
     def belief(self, content: Any) -> Gaussian:
-        """What the nodes believe now: (R, N, n), (R, N, n, n)."""
+        """Return the current beliefs of the nodes: (R, N, n), (R, N, n, n)."""
         ...
 
     def ages(self, content: Any) -> np.ndarray:
@@ -72,11 +72,11 @@ class BatchedRule(Protocol):
         ...
 
     def counters(self, content: Any) -> Counters:
-        """What was counted since the start."""
+        """Return the totals since the start."""
         ...
 
     def spread(self, content: Any) -> Spread | None:
-        """What the shares of the step carried; None for a rule whose shares have one length."""
+        """Return the contents of the step's shares; None if the rule's shares have one length."""
         ...
 
 
@@ -109,11 +109,11 @@ class Regime(NamedTuple):
 
 
 class Era(NamedTuple):
-    """What holds from `first_step` on, until the next era begins.
+    """Segment of a run: the settings from `first_step` on, until the next segment begins.
 
-    present: (N,) bool, who takes part. joined: (node, whose belief it begins with). lost: (step,
-    cycle) -> how many frames of a share each link loses (R, E); None where no frame is lost. Where
-    the regime is another than before, all nodes begin anew with what they believe.
+    present: (N,) bool, which nodes take part. joined: (node, whose belief it begins with). lost:
+    (step, cycle) -> how many frames of a share each link loses (R, E); None where no frame is lost.
+    Where the settings differ from those before, all nodes begin anew with their own beliefs.
     """
 
     first_step: int
@@ -128,7 +128,8 @@ class Network:
     """Everything about R runs of a network.
 
     initial_state: (R, n). prior: (R, N, n), (R, N, n, n). process: normals (steps, R, q).
-    measurement: (steps, R, N, r, d). receivers: (E,) of all links. eras: the first begins at 0.
+    measurement: (steps, R, N, r, d). receivers: (E,) of all links. `eras`: the segments of the run;
+    the first begins at 0.
     """
 
     plant: Plant

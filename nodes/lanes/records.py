@@ -1,7 +1,7 @@
 """`nodes.rules.record_sets` in arrays: sets of records (..., W, B), bytes of one bit per source.
 
 Place W - 1 is the newest step, so places before the first step of a run are empty; source s is bit
-s mod 8 of byte s // 8. What a set holds of a place is a row of bytes, and unions are bitwise.
+s mod 8 of byte s // 8. The content of a set at a place is a row of bytes, and unions are bitwise.
 """
 
 import numpy as np
@@ -49,8 +49,9 @@ def first_places(sets: RecordSets) -> np.ndarray:
 def first_that_fit(
     wanted: tuple[RecordSets, ...], costs: np.ndarray, room: np.ndarray
 ) -> tuple[RecordSets, np.ndarray, np.ndarray]:
-    """What a share takes of disjoint sets (L, W, B) one after the other: newest first, sources
-    ascending, until a record does not fit.
+    """Choose a share's records from disjoint sets (L, W, B), set after set.
+
+    The order is newest first, sources ascending, until a record does not fit.
 
     Args:
         costs: bytes of a record of each source (N,).

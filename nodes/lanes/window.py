@@ -19,7 +19,7 @@ from nodes.rules.record_codec import RecordCodec
 
 
 class Windows(NamedTuple):
-    """What all nodes know: places W - 1 are this `step`, W - 2 the one before, ...
+    """Windows of all nodes: place W - 1 is this `step`, W - 2 the one before, ...
 
     Attributes:
         base: (R, N, ...), that everything older went into; at first the priors.
@@ -158,7 +158,7 @@ class WindowFilters:
         return where(sound, after, belief), sound
 
     def _measure(self, sources: np.ndarray, step: int, states: Array) -> Array:
-        """What these sources (L, K) would read of states (..., L, n): (..., L, K m)."""
+        """Return the readings of these sources (L, K) at states (..., L, n): (..., L, K m)."""
         everywhere = np.broadcast_to(
             states[..., None, :], (*states.shape[:-1], len(self.codecs), states.shape[-1])
         )

@@ -1,8 +1,9 @@
 """A node that learns how noisy its own sensors are, whatever rule it fuses by.
 
-It wraps the estimator of a rule: before a step it hands it a sensor with the noise learnt so far,
-after the own readings it learns from what the belief leaves of them (Sage-Husa, R alone, in
-residual form). The noise learnt is part of the node's content and never travels.
+The rule wraps the estimator of another rule. Before a step it passes on a sensor with the noise
+learnt so far. After the own readings it learns from their residual and spread under the belief
+(Sage-Husa, R alone, in residual form). The learnt noise is part of the node's content and never
+travels.
 """
 
 from dataclasses import dataclass, replace
@@ -118,7 +119,7 @@ class AdaptiveNoise:
 
 
 def declared_noise(sensor: Sensor, reading: Array) -> NoiseEstimate:
-    """What a sensor says of its own noise at a reading (d,), before anything is learnt."""
+    """Return the sensor's nominal noise at a reading (d,), before any learning."""
     return sage_husa.begin(np.diagonal(sensor.interpret(reading)[1]))
 
 

@@ -79,7 +79,7 @@ class AtNode(Generic[Own, Held, Said]):
         return asked(self.rule.bid(content))
 
     def compose(self, content: LaneContent[Own, Held]) -> tuple[LaneContent[Own, Held], bytes]:
-        """What to share now; the node remembers what its neighbours then hold of it."""
+        """Return the share to send now; remember what neighbours will hold of this node."""
         return self.rule.sent(content, _SENDS), self.codec.encode(self.rule.say(content))
 
     def accept(self, body: bytes) -> bytes:

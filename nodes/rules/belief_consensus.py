@@ -30,7 +30,7 @@ _ALIKE = np.ones(1)
 
 
 class HoldPolicy(NamedTuple):
-    """What becomes of the last share of a silent neighbour.
+    """Hold policy: how the last share of a silent neighbour is used.
 
     `weigh(base_weights (..., J), ages (..., J), sharpness (..., J), cycles_in_step)` gives weights
     (..., J) that sum to one; entry 0 is the node itself; `cycles_in_step` is 0 in the first round
@@ -153,7 +153,7 @@ class BeliefConsensus:
         return after, {"fuse-failed": ~sound}
 
     def _weights(self, base: Array, ages: np.ndarray, cycles: int) -> Array:
-        """Weights (..., 1 + J) of the own pair and each neighbour's, but for their sharpness."""
+        """Return weights (..., 1 + J) of the own pair and the neighbours', without volumes."""
         if ages.ndim > 1:
             return self.hold.weigh(base, _with_own(ages), _ALIKE, cycles)
         return self._kept_weights(base.tobytes(), ages.tobytes(), cycles)

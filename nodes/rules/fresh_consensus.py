@@ -1,7 +1,7 @@
 """Consensus on fresh shares alone: rules that use what was heard in a round, and hold nothing.
 
-What they exchange is made of this step's readings. Held over into the next step it would bring the
-same readings again, as if they were new.
+Nodes exchange content that is made of this step's readings. Held over into the next step it would
+bring the same readings again, as if they were new.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ from nodes.rules.local_filter import finite_lanes, where
 
 
 class Exchange(Protocol):
-    """What nodes exchange: vectors of numbers (..., m), one of each lane.
+    """Content that nodes exchange: vectors of numbers (..., m), one of each lane.
 
     `cycle` counts the communication cycles in a step from 0; `prior` is the belief before the
     node's own readings of the step.
@@ -36,7 +36,7 @@ class Exchange(Protocol):
         ...
 
     def say(self, cycle: int, known: Array, belief: Gaussian) -> Array:
-        """What they share (..., m) in a round."""
+        """Return the content to share (..., m) in a round."""
         ...
 
     def sound(self, shares: Array) -> np.ndarray:
@@ -57,7 +57,7 @@ class Exchange(Protocol):
         belief: Gaussian,
         shares: Array,
     ) -> tuple[Array, Gaussian]:
-        """What is known (..., m) and believed after a round.
+        """Return the content (..., m) and the belief after a round.
 
         Shares (..., 1 + J, m) are the node's own and those of its neighbours, NaN where nothing
         came; so are the weights (..., 1 + J). A belief that is not finite, or not positive
@@ -121,7 +121,7 @@ class FreshConsensus:
         return content.own.published.bid(content.own.belief, self.trigger)
 
     def say(self, content: FreshContent) -> Array:
-        """What is exchanged in this round."""
+        """Return the content to share in this round."""
         return self.exchange.say(content.cycles_in_step, content.own.known, content.own.belief)
 
     def sent(self, content: FreshContent, sends: np.ndarray) -> FreshContent:
@@ -172,7 +172,7 @@ class FreshConsensus:
         return LaneContent(own, used, cycle + 1), failures
 
     def belief(self, content: FreshContent) -> Gaussian:
-        """What the rule makes of all it has heard so far in this step."""
+        """Return the rule's belief from all shares heard so far in this step."""
         return content.own.belief
 
     def ages(self, content: FreshContent) -> np.ndarray:

@@ -22,11 +22,11 @@ class InformationRounds(NamedTuple):
     check: Callable[[Array], np.ndarray]
 
     def begin(self, node: np.ndarray, prior: Gaussian, posterior: Gaussian) -> Array:
-        """What the rule averages (..., m)."""
+        """Return the numbers that the rule averages (..., m)."""
         return self.open(node, prior, posterior)
 
     def say(self, cycle: int, known: Array, belief: Gaussian) -> Array:
-        """All that is known."""
+        """Return the whole content."""
         return known
 
     def sound(self, shares: Array) -> np.ndarray:

@@ -52,14 +52,14 @@ class Content(NamedTuple):
     """A node's knowledge.
 
     Attributes:
-        window: what it filters. held: the records in it.
-        known: what each neighbour is believed to hold.
-        confirmed: what each neighbour has itself said that it holds.
-        sent: what the share said that was composed in the open part of the cycle; None for none.
+        window: the window to filter. held: the records in it.
+        known: the records that each neighbour is believed to hold.
+        confirmed: the records that each neighbour itself reported to hold.
+        sent: the content of the share composed in the open group; None if there was none.
         owed: a neighbour needs a checkpoint. needs: the node itself needs one, and knows nothing.
         heard: step at which a share of each neighbour came last.
         share_cycles: cycle of the last share of each neighbour, -1 for never.
-        cycle, group: the open part. sent_cycle: the last in which the node sent.
+        cycle, group: the open group. sent_cycle: the last in which the node sent.
     """
 
     window: Window
@@ -149,7 +149,7 @@ class LabelledFlooding:
         sensor = self.filter.sensors[self.node]
         troubles: tuple[str, ...] = ()
         judged = sensor is not None and (sensor.gate is not None or len(self.gates) > 0)
-        # Who knows nothing has no ground to refuse what it reads.
+        # A node that needs a checkpoint has no belief by which to refuse a reading.
         if sensor is not None and judged and not content.needs:
             belief, troubles = self.filter.predicted(window.belief, measured)
             delivered, gated = without_outliers(
@@ -213,7 +213,7 @@ class LabelledFlooding:
         return tuple(chosen)
 
     def _wanted(self, content: Content) -> Iterator[tuple[int, int]]:
-        """What neighbours are believed to lack; then what they have not confirmed."""
+        """Yield the records that neighbours are believed to lack, then the unconfirmed ones."""
         missing = lacked(content.held, content.known)
         yield from newest_first(missing, self._nodes)
         if self.frames.digest_steps:
@@ -238,7 +238,7 @@ class LabelledFlooding:
     def fuse(
         self, content: Content, shares: tuple[LabelledShare | None, ...]
     ) -> tuple[Content, tuple[str, ...]]:
-        """End a part of a cycle: what came is held, and so is what others must have heard."""
+        """End a group: hold the records received, and note those that neighbours heard."""
         came = [(place, share) for place, share in enumerate(shares) if share is not None]
         for place, share in came:
             content = self._hear(content, place, share)
@@ -252,7 +252,7 @@ class LabelledFlooding:
         return self._closed(content, troubles)
 
     def _hear(self, content: Content, place: int, share: LabelledShare) -> Content:
-        """What a neighbour says of itself."""
+        """Note a neighbour's statements about itself."""
         window = content.window
         theirs, sure = content.known[place], content.confirmed[place]
         for age, sources in enumerate(share.digest[: len(window.heartbeats)]):
@@ -274,7 +274,7 @@ class LabelledFlooding:
     def _take(
         self, content: Content, place: int, share: LabelledShare
     ) -> tuple[Content, list[str]]:
-        """What a neighbour passes on: records, and a base of the same step as the own."""
+        """Take over a neighbour's records, and a base of the same step as the own."""
         window = content.window
         told = 0
         new: dict[int, dict[int, bytes]] = {}
@@ -321,7 +321,7 @@ class LabelledFlooding:
         return content._replace(window=with_base(content.window, base)), ["checkpoint-fused"]
 
     def _closed(self, content: Content, troubles: list[str]) -> tuple[Content, tuple[str, ...]]:
-        """The next part of the cycle; at the end of a step the window is filtered."""
+        """Begin the next group of the cycle; at the end of a step filter the window."""
         if content.group + 1 < len(self.schedule.groups(content.cycle)):
             return content._replace(group=content.group + 1), tuple(troubles)
         content = content._replace(cycle=content.cycle + 1, group=0)

@@ -1,4 +1,4 @@
-"""What travels under the rule `labelled`: labelled records, at times a checkpoint, a digest.
+"""Share of the rule `labelled`: labelled records, at times a checkpoint, a digest.
 
     flags u8 (1: I need a checkpoint, 2: here is one) | number of records u8
     | digest | checkpoint: mean, upper covariance, float32 | records: source u8, age u8, readings
@@ -33,7 +33,7 @@ class Labelled(NamedTuple):
 
 
 class LabelledShare(NamedTuple):
-    """What a node says.
+    """Content of a node's share.
 
     `needs` a checkpoint; `digest` is one set of sources per age, as bits; `checkpoint` is its
     belief at the base of the window.

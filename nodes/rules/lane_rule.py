@@ -1,11 +1,11 @@
 """The one form of a fusion rule: pure functions over lanes, with an explicit axis of neighbours.
 
-A lane is a node of a run. What a rule knows has two parts: `own` values (...), one for each lane,
-and `held` values (..., J), one for each neighbour of a lane. A node is batch (): its own values
-have no leading axis, what it holds has the axis J alone (`nodes.rules.at_node`). The batched driver
-has lanes (R, N) and holds one value for each link, (R, E); it gathers the links of each node before
-it calls `fuse` (`nodes.lanes.batch`). All other functions treat held values one by one, so that
-they take both.
+A lane is a node of a run. The knowledge of a rule has two parts: `own` values (...), one for each
+lane, and `held` values (..., J), one for each neighbour of a lane. A node is batch (): its own
+values have no leading axis, its held values have the axis J alone (`nodes.rules.at_node`). The
+batched driver has lanes (R, N) and holds one value for each link, (R, E); it gathers the links of
+each node before it calls `fuse` (`nodes.lanes.batch`). All other functions treat held values one by
+one, so that they take both.
 """
 
 from collections.abc import Callable, Mapping
@@ -40,7 +40,7 @@ class Place(NamedTuple):
 
 
 class LaneContent(NamedTuple, Generic[Own, Held]):
-    """What lanes know: named tuples of arrays; `cycles_in_step` counts the closed cycles."""
+    """Knowledge of lanes: named tuples of arrays; `cycles_in_step` counts the closed cycles."""
 
     own: Own
     held: Held
@@ -82,7 +82,7 @@ class LocalStep(NamedTuple):
 
 
 class LaneRule(Protocol[Own, Held, Said]):
-    """A fusion rule. What it says travels as one vector of numbers (..., m)."""
+    """A fusion rule. Its shares travel as one vector of numbers (..., m)."""
 
     @property
     def contends(self) -> bool:
@@ -113,8 +113,10 @@ class LaneRule(Protocol[Own, Held, Said]):
         ...
 
     def read(self, numbers: Array) -> tuple[Said, np.ndarray | None, str]:
-        """What finite numbers (..., m) say, which (...) can be used (None for all), and why the
-        others cannot."""
+        """Decode finite numbers (..., m).
+
+        Return the content, which (...) can be used (None for all), and why the others cannot.
+        """
         ...
 
     def fuse(
@@ -141,7 +143,7 @@ def mapped(function: Callable[..., np.ndarray], first: Tree, *others: Tree) -> T
 
 
 class Published(NamedTuple):
-    """What lanes believed when they last sent, carried on to now; `known` (...) if they did."""
+    """Beliefs that lanes last sent, predicted to the present; `known` (...) where they exist."""
 
     belief: Gaussian
     known: np.ndarray

@@ -1,4 +1,4 @@
-"""What every rule does before it hears anybody: predict, and take the node's own readings."""
+"""The part of every rule before any share is heard: predict, and take the node's own readings."""
 
 import math
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from nodes.messages import Array, Measured, from_wire
 
 
 class Model(Protocol):
-    """What a filter believes of the plant."""
+    """A filter's model of the plant."""
 
     def transition(self, state: Array, control: Array | None, step: int) -> Array:
         """State (..., n) at `step + 1` from the state at `step`."""
@@ -27,7 +27,7 @@ class Model(Protocol):
 
 
 class Sensor(Protocol):
-    """What a node believes of its own readings."""
+    """A node's model of its own readings."""
 
     @property
     def gate(self) -> float | None:
@@ -79,7 +79,7 @@ def at(beliefs: Gaussian, place: int) -> Gaussian:
 
 
 def control_of(measured: Measured) -> Array | None:
-    """What drove the plant into the step, (p,)."""
+    """Return the control that drove the plant into the step, (p,)."""
     return None if measured.control is None else np.array(measured.control)
 
 
@@ -168,7 +168,7 @@ class SensorGroup(NamedTuple):
 
 @dataclass(frozen=True)
 class LocalFilters:
-    """What the nodes believe of plant and sensors; nodes in no group are blind."""
+    """The nodes' models of plant and sensors; nodes in no group are blind."""
 
     model: Model
     groups: tuple[SensorGroup, ...]

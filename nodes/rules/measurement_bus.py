@@ -25,7 +25,7 @@ from nodes.rules.measurement_codec import MeasurementCodec
 
 
 class System(Protocol):
-    """What a filter behind a measurement bus knows of the plant (see `plants.stochastic`)."""
+    """Model of the plant for a filter behind a measurement bus (see `plants.stochastic`)."""
 
     @property
     def sizes(self) -> tuple[int, ...]: ...
@@ -48,7 +48,7 @@ class System(Protocol):
 
 
 def dynamics(system: System, control: Array | None, step: int) -> Dynamics:
-    """What moves the state from `step` to the next."""
+    """Return the dynamics of the state from `step` to the next."""
     return Dynamics(
         lambda points: system.transition(points, control, step),
         system.process_noise_cov(step),
@@ -57,7 +57,7 @@ def dynamics(system: System, control: Array | None, step: int) -> Dynamics:
 
 
 def observation(system: System, step: int) -> Observation:
-    """What the sensors measure at `step`."""
+    """Return the observation of the sensors at `step`."""
     return Observation(
         lambda points: system.measure(points, step),
         system.measurement_noise_cov(step),
@@ -217,7 +217,7 @@ class ReceiverNode:
         return content._replace(state=state, received=received, ages=ages), troubles
 
     def belief(self, content: ReceiverContent) -> Gaussian:
-        """What the filter believes."""
+        """Return the belief of the filter."""
         return content.state.belief
 
     def ages(self, content: ReceiverContent) -> Array:

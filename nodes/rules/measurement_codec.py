@@ -11,8 +11,8 @@ from nodes.messages import Array
 class MeasurementCodec(NamedTuple):
     """A measurement of at most `entries` numbers as bytes; `number` is "<f8" or "<f4".
 
-    What a sensor does not have is NaN, at the end of a short measurement or throughout: a static
-    slot comes round even when there is nothing to send.
+    Missing entries are NaN, at the end of a short measurement or throughout: a static slot comes
+    round even when there is nothing to send.
     """
 
     entries: int

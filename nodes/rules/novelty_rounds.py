@@ -26,7 +26,7 @@ class NoveltyRounds(NamedTuple):
     mix: Callable[[Array, Array], Array]
 
     def begin(self, node: np.ndarray, prior: Gaussian, posterior: Gaussian) -> Array:
-        """What the node says in the first round (..., m)."""
+        """Return the node's share of the first round (..., m)."""
         return self.open(prior, posterior)
 
     def say(self, cycle: int, known: Array, belief: Gaussian) -> Array:

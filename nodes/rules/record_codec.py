@@ -1,7 +1,7 @@
 """A node's readings of one step as the bytes of a record: quantised, the same for every reader.
 
-All that use a record use these bytes, the source too: what rounding took from it is counted as
-noise by everybody alike.
+Every node that uses a record uses these bytes, the source too. So all nodes count the rounding
+error as the same noise.
 """
 
 from dataclasses import dataclass
@@ -64,7 +64,7 @@ class RecordCodec:
         return mask + entries[taken].astype(self.number).tobytes()
 
     def received(self, delivered: Array) -> Array:
-        """What readers of the record of readings (..., r, d) have: NaN where none is written."""
+        """Return the readings (..., r, d) that readers of the record get: NaN if not written."""
         entries, taken = self._entries(delivered)
         found = np.full(delivered.shape, np.nan)
         data = np.where(taken[..., None], entries, 0).astype(self.number)
@@ -72,7 +72,7 @@ class RecordCodec:
         return found
 
     def _entries(self, delivered: Array) -> tuple[Array, np.ndarray]:
-        """What is written of readings (..., r, d), and of which (..., r)."""
+        """Return the entries written of readings (..., r, d), and of which readings (..., r)."""
         delivered = delivered[..., : self.channels]
         if self.resolution is None:
             return delivered, np.asarray(~np.isnan(delivered).all(axis=-1))
@@ -82,7 +82,7 @@ class RecordCodec:
         return entries, np.asarray((entries >= -most).any(axis=-1))
 
     def _values(self, data: np.ndarray) -> Array:
-        """What written entries (..., channels) mean."""
+        """Return the values of written entries (..., channels)."""
         values = data.astype(np.float64)
         if self.resolution is None:
             return values

@@ -25,7 +25,7 @@ def with_sources(records: RecordSet, place: int, sources: int, nodes: int) -> Re
 
 
 def lacked(held: RecordSet, known: Sequence[RecordSet]) -> RecordSet:
-    """What is held and somebody lacks."""
+    """Return the held records that at least one neighbour lacks."""
     missing = 0
     for theirs in known:
         missing |= held & ~theirs

@@ -1,9 +1,10 @@
 """Set membership in the network: every node keeps a set that holds the truth for certain.
 
 A step carries the node's set and the held sets of its neighbours through the plant, under every
-noise that the bounds allow, and cuts with the node's readings. A round cuts with what neighbours
-share. The truth lies in each of these sets, so it lies in what they have in common: nothing needs
-weights, nothing can be counted twice, and a share that is lost costs width and never certainty.
+noise that the bounds allow, and cuts with the node's readings. A round cuts with the neighbours'
+shares. The truth lies in each of these sets, so it lies in their intersection. The rule needs no
+weights and cannot count a share twice. A lost share makes the set wider, but the set still holds
+the truth.
 
 A reading or a share that has nothing in common with the own set contradicts the bounds; it is
 counted and left out.
@@ -24,7 +25,7 @@ from nodes.rules.set_shapes import HeldSet, Shape, chosen_sets
 
 @runtime_checkable
 class BoundedModel(Protocol):
-    """What a node knows of the plant: x' = A x + known input + B v with |v| <= 1."""
+    """A node's model of the plant: x' = A x + known input + B v with |v| <= 1."""
 
     def transition(self, state: Array, control: Array | None, step: int) -> Array:
         """Where the plant takes a state (..., n) between step and step + 1 without noise."""
@@ -37,7 +38,7 @@ class BoundedModel(Protocol):
 
 @runtime_checkable
 class BoundedSensor(Protocol):
-    """What a node knows of its readings."""
+    """A node's model of its readings."""
 
     def strips(self, step: int) -> tuple[Array, Array]:
         """Rows (m, n) and half-widths (m,): a reading (m,) is off by at most the half-widths."""

@@ -1,7 +1,7 @@
 """The two shapes of set that a node can keep, ellipsoid and zonotope, and how each travels.
 
-What is on the wire holds what was kept: a sender grows its set by what the number format loses, a
-receiver by what decoding does. All functions take sets of many lanes (...).
+The set on the wire contains the set that was kept. A sender grows its set by the loss of the number
+format, a receiver by the loss of decoding. All functions take sets of many lanes (...).
 """
 
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ _UNITS = {"<f8": 0.0, "<f4": 2.0**-24}
 
 
 class Shape(Protocol[HeldSet]):
-    """What nodes do with their sets. All of them hold the truth if what they are made of does."""
+    """Operations on a node's sets. Each result holds the truth if its operands do."""
 
     def around(self, prior: Gaussian) -> HeldSet:
         """The ellipsoids with these means (..., n) and these shape matrices (..., n, n)."""

@@ -1,8 +1,8 @@
 """A filter over a sliding window: records may come late and in any order, and each counts once.
 
 A `Window` is a value: the belief at its base, the labelled records of the steps after it, and the
-posteriors that are still right. What changes a step drops the posteriors from there on; `filtered`
-makes them anew.
+posteriors that are still right. A change of a step drops the posteriors from there on; `filtered`
+computes them anew.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -24,7 +24,7 @@ _KEPT_RECORDS = 4096
 
 
 class Window(NamedTuple):
-    """What a node knows of the steps after `base_step`.
+    """A node's records and beliefs of the steps after `base_step`.
 
     Attributes:
         base_step, base: the belief that everything older went into; -1 is the prior, to which no
@@ -94,7 +94,7 @@ def with_base(window: Window, base: Gaussian) -> Window:
 
 @dataclass(frozen=True)
 class WindowFilter:
-    """What everybody knows of everybody: the plant, and the sensor and records of each node.
+    """Knowledge common to all nodes: the plant, and the sensor and records of each node.
 
     Raises nothing for a record that cannot be used: its step keeps the prediction.
     """
@@ -172,8 +172,10 @@ class WindowFilter:
 
 
 class _Reading(NamedTuple):
-    """What one delivered reading says: value (m,), noise covariance (m, m) with the rounding in it;
-    `state_noise` is the sensor if it is noisier the larger the state is."""
+    """One delivered reading: value (m,), noise covariance (m, m) with the rounding in it.
+
+    `state_noise` is the sensor if it is noisier the larger the state is.
+    """
 
     sensor: Sensor
     state_noise: StateNoise | None
