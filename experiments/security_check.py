@@ -1,4 +1,4 @@
-"""Who gets in and who does not: intruders against a guarded router, in sessions on loopback."""
+"""Access checks: intruders against a guarded router, in sessions on loopback."""
 
 import queue
 import tempfile
@@ -34,7 +34,7 @@ _DELIVERED, _REFUSED = "delivered", "refused"
 
 
 class Attempt(msgspec.Struct, frozen=True):
-    """What somebody tried against a guarded network, what should become of it, and what did."""
+    """Attempt against a guarded network, its expected outcome, and its outcome."""
 
     who: str
     tried: str
@@ -92,7 +92,7 @@ class _Guarded:
         return counts
 
     def answer(self, topic: str) -> None:
-        """Have the world answer questions on a topic."""
+        """Make the environment answer queries on a topic."""
         self._world.answer(topic, lambda question: question)
 
     def close(self) -> None:
@@ -102,7 +102,7 @@ class _Guarded:
 
 def _write_to(guarded: _Guarded, keys: str, topics: tuple[str, ...], mark: bytes) -> None:
     intruder = guarded.join(keys)
-    # What others have subscribed must have come before the first message can go.
+    # The subscriptions of the other sessions must arrive before the first message is sent.
     time.sleep(_SETTLE_S)
     for topic in topics:
         for _ in range(TRIES):
@@ -163,7 +163,7 @@ def _reader(guarded: _Guarded) -> list[Attempt]:
 
 
 def _commands(guarded: _Guarded) -> list[Attempt]:
-    """Who may command the network: the world answers whoever gets through."""
+    """Check access to the control interface: the environment answers each query that arrives."""
     guarded.answer("control")
     attempts = []
     for who, wanted in (
@@ -269,11 +269,12 @@ def _false_router(guarded: _Guarded, folder: Path) -> list[Attempt]:
 
 
 def check(folder: Path) -> list[Attempt]:
-    """Try everything against a router with the keys in `folder`, and say how far it is; takes about
-    half a minute.
+    """Make every attempt against a router with the keys in `folder`; takes about half a minute.
+
+    The function prints its progress.
 
     Raises:
-        ValueError: the folder has no keys for a router, a world, a recorder and two nodes.
+        ValueError: the folder has no keys for a router, an environment, a recorder and two nodes.
     """
     authority = read_authority(folder)
     guarded = _Guarded(folder)

@@ -21,9 +21,10 @@ class ControlOptions:
     folder: tyro.conf.Positional[Path]
     """Folder of the run, in which the launcher has written network.json."""
     words: tyro.conf.Positional[tuple[str, ...]]
-    """state, pause, resume, step N, speed N, kill NODE, restart NODE, cut FROM TO [one-way],
-    heal FROM TO [one-way], loss P [FROM TO [one-way]], set rule=NAME rounds=N ...,
-    partition NODE ..., corrupt P [FROM TO [one-way]] and the other words of docs/faults.md, calm"""
+    """Command: state, pause, resume, step N, speed N, calm. Nodes: kill NODE, restart NODE,
+    partition NODE ... Links: cut FROM TO [one-way], heal FROM TO [one-way], loss P [FROM TO
+    [one-way]], corrupt P [FROM TO [one-way]]. Settings: set rule=NAME rounds=N ... More words:
+    docs/faults.md."""
     keys: Path | None = None
     """For tls/ endpoints: operator.json of `concord keys`; monitor.json for state alone."""
     json: bool = False

@@ -36,12 +36,12 @@ from experiments.user_errors import user_errors
 
 @dataclass(frozen=True, kw_only=True)
 class DesignOptions:
-    """What must be reached, what is to be spared, and how sure it must be."""
+    """Target of the design, cost to minimise, and confidence."""
 
     target_rmse: str
     """Error to be met: 1.5x-centralised, 2x-bound, or a number in the scenario's unit."""
     minimise: Literal["occupancy", "bytes", "energy"] = "occupancy"
-    """What is to be spared: nodes that publish per cycle, bytes per step, or energy per step."""
+    """Cost to minimise: nodes that publish per cycle, bytes per step, or energy per step."""
     runs: int = 100
     """Fresh runs that confirm the recommended network."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
@@ -145,7 +145,7 @@ def _figures(one: Tried) -> tuple[str, ...]:
 
 
 def lines(result: Design) -> list[str]:
-    """What is recommended and how sure that is, or what the best is that can be reached."""
+    """Return the recommendation with its confidence, or the best that can be reached."""
     target = result.target.shown(result.unit)
     said = [
         f"tried {command} on {one.runs} fresh runs: {one.error.value:.3g}, at most "

@@ -18,7 +18,7 @@ _STYLES = {Verdict.OK: "green", Verdict.WARNING: "yellow", Verdict.FAILING: "bol
 
 @dataclass(frozen=True)
 class DoctorOptions:
-    """What the machine is wanted for."""
+    """Intended use of the machine."""
 
     nodes: int = 16
     """Number of sensor nodes of the network you have in mind."""

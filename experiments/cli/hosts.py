@@ -1,6 +1,6 @@
 """`concord setup`, `router`, `world` and `node`: one network on several hosts (docs/deployment.md).
 
-All hosts get the same setup file; a node with another one is refused by the world.
+All hosts get the same setup file; the environment refuses a node with another file.
 """
 
 import signal
@@ -30,7 +30,7 @@ from scenarios.tempo import tempo_of
 
 @dataclass(frozen=True, kw_only=True)
 class SetupOptions:
-    """What to write."""
+    """Setup file to write."""
 
     out: Path
     """The file to write; it must not exist."""
@@ -94,7 +94,7 @@ class RouterOptions:
 
 def router(options: Annotated[RouterOptions, tyro.conf.arg(name="")]) -> None:
     """Pass on what the processes of a network say, on one of its hosts."""
-    # Who only asks for help need not load zenoh.
+    # A call for help need not load zenoh.
     from runtime.network.zenoh_transport import LinkError, start_router
 
     with user_errors():
@@ -142,7 +142,7 @@ class WorldOptions(HostOptions):
 
 
 def world(options: Annotated[WorldOptions, tyro.conf.arg(name="")]) -> None:
-    """Be the world and the recorder of a network on several hosts, to the end of the run."""
+    """Run the environment and recorder processes on this host until the run ends."""
     with user_errors():
         description = read_setup(options.setup)
         place = place_of([RECORDER, WORLD], options.connect, options.keys)
@@ -177,7 +177,7 @@ class NodeOptions(HostOptions):
     nodes: tyro.conf.Positional[tuple[int, ...]]
     """Their numbers, one process each."""
     patience: float = 60.0
-    """Seconds that a node goes on without the world before it ends."""
+    """Seconds that a node waits without the environment before it ends."""
 
 
 def node(options: Annotated[NodeOptions, tyro.conf.arg(name="")]) -> None:

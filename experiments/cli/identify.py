@@ -53,7 +53,7 @@ class IdentifyOptions:
 
 
 class Findings(msgspec.Struct, frozen=True):
-    """What is printed; standard errors are those of white residuals, which a drive's are not."""
+    """Printed result; standard errors assume white residuals, unlike those of a drive."""
 
     car: str
     front_stiffness_n_rad: float
@@ -72,9 +72,9 @@ class Findings(msgspec.Struct, frozen=True):
 def identify_tyres(options: Annotated[IdentifyOptions, tyro.conf.arg(name="")]) -> None:
     """Find the cornering stiffness of both axles that explains a drive best.
 
-    Output error: the single-track model is driven with the logged steering and speed; stiffnesses
-    (and friction, and constant offsets of steering and sensors) are those for which yaw rate,
-    lateral acceleration and, where logged, side slip fit best in least squares.
+    Method: output error. The logged steering and speed drive the single-track model. The fit varies
+    stiffnesses, friction, and constant offsets of steering and sensors. It minimises the squared
+    errors of yaw rate, lateral acceleration and, where logged, side slip.
     """
     with user_errors():
         for option, path in (("--out", options.out), ("--log", options.log)):

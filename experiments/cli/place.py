@@ -1,4 +1,4 @@
-"""What the commands for networks on several hosts have in common: the setup file, keys, the end."""
+"""Common code of the commands for networks on several hosts: setup file, keys, end of the run."""
 
 import sys
 from collections.abc import Callable, Sequence
@@ -38,10 +38,10 @@ def _in_words(name: str) -> str:
 
 
 def read_setup(path: Path) -> Description:
-    """What `concord setup` has written, or the run.json of a run.
+    """Read the file that `concord setup` has written, or the run.json of a run.
 
     Raises:
-        ValueError: it cannot be read, or is none.
+        ValueError: the file cannot be read, or is no setup.
     """
     description = read_description_file(path)
     checked_run(description.run)

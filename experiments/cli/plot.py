@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PlotOptions:
-    """What to draw, and where."""
+    """Picture to draw, and its file."""
 
     result: tyro.conf.Positional[Path]
     """Result of `concord sweep` or `concord design`, or folder of a run."""

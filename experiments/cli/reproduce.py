@@ -36,10 +36,10 @@ class ReproduceOptions:
     """Which paper, and where to put what comes of it."""
 
     paper: Annotated[str, tyro.conf.Positional]
-    """wac: the weighted-average-consensus UKF of Widjiantoro et al.; meng2025: the UKF under the
-    FlexRay protocol of Meng et al.; adlukf: the adaptive dual-layer UKF of Wang et al.; liu2021:
-    set membership over a FlexRay network of Liu et al.; labelled: the project's own study of
-    labelled measurements beside consensus on beliefs."""
+    """wac: Widjiantoro et al., weighted-average-consensus UKF. meng2025: Meng et al., UKF under the
+    FlexRay protocol. adlukf: Wang et al., adaptive dual-layer UKF. liu2021: Liu et al., set
+    membership over a FlexRay network. labelled: the project's own study of labelled measurements
+    beside consensus on beliefs."""
     out: Path
     """Folder for the report and the pictures. It must not exist."""
     seed: int | None = None

@@ -108,7 +108,7 @@ def run(
         sys.stderr.write(f"concord: {error}; `concord collect {folder}` shows what was done\n")
         sys.exit(1)
     except KeyboardInterrupt:
-        # Who is in a hurry is not made to wait for arrays and figures.
+        # After an interrupt, the user need not wait for arrays and figures.
         sys.stderr.write(f"interrupted; `concord collect {folder}` shows what was done\n")
         raise
     finally:

@@ -93,7 +93,7 @@ def texts(metavar: str) -> Callable[[OfferedOption], Flag]:
 if TYPE_CHECKING:
 
     class ScenarioFlags:
-        """What a user said of a scenario, group by group."""
+        """Options of a scenario that the user has given, by group."""
 
 else:
     ScenarioFlags = grouped_flags("Options", "What is simulated.", _typed)

@@ -1,4 +1,4 @@
-"""What a command prints, where nobody takes it: a pipe that is closed, a disk that is full."""
+"""Standard output that cannot be written: a closed pipe, a full disk."""
 
 import io
 import os
@@ -28,7 +28,7 @@ def standard_output() -> Iterator[None]:
     except OSError as error:
         if _taken():
             raise
-        # What is left in the buffer has nowhere to go, and must not be tried again at the end.
+        # The rest of the buffer cannot be written, and Python must not try it again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if isinstance(error, BrokenPipeError):
             sys.exit(BROKEN_PIPE)

@@ -100,7 +100,7 @@ def _announce(begun: Begin, out: Path) -> None:
 
 
 def _warnings(begun: Begin) -> dict[str, list[str]]:
-    """What is known to fail or to change nothing, and in which cells."""
+    """Return the cells that are known to fail or to change nothing, by warning."""
     found: dict[str, list[str]] = {}
     for cell in begun.cells:
         for warning in warnings_of(prepare(cell.scenario)):

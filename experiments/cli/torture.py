@@ -35,8 +35,8 @@ class TortureOptions:
     workers: int | None = None
     """Processes on this machine; one per core when left out."""
     wire: str | None = None
-    """What no word of --changes says, each with its probability: 'vanish 0.05, garbage 0.2, shuffle
-    0.5'; drawn from the seed when left out."""
+    """Faults that no word of --changes names, each with its probability: 'vanish 0.05, garbage 0.2,
+    shuffle 0.5'; drawn from the seed when left out."""
     json: bool = False
     """Print one JSON object instead of lines."""
 
@@ -50,7 +50,7 @@ def torture(
         seeds = read_seeds(options.seeds)
         wire = {} if options.wire is None else {"wire": options.wire}
         fields = fixed_fields({**said_in(fixed), **wire})
-        # What no case can be is said before any runs.
+        # Options that no case can meet are refused before the first run.
         draw_case(seeds[0], fields)
         engine = engine_for(options.workers, None)
     outcomes: dict[int, Outcome] = {}

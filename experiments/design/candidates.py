@@ -1,4 +1,4 @@
-"""What is known of the candidates of a design: their figures run by run, and how they stand."""
+"""Results of the candidates of a design: their figures run by run, and their standing."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple
@@ -29,7 +29,7 @@ COST_UNITS: dict[Cost, str] = {
     "bytes": "bytes on the bus per step",
     "energy": "mJ per step (first-order radio model)",
 }
-# What is kept of a run: enough for errors, costs and consistency.
+# The kept histories of a run suffice for errors, costs and consistency.
 _KEPT = ("rmse", "rmse_centralised", "anees", *_COSTS.values())
 
 
@@ -49,7 +49,7 @@ class Candidate(NamedTuple):
         return len(self.figures.get("rmse", ()))
 
     def cost(self, cost: Cost) -> tuple[float, float]:
-        """What is to be spared, and then bytes, where candidates are equal."""
+        """Return the cost to minimise, then bytes, which decide between equal candidates."""
         spared, sent = (self.figures[name].mean() for name in (_COSTS[cost], "bytes_per_step"))
         return float(spared), float(sent)
 

@@ -46,9 +46,9 @@ class Attempt(msgspec.Struct, frozen=True):
 
 
 class Design(msgspec.Struct, frozen=True, kw_only=True):
-    """What was looked for, everything that was tried, and what is recommended; None if nothing is.
+    """Result of a design: the target, every candidate tried, and the recommendation or None.
 
-    `finished` is false where the search was interrupted.
+    `finished` is false if the search was interrupted.
     """
 
     scenario: str

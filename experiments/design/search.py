@@ -1,10 +1,10 @@
-"""The search of a design: look coarsely, look closer around the best, race, confirm on fresh runs.
+"""Search of a design: coarse grid, finer grid around the best, race, confirmation on fresh runs.
 
 The race is successive halving on paired runs (Jamieson and Talwalkar 2016, Non-stochastic best arm
-identification and hyperparameter optimization), with intervals in place of ranks where they decide:
-who surely misses the target leaves, and so does who costs more than one that surely meets it. The
-winner was picked for its luck as well, so what is promised is only what runs that nobody has seen
-say of it.
+identification and hyperparameter optimization). Where they decide, intervals replace ranks. A
+candidate leaves if it surely misses the target, or if it costs more than a candidate that surely
+meets the target. The winner's figures are biased by its selection, so the promise uses fresh runs
+only.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -31,7 +31,7 @@ FRESH_RUN = 100_000
 
 
 class Task(NamedTuple):
-    """What is searched for, where, and by whom. `say` is told what is going on."""
+    """Task of a search: target, space and workers. `say` receives the progress messages."""
 
     target: Target
     cost: Cost
@@ -52,7 +52,7 @@ class Confirmed(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What a search knows: all candidates, the refused ones, and the confirmations in order."""
+    """State of a search: all candidates, the refused ones, and the confirmations in order."""
 
     candidates: list[Candidate]
     refused: list[Refused]
@@ -145,7 +145,7 @@ def _race(task: Task, known: list[Candidate]) -> list[Candidate]:
 
 
 def _still_in(task: Task, racing: Sequence[Candidate]) -> list[Candidate]:
-    """Who may still be the cheapest that meets the target; at most half, rounded up."""
+    """Return candidates that may be the cheapest to meet the target; at most half, rounded up."""
     target = task.target
     errors = {one.cell.number: one.error(target, 0.95) for one in racing}
     may = [one for one in racing if not errors[one.cell.number].low > target.most]

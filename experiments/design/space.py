@@ -29,7 +29,7 @@ _ORDERED = ("rounds", "occupancy")
 
 
 def space_of(specification: Specification) -> tuple[Values, dict[str, list[Value]]]:
-    """What is settled, and the open fields with their values, of what a user asked for.
+    """Return the fixed fields, and the open fields with their values, of a specification.
 
     Raises:
         ValueError: there is no such scenario.

@@ -1,4 +1,4 @@
-"""What a design must reach and what it must spare, in a user's words."""
+"""Target and cost of a design, in a user's words."""
 
 import math
 import re

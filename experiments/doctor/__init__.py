@@ -1,1 +1,1 @@
-"""What `concord doctor` looks at."""
+"""Checks of `concord doctor`."""

@@ -1,4 +1,4 @@
-"""What `concord doctor` looks at, one function for each subject."""
+"""Checks of `concord doctor`, one function for each subject."""
 
 import importlib.util
 import os
@@ -32,7 +32,7 @@ EXTRAS = {
     "secure": ("cryptography", "concord keys"),
     "vehicle": ("vehiclemodels", "the simulated cars"),
 }
-# What is not published, but made where it is used, and how.
+# Some packages are not published; this table says how to build each.
 BUILT = {"fast": "make fast"}
 
 
@@ -119,7 +119,7 @@ def folders_of(environment: Mapping[str, str]) -> list[Path]:
 
 
 def data_folder(folder: Path) -> Finding:
-    """What is in a folder of recorded data, read to the end."""
+    """Check a folder of recorded data, and read it to the end."""
     readers = (
         ("Barcodes.dat", "a MRCLAM recording", mrclam_files.read_recording),
         (intel_lab.LOCATIONS, "the Intel lab", intel_lab.intel_lab),

@@ -14,7 +14,7 @@ class Verdict(Enum):
 
 
 class Finding(msgspec.Struct, frozen=True):
-    """What was looked at, how it stands, what was seen, and what to do (empty if nothing)."""
+    """Finding: subject, status, observation, and remedy (empty if none is needed)."""
 
     subject: str
     verdict: Verdict

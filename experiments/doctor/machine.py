@@ -1,4 +1,4 @@
-"""What `concord doctor` asks of the machine: memory, ports, files, threads, clock, disk."""
+"""Checks of the machine by `concord doctor`: memory, ports, files, threads, clock, disk."""
 
 import os
 import resource
@@ -60,7 +60,7 @@ def available_memory_mb(
 
 def ports(nodes: int) -> Finding:
     """Whether a mesh of `nodes` nodes finds its ports on loopback."""
-    # World, recorder, and where others watch.
+    # The environment, the recorder and the subscribers need one port each.
     count = nodes + 3
     try:
         taken = free_ports([str(number) for number in range(count)])

@@ -1,1 +1,1 @@
-"""What the `concord flexray` commands compute."""
+"""Computations of the `concord flexray` commands."""

@@ -18,7 +18,7 @@ from experiments.user_errors import user_errors
 
 
 class Derived(msgspec.Struct, frozen=True):
-    """What follows from a cluster's parameters; times in microseconds."""
+    """Values derived from a cluster's parameters; times in microseconds."""
 
     cycle_us: float
     cycles_repeat_ms: float
@@ -104,7 +104,7 @@ def read_cluster(source: str, name: str | None = None) -> Cluster:
 
 
 def derived(cluster: Cluster) -> Derived:
-    """What follows from a cluster's parameters."""
+    """Return the values that follow from a cluster's parameters."""
     minislots = cluster.dynamic_slot_minislots(cluster.dynamic_payload_bytes)
     by_start = -(-cluster.latest_transmission_minislot // minislots)
     return Derived(

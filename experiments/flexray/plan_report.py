@@ -1,4 +1,4 @@
-"""What `concord flexray plan` answers: the plan that was asked for, or the most that fits."""
+"""Answers of `concord flexray plan`: the requested plan, or the largest that fits."""
 
 import shlex
 from collections import defaultdict
@@ -72,11 +72,11 @@ class PlanReport(msgspec.Struct, frozen=True):
 
 
 class Answer(msgspec.Struct, frozen=True):
-    """What `concord flexray plan` says.
+    """Answer of `concord flexray plan`.
 
-    `problem` is why the bus that was asked for cannot be, and None where it can; then `shown` is
-    that bus, else the first of `alternatives`. `fitted_cycle_us` is the cycle of a cluster made to
-    measure for what was asked, None where there is none.
+    `problem` says why the requested bus is impossible; it is None if the bus is possible. `shown`
+    is the requested bus if it is possible, otherwise the first of `alternatives`. `fitted_cycle_us`
+    is the cycle of a cluster that fits the request, None if there is none.
     """
 
     asked: Scenario

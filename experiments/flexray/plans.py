@@ -27,8 +27,8 @@ REHEARSED = "every contender asks in every cycle, the longest silent most urgent
 def plan(scenario: Annotated[ScenarioFlags, tyro.conf.arg(name="")], *, json: bool = False) -> None:
     """Plan the bus of a scenario: slot table, occupancy, load, delays, what would starve.
 
-    What does not fit the cluster is said with its numbers, and the largest occupancy that does fit
-    is shown instead.
+    If the bus does not fit the cluster, the report gives the numbers and shows the largest
+    occupancy that fits.
 
     Args:
         json: Print one JSON object.

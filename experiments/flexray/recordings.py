@@ -44,7 +44,7 @@ class FrameRow(msgspec.Struct, frozen=True):
 
 
 class DecodeFigures(msgspec.Struct, frozen=True):
-    """What a recording holds. `static`, `dynamic` and `null` count frames with a right header CRC.
+    """Contents of a recording. `static`, `dynamic` and `null` count frames with a right header CRC.
 
     `reencoded` frames give back their recorded bits when they are encoded anew; `rejected` counts
     starts of frames that led to none, by reason.

@@ -25,15 +25,14 @@ ANY_STRETCH = 1e9
 
 
 class Rehearsal(NamedTuple):
-    """What each node sent, in bytes of payload, and who asked for the dynamic segment; both
-    (steps, rounds, N)."""
+    """Payload bytes that each node sent, and dynamic-segment bids; both (steps, rounds, N)."""
 
     payload_bytes: np.ndarray
     asked: np.ndarray
 
     @property
     def published(self) -> np.ndarray:
-        """Who published (steps, rounds, N)."""
+        """Return the nodes that published (steps, rounds, N)."""
         return self.payload_bytes > 0
 
     @property

@@ -1,9 +1,9 @@
-"""What sending costs where every node runs on a battery: the first-order radio model.
+"""Energy of transmission for nodes on batteries: the first-order radio model.
 
-Source: Heinzelman, Chandrakasan, Balakrishnan (2000), Energy-efficient communication protocol for
-wireless microsensor networks, section 2: electronics take 50 nJ per bit at the sender and at every
-receiver, the amplifier 100 pJ per bit and square metre of the distance to be reached. Nodes without
-positions sit on one wire: electronics alone. Idle listening is not counted.
+Source: Heinzelman, Chandrakasan, Balakrishnan (2000), "Energy-efficient communication protocol for
+wireless microsensor networks", section 2. Electronics take 50 nJ per bit at the sender and at every
+receiver. The amplifier takes 100 pJ per bit and square metre of the range. Nodes without positions
+share one wire, so only the electronics count. Idle listening is not counted.
 """
 
 from collections.abc import Sequence

@@ -33,8 +33,11 @@ class ManyNode(msgspec.Struct, frozen=True):
 
 
 class ManyFigures(msgspec.Struct, frozen=True):
-    """What R runs amount to; RMSE and disagreement in `unit`. Frames, and what nodes `noticed`
-    beside them, are those of one run in the mean; the bus load is NaN on a bus without time."""
+    """Figures of R runs; RMSE and disagreement in `unit`.
+
+    Frames, and the events that nodes `noticed`, are means per run; the bus load is NaN on a bus
+    without time.
+    """
 
     scenario: str
     unit: str
@@ -61,7 +64,7 @@ class ManyFigures(msgspec.Struct, frozen=True):
 
 
 class Cost(NamedTuple):
-    """What the runs took."""
+    """Cost of the runs."""
 
     seconds: float
     peak_memory_mb: float
@@ -131,7 +134,7 @@ _TRAFFIC = ("sent", "heard", "missed", "rejected")
 
 
 def _frames(histories: Histories, name: str) -> Array:
-    """What each node counted under a name, or names that begin with it, per run (N,)."""
+    """Return each node's count under a name, or under names that begin with it, per run (N,)."""
     none = np.zeros((len(histories.runs), histories.setup.scenario.nodes))
     return sum((n for key, n in histories.counters.items() if key.startswith(name)), none).mean(0)
 
@@ -183,7 +186,7 @@ def table(figures: ManyFigures, title: str) -> Table:
 
 
 def lines(figures: ManyFigures) -> list[str]:
-    """What the table has no column for."""
+    """Return the lines below the table: figures that have no column."""
     ratios = figures.to_centralised, figures.worst_node_to_centralised
     busy = figures.bus_load.value
     load = "" if np.isnan(busy) else f", bus load {100 * busy:.3g} %"

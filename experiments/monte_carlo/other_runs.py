@@ -1,9 +1,11 @@
-"""What other runs of a scenario tell of the one that is shown: the band in which the network's NEES
-lies in most of them, and the error that no filter which hears everything can beat.
+"""Comparison values for a shown run, from other runs of its scenario.
 
-From runs, because the nodes' errors are not independent of each other after they have agreed, and
-no table of chi-square tells the band then. This module is also the process that
-runs them, out of the way of a network that is watched.
+The values are the band that holds the network's NEES in most runs, and the error that no filter
+with all readings can beat.
+
+The band comes from runs because the nodes' errors are dependent after agreement, so a chi-square
+table does not apply. This module is also the process that computes these runs apart from the shown
+network.
 """
 
 import contextlib
@@ -56,7 +58,7 @@ class Told(msgspec.Struct):
 
 
 def told_by(setup: Setup, runs: int, rest: Callable[[int], None] = lambda done: None) -> Told:
-    """What runs 1000 and up tell: not the one that is shown. `rest` is called after every step."""
+    """Return the values of runs 1000 and up, without the shown run. `rest` is called every step."""
     bounded = setup.scenario.nodes * setup.scenario.steps <= _MOST_BOUNDED
     keep = (READINGS,) if bounded else ()
     histories = simulate(setup, range(1000, 1000 + runs), keep=keep, on_progress=rest)
@@ -79,14 +81,14 @@ def _plain(values: Array) -> list[float | None]:
 
 
 def expected(told: Told, time_step_s: float, times: Array) -> Expected:
-    """What was told, at these times."""
+    """Return the expected values at these times."""
     steps = np.clip(np.round(times / time_step_s).astype(int), 0, len(told.nees_low) - 1)
     columns = (told.nees_low, told.nees_high, told.bound)
     return Expected(*(np.array(column, dtype=np.float64)[steps] for column in columns))
 
 
 class OtherRuns:
-    """What other runs of a scenario tell, once their process is done; nothing before."""
+    """Values of other runs of a scenario; empty until their process is done."""
 
     def __init__(self, setup: Setup, sparing: bool) -> None:
         self._time_step_s = setup.time_step_s
@@ -127,7 +129,7 @@ class OtherRuns:
                 self._told = msgspec.json.decode(line, type=Told)
 
     def __call__(self, times: Array) -> Expected:
-        """What they tell at these times."""
+        """Return the expected values at these times."""
         if self._told is None:
             return nothing_expected(times)
         return expected(self._told, self._time_step_s, times)

@@ -1,4 +1,4 @@
-"""What nothing else beats: the front between two figures of which less is better."""
+"""Pareto front between two figures of which less is better."""
 
 import numpy as np
 

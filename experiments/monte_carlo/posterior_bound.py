@@ -1,15 +1,15 @@
-"""The posterior Cramer-Rao bound: what no filter that hears every node can beat.
+"""Posterior Cramer-Rao bound on the error of every filter that hears every node.
 
-Source: Tichavsky, Muravchik, Nehorai (1998), Posterior Cramer-Rao bounds for discrete-time
-nonlinear filtering, IEEE Transactions on Signal Processing 46(5), equation 21, for additive
-Gaussian noise (equations 34 to 36): with F and H the Jacobians at the truth,
+Source: Tichavsky, Muravchik, Nehorai (1998), "Posterior Cramer-Rao bounds for discrete-time
+nonlinear filtering", IEEE Transactions on Signal Processing 46(5), equation 21. Equations 34 to 36
+give the terms for additive Gaussian noise, with F and H the Jacobians at the truth:
 
     D11 = E[F' Q^-1 F],  D12 = -E[F'] Q^-1,  D22 = Q^-1
     J[k+1] = D22 - D12' (J[k] + D11)^-1 D12 + E[sum over the readings of H' R^-1 H]
 
-The expectations are means over Monte-Carlo truths. Which readings were taken is taken as given:
-that a sensor with a limited field of view saw nothing says something too, but no filter here uses
-it.
+The expectations are means over Monte-Carlo truths. The bound takes the set of readings as given. A
+missing reading of a sensor with a limited field of view also carries information, but no filter
+here uses it.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,8 +30,11 @@ SINGULAR = 1e-12
 
 
 class Truths(NamedTuple):
-    """What happened in R runs: truth (R, steps, n), readings (R, steps, N, r, d), NaN where none
-    was taken, control (R, steps, p) into each step or None."""
+    """Histories of R runs: truth (R, steps, n) and readings (R, steps, N, r, d), NaN without a
+    reading.
+
+    `control` (R, steps, p) acts into each step, or is None.
+    """
 
     truth: Array
     readings: Array

@@ -27,7 +27,7 @@ COVERED = 0.95
 
 
 class Figure(NamedTuple):
-    """What a variable is: its dimensions, its unit ("score" is that of the scenario's error)."""
+    """Dimensions and unit of a variable ("score": the unit of the scenario's error)."""
 
     dimensions: tuple[str, ...]
     units: str
@@ -71,7 +71,7 @@ def figures_of(setup: Setup, histories: Histories, frame: Frame) -> dict[str, Ar
     errors = histories.mean - histories.truth[:, :, None]
     central = frame.mean - histories.truth
     states = list(score.states)
-    # What does not count is left out as if nobody knew the truth.
+    # Steps that do not count are left out, as if the truth were unknown.
     scored = np.where(counted[..., None, None], errors, np.nan)
     spread = histories.mean - _average(histories.mean)
     position = scored[..., states]
@@ -137,7 +137,7 @@ def _anees_central(setup: Setup, errors: Array, cov: Array, counted: np.ndarray)
 
 
 def traffic_of(setup: Setup, histories: Histories) -> dict[str, Array]:
-    """Who sent how much, what that asked of the bus and of the batteries, and how old it grew."""
+    """Return the traffic per node, its load on bus and batteries, and the ages of the shares."""
     payload, form = histories.payload_bytes, frame_format(setup.scenario)
     frames = np.ceil(payload / form.payload_limit_bytes)
     sent = (payload + form.overhead_bytes * frames).sum(axis=2)

@@ -1,6 +1,6 @@
-"""What frames a Monte Carlo: the filter that hears everything in each run, and the bound on all.
+"""References of a Monte Carlo study: the baseline filter of each run, and the error bound.
 
-Neither depends on the network, so cells of a sweep that share their noise share both.
+The references do not depend on the network, so cells of a sweep with the same noise share them.
 """
 
 import hashlib
@@ -45,7 +45,7 @@ def frame_of(setup: Setup, runs: range, histories: Histories) -> Frame:
 
 def _key(setup: Setup, runs: range, histories: Histories) -> bytes:
     scenario = setup.scenario
-    # What no filter that hears everything depends on is left out: the network, its rule and bus.
+    # The key leaves out the network, its rule and its bus; the baseline filter does not use them.
     of_the_readings = (
         scenario.plant, scenario.nodes, scenario.filter, scenario.steps, scenario.seed,
         scenario.changes, setup.prior_cov, runs[0],
@@ -69,7 +69,7 @@ def bound_of(setup: Setup, histories: Histories) -> Array:
     NaN where it is not defined."""
     kind = kind_of(setup.scenario.name)
     steps, n = histories.truth.shape[1:]
-    # What a network of another wiring, a rule of sets or a gate does is outside the bound's model.
+    # The bound's model does not cover another wiring, a set-valued rule or a gate.
     if kind.wiring is not None or not listens_step_by_step(setup):
         return np.full((steps, n, n), np.nan)
     sensors = [kind.sensor(setup.scenario, node) for node in range(setup.scenario.nodes)]

@@ -37,12 +37,12 @@ OPTIONAL = frozenset((READINGS, AGES, COV))
 
 
 class Histories(NamedTuple):
-    """What happened in R runs of N nodes on E links, of n states, in S steps of L rounds.
+    """Histories of R runs of N nodes on E links, of n states, in S steps of L rounds.
 
     Attributes:
-        setup: what was run.
+        setup: the setup of the runs.
         runs: (R,), their numbers.
-        truth: (R, S, n), NaN where nobody knows it.
+        truth: (R, S, n), NaN where it is unknown.
         control: (R, S, p) that drove the plant into a step, NaN for the first; None for a plant
             that is not driven.
         mean: (R, S, N, n), estimates after the last round of a step.
@@ -135,8 +135,10 @@ def _together(setup: Setup) -> int:
 
 
 class Interrupted(KeyboardInterrupt):
-    """Somebody would not wait; `histories` are those of the first runs, which are complete, None
-    where there is none."""
+    """Interrupt of a simulation.
+
+    `histories` are those of the first, complete runs; None if no run is complete.
+    """
 
     def __init__(self, histories: Histories | None) -> None:
         super().__init__()

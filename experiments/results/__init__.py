@@ -1,1 +1,1 @@
-"""What a run leaves: arrays, figures, tables and pictures."""
+"""Results of a run: arrays, figures, tables and pictures."""

@@ -1,7 +1,7 @@
-"""What was on the bus in a run: frames in microseconds, load, delay, starvation, ages of shares.
+"""Bus report of a run: frames in microseconds, load, delay, starvation, ages of shares.
 
-All of it follows from the slot table and from who published in which cycle, so a plan and a run are
-reported alike.
+All values follow from the slot table and the publishers of each cycle, so plans and runs have the
+same report.
 """
 
 from collections.abc import Iterable, Sequence
@@ -21,7 +21,7 @@ from scenarios.types.buses import stretch_of
 
 
 class BusFigures(msgspec.Struct, frozen=True):
-    """What a run asked of its bus.
+    """Bus figures of a run.
 
     Attributes:
         load_mean, load_max: share of a cycle in which the busier channel carries frames.
@@ -57,9 +57,10 @@ class BusFigures(msgspec.Struct, frozen=True):
 class BusTimes(NamedTuple):
     """Times on the bus.
 
-    `load` (steps, rounds) is that of the busier channel; `delay_us` (steps,) from the measurement
-    to the last share; `share_start_us`, `share_end_us` (steps, rounds, N) are the first and last
-    bit of a share, from the beginning of its cycle, NaN where none was sent.
+    `load` (steps, rounds) is that of the busier channel. `delay_us` (steps,) counts from the
+    measurement to the last share. `share_start_us` and `share_end_us` (steps, rounds, N) are the
+    times of a share's first and last bit. They count from the start of the cycle; NaN means that no
+    share was sent.
     """
 
     load: Array
@@ -239,7 +240,7 @@ def lines(figures: BusFigures) -> list[str]:
 
 
 def starvation(figures: BusFigures) -> str:
-    """Who waited how long for the dynamic segment, in words."""
+    """Return the waits of nodes for the dynamic segment, in words."""
     if figures.longest_wait_node is None:
         return "nobody asked in vain"
     cycles = figures.longest_wait_cycles

@@ -1,4 +1,4 @@
-"""What a run leaves: its folder, with run.json, run.mcap, run.nc and bus.pcap."""
+"""Folder of a run's results, with run.json, run.mcap, run.nc and bus.pcap."""
 
 import platform
 import secrets
@@ -30,7 +30,7 @@ _VERSIONED = ("concord", "numpy", "scipy", "networkx", "eclipse-zenoh", "msgspec
 
 
 class Description(msgspec.Struct, frozen=True):
-    """What was run and with what: enough to run it again; `tempo` where that was in real time."""
+    """Description of a run and its versions, enough to repeat it; `tempo` only in real time."""
 
     run: str
     driver: str
@@ -84,7 +84,7 @@ def describe(run: str, driver: str, setup: Setup, tempo: Tempo | None = None) ->
 
 
 def versions() -> dict[str, str]:
-    """What computes: this program, Python and the libraries that its numbers may depend on."""
+    """Return the versions of this program, Python and the libraries that affect its numbers."""
     found = {name: version(name) for name in _VERSIONED}
     return {**found, "python": platform.python_version()}
 
@@ -191,7 +191,7 @@ def write_whole(folder: Path, dataset: "xarray.Dataset", description: Descriptio
 
 
 def _meaning(setup: Setup) -> dict[str, str]:
-    """What cov and nees are where estimates are sets."""
+    """Return the meanings of cov and nees for set-valued estimates."""
     if not is_certain(setup.scenario):
         return {}
     return {"meaning": "cov is the shape matrix P of a set e' P^-1 e <= 1 that holds the truth"}

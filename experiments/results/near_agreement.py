@@ -1,7 +1,8 @@
-"""How near the batched driver comes to a run that went message by message.
+"""Difference between the batched driver and a run that exchanged messages.
 
-Sums in another order differ in their last bits, so equal here is equal to 1e-10 of the scale: that
-of a mean is its size or its standard deviation, that of a covariance the standard deviations.
+Sums in another order differ in their last bits, so equality here means equality to 1e-10 of the
+scale. The scale of a mean is its size or its standard deviation. The scale of a covariance is the
+product of its standard deviations.
 """
 
 import numpy as np
@@ -12,7 +13,7 @@ from nodes.messages import Array
 from scenarios.setup import Setup
 
 TOLERANCE = 1e-10
-# What is zero up to rounding has the scale of its neighbours.
+# A value that is zero up to rounding takes the scale of its neighbours.
 _LEAST = 1e-3
 
 

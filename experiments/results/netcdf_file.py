@@ -38,7 +38,7 @@ class _Patient(io.RawIOBase):
         return self._file.truncate(size) if self.error is None else (size or 0)
 
     def readinto(self, buffer: Any, /) -> int:
-        """What stands in the file."""
+        """Read bytes of the file into the buffer; return their number."""
         return self._file.readinto(buffer)
 
     def seek(self, offset: int, whence: int = io.SEEK_SET, /) -> int:

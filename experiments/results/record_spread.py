@@ -43,7 +43,7 @@ class RecordSpread(NamedTuple):
 
 
 class SpreadFigures(msgspec.Struct, frozen=True):
-    """What the spread of records amounts to.
+    """Figures of the spread of records.
 
     Attributes:
         coverage: share of (record, other node) pairs in which it came within the window, of records
@@ -182,7 +182,7 @@ def _shares(
 
 
 def _body(parts: list[bytes], frame_format: FrameFormat) -> bytes | None:
-    """What they say together; None where the recording has lost a part."""
+    """Join the parts into one body; return None if the recording has lost a part."""
     try:
         return frame_format.join(parts)
     except Rejected:

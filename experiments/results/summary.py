@@ -43,9 +43,11 @@ class NodeFigures(msgspec.Struct, frozen=True):
 
 
 class Figures(msgspec.Struct, frozen=True):
-    """What a run amounts to. RMSE, disagreement in `unit`, from step `first_step` on; `bus` is None
-    on a bus without time, `timing` but in real time. `noticed` is what nodes counted beside
-    traffic, all of them together: frames lost, late, repeated, rejected and why."""
+    """Figures of a run. RMSE and disagreement are in `unit`, from step `first_step` on.
+
+    `bus` is None on a bus without time; `timing` is None except in real time. `noticed` sums the
+    nodes' counters other than traffic: frames lost, late, repeated, rejected and why.
+    """
 
     scenario: str
     unit: str
@@ -136,7 +138,7 @@ def summarise(setup: Setup, trace: Trace) -> Figures:
 
 
 def noticed(counters: Iterable[Mapping[str, int]]) -> dict[str, int]:
-    """What nodes counted beside the shares that were sent, heard and missed, added up; by name."""
+    """Return the sums of all counters by name, except shares sent, heard and missed."""
     total = sum((Counter(one) for one in counters), Counter())
     return {name: total[name] for name in sorted(total) if name not in _TRAFFIC}
 
@@ -224,7 +226,7 @@ def _consistent(
 
 
 def lines(figures: Figures) -> list[str]:
-    """What the table has no column for."""
+    """Return the lines below the table: figures that have no column."""
     ratio, unit = figures.rmse / figures.rmse_centralised, figures.unit
     text = [
         f"network {ratio:.2f} x centralised, worst node {figures.worst_node_to_centralised:.2f} x; "

@@ -19,13 +19,14 @@ class Spread(msgspec.Struct, frozen=True):
 
 
 class TimingFigures(msgspec.Struct, frozen=True):
-    """The time that a run was to keep, and how it did.
+    """Deadlines of a run, and how well the run met them.
 
-    `cycles` are counted at each node. `deadline_misses` are `incomplete` ones, which ended without
-    something that was due, and `overrun` ones, which began after their own deadline. `late_shares`
-    came after the cycle that they were for, `late_bids` after the world had granted the slots;
-    `lost_heartbeats` steps began without readings. `cycle_jitter` is how late cycles began,
-    `heartbeat` how late readings came, `delay` the time from the sampling instant to the estimate.
+    `cycles` are counted at each node. `deadline_misses` is the sum of two counts: `incomplete`
+    cycles ended without an expected message, `overrun` cycles began after their own deadline.
+    `late_shares` came after their cycle; `late_bids` came after the environment had granted the
+    slots. `lost_heartbeats` counts steps that began without readings. `cycle_jitter` is the
+    lateness of cycle starts, `heartbeat` the lateness of readings. `delay` is the time from the
+    sampling instant to the estimate.
     """
 
     cycle_stretch: float

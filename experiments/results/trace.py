@@ -17,12 +17,12 @@ from scenarios.setup import Setup
 
 
 class Trace(NamedTuple):
-    """What happened in a run of N nodes, cut to the `steps` that all who took part completed.
+    """Histories of a run of N nodes, cut to the `steps` that every participating node completed.
 
     While a node was out, its entries are NaN, its ages -1, and it sent nothing.
 
     Attributes:
-        truth: (steps, n), NaN where nobody knows it. readings: (steps, N, r, d), NaN where a node
+        truth: (steps, n), NaN where it is unknown. readings: (steps, N, r, d), NaN where a node
         took none. control: (steps, p) that drove the plant into a step, or None for a plant that is
         not driven. mean, cov: estimates (steps, N, n) and (steps, N, n, n). ages: cycles since what
         i holds of j was sent: (steps, N, N), -1 never, 0 for itself. payload_bytes: (steps, rounds,

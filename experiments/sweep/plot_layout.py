@@ -10,7 +10,7 @@ from experiments.sweep.specification import Cell, Value, shown
 if TYPE_CHECKING:
     import xarray
 
-# What readers compare first.
+# Readers compare these fields first.
 _COLOUR_FIRST = ("rule", "weights", "hold", "schedule", "graph")
 _PANEL_FIRST = ("graph", "rule", "schedule", "weights")
 _AXIS_FIRST = ("occupancy", "rounds", "loss", "nodes")
@@ -75,7 +75,7 @@ def grouped(parts: list[Part], field: str | None) -> dict[str, list[Part]]:
 
 
 def subtitle(dataset: "xarray.Dataset", layout: Layout) -> str:
-    """What a reader must know of a picture: scenario, seed, runs, and what it leaves out."""
+    """Return a picture's subtitle: scenario, seed, runs, and the parts that it leaves out."""
     parts = flattened(dataset)
     scenario = parts[0][0].scenario
     fixed = [f"{field}={shown(parts[0][0].values[field])}" for field in layout.rest]

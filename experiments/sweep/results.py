@@ -104,7 +104,7 @@ def read_result(path: Path) -> "xarray.Dataset":
 
 
 def specification_of(dataset: "xarray.Dataset") -> Specification:
-    """What was swept."""
+    """Return the specification of the sweep."""
     return msgspec.json.decode(dataset.attrs[SPECIFICATION], type=Specification)
 
 

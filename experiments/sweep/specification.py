@@ -1,4 +1,4 @@
-"""What a sweep is: fields of a scenario with several values each, and the cells they span."""
+"""Specification of a sweep: fields of a scenario with several values each, and their cells."""
 
 import itertools
 import math
@@ -152,7 +152,7 @@ def cells_of(specification: Specification) -> list[Cell]:
 
 
 def _changes(text: str) -> tuple[str, ...]:
-    """What becomes of the network in one cell: as a comma ends the cell, semicolons part lines."""
+    """Return the changes of one cell: a comma ends the cell, so semicolons separate the lines."""
     return () if text == _NO_CHANGES else tuple(line.strip() for line in text.split(";"))
 
 

@@ -1,6 +1,6 @@
-"""What a sweep has done so far: a folder beside its result, with one file per finished cell.
+"""Progress of a sweep: a folder beside its result, with one file per finished cell.
 
-A cell is written whole or not at all, so whatever ends a sweep, it goes on where it stopped.
+A cell is written whole or not at all, so an interrupted sweep continues where it stopped.
 """
 
 import shutil

@@ -1,1 +1,1 @@
-"""What the `concord topology` commands compute."""
+"""Computations of the `concord topology` commands."""

@@ -101,7 +101,7 @@ def _draw_graph(axes: "Axes", subject: Subject, places: Array, placed: str) -> N
     strength = np.full(len(hearer), 0.55) if delivery is None else 0.12 + 0.88 * delivery
     for one_way, colour in ((True, _ORANGE), (False, _GREY)):
         chosen = np.flatnonzero(back != one_way)
-        # What delivers best lies on top.
+        # The links that deliver best are drawn on top.
         chosen = chosen[np.argsort(strength[chosen], kind="stable")]
         lines = np.stack((places[heard[chosen]], places[hearer[chosen]]), axis=1)
         colours = [to_rgba(colour, float(strength[k])) for k in chosen]

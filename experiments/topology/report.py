@@ -1,4 +1,4 @@
-"""What `concord topology analyse` finds of a graph, in figures and in lines."""
+"""Report of `concord topology analyse` on a graph, in figures and in lines."""
 
 import itertools
 from collections.abc import Callable, Sequence
@@ -27,7 +27,7 @@ _MOMENT_LOSSES = 60
 
 
 class Seen(msgspec.Struct, frozen=True):
-    """What the nodes see of the plant in `steps` steps.
+    """Observability of the plant by the nodes in `steps` steps.
 
     ranks: of n states, per node; remaining: what all readings together leave of the prior standard
     deviation of each state.
@@ -42,11 +42,11 @@ class Seen(msgspec.Struct, frozen=True):
 
 
 class Loss(msgspec.Struct, frozen=True):
-    """What is left without a node: `pieces` of the network, the convergence factor per round, and
-    how much larger the remaining deviation of the worst-hit state is.
+    """Effect of losing a node: number of `pieces`, convergence factor per round, and growth of the
+    remaining deviation of the most affected state.
 
-    The factor is None where the network falls apart; of links with memory, and of many nodes, it is
-    that of the weights alone.
+    The factor is None if the network is no longer connected. For links with memory and for many
+    nodes, it is that of the weights alone.
     """
 
     node: str
@@ -196,7 +196,7 @@ def lines(report: Report) -> list[str]:
 
 
 def loss_title(report: Report) -> str:
-    """What the losses of a report are."""
+    """Return the title of a report's losses."""
     losses, nodes = report.losses, report.analysis.nodes
     if len(losses) == nodes:
         return "what hurts most"

@@ -1,4 +1,4 @@
-"""What the `concord topology` commands are asked about: a graph, its weights and its links."""
+"""Subject of the `concord topology` commands: a graph, its weights and its links."""
 
 import os
 from dataclasses import dataclass
@@ -47,7 +47,7 @@ class SubjectOptions:
     """Weights: metropolis, maximum-degree, best-constant, fastest-mixing; equal-neighbour for
     links that go one way."""
     links: str | None = None
-    """What becomes of links: static, measured (by the file's own chances), bernoulli:0.1,
+    """Behaviour of links: static, measured (by the file's own chances), bernoulli:0.1,
     markov:0.05,0.3, switching:ring,star:10; with a scenario also moving:300."""
     seed: int = 1
     """Seed of everything random."""
@@ -72,7 +72,7 @@ class Subject(NamedTuple):
 
     @property
     def plan(self) -> LinkPlan:
-        """What becomes of its links."""
+        """Return the behaviour of the links."""
         return parse_links(self.links)
 
 
@@ -164,7 +164,7 @@ def _of_scenario(source: str, options: SubjectOptions) -> Subject:
         "seed": options.seed,
     }
     said = {name: value for name, value in asked.items() if value is not None}
-    # Who hears whom is looked at, and no bus need have room for that.
+    # These commands analyse the graph only, so no bus needs room for it.
     setup = prepare(msgspec.structs.replace(scenario_of(options.scenario, **said), bus=Ideal()))
     scenario = setup.scenario
     neighbours = setup.neighbours
