@@ -1,1 +1,1 @@
-"""What drives node and environment: in process, batched, or as processes over zenoh."""
+"""Drivers of nodes and environment: in process, batched, or as processes over zenoh."""

@@ -1,7 +1,7 @@
-"""What recorded bytes mean.
+"""The meaning of recorded bytes.
 
-Who records hears everybody, also somebody who obeys no rule: what is no message, or of no node of
-the network, is kept as it came and means nothing.
+A recorder hears every sender, even one that obeys no rule. Bytes that are no message, or that
+belong to no node of the network, are kept as received and mean nothing.
 """
 
 from typing import NamedTuple

@@ -106,7 +106,7 @@ class McapRecorder:
             self._is_whole = False
             for topic, data in messages:
                 self._append(topic, data)
-            # What was recorded survives the death of this process.
+            # Flushed messages survive the death of this process.
             self._file.flush()
             self._is_whole = True
         except OSError as error:
@@ -157,10 +157,10 @@ class McapRecorder:
                 whole_bytes = self._file.tell()
         finally:
             with suppress(OSError):
-                # What a full disk does not take any more was not whole.
+                # Data that a full disk refuses here did not belong to a whole record.
                 self._file.close()
             with suppress(FileNotFoundError):
-                # Somebody may have removed it meanwhile.
+                # Another process may have removed the file meanwhile.
                 os.truncate(self._path, whole_bytes or self._whole_on_disk())
 
     def _whole_on_disk(self) -> int:

@@ -15,7 +15,7 @@ from nodes.bounds import UNREADABLE, Instant, node_of
 from nodes.history import history_of, with_event
 from nodes.messages import MalformedMessage, decode
 
-# More than the world ever runs ahead of the slowest estimate.
+# More than the environment ever runs ahead of the slowest estimate.
 _PATIENCE_STEPS = 8
 # A cycle may seem to be far ahead until it is told that steps have more cycles from now on.
 _FAR_STEPS = 100
@@ -34,7 +34,7 @@ class _Told(msgspec.Struct):
 
 @dataclass
 class _Step:
-    """What has come of a step so far, in which `members` take part."""
+    """Messages of a step received so far, in which `members` take part."""
 
     members: set[int]
     messages: list[tuple[str, bytes]] = field(default_factory=list)
@@ -65,7 +65,7 @@ class WholeSteps:
         self._next, self._reached = 0, 0
 
     def take(self, topic: str, data: bytes) -> list[WholeStep]:
-        """Take one message; returns the steps that are over now. What is no message is ignored."""
+        """Take one message; return the steps over now. Ignore bytes that are no message."""
         kind, _, name = topic.partition("/")
         node = node_of(name, self.nodes)
         if kind == "event":
@@ -75,7 +75,7 @@ class WholeSteps:
             self._shares.append((self._cycle_of(data), (topic, data)))
             return []
         number = self._step_of(kind, data)
-        # Nobody else is further ahead of the plant than its messages are under way.
+        # Only the plant's truth may be further ahead than the messages under way.
         soon = kind == "truth" or (number or 0) <= self._reached + _PATIENCE_STEPS
         if number is None or number < self._next or not soon:
             return []
@@ -99,7 +99,7 @@ class WholeSteps:
         return None
 
     def _hear(self, event: bytes) -> None:
-        """What became of the network holds for steps that are under way, too."""
+        """Apply an event to the history, and to the steps that are under way."""
         with suppress(MalformedMessage):
             self._history = with_event(self._history, decode("event", event))
         for number, step in self._steps.items():
@@ -131,7 +131,7 @@ class WholeSteps:
         return over
 
     def _shares_of(self, number: int) -> list[tuple[str, bytes]]:
-        """What was sent in a step, of which nothing is kept any longer."""
+        """Return the shares sent in a step, and forget them."""
         placed = [(self._history.place(cycle)[0], cycle, told) for cycle, told in self._shares]
         ahead = range(number + 1, self._reached + _FAR_STEPS)
         self._shares = [(cycle, told) for step, cycle, told in placed if step in ahead]

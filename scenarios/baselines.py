@@ -145,7 +145,7 @@ def _through(
     for step in range(readings.shape[1]):
         driven = None if control is None else control[:, step]
         if driven is not None and np.isnan(driven).all():
-            # Whoever closes the loop was not there yet.
+            # The node that closes the loop was not present yet.
             driven = None
         belief = listen(belief, step, readings[:, step], driven)
         means.append(belief.mean)
@@ -204,7 +204,7 @@ class _Block(NamedTuple):
     noise_cov: Array
 
     def measure(self, state: Array, step: int) -> Array:
-        """What their sensors would deliver of points (S, ..., n): (S, ..., M, m)."""
+        """Return the readings of their sensors at points (S, ..., n): (S, ..., M, m)."""
         every = self.sensor.measure(state[..., None, :], step)
         # Sensors that are all alike deliver one value for all nodes.
         every = np.broadcast_to(every, (*every.shape[:-2], self.nodes, every.shape[-1]))

@@ -1,4 +1,4 @@
-"""From a setup to what the drivers run: the configuration of one node, or of the world."""
+"""Build the drivers' input from a setup: the configuration of one node, or of the environment."""
 
 import dataclasses
 from functools import partial
@@ -28,7 +28,7 @@ from scenarios.setup import Setup
 from scenarios.streams import generator
 from scenarios.types.buses import trigger_of
 
-# Steps by which an undriven world may run ahead of the slowest estimate.
+# Steps by which an undriven environment may run ahead of the slowest estimate.
 OPEN_LOOP_LEAD = 4
 
 
@@ -80,7 +80,7 @@ def _rebuilt(
             changed, prior_mean=belief.mean.tolist(), prior_cov=belief.cov.tolist()
         )
     config = _node(changed, node, standing, step)
-    # What is set next is set beside what was set before.
+    # A later change of settings applies to the original setup, beside all earlier changes.
     return dataclasses.replace(config, rebuild=partial(_rebuilt, setup, node))
 
 
@@ -105,7 +105,7 @@ def _estimator(setup: Setup, node: int, schedule: Schedule, beginning: Beginning
 
 
 def rule_context(setup: Setup, contends: bool = True) -> RuleContext:
-    """What the rule of a setup is built from."""
+    """Return the context of a setup's rule."""
     scenario = setup.scenario
     return RuleContext(
         len(setup.prior_mean),
@@ -119,7 +119,7 @@ def rule_context(setup: Setup, contends: bool = True) -> RuleContext:
 
 
 def everybody_of(setup: Setup, schedule: Schedule) -> Everybody:
-    """What every node knows of all nodes."""
+    """Return the knowledge that all nodes have of all nodes."""
     scenario = setup.scenario
     kind = kind_of(scenario.name)
     plant = kind.plant(scenario)
@@ -130,7 +130,7 @@ def everybody_of(setup: Setup, schedule: Schedule) -> Everybody:
 
 
 def build_environment(setup: Setup) -> EnvironmentConfig:
-    """The configuration of the world, with all its randomness drawn."""
+    """Return the configuration of the environment, with all its randomness drawn."""
     scenario = setup.scenario
     bus = build_bus(setup)
     kind = kind_of(scenario.name)
@@ -166,7 +166,7 @@ def _environment_rebuilt(setup: Setup, standing: Standing) -> EnvironmentConfig:
 
 
 def build_controller(scenario: Scenario) -> Controller | None:
-    """What closes the loop of the plant, and through whose knowledge; None for an open loop."""
+    """Return the plant's controller and the node whose belief it uses; None for an open loop."""
     law = kind_of(scenario.name).controller(scenario)
     if law is None:
         return None

@@ -65,12 +65,12 @@ def arbiter_names() -> tuple[str, ...]:
 
 
 def cluster_names() -> tuple[str, ...]:
-    """What --cluster takes beside files."""
+    """Return the names that --cluster accepts beside files."""
     return (FITTED, REDUNDANT, *PRESETS)
 
 
 def build_schedule(scenario: Scenario, neighbours: Neighbours = ()) -> Schedule:
-    """Who may publish in which cycle, on a graph that says whom each node hears.
+    """Return the schedule of a scenario, on a graph that says which nodes each node hears.
 
     Raises:
         ValueError: there is no such schedule or arbiter here.

@@ -1,4 +1,4 @@
-"""What of a scenario its faults need to know."""
+"""Equipment: the properties of a scenario's network that its faults need."""
 
 from typing import Protocol, runtime_checkable
 
@@ -32,12 +32,12 @@ class _Uncalibrated(Protocol):
 
 
 def build_faults(setup: Setup, bus: Bus) -> Faults:
-    """What decides of the faults of a run, of which none stands yet."""
+    """Return the faults of a run, none active yet, with the key of their draws."""
     return Faults(key_of(setup.scenario, "faults"), equipment_of(setup, bus))
 
 
 def equipment_of(setup: Setup, bus: Bus) -> Equipment:
-    """What the network of a setup has that can be wrong."""
+    """Return the equipment of a setup's network that faults can strike."""
     scenario, number, codec = setup.scenario, "", None
     if kind_of(scenario.name).wiring is None:
         rule = rule_of(scenario)

@@ -1,4 +1,4 @@
-"""What makes a named scenario: the functions that build its parts, and how errors are scored."""
+"""A scenario definition: the functions that build its parts, and how errors are scored."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 class ScenarioPlant(Protocol):
-    """A plant as a scenario needs it; see `nodes.environment.Plant` for what the world needs."""
+    """A plant as a scenario needs it; `nodes.environment.Plant` is the environment's part."""
 
     @property
     def time_step_s(self) -> float: ...
@@ -52,7 +52,7 @@ class ControlLaw(Protocol):
 
 
 class Score(NamedTuple):
-    """What errors are measured on: `states` for RMSE (in `unit`), `nees_states` for consistency.
+    """States on which errors are scored: `states` for RMSE, in `unit`; `nees_states` for NEES.
 
     Scored from `first_step` on, but not before anybody has seen anything; where `near_s` is given,
     also for the steps at most that long after a reading by any node.
@@ -66,7 +66,7 @@ class Score(NamedTuple):
 
 
 class Wiring(NamedTuple):
-    """What a network is made of in which not every node filters and fuses.
+    """Building blocks of a network in which not every node filters and fuses.
 
     Attributes:
         schedule: who may publish in which cycle.

@@ -88,7 +88,7 @@ def digest_of(scenario: Scenario) -> int:
 
 
 def without_arrays(scenario: Scenario) -> str | None:
-    """What of a scenario has no array form under this rule; None if all has."""
+    """Return the part of a scenario that has no array form under this rule; None if all has."""
     kind = kind_of(scenario.name)
     if kind.sensors is None:
         return f"rule labelled where sensors are unlike (scenario {scenario.name})"

@@ -1,4 +1,4 @@
-"""What the links of a run do: lose frames, fail, switch, follow nodes that move.
+"""The links of a run: they lose frames, fail, switch, or follow nodes that move.
 
 Everything follows from the setup and is a pure function of (step or cycle, sender, receiver), so
 every driver asks for itself and gets the same answer.
@@ -28,11 +28,11 @@ _FIRST_COUNT = 2
 
 
 def link_state(setup: Setup) -> LinkState:
-    """What the links of the run of a setup do to frames."""
+    """Return the effect of a setup's links on frames."""
     scenario = setup.scenario
     losses: dict[tuple[int, int], float] = {}
     if setup.losses is not None:
-        # What a link loses of itself, and what all links lose, are independent.
+        # The loss of one link and the loss of all links are independent.
         losses = {
             (sender, receiver): 1 - (1 - own) * (1 - scenario.network.loss)
             for receiver, heard in enumerate(setup.neighbours)
@@ -93,8 +93,8 @@ def network_of(
 ) -> "tuple[Network, tuple[Adjacency, ...]]":
     """The network of a scenario and the graphs that it switches among.
 
-    Whoever hears a node in some step is its neighbour: where graphs take turns or nodes move it is
-    the union.
+    A node's neighbours are all nodes that it hears in some step: where graphs take turns or nodes
+    move, the result is the union.
 
     Args:
         build: the network of a graph's name.

@@ -71,7 +71,7 @@ def prepare(scenario: Scenario) -> Setup:
 
 
 def _equipment(setup: Setup, settings: Settings) -> Equipment:
-    """What a network has that can be wrong, when these fields of its scenario are set."""
+    """Return the network's equipment when these fields of its scenario are set."""
     changed = with_settings(setup, settings)
     bus = plan_bus(changed.scenario, share_bytes(changed), changed.neighbours)
     return equipment_of(changed, bus)

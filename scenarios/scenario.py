@@ -15,7 +15,7 @@ from scenarios.types.rules import CovarianceIntersection, RuleChoice
 
 
 class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What is simulated. Equal scenarios give equal numbers in every driver."""
+    """The simulated case. Equal scenarios give equal numbers in every driver."""
 
     plant: Annotated[
         PlantChoice,

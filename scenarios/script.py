@@ -1,4 +1,4 @@
-"""What becomes of a network in a run, checked before it starts: changes with their steps."""
+"""The changes of a network in a run, with their steps, checked before the run starts."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -123,7 +123,7 @@ def _stands(
     neighbours: Sequence[Sequence[int]],
     complete: Callable[[Settings, Settings], Settings],
 ) -> Standing:
-    """What matters of it to the changes that follow."""
+    """Return the state after a command, as far as later changes depend on it."""
     match command:
         case Kill(node):
             return after(standing, step, Left(node))

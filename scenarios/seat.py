@@ -1,4 +1,4 @@
-"""What an estimator is built from: a node's place in its network."""
+"""Node context: a node's place in its network, from which its estimator is built."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -17,7 +17,7 @@ from scenarios.types.rules import CovarianceIntersection, FusionRule
 
 
 class Everybody(NamedTuple):
-    """What all nodes know of all nodes.
+    """Knowledge that all nodes have of all nodes.
 
     `sensors` has one entry per node; readings of each are of shape `readings_shape` (r, d).
     """
@@ -36,7 +36,7 @@ class Beginning(NamedTuple):
 
 
 class RuleContext(NamedTuple):
-    """What a rule is built from, the same for one node and for all.
+    """Input of a rule, the same for one node and for all.
 
     `neighbours` are those that each node of the network hears; `number` is "<f8" or "<f4"; `rule`
     is that of the scenario; without `contends` no node asks for dynamic slots.
@@ -70,7 +70,7 @@ class Seat(NamedTuple):
 
 
 class BatchSeat(NamedTuple):
-    """All that a rule at all nodes of many runs is built from.
+    """Input of a rule at all nodes of many runs.
 
     `base` are the weights of a run, `contenders` (C,) the nodes that may ask for the dynamic
     segment; `everybody` as in `Seat`.

@@ -1,4 +1,4 @@
-"""What is known to go wrong with a rule on a network, or to change nothing, said before the run."""
+"""Warnings before a run: options of a rule on this network that fail or have no effect."""
 
 from collections.abc import Iterator
 from functools import partial
@@ -83,7 +83,7 @@ def _diverging_average(setup: Setup) -> Iterator[str]:
     if isinstance(rule.hold, Decayed) and rule.hold.determinant_weights:
         return
     if kind_of(scenario.name).delivery is not None:
-        # What a bus delivers to a node at the start says nothing of what its sensors see.
+        # The bus's deliveries at the start do not show which states a node's sensors see.
         return
     growth = _spectral_radius(_transition_matrix(setup))
     blind = _blind(setup)
@@ -204,7 +204,7 @@ def _never_resent(setup: Setup) -> Iterator[str]:
 
 
 def _ideal_relay(setup: Setup) -> Iterator[str]:
-    """What relaying within a cycle takes for granted."""
+    """Warn of the assumptions behind relaying within a cycle."""
     scenario = setup.scenario
     rule = scenario.rule
     if isinstance(rule, MeasurementFlooding) and rule.relay:

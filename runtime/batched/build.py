@@ -33,7 +33,7 @@ from scenarios.types.plants import VehicleNetwork
 
 
 def without_array_form(scenario: Scenario) -> str | None:
-    """What of a scenario has no array form and can only run message by message; None if all has."""
+    """Return the part of a scenario that can only run message by message; None if none."""
     kind = kind_of(scenario.name)
     if kind.wiring is not None:
         return f"scenario {scenario.name}"
@@ -57,7 +57,7 @@ def _set_in(scenario: Scenario) -> Iterator[Scenario]:
 
 
 def turnings_of(setup: Setup) -> tuple[Turning, ...]:
-    """What becomes of the network of a setup, from its first step on."""
+    """Return the changes to the network of a setup, from its first step on."""
     scenario = setup.scenario
     turnings = foreseen(
         script_of(scenario),
@@ -91,7 +91,7 @@ def build_network(setup: Setup, runs: Sequence[int]) -> Network:
         np.repeat(np.stack(means)[:, None], nodes, axis=1),
         np.broadcast_to(covs[0], (len(runs), nodes, n, n)),
     )
-    # Who comes back has forgotten what others still hold of the same node: links differ then.
+    # A returned node has forgotten shares that others still hold, so links to one node differ.
     links = links_of(setup.neighbours, link_state(setup).perfect and not scenario.changes)
     return Network(
         plant=plant,
@@ -108,7 +108,7 @@ def build_network(setup: Setup, runs: Sequence[int]) -> Network:
 
 
 def _eras(setup: Setup, scenarios: Sequence[Scenario], links: Links) -> Iterator[Era]:
-    """What holds when, in runs of these scenarios."""
+    """Yield the segments of runs of these scenarios."""
     scenario = setup.scenario
     states = [link_state(msgspec.structs.replace(setup, scenario=one)) for one in scenarios]
     changed, bus, regime = setup, build_bus(setup), None

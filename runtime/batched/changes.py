@@ -1,7 +1,7 @@
-"""What a script makes of a network, worked out before the run: arrays have no world to ask.
+"""The changes of a script, computed before the run: arrays have no environment to ask.
 
-Who is out when, and with whose belief who comes back, is as `nodes.run_controller` decides it where
-fresh processes are ready at once.
+Departures of nodes, and the belief with which each node returns, are as `nodes.run_controller`
+decides them where fresh processes are ready at once.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,7 +15,7 @@ from nodes.run_controller import Scripted, link_changes
 
 
 class Turning(NamedTuple):
-    """What stands from `step` on.
+    """State of the network from `step` on.
 
     `joined` are (node, whose belief it begins with); where all begin `anew`, with what they
     believe, other settings hold.
@@ -72,7 +72,7 @@ def _stands(
     rounds: int,
     complete: Callable[[Settings, Settings], Settings],
 ) -> Standing:
-    """What stands after a command that holds from `step` on."""
+    """Return the state of the network after a command that takes effect at `step`."""
     match command:
         case Kill(node):
             return after(standing, step, Left(node))
@@ -95,9 +95,11 @@ def _able(
     believers: set[int] | None,
     standing: Standing,
 ) -> list[tuple[int, int]]:
-    """Who of those that are ready can be told what to believe, and by whom: by the first neighbour
-    that is there and was among the `believers` of the step before. None is before the first step,
-    when all have the prior."""
+    """Return (ready node, neighbour that tells it what to believe), where such a neighbour exists.
+
+    It is the first neighbour that is present and was among the `believers` of the step before. None
+    is before the first step, when all have the prior.
+    """
     if believers is None:
         return [(node, node) for node in sorted(ready)]
     present = believers.difference(standing.absent)

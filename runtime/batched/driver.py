@@ -1,8 +1,8 @@
 """The batched driver: all nodes of many runs as arrays (runs, nodes, ...), step by step.
 
-World, bus and nodes do here what `nodes.environment` and `nodes.node` do by messages, with the
-same functions: run r has the numbers that the in-process driver gives it to 1e-10. Nothing is a
-message, so nothing can be late, repeated or malformed.
+This driver does for environment, bus and nodes what `nodes.environment` and `nodes.node` do by
+messages, with the same functions: run r has the numbers that the in-process driver gives it to
+1e-10. The driver passes no messages, so nothing can be late, repeated or malformed.
 """
 
 from collections.abc import Callable, Iterator
@@ -22,7 +22,7 @@ from runtime.batched.tally import Tally, masked
 
 
 class Instant(NamedTuple):
-    """What happened in a step; of a node that is out NaN, age -1, and nothing sent.
+    """Results of a step; for an absent node NaN, age -1, and nothing sent.
 
     truth: (R, n). readings: (R, N, r, d). control: (R, p) that drove into the step. belief: after
     the last round, (R, N, n), (R, N, n, n). ages: (R, E). payload_bytes, asked: (rounds, R, N), of
@@ -44,7 +44,7 @@ class Instant(NamedTuple):
 
 
 class _Said(NamedTuple):
-    """What nodes said in a step: who sent and who asked (rounds, R, N)."""
+    """Publications in a step: which nodes sent and which asked (rounds, R, N)."""
 
     sends: np.ndarray
     asked: np.ndarray
@@ -68,7 +68,7 @@ def run(network: Network) -> Iterator[Instant]:
                 content, arbiter, tally = _turned(before, era, content, arbiter, tally)
         rule = era.regime.rule
         readings = deliver(plant.observe(truth, network.measurement[step], step), step)
-        # Who is out goes on for itself, and nobody hears of it: so it stays a number.
+        # An absent node runs on and no node hears it, so that its numbers stay finite.
         content = rule.begin_step(content, readings, control, step)
         content, arbiter, said = _communicated(era, content, arbiter, step)
         spread = rule.spread(content)
@@ -92,7 +92,7 @@ def run(network: Network) -> Iterator[Instant]:
 def _turned(
     before: Era, era: Era, content: Any, arbiter: Any, tally: Tally
 ) -> tuple[Any, Any, Tally]:
-    """What nodes know, what the arbiter remembers, and the counters, as the era begins."""
+    """Return the rule's content, the arbiter's state, and the counters, as the segment begins."""
     nodes = np.array([node for node, _ in era.joined], dtype=np.int64)
     sources = np.array([source for _, source in era.joined], dtype=np.int64)
     believed = before.regime.rule.belief(content)
@@ -117,7 +117,7 @@ def _steer(
     memory: Any,
     last: int,
 ) -> tuple[Array | None, Any]:
-    """What drives the plants on from step `last` (R, p), and what the controller remembers."""
+    """Return the control from step `last` on (R, p), and the controller's memory."""
     if network.controller is None:
         return None, memory
     law, _, node = network.controller
@@ -128,7 +128,7 @@ def _steer(
 
 
 def _delivery(delivery: Delivery | None, runs: int) -> Callable[[Array, int], Array]:
-    """What lies between sensors and nodes, with a memory for each run."""
+    """Return the delivery between sensors and nodes, with a memory for each run."""
     if delivery is None:
         return lambda readings, step: readings
     memories = [delivery.memory] * runs
@@ -171,8 +171,10 @@ def _cycle(
 def _access(
     era: Era, arbiter: Any, content: Any, part: tuple[int, int], spoke: np.ndarray
 ) -> tuple[Any, np.ndarray, np.ndarray]:
-    """Who sends in a part (cycle, group) and who asks for its dynamic slots: (R, N) each; nobody
-    sends twice in a cycle, and nodes `spoke` (R, N) have."""
+    """Return which nodes send in a group (cycle, group) and which ask for its dynamic slots.
+
+    Both are (R, N). No node sends twice in a cycle; nodes `spoke` (R, N) have sent already.
+    """
     cycle, number = part
     schedule = era.regime.schedule
     group = schedule.groups(cycle)[number]

@@ -11,7 +11,7 @@ def keep_freed_memory() -> bool:
 
     Every temporary array of numpy above 128 kB is otherwise mapped, cleared and unmapped by the
     system, which takes longer than filling it: a batched filter step then costs two to six times as
-    much. Whoever computes many lanes calls this once.
+    much. A process that computes many lanes calls this function once.
 
     Returns:
         Whether the C library can be told (glibc); elsewhere nothing happens.

@@ -46,8 +46,10 @@ def streams_of(scenario: Scenario, runs: Sequence[int]) -> StreamOf:
 
 
 def beginnings(seed: int, runs: Sequence[int], code: int, nodes: np.ndarray) -> np.ndarray:
-    """What `SeedSequence(seed, spawn_key=(run, code, node))` begins a PCG64 with: (R, N, 4) of
-    uint64, for nodes (N,) of uint32."""
+    """Return the initial state of PCG64 after `SeedSequence(seed, spawn_key=(run, code, node))`.
+
+    The result is (R, N, 4) of uint64, for nodes (N,) of uint32.
+    """
     # All words but the last, as numpy mixes them, and the constant that it has come to.
     before = np.stack([SeedSequence(seed, spawn_key=(run, code)).pool for run in runs])
     counts = [max(_POOL, _words(seed)) + _words(run) + _words(code) for run in runs]
@@ -83,5 +85,5 @@ class _Worked(ISeedSequence):
         self._state = state
 
     def generate_state(self, n_words: int, dtype: Any = np.uint32) -> np.ndarray:
-        """What PCG64 asks for: four words of 64 bits."""
+        """Return the words that PCG64 asks for: four of 64 bits."""
         return self._state

@@ -1,4 +1,4 @@
-"""What of a network in arrays is shown, where some of its nodes are out."""
+"""The counters that a network in arrays shows, where some of its nodes are absent."""
 
 from typing import NamedTuple
 

@@ -33,7 +33,7 @@ _CLOCK_SLACK = timedelta(hours=1)
 
 
 class Authority(NamedTuple):
-    """Who signs: a certificate and its private key."""
+    """Certificate authority: a certificate and its private key."""
 
     certificate: "x509.Certificate"
     key: "ec.EllipticCurvePrivateKey"

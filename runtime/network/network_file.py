@@ -10,7 +10,7 @@ NETWORK = "network.json"
 
 
 class Network(msgspec.Struct, frozen=True):
-    """Where a network is: watchers connect to all of `connect`; `pids` are its processes."""
+    """Addresses of a network: subscribers connect to all of `connect`; `pids` are processes."""
 
     run: str
     connect: list[str]

@@ -1,8 +1,8 @@
 """The only file that knows zenoh: sessions, links, the readiness barrier, sending and receiving.
 
-Sparse graphs get a mesh of peers with one explicit loopback link per edge of the sensor graph
-(peers do not forward, so the zenoh topology is the sensor graph); dense graphs go through one
-router. No multicast, no gossip: two runs on one machine never find each other.
+Sparse graphs get a mesh of peers with one explicit loopback link per edge of the sensor graph.
+Peers do not forward, so the zenoh topology is the sensor graph. Dense graphs go through one router.
+No multicast, no gossip: two runs on one machine never find each other.
 """
 
 import os
@@ -21,11 +21,11 @@ _ONE_THREAD = (
     "(rx:(handover:app),acc:(handover:app),tx:(handover:app),net:(handover:app),"
     "app:(worker_threads:1))"
 )
-# Who answers questions does so in the thread that receives: it must not be the one that sends, or a
-# full queue stands still for ever.
+# A process that answers queries does so in its receive thread. That thread must not also send, or a
+# full queue blocks both for ever.
 _TWO_THREADS = _ONE_THREAD.replace("tx:(handover:app)", "tx:(worker_threads:1)")
 _LEASE_MS = 2000
-# Whoever sends more at once (zenoh would put together up to 1 GiB) says nothing. A large network's
+# No message of the network is larger (zenoh would assemble up to 1 GiB). A large network's
 # description takes some MB.
 _MOST_BYTES = 1 << 26
 # So many messages are taken from a queue together at most.
@@ -55,7 +55,7 @@ def _config(links: Links) -> zenoh.Config:
         "transport/link/rx/max_message_size": _MOST_BYTES,
         "transport/link/tx/lease": _LEASE_MS,
         "transport/link/tx/keep_alive": 4,
-        # What may be lost waits so long for room, once; then it is, until there is room again.
+        # A droppable message waits this long for room, once; later ones drop until there is room.
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 10_000,
         "transport/link/tx/queue/size/data": 16,
         # Nothing waits to travel with what may follow it.
@@ -133,7 +133,7 @@ class Transport:
             for topic in subscriptions
         }
         self._publishers: dict[tuple[str, bool], zenoh.Publisher] = {}
-        # What was declared with a callback lives as long as somebody holds it.
+        # A declaration with a callback lives as long as a reference to it.
         self._declared: list[object] = []
         self._present: set[str] = set()
         self._presence = threading.Condition()
@@ -274,7 +274,7 @@ class Transport:
 
     def wake(self, subscription: str) -> None:
         """Have whoever waits for this subscription in this process look up."""
-        # To ourselves only: an empty message is no message. Who has left waits for nothing.
+        # To this process only: an empty message is no message. A closed session needs no wake-up.
         with suppress(zenoh.ZError):
             self._session.put(
                 self._prefix + subscription.replace("*", "-"),

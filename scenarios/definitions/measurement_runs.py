@@ -35,7 +35,7 @@ def first_received(system: System, prior_mean: Array) -> Array:
 
 
 def slots_of(bus: MeasurementBus, measurement: Array, received: Array) -> Slot:
-    """What the receiver knows after slots 1..S of measurements (S + 1, ..., m), stacked: S first.
+    """Return the receiver's slots 1..S for measurements (S + 1, ..., m), stacked: S first.
 
     The first measurement, at step 0, is not looked at; `received` (..., m) is ybar_0.
     """

@@ -1,9 +1,9 @@
 """`meng2025-network`: every node estimates behind a measurement bus of its own; they run consensus.
 
-Each node has a cluster of the six sensors of the paper and a FlexRay bus to them. What the world
-delivers to a node at a step is what its bus transmitted in that slot. The buses are not
-synchronised: that of node i is i slots ahead. Between the nodes there is the estimate bus as in any
-network, with any rule. The paper names distributed estimation as its future work.
+Each node has a cluster of the six sensors of the paper and a FlexRay bus to them. The environment
+delivers to a node at each step the measurement that the node's bus transmitted in that slot. The
+buses are not synchronised: that of node i is i slots ahead. Between the nodes there is the estimate
+bus as in any network, with any rule. The paper names distributed estimation as its future work.
 """
 
 from collections.abc import Sequence

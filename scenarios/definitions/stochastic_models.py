@@ -1,4 +1,4 @@
-"""What a node believes of a system with stochastic nonlinearities: noise that grows with it."""
+"""A node's model of a system with stochastic nonlinearities: its noise grows with the state."""
 
 from dataclasses import dataclass
 

@@ -64,8 +64,9 @@ NOISES: dict[str, Errors] = {
     "outliers": _each(lambda error: error._replace(outlier_share=0.02)),
     "biased": _each(lambda error: error._replace(bias=error.std)),
 }
-"""What the sensors do: as their data sheets say, four times as noisy from 4 s on, a quarter as
-noisy, 2 % of outliers of 20 times the noise, or off by one standard deviation."""
+"""Noise of the sensors, by name. The noise is as in the data sheets, four times as much from 4 s
+on, or a quarter as much. Readings have 2 % of outliers of 20 times the noise, or are off by one
+standard deviation."""
 
 
 @cache

@@ -1,4 +1,4 @@
-"""What a node does with the last share of a neighbour that is silent."""
+"""Hold policies: how a node uses the last share of a neighbour that is silent."""
 
 from typing import Annotated
 

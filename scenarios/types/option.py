@@ -30,7 +30,7 @@ def name_of(choice: type[msgspec.Struct]) -> str:
 
 
 class Option(NamedTuple):
-    """What a field declares of itself beside its type and default.
+    """Declaration of a field beside its type and default.
 
     Attributes:
         text: what the option means, for `--help` and the documentation.
@@ -68,7 +68,7 @@ class Option(NamedTuple):
 
     @property
     def range(self) -> str:
-        """What a number must be, in words."""
+        """Return the condition on a number, in words."""
         even = "even, " if self.even else ""
         match self.above, self.at_least, self.below, self.at_most:
             case None, None, None, None:

@@ -120,5 +120,5 @@ PlantChoice = (
 
 
 def noise_of(plant: SensedPlantChoice) -> str:
-    """What the sensors of a plant really do; matched where it has no choice."""
+    """Return the true noise of a plant's sensors; "matched" where the plant has no choice."""
     return plant.noise if isinstance(plant, ControlledPlant | VehicleNetwork) else "matched"
