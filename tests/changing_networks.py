@@ -16,7 +16,7 @@ def changing(
     set_to: tuple[str, ...] = (),
     verbs: tuple[str, ...] = VERBS,
 ) -> Scenario:
-    """Such scenarios, with up to six changes: of these verbs, and with other settings."""
+    """Draw one of these scenarios with up to six changes: these verbs and other settings."""
     asked = draw(scenarios)
     neighbours = prepare(asked).neighbours
     steps = sorted(draw(st.lists(st.integers(0, asked.steps - 1), min_size=1, max_size=6)))
@@ -42,7 +42,7 @@ def changing(
 
 
 def _lines(verb: str, neighbours: list[list[int]], absent: set[int]) -> list[str]:
-    """What can be said with a verb of a network of which these are out."""
+    """Return the lines that a verb allows in a network from which the absent nodes are out."""
     nodes = range(len(neighbours))
     links = [(sender, receiver) for receiver in nodes for sender in neighbours[receiver]]
     match verb:

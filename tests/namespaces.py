@@ -50,7 +50,7 @@ class Lan:
         return f"tcp/10.77.0.{1 + self._hosts.index(host)}:7447"
 
     def at(self, host: str) -> tuple[str, ...]:
-        """What to write before a command that is to run on a host."""
+        """Return the prefix of a command that runs on a host."""
         return ("ip", "netns", "exec", f"{self._mark}-{host}")
 
     def pull(self, host: str) -> None:

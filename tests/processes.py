@@ -57,11 +57,11 @@ class Family:
         return [pid for pid in _processes() if sign in _read(pid, "environ")]
 
     def descendants(self) -> list[int]:
-        """All that live but the command itself."""
+        """Return the living processes without the command itself."""
         return [pid for pid in self.alive() if pid != self.process.pid]
 
     def gone_within(self, seconds: float) -> bool:
-        """Wait until nobody is left."""
+        """Wait until no process is left; return whether that happened."""
         return holds_within(seconds, lambda: not self.alive())
 
     def send(self, signal_number: int) -> None:

@@ -1,6 +1,6 @@
 """Every driver gives the same bits: one process, or one per node over zenoh.
 
-What is compared is what was recorded: truth, readings, who published, estimates, ages.
+The test compares recorded data: truth, readings, publishers, estimates, ages.
 """
 
 import json

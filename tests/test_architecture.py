@@ -31,7 +31,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "benchmarks": SPINE | {"experiments", "dashboard", "papers", "launch_local"},
     "launch_local": {"experiments"},
 }
-# What may be imported where: libraries with one wall around each.
+# Each of these libraries may be imported only in its own file or package.
 WALLS = {"zenoh": "runtime/network/zenoh_transport.py", "viser": "dashboard/"}
 SERIALISERS = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib"}
 CLOCKS_AND_CHANCE = {"time", "datetime", "random", "secrets", "uuid"}

@@ -83,7 +83,7 @@ def check_near(
 ) -> None:
     assert value.shape == expected.shape
     np.testing.assert_array_equal(np.isnan(value), np.isnan(expected))
-    # What is zero up to rounding has the scale of its neighbours.
+    # A number that is zero up to rounding has the scale of its neighbours.
     least = 1e-3 * np.nanmax(scale, initial=0.0)
     worst = np.nanmax(np.abs(value - expected) / np.maximum(scale, least + 1e-300), initial=0.0)
     assert worst < tolerance, worst

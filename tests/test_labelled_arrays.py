@@ -18,7 +18,7 @@ from tests.changing_networks import changing
 from tests.test_batched_agreement import check_agreement
 
 RUNS = (0, 3)
-# Who comes back has a window of its own, which has no array form.
+# A node that returns has a window of its own, which has no array form.
 FINAL = ("kill", "cut", "heal", "loss", "loss on")
 
 

@@ -1,4 +1,4 @@
-"""What the processes of a network import: every node process pays for it in memory and time."""
+"""Test the imports of a network's processes: each node process pays for them in memory and time."""
 
 import subprocess
 import sys

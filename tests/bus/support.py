@@ -1,4 +1,4 @@
-"""What the tests of the bus share: random clusters, requests and frames, checksums the long way."""
+"""Shared parts of the bus tests: random clusters, requests and frames, and bitwise checksums."""
 
 import math
 from collections.abc import Sequence

@@ -35,7 +35,7 @@ def network(chromium, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path
 
 @pytest.fixture(scope="module")
 def onlooker(network: Path) -> Iterator[Client]:
-    """Somebody beside the page who asks the network itself."""
+    """Yield a client beside the page that asks the network itself."""
     reach = read_network(network)
     client = Client(reach.connect, reach.run)
     yield client

@@ -206,7 +206,7 @@ def test_the_same_node_can_be_pressed_again(page: Page):
         page.until(lambda: page.dashboard.view.selected == node)
         page.dashboard.inputs.select(None)
         page.until(lambda: page.dashboard.view.selected is None)
-        # What a press left behind selects nothing when the pointer moves on.
+        # The state that a press left behind selects no node when the pointer moves on.
         page.page.mouse.move(400, 20)
         page.until(lambda: page.dashboard.view.hovered is None)
         assert page.dashboard.view.selected is None
@@ -253,7 +253,7 @@ def test_a_click_on_a_node_in_the_scene_selects(page: Page):
     canvas = page.page.locator("canvas").first.bounding_box()
     assert canvas
     seen = [_pixel(client.camera, place, canvas) for place in places]
-    # One that no panel covers.
+    # The node must be one that no panel covers.
     node = min(range(len(seen)), key=lambda i: abs(seen[i][0] - 450) + abs(seen[i][1] - 260))
     page.page.mouse.click(*seen[node])
     page.until(lambda: is_selected(page, node))

@@ -1,4 +1,4 @@
-"""What charts say in words, and what becomes of them on paper."""
+"""Test the texts of charts and their form in exported files."""
 
 import io
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What was taken away, opened as people would: in a browser, from a file, with no one to ask."""
+"""Test exported pages as users open them: in a browser, from a file, without a server."""
 
 import io
 import zipfile

@@ -1,9 +1,10 @@
 """Malformed frames and messages against a network that runs: `python -m tests.endurance.fuzz`.
 
-An intruder without keys joins every process of a lockstep network and says on all that it listens
-to what no sound process says. All of it must be refused and counted by somebody, and the estimates
-must be those of a network that was left alone, bit for bit. What is whole and of the right form and
-only untrue is not part of this: without keys nobody can tell (docs/security.md).
+An intruder without keys joins every process of a lockstep network. On each topic that the process
+subscribes to, the intruder sends messages that no sound process sends. Some process must refuse and
+count each of them. The estimates must be those of an undisturbed network, bit for bit. Well-formed
+messages with untrue content are not tested: without keys no process can detect them
+(docs/security.md).
 """
 
 import sys
@@ -47,7 +48,7 @@ class Options:
 
 
 class Outcome(msgspec.Struct):
-    """What became of the messages: sent to each process, refused by each, and by which reason."""
+    """Counts of the messages: sent to each process, refused by each, and refused by reason."""
 
     sent: dict[str, int]
     refused: dict[str, int]
@@ -80,7 +81,7 @@ def storm(everybody: list[Intruder], messages: int, seed: int) -> tuple[Counter,
 
 
 def believed(messages: list[tuple[str, bytes]], nodes: int) -> tuple[dict, dict[str, Counter[str]]]:
-    """What so many nodes have estimated (node, step), and the counters of each at its end."""
+    """Return the estimates of the nodes by (node, step), and the last counters of each node."""
     estimates, counters = {}, {}
     for topic, data in messages:
         if message_of(topic, data, nodes) is None or not topic.startswith("estimate/"):
@@ -111,7 +112,7 @@ def fuzz(messages: int, seed: int, steps: int = STEPS) -> Outcome:
             one.pose()
         before, began_s = memory_mb(pids), time.monotonic()
         sent, refused = storm(everybody, messages, seed)
-        # What is said last is still on its way; the world's share of it is known when it has come.
+        # The last messages are still on their way; wait until the environment has refused its own.
         while client.state()["refused"] < sent[WORLD] and time.monotonic() - began_s < 600:
             time.sleep(0.05)
         client.command(Speed(RATE))

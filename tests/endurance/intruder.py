@@ -1,4 +1,4 @@
-"""Somebody without keys at one process of a network, and what that process can be told."""
+"""An intruder without keys at one process of a network, and the messages that it can send."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -39,7 +39,7 @@ COMMANDS = [
 
 
 class Said(NamedTuple):
-    """What is said on a topic: sound messages of it, and how they are spoilt."""
+    """Messages of one topic: sound ones, and the ways to spoil them."""
 
     topic: str
     whole: Sequence[bytes]
@@ -66,7 +66,7 @@ class Intruder:
 
 
 def to_node(node: int, neighbours: Sequence[int], heard: dict[str, list[bytes]]) -> list[Said]:
-    """What a node listens to; of `heard` messages, by topic, all are over by now."""
+    """Return messages for the topics of a node; the steps of all `heard` messages are over."""
     said = [Said(f"share/{j}", heard[f"share/{j}"], FRAMES) for j in neighbours]
     said += [Said(f"measured/{node}", heard[f"measured/{node}"], (*JSON, *MISFITS))]
     said += [Said("grant", [GRANT], (*JSON, *WHOLE)), Said("end", [END], (*JSON, *WHOLE))]
@@ -78,7 +78,7 @@ def to_node(node: int, neighbours: Sequence[int], heard: dict[str, list[bytes]])
 
 
 def to_world(nodes: int, heard: dict[str, list[bytes]]) -> list[Said]:
-    """What a world listens to where nobody contends for dynamic slots."""
+    """Return messages for the topics of an environment without contenders for dynamic slots."""
     said = [Said(f"estimate/{i}", heard[f"estimate/{i}"], (*JSON, *WHOLE)) for i in range(nodes)]
     said += [Said(f"estimate/{name}", heard["estimate/0"], (*JSON, *WHOLE)) for name in NAMES]
     said += [Said("bid/1", [BID], (*JSON, *WHOLE)), Said("bid/0", [BID], (*JSON, *WHOLE))]
@@ -89,7 +89,7 @@ def to_world(nodes: int, heard: dict[str, list[bytes]]) -> list[Said]:
 
 
 def to_recorder(nodes: int, heard: dict[str, list[bytes]]) -> list[Said]:
-    """What a recorder listens to is everything."""
+    """Return messages for the recorder, which subscribes to every topic."""
     said = [Said(f"share/{i}", heard[f"share/{i}"], DAMAGED) for i in range(nodes)]
     said += [Said(f"estimate/{i}", heard[f"estimate/{i}"], JSON) for i in range(nodes)]
     said += [Said(f"{kind}/{name}", [END], WHOLE) for kind in ("share", "gone") for name in NAMES]

@@ -62,7 +62,7 @@ class Network:
         # When each step began, as a watcher hears it.
         self.heard_s: list[float] = []
         self.client.listen("truth", lambda topic, data: self.heard_s.append(time.monotonic()))
-        # What was told of whom, and when it was heard.
+        # Each announced change, with the time at which it was heard.
         self._told: SimpleQueue[tuple[float, dict]] = SimpleQueue()
         self.client.listen("event", self._hear)
 
@@ -97,11 +97,11 @@ class Network:
         return f"processes left {left}, ports that still answer {taken}"
 
     def recorded(self) -> list[tuple[str, bytes]]:
-        """What was recorded."""
+        """Return the recorded messages."""
         return self._running.recorded()
 
     def trace(self) -> Trace:
-        """The same as arrays."""
+        """Return the recording as arrays."""
         return read_trace(self.setup, self.recorded())
 
 
@@ -228,8 +228,12 @@ def account(network: Network, trace: Trace) -> None:
 
 
 def cycles_to_agree(mean: np.ndarray, rounds: int) -> np.ndarray:
-    """For each return of a node, means (steps, N, n): in how many cycles it was no further from the
-    average of all than nodes are in 95 of 100 steps; infinite where it was out again before."""
+    """Return for each return of a node the number of cycles until it agrees with the others.
+
+    A node agrees when its distance from the average of all nodes is at most the distance that
+    nodes keep in 95 of 100 steps. The number is infinite where the node was out again before.
+    The means are (steps, N, n).
+    """
     away = np.linalg.norm(mean - np.nanmean(mean, axis=1, keepdims=True), axis=-1)
     usual = np.nanquantile(away, 0.95)
     is_out = np.isnan(away)

@@ -78,7 +78,7 @@ class Running:
         return not self._thread.is_alive()
 
     def recorded(self) -> list[tuple[str, bytes]]:
-        """What lies in its recording, (topic, bytes)."""
+        """Return the messages of its recording, (topic, bytes)."""
         return list(read_recording(self.folder / "run.mcap"))
 
 

@@ -86,7 +86,7 @@ supervisor.stop()
 
 
 def stranger(ports: dict[str, int], name: str) -> Transport:
-    """Somebody without keys at a process of the network."""
+    """Return a transport without keys at a process of the network."""
     return Transport("pair", Links("peer", (), (f"tcp/127.0.0.1:{ports[name]}",), 10.0), [], 1)
 
 
@@ -94,7 +94,7 @@ def stranger(ports: dict[str, int], name: str) -> Transport:
 def test_a_flood_that_nobody_waits_for_leaves_the_world_hearing(
     topic: str, data: bytes, tmp_path: Path
 ):
-    """Nobody contends here, so the world waits for estimates alone; and the end is far."""
+    """No node contends here, so the environment waits for estimates alone; the end is far."""
     flood = 2 * ENVIRONMENT_QUEUE + 2000
     with pair(tmp_path) as (running, ports):
         intruder = stranger(ports, WORLD)

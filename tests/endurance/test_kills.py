@@ -1,4 +1,4 @@
-"""What is said of returns after a kill, on returns that were made up."""
+"""Test the figures on returns after a kill with invented returns."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""What a run leaves of its bus: the capture, the arrays, and Wireshark's opinion of them."""
+"""Test the bus data of a run: the capture, the arrays, and Wireshark's decoding of them."""
 
 import struct
 import subprocess

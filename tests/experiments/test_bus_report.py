@@ -70,7 +70,7 @@ def marked(rows: list[tuple[int, ...]]) -> np.ndarray:
 
 
 def sizes(rows: list[tuple[int, ...]]) -> np.ndarray:
-    """Who sends, sends 20 bytes."""
+    """Return 20 bytes for each sender."""
     return 20 * marked(rows)
 
 

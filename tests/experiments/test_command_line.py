@@ -11,7 +11,7 @@ from experiments.cli.command_line import COMMANDS, GROUPS, main
 from tests.processes import CONCORD
 
 FULL = Path("/dev/full")
-# What each printed last in a fresh process; loading is what a user waits for.
+# A fresh process prints the modules that a command loads, as a user waits for their loading.
 LOADED_BY = """
 import contextlib, io, sys
 from experiments.cli.command_line import main

@@ -1,4 +1,4 @@
-"""What `deploy/` holds is what its tools accept, and its commands are commands of ours."""
+"""Test that tools accept the files of `deploy/`, and that their commands exist in concord."""
 
 import os
 import shutil
@@ -125,7 +125,7 @@ def manifest() -> list[dict[str, Any]]:
 
 
 def pods() -> dict[str, dict[str, Any]]:
-    """What becomes a pod, by the name of what makes it."""
+    """Return the pod specifications by the name of the deployment or job that makes them."""
     return {
         one["metadata"]["name"]: one["spec"]["template"]["spec"]
         for one in manifest()

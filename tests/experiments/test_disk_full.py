@@ -21,7 +21,7 @@ from runtime.recording import McapRecorder, read_recording
 from tests.processes import CONCORD, PROC, family
 
 RUN = ["run", "--scenario", "oscillator", "--nodes", "4", "--out", "run"]
-# What a run of that size has recorded before the disk is full, and is far from done.
+# A run of so many steps fills a disk of this size long before its end.
 DISK_KIB, STEPS = 300, "5000"
 
 

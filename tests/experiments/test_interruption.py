@@ -1,6 +1,6 @@
 """Ctrl-C, a polite end or a sudden death of the command, at any moment.
 
-Nobody is left behind, and what was recorded can be read.
+No process is left behind, and the recording can be read.
 """
 
 import json
@@ -29,9 +29,9 @@ pytestmark = [
 ]
 
 INTERRUPTED = 130
-# What the command says on standard error at each moment, and the steps it was asked for.
+# The text on standard error at each moment, and the number of steps of the run.
 MOMENTS = {
-    # So many that the end is far off, however late a busy machine lets us look.
+    # The steps are so many that the run cannot end before the test looks, even on a busy machine.
     "before ready": ("seed", 3000),
     "in the middle": ("oscillator: ", 3000),
     "near the end": ("oscillator: 60 of 60", 60),
@@ -128,7 +128,7 @@ def test_interrupted_runs_of_many_keep_those_that_are_complete(tmp_path: Path, s
         kept = dataset["mean"].values
         assert dataset["run"].values.tolist() == list(range(runs))
     assert 3 <= runs < 20  # the fourth may not be whole when its last step is said to be done
-    # What is kept is what a command for so many runs leaves.
+    # The kept results are those of a command for so many runs.
     setup = read_description(tmp_path / "run").setup
     np.testing.assert_array_equal(kept[-1:], simulate(setup, [runs - 1]).mean)
 
@@ -230,7 +230,7 @@ def test_a_run_that_loses_a_node_says_so_and_goes_on(tmp_path: Path):
 
 @pytest.mark.slow
 def test_an_interruption_late_in_a_long_run_is_as_quick(tmp_path: Path):
-    """Nobody who has lost patience waits for figures."""
+    """An interrupted command ends without computing its figures."""
     options = "--scenario target-tracking --nodes 20 --steps 1500 --out run"
     with family([*CONCORD, "run", *options.split()], tmp_path) as run:
         run.await_line("1200 of 1500", 90)

@@ -51,7 +51,7 @@ def test_nobody_gets_in_and_a_hole_is_found(tmp_path: Path):
         ("false router", "lets node-0 join"): "refused",
     }
 
-    # What the page on security shows is what was printed.
+    # The page on security shows the printed outcomes.
     page = (Path(__file__).parents[2] / "docs" / "security.md").read_text()
     rows = [line.strip("| ").split(" | ") for line in page.splitlines() if line.startswith("| ")]
     shown = {(row[0], row[1]): row[2] for row in rows if row[-1] in ("delivered", "refused")}

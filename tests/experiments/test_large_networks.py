@@ -37,7 +37,7 @@ def kept_and_most(runs: int, keep: Iterable[str] = ()) -> tuple[int, int]:
 
 
 def test_runs_are_taken_in_chunks_and_what_is_kept_is_what_was_asked_for(monkeypatch):
-    kept_and_most(1)  # what is loaded and cached once
+    kept_and_most(1)  # loads modules and fills caches once
     monkeypatch.setattr(batched, "LANES", 4 * 100)
     (of_one, most_of_one), (of_many, most_of_many) = kept_and_most(100), kept_and_most(600)
     assert of_many == 6 * of_one

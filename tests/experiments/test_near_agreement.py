@@ -1,4 +1,4 @@
-"""What `concord agree` says of the batched driver."""
+"""Test the report of `concord agree` on the batched driver."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What other runs tell of a run, and that telling it takes nothing from a network beside it."""
+"""Test the figures that other runs give for a run, and that they slow no network beside them."""
 
 import json
 import os

@@ -43,7 +43,7 @@ while True:
 
 
 class Ear:
-    """What can be heard of estimates at one host: the latest step of each node."""
+    """Listener at one host: the latest step of each node whose estimates it receives."""
 
     def __init__(self, process: Family) -> None:
         self.steps: dict[int, int] = {}
@@ -91,7 +91,7 @@ def disagreement(trace: Trace, steps: slice) -> float:
 
 
 def cut_and_heal(there: Lan, ear: Ear) -> tuple[dict[int, int], dict[int, int]]:
-    """What b heard last of each node when it was cut off from the world, and when it was healed."""
+    """Return the last step of each node that b heard at the cut, and at the end of the cut."""
     assert holds_within(120, lambda: len(ear.steps) == 6 and min(ear.steps.values()) > 60), (
         ear.steps
     )

@@ -92,7 +92,7 @@ def test_a_short_run_keeps_its_timetable(tmp_path: Path):
     trace = trace_of(setup, tmp_path / "run.mcap")
     assert trace.steps == 10
     if sum(c.get("missed", 0) for c in trace.counters) == 0:
-        # Who missed nothing has computed what lockstep computes.
+        # A run without missed frames has the results of lockstep.
         in_this_process(setup, "reference", tmp_path / "reference.mcap", None, lambda step: None)
         reference = trace_of(setup, tmp_path / "reference.mcap")
         assert first_difference(reference, trace, "realtime") is None

@@ -29,7 +29,7 @@ time.monotonic = lambda: _began_s + {ahead_s} + (_monotonic() - _began_s) * {rat
 
 
 def with_clock(folder: Path, ahead_s: float, rate: float) -> tuple[str, ...]:
-    """What to start a command with, so that its processes have another monotonic clock."""
+    """Return a command prefix that gives the processes another monotonic clock."""
     folder.mkdir()
     (folder / "sitecustomize.py").write_text(CLOCK.format(ahead_s=ahead_s, rate=rate))
     return ("env", f"PYTHONPATH={folder}")

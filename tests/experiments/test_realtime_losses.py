@@ -1,4 +1,4 @@
-"""Who dies, hangs or asks too late in real time: what it costs, to whom, and that all is told."""
+"""Test deaths, hangs and late requests in real time: their cost per node and their reports."""
 
 import os
 import signal
@@ -105,7 +105,7 @@ def check_books(played: Played, gone: int, joined: int) -> None:
     assert gone * rounds <= died + 1 <= back
     for node in played.setup.neighbours[STRUCK]:
         counters = played.trace.counters[node]
-        # Nobody waits for it from when its death was told; before that each cycle is missed.
+        # No node waits for it after its death was announced; before that each cycle is missed.
         due_of_struck = counters["heard"] + counters.get("missed", 0) - cycles
         # The share of its last cycle may have reached the recorder alone.
         assert died <= due_of_struck - (cycles - back) <= died + 1 + SEEN_CYCLES
@@ -137,10 +137,10 @@ def test_who_dies_in_real_time_is_back_on_command_and_agrees_at_once(tmp_path: P
     assert not np.delete(out, STRUCK, axis=1).any()
     if death == "SIGKILL":
         check_books(played, gone, joined)
-    # Whoever commands does not set the clock: no reading comes before its time.
+    # A command does not change the clock: no reading comes before its time.
     assert all((one.heartbeat_late_s or 0.0) > -0.01 for one in played.told("timing"))
-    # A late share was missed, and what was said before it was back is late for nobody. After a kill
-    # on command nobody misses the shares that the node sends until its process ends.
+    # A late share was missed. A share that was sent before its node was back is late for no node.
+    # After a kill on command no node misses the shares that the killed process still sends.
     rounds = setup.scenario.rounds
     unmissed = sum(gone * rounds <= cycle < joined * rounds for cycle in played.cycles_sent(STRUCK))
     for node, counters in enumerate(played.trace.counters):
@@ -154,7 +154,7 @@ def test_who_dies_in_real_time_is_back_on_command_and_agrees_at_once(tmp_path: P
 
 
 def contested(setup: Setup) -> dict[tuple[int, int], set[int]]:
-    """Who contends for the dynamic slots of each part of a cycle that has any."""
+    """Return the contenders for the dynamic slots of each group of a cycle that has such slots."""
     schedule, scenario = build_environment(setup).schedule, setup.scenario
     found = {}
     for cycle in range(scenario.steps * scenario.rounds):

@@ -1,4 +1,4 @@
-"""What a run leaves: run.json says it all again, run.nc holds what the recording holds."""
+"""Test the files of a run: run.json repeats its figures, run.nc holds the recording's content."""
 
 import json
 from pathlib import Path

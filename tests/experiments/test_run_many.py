@@ -62,7 +62,7 @@ def test_figures_are_means_of_those_of_the_runs(name: str):
     buses = [one.bus for one in expected if one.bus is not None]
     assert len(buses) == len(expected)
     assert found.bus_load.value == pytest.approx(np.mean([bus.load_mean for bus in buses]))
-    # What pads a static slot is on the wire as well.
+    # The padding of a static slot is on the wire as well.
     wire_bytes = np.mean([bus.wire_bytes_per_step for bus in buses])
     assert 0.5 * wire_bytes < found.bytes_per_step.value <= wire_bytes * (1 + 1e-12)
     assert f"bus load {100 * found.bus_load.value:.3g} %" in "".join(lines(found))

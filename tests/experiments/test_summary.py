@@ -179,7 +179,7 @@ def test_what_is_said_follows_from_what_is_recorded(run_json):
 
 
 def test_what_is_not_known_is_null_in_json(run_json, mrclam_folder: Path):
-    """Nobody has seen the target in the first steps, and JSON has no NaN."""
+    """No node has seen the target in the first steps, and JSON has no NaN."""
     out, _, _ = run_json(f"--scenario mrclam --data {mrclam_folder} --target 4 --steps 3")
     json.loads(out, parse_constant=lambda name: pytest.fail(f"{name} in JSON"))
 

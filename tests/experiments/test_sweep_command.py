@@ -68,7 +68,7 @@ def test_noise_is_common_to_all_cells(result: Path):
 
 
 class Stopped(Exception):
-    """What ends a sweep in these tests."""
+    """Exception that ends a sweep in these tests."""
 
 
 def stopping(after: int):

@@ -1,4 +1,4 @@
-"""What a sweep is: from comma lists to cells, and what is refused."""
+"""Test the specification of a sweep: from comma lists to cells, and the refusals."""
 
 import numpy as np
 import pytest

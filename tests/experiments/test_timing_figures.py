@@ -100,7 +100,7 @@ def test_what_nodes_say_of_their_time_is_what_an_onlooker_sees(tmp_path: Path):
     ends = trace_of(setup, tmp_path / "run.mcap").counters
     figures = figures_of(tempo, messages, ends)
 
-    # What is heard is heard after it was said, and mostly within a few milliseconds.
+    # Each estimate is heard after it was sent, mostly within a few milliseconds.
     behind_s = [
         heard_s - step * tempo.step_s - said[node, step].delay_s
         for (node, step), heard_s in onlooker.estimates_s.items()

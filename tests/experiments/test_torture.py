@@ -142,7 +142,7 @@ def test_the_books_know_when_it_is_known_whose_slot_a_frame_is_in():
 
 @pytest.mark.parametrize("bug", BUGS, ids=lambda bug: bug.name)
 def test_every_bug_can_be_planted(bug: Bug):
-    """What it changes stands where it says, so that whoever rewrites a function sees it."""
+    """The text that a bug replaces is in its function, so a rewrite of the function fails here."""
     with planted(bug):
         pass
 
@@ -209,7 +209,7 @@ def test_the_wire_strikes_as_often_as_it_should_until_calm(kind: str):
     frames = [to_frames(b"0123456789", cycle, [Slot(1, 18)])[0] for cycle in range(500)]
     arrived = []
     for frame in frames:
-        wire.carry(1, 2, frame)  # what another receiver gets is no matter
+        wire.carry(1, 2, frame)  # the frames of another receiver do not count
         arrived.append(list(wire.carry(0, 2, frame)))
     pairs = list(zip(arrived, frames, strict=True))
     assert all(got == [frame] for got, frame in pairs[400:])

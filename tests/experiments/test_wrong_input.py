@@ -1,4 +1,4 @@
-"""What users get wrong: one line with its name and its cure, exit code 2, nothing half made."""
+"""Test user errors: one line with name and cure, exit code 2, and no unfinished files."""
 
 import json
 import shutil
@@ -32,7 +32,7 @@ def home(tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
 
 @pytest.fixture
 def complaint(home: Path, capsys: pytest.CaptureFixture[str]):
-    """What a refused command says; checks how it is refused and that it has made nothing."""
+    """Return the message of a refused command; check its exit and that it made no files."""
 
     def said(arguments: str) -> str:
         before = sorted(home.rglob("*"))

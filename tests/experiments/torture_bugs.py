@@ -21,7 +21,7 @@ MOST_SEEDS = 60
 
 
 class Bug(NamedTuple):
-    """What is planted: `texts` are what stands in a function, and what shall stand there."""
+    """Bug to plant: `texts` are pairs of a text in a function and its replacement."""
 
     name: str
     module: str
@@ -231,7 +231,7 @@ def planted(bug: Bug) -> Iterator[None]:
 
 
 def first_found(bug: Bug, seeds: range) -> Outcome | None:
-    """What came of the first seed that finds a bug."""
+    """Return the outcome of the first seed that finds a bug."""
     with planted(bug):
         for seed in seeds:
             outcome = torture(draw_case(seed, {}))

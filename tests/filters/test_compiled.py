@@ -21,7 +21,7 @@ def test_the_compiled_fusion_is_that_of_numpy(n, by_sharpness, neighbours, monke
     own, others = random_belief(generator, (), n), random_belief(generator, (neighbours,), n)
     weights = generator.uniform(size=1 + neighbours)
     weights[1] = 0.0
-    # What weighs nothing may be anything.
+    # A belief with weight 0 may have any value, even NaN.
     given = Gaussian(np.where(np.arange(neighbours)[:, None] == 0, np.nan, others.mean), others.cov)
     call = own, given, weights / weights.sum(), by_sharpness
     ours = INFORMATION.fuse(*call)

@@ -114,7 +114,7 @@ FILTERS = {
 
 
 class Case(NamedTuple):
-    """What is wrong in lane 1; lane 0 gets `R`, a definite covariance and good readings."""
+    """Degenerate input of lane 1; lane 0 gets `R`, a definite covariance and good readings."""
 
     cov: np.ndarray
     noise: np.ndarray

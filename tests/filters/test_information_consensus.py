@@ -37,7 +37,7 @@ def posteriors(generator, priors: Gaussian) -> Gaussian:
 
 
 def after_rounds(known: np.ndarray, weights: np.ndarray, rounds: int) -> np.ndarray:
-    """What nodes (..., N, m) know after so many full rounds."""
+    """Return the values of the nodes (..., N, m) after so many full rounds."""
     for _ in range(rounds):
         count = len(weights)
         everyone = np.broadcast_to(

@@ -27,7 +27,7 @@ Fuse = Callable[[Gaussian, Gaussian], Gaussian]  # priors and posteriors (RUNS, 
 
 
 def everyone(numbers: np.ndarray) -> np.ndarray:
-    """What all nodes hear: (RUNS, N, ...) -> (RUNS, N, N, ...)."""
+    """Return the values that all nodes hear: (RUNS, N, ...) -> (RUNS, N, N, ...)."""
     return np.broadcast_to(numbers[:, None], (RUNS, NODES, *numbers.shape[1:]))
 
 

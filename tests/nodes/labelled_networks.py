@@ -106,7 +106,7 @@ def taken(outcome: Outcome) -> dict[tuple[int, int], Array]:
 def reachable(
     net: Network, outcome: Outcome, arrives: Callable[[int, int, int], bool]
 ) -> list[Held]:
-    """What each node can hold after each step if everybody who sends says all that it holds.
+    """Return the records that each node can hold after each step if senders send all they hold.
 
     `arrives(sender, receiver, cycle)` says whether a share came through.
     """
@@ -125,7 +125,7 @@ def reachable(
 
 
 def carried(net: Network, outcome: Outcome, arrives: Callable[[int, int, int], bool]) -> list[Held]:
-    """What each node holds after each step if it keeps what the frames that came through say."""
+    """Return the records of each node after each step if it keeps those of all arrived frames."""
     rounds, steps = net.nodes[0].rounds, net.nodes[0].steps
     frames: LabelledFrameCodec = net.nodes[0].estimator.frames  # type: ignore[attr-defined]
     readings = taken(outcome)
@@ -160,7 +160,7 @@ def _shares(outcome: Outcome) -> dict[tuple[int, int], bytes]:
 
 
 def held_by(states: Iterable[Any]) -> Held:
-    """What the nodes hold at the end of a run."""
+    """Return the records that the nodes hold at the end of a run."""
     found: Held = []
     for state in states:
         content: Content = state.content

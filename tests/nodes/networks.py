@@ -92,7 +92,7 @@ class Draws(NamedTuple):
 
 
 class Network(NamedTuple):
-    """What the in-process driver runs."""
+    """Configurations of one network for the in-process driver."""
 
     world: EnvironmentConfig
     nodes: list[NodeConfig]
@@ -167,7 +167,7 @@ def network(
 
 
 class Outcome(NamedTuple):
-    """What a run left: mean (steps, N, n), cov (steps, N, n, n), all messages, final states."""
+    """Results of a run: mean (steps, N, n), cov (steps, N, n, n), all messages, final states."""
 
     mean: Array
     cov: Array

@@ -70,7 +70,7 @@ def clean_events(config: NodeConfig) -> list[NodeEvent]:
 
 
 def estimates(messages: list[NodeMessage]) -> list[tuple]:
-    """What is said of the truth, without the counters."""
+    """Return the content of the estimates, without the counters."""
     return [(m.step, m.mean, m.cov, m.ages) for m in messages if isinstance(m, Estimate)]
 
 

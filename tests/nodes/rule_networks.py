@@ -29,7 +29,7 @@ Q = np.array([[0.2, 0.05], [0.05, 0.1]])
 
 
 def noise_cov(node: int) -> Array:
-    """What a node sees well, and what badly: every node something else."""
+    """Return a noise covariance whose precise direction differs from node to node."""
     angle = 0.7 * node
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     return turn @ np.diag([0.3, 5.0 + node]) @ turn.T

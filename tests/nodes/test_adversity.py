@@ -1,6 +1,6 @@
-"""What a hostile network cannot do.
+"""Test the effects that a hostile network cannot have.
 
-Order of arrival, repetition and garbage change nothing; loss does not part nodes that agree.
+Order of arrival, repetition and garbage change no result. Loss does not separate nodes that agree.
 """
 
 from collections.abc import Iterable
@@ -123,7 +123,7 @@ def test_equal_beliefs_stay_equal_under_any_loss(
         schedule=schedule,
     )
     outcome = run(net, losing(fate, loss), shuffled(fate))
-    # What one node alone would believe, by the Kalman filter's equations.
+    # The belief of one node alone, by the Kalman filter's equations.
     mean, cov = belief
     for step in range(4):
         if step:

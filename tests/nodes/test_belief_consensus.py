@@ -1,4 +1,4 @@
-"""What a node makes of its readings and of what it hears, without the machine around it."""
+"""Test how a node uses its readings and shares, without the state machine around it."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What a change means, against networks in which the same comes about in another way."""
+"""Compare each change with a network that has the same effect for another reason."""
 
 import numpy as np
 import pytest
@@ -68,7 +68,7 @@ def test_nobody_waits_for_a_grant_that_no_bid_will_ask_for(relay: bool):
     trace = run(setup, "3 kill 2", "8 restart 2", watch=watch)
     assert trace.steps == STEPS
     assert not closed
-    # Whoever is back wins slots again.
+    # A node that is back wins slots again.
     assert trace.payload_bytes[8:, :, 2].any()
 
 

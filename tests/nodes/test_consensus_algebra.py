@@ -111,7 +111,7 @@ def test_many_rounds_lead_to_the_average(adjacency: Adjacency, seed: int):
 
 
 class Held(NamedTuple):
-    """What a node keeps of a neighbour."""
+    """Held share of a neighbour."""
 
     belief: Gaussian
     age: int

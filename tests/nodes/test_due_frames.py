@@ -27,7 +27,7 @@ SENDERS = st.sampled_from([0, 2, STRANGER])
 
 
 def in_words(state: NodeState) -> tuple:
-    """All that a state is, arrays as bytes."""
+    """Return the content of a state, with arrays as bytes."""
     inbox, content = state.inbox, state.content
     own, held = content.own, content.held
     beliefs = own.belief, held.beliefs, own.published.belief

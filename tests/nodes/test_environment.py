@@ -87,7 +87,7 @@ def test_the_lead_changes_no_number_of_an_undriven_plant(one: int, other: int, s
 
 
 def granted(config: EnvironmentConfig, bids: list[Bid]) -> tuple[list[Grant], EnvironmentState]:
-    """What the world grants when these bids come in this order."""
+    """Return the environment's grants and state when these bids arrive in this order."""
     state, _ = started(config)
     grants = []
     for bid in bids:

@@ -1,4 +1,4 @@
-"""What each fault means, against networks in which the same comes about in another way."""
+"""Compare each fault with a network that has the same effect for another reason."""
 
 from collections import Counter
 from dataclasses import replace
@@ -322,7 +322,7 @@ def test_a_babbling_idiot_leaves_nobody_but_itself_unless_it_is_guarded():
     assert same_bits(babbling, run(setup, *from_first(*alone)))
     assert total(babbling)["rejected collision"] == 6 * (STEPS - FIRST) * ROUNDS
     assert same_bits(run(setup, *from_first("guardian 1", "babble 3 1")), run(setup))
-    # Who is out makes no noise, and who hangs makes none while it does.
+    # A node that is out does not babble; a node that hangs does not babble while it hangs.
     assert same_bits(run(setup, *from_first("babble 3 1", "kill 3")), run(setup, "3 kill 3"))
     assert same_bits(run(setup, "3 babble 3 1", "3 hang 3 9"), run(setup, "3 hang 3 9"))
 

@@ -1,4 +1,4 @@
-"""What a node of a rule without held shares makes of readings and peers, sound or not."""
+"""Test how a rule without held shares uses readings and shares, sound and unsound."""
 
 from dataclasses import replace
 from itertools import product
@@ -36,7 +36,7 @@ def estimator(rule: str) -> AtNode:
 
 
 def neighbours_share(rule: str) -> bytes:
-    """What node 0 says after its reading."""
+    """Return the share of node 0 after its reading."""
     left = ruled(rule, path(3), PRIORS, steps=3, rounds=2, seeing=[0, 1, 2]).nodes[0].estimator
     content, _ = left.begin_step(left.start(), Measured(0, 0, READING))
     return left.accept(left.compose(content)[1])

@@ -50,7 +50,7 @@ def schedules(count: int) -> st.SearchStrategy[Schedule]:
 
 
 def readings(outcome: Outcome) -> dict[int, dict[int, Array]]:
-    """What each seeing node read at each step."""
+    """Return the readings of each seeing node at each step."""
     read: dict[int, dict[int, Array]] = {}
     for topic, data in outcome.messages:
         if topic.startswith("measured/"):
@@ -176,7 +176,7 @@ def test_later_rounds_of_means_are_powers_of_the_weights(
 def test_the_row_that_travels_is_that_of_the_weights_really_used(
     adjacency: Adjacency, rounds: int, data: st.DataObject, seed: int, loss: float
 ):
-    """Whoever is silent or lost: no novelty counts more than once, some counts exactly once."""
+    """With silent nodes and lost frames, novelty counts at most once, and some exactly once."""
     count = len(adjacency)
     schedule = data.draw(schedules(count))
     priors = random_priors(np.random.default_rng(seed), count, 2)

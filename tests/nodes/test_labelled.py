@@ -339,7 +339,7 @@ def test_a_restarted_node_knows_nothing_until_a_checkpoint_and_then_what_the_oth
     rounds = net.nodes[0].rounds
 
     def dead(sender, receiver, frame):
-        # What is said to it in the step of its restart comes in the first cycle only.
+        # In the step of its restart, frames reach the node in the first cycle only.
         return () if receiver == 2 and cycle_of(frame) == at_step * rounds + 1 else (frame,)
 
     outcome = run(net._replace(nodes=nodes))

@@ -54,7 +54,7 @@ def test_a_record_says_its_readings_to_half_a_step(number: str, readings: int, s
     step = SENSOR.noise_std / 16 if number.startswith("<i") else np.full(2, 1e-4)
     assert np.array_equal(np.isnan(found), np.isnan(delivered))
     assert (np.abs(np.nan_to_num(found - delivered)) <= step / 2 + 1e-12).all()
-    # What was decoded is what everybody uses: writing it again changes no bit.
+    # Each node uses the decoded values: encoding them again changes no bit.
     assert codec.encode(found) == record
 
 

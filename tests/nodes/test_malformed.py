@@ -221,7 +221,7 @@ def test_what_is_too_long_is_not_even_read():
 
 @given(st.sampled_from(sorted(TOPICS)), st.binary(max_size=40) | st.just(b'{"step":1e30}'))
 def test_any_bytes_can_be_recorded(topic: str, data: bytes):
-    """What a stranger says is kept as it came, and what comes after it too."""
+    """The recorder keeps a stranger's message unchanged, and the message after it too."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.mcap"
         recorder = McapRecorder(path, 2, 0.1, SHARE_FRAMES)
@@ -241,7 +241,7 @@ MISFITS = [
 
 @pytest.mark.parametrize("misfit", MISFITS)
 def test_a_heartbeat_of_another_form_is_refused(misfit: dict):
-    """What its sensors deliver a node knows from its first heartbeat; the true one comes later."""
+    """A node learns the form of its readings from its first heartbeat. The true one comes later."""
     config = middle_node()
     clean = clean_events(config)
     _, undisturbed = feed(config, clean)

@@ -14,7 +14,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 
 def travelled(shape, own):
-    """What a receiver makes of a set that was sent in the number format of the shape."""
+    """Return a set as a receiver decodes it from the number format of the shape."""
     came, sound = shape.read(shape.numbers_of(own).astype(shape.number).astype(float))
     assert sound
     return came

@@ -29,7 +29,7 @@ class Storyteller:
         self.lines.append(f"  {when:<8} {who:<7} {what}")
 
     def record(self, messages: Sequence[tuple[str, bytes]]) -> None:
-        """What is sent, in the words of the sender."""
+        """Tell the sent messages from the sender's view."""
         for topic, data in messages:
             self._retell(topic, data)
 
@@ -58,7 +58,7 @@ class Storyteller:
         self.lines.append("")
 
     def link(self, sender: int, receiver: int, frame: bytes) -> Iterable[bytes]:
-        """What becomes of a frame on its way."""
+        """Tell whether a frame arrives, and return it if it does."""
         cycle = read_frame(frame).cycle
         lost = (sender, receiver, cycle) in self._lost
         arrow = "LOST on its way to" if lost else "on its way to"

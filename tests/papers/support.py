@@ -1,4 +1,4 @@
-"""What the tests of every paper share."""
+"""Shared parts of the tests of every paper."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, TypeVar

@@ -60,7 +60,7 @@ def test_a_reading_belongs_to_the_first_instant_after_its_picture(tmp_path):
             (100.345, 41, 2.0, 0.0),  # 100.300 -> k = 1 exactly, the instant itself
             (100.350, 41, 3.0, 0.0),  # 100.305 -> k = 2
             (100.350, 14, 8.0, 0.0),  # another robot: out
-            (100.350, 99, 8.0, 0.0),  # nobody's barcode: out
+            (100.350, 99, 8.0, 0.0),  # a barcode without an owner: out
             (104.045, 41, 4.0, 0.0),  # 104.000, after t_19 = 103.9: out
             (103.900, 41, 5.0, 0.0),  # 103.855 -> k = 19
         ],

@@ -1,4 +1,4 @@
-"""Who measures what: the dealing rule, the two presets, and the table they must reproduce."""
+"""Test the sensors of each node: the dealing rule, the two presets, and their table."""
 
 from typing import Any
 

@@ -59,7 +59,7 @@ def test_it_finds_the_stiffness_within_its_own_errors(tyre, slip_is_logged):
     assert (np.abs(ours - truth) < 4 * found.stiffness_std_n_rad).all()
     assert (np.abs(ours / truth - 1) < 0.03).all()
     assert found.steering_offset_rad == pytest.approx(STEERING_OFFSET, abs=3e-4)
-    # What is left over is the noise; its last place is 1 / sqrt(2 * 1600).
+    # The residual is the noise; its relative standard error is 1 / sqrt(2 * 1600).
     np.testing.assert_allclose(found.residual_rms[:2], [0.005, 0.1], rtol=0.08)
     assert np.isnan(found.residual_rms[2]) == (not slip_is_logged)
 

@@ -111,7 +111,7 @@ def test_an_authority_that_is_not_there_is_a_sentence(tmp_path: Path):
 
 
 def test_what_may_be_published_belongs_to_one_process():
-    """Nobody else may say what one node or the world says, and a monitor says nothing."""
+    """Each topic of a node or the environment has one publisher; a monitor publishes nothing."""
     table = rights(12)
     said = [topic for name, one in table.items() if name != "recorder" for topic in one.says]
     assert len(said) == len(set(said))

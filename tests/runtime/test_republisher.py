@@ -1,4 +1,4 @@
-"""What a process has said lately, beside a transport that stands still."""
+"""Test the republisher beside a transport that stands still."""
 
 import threading
 import time
@@ -47,7 +47,7 @@ def test_who_sees_links_break_never_waits_for_one_that_stands_still(
 
 
 def test_a_link_is_back_that_was_broken_and_not_one_that_is_there_at_first():
-    """Who took the first for the second said hello twice, and stood still."""
+    """A process that confused the two cases sent its hello twice and then stood still."""
     speaker = republisher.Republisher(
         cast(Transport, Standing()), "node 0", "estimate", 8, lambda: ""
     )
@@ -81,7 +81,7 @@ def test_nothing_new_is_said_to_a_recorder_before_what_it_has_lost():
 
 
 def test_what_holds_is_said_where_nobody_goes_on(monkeypatch: pytest.MonkeyPatch):
-    """Such as who is gone: of a return that was told after the end all but one may know."""
+    """Lasting facts, such as departed nodes, are sent again: one process may lack the last news."""
     monkeypatch.setattr(republisher, "_AGAIN_S", 0.01)
     transport = Standing()
     transport.may.set()

@@ -1,4 +1,4 @@
-"""What is said again changes nothing where it has come, and makes up for what has not."""
+"""Test that a retransmission replaces a lost message and changes nothing elsewhere."""
 
 import tracemalloc
 from typing import Any
@@ -18,7 +18,7 @@ Messages = list[tuple[str, bytes]]
 
 
 def inbound(config: NodeConfig, said: Messages) -> list[NodeEvent]:
-    """What a node hears of all that is said, in order."""
+    """Return the messages that reach a node, in order."""
     events: list[NodeEvent] = []
     for name, data in said:
         kind, _, owner = name.partition("/")
@@ -46,7 +46,7 @@ class Listener:
 
 
 def own(config: NodeConfig, said: Messages) -> Messages:
-    """What a node has said of all that was."""
+    """Return the messages that a node sent."""
     kinds = ("share", "bid", "estimate")
     return [(name, data) for name, data in said if name in [f"{k}/{config.index}" for k in kinds]]
 

@@ -27,7 +27,10 @@ Said = tuple[str, bytes]
 
 
 def sources(messages: list[Said]) -> dict[str, list[tuple[int, Said]]]:
-    """What each process says, in its order, with its step; of a share that of the next estimate."""
+    """Return the messages of each process in order, with their steps.
+
+    A share has the step of the next estimate.
+    """
     said: dict[str, list[tuple[int, Said]]] = defaultdict(list)
     for topic, data in messages:
         kind, _, node = topic.partition("/")

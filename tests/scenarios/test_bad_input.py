@@ -1,4 +1,4 @@
-"""What a user can get wrong: one sentence that helps, exit code 2, and nothing left behind."""
+"""Test user errors: one helpful sentence, exit code 2, and no files left behind."""
 
 import shutil
 import socket
@@ -73,7 +73,7 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def complaint(home: Path, capsys: pytest.CaptureFixture[str]):
-    """What a refused command says; checks how it is refused."""
+    """Return the message of a refused command; check its exit and the files left behind."""
 
     def said(arguments: str, keeps: tuple[str, ...] = (), command: str = "run") -> str:
         message = refused(concord(capsys, command, *arguments.split()))

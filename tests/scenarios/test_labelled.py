@@ -257,5 +257,5 @@ def test_a_window_below_the_latency_and_relaying_are_said_before_the_run():
 def test_slots_awarded_one_by_one_are_no_more_than_the_schedule_has(schedule: str):
     setup = setup_of(schedule=schedule, occupancy=0.5, relay=True, nodes=6, steps=8)
     shares = trace_of(setup).published.sum(axis=2)
-    # Whoever has nothing to tell asks for none: at most three of six send.
+    # A node without new records sends no bid: at most three of six send.
     assert shares.max() == 3

@@ -40,7 +40,7 @@ def test_as_many_liars_as_were_said_do_not_drag_it_away_and_one_more_does():
     # Two that say the same are the worst that two can do.
     assert error_m("trimmed-ci", *lies(5, 100, *LIARS), liars=2) < 2.5 * plain
     assert error_m("trimmed-ci", *lies(5, 100, *LIARS), liars=1) > 10 * plain
-    # What it costs where nobody lies.
+    # The cost of the rule without liars.
     assert error_m("trimmed-ci") < 2.5 * plain
 
 

@@ -75,7 +75,7 @@ def per_step(values: np.ndarray) -> float:
     return float((values[60] / values[30]) ** (1 / 30))
 
 
-# What the consensus study found for this network (spectral facts of its section 3, item e).
+# The consensus study found this for the network (spectral facts of its section 3, item e).
 @pytest.mark.parametrize(
     ("growth", "rounds", "what"),
     [
