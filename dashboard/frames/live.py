@@ -1,7 +1,8 @@
 """Running network: received without slowing it, commanded through its control interface.
 
 Each received message costs processor time that the network needs. So the page receives whole steps:
-the recorder offers every step of a slow network and some steps of a fast one (`py`).
+the recorder offers every step of a slow network and some steps of a fast one
+(`runtime/processes/recorder/throttled_feed.py`).
 """
 
 import time

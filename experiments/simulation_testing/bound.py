@@ -1,9 +1,9 @@
-"""Nobody is surer than a filter that hears every sensor without loss.
+"""Bound on covariances: that of a filter that hears every sensor without loss.
 
-Where plant and sensors are linear and as believed, no estimate of anything that nodes can know has
-a smaller error covariance than the Kalman filter with all readings; so a covariance that is smaller
-in any direction is a false one, whatever the readings say. Unlike a squared error it needs no luck
-to be found out: what is counted twice shows in the step in which it is.
+The bound holds for linear plants and sensors whose models the filters know. There, no estimate has
+a smaller error covariance than the Kalman filter with all readings. A covariance that is smaller in
+any direction is therefore wrong. Unlike a large squared error, a wrong covariance shows in the very
+step in which information is counted twice.
 """
 
 import numpy as np
@@ -32,7 +32,7 @@ def check_bound(run: History) -> None:
     if not (promises(scenario, BOUNDED) and nodes_are_honest(scenario)):
         return
     bound = _bound(run)
-    # Who is out believes nothing.
+    # A node that is out of the network has no belief.
     cov = np.where(np.isnan(run.cov), bound[:, None], run.cov)
     whitener = np.linalg.inv(np.linalg.cholesky(bound))[:, None]
     share = np.linalg.eigvalsh(whitener @ cov @ whitener.mT)[..., 0]

@@ -1,4 +1,4 @@
-"""One case of torture: a scenario, what becomes of its network, and a wire that is no good."""
+"""One case of simulation testing: a scenario, its changes, and the faults of its wire."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -27,11 +27,11 @@ class Case(msgspec.Struct, frozen=True):
 
     @property
     def calm_step(self) -> int:
-        """From this step on nothing is wrong any more."""
+        """First step after the end of all faults."""
         return calm_from(script_of(self.scenario), self.scenario.steps)
 
 
-# What an option of the command may say of a case, beside the fields of its scenario.
+# Options of the command that set fields of a case, beside the fields of its scenario.
 OWN_FIELDS = ("wire",)
 
 
@@ -44,7 +44,7 @@ def with_fields(case: Case, fields: Mapping[str, Any]) -> Case:
 
 
 def check_case(case: Case) -> None:
-    """Refuse a wire that is none.
+    """Refuse a wire that cannot be read.
 
     Raises:
         ValueError: naming the option, its value and the rule.

@@ -1,4 +1,4 @@
-"""One case of torture: run it and the same without faults, and hold both against the invariants."""
+"""Run one case of simulation testing, with and without faults, and check the invariants."""
 
 from collections import Counter
 from functools import partial
@@ -27,12 +27,12 @@ from scenarios.script import script_of
 
 
 class Outcome(NamedTuple):
-    """What came of a case.
+    """Outcome of a case.
 
     Attributes:
-        broken: the invariant that broke; None: all held. seen: what was seen then.
-        injected: how often each word was said in the scripts, and what the wire did.
-        struck: how many frames and turns each word befell that befalls single ones.
+        broken: the invariant that broke; None if all held. seen: the observation that broke it.
+        injected: how often each word occurs in the scripts, and how often the wire acted.
+        struck: number of frames and turns that each fault word affected.
     """
 
     seed: int

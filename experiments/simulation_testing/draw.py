@@ -68,8 +68,8 @@ def draw_case(seed: int, fixed: Mapping[str, Any]) -> Case:
             prepare(drawn)
         except ValueError:
             continue
-        # What is fixed must not decide which attempt it is fixed in, or a case that was made
-        # smaller would be another.
+        # The fixed fields must not decide which attempt is used; otherwise a case that was made
+        # smaller would be a different case.
         try:
             return _completed(seed, attempt, generator, drawn, fixed)
         except ValueError as error:

@@ -33,7 +33,7 @@ from nodes.node_state import NodeConfig, NodeState, Phase
 
 _BOOKED = ("sent", "silent", "heard", "lost", "late", "repeated", "reordered", "missed")
 _EVENTS_PER_FRAME = 50
-# What a share of numbers that are none begins with, in either number.
+# First bytes of a share whose numbers are NaN, in either number format.
 _NO_NUMBERS = (np.full(1, np.nan, "<f8").tobytes(), np.full(2, np.nan, "<f4").tobytes())
 
 
@@ -113,7 +113,7 @@ class Books:
         return self.history.place(cycle)[0]
 
     def body(self, node: int, cycle: int) -> bytes | None:
-        """What a node has sent in a cycle; None for nothing."""
+        """Return the body that a node has sent in a cycle, or None."""
         frames = self._sent.get((node, cycle))
         return None if frames is None else self._frames.join([one.data for one in frames])
 
@@ -133,7 +133,7 @@ class Books:
                 self._wrong.clear()
 
     def _faults(self, config: NodeConfig, step: int) -> Faults:
-        """What was announced to be wrong in a step: who is out does no harm to others."""
+        """Return the faults announced for a step; a node that is out does not affect others."""
         return config.faults._replace(
             standing={
                 place: fault
@@ -145,7 +145,7 @@ class Books:
     # --- what arrives ----------------------------------------------------------------------------
 
     def watch(self, config: NodeConfig, event: NodeEvent | Welcome, state: NodeState) -> None:
-        """After an event at a node: book it, and compare."""
+        """Enter an event of a node, and compare the counters."""
         node = config.index
         if isinstance(event, Welcome):
             self._pages[node] = Page(state.cycle, _end_cycle(config, state))
@@ -174,7 +174,7 @@ class Books:
         self._compare(node, page, state.counters, silent)
 
     def _keeps_silent(self, config: NodeConfig, page: Page, step: int) -> bool:
-        """Whether a node has let a turn pass by in the part of a cycle that is open."""
+        """Return whether a node has let a turn pass in the open group of the cycle."""
         if page.phase not in (Phase.GRANT, Phase.SHARES):
             return False
         granted = (
@@ -187,7 +187,7 @@ class Books:
         )
 
     def _check_turns(self, config: NodeConfig) -> None:
-        """What the node has just sent, it may send."""
+        """Check that the node had a turn for each frame that it has just sent."""
         unchecked, self._unchecked = self._unchecked, []
         for one in unchecked:
             groups = range(len(config.schedule.groups(one.cycle)))
@@ -240,11 +240,11 @@ class Books:
             page.early.append((sender, None, key))
 
     def _file(self, config: NodeConfig, page: Page, sender: int, sent: Sent | None) -> None:
-        """A frame of the open step."""
+        """Enter a frame of the open step."""
         if sent is None:
             page.counts["rejected"] += 1
             return
-        # What a cut link brings all the same is told by the changes, and not by the node.
+        # The changes, not the node, tell which links are cut.
         step, _ = self.history.place(sent.cycle)
         receiver, cycle = config.index, sent.cycle
         arrives = (sender, receiver) not in self._cuts and hears(
@@ -270,7 +270,7 @@ class Books:
     # --- what nodes say of themselves ---------------------------------------------------------
 
     def missed(self, config: NodeConfig, cycle: int, group: int, silent: Iterable[int]) -> None:
-        """A node fuses a part of a cycle, in which these neighbours said nothing usable."""
+        """Enter that a node fuses a group of a cycle without usable shares of these neighbours."""
         senders = config.schedule.groups(cycle)[group].senders
         due = {*senders, *self.grants.get((cycle, group), ())}
         step, _ = self.history.place(cycle)
@@ -281,11 +281,11 @@ class Books:
             page.turns.append((step, cycle))
 
     def used(self, node: int, sender: int, cycle: int) -> None:
-        """A node's estimator is given what a neighbour has said in a cycle."""
+        """Enter that a node's estimator receives a neighbour's share of a cycle."""
         self._pages[node].used.append((sender, cycle))
 
     def _settle(self, config: NodeConfig, page: Page) -> None:
-        """What was fused within an event is looked at when all that belongs to it is booked."""
+        """Check the fused cycles of an event after all of its entries are made."""
         page.let_in_overtaken()
         for step, cycle in page.turns:
             self._check_turn_is_used(config, step, cycle)
@@ -296,7 +296,7 @@ class Books:
         page.fused, page.turns, page.used = [], [], []
 
     def _check_turn_is_used(self, config: NodeConfig, step: int, cycle: int) -> None:
-        """Who has a turn says something, unless it must not."""
+        """Check that a node with a turn sends, unless a fault silences it."""
         node = config.index
         why = must_be_silent(self._faults(config, step), step, cycle, node)
         self._pages[node].counts["silent"] += bool(why)
@@ -307,7 +307,7 @@ class Books:
             raise Broken("who has a turn uses it", f"node {node} {what} in cycle {cycle}")
 
     def accepted(self, node: int, body: bytes) -> None:
-        """A node's estimator has taken a share for one.
+        """Enter that a node's estimator has accepted a share.
 
         Raises:
             Broken: it has no numbers in it.

@@ -31,7 +31,7 @@ class Page:
         self.seen: set[Key] = set()
         self.early: list[tuple[int, Sent | None, Key]] = []
         self.refused_shares = 0
-        # What was fused within an event, to be looked at when all that belongs to it is booked:
+        # The checks of an event run after all of its entries are made. Until then these lists hold
         # cycles, (step, cycle) of turns, (sender, cycle) of shares.
         self.fused: list[int] = []
         self.turns: list[tuple[int, int]] = []
@@ -42,7 +42,7 @@ class Page:
         self._later: list[tuple[int, str]] = []
 
     def arrive(self, sender: int, sent: Sent, is_usable: bool) -> None:
-        """A frame has come in its slot, or what has become of it."""
+        """Enter a frame that has come in its slot, usable or not."""
         key = (sent.cycle, sender)
         self._parts[key] = sent.parts
         self._arrived.setdefault(key, []).append(is_usable)
@@ -50,26 +50,26 @@ class Page:
             self.counts["heard"] += self.is_whole(sender, sent.cycle)
 
     def suffer(self, sender: int, sent: Sent, fate: Fate) -> None:
-        """Something befalls a frame that comes."""
+        """Enter a frame that a fault has affected."""
         self.counts.update(fate.counts)
         self._later += fate.later
         self._overtaken |= {(sent.cycle, sender)} if fate.is_overtaken else set()
         self.arrive(sender, sent, fate.is_usable)
 
     def is_whole(self, sender: int, cycle: int) -> bool:
-        """Whether all frames of a share have come as they were sent."""
+        """Return whether all frames of a share have come unchanged."""
         came = self._arrived.get((cycle, sender), [])
         return len(came) == self._parts.get((cycle, sender)) and all(came)
 
     def let_in_overtaken(self) -> None:
-        """Before a part of a cycle is fused come those that all others have overtaken."""
+        """Count the overtaken frames of a group before the group is fused."""
         for cycle in self.fused:
             overtaken = {key for key in self._overtaken if key[0] == cycle}
             self._overtaken -= overtaken
             self.counts["heard"] += sum(self.is_whole(sender, cycle) for _, sender in overtaken)
 
     def book_what_was_late(self) -> None:
-        """What was under way comes when the cycle begins in which it is due."""
+        """Count each delayed frame when the cycle begins in which it is due."""
         is_open = self.phase in (Phase.GRANT, Phase.SHARES)
         begun = self.cycle if is_open else self.cycle - 1
         self.counts.update(counted for cycle, counted in self._later if cycle <= begun)

@@ -1,4 +1,4 @@
-"""What the command line says of cases of torture: fields of the scenario, seeds and the wire."""
+"""Command-line options of simulation testing: fields of the scenario, seeds and the wire."""
 
 from collections.abc import Mapping
 from functools import reduce

@@ -1,7 +1,7 @@
-"""What a receiver must make of a frame, worked out from what was announced to be wrong.
+"""Outcome of a frame at a receiver, computed from the announced faults.
 
-Books that are kept twice must toss the same coins: the draws are those of `py`. What
-follows from them is worked out here anew from docs/faults.md, and not by `py` and
+Both accounts must use the same random draws, so the draws are those of `nodes/faults/active.py`.
+Their consequences are computed here anew from docs/faults.md, not by `nodes/faults` and
 `nodes/inbox.py`.
 """
 
@@ -14,12 +14,12 @@ from nodes.faults.vocabulary import PASSING
 
 
 class Fate(NamedTuple):
-    """What becomes of a frame at one receiver.
+    """Outcome of a frame at one receiver.
 
     Attributes:
-        counts: what is counted at once. later: (cycle, what is counted when that cycle begins).
-        is_usable: whether the share may be made of it. is_overtaken: it comes after all others.
-        struck: the words that did it.
+        counts: counters that increase at once. later: (cycle, counter that increases at its start).
+        is_usable: the share may use the frame. is_overtaken: the frame comes after all others.
+        struck: the fault words that caused the outcome.
     """
 
     counts: tuple[str, ...]
@@ -69,8 +69,8 @@ def must_be_silent(faults: Faults, step: int, cycle: int, node: int) -> str:
 
 
 def _at(faults: Faults, kind: str, step: int, *nodes: int) -> tuple[float, ...] | None:
-    """The numbers of what is wrong with a node, a link, a channel or the bus; None for nothing."""
-    # What was said of a link of its own comes before what was said of all.
+    """Return the numbers of a fault of a node, link, channel or the bus; None without a fault."""
+    # A fault of one link takes precedence over a fault of all links.
     fault = faults.standing.get((kind, nodes)) or faults.standing.get((kind, ()))
     if fault is None or fault.numbers[0] == 0:
         return None
@@ -83,7 +83,10 @@ def _stands_still(faults: Faults, step: int, node: int) -> bool:
 
 
 def _obstacles(faults: Faults, way: Passage) -> list[tuple[str, str]]:
-    """What keeps a frame from being read at all, and what it is counted as; the first counts."""
+    """Return the faults that keep a frame from being read, with their counters.
+
+    The first entry decides.
+    """
     found = []
     if _stands_still(faults, way.step, way.receiver):
         found.append(("hang", "lost"))
@@ -110,7 +113,7 @@ def _channels(faults: Faults) -> str:
 
 
 def _ahead_us(faults: Faults, way: Passage, node: int) -> float:
-    """By how much a clock has run away when the frame's cycle ends."""
+    """Return the lead of a node's clock at the end of the frame's cycle."""
     drift = _at(faults, "drift", way.step, node)
     if drift is None:
         return 0.0
@@ -126,7 +129,7 @@ def _makes_noise(faults: Faults, way: Passage, node: int) -> bool:
 
 
 def _reading(faults: Faults, way: Passage, frame: bytes) -> tuple[str, tuple[str, ...]]:
-    """What a receiver counts a frame as that is not what its sender meant, "" where it is; why."""
+    """Return the counter of a frame that was altered ("" if unaltered), and the fault words."""
     last_bit = 8 * (len(frame) - 1)
     crc = {last_bit} if _strikes(faults, "crc", way, EVERYBODY) else set()
     corrupt = _flipped(faults, way, len(frame))
@@ -135,7 +138,7 @@ def _reading(faults: Faults, way: Passage, frame: bytes) -> tuple[str, tuple[str
     wrong = _at(faults, "wrong-step", way.step, way.sender)
     is_old = wrong is not None and _strikes(faults, "wrong-step", way, EVERYBODY)
     struck += ("null",) * is_null + ("wrong-step",) * is_old
-    # A bit that is turned over twice is as it was.
+    # A bit that is flipped twice keeps its value.
     if is_null or crc ^ corrupt:
         return "rejected", struck
     earlier = wrong is not None and is_old and min(int(wrong[1]), way.cycle) > 0

@@ -1,7 +1,8 @@
-"""Which rules promise what, and what of it is left where somebody has lied.
+"""Guarantees of the rules, and the guarantees that remain under false data.
 
-No promise is asked of a rule that does not make it, and none of one whose conditions a fault has
-taken away: a sensor that said what it did not read, a neighbour that said what it did not believe.
+A check applies only to rules that give the guarantee. It does not apply if a fault removes the
+guarantee's conditions. Examples of these faults are a sensor that sends false readings and a
+neighbour that sends false beliefs.
 """
 
 from typing import Any

@@ -1,7 +1,7 @@
-"""What becomes of a network in a case of torture: changes that can follow upon one another.
+"""Changes of a network in a case of simulation testing, in an order that is possible.
 
-Every word of `py` is drawn, from what the table says of it; so a word that is new
-there is tortured too.
+Every word of `nodes/faults/vocabulary.py` is drawn, from its entry in the table; so a new word is
+tested as well.
 """
 
 from typing import Any
@@ -29,11 +29,11 @@ from scenarios.equipment import equipment_of
 from scenarios.preparation import complete_settings, with_settings
 from scenarios.setup import Setup
 
-# What begins no fault, beside the words of faults.
+# These words, beside the fault words, begin no fault.
 OTHER_WORDS = ("restart", "heal", "set")
 WORDS = (*EVERY_FAULT, *OTHER_WORDS)
-# Nothing that a receiver uses is another than before; a guardian blocks what babbles, and of two
-# channels one brings all.
+# These words change no share that a receiver uses. A guardian blocks a babbling node, and one of
+# two channels delivers every frame.
 HARMLESS = ("duplicate", "reorder", "replay", "spoof", "guardian", "babble", "channel")
 
 _SETTINGS: dict[str, tuple[Any, ...]] = {
@@ -45,7 +45,7 @@ _SETTINGS: dict[str, tuple[Any, ...]] = {
     "hold": ("decayed", "predict", "drop", "renormalise"),
     "decay": (0.2, 0.7),
 }
-# What a number is drawn from where its own range is wider than a case.
+# Ranges of numbers whose own range is wider than a case.
 _RANGES = {"CYCLES": (1, 5), "STEPS": (1, 6), "SIZE": (-20.0, 20.0), "SHARPNESS": (1.0, 100.0)}
 _PROBABILITIES = (0.05, 0.9)
 _HARMLESS_SWARMS = 0.25

@@ -14,7 +14,7 @@ from scenarios.preparation import prepare
 MOST_TRIES = 200
 FEWEST_NODES = 2
 
-# What is plain, in the order in which it is tried: one value of each field, so that it ends.
+# Plain values in the order of trial: one value of each field, so that the search ends.
 _PLAIN: tuple[dict[str, Any], ...] = (
     {"scenario": "oscillator"},
     {"rule": "ci"},
@@ -108,10 +108,10 @@ def _is_possible(case: Case) -> bool:
 
 
 def replay_command(case: Case) -> str:
-    """The command that runs a case again, exactly."""
+    """Return the command that repeats a case exactly."""
     said: dict[str, Any] = {}
     while case != (drawn := draw_case(case.seed, said)):
-        # What is drawn after a field that was said may be another than before.
+        # A given field may change the fields that are drawn after it.
         said |= differences(case, drawn)
     words = ["concord", "torture", "--seeds", str(case.seed)]
     for name, value in said.items():
@@ -120,8 +120,10 @@ def replay_command(case: Case) -> str:
 
 
 def run_command(case: Case) -> str:
-    """The command that runs the scenario of a case and records it, in any driver; what the wire
-    did besides is the torture's own."""
+    """Return the command that runs and records the scenario of a case, in any driver.
+
+    The command leaves out the faults of the wire, which only simulation testing can produce.
+    """
     scenario = case.scenario
     return shlex.join(["concord", "run", "--scenario", scenario.name, *in_options(scenario)])
 

@@ -1,4 +1,4 @@
-"""What `filters.fusion.trimmed` promises of each average among liars, worked out anew."""
+"""Guarantee of `filters.fusion.trimmed` for each average among liars, computed independently."""
 
 from collections.abc import Sequence
 
@@ -13,13 +13,13 @@ _ROUNDING = 1e-6
 def broken_promise(
     beliefs: Gaussian, weights: Array, fused: Gaussian, liars: Sequence[int], expected: int
 ) -> str:
-    """How an average breaks the promise; "" where it holds, or where too many lie.
+    """Return how an average breaks the guarantee; "" if it holds, or if too many nodes lie.
 
-    Of beliefs (J, n) with weights (J,), the node's own first, those of `liars` may say anything.
-    With c the median of all means, r the distance of the farthest honest one from it and l the
-    least share of the own covariance that an honest node claims in any direction, both in the
-    frame in which the own covariance is 1: the fused covariance is at least l of the own, and
-    (x - c)' P^-1 (x - c) <= r^2 / l.
+    The beliefs are (J, n) with weights (J,), the node's own first; those of `liars` are arbitrary.
+    Let c be the median of all means and r the distance of the farthest honest mean from c. Let l be
+    the least ratio, in any direction, of an honest covariance to the own covariance. Both r and l
+    are taken in the frame in which the own covariance is 1. Then the fused covariance is at least l
+    times the own, and (x - c)' P^-1 (x - c) <= r^2 / l.
     """
     used = [j for j, weight in enumerate(weights) if weight > 0 or j == 0]
     honest = [j for j in used if j not in liars]

@@ -1,4 +1,4 @@
-"""What must hold of a run as a whole: nobody is too sure of itself, and calm brings all back."""
+"""Invariants of a whole run: no node is overconfident, and all nodes recover after `calm`."""
 
 from typing import NamedTuple
 
@@ -39,8 +39,11 @@ _SIZE = np.log(2.0)
 
 
 class History(NamedTuple):
-    """Estimates of a run, NaN where a node was out: mean (steps, N, n), cov (steps, N, n, n); the
-    truth (steps, n); readings (steps, N, r, d), NaN where none came; control (steps, p) or None."""
+    """Estimates of a run: mean (steps, N, n), cov (steps, N, n, n), NaN where a node was out.
+
+    The truth is (steps, n); the readings are (steps, N, r, d), NaN without a reading. The control
+    is (steps, p) or None.
+    """
 
     setup: Setup
     truth: Array
@@ -86,7 +89,7 @@ def history_of_run(setup: Setup, books: Books) -> History:
 
 
 def _told(scenario: Scenario, books: Books) -> tuple[Array, Array | None]:
-    """What the world has told the nodes: readings and control."""
+    """Return the readings and control that the environment has sent to the nodes."""
     some = next(iter(books.measured.values()))
     came = {
         place: np.array([from_wire(reading) for reading in measured.readings])

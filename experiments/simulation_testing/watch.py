@@ -34,7 +34,7 @@ _CONTRADICTIONS = ("contradicting-share", "contradicting-reading")
 
 
 class _Share(NamedTuple):
-    """What an estimator made of a body, and the body."""
+    """Share as an estimator decoded it, with its body."""
 
     meaning: Any
     body: bytes
@@ -59,18 +59,18 @@ class _ShownRule(NamedTuple):
     check: Callable[[Gaussian, Array, Gaussian], None]
 
     def fuse(self, own: Gaussian, others: Gaussian, weights: Array, by_sharpness: bool) -> Fused:
-        """What the rule makes of beliefs, looked at."""
+        """Fuse the beliefs by the rule, and check the result."""
         fused = self.rule.fuse(own, others, weights, by_sharpness)
-        # With a share that is no belief it is asked once more, without it.
+        # If a share is no belief, the estimator calls the rule again without it.
         if not np.isnan(fused.sharpness[1:]).any():
             self.check(joined(own, others), fused.weights, fused.belief)
         return fused
 
 
 class Watched:
-    """The estimator of a node, and what must hold of it after every cycle.
+    """Estimator of a node, with the invariants that must hold after every cycle.
 
-    Raises `Broken` where it does not.
+    A broken invariant raises `Broken`.
     """
 
     def __init__(self, config: NodeConfig, books: Books, scenario: Scenario) -> None:
@@ -85,7 +85,7 @@ class Watched:
         return getattr(self._inner, name)
 
     def begin_step(self, content: Any, measured: Measured) -> tuple[Any, tuple[str, ...]]:
-        """Every step has all of its cycles, and every cycle all of its parts."""
+        """Begin a step; check that the last step had all cycles, and each cycle all groups."""
         config = self._config
         cycle = config.first_cycle + (measured.step - config.first_step) * config.rounds
         if (self._cycle, self._group) not in ((-1, -1), (cycle, 0)):
@@ -97,7 +97,7 @@ class Watched:
         return content, troubles
 
     def accept(self, body: bytes) -> _Share:
-        """The share, which remembers of what it was made."""
+        """Decode a body into a share that keeps the body."""
         try:
             meaning = self._inner.accept(body)
         except Rejected:
@@ -107,7 +107,7 @@ class Watched:
         return _Share(meaning, body)
 
     def fuse(self, content: Any, shares: tuple[_Share | None, ...]) -> tuple[Any, tuple[str, ...]]:
-        """What goes in is what neighbours have said in this very cycle; what comes out is sound."""
+        """Fuse the shares; check that they belong to this cycle and that the result is valid."""
         near = self._config.neighbours
         came = {j: share for j, share in zip(near, shares, strict=True) if share is not None}
         for sender, share in came.items():
@@ -143,7 +143,7 @@ class Watched:
         return bool((np.diagonal(belief.cov) < 0).any())
 
     def _check_refusals(self, indefinite: int, refused: int) -> None:
-        """What is no covariance is refused, and nothing else."""
+        """Check that each indefinite covariance is refused, and no other share."""
         if indefinite != refused:
             raise self._broken(
                 "a covariance that is none is refused", f"{refused} shares for {indefinite}"
@@ -220,7 +220,7 @@ class Watched:
             raise self._broken("weights sum to one", f"{weights.tolist()}")
 
     def _check_mixing(self, content: Any, came: list[bool]) -> None:
-        """What all agree on stays as it is, whoever was heard: the weights used sum to one."""
+        """Check that a round keeps a value on which all agree: the used weights sum to one."""
         inner = self._inner
         if not (isinstance(inner, AtNode) and isinstance(inner.rule, FreshConsensus)):
             return

@@ -1,10 +1,10 @@
-"""What a network does below the vocabulary of faults while a case of torture lasts.
+"""Transport faults that no fault word describes, for a case of simulation testing.
 
-The words of docs/faults.md happen to frames that have come, at the receiver, so that nobody waits
-for what is lost. What no word says is what comes without a sender having sent it in that moment,
-what never comes at all, and in which order messages come. That is the wire's: a kind and a
-probability, "garbage 0.2". The fate of a frame is a hash of the seed, the kind, sender, receiver,
-cycle and number of the frame, so that taking one kind away leaves all others as they were.
+The words of docs/faults.md affect frames that have arrived, at the receiver, so no process waits
+for a lost frame. No word describes frames that no sender sent at that moment, frames that never
+arrive, and the order of messages. The wire produces these faults; each is given by a kind and a
+probability, "garbage 0.2". The outcome of a frame is a hash of seed, kind, sender, receiver, cycle
+and frame number. So the removal of one kind leaves all others unchanged.
 """
 
 import hashlib
@@ -86,7 +86,7 @@ class Wire:
         return place
 
     def carry(self, sender: int, receiver: int, frame: bytes) -> Iterable[bytes]:
-        """What arrives at a receiver when a sender sends a frame."""
+        """Return the frames that arrive at a receiver when a sender sends a frame."""
         before = self._last.get((sender, receiver), b"")
         stranger = next((f for s, f in self._overheard.items() if s != sender), b"")
         self._last[sender, receiver] = self._overheard[sender] = frame
@@ -114,9 +114,12 @@ class Wire:
 def _garbage(
     form: FrameFormat, frame: bytes, before: bytes, stranger: bytes, drawn: int
 ) -> tuple[bytes, ...]:
-    """What a receiver may not use: nothing at all, half of a frame, a flipped bit, a null frame, a
-    counter that is not that of its cycle; the same frame once more, the one that the sender has
-    sent before it, and one that somebody else has sent."""
+    """Return frames that a receiver must not use.
+
+    They are an empty frame, half of a frame, a flipped bit, a null frame and a frame with the
+    counter of another cycle. They are also the same frame again, the sender's previous frame, and a
+    frame of another sender.
+    """
     odd = form.miscounted(frame, 1 + drawn % 63)
     flipped = bytearray(frame)
     flipped[drawn % len(frame)] ^= 1 << drawn % 8
