@@ -95,7 +95,7 @@ def award(
         fits: whether requests fit beside each other; None where any `slots` of them do.
 
     Returns:
-        The state after the cycle, and who wins (..., C).
+        The state after the cycle, and the winners (..., C).
     """
     nodes = np.asarray(nodes, dtype=np.int64)
     asks, waited = bids != NO_BID, state.waits[..., nodes]

@@ -1,4 +1,4 @@
-"""The interface of a bus: who sends when, in which bytes, and how long that takes.
+"""The interface of a bus: which node sends when, in which bytes, and how long that takes.
 
 Nodes, environment, drivers and reports know a bus by this face alone. `bus.flexray.flexray_bus` and
 `bus.ideal` implement it.
@@ -180,7 +180,7 @@ class Bus(Protocol):
             payload_bytes: (..., C), of all frames of a contender's share.
 
         Returns:
-            The state after the cycle, and who wins (..., C).
+            The state after the cycle, and the winners (..., C).
         """
         ...
 

@@ -144,7 +144,7 @@ def bid(change: Array, weight: Array) -> Array:
     """The bid (...) of a change (..., m_j) since the last transmission: change' Q_j change,
     rounded down to units of BID_RESOLUTION; -1 where an entry of the change is NaN.
 
-    Whole, so that who wins does not hang on the last bit of a sum.
+    Whole, so that the winner does not depend on the last bit of a sum.
     """
     urgency = (change * (change @ weight)).sum(axis=-1) / BID_RESOLUTION
     return np.where(np.isnan(urgency), -1.0, np.clip(np.floor(urgency), 0.0, LARGEST_BID))

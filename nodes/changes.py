@@ -16,13 +16,13 @@ Settings = dict[str, int | float | str]
 
 
 class Left(msgspec.Struct, frozen=True, tag="left", tag_field="what"):
-    """A node is out on command: nobody waits for it from this step on."""
+    """A node is out on command: no process waits for it from this step on."""
 
     node: NodeIndex
 
 
 class Gone(msgspec.Struct, frozen=True, tag="gone", tag_field="what"):
-    """A node's process has died or hangs: whoever waits for it stops waiting at once."""
+    """A node's process has died or hangs: every process stops waiting for it at once."""
 
     node: NodeIndex
 

@@ -164,7 +164,7 @@ def _is_open(config: EnvironmentConfig, state: EnvironmentState, bid: Bid) -> bo
 
 
 def _is_sound(config: EnvironmentConfig, state: EnvironmentState, estimate: Estimate) -> bool:
-    """Whether an estimate is of somebody who takes part, of an open step and of the right form."""
+    """Return whether an estimate is of a present node, of an open step and of the right form."""
     size = config.states
     return (
         estimate.node < config.nodes
@@ -207,7 +207,7 @@ def _complete(
     outbox: list[EnvironmentMessage],
     closed: int = -1,
 ) -> EnvironmentState:
-    """Go on from each step that all have estimated who took part, or that is `closed`."""
+    """Go on from each step that all participants have estimated, or that is `closed`."""
     # Fewer are not enough, whoever they are: mostly that is all there is to know.
     least = config.nodes - len(state.standing.absent) - len(state.since)
     while state.completed < state.released:
@@ -222,7 +222,7 @@ def _complete(
         estimates = {
             step: heard for step, heard in state.estimates.items() if step > state.completed
         }
-        # A step that nobody has estimated leaves what was believed before.
+        # A step without any estimate keeps the beliefs of the step before.
         latest = came or state.latest
         state = state._replace(completed=number + 1, estimates=estimates, latest=latest)
         state = _release(config, state, outbox)
@@ -259,7 +259,7 @@ def _release(
             for node in members(config, state)
         )
         state = state._replace(released=number + 1, announced=())
-    # Where all who might contend are out, nobody's bid will ask for the grant that others await.
+    # Where all contenders are out, no bid will ask for the grant that others await.
     return _grant(config, state, outbox)
 
 
@@ -321,7 +321,7 @@ def _grant(
         unheard = [node for node in contenders if node not in bids]
         if not awaits_bids(config, state) or (unheard and contest > closed):
             return state
-        # In node order: who asked first on the wire must not matter.
+        # In node order: the order of arrival on the wire must not matter.
         requests = [bids[node] for node in sorted(contenders) if node in bids]
         arbiter, winners = _award(config, state, contest, requests)
         grant = Grant(state.next_cycle, list(winners), state.next_group, unheard or UNSET)

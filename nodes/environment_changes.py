@@ -53,7 +53,7 @@ def joining(config: EnvironmentConfig, state: EnvironmentState, node: int) -> Jo
     """How a node comes back: with the belief of the first of its neighbours that has one.
 
     None while no neighbour can say anything. Before the first step, and where neighbours are
-    sensors that believe nothing, the scenario's prior does. When nobody is left, a node goes on
+    sensors that believe nothing, the scenario's prior does. When no node is left, a node goes on
     from what it said last itself.
     """
     if state.released == 0:

@@ -1,6 +1,6 @@
 """Estimator: a node's computation, apart from its timing; the interface of every fusion rule.
 
-`nodes/node.py` decides when a step begins, who is waited for and when a round is over; an
+`nodes/node.py` decides when a step begins, which nodes are awaited and when a round is over; an
 `Estimator` decides what is shared and what becomes of what was heard. Its `Content` is a value that
 only the estimator reads.
 """

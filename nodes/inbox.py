@@ -136,7 +136,7 @@ def _file(
     key = (fragment.cycle, sender)
     if _is_known(state.inbox, key, fragment.frame_id):
         return count(state, "repeated")
-    # The transport brings what the simulated link loses, so that nobody waits for it in vain.
+    # The transport brings what the simulated link loses, so that no node waits for it in vain.
     arrives = config.links.perfect or hears(
         config.links, state.step, fragment.cycle, sender, config.index, place.number
     )

@@ -27,7 +27,7 @@ from nodes.bounds import (
 from nodes.changes import Change, Event, Gone, Set, Welcome
 
 Array = NDArray[np.float64]
-# Recorder to all: everything is kept, and everybody may leave.
+# Recorder to all: all messages are kept, and every process may leave.
 END = b"{}"
 
 
@@ -70,7 +70,7 @@ class Bid(msgspec.Struct, frozen=True):
 class Grant(msgspec.Struct, frozen=True):
     """Environment to all: the winners of this group's dynamic slots, in bus order.
 
-    In real time `unheard` are contenders who had not asked when bids ended.
+    In real time `unheard` are contenders that had not asked when bids ended.
     """
 
     cycle: Instant

@@ -3,7 +3,7 @@
 The story of a step: a `Measured` opens it; then come `rounds` communication cycles. In each the
 node sends if the schedule (or the arbiter's grant) says so, waits for exactly the frames that are
 due from its neighbours, and fuses; after the last it emits an `Estimate`. `CycleClosed` ends a
-cycle with whatever has come. A `Gone` says that nobody need wait for a neighbour any more.
+cycle with whatever has come. After a `Gone`, no node waits for that neighbour any more.
 
 A heartbeat that brings changes stops the machine in phase CHANGE, in which `nodes/node_changes.py`
 makes the configuration and the state with which it goes on. `TRANSITIONS` says what each event does
@@ -250,7 +250,7 @@ def _close_group(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]
     if state.inbox.overtaken:
         state = let_in_overtaken(config, state)
     due = _due(config, state)
-    # Without a grant nobody knows who won: what came from a contender then stands as sent.
+    # Without a grant no node knows the winners: a contender's frames then count as sent.
     usable = due if state.phase is Phase.SHARES else config.neighbours
     came, cycle = state.inbox.shares, state.cycle
     shares = tuple([came.get((cycle, j)) if j in usable else None for j in config.neighbours])

@@ -33,9 +33,9 @@ class Phase(Enum):
 class NodeConfig:
     """Everything a node knows before the start.
 
-    `neighbours` ascend, as the weights do; `bus` says who sends when and in which frames; `links`
-    says which frames do not arrive, `scenario_links` which would not if nothing had changed,
-    `faults` what else is wrong. In a `timed` network a group ends when its time is over
+    `neighbours` ascend, as the weights do. `bus` says which node sends when and in which frames.
+    `links` says which frames do not arrive, `scenario_links` which would not without any change.
+    `faults` are all other faults. In a `timed` network a group ends when its time is over
     (`CycleClosed`), and not when all its frames have come.
 
     The configuration holds from `first_step` on, whose cycles begin at `first_cycle`. `standing` is

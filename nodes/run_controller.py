@@ -198,7 +198,7 @@ class RunController:
         return due
 
     def _join(self) -> list[EnvironmentMessage]:
-        """Let in who is ready, if somebody can tell it what to believe."""
+        """Let in each ready node, if a neighbour can tell it what to believe."""
         outbox: list[EnvironmentMessage] = []
         # A node that joins may have left in this step alone, and can tell others what it believed.
         while able := self._able():
@@ -230,7 +230,7 @@ class RunController:
                 return [Left(node)]
             case Restart(node):
                 # In a script the step begins with the node in it, however long its start takes;
-                # the clock waits for nobody.
+                # the clock waits for no node.
                 if not self._timed:
                     self._awaited.add(node)
                 if self._stage.start(node):

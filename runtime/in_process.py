@@ -141,7 +141,7 @@ def _deliveries(
 def _close_oldest_cycle(
     states: list[NodeState], out: set[int]
 ) -> list[tuple[int, NodeEvent | EnvironmentEvent]]:
-    """Nothing is under way and somebody still waits: the time of the oldest open cycle is over."""
+    """End the oldest open cycle: no message is under way and some node still waits."""
     waiting = [
         (s.cycle, s.group, i)
         for i, s in enumerate(states)

@@ -55,7 +55,7 @@ class MemoryRecorder:
 
 
 class _Stamp(msgspec.Struct):
-    """The part of any JSON message that says when it was; who does not was just now."""
+    """The time of any JSON message; a message without one counts as current."""
 
     step: Instant | None = None
     cycle: Instant | None = None
@@ -134,7 +134,7 @@ class McapRecorder:
                 self._history = with_event(self._history, decode(topic, data))
             stamp = _stamp.decode(data)
         except (*UNREADABLE, MalformedMessage):
-            # Kept as it came, for whoever looks for its sender; nobody knows when it was.
+            # Kept as received, for a search of its sender; its time is unknown.
             return 0
         if stamp.step is not None:
             self._last_ns = stamp.step * self._step_ns

@@ -1,6 +1,6 @@
 """Messages put together by steps: what was said of each, once it is over.
 
-A step is over when all who take part in it have estimated it, or when the plant is so much further
+A step is over when all its participants have estimated it, or when the plant is so much further
 that the network has gone on without the rest. Within a step the order of messages does not matter.
 """
 

@@ -36,7 +36,7 @@ Neighbours = Sequence[Sequence[int]]
 
 
 def _leaves_first(nodes: int, neighbours: Neighbours) -> list[int]:
-    """Nodes by how many they hear; by number where nobody knows the graph."""
+    """Nodes by how many they hear; by number where the graph is unknown."""
     degrees = [len(heard) for heard in neighbours] or [0] * nodes
     return sorted(range(nodes), key=lambda node: (degrees[node], node))
 

@@ -54,8 +54,8 @@ class ControlLaw(Protocol):
 class Score(NamedTuple):
     """States on which errors are scored: `states` for RMSE, in `unit`; `nees_states` for NEES.
 
-    Scored from `first_step` on, but not before anybody has seen anything; where `near_s` is given,
-    also for the steps at most that long after a reading by any node.
+    Scored from `first_step` on, but not before the first reading of any node. Where `near_s` is
+    given, also scored for the steps at most that long after a reading by any node.
     """
 
     states: tuple[int, ...]
@@ -69,7 +69,7 @@ class Wiring(NamedTuple):
     """Building blocks of a network in which not every node filters and fuses.
 
     Attributes:
-        schedule: who may publish in which cycle.
+        schedule: which nodes may publish in which cycle.
         share_bytes: length of a share.
         estimator: that of a node.
         names: what the options rule, schedule and hold may be here.

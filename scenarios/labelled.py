@@ -1,4 +1,4 @@
-"""The rule `labelled` in a scenario: what everybody must know of everybody, and what it refuses."""
+"""The rule `labelled` in a scenario: the knowledge common to all nodes, and the refused cases."""
 
 from collections.abc import Sequence
 

@@ -182,7 +182,7 @@ def _in_step(
 def _require_the_average(
     scenario: Scenario, neighbours: Sequence[Sequence[int]], weights: "Weights"
 ) -> None:
-    # Only here: whoever checks a scenario may be slow to start, a node of the network may not.
+    # Only here: a check of a scenario may be slow to start, a node of the network may not.
     from topology.weights import check_doubly_stochastic
 
     try:
@@ -199,7 +199,7 @@ def _require_honest_majorities(
 ) -> None:
     assert isinstance(scenario.rule, TrimmedCovarianceIntersection), "the table of rules chose it"
     liars = scenario.rule.liars
-    # A node that is alone has nobody to fear.
+    # A node without neighbours hears no liar.
     needed = 2 * liars if len(neighbours) > 1 else 0
     few = [node for node, heard in enumerate(neighbours) if len(heard) < needed]
     if few:

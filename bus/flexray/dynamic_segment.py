@@ -1,7 +1,7 @@
 """The dynamic segment of one cycle: which of the requested frames are sent, in which minislots.
 
 FlexRay protocol specification 2.1, chapter 5: a slot counter goes on from the static segment. While
-nobody sends in a slot, it lasts one minislot; a frame makes it as long as the frame needs. A node
+no node sends in a slot, it lasts one minislot; a frame makes it as long as the frame needs. A node
 begins no frame after minislot pLatestTx, so frames with high IDs wait when low IDs were busy.
 """
 

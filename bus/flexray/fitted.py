@@ -16,7 +16,7 @@ def fitted_cluster(schedule: Schedule, payloads: Sequence[int]) -> Cluster:
     static turn of `schedule` has its slots and every choice of winners fits the dynamic segment.
 
     Args:
-        schedule: who publishes when.
+        schedule: which node publishes when.
         payloads: payload length in bytes of each frame that a share takes, all but the last full.
 
     Raises:

@@ -145,7 +145,7 @@ def _static_assignments(
 
 
 def _check_reachable(request: Request, cluster: Cluster) -> None:
-    """A contender must be able to send when nobody else does."""
+    """Check that a contender can send when no other node does."""
     if walk(cluster, [request]).waiting:
         raise ValueError(
             f"node {request.node} could never send in dynamic slot {request.frame_id}: "

@@ -17,7 +17,7 @@ def begin(prior: Gaussian, posterior: Gaussian, nodes: int) -> np.ndarray:
 
     Args:
         prior, posterior: beliefs (..., n), (..., n, n) before and after the own readings.
-        nodes: number N of nodes in the network, which everybody must know.
+        nodes: number N of nodes in the network, which every node must know.
 
     Returns:
         (..., n + n (n + 1) / 2); NaN in a lane that is not positive definite.
@@ -34,7 +34,7 @@ def conclude(numbers: np.ndarray, nodes: int) -> Gaussian:
 
     Fails: overconfident with finitely many rounds, as some novelty enters with N a_ij > 1, and more
     so where shares are lost or not published. It takes some ln(.01) / ln(SLEM) rounds with
-    everybody publishing before that is below a per cent; SLEM is the second largest eigenvalue
+    all nodes publishing before that is below a per cent; SLEM is the second largest eigenvalue
     modulus of the weights. Needs doubly stochastic weights.
 
     Returns:

@@ -28,7 +28,7 @@ def absorb(prior: Gaussian, novelties: Information) -> Gaussian:
     """The belief that the readings of several nodes make of one prior: information adds up.
 
     Promises: with linear sensors and independent noises it is the Kalman update by all readings at
-    once. So nodes that begin with one prior and all hear everybody are the centralised filter
+    once. So nodes that begin with one prior and all hear each other are the centralised filter
     (`centralised`: complete graph, full schedule, one round). With nonlinear sensors it differs
     from the unscented update by the stacked readings, which redraws its points, to the order in
     which each sensor bends over the spread of the prior.

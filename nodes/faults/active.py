@@ -15,7 +15,7 @@ from nodes.changes import Fault, Standing
 from nodes.faults.losses import fraction
 from nodes.faults.vocabulary import PASSING
 
-# In the place of a receiver: what befalls a frame before anybody hears it.
+# In the place of a receiver: the fault strikes a frame before any node hears it.
 EVERYBODY = (1 << 16) + 1
 
 
@@ -49,7 +49,7 @@ class Faults(NamedTuple):
     standing: Mapping[tuple[str, tuple[int, ...]], Fault] = {}
 
     def stand(self, standing: Standing) -> "Faults":
-        """Those of a network of which this has become: who is out does no harm."""
+        """Return the faults of a network in this state; absent nodes do no harm."""
         return self._replace(
             standing={
                 (fault.kind, fault.nodes): fault

@@ -1,8 +1,8 @@
 """Faults of links: the outcome of one frame on its way to one receiver.
 
-All frames travel in every driver; what befalls them befalls them here, at the receiver, as a pure
-function of what is wrong and of the frame. So nobody waits for what never comes, and all drivers
-agree. Bytes that are altered go through the receiver's own checks, which must find them out.
+All frames travel in every driver. The receiver applies the faults here, as a pure function of the
+active faults and of the frame. So no node waits for a frame that never comes, and all drivers
+agree. Altered bytes go through the receiver's own checks, which must detect them.
 """
 
 from typing import NamedTuple
@@ -70,7 +70,7 @@ def _nothing(why: str) -> Arrival:
 
 
 def _clock_us(faults: Faults, way: Passage, node: int) -> float:
-    """How far a node's clock is ahead of the cluster's, from which nobody sets it right."""
+    """How far a node's clock is ahead of the cluster's, without correction."""
     drift = faults.at("drift", way.step, node)
     if drift is None:
         return 0.0
@@ -79,7 +79,7 @@ def _clock_us(faults: Faults, way: Passage, node: int) -> float:
 
 
 def _collides(faults: Faults, way: Passage) -> bool:
-    """Whether somebody babbles in this slot, and nothing blocks it."""
+    """Return whether a node babbles in this slot, and nothing blocks it."""
     if faults.at("guardian", way.step):
         return False
     babblers = [nodes[0] for kind, nodes in faults.standing if kind == "babble"]

@@ -67,7 +67,7 @@ class InBatch(Generic[Own, Held, Said]):
     def restarted(
         self, content: BatchContent[Own, Held], nodes: np.ndarray, belief: Gaussian
     ) -> BatchContent[Own, Held]:
-        """Nodes begin anew with these beliefs, and have heard nobody."""
+        """Nodes begin anew with these beliefs, and have heard no neighbour."""
         known = content.known
         anew = self.start(with_lanes(self.rule.belief(known), nodes, belief)).known
         heard = np.flatnonzero(np.isin(self.links.receiver, nodes))

@@ -76,7 +76,8 @@ class Content(NamedTuple):
 class BatchedBeliefs:
     """All nodes of a network under a rule that averages beliefs, in so many rounds a step.
 
-    `base` are the weights of one run; `contenders` (C,) whoever may ask for the dynamic segment.
+    `base` are the weights of one run; `contenders` (C,) the nodes that may ask
+    for the dynamic segment.
     """
 
     filters: LocalFilters
@@ -108,7 +109,7 @@ class BatchedBeliefs:
         return Content(prior, own, nobody, origin, origin, ages, published, 0, None, 0, {})
 
     def restarted(self, content: Content, nodes: np.ndarray, belief: Gaussian) -> Content:
-        """Nodes begin anew; what they held of others is held of nobody now."""
+        """Let nodes begin anew, without the shares that they held of others."""
         return content._replace(
             belief=with_lanes(content.belief, nodes, belief),
             ages=unheard(self.links, content.ages, nodes),
@@ -118,7 +119,7 @@ class BatchedBeliefs:
     def begin_step(
         self, content: Content, readings: Array, control: Array | None, step: int
     ) -> Content:
-        """Predict, take the own readings. Held shares follow once it is known who is silent."""
+        """Predict, take the own readings. Held shares follow once the silent nodes are known."""
         belief, published, counters = content.belief, content.published, content.counters
         if step > 0:
             belief, sound = self.filters.carry(belief, control, step)

@@ -88,6 +88,6 @@ class Published(NamedTuple):
 
 
 def nothing_published(nodes: np.ndarray, prior: Gaussian) -> Published:
-    """Before anybody of `nodes` (C,) has sent; priors (R, N, n) fill the places."""
+    """Return the start, before any of `nodes` (C,) has sent; priors (R, N, n) fill the places."""
     belief = Gaussian(prior.mean[:, nodes], prior.cov[:, nodes])
     return Published(nodes, belief, np.zeros(belief.mean.shape[:2], dtype=bool))

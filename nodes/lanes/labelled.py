@@ -232,7 +232,7 @@ class BatchedFlooding:
         )
 
     def _told(self, content: Content, shares: _Shares, came: _Came) -> Content:
-        """Records pass on: to who hears them, and all that hear a sender know that others do."""
+        """Pass records to the nodes that hear them; each hearer knows that the others hear too."""
         runs, links = came.runs, came.links
         told = shares.records[came.lanes]
         count = content.known.shape[1]

@@ -114,7 +114,7 @@ def neighbourhoods(links: Links) -> Padded:
 
 
 def overhearing(links: Links) -> Padded:
-    """For each link, those of its receiver to the sender and to whoever else hears that."""
+    """For each link, those of its receiver to the sender and to its other hearers."""
     hears = np.eye(links.nodes, dtype=bool)
     hears[links.receiver, links.sender] = True
     near, real = (one[links.receiver] for one in neighbourhoods(links))

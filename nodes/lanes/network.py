@@ -90,7 +90,7 @@ class RuleWithReturns(BatchedRule, Protocol):
 
 
 class Regime(NamedTuple):
-    """Rule and bus, for as long as nobody sets others: communication cycles of step k, `rounds` of
+    """Rule and bus, until the settings change: communication cycles of step k, `rounds` of
     them, begin at `first_cycle + (k - first_step) * rounds`."""
 
     first_step: int

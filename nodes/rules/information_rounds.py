@@ -11,7 +11,7 @@ from nodes.messages import Array
 
 
 class InformationRounds(NamedTuple):
-    """Averages by the weights, renormalised over who was heard (`fresh_consensus.Exchange`).
+    """Averages by the weights, renormalised over the heard neighbours (`fresh_consensus.Exchange`).
 
     `open(node, prior, posterior)` is what is known (..., m) before the first round,
     `conclude(known)` the belief that an average comes to, `check(shares)` tells sound ones.

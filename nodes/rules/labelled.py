@@ -1,4 +1,4 @@
-"""The rule `labelled`: measurements travel, each labelled by who took it and when.
+"""The rule `labelled`: measurements travel, each labelled by its source and step.
 
 A node passes on what a neighbour lacks, counts each record once because it is kept under its label,
 and runs one filter over a sliding window. A belief (checkpoint) of the window's base travels only

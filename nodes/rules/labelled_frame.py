@@ -25,7 +25,7 @@ _MAX_RECORDS = 255
 
 
 class Labelled(NamedTuple):
-    """A record with its label: who took it, and how many steps ago."""
+    """A record with its label: its source, and its age in steps."""
 
     source: int
     age: int

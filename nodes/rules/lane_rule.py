@@ -86,7 +86,7 @@ class LaneRule(Protocol[Own, Held, Said]):
 
     @property
     def contends(self) -> bool:
-        """Whether bids are asked for; without them nobody need remember what was sent."""
+        """Return whether bids are asked for; without them no node must remember its shares."""
         ...
 
     def start(self, node: np.ndarray, prior: Gaussian, held: Gaussian) -> LaneContent[Own, Held]:

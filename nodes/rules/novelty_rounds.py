@@ -12,7 +12,7 @@ from nodes.messages import Array
 
 
 class NoveltyRounds(NamedTuple):
-    """Round 0 absorbs what everybody in the neighbourhood says, later ones mix their means.
+    """Round 0 absorbs the shares of all neighbours, later ones mix their means.
 
     `open(prior, posterior)` is what a node says first (..., m), its packed novelty in front;
     `absorb(prior, shares (..., 1 + J, m))` the belief after round 0; `mix(means (..., 1 + J, n),

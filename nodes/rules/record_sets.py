@@ -1,4 +1,4 @@
-"""Which records somebody holds: one integer, a bit per (place, source) of the window.
+"""Sets of records that a node holds: one integer, a bit per (place, source) of the window.
 
 Bit `place * nodes + source` is the record that `source` took at the step `place` steps after the
 window's first. When the window moves on, a shift by `nodes` bits forgets its first step.
@@ -33,7 +33,7 @@ def lacked(held: RecordSet, known: Sequence[RecordSet]) -> RecordSet:
 
 
 def need(held: RecordSet, known: Sequence[RecordSet], urgencies: Sequence[int], nodes: int) -> int:
-    """How often something is held that somebody lacks, each times the urgency of its place."""
+    """Count the held records that a neighbour lacks, each times the urgency of its place."""
     total = 0
     for theirs in known:
         absent = held & ~theirs

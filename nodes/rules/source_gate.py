@@ -1,4 +1,4 @@
-"""Outliers are judged once, by the node that took them, before anybody else has heard of them.
+"""Outliers are judged once, by the node that took them, before any other node hears of them.
 
 Were each receiver to judge by its own belief, some would take a record and some refuse it. A record
 that its source refused does not exist: it is refused alike everywhere.

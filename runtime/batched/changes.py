@@ -77,7 +77,7 @@ def _stands(
         case Kill(node):
             return after(standing, step, Left(node))
         case Restart() | Inject():
-            # Other faults move nobody, and have no array form.
+            # Other faults remove no node, and have no array form.
             return standing
         case Configure(settings):
             wanted = complete(standing.settings, settings)

@@ -157,7 +157,7 @@ def _communicated(era: Era, content: Any, arbiter: Any, step: int) -> tuple[Any,
 def _cycle(
     era: Era, content: Any, arbiter: Any, cycle: int, lost: np.ndarray | None
 ) -> tuple[Any, Any, np.ndarray, np.ndarray]:
-    """A cycle, group by group; and who sent in it and asked for its dynamic segment: (R, N)."""
+    """Run a cycle, group by group; return which nodes sent in it and which asked: (R, N) each."""
     rule, schedule = era.regime.rule, era.regime.schedule
     shape = rule.belief(content).mean.shape[:2]
     spoke, asked = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)

@@ -164,7 +164,7 @@ def _authority_pem(authority: Authority) -> bytes:
 
 
 def zenoh_settings(authority: Authority, certificate: bytes, key: bytes) -> dict[str, Any]:
-    """The part of a zenoh configuration by which a process proves who it is and asks the same."""
+    """The part of a zenoh configuration for mutual proof of identity."""
     encoded = {
         "root_ca_certificate_base64": _authority_pem(authority),
         "connect_certificate_base64": certificate,

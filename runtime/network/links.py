@@ -54,7 +54,7 @@ def plan_links(neighbours: Sequence[Sequence[int]], ports: dict[str, int]) -> di
     """The links of every process of a run, by name.
 
     Mesh: one link per edge, opened by the higher index; all nodes link to environment and recorder.
-    Router: everybody is its client.
+    Router: every process is its client.
     """
     at = {name: f"tcp/{LOOPBACK}:{port}" for name, port in ports.items()}
     everyone = [WORLD, RECORDER, *(str(node) for node in range(len(neighbours)))]

@@ -1,4 +1,4 @@
-"""Where a network of processes is: what the launcher writes for those who watch it."""
+"""Addresses of a network of processes, written by the launcher for subscribers."""
 
 from pathlib import Path
 

@@ -76,7 +76,7 @@ def _open(links: Links) -> zenoh.Session:
         return zenoh.open(_config(links))
     except zenoh.ZError as error:
         where = ", ".join(links.listen + links.connect)
-        # Where in its own source zenoh found out is of no use to anybody here.
+        # The position in zenoh's own source is of no use here.
         why = re.sub(r" at /\S+?\.rs:\d+", "", str(error))
         raise LinkError(f"cannot join the network at {where}: {why}") from None
 
@@ -142,7 +142,8 @@ class Transport:
     def join(self, name: str, awaited: Collection[str]) -> None:
         """Say that this process is ready, and wait until all of `awaited` have said so.
 
-        Declarations keep their order on a link: who sees our token has our subscriptions too.
+        Declarations keep their order on a link: a peer that sees our token also has our
+        subscriptions.
         """
         liveliness = self._session.liveliness()
         key = self._prefix + "ready/"
@@ -214,7 +215,7 @@ class Transport:
         self._publisher(topic, waits=True).put(data)
 
     def offer(self, topic: str, data: bytes) -> None:
-        """Publish for those who care; loses rather than waits, and costs nothing for nobody."""
+        """Publish to subscribers; drop rather than wait. Without a subscriber it costs nothing."""
         self._publisher(topic, waits=False).put(data)
 
     def _publisher(self, topic: str, *, waits: bool) -> zenoh.Publisher:
@@ -264,7 +265,7 @@ class Transport:
         return came, False
 
     def receive_at_once(self, subscription: str) -> tuple[str, bytes] | None:
-        """The next message of one subscription if there is one already; none for who has left."""
+        """Return the next message of one subscription if it is there; None after leaving."""
         with suppress(zenoh.ZError):
             while (sample := self._queues[subscription].try_recv()) is not None:
                 data = sample.payload.to_bytes()
@@ -273,7 +274,7 @@ class Transport:
         return None
 
     def wake(self, subscription: str) -> None:
-        """Have whoever waits for this subscription in this process look up."""
+        """Wake the thread of this process that waits for this subscription."""
         # To this process only: an empty message is no message. A closed session needs no wake-up.
         with suppress(zenoh.ZError):
             self._session.put(

@@ -12,7 +12,7 @@ class Place(msgspec.Struct, frozen=True):
     Attributes:
         cast: the names of its processes: environment and recorder, or numbers of nodes.
         connect: endpoints of routers, of which each process takes the first that answers.
-        keys: the file of `concord keys` of each process, where they prove who they are.
+        keys: the file of `concord keys` of each process, where they prove their identity.
         patience_s: how long a node goes on without the environment process.
     """
 

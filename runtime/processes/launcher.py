@@ -94,7 +94,7 @@ def run_job(job: Job, folder: Path | None, on_event: Callable[[Happened], None])
 def _note(
     run: str, folder: Path | None, on_event: Callable[[Happened], None], happened: Happened
 ) -> None:
-    """Leave word where the network is, for those who watch it."""
+    """Write the addresses of the network, for subscribers."""
     if happened.connect and folder is not None:
         write_network(folder, Network(run, happened.connect, happened.pids))
     on_event(happened)

@@ -90,7 +90,7 @@ def _plans(job: Job) -> Iterator[_Plan]:
 
 
 def _at(place: Place) -> _Plan:
-    """On one of several hosts everybody is a client of a router."""
+    """Plan one of several hosts, where every process is a client of a router."""
     links = {
         name: links_to_routers(place.connect, place.keys.get(name))
         for name in (*place.cast, RECORDER)
@@ -151,7 +151,7 @@ class _Watch:
     ) -> None:
         self._supervisor, self._orders = supervisor, orders
         self._job, self._plan, self._nodes = job, plan, nodes
-        # Until the network is ready it needs every node; on one of several hosts nobody knows.
+        # Until the network is ready it needs every node; on one of several hosts that is unknown.
         self._tolerant = WORLD not in plan.cast
 
     def keep(self) -> End:

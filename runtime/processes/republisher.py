@@ -151,7 +151,7 @@ class Republisher:
 
     def _forget(self, now_s: float) -> None:
         """Drop what has arrived for certain; nothing while the recorder is out of reach."""
-        # Never both locks at once: who says something may wait for the thread that sees links.
+        # Never both locks at once: a publisher may wait for the thread that sees links.
         with self._order:
             self._marks.append((now_s, self._dropped + len(self._kept)))
             while not self._is_cut and self._marks[0][0] < now_s - _UNDER_WAY_S:

@@ -108,7 +108,7 @@ def be_node(job: Job, links: Links, config: NodeConfig, late: bool = False) -> N
 
 
 def _joining(work: Callable[[], None]) -> None:
-    """Do `work`; a link that cannot be opened means that somebody took a port: try again."""
+    """Do `work`; a link that cannot be opened means that a port was taken: try again."""
     try:
         work()
     except LinkError as error:

@@ -1,4 +1,4 @@
-"""Forked children and their end: whatever happens to anybody, nobody is left behind.
+"""Forked children and their end: no child is left behind, whatever happens to the others.
 
 The parent must be clean: it has imported what the children need, with one BLAS thread, and has
 opened no zenoh session (its threads would not survive a fork). Children live as long as the parent:
@@ -56,7 +56,7 @@ class Supervisor:
             signal.set_wakeup_fd(-1)
             signal.signal(signal.SIGCHLD, signal.SIG_DFL)
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
-            # Ctrl-C is for the launcher, who ends everybody in order.
+            # Ctrl-C is for the launcher, which ends all children in order.
             signal.signal(signal.SIGINT, signal.SIG_IGN)
             threading.Thread(target=_die_with, args=(self._lifeline_read,), daemon=True).start()
             work()

@@ -1,6 +1,6 @@
 """`meng2025`: six sensors and one estimator on a FlexRay measurement bus, one slot per step.
 
-`--filter` names the filter of the estimator (node 0), `--schedule` who gets the slot,
+`--filter` names the filter of the estimator (node 0), `--schedule` the sensor that gets the slot,
 `--static-slots` is l, `--hold` says what a silent sensor is taken to measure. Step s is the paper's
 s: step 0 is the prior, slot 1 belongs to step 1, and node j is the paper's sensor j.
 """

@@ -1,4 +1,4 @@
-"""Buses as values: who may publish in which cycle, and on what kind of bus."""
+"""Buses as values: which nodes may publish in which cycle, and on what kind of bus."""
 
 from typing import Annotated
 

@@ -1,4 +1,4 @@
-"""The network of a scenario: its nodes, who hears whom, and what its links do."""
+"""The network of a scenario: its nodes, its graph, and the faults of its links."""
 
 from typing import Annotated
 

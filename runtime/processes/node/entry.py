@@ -7,7 +7,7 @@ import msgspec
 
 from runtime.network.zenoh_transport import Transport
 
-# So often it looks who is there.
+# Interval at which the node looks for peers.
 _LOOK_S = 0.5
 
 

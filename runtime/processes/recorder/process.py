@@ -67,7 +67,7 @@ def run_recorder(
         kept = list(_to_be_kept(received, steps.nodes, topics))
         recorder.record(kept)
         subscribers.tell(kept)
-        # Kept as it came is also what somebody says who obeys no rule; it changes nothing here.
+        # Bytes from a sender that obeys no rule are kept as received; they change nothing here.
         for name, data in kept:
             with suppress(*UNREADABLE, MalformedMessage):
                 if name.startswith("estimate/"):

@@ -13,7 +13,7 @@ from runtime.whole_steps import WholeStep, WholeSteps
 
 
 class Subscribers:
-    """Those who watch a network, whoever they are; `wake()` has whoever records call `look`."""
+    """The subscribers of a network; `wake()` makes the recorder call `look`."""
 
     def __init__(self, offered: Transport, steps: WholeSteps, wake: Callable[[], None]) -> None:
         self._offered, self._steps, self._wake = offered, steps, wake
