@@ -1,4 +1,4 @@
-"""Processes under test: start a command, find all that came of it, see them gone."""
+"""Start a command under test, find its processes, and wait for their end."""
 
 import os
 import signal
@@ -52,7 +52,7 @@ class Family:
         return self.gone_within(self.at_once_s * _LEFT_S / _AT_ONCE_S)
 
     def alive(self) -> list[int]:
-        """Process numbers of all that live (a zombie does not)."""
+        """Return the process numbers of the living processes; a zombie is not one."""
         sign = f"{MARK}={self.mark}".encode()
         return [pid for pid in _processes() if sign in _read(pid, "environ")]
 

@@ -120,7 +120,7 @@ def test_drivers_agree_on_the_oscillator(name: str, tmp_path: Path):
 
 @pytest.mark.zenoh
 def test_drivers_agree_where_some_hear_and_are_not_heard(tmp_path: Path):
-    """A ring on which everybody hears the next one only: entry (i, j) says that i hears j."""
+    """Return a ring on which each node hears only the next: entry (i, j) says that i hears j."""
     file = tmp_path / "ring.csv"
     file.write_text("0,1,0,0\n0,0,1,0\n0,0,0,1\n1,0,0,0\n")
     setup = small(graph=f"directed:{file}", weights="equal-neighbour", steps=8)

@@ -179,7 +179,7 @@ def test_the_node_that_closes_the_loop_may_be_out(rule: str):
 
 @pytest.mark.parametrize("rule", ["ci", "hcmci", "kcf"])
 def test_who_comes_back_asks_as_one_that_never_sent(rule: str):
-    """No change is large enough for another slot; who has begun anew needs none."""
+    """No change is large enough for another slot; a restarted node needs none."""
     bus = {"schedule": "dynamic", "occupancy": 0.5, "trigger": 1e6, "stretch": 100.0}
     changes = ("4 kill 2", "6 restart 2")
     asked = scenario("oscillator", nodes=4, steps=9, rule=rule, changes=changes, **bus)
@@ -190,7 +190,7 @@ def test_who_comes_back_asks_as_one_that_never_sent(rule: str):
 
 @pytest.mark.parametrize("lead", [{"control": "open"}, {"control": "1"}])
 def test_who_needs_a_neighbour_that_is_out_too_comes_back_a_step_later(lead: dict[str, str]):
-    """In a world that runs ahead, and in one that does not."""
+    """The environment runs ahead in one case and not in the other."""
     changes = ("3 kill 1", "3 kill 0", "5 restart 1", "5 restart 0", "8 cut 2 3")
     asked = scenario("cruise-control", nodes=4, graph="path", steps=10, changes=changes, **lead)
     check_agreement(asked)

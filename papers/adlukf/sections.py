@@ -60,7 +60,7 @@ def set_up(drives: tuple[Drive, ...], seeds: int) -> Section:
 
 
 def table_2(results: Results) -> Section:
-    """Table 2, and who is better."""
+    """Return the section on table 2 and on the better filter."""
     text = (
         "R0 is the true covariance of the sensors; mean over the seeds with its interval of 95 %."
         f"\n\n{tables.table_2(results, MANOEUVRES)}"

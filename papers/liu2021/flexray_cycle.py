@@ -83,7 +83,7 @@ def transmit(
     Args:
         static_outputs: l, the outputs sent in turn, 0 to m; the others contend.
         weights: step -> (m - l,), positive.
-        select: who wins, of values (..., m - l), held (..., m - l) and weights.
+        select: picks the winner, of values (..., m - l), held (..., m - l) and weights.
 
     Raises:
         ValueError: l does not fit the outputs, or the outputs do not fill whole cycles.

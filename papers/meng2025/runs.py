@@ -60,7 +60,7 @@ class Outcome(NamedTuple):
 
 
 class Method(NamedTuple):
-    """A row of the comparison: who gets the slot, which filter, what it believes."""
+    """A row of the comparison: the schedule of the slot, the filter and its system."""
 
     label: str
     schedule: Schedule

@@ -51,7 +51,7 @@ def draw(trials: dict[str, dict[str, Trial]], folder: Path) -> list[str]:
 
 
 def _followers(plant: str, trials: dict[str, Trial]) -> Figure:
-    """A column per loop: the output, its errors, and for the aircraft a state nobody asks for."""
+    """A column per loop: the output, its errors, and for the aircraft a state without reference."""
     rows = 3 if plant == "pitch" else 2
     width = max(4.2 * len(trials), 11.0)  # below that the legend is cut
     figure = Figure(figsize=(width, 2.9 * rows), layout="constrained")

@@ -161,7 +161,7 @@ def _cells(variants: list[Variant], full: bool) -> Iterator[tuple[Variant, float
 
 
 def _differs_when_full(variant: Variant, variants: list[Variant]) -> bool:
-    """The first of its rule, and whoever weighs by determinant."""
+    """Return whether the variant is the first of its rule, or weighs by determinant."""
     return variant.hold == SHARP or next(v for v in variants if v.rule == variant.rule) == variant
 
 

@@ -1,4 +1,4 @@
-"""Arbiters: who wins, that all of it fits, that order does not matter, and who starves."""
+"""Test arbiters: winners, fit of their frames, independence of order, and starvation."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -195,7 +195,7 @@ def test_round_robin_serves_all_in_turn():
 )
 def test_round_robin_never_starves_whatever_the_lengths(count: int, slots: int, sizes: list[int]):
     asked = [Asked(Request(place, 21 + place, sizes[place] // 2 * 2), 0) for place in range(count)]
-    # The first in turn always fits alone, so everybody is served within as many cycles as nodes.
+    # The first in turn always fits alone, so each node is served within as many cycles as nodes.
     served = serve("round-robin", asked, count, slots)
     assert {node for winners in served for node in winners} == set(range(count))
 

@@ -1,4 +1,4 @@
-"""Network and page in one command: the network waits for somebody to look, and needs nobody."""
+"""Test network and page in one command: the network waits for a viewer, then needs none."""
 
 import os
 import signal

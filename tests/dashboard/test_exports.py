@@ -95,7 +95,7 @@ def test_the_charts_are_a_page_with_all_that_the_page_showed(chromium, tmp_path:
         box = page.locator("svg").first.bounding_box()
         assert box
         assert 700 < box["width"] <= 800
-        # Of the bound and the band nobody has told anything.
+        # The network has sent no bound and no band.
         assert "bound" not in said[0]
         assert troubles == []
     finally:

@@ -31,7 +31,7 @@ def network(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 def _runs(folder: Path) -> bool:
-    """Whether the network has begun; while its processes start nobody answers."""
+    """Return whether the network has begun; while its processes start, none of them answers."""
     try:
         reach = read_network(folder)
         client = Client(reach.connect, reach.run)

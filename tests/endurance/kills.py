@@ -34,7 +34,7 @@ from tests.endurance.running import PROC, Running
 
 NODES, RATE = 16, 40.0
 SHORT_S, LONG_S = 0.3, 2.6
-# So long whoever ends may take.
+# A process may take this long to end.
 LEAVE_S = 10.0
 
 

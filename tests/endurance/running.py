@@ -1,4 +1,4 @@
-"""A network of processes that runs in a thread's care, for whoever plays it foul meanwhile."""
+"""Run a network of processes under the control of a thread, while a test disturbs it."""
 
 import os
 import signal
@@ -83,7 +83,7 @@ class Running:
 
 
 def neighbouring_ports(cast: list[str]) -> dict[str, int]:
-    """Free ports that follow each other, so that an intruder knows where everybody is."""
+    """Return free consecutive ports, so that an intruder knows the address of each process."""
     # Below those that machines give out by themselves.
     for first in range(20_000 + os.getpid() % 10_000, 32_000, len(cast)):
         with suppress(ValueError):

@@ -57,7 +57,7 @@ def test_malformed_messages_are_all_counted_and_change_no_bit():
     assert outcome.same_estimates
 
 
-# Megabytes that a full queue takes, of messages that nobody takes out.
+# Megabytes of a full queue, when no process takes its messages out.
 FULL = """
 from tests.endurance.running import memory_mb
 from runtime.processes.recorder.process import RECORDER_QUEUE

@@ -95,7 +95,7 @@ def test_who_has_no_key_says_nothing_and_a_member_no_word_of_others(tmp_path: Pa
 @needs_proc
 @pytest.mark.zenoh
 def test_a_lie_that_ends_a_network_without_keys_leaves_a_sentence(tmp_path: Path):
-    """Before the first step, in the name of the world: without keys nobody can tell."""
+    """The message comes before the first step in the environment's name; only keys reveal it."""
     setup = write_setup(tmp_path)
     with hosts(tmp_path) as there:
         endpoint = f"tcp/localhost:{free_ports([ROUTER_NAME])[ROUTER_NAME]}"

@@ -1,4 +1,4 @@
-"""The command line as a whole: its commands, what they load, and output that nobody takes."""
+"""Test the whole command line: its commands, their imports, and output without a reader."""
 
 import os
 import subprocess

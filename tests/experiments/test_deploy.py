@@ -164,7 +164,7 @@ def test_what_pods_want_is_there(tmp_path: Path):
     assert nodes["completions"] == nodes["parallelism"] and nodes["completionMode"] == "Indexed"
     router = by_kind["Deployment", "concord-router"]["spec"]["template"]["metadata"]["labels"]
     assert by_kind["Service", "concord-router"]["spec"]["selector"] == router
-    # Nodes see their own key, and nobody the authority's.
+    # Each node sees its own key, and no process sees the authority's.
     [node] = pods()["concord-nodes"]["containers"]
     assert {"name": "own-key", "mountPath": "/keys", "readOnly": True} in node["volumeMounts"]
     assert "keys" not in {mount["name"] for mount in node["volumeMounts"]}

@@ -248,7 +248,7 @@ def test_under_growing_bids_the_longest_silent_go_first():
     rehearsal = rehearse(setup, flexray(setup), 4)
     turns = rehearsal.published.reshape(-1, 9)
     assert (turns.sum(1) == 3).all()
-    # Three of nine win: everybody once in any three cycles, so nothing gets older than two.
+    # Three of nine win: each node once in any three cycles, so no share gets older than two.
     assert all((turns[c : c + 3].sum(0) == 1).all() for c in range(len(turns) - 2))
     assert rehearsal.ages.max() == 2 and rehearsal.ages.min() == 0
 

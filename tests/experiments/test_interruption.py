@@ -206,7 +206,7 @@ def test_a_killed_command_takes_its_network_with_it(tmp_path: Path, moment: str)
 
 
 def test_a_run_that_fails_says_where_its_remains_are(tmp_path: Path):
-    """The world is killed: exit code 1, its name, and figures of nothing."""
+    """After the environment is killed: exit code 1, its name, and no figures."""
     with family(run_command("processes", 700), tmp_path) as run:
         run.await_line("oscillator: ")
         os.kill(read_network(tmp_path / "run").pids["world"], signal.SIGKILL)

@@ -76,7 +76,7 @@ def test_runs_of_what_was_recorded_once_are_no_band():
 
 
 def test_the_process_tells_and_of_sets_nothing(monkeypatch: pytest.MonkeyPatch):
-    # On a machine at its limit, who gives way may wait for minutes.
+    # On a fully loaded machine a process of low priority may wait for minutes.
     monkeypatch.setattr(other_runs, "give_way", lambda *_: None)
     others = OtherRuns(setup_of("oscillator", nodes=4, steps=10), sparing=True)
     times = np.array([0.0, 0.5])

@@ -152,7 +152,7 @@ def test_in_lockstep_the_worlds_side_goes_on_and_the_others_come_back(
         back_s = time.monotonic() - began
         together = max(ear.steps.values())
         assert holds_within(40, lambda: min(ear.steps.values()) > together + 20)
-    # The world has been killed with all else: what it has recorded can be read.
+    # The environment was killed with all other processes: the recording can be read.
     setup = read_description(tmp_path / "run").setup
     trace = trace_of(setup, tmp_path / "run" / "run.mcap")
     out = np.isnan(trace.mean[:, :, 0])

@@ -1,4 +1,4 @@
-"""A network in real time: it keeps its timetable, says what it missed, and waits for nobody."""
+"""Test a network in real time: it keeps its timetable, reports misses, and waits for no node."""
 
 import os
 import signal
@@ -85,7 +85,7 @@ def test_a_short_run_keeps_its_timetable(tmp_path: Path):
     assert figures.step_ms == pytest.approx(1e3 * STEP_S)
     assert figures.cycle_ms == pytest.approx(100)
     assert figures.cycles == 4 * 10 * 3
-    # The estimate follows the deadline of the last round, however fast everybody is.
+    # The estimate follows the deadline of the last round, however fast the nodes are.
     assert figures.delay.p50_ms > 3 * figures.cycle_ms
     assert 0 < figures.cycle_jitter.p50_ms <= figures.cycle_jitter.p99_ms
     assert figures.deadline_misses == figures.incomplete + figures.overrun < figures.cycles / 2

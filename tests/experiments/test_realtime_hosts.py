@@ -1,4 +1,4 @@
-"""Real time on hosts whose clocks differ: they keep the world's time, or say what they miss."""
+"""Test real time on hosts with different clocks: they keep common time or report misses."""
 
 import json
 from pathlib import Path

@@ -175,7 +175,7 @@ def test_who_hangs_over_the_end_of_bids_gets_nothing_and_holds_up_nobody(tmp_pat
         os.kill(pid, signal.SIGCONT)
     played = Played(setup, tmp_path, network.recorded())
     contests, grants = contested(setup), played.told("grant")
-    # The cycles go on: each has its one grant, in order, whoever has asked.
+    # The cycles go on: each has its one grant, in order, whichever nodes have sent bids.
     assert [(grant.cycle, grant.group) for grant in grants] == sorted(contests)
     unheard = {(g.cycle, g.group): set(g.unheard or ()) for g in grants}
     its_own = [key for key in sorted(contests) if STRUCK in contests[key]]
@@ -187,7 +187,7 @@ def test_who_hangs_over_the_end_of_bids_gets_nothing_and_holds_up_nobody(tmp_pat
         missing = unheard[grant.cycle, grant.group]
         assert missing <= contests[grant.cycle, grant.group]
         assert not missing & set(grant.winners)
-    # It asks for them when it moves again, and nobody turns back for it.
+    # It asks for them when it moves again, and no process goes back for it.
     asked = {(bid.cycle, bid.group) for bid in played.told("bid") if bid.node == STRUCK}
     assert len(asked & set(without)) > 0.5 * len(without)
     assert any(STRUCK in grant.winners for grant in grants if grant.cycle > without[-1][0])

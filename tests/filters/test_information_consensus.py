@@ -49,7 +49,7 @@ def after_rounds(known: np.ndarray, weights: np.ndarray, rounds: int) -> np.ndar
 
 @given(lanes=LANES, nodes=st.integers(1, 5), n=st.integers(1, 4), seed=SEEDS)
 def test_before_any_round_hybrid_consensus_is_the_local_filter(lanes, nodes, n, seed):
-    """L = 0, or nobody heard: the safe gain is 1."""
+    """With L = 0 or no share heard, the safe gain is 1."""
     generator = np.random.default_rng(seed)
     priors = random_belief(generator, (*lanes, nodes), n)
     after = posteriors(generator, priors)

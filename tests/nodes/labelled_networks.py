@@ -92,7 +92,7 @@ def _slots(node: int, cycle: int) -> tuple[Slot, ...]:
 
 
 def taken(outcome: Outcome) -> dict[tuple[int, int], Array]:
-    """Every reading (d,) by (step, source), from what the world said."""
+    """Return every reading (d,) by (step, source), from the environment's messages."""
     found = {}
     for topic, data in outcome.messages:
         if topic.startswith("measured/"):

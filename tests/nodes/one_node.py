@@ -39,7 +39,7 @@ def share(config: NodeConfig, sender: int, cycle: int, belief: Gaussian | None =
 
 
 def feed(config: NodeConfig, events: Sequence[NodeEvent]) -> tuple[NodeState, list[NodeMessage]]:
-    """The state after these events, and all that was sent."""
+    """Return the state after these events, and the sent messages."""
     state, sent = initial_state(config), []
     for event in events:
         state, messages = step(config, state, event)

@@ -82,7 +82,7 @@ def ruled(
 
 
 def weight_matrix(net: Network) -> Array:
-    """The Metropolis weights (N, N) of a network, from who hears whom."""
+    """Return the Metropolis weights (N, N) of a network, from its neighbours."""
     weights = np.zeros((len(net.nodes), len(net.nodes)))
     for node in net.nodes:
         for j in node.neighbours:

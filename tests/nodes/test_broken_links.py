@@ -108,7 +108,7 @@ def reference(setup: Setup, folder: Path) -> Trace:
 
 
 def await_pid(run: Family, name: str) -> int:
-    """The process number of somebody, from the beginning of what the network says."""
+    """Return the number of a process, from the first output of the network."""
     assert run.process.stdout is not None
     while line := run.process.stdout.readline():
         who, _, pid = line.strip().partition(" ")

@@ -218,7 +218,7 @@ def test_lost_and_held_shares_are_as_written_out(
 @given(graphs(least=2, most=5), SEEDS, st.floats(0, 1))
 @settings(max_examples=20)
 def test_what_is_sent_is_either_heard_or_missed(adjacency: Adjacency, seed: int, loss: float):
-    """With static turns everybody knows who is due, so that nothing is lost unnoticed."""
+    """With static turns each node knows the due senders, so it notices each lost frame."""
     count = len(adjacency)
     priors = random_priors(np.random.default_rng(seed), count, 2)
     schedule = round_robin(count, (count + 1) // 2)

@@ -1,4 +1,4 @@
-"""The world as a machine: how far it runs ahead, whom it grants a slot, what drives the plant."""
+"""Test the environment's state machine: its lead, its grants, and the plant's inputs."""
 
 from dataclasses import replace
 from itertools import permutations
@@ -33,7 +33,7 @@ PRIOR = Gaussian(np.zeros(1), np.eye(1))
 
 
 def started(config: EnvironmentConfig) -> tuple[EnvironmentState, list[EnvironmentMessage]]:
-    """A world that may go as far as it likes."""
+    """Return an environment that may go on without limit."""
     return environment.step(config, environment.begin(config), Allowed(config.steps))
 
 

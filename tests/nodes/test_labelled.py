@@ -344,7 +344,7 @@ def test_a_restarted_node_knows_nothing_until_a_checkpoint_and_then_what_the_oth
 
     outcome = run(net._replace(nodes=nodes))
     untouched = run(net)
-    # In the step of the restart everybody first hears its call, and answers a cycle later.
+    # In the step of the restart the neighbours hear its call first, and answer a cycle later.
     assert not np.isnan(outcome.mean).any()
     np.testing.assert_allclose(
         outcome.cov[at_step + 1 :, 2], untouched.cov[at_step + 1 :, 2], rtol=1e-5

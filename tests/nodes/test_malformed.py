@@ -178,7 +178,7 @@ def test_a_million_malformed_frames_and_messages():
 
 
 def test_what_is_kept_for_later_is_bounded():
-    """Whole heartbeats, grants and frames of steps that nobody has begun."""
+    """Well-formed heartbeats, grants and frames of steps that no node has begun."""
     config = middle_node(hybrid(3, 0.7))
     state, _ = step(config, initial_state(config), heartbeat(0))
     for number in range(1, 2 * MOST_EARLY):
@@ -198,7 +198,7 @@ def test_early_frames_in_slots_of_nobody_are_not_kept():
         for frame in ahead:
             state, _ = step(config, state, ShareHeard(0, frame))
         if state.phase is Phase.MEASUREMENT:
-            # Between two steps nobody knows what slots there will be; from the next on it does.
+            # Between two steps a node does not know the next slots; from the next step on it does.
             state, _ = step(config, state, heartbeat(0))
         assert state.inbox.early == {}
         assert state.counters["rejected wrong-slot"] == len(ahead)

@@ -222,7 +222,7 @@ def test_a_closed_cycle_goes_on_with_what_has_come():
 
 
 def test_without_a_grant_what_a_contender_sent_still_counts():
-    """Node 2 contends; it won and sent, but the world's word to us came too late."""
+    """Node 2 contends, wins and sends, but the environment's grant reaches this node too late."""
     config = middle_node(Schedule(3, ((0, 1),), ((2,),), (1,)))
     came = [heartbeat(0), *(ShareHeard(j, share(config, j, 0)) for j in (0, 2))]
     state, _ = feed(config, came)

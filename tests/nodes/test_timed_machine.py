@@ -49,7 +49,7 @@ def estimates(timed: bool, reverse: bool) -> list[Estimate]:
                 if share.node in configs[node].neighbours:
                     give(node, ShareHeard(share.node, share.frame))
         if timed:
-            # All has come, and nobody goes on before the time is over.
+            # All messages have arrived, and no node goes on before the deadline.
             assert all(state.cycle == cycle for state in states)
             for node in range(4):
                 give(node, CycleClosed(cycle))

@@ -1,4 +1,4 @@
-"""Keys of a network: what is in the files, who may read them, and what is refused."""
+"""Test the keys of a network: content of the files, their permissions, and refusals."""
 
 import base64
 import ipaddress

@@ -92,7 +92,7 @@ def test_what_was_lost_on_the_way_is_made_up_for(net: Network, data: st.DataObje
         for event in events:
             node.hear_again(event)
         assert node.state.phase is Phase.FINISHED
-        # Which counter began first is nobody's concern.
+        # The order in which the counters began does not matter.
         assert meant(node.sent) == meant(own(config, said))
 
 

@@ -1,4 +1,4 @@
-"""Children are forked, their ends told, and nobody is left behind: each test in a fresh process."""
+"""Test the forks of children, the reports of their ends, and the cleanup, in fresh processes."""
 
 import os
 import signal

@@ -41,7 +41,7 @@ def network(**changes) -> Setup:
 
 
 def as_arrays(setup: Setup, trace: Trace) -> tuple[Gaussian, np.ndarray]:
-    """The same bus and filter over all steps at once: beliefs (steps,), and who sent (steps, N)."""
+    """The same bus and filter over all steps at once: beliefs (steps,), senders (steps, N)."""
     asked: Scenario = setup.scenario
     bus: MeasurementBus = bus_of(asked)
     received = first_received(SYSTEM, meng2025.PRIOR_MEAN)

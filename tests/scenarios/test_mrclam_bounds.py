@@ -96,7 +96,7 @@ def test_nodes_of_a_complete_graph_are_identical(mrclam_folder):
 
 
 def test_held_shares_come_in_turns(mrclam_folder):
-    """Node k mod 4 publishes in step k; nobody else does, and ages say so."""
+    """Only node k mod 4 publishes in step k, and the ages agree with that."""
     _, trace = outcome(str(mrclam_folder), 5, WAYS["held path"])
     np.testing.assert_array_equal(
         trace.published[:, 0], np.arange(3860)[:, None] % 4 == np.arange(4)

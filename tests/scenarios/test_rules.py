@@ -149,7 +149,7 @@ def test_the_example_of_the_page_runs(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(rules._RULES, "sharpest", eval(f"{{{entry}}}", names)["sharpest"])
     usual = scenario("ci", graph="complete", rounds=1, steps=40)
     found = trace(prepare(structs.replace(usual, rule=names["Sharpest"]())))
-    # Where everybody hears everybody, all are as sharp as the sharpest.
+    # Where all nodes hear each other, each belief is as precise as the most precise one.
     size = np.linalg.det(found.cov)
     np.testing.assert_allclose(size, size[:, :1].repeat(8, axis=1), rtol=1e-12)
     alone = trace(prepare(scenario("local", steps=40)))

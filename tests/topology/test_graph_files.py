@@ -35,7 +35,7 @@ def folder(tmp_path_factory):
 @given(nodes=st.integers(1, 14), seed=st.integers(0, 10**6), density=st.floats(0, 1))
 @settings(deadline=None, max_examples=25)
 def test_a_graph_survives_its_file(folder, suffix, nodes, seed, density):
-    """Also with nodes that hear nobody, and more than ten nodes (names sort as numbers)."""
+    """Graphs include nodes without neighbours, and over ten nodes (names sort as numbers)."""
     upper = np.triu(np.random.default_rng(seed).uniform(size=(nodes, nodes)) < density, 1)
     adjacency = csr_array(upper | upper.T)
     write_graph(folder / f"graph{suffix}", adjacency)
