@@ -93,7 +93,7 @@ class _Language(Protocol):
 
 
 class _Bytes:
-    """Bytes that say nothing, and that nobody reads."""
+    """Bytes without content, which no node decodes."""
 
     def __init__(self, load: Load) -> None:
         self._measured = bytes(load.measured_bytes)

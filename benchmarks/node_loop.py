@@ -56,7 +56,7 @@ class _Memory:
         self.spent_s = 0.0
 
     def join(self, *_: object) -> None:
-        """Everybody is there."""
+        """Start the measurement; every peer is present."""
         self.spent_s -= time.thread_time()
 
     def receive(self, topic: str) -> tuple[str, bytes]:
@@ -87,7 +87,7 @@ class _Memory:
         """Ignore the request, because no peer joins or leaves."""
 
     def wake(self, *_: object) -> None:
-        """Nobody sleeps."""
+        """Do nothing, because no thread waits."""
 
     def close(self) -> None:
         """Nothing was opened."""

@@ -19,7 +19,7 @@ _CAMERA = {
 
 
 def main() -> None:
-    """Look, until the page or whoever started us ends."""
+    """Look until the page or the parent process ends."""
     spoken = Subprotocol(f"viser-v{version('viser')}")
     place = f"ws://127.0.0.1:{sys.argv[1]}"
     with connect(place, subprotocols=[spoken], max_size=None, compression=None) as page:

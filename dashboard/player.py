@@ -26,7 +26,7 @@ class Extent(NamedTuple):
 
 
 def play_live(view: View, extent: Extent, elapsed_s: float, paused: bool) -> bool:
-    """Stay at the newest step unless somebody looks at the past; True where something moved."""
+    """Stay at the newest step unless the user looks at the past; return whether the view moved."""
     before = view.step, view.cursor
     if view.follow:
         view.step = extent.last

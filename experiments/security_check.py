@@ -112,7 +112,7 @@ def _write_to(guarded: _Guarded, keys: str, topics: tuple[str, ...], mark: bytes
 
 
 def _writers(guarded: _Guarded) -> list[Attempt]:
-    """Members who say what is theirs, and what is not."""
+    """Check that members can publish on their own topics and on no others."""
     own = ("hello/0", "bid/0", "share/0", "estimate/0")
     of_another = tuple(topic.replace("0", "1") for topic in own)
     of_the_world = ("measured/0", "grant", "truth", "finished", "end/0", "welcome/0")
@@ -236,7 +236,7 @@ def _keys_file(path: Path, tls: dict[str, Any]) -> str:
 
 
 def _knock(guarded: _Guarded, enter: Callable[[], Transport]) -> int:
-    """How many messages somebody gets through who may not even be let in."""
+    """Return the number of messages that a client without access gets through."""
     try:
         guest = enter()
     except LinkError:
@@ -250,7 +250,7 @@ def _knock(guarded: _Guarded, enter: Callable[[], Transport]) -> int:
 
 
 def _false_router(guarded: _Guarded, folder: Path) -> list[Attempt]:
-    """A router of somebody else lies in wait for a node."""
+    """Check that a node refuses a router of another authority."""
     stranger = new_authority(1)
     tls = zenoh_settings(
         stranger, *issue(stranger, ROUTER_NAME, ("localhost", LOOPBACK), timedelta(days=1))

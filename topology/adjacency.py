@@ -82,7 +82,7 @@ def degrees(adjacency: Adjacency) -> NDArray[np.int64]:
 
 
 def is_symmetric(adjacency: Adjacency) -> bool:
-    """Whether whoever is heard hears too."""
+    """Return whether every link has its opposite."""
     return one_way_links(adjacency).shape[0] == 0
 
 

@@ -7,7 +7,7 @@
 |                       | `#` begins a comment |
 | .csv                  | the matrix itself: one row per line, 0 or a positive number per entry; |
 |                       | entry (i, j) says that i hears j |
-| .graphml              | GraphML; an edge leads from who is heard to who hears; the nodes' |
+| .graphml              | GraphML; an edge leads from sender to receiver; the nodes'         |
 |                       | attributes `x` and `y` are their places |
 
 Numbers on links, `delivery` in GraphML, are the chance that a frame arrives if all lie between 0

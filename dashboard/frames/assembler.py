@@ -155,7 +155,7 @@ class Assembler:
         if lives == self._alive[node]:
             return
         self._alive[node] = lives
-        # The network tells of its members itself; what dies without that is told here.
+        # The network announces its members; a node that dies unannounced is entered here.
         if any(event.node == node for event in self._events):
             return
         what = "is back" if lives else "is down"

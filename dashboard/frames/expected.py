@@ -10,7 +10,7 @@ from dashboard.frames.frame import Array
 
 class Expected(NamedTuple):
     """At some times (T,): the band of the nodes' mean NEES, and the least error that there can be
-    of a filter that hears everything; NaN where nobody knows."""
+    of a filter that hears everything; NaN where it is unknown."""
 
     nees_low: Array
     nees_high: Array

@@ -60,7 +60,7 @@ class LiveNetwork:
     a file of `concord keys` for one that is guarded.
 
     Raises:
-        ValueError: nobody answers, or something else than a network of this version.
+        ValueError: no network of this version answers.
     """
 
     live = True
@@ -113,7 +113,7 @@ class LiveNetwork:
         if self._ended or now_s - self._asked_s < _STATE_PERIOD_S:
             return
         self._asked_s = float("inf")
-        # In a thread of its own: whoever draws does not wait for an answer.
+        # The request has its own thread, so the drawing loop does not wait for the answer.
         Thread(target=self._hear_state, daemon=True).start()
 
     def _hear_state(self) -> None:

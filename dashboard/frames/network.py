@@ -65,7 +65,7 @@ def changed(network: Network, change: Change, names: tuple[str, ...]) -> tuple[N
     """The network after a change, and the line of the log that tells of it.
 
     Raises:
-        KeyError, TypeError, ValueError, IndexError: a change that is none of ours.
+        KeyError, TypeError, ValueError, IndexError: the change is malformed.
     """
     facts = change.facts
     match change.what:

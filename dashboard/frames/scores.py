@@ -13,7 +13,7 @@ _ROUNDING = 1e-13
 
 
 def fuse(belief: Gaussian, alive: np.ndarray) -> Gaussian:
-    """The mean in information form of those who live (N, n): mean (n,), cov (n, n).
+    """Return the mean of the living nodes (N, n) in information form: mean (n,), cov (n, n).
 
     It is covariance intersection with equal weights, towards which the nodes of a connected network
     tend. NaN where nobody believes anything.

@@ -26,7 +26,7 @@ class Pace(NamedTuple):
 
 
 class Source(Protocol):
-    """Gives frames as they come; takes commands where there is somebody to obey."""
+    """Source of frames, which also passes commands to a running network."""
 
     @property
     def live(self) -> bool:
@@ -80,7 +80,7 @@ class Recorded:
         return frames
 
     def pace(self) -> Pace:
-        """A recording does not run; who plays it says so."""
+        """A recording has no pace of its own; the player sets it."""
         return Pace("LOADING" if self._frames is not None else "RECORDED")
 
     def ask(self, command: dict[str, Any]) -> Answer:

@@ -96,7 +96,7 @@ class _Drawing:
                 f'<path d="M{x - 7:.1f} {y:.1f}h14M{x:.1f} {y - 7:.1f}v14" '
                 f'stroke="{css(theme.truth)}" stroke-width="2.5"/>'
             )
-        # Above all else, or nobody can read it.
+        # The text lies above all other marks, so that it stays readable.
         parts.append(self._scale_marks())
         return "".join(parts)
 

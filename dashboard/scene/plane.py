@@ -1,4 +1,4 @@
-"""A target among the nodes: where it is, where each node believes it to be, and who sees it."""
+"""Target among the nodes: its position, each node's estimate, and the nodes that see it."""
 
 from collections.abc import Callable, Sequence
 
@@ -14,7 +14,7 @@ from dashboard.view import View
 
 
 class Plane:
-    """A target among the nodes: truth, estimates, ellipses, trails, who sees it."""
+    """Target among the nodes: truth, estimates, ellipses, trails, and the nodes that see it."""
 
     def __init__(self, scene: viser.SceneApi, stage: Stage) -> None:
         self._stage = stage

@@ -31,7 +31,7 @@ PLANTS: dict[Picture, Callable[..., PlantPicture]] = {
 class Scene:
     """The network and its plant in one viewport.
 
-    `pick(node)` is called with the node that somebody clicked.
+    `pick(node)` is called with the node that the user clicked.
     """
 
     def __init__(

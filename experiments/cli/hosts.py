@@ -133,7 +133,7 @@ class HostOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class WorldOptions(HostOptions):
-    """Where to keep what comes of it."""
+    """Folder for the results."""
 
     out: Path | None = None
     """Folder for the results; runs/<name of the run> when left out. It must not exist."""
@@ -181,7 +181,7 @@ class NodeOptions(HostOptions):
 
 
 def node(options: Annotated[NodeOptions, tyro.conf.arg(name="")]) -> None:
-    """Be some nodes of a network on several hosts, to the end of the run."""
+    """Run some nodes of a network on this host until the run ends."""
     with user_errors():
         description = read_setup(options.setup)
         names = _checked_nodes(options.nodes, description.setup.scenario.nodes)

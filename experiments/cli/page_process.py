@@ -1,6 +1,7 @@
 """The dashboard beside a run: a process of its own that ends with the launcher.
 
-The network waits for whoever opens the page, so that nobody misses the beginning, but not for ever.
+The network waits for the first user of the page, for a limited time, so that the user sees the
+beginning.
 """
 
 import subprocess

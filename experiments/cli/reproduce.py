@@ -33,7 +33,7 @@ def paper_of(name: str) -> Paper:
 
 @dataclass(frozen=True, kw_only=True)
 class ReproduceOptions:
-    """Which paper, and where to put what comes of it."""
+    """Paper, and folder for the results."""
 
     paper: Annotated[str, tyro.conf.Positional]
     """wac: Widjiantoro et al., weighted-average-consensus UKF. meng2025: Meng et al., UKF under the

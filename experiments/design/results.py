@@ -149,7 +149,7 @@ def command_for(verb: str, values: Values, more: Sequence[str] = ()) -> str:
 
 
 def nearest(design: Design) -> Tried:
-    """The least error of all that was tried, for a target that nothing meets."""
+    """Return the least error of all candidates, for a target that no candidate meets."""
     return min(design.tried, key=lambda one: (bool(np.isnan(one.error.value)), one.error.value))
 
 

@@ -1,4 +1,5 @@
-"""Where a design looks: the values of each field, a coarse grid, and who is next to whom."""
+"""Search space of a design: the values of each field, a coarse grid, and neighbouring
+candidates."""
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence

@@ -166,7 +166,7 @@ def _rest_after_work() -> Callable[[int], None]:
 
 
 def _end_with_input() -> None:
-    """End when whoever asked is gone, however it went."""
+    """End this process when its parent has ended, for any reason."""
     # Without a buffer, whose lock would be held when the interpreter ends.
     while os.read(0, 1):
         pass

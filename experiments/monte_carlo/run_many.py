@@ -52,7 +52,7 @@ def run_many(
         )
     seconds = time.monotonic() - started
     peak_memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    # Written first: who presses Ctrl-C again may leave without the table.
+    # The file is written first, because a second Ctrl-C may end the program before the table.
     write_histories(folder, description, histories)
     _show(summarise(histories, Cost(seconds, peak_memory_mb)), setup, as_json)
     if stopped is not None:
@@ -61,7 +61,7 @@ def run_many(
 
 def write_histories(folder: Path, description: Description, histories: Histories) -> None:
     """Write run.nc: the histories with named dimensions and units."""
-    # Loading xarray takes longer than many a run; only who writes a file pays for it.
+    # Loading xarray can take longer than a run, so it is loaded only to write a file.
     import xarray
 
     setup = histories.setup

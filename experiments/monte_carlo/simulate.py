@@ -48,8 +48,8 @@ class Histories(NamedTuple):
         mean: (R, S, N, n), estimates after the last round of a step.
         cov_trace: (R, S, N), of their covariances.
         nees: (R, S, N), over the states `kind_of(...).score.nees_states`; NaN for unknown truth.
-        payload_bytes: (R, S, L, N), what a node sent in a communication cycle; 0 where it did not.
-        asked: (R, S, L, N), who asked for the dynamic segment.
+        payload_bytes: (R, S, L, N), sent by a node in a communication cycle; 0 if it sent nothing.
+        asked: (R, S, L, N), True where a node bid for the dynamic segment.
         counters: totals (R, N) by name, as nodes count them; what never happened has no name.
         prior_mean: (R, n), where filters began.
         readings: (R, S, N, r, d), NaN where none was taken. If kept.
@@ -157,7 +157,7 @@ class _Collected:
         self._done = 0
 
     def take(self, place: slice, on_progress: Callable[[int], None]) -> None:
-        """Run those of a place, and keep what comes of them."""
+        """Run those of a place, and keep their results."""
         setup, runs = self._setup, self._runs[place]
         messages = without_array_form(setup.scenario) is not None
         part = (_replayed if messages else _driven)(setup, runs)

@@ -135,7 +135,7 @@ def read_description_file(path: Path) -> Description:
 
 def write_arrays(folder: Path, description: Description, trace: Trace) -> None:
     """Write run.nc: the trace with named dimensions and units, errors and NEES beside it."""
-    # Loading xarray takes longer than many a run; only who writes a file pays for it.
+    # Loading xarray can take longer than a run, so it is loaded only to write a file.
     import xarray
 
     setup = description.setup

@@ -1,4 +1,4 @@
-"""How labelled records spread in a run: what its frames carried, and who had which record when.
+"""Spread of labelled records in a run: contents of its frames, and the records of each node.
 
 The recording says what was sent; what a link lost follows from the scenario.
 """

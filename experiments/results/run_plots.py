@@ -1,4 +1,4 @@
-"""Pictures of one run: errors and consistency over time, who is how far off, how old shares are."""
+"""Pictures of one run: errors and consistency over time, errors by node, ages of shares."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any

@@ -21,7 +21,7 @@ _ROUNDING = {"float64": 1e-6, "float32": 1e-3}
 
 
 def check_bound(run: History) -> None:
-    """No covariance is smaller than that of the filter that hears everybody.
+    """Check that no covariance is smaller than that of the baseline filter.
 
     Raises:
         Broken: one is.

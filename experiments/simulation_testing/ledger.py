@@ -231,7 +231,7 @@ class Books:
                 self._file(config, page, sender, sent)
 
     def _book_spoof(self, page: Page, sender: int, sent: Sent, key: Key) -> None:
-        """A sound frame of somebody else, who sent it in a slot of its own."""
+        """Enter a valid frame that another node sent in its own slot."""
         if sent.cycle < page.end_cycle or page.phase is not Phase.MEASUREMENT:
             page.counts["rejected"] += 1
         elif any(key == other for *_, other in page.early):

@@ -183,14 +183,14 @@ def _victims(faults: Faults, way: Passage, has_slot: Callable[[int], bool]) -> l
 
 
 def _strikes(faults: Faults, kind: str, way: Passage, receiver: int) -> bool:
-    """Whether what a sender does wrong befalls this frame, for all who hear it."""
+    """Return whether a sender's fault affects this frame, for all receivers."""
     numbers = _at(faults, kind, way.step, way.sender)
     draw = faults.draw(kind, way.cycle, way.sender, receiver, way.number)
     return numbers is not None and draw < numbers[0]
 
 
 def _strikes_link(faults: Faults, kind: str, way: Passage) -> bool:
-    """Whether what a link does befalls this frame."""
+    """Return whether a link's fault affects this frame."""
     numbers = _at(faults, kind, way.step, way.sender, way.receiver)
     draw = faults.draw(kind, way.cycle, way.sender, way.receiver, way.number)
     return numbers is not None and draw < numbers[0]

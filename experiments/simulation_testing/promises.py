@@ -62,7 +62,7 @@ def liars_of(scenario: Scenario) -> set[int]:
 
 
 def nodes_are_honest(scenario: Scenario) -> bool:
-    """Whether nobody lies to anybody who listens."""
+    """Return whether no node sends false data to its neighbours."""
     return not liars_of(scenario) or promises(scenario, ("local",))
 
 

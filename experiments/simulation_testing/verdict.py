@@ -137,7 +137,7 @@ def check_return(run: History, calm: History, calm_step: int) -> None:
     covariance without faults; nothing is asked of runs that end before.
 
     Raises:
-        Broken: somebody is not there, or beyond the level.
+        Broken: a node is missing, or its error exceeds the level.
     """
     scenario = run.setup.scenario
     level = slice(calm_step + SETTLING_STEPS, calm_step + RECOVERY_STEPS)

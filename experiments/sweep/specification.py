@@ -192,7 +192,7 @@ def _within(between: Range, place: float) -> Value:
     if between.whole:
         count = int(between.high - between.low) + 1
         return int(between.low) + min(int(place * count), count - 1)
-    # Six digits say all that anybody reads, and can be typed again.
+    # Six digits suffice for a reader and are easy to type.
     return float(f"{between.low + place * (between.high - between.low):.6g}")
 
 

@@ -1,6 +1,6 @@
 """A linear plant in continuous time, as a paper prints it, and its exact sampling.
 
-`scipy` is imported by the functions that need it: whoever only holds sampled plants does not.
+The functions that need `scipy` import it, because code with sampled plants does not need it.
 """
 
 from dataclasses import dataclass
@@ -14,8 +14,8 @@ from plants.draws import Array
 class ContinuousPlant:
     """dx/dt = A x + B u + D gamma; the controlled output is C x.
 
-    state_matrix: A (n, n); control_matrix: B (n, p); output_row: C (1, n), what the reference
-    is for; disturbance_matrix: D (n, r), of inputs that nobody commands.
+    state_matrix: A (n, n); control_matrix: B (n, p); output_row: C (1, n), what the reference is
+    for; disturbance_matrix: D (n, r), of inputs that no controller commands.
     """
 
     name: str

@@ -1,7 +1,7 @@
 """A model of a robot that wanders about a hall: each axis is a damped oscillation about its centre.
 
 x'' = -w^2 (x - c) - x'/tau + white noise of spectral density 2 sv^2 / tau. Other than constant
-velocity it does not drift away while nobody looks.
+velocity it does not drift away while no node sees it.
 """
 
 from dataclasses import dataclass

@@ -81,7 +81,7 @@ class Driver(Protocol):
 
 
 class OpenLoop(NamedTuple):
-    """A driver who steers by the clock."""
+    """Driver that steers by the clock."""
 
     angle: Signal
     lag_s: float = 0.01
@@ -92,7 +92,7 @@ class OpenLoop(NamedTuple):
 
 
 class PathFollower(NamedTuple):
-    """A driver who looks ahead and steers so that the car would meet the path there.
+    """Driver that looks ahead and steers so that the car would meet the path there.
 
     The angle is that of the circle through the point `preview_s` ahead on `path`, a lateral
     position by distance. Source: MacAdam (1981), Application of an optimal preview control for
@@ -115,7 +115,7 @@ class PathFollower(NamedTuple):
 
 @dataclass(frozen=True)
 class Manoeuvre:
-    """A named drive: who steers, and which speed is held."""
+    """Named drive: its driver and its speed."""
 
     name: str
     summary: str

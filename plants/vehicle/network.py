@@ -155,7 +155,7 @@ class DrivenOnce:
 
     Attributes:
         time_step_s: of the arrays.
-        truth: (steps, 6), NaN where nobody knows it.
+        truth: (steps, 6), NaN where it is unknown.
         exact: (steps, 4, 1, 3), what the sensors would deliver without error, NaN for nothing.
         prior_mean: (6,), what the nodes start from, less the error of a run.
         errors: of each node's channels, on top of `exact`.

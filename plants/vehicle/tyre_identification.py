@@ -82,7 +82,7 @@ def identify(
     )
     compared = np.isfinite(outputs) & (driven.speed_m_s >= min_speed_m_s)[:, None]
     _require_told(drive, driven, compared, min_speed_m_s)
-    # An offset of an output that nobody logged is not sought.
+    # The fit has no offset for an output that was not logged.
     sought = np.concatenate(([True, True, True], compared[:, 1:].any(axis=0), [seek_friction]))
 
     def residuals(parameters: Array) -> Array:
