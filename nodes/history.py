@@ -26,7 +26,7 @@ class Absence(NamedTuple):
 
 
 class History(NamedTuple):
-    """The epochs of a run in order, the nodes absent in each, and whether anything changed at all."""
+    """The epochs of a run in order, the absent nodes, and whether anything changed at all."""
 
     epochs: tuple[Epoch, ...]
     absences: tuple[Absence, ...] = ()

@@ -20,7 +20,7 @@ from nodes.node_state import Inbox, NodeConfig, NodeState, Phase, count
 EARLY_STEPS = 8
 # And cycles at least, as a change may bring more rounds than there are now.
 EARLY_CYCLES = 512
-# So many frames, or grants, are kept for later at most.
+# Largest number of frames, or grants, kept for later.
 MOST_EARLY = 4096
 _LATE = "late"
 

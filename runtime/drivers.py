@@ -96,5 +96,5 @@ def over_processes(
     return Pace(setup.scenario.steps / (last_s - ready_s), ready_s)
 
 
-# Those that give equal bits.
+# Drivers that give equal bits.
 DRIVERS: dict[str, Driver] = {"in-process": in_this_process, "processes": over_processes}

@@ -47,7 +47,7 @@ class Directly(NamedTuple):
     def fuse(
         self, own: Gaussian, others: Gaussian, weights: np.ndarray, by_sharpness: bool
     ) -> Fused:
-        """As `Averaged.fuse`."""
+        """Implement `Averaged.fuse`."""
         beliefs = joined(own, others)
         sharp = sharpness(beliefs.cov)
         used = sharpened(weights, sharp) if by_sharpness else weights
@@ -83,7 +83,7 @@ class Averaging:
     def fuse(
         self, own: Gaussian, others: Gaussian, weights: np.ndarray, by_sharpness: bool
     ) -> Fused:
-        """As `Averaged.fuse`."""
+        """Implement `Averaged.fuse`."""
         numbers, sharp = self.weigh_up(joined(own, others), own.mean[..., None, :])
         used = sharpened(weights, sharp) if by_sharpness else weights
         mean, cov = self.average(numbers, used, own.mean)
@@ -96,7 +96,7 @@ class _Intersection(Averaging):
     def fuse(
         self, own: Gaussian, others: Gaussian, weights: np.ndarray, by_sharpness: bool
     ) -> Fused:
-        """As `Averaged.fuse`."""
+        """Implement `Averaged.fuse`."""
         if own.mean.ndim > 1 or not compiled.serves(own.mean.shape[-1]):
             return Averaging.fuse(self, own, others, weights, by_sharpness)
         mean, cov, used, sharp = compiled.fused(*own, *others, weights, by_sharpness)

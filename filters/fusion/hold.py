@@ -111,7 +111,7 @@ def drop(base_weights: np.ndarray, ages: np.ndarray) -> np.ndarray:
 
 
 def alone(base_weights: np.ndarray, ages: np.ndarray) -> np.ndarray:
-    """All weight to the node itself, whatever it has heard."""
+    """Give all weight to the node itself, whatever it has heard."""
     return np.where(np.arange(ages.shape[-1]) == 0, 1.0, 0.0 * base_weights)
 
 
@@ -120,7 +120,7 @@ def _where_heard(base_weights: np.ndarray, ages: np.ndarray) -> np.ndarray:
 
 
 def _left_to_self(worth: np.ndarray) -> np.ndarray:
-    """All weight to entry 0 in lanes where none is left."""
+    """Give all weight to entry 0 in lanes where no weight is left."""
     alone = np.eye(worth.shape[-1])[0]
     return np.where((worth > 0).any(axis=-1, keepdims=True), worth, alone)
 

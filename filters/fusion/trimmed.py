@@ -86,7 +86,7 @@ def _far_ones(mean: np.ndarray, whitener: np.ndarray, used: np.ndarray, liars: i
 
 
 def _growth(cov: np.ndarray, whitener: np.ndarray, used: np.ndarray, liars: int) -> np.ndarray:
-    """By what (..., J) covariances (..., J, n, n) are multiplied so that none is too sure."""
+    """Return factors (..., J) for covariances (..., J, n, n), so that none is too sure."""
     against_own = whitener @ cov @ whitener.mT
     # LAPACK gives up a batch for one lane; what is no covariance makes its lane NaN in the end.
     sound = np.isfinite(against_own).all(axis=(-2, -1), keepdims=True)

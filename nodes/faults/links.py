@@ -118,7 +118,7 @@ def _corrupted(faults: Faults, way: Passage, frame: bytes) -> bytes:
 
 
 def _late(faults: Faults, way: Passage) -> int:
-    """By how many cycles it is late."""
+    """Return by how many cycles the frame is late."""
     late = 0
     if slow := faults.at("slow", way.step, way.sender):
         late += int(slow[0])

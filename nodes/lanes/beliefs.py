@@ -263,7 +263,7 @@ class BatchedBeliefs:
         return Numbers(values, sharpness), ages
 
     def _by_slot(self, numbers: Numbers) -> Numbers:
-        """Those of nodes, as slots hold them."""
+        """Return the numbers of nodes in the order of slots."""
         if self.links.perfect:
             return numbers
         source = self.links.source

@@ -103,7 +103,7 @@ class Regime(NamedTuple):
     rule: BatchedRule
 
     def cycles(self, step: int) -> range:
-        """Those of a step."""
+        """Return the cycles of a step."""
         first = self.first_cycle + (step - self.first_step) * self.rounds
         return range(first, first + self.rounds)
 

@@ -36,15 +36,15 @@ class AdaptedSensor(NamedTuple):
 
     @property
     def gate(self) -> float | None:
-        """That of the sensor."""
+        """Return the value of the wrapped sensor."""
         return self.sensor.gate
 
     def measure(self, state: Array, step: int) -> Array:
-        """That of the sensor."""
+        """Return the value of the wrapped sensor."""
         return self.sensor.measure(state, step)
 
     def residual(self, value: Array, predicted: Array, /) -> Array:
-        """That of the sensor."""
+        """Return the value of the wrapped sensor."""
         return self.sensor.residual(value, predicted)
 
     def interpret(self, delivered: Array) -> tuple[Array, Array]:
@@ -65,7 +65,7 @@ class AdaptiveNoise:
 
     @property
     def share_bytes(self) -> int:
-        """That of the rule."""
+        """Delegate to the wrapped rule."""
         return self.rule.share_bytes
 
     def start(self) -> Learnt:
@@ -90,31 +90,31 @@ class AdaptiveNoise:
         return Learnt(inner, noise), troubles
 
     def bid(self, content: Learnt) -> int | None:
-        """That of the rule."""
+        """Delegate to the wrapped rule."""
         return self.rule.bid(content.content)
 
     def compose(self, content: Learnt) -> tuple[Learnt, bytes]:
-        """That of the rule."""
+        """Delegate to the wrapped rule."""
         inner, body = self.rule.compose(content.content)
         return content._replace(content=inner), body
 
     def accept(self, body: bytes) -> Share:
-        """That of the rule."""
+        """Delegate to the wrapped rule."""
         return self.rule.accept(body)
 
     def fuse(
         self, content: Learnt, shares: tuple[Share | None, ...]
     ) -> tuple[Learnt, tuple[str, ...]]:
-        """That of the rule."""
+        """Delegate to the wrapped rule."""
         inner, troubles = self.rule.fuse(content.content, shares)
         return content._replace(content=inner), troubles
 
     def belief(self, content: Learnt) -> Gaussian:
-        """That of the rule."""
+        """Delegate to the wrapped rule."""
         return self.rule.belief(content.content)
 
     def ages(self, content: Learnt) -> Array:
-        """That of the rule."""
+        """Delegate to the wrapped rule."""
         return self.rule.ages(content.content)
 
 

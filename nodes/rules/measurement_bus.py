@@ -126,7 +126,7 @@ class SensorNode:
             return content, ()
         held = self.silent(content.held)
         if content.sent and not np.isnan(content.reading).any():
-            # As it came out of the frame, which may carry fewer digits.
+            # The value as decoded from the frame, which may carry fewer digits.
             held = self.codec.decode(self.codec.encode(content.reading))[: len(held)]
         return content._replace(held=held), ()
 
@@ -135,7 +135,7 @@ class SensorNode:
         return Gaussian(np.full(self.states, np.nan), np.full((self.states, self.states), np.nan))
 
     def ages(self, content: SensorContent) -> Array:
-        """A sensor hears nobody."""
+        """Return -1 for each neighbour: a sensor hears no node."""
         return np.full(self.neighbours, -1)
 
 

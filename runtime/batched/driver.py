@@ -144,7 +144,7 @@ def _delivery(delivery: Delivery | None, runs: int) -> Callable[[Array, int], Ar
 
 
 def _communicated(era: Era, content: Any, arbiter: Any, step: int) -> tuple[Any, Any, _Said]:
-    """All cycles of a step."""
+    """Run all cycles of a step."""
     sends, asked = [], []
     for cycle in era.regime.cycles(step):
         lost = None if era.lost is None else era.lost(step, cycle)

@@ -28,7 +28,7 @@ _LEASE_MS = 2000
 # No message of the network is larger (zenoh would assemble up to 1 GiB). A large network's
 # description takes some MB.
 _MOST_BYTES = 1 << 26
-# So many messages are taken from a queue together at most.
+# Largest number of messages taken from a queue together.
 _AT_ONCE = 256
 
 
@@ -158,7 +158,7 @@ class Transport:
             return self._presence.wait_for(lambda: self._present.issuperset(names), seconds)
 
     def missing(self, names: Collection[str]) -> list[str]:
-        """Those of `names` that are not ready, in order."""
+        """Return those of `names` that are not ready, in order."""
         with self._presence:
             return [name for name in names if name not in self._present]
 

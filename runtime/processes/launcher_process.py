@@ -155,7 +155,7 @@ class _Watch:
         self._tolerant = WORLD not in plan.cast
 
     def keep(self) -> End:
-        """Until the end."""
+        """Run until the network ends."""
         while True:
             happened = self._supervisor.wait(sys.stdin.fileno(), self._orders)
             if happened == self._orders:

@@ -57,7 +57,7 @@ class Overflow:
             return self._taken()
 
     def take_all(self) -> list[tuple[str, bytes]]:
-        """All messages that have come, (topic, bytes), each topic in the order of arrival."""
+        """Return all messages received, (topic, bytes), each topic in the order of arrival."""
         with self._emptying:
             # A message that is aside came first, and its place is needed for a later one.
             taken = self._taken()

@@ -7,7 +7,7 @@ from bus.bus import FrameFormat, Rejected
 from nodes.messages import Grant, Measured, NodeEvent, ShareHeard
 from nodes.node_state import NodeState
 
-# As much as all processes of a network of 64 nodes keep, and more.
+# More than all processes of a network of 64 nodes keep.
 _REMEMBERED = 1 << 17
 
 

@@ -6,7 +6,7 @@ Its cost does not grow with the network's speed.
 from runtime.whole_steps import WholeStep
 
 STEPS_PER_S = 20.0
-# So many may follow at once on a rest: steps do not come like beats of a clock.
+# Largest burst of steps after a pause: steps do not arrive at even intervals.
 _AT_ONCE = 5
 
 
