@@ -1,7 +1,7 @@
 """The house rules of ARCHITECTURE.md and CONTRIBUTING.md as tests.
 
-Each rule is a function from one parsed file to complaints that say what to do instead. Each is also
-tried on a small planted violation below, because a rule that cannot fail guards nothing.
+Each rule is a function from one parsed file to complaints that say what to do instead. A small
+planted violation below shows that each rule can fail.
 """
 
 import ast

@@ -1,9 +1,9 @@
 """The batched driver gives the numbers of the in-process driver, whatever the scenario.
 
-Every run of a Monte Carlo is compared with the run of that number, message by message: estimates
-and covariances to 1e-10 of their scale; who asked, who sent how much, ages and counters exactly.
-Where the wire carries float32, a number that lies between two of them may be rounded to either, so
-no more than their spacing can be asked for.
+Every run of a Monte Carlo is compared with the run of that number, message by message. Estimates
+and covariances agree to 1e-10 of their scale; bids, bytes by sender, ages and counters agree
+exactly. Where the wire carries float32, a number between two float32 values may be rounded to
+either, so the tolerance there is their spacing.
 """
 
 from functools import partial

@@ -29,8 +29,10 @@ SPEED_ERROR, YAW_RATE_ERROR = "mean |error| of $v_x$ [m/s]", "mean |error| of ya
 
 
 class Trace(NamedTuple):
-    """States (steps, 4) as `study.quantities` orders them: the reference, NaN
-    where nobody knows it, and by filter; `errors` (steps, 4) mean over seeds, by filter."""
+    """States (steps, 4) in the order of `study.quantities`, for the reference and by filter.
+
+    The reference is NaN where it is unknown. `errors` (steps, 4) are means over seeds, by filter.
+    """
 
     title: str
     time_s: Array

@@ -161,7 +161,7 @@ def test_frames_of_some_steps_are_those_of_all(chosen):
         np.testing.assert_array_equal(frame.ages, whole.ages)
         assert frame.cycles == whole.cycles
         assert all(map(np.array_equal, frame.traffic, whole.traffic))
-        # Of those who may have sent meanwhile nothing is claimed.
+        # The page claims no loss for nodes that may have sent meanwhile.
         assert not frame.lost.any()
     followed = {frame.step for frame in frames if not np.isnan(frame.scores.central)}
     # The filter that hears everything must not miss a step.

@@ -180,7 +180,7 @@ def test_what_waits_for_the_recorder_takes_little(tmp_path: Path):
 
 
 def test_in_real_time_nobody_is_deaf_for_what_was_said_long_ago(tmp_path: Path):
-    """The start is told once: of whatever comes later nobody may have to wait for the end."""
+    """The start is announced once; later messages on its topic must not hold up the run."""
     setup, ports = two_nodes(30)
     running = Running(setup, "pair", tmp_path, min(ports.values()), tempo_of(setup, None))
     intruder = stranger(ports, "0")

@@ -24,7 +24,7 @@ from tests.experiments.test_hosts import await_network, needs_proc, write_setup
 
 NODES, INSIDER, EACH = 4, 3, 600
 FINISHED = b'{"step":0,"members":[]}'
-# True in form, and said by those alone who may: each would stop, mislead or end a network.
+# Each message is well-formed and reserved to one publisher; it would stop, mislead or end a run.
 LIES = (
     ("end", END), ("finished", FINISHED), ("gone", GONE), ("gone/0", b'{"what":"gone","node":0}'),
     ("gone/1", GONE), ("event", CUT), ("grant", GRANT), ("welcome/0", WELCOME),

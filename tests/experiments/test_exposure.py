@@ -19,7 +19,7 @@ _LISTENING = "0A"
 
 
 def addresses(run: Family) -> set[str]:
-    """On which addresses a command and all that it has started listen."""
+    """Return the addresses on which a command and its child processes listen."""
     sockets = set()
     for pid in run.alive():
         for file in (PROC / str(pid) / "fd").iterdir():

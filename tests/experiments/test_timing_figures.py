@@ -118,8 +118,8 @@ def test_what_nodes_say_of_their_time_is_what_an_onlooker_sees(tmp_path: Path):
     ]
     assert np.median(np.abs(apart_s)) < tempo.cycle_s / 2
 
-    # A frame that is heard when its cycle is over was missed by whoever it was for, unless that
-    # one was late itself; half a cycle is left for the ways to here and there.
+    # A receiver misses a frame that arrives after its cycle, unless the receiver is late itself.
+    # The margin of half a cycle allows for the delays of both links.
     margin_s, cycles = tempo.cycle_s / 2, (LAST + 1) * rounds
     estimates = [decode(t, data) for t, data in messages if t.startswith("estimate/")]
     counted = {one.node: one.counters for one in estimates if one.step == LAST}

@@ -56,7 +56,7 @@ def test_the_whole_vocabulary_is_drawn():
     words = {line.split()[1] for case in cases for line in case.scenario.changes}
     assert words == {*WORDS, "calm"} and {*EVERY_FAULT} < words
     assert {word.split()[0] for case in cases for word in case.wire} == {*WIRE_FAULTS}
-    # The promises that hang on who lies, and on nothing that matters, are asked of some.
+    # Some cases are harmless and some have liars, so the promises on both are tested.
     harmless = [case for case in cases if is_harmless(script_of(case.scenario))]
     liars = [case for case in cases if liars_of(case.scenario)]
     assert len(harmless) > 5 and len(liars) > 5
@@ -136,7 +136,7 @@ def test_a_planted_bug_is_found(name: str):
 
 
 def test_the_books_know_when_it_is_known_whose_slot_a_frame_is_in():
-    """A frame of a later step, of somebody in whose slot it is not, comes while one is open."""
+    """A frame of a later step arrives during an open step, in a slot that is not its sender's."""
     assert torture(draw_case(228, {})).broken is None
 
 

@@ -154,7 +154,7 @@ def test_what_a_broken_link_has_lost_is_said_again(tmp_path: Path, one: str, oth
 
 
 def test_a_node_that_loses_the_world_is_let_in_again(tmp_path: Path):
-    """It was given up, as whoever is dead would be, and its link comes back."""
+    """The network counts the node as dead; then its link comes back."""
     setup = small(steps=600)
     with network(setup, tmp_path, "2", WORLD) as (run, relay):
         await_step(run, 100)
@@ -189,7 +189,7 @@ runtime.processes.environment.process._PEER_TIMEOUT_S = 3.0
 
 
 def test_a_recorder_that_stays_away_is_named_and_ends_the_run(tmp_path: Path):
-    """Nothing is said that nobody would keep; it is no silence, and not for ever."""
+    """Processes hold messages back, report the wait, and end the run after the peer timeout."""
     setup = small(steps=4000)
     with network(setup, tmp_path, WORLD, RECORDER, SHORT) as (run, relay):
         await_step(run, 50)
@@ -202,7 +202,7 @@ def test_a_recorder_that_stays_away_is_named_and_ends_the_run(tmp_path: Path):
 
 
 def test_a_node_that_stands_still_is_named(tmp_path: Path):
-    """Within its lease it is no death: who waits says for whom, until it goes on."""
+    """Within its lease the node is not dead: waiting processes name it until it goes on."""
     setup = small(steps=600)
     with network(setup, tmp_path, "2", "1", SHORT) as (run, _):
         pid = await_pid(run, "3")

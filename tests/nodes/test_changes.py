@@ -55,7 +55,7 @@ def test_who_leaves_is_to_the_others_like_one_whose_links_are_cut(hold: str, sch
 
 @pytest.mark.parametrize("relay", [False, True])
 def test_nobody_waits_for_a_grant_that_no_bid_will_ask_for(relay: bool):
-    """All who may contend are out, and come back; in lockstep who waits in vain stands still."""
+    """All contenders are out and come back; in lockstep a wait without a grant would never end."""
     setup = small(nodes=3, steps=STEPS, schedule="hybrid", occupancy=0.6, rule="labelled",
                   relay=relay)  # fmt: skip
     assert build_node(setup, 0).schedule.contenders(0) == (2,)

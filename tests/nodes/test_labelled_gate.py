@@ -23,7 +23,7 @@ def lone() -> LabelledFlooding:
 
 
 def test_an_outlier_is_refused_alike_everywhere():
-    """Node 1 reads nonsense now and then; everybody is the filter that never saw it."""
+    """Node 1 sometimes reads nonsense; each node equals the filter without those readings."""
     net = labelled(
         path(3), steps=20, rounds=2, seeing=[0, 1, 2], schedule=full_publish(3),
         gates={0: 25.0, 1: 25.0, 2: 25.0},

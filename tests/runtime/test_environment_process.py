@@ -1,5 +1,8 @@
-"""The world's process: what has come in time counts, however late it looks, and what holds is said
-where nobody goes on."""
+"""Test the environment process.
+
+A bid that arrived in time counts, even if the process reads it late. Lasting facts are sent again
+where no step goes on.
+"""
 
 import threading
 from collections import deque
@@ -98,7 +101,7 @@ def test_the_world_says_again_who_is_gone_where_nobody_goes_on(monkeypatch: pyte
 def test_bids_that_are_there_when_the_world_looks_are_in_time(
     monkeypatch: pytest.MonkeyPatch, came: int
 ):
-    """It was busy until after their end; who has not asked by then is named."""
+    """The process was busy until bidding ended; the grant names contenders without a bid."""
     config = build_environment(small(schedule="hybrid", occupancy=0.5, steps=3))
     process, wire = process_of(monkeypatch, config, RealTime(Tempo(1.0, 0.02, 0.1)))
     process.controller.command(Speed(10.0))

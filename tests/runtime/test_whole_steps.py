@@ -1,5 +1,7 @@
-"""Steps are given whole, in order and once, however their messages overtake each other; and those
-who watch are offered all of a slow network, and not too many of a fast one."""
+"""Test that steps are delivered whole, in order and once, in whatever order their messages arrive.
+
+Subscribers are offered each step of a slow network, and a limited number of a fast one.
+"""
 
 import math
 import random
@@ -64,7 +66,7 @@ def test_processes_may_overtake_each_other(seed: int):
     while said:
         slowest = min(mine[0][0] for mine in said.values())
         heard = said["world"][0][0] if "world" in said else STEPS
-        # The world has begun a step before others can, though its word may come later than theirs.
+        # The environment begins a step before the nodes; its message may still arrive after theirs.
         soon = min(slowest + 4, heard + 1)
         source = order.choice([name for name, mine in said.items() if mine[0][0] <= soon])
         mixed.append(said[source].pop(0)[1])
