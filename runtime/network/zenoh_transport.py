@@ -25,7 +25,7 @@ _ONE_THREAD = (
 # full queue blocks both for ever.
 _TWO_THREADS = _ONE_THREAD.replace("tx:(handover:app)", "tx:(worker_threads:1)")
 _LEASE_MS = 2000
-# No message of the network is larger (zenoh would assemble up to 1 GiB). A large network's
+# Larger messages are dropped (zenoh would assemble up to 1 GiB). A large network's
 # description takes some MB.
 _MOST_BYTES = 1 << 26
 # Largest number of messages taken from a queue together.
