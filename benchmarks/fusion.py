@@ -23,7 +23,7 @@ SCENARIO = "target-crossing"  # four states, on a geometric graph
 
 
 def network(rounds: int, by_sharpness: bool) -> tuple[Setup, BatchedRule]:
-    """The network of a scenario, and its rule at all nodes of all runs."""
+    """Return the network of a scenario, and its rule at all nodes of all runs."""
     options = scenario_of(
         scenario=SCENARIO, nodes=NODES, rounds=rounds, determinant_weights=by_sharpness, seed=1
     )

@@ -85,12 +85,12 @@ def main() -> Figures:
 
 
 def setup_of(steps: int) -> Setup:
-    """The network that is measured."""
+    """Return the network that is measured."""
     return prepare(scenario_of(nodes=NODES, graph=GRAPH, steps=steps, seed=1))
 
 
 def _pace(run: Run, shorter: Run) -> Pace:
-    """The rate of a run, and what each of its steps takes of the processor."""
+    """Return the rate of a run, and what each of its steps takes of the processor."""
     before_s = _children_s()
     shorter()
     between_s = _children_s()
@@ -133,7 +133,7 @@ def traffic_of(messages: Sequence[tuple[str, bytes]]) -> Traffic:
 
 
 def load_of(setup: Setup, traffic: Traffic, says: bool = True) -> Load:
-    """The same for a bare loop."""
+    """Return the same for a bare loop."""
     sizes = traffic.sizes
     return Load(
         setup.neighbours,

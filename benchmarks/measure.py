@@ -57,17 +57,17 @@ def in_turns(contestants: Mapping[str, Callable[[], float]], turns: int) -> dict
 
 
 def ratio(over: list[float], under: list[float]) -> Figure:
-    """How many times as fast the second is as the first."""
+    """Return how many times as fast the second is as the first."""
     return figure([a / b for a, b in zip(over, under, strict=True)], "x", "more")
 
 
 def peak_mb() -> float:
-    """The most memory that this process has had."""
+    """Return the most memory that this process has had."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 def without_kernels(run: Callable[[], float]) -> Callable[[], float]:
-    """The same with numpy alone."""
+    """Return the same with numpy alone."""
 
     def wrapped() -> float:
         kept, compiled.KERNELS = compiled.KERNELS, None

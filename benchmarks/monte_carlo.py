@@ -75,7 +75,7 @@ def _whole(setup: Setup) -> float:
 
 
 def _start(setup: Setup) -> Gaussian:
-    """The priors of all nodes and runs, lanes last in memory as filters leave them."""
+    """Return the priors of all nodes and runs, lanes last in memory as filters leave them."""
     n = len(setup.prior_mean)
     mean, cov = np.empty((n, RUNS, NODES)), np.empty((n, n, RUNS, NODES))
     mean[:] = np.array(setup.prior_mean)[:, None, None]

@@ -60,7 +60,7 @@ class _Memory:
         self.spent_s -= time.thread_time()
 
     def receive(self, topic: str) -> tuple[str, bytes]:
-        """The next message of a topic, which is there already."""
+        """Return the next message of a topic, which is there already."""
         if topic in self._first_of_round:
             self.spent_s += time.thread_time()
             np.add(_OTHERS, 1.0, out=_OTHERS)

@@ -65,7 +65,7 @@ def _per_edge(name: str, spent: list[float], edges: int) -> Figure:
 
 
 def _slope(spent: Spent) -> Figure:
-    """The power of the size that the cost grows with."""
+    """Return the power of the size that the cost grows with."""
     costs = np.array(list(spent.values())).T
     return figure(
         [float(np.polyfit(np.log(list(spent)), np.log(c), 1)[0]) for c in costs], "", "less"

@@ -58,12 +58,12 @@ class Dashboard:
 
     @property
     def server(self) -> viser.ViserServer:
-        """The server of the page."""
+        """Return the server of the page."""
         return self._window.server
 
     @property
     def port(self) -> int:
-        """The port of the page."""
+        """Return the port of the page."""
         return self.server.get_port()
 
     def _shown(self) -> Shown:

@@ -64,7 +64,7 @@ class Bridge:
 
     @property
     def content(self) -> str:
-        """The HTML, as that of viser's handles."""
+        """Return the HTML, as that of viser's handles."""
         return self._content
 
     @content.setter

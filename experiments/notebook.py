@@ -86,7 +86,7 @@ def design(
 
 
 def plots(result: "xarray.Dataset | Design") -> "dict[str, Figure]":
-    """The pictures of a result by name."""
+    """Return the pictures of a result by name."""
     if isinstance(result, Design):
         from experiments.design.plots import design_figures
 

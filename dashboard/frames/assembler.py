@@ -50,7 +50,7 @@ class Assembler:
 
     @property
     def stage(self) -> Stage:
-        """The stage with the settings of the newest frame."""
+        """Return the stage with the settings of the newest frame."""
         return self._stage
 
     def hear(self, event: bytes) -> None:
@@ -59,7 +59,7 @@ class Assembler:
         self._changes += [change] if change else []
 
     def frame(self, step: WholeStep) -> Frame | None:
-        """The frame of a step later than all before; none without a truth."""
+        """Return the frame of a step later than all before; none without a truth."""
         told = read_step(step, self._stage.nodes, self._stage.bus.frame_format)
         late = self._last is not None and step.number <= self._last
         if told.truth is None or late:

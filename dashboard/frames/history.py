@@ -52,7 +52,7 @@ class History:
         return self._frames[-1].step if self._frames else 0
 
     def at(self, step: int) -> Frame:
-        """The frame of a step, or the nearest there is."""
+        """Return the frame of a step, or the nearest there is."""
         return self._frames[self._index(step)]
 
     def until(self, step: int, most: int) -> list[Frame]:
@@ -72,7 +72,7 @@ class History:
         return self._frames[begin + (count - 1 - begin) % stride : count : stride]
 
     def _unscored(self, count: int) -> int:
-        """How many of the first `count` frames no chart shows."""
+        """Return how many of the first `count` frames no chart shows."""
         unscored = bisect_right(self._steps, self._first_scored - 1)
         return unscored if count > unscored + _ENOUGH else 0
 

@@ -87,7 +87,7 @@ class LiveNetwork:
 
     @property
     def stage(self) -> Stage:
-        """The stage with the settings of the newest frame."""
+        """Return the stage with the settings of the newest frame."""
         return self._assembler.stage
 
     def _hear(self, topic: str, data: bytes) -> None:
@@ -95,7 +95,7 @@ class LiveNetwork:
         self._heard.append((topic, data))
 
     def poll(self) -> list[Frame]:
-        """The frames that have come since the last call."""
+        """Return the frames that have come since the last call."""
         self._ask_state()
         frames: list[Frame | None] = []
         while self._heard:
@@ -133,7 +133,7 @@ class LiveNetwork:
             self._asked_s = time.monotonic()
 
     def pace(self) -> Pace:
-        """Whether the network runs, and how far it is."""
+        """Return whether the network runs, and how far it is."""
         if self._ended:
             return Pace("ENDED", "nobody answers any more")
         steps = self._assembler.stage.setup.scenario.steps

@@ -37,7 +37,7 @@ class Network(NamedTuple):
         return self.anchor[2]
 
     def cycles(self, step: int) -> range:
-        """The communication cycles of a step."""
+        """Return the communication cycles of a step."""
         since, first, rounds = self.anchor
         begin = first + (step - since) * rounds
         return range(begin, begin + rounds)
@@ -52,7 +52,7 @@ class Change(NamedTuple):
 
 
 def read_change(data: bytes) -> Change | None:
-    """The change that bytes on topic `event` tell; None for what says nothing."""
+    """Return the change that bytes on topic `event` tell; None for what says nothing."""
     try:
         told = msgspec.json.decode(data)
         facts = told["change"]
@@ -62,7 +62,7 @@ def read_change(data: bytes) -> Change | None:
 
 
 def changed(network: Network, change: Change, names: tuple[str, ...]) -> tuple[Network, Event]:
-    """The network after a change, and the line of the log that tells of it.
+    """Return the network after a change, and the line of the log that tells of it.
 
     Raises:
         KeyError, TypeError, ValueError, IndexError: the change is malformed.

@@ -30,20 +30,20 @@ class Source(Protocol):
 
     @property
     def live(self) -> bool:
-        """Whether there is a network to command."""
+        """Return whether there is a network to command."""
         ...
 
     @property
     def stage(self) -> Stage:
-        """The stage as it is now: settings can change while a network runs."""
+        """Return the stage as it is now: settings can change while a network runs."""
         ...
 
     def poll(self) -> list[Frame]:
-        """The frames that have come since the last call; never waits."""
+        """Return the frames that have come since the last call; never waits."""
         ...
 
     def pace(self) -> Pace:
-        """Whether the network runs."""
+        """Return whether the network runs."""
         ...
 
     def ask(self, command: dict[str, Any]) -> Answer:
@@ -65,7 +65,7 @@ class Recorded:
         self._frames: Iterator[Frame] | None = replayed(stage, recording)
 
     def poll(self) -> list[Frame]:
-        """The next few frames of the recording.
+        """Return the next few frames of the recording.
 
         Raises:
             ValueError: the file is not a recording.

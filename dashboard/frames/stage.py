@@ -105,7 +105,7 @@ class Stage:
 
 
 def set_stage(setup: Setup) -> Stage:
-    """The stage of a setup."""
+    """Return the stage of a setup."""
     kind = kind_of(setup.scenario.name)
     plant = kind.plant(setup.scenario)
     places = plant.positions(0)
@@ -136,7 +136,7 @@ def set_stage(setup: Setup) -> Stage:
 
 
 def restaged(stage: Stage, settings: dict[str, Any]) -> Stage:
-    """The stage of a network whose settings have changed; all else stays."""
+    """Return the stage of a network whose settings have changed; all else stays."""
     scenario, _ = stage.setup.scenario.with_known(**settings)
     setup = msgspec.structs.replace(stage.setup, scenario=scenario)
     return replace(stage, setup=setup, bus=build_bus(setup), certain=is_certain(scenario))

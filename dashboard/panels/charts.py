@@ -100,7 +100,7 @@ class Plot:
 
     @property
     def drawn(self) -> Drawn:
-        """The chart with the values that it shows last, for an export."""
+        """Return the chart with the values that it shows last, for an export."""
         curves = (
             Curve(line.name, line.colour(self._theme), line.dashed, values)
             for line, values in zip(self._chart.lines, self._columns, strict=True)
@@ -151,7 +151,7 @@ class Charts:
 
     @property
     def drawn(self) -> list[Drawn]:
-        """The charts with the values that they show."""
+        """Return the charts with the values that they show."""
         return [plot.drawn for plot in self._plots]
 
     def draw(self, sample: Sample) -> None:

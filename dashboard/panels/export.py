@@ -20,7 +20,7 @@ _FRAME_S = 0.08
 
 
 def animated_scene(stage: Stage, view: View, frames: Sequence[Frame], camera: Camera) -> str:
-    """The scene through `frames` as one page that needs nothing else.
+    """Return the scene through `frames` as one page that needs nothing else.
 
     It is recorded on a server of its own: a recording takes down all that its server sends, and
     must not move the pictures of those who watch.
@@ -45,7 +45,7 @@ def animated_scene(stage: Stage, view: View, frames: Sequence[Frame], camera: Ca
 
 
 def screenshot(client: viser.ClientHandle) -> bytes:
-    """The scene as the browser of this client shows it, as PNG."""
+    """Return the scene as the browser of this client shows it, as PNG."""
     height, width = client.camera.image_height, client.camera.image_width
     picture = client.get_render(height=height or 900, width=width or 1600, transport_format="png")
     # Loading matplotlib takes longer than the picture.
@@ -57,7 +57,7 @@ def screenshot(client: viser.ClientHandle) -> bytes:
 
 
 def zipped(folder: Path) -> bytes:
-    """The files of a run's folder in one archive.
+    """Return the files of a run's folder in one archive.
 
     Raises:
         ValueError: the folder cannot be read.

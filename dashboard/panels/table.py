@@ -16,7 +16,7 @@ _HEADINGS = ("node", "state", "sent", "miss", "rej", "age", "error", "3σ", "rej
 
 
 def colour_of(theme: Theme, condition: str) -> Colour:
-    """The colour of a node in that condition."""
+    """Return the colour of a node in that condition."""
     return {
         DOWN: theme.down,
         REJECTED: theme.estimate,
@@ -86,7 +86,7 @@ _MARKS = {DOWN: "✕", REJECTED: "◆", STALE: "◐", BLIND: "○", SEEING: "●
 
 
 def chosen_rows(nodes: int, view: View, error: Array, ages: np.ndarray) -> list[int]:
-    """The nodes that the table shows, in order; the selected one is always among them."""
+    """Return the nodes that the table shows, in order; the selected one is always among them."""
     rows = list(range(nodes))
     if view.order == "error":
         rows = [int(i) for i in np.argsort(-np.nan_to_num(error, nan=-1.0), kind="stable")]
@@ -99,7 +99,7 @@ def chosen_rows(nodes: int, view: View, error: Array, ages: np.ndarray) -> list[
 
 
 def log(theme: Theme, events: Iterable[Event]) -> str:
-    """The newest events first."""
+    """Return the newest events first."""
     lines = "".join(
         f'<div{_bad(theme, event.trouble)}><span style="color:{css(theme.quiet)};display:'
         f'inline-block;min-width:44px">{event.step}</span>{escape(event.text)}</div>'
@@ -112,7 +112,7 @@ def log(theme: Theme, events: Iterable[Event]) -> str:
 
 
 def status(stage: Stage, theme: Theme, frame: Frame | None, state: str, detail: str = "") -> str:
-    """The state of the run in a few lines."""
+    """Return the state of the run in a few lines."""
     colour = {"RUNNING": theme.fused, "PAUSED": theme.sending, "ENDED": theme.quiet}
     pill = (
         f'<span data-testid="run-state" style="background:{css(colour.get(state, theme.blind))};'

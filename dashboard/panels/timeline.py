@@ -76,7 +76,7 @@ class TimelineView:
     def _bar(
         self, theme: Theme, cycle: BusCycle, now_us: float, selected: int | None, lost: set[int]
     ) -> str:
-        """The cycle to scale: segments, slots with their owners, minislots, the time."""
+        """Return the cycle to scale: segments, slots with their owners, minislots, the time."""
         parts = [
             f'<text x="6" y="{TOP + 15:g}" font-size="11.5" fill="{css(theme.text)}">cycle</text>'
             f'<text x="6" y="{TOP + 29:g}" font-size="11.5" fill="{css(theme.text)}" '

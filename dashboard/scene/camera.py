@@ -35,7 +35,7 @@ class Camera(NamedTuple):
 
 
 def aimed(points: Array, free: Free) -> Camera:
-    """The nearest camera that sees all points (P, 3) in the free part of its window.
+    """Return the nearest camera that sees all points (P, 3) in the free part of its window.
 
     The direction is fixed. At depth z in front of the eye the free part reaches from `low` z to
     `high` z, to the right and upwards; so each point bounds the place of the eye, linearly.

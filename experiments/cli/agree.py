@@ -82,7 +82,7 @@ def _run(setup: Setup, driver: str) -> Trace:
 
 
 def first_difference(reference: Trace, trace: Trace, driver: str) -> Difference | None:
-    """The first entry, step by step, whose bits are not those of the reference."""
+    """Return the first entry, step by step, whose bits are not those of the reference."""
     earliest: Difference | None = None
     for quantity in _COMPARED:
         ours, theirs = getattr(reference, quantity), getattr(trace, quantity)

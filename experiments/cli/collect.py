@@ -72,7 +72,7 @@ def _timing(folder: Path, description: Description, trace: Trace) -> TimingFigur
 
 
 def completed(folder: Path, description: Description) -> Trace:
-    """The trace of the steps that all nodes completed.
+    """Return the trace of the steps that all nodes completed.
 
     Raises:
         ValueError: there are none.

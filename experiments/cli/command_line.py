@@ -70,7 +70,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _commands(asked: list[str]) -> SubcommandApp:
-    """The command that is asked for, alone; all of them where none or an option is."""
+    """Return the command that is asked for, alone; all of them where none or an option is."""
     everything = COMMANDS | GROUPS
     with user_errors():
         if asked and asked[0] not in everything and not asked[0].startswith("-"):

@@ -118,7 +118,7 @@ def _show(result: Design, options: DesignOptions, out: Path, seconds: float) -> 
 
 
 def table(result: Design) -> Table:
-    """The front: what no other candidate beats, the cheapest first."""
+    """Return the front: what no other candidate beats, the cheapest first."""
     grid = Table(
         title=f"front: {COST_UNITS[result.minimise]} against error, of {len(result.tried)} "
         "candidates; ± half of the 95 % interval",

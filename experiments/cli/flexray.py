@@ -18,7 +18,7 @@ _COMMANDS = {
 
 
 def flexray_commands() -> SubcommandApp:
-    """The commands below `concord flexray`."""
+    """Return the commands below `concord flexray`."""
     commands = SubcommandApp()
     for name, command in _COMMANDS.items():
         commands.command(command, name=name)

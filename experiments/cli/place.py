@@ -12,7 +12,7 @@ from runtime.processes.launcher import NetworkFailed, run_job
 
 
 def key_files(folder: Path | None, names: Sequence[str]) -> dict[str, str]:
-    """The file of `concord keys` of each process, by name; none where there is no folder.
+    """Return the file of `concord keys` of each process, by name; none where there is no folder.
 
     Raises:
         ValueError: a file is missing.
@@ -51,7 +51,7 @@ def read_setup(path: Path) -> Description:
 def place_of(
     cast: Sequence[str], connect: Sequence[str], keys: Path | None, patience_s: float = 60.0
 ) -> Place:
-    """The part of a network that is to be on this host.
+    """Return the part of a network that is to be on this host.
 
     Raises:
         ValueError: endpoints or keys that cannot be.

@@ -55,7 +55,7 @@ def plots_of(result: Path) -> Path:
 
 
 def figures_of(result: Path) -> "dict[str, Figure]":
-    """The pictures of a result by name.
+    """Return the pictures of a result by name.
 
     Raises:
         ValueError: it is no result of ours.

@@ -21,7 +21,7 @@ PAPERS = {name: f"papers.{name}.reproduce" for name in NAMES}
 
 
 def paper_of(name: str) -> Paper:
-    """The reproduction of a paper; its modules are imported now.
+    """Return the reproduction of a paper; its modules are imported now.
 
     Raises:
         ValueError: there is no such paper.

@@ -47,7 +47,7 @@ def grouped_flags(
 
 
 def said_in(flags: Any) -> dict[str, Any]:
-    """The flags that were given, of all groups."""
+    """Return the flags that were given, of all groups."""
     return dict(_said_in(flags))
 
 
@@ -100,7 +100,7 @@ else:
 
 
 def resolved(flags: ScenarioFlags) -> Scenario:
-    """The scenario that flags mean, nothing left open.
+    """Return the scenario that flags mean, nothing left open.
 
     Raises:
         ValueError: there is no such scenario, or an option that it cannot have.

@@ -36,7 +36,7 @@ def standard_output() -> Iterator[None]:
 
 
 def _taken() -> bool:
-    """Whether standard output is well: the error does not say which file it is about."""
+    """Return whether standard output is well: the error does not say which file it is about."""
     try:
         os.write(sys.stdout.fileno(), b"\n")
     except io.UnsupportedOperation:

@@ -141,7 +141,7 @@ _COMMANDS = {"show": show, "analyse": analyse, "compare": compare, "generate": g
 
 
 def topology_commands() -> SubcommandApp:
-    """The commands below `concord topology`."""
+    """Return the commands below `concord topology`."""
     commands = SubcommandApp()
     for name, command in _COMMANDS.items():
         commands.command(command, name=name)

@@ -45,7 +45,7 @@ class Candidate(NamedTuple):
 
     @property
     def runs(self) -> int:
-        """How many runs are known."""
+        """Return how many runs are known."""
         return len(self.figures.get("rmse", ()))
 
     def cost(self, cost: Cost) -> tuple[float, float]:
@@ -54,7 +54,7 @@ class Candidate(NamedTuple):
         return float(spared), float(sent)
 
     def error(self, target: Target, confidence: float) -> Interval:
-        """The error as the target measures it."""
+        """Return the error as the target measures it."""
         return error_of(target, self.figures, confidence)
 
 
@@ -68,7 +68,7 @@ class Refused(msgspec.Struct, frozen=True):
 def candidates_of(
     settled: Values, wanted: Sequence[Values], first_number: int
 ) -> tuple[list[Candidate], list[Refused]]:
-    """The candidates that can run, of which nothing is known yet, and those that cannot.
+    """Return the candidates that can run, of which nothing is known yet, and those that cannot.
 
     Raises:
         ValueError: there is no such scenario, or its data cannot be read.
@@ -93,7 +93,7 @@ def with_runs(
     on_runs: Callable[[int], None],
     first_run: int = 0,
 ) -> list[Candidate]:
-    """The same candidates with so many runs each, from `first_run` on.
+    """Return the same candidates with so many runs each, from `first_run` on.
 
     Run r has the same noise for every candidate, so that they are compared on what they share.
     """

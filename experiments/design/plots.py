@@ -20,7 +20,7 @@ _PRICE = {
 
 
 def design_figures(design: Design) -> "dict[str, Figure]":
-    """The front over what is spared, and over the bytes that it takes."""
+    """Return the front over what is spared, and over the bytes that it takes."""
     spared = {"front": _front(design, design.minimise)}
     return (
         spared if design.minimise == "bytes" else {**spared, "front-bytes": _front(design, "bytes")}

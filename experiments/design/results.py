@@ -69,7 +69,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True):
 def design_of(
     settled: Values, target: Target, minimise: Cost, found: Found, finished: bool
 ) -> Design:
-    """The result of a search."""
+    """Return the result of a search."""
     scenario = found.candidates[0].cell.scenario
     line = {one.cell.number for one in on_front(target, minimise, found.candidates)}
     attempts = [_attempt(settled, one) for one in found.confirmed]
@@ -141,7 +141,7 @@ def read_design(path: Path) -> Design:
 
 
 def command_for(verb: str, values: Values, more: Sequence[str] = ()) -> str:
-    """The command that runs these fields."""
+    """Return the command that runs these fields."""
     options = [
         f"--{field.replace('_', '-')} {shown(values[field])}" for field in FIELDS if field in values
     ]

@@ -60,7 +60,7 @@ class Found(NamedTuple):
 
     @property
     def recommended(self) -> Confirmed | None:
-        """The one that meets the target on fresh runs."""
+        """Return the one that meets the target on fresh runs."""
         return next((one for one in self.confirmed if one.meets), None)
 
 
@@ -92,12 +92,12 @@ def search(task: Task, kept: list[Candidate], refused: list[Refused]) -> Found:
 
 
 def ranked(task_cost: Cost, candidates: Sequence[Candidate]) -> list[Candidate]:
-    """The cheapest first."""
+    """Return the cheapest first."""
     return sorted(candidates, key=lambda one: (*one.cost(task_cost), one.cell.number))
 
 
 def on_front(target: Target, cost: Cost, candidates: Sequence[Candidate]) -> list[Candidate]:
-    """The candidates that no other beats in cost and error, the cheapest first."""
+    """Return the candidates that no other beats in cost and error, the cheapest first."""
     by_cost = ranked(cost, candidates)
     # Rank in place of the cost: it knows which of two equal costs is dearer in bytes.
     errors = np.array([one.error(target, 0.95).value for one in by_cost])
@@ -164,7 +164,7 @@ def _still_in(task: Task, racing: Sequence[Candidate]) -> list[Candidate]:
 
 
 def _confirm(task: Task, finalists: Sequence[Candidate]) -> list[Confirmed]:
-    """The cheapest finalists on fresh runs, until one meets the target.
+    """Return the cheapest finalists on fresh runs, until one meets the target.
 
     The upper bound is one-sided, and what may go wrong in all attempts together is 5 %: half of it
     for the first, a quarter for the second, and so on.

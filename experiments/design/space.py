@@ -46,14 +46,14 @@ def space_of(specification: Specification) -> tuple[Values, dict[str, list[Value
 
 
 def tidy(values: Values) -> Values:
-    """The same candidate with the one name that it has: who all publish need no schedule."""
+    """Return the same candidate with the one name that it has: who all publish need no schedule."""
     if values.get("occupancy") == 1.0 and "schedule" in values:
         return {**values, "schedule": "full"}
     return values
 
 
 def coarse_grid(space: Mapping[str, Sequence[Value]]) -> list[Values]:
-    """The candidates of the first look."""
+    """Return the candidates of the first look."""
     few = {
         field: [v for v in values if v in COARSE.get(field, values)] or list(values)[:2]
         for field, values in space.items()

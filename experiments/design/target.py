@@ -23,7 +23,7 @@ class Target(msgspec.Struct, frozen=True):
     reference: Reference
 
     def shown(self, unit: str) -> str:
-        """The target in words."""
+        """Return the target in words."""
         if self.reference == "unit":
             return f"RMSE of at most {self.most:g} {unit}"
         name = {"centralised": "the centralised filter's", "bound": "the Cramér-Rao bound"}

@@ -55,7 +55,7 @@ def look(nodes: int, data: Sequence[Path]) -> Iterator[Finding]:
 
 
 def zenoh(measure: Callable[[], float]) -> Finding:
-    """Whether two sessions hear each other on loopback."""
+    """Return whether two sessions hear each other on loopback."""
     try:
         seconds = measure()
     except (LinkError, TimeoutError) as error:
@@ -104,7 +104,7 @@ def round_trip_s() -> float:
 
 
 def browser(which: Callable[[str], str | None]) -> Finding:
-    """Whether the dashboard can be looked at on this machine."""
+    """Return whether the dashboard can be looked at on this machine."""
     found = next((path for name in _BROWSERS if (path := which(name))), None)
     if found is None:
         cure = "install one, or look from another machine: ssh -L 8080:localhost:8080 THIS-ONE"
@@ -113,7 +113,7 @@ def browser(which: Callable[[str], str | None]) -> Finding:
 
 
 def folders_of(environment: Mapping[str, str]) -> list[Path]:
-    """The folders of data that the environment names."""
+    """Return the folders of data that the environment names."""
     variables = (MRCLAM_VARIABLE, intel_lab.DATA_VARIABLE)
     return [Path(environment[name]) for name in variables if environment.get(name)]
 
@@ -143,7 +143,7 @@ def _read(name: str, what: str, read: Callable[[], object]) -> Finding:
 
 
 def extra(name: str) -> Finding:
-    """Whether an optional part is installed."""
+    """Return whether an optional part is installed."""
     module, purpose = EXTRAS[name]
     if importlib.util.find_spec(module) is None:
         how = BUILT.get(name, f"pip install 'concord[{name}]'")

@@ -24,7 +24,7 @@ _FIRST_YEAR = 2025
 
 
 def memory(nodes: int, available_mb: float | None) -> Finding:
-    """Whether `nodes` processes fit into what is free."""
+    """Return whether `nodes` processes fit into what is free."""
     need = BASE_MB + NODE_MB * nodes
     if available_mb is None:
         said = f"{nodes} nodes need about {need} MB; this system does not say what is free"
@@ -59,7 +59,7 @@ def available_memory_mb(
 
 
 def ports(nodes: int) -> Finding:
-    """Whether a mesh of `nodes` nodes finds its ports on loopback."""
+    """Return whether a mesh of `nodes` nodes finds its ports on loopback."""
     # The environment, the recorder and the subscribers need one port each.
     count = nodes + 3
     try:
@@ -72,7 +72,7 @@ def ports(nodes: int) -> Finding:
 
 
 def page_port(port: int) -> Finding:
-    """Whether the dashboard's usual port is free."""
+    """Return whether the dashboard's usual port is free."""
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -85,7 +85,7 @@ def page_port(port: int) -> Finding:
 
 
 def files(nodes: int, limit: int | None = None) -> Finding:
-    """Whether the launcher may open what it needs for `nodes` nodes."""
+    """Return whether the launcher may open what it needs for `nodes` nodes."""
     if limit is None:
         limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
     need = _FILES_BASE + _FILES_PER_PROCESS * nodes
@@ -138,7 +138,7 @@ def measured_lateness_s(sleeps: int = 30, asleep_s: float = 0.001) -> list[float
 
 
 def disk(folder: Path) -> Finding:
-    """Whether recordings can be written here."""
+    """Return whether recordings can be written here."""
     if not os.access(folder, os.W_OK):
         said = f"{folder} cannot be written to"
         return Finding("disk", Verdict.FAILING, said, "start in another folder, or name one: --out")

@@ -87,7 +87,7 @@ class Answer(msgspec.Struct, frozen=True):
 
 
 def answer_plan(scenario: Scenario) -> Answer:
-    """The plan of a scenario's bus, or the best that its cluster holds.
+    """Return the plan of a scenario's bus, or the best that its cluster holds.
 
     Raises:
         ValueError: the scenario cannot be, or its cluster does not hold a single share in a cycle.
@@ -107,7 +107,7 @@ def answer_plan(scenario: Scenario) -> Answer:
 
 
 def with_cluster(bus: Bus, scenario: Scenario) -> FlexRayBus:
-    """The bus, if it has a cluster.
+    """Return the bus, if it has a cluster.
 
     Raises:
         ValueError: it has none.
@@ -120,7 +120,7 @@ def with_cluster(bus: Bus, scenario: Scenario) -> FlexRayBus:
 
 
 def slot_rows(table: SlotTable) -> list[SlotRow]:
-    """The slot table with the slots of one share in one row, in order of slots."""
+    """Return the slot table with the slots of one share in one row, in order of slots."""
     ids: dict[tuple[int, str, str, int, int], list[int]] = defaultdict(list)
     for slot in table.assignments:
         segment = "static" if slot.frame_id < table.first_dynamic_id else "dynamic"
@@ -134,7 +134,7 @@ def slot_rows(table: SlotTable) -> list[SlotRow]:
 
 
 def run_command(scenario: Scenario) -> str:
-    """The command line that runs a scenario."""
+    """Return the command line that runs a scenario."""
     return shlex.join(["concord", "run", "--scenario", scenario.name, *in_options(scenario)])
 
 

@@ -109,7 +109,7 @@ def fit(waveform: Waveform, /, *, json: bool = False) -> None:
 
 
 def read_recorded(path: Path) -> tuple[Decoding, int]:
-    """The frames of a waveform file, and how many of its lines said nothing.
+    """Return the frames of a waveform file, and how many of its lines said nothing.
 
     Raises:
         ValueError: the file cannot be read, or holds no FlexRay frame.
@@ -148,7 +148,7 @@ def summarise(decoding: Decoding, unreadable_lines: int) -> DecodeFigures:
 
 
 def frame_rows(decoding: Decoding) -> list[FrameRow]:
-    """The frames of a recording in order."""
+    """Return the frames of a recording in order."""
     return [_row(decoding, decoded) for decoded in decoding.frames]
 
 

@@ -53,7 +53,7 @@ class Alternative(NamedTuple):
 
 
 def prepare_without_bus(scenario: Scenario) -> Setup:
-    """The scenario worked out whether or not its cluster holds its schedule, and in time.
+    """Return the scenario worked out whether or not its cluster holds its schedule, and in time.
 
     Raises:
         ValueError: for any other mistake.
@@ -71,7 +71,7 @@ def prepare_without_bus(scenario: Scenario) -> Setup:
 
 
 def changed(setup: Setup, **fields: object) -> Setup:
-    """The setup with other choices about its bus."""
+    """Return the setup with other choices about its bus."""
     scenario, _ = setup.scenario.with_known(**fields)
     return msgspec.structs.replace(setup, scenario=scenario)
 
@@ -129,7 +129,7 @@ def _payload_bytes(bus: FlexRayBus, node: int, cycle: int) -> int:
 
 
 def _largest(setup: Setup) -> Alternative | None:
-    """The largest occupancy that fits; fewer publishers never need more room."""
+    """Return the largest occupancy that fits; fewer publishers never need more room."""
     nodes = setup.scenario.nodes
     best, low, high = None, 1, nodes
     while low <= high:

@@ -19,7 +19,7 @@ def settling_steps(error: Array, change_step: int) -> float:
 
 
 def settling_interval(error: Array, change_step: int, confidence: float = 0.95) -> Interval:
-    """The same with its bootstrap interval over runs; bounds are NaN for one run."""
+    """Return the same with its bootstrap interval over runs; bounds are NaN for one run."""
     value = settling_steps(error, change_step)
     runs = len(error)
     if runs < 2 or np.isnan(value):

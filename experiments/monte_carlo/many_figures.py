@@ -71,7 +71,7 @@ class Cost(NamedTuple):
 
 
 def summarise(histories: Histories, cost: Cost) -> ManyFigures:
-    """The figures of histories with their readings."""
+    """Return the figures of histories with their readings."""
     setup, scenario = histories.setup, histories.setup.scenario
     assert histories.readings is not None, "keep the readings"
     score = kind_of(scenario.name).score

@@ -44,7 +44,7 @@ class Truths(NamedTuple):
 def posterior_bound(
     truths: Truths, prior_cov: Array, model: Model, sensors: Sequence[Sensor | None]
 ) -> Array:
-    """The bound (steps, n, n) on the error covariance after each step's readings.
+    """Return the bound (steps, n, n) on the error covariance after each step's readings.
 
     All NaN where it is not defined: the truth is not known, noise depends on the state, or part of
     a nonlinear model has no noise at all.
@@ -66,7 +66,7 @@ def posterior_bound(
 
 
 def _predicted(bound: Array, truths: Truths, model: Model, scale: Array, step: int) -> Array:
-    """The bound carried from `step` to the next, without its readings."""
+    """Return the bound carried from `step` to the next, without its readings."""
     noise_cov = model.process_noise_cov(step)
     control = None if truths.control is None else truths.control[:, step + 1]
     jacobians = _jacobian(

@@ -64,7 +64,7 @@ FIGURES = {
 
 
 def figures_of(setup: Setup, histories: Histories, frame: Frame) -> dict[str, Array]:
-    """The variables of `FIGURES`, with their dimensions."""
+    """Return the variables of `FIGURES`, with their dimensions."""
     score = kind_of(setup.scenario.name).score
     readings, _ = kept(histories)
     counted = scored_steps(score, readings)
@@ -192,5 +192,5 @@ def _part(cov: Array, states: list[int]) -> Array:
 
 
 def _average(mean: Array) -> Array:
-    """The average of the nodes that believe something, over axis 2, kept."""
+    """Return the average of the nodes that believe something, over axis 2, kept."""
     return mean_of_known(mean, (2,))[:, :, None]

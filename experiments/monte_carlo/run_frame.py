@@ -31,7 +31,7 @@ _frames: dict[bytes, Frame] = {}
 
 
 def frame_of(setup: Setup, runs: range, histories: Histories) -> Frame:
-    """The frame of these runs; computed once per process for equal truths and readings."""
+    """Return the frame of these runs; computed once per process for equal truths and readings."""
     key = _key(setup, runs, histories) if listens_step_by_step(setup) else None
     if key is not None and key in _frames:
         return _frames[key]

@@ -126,7 +126,7 @@ def simulate(
 
 
 def _together(setup: Setup) -> int:
-    """How many runs are taken at once."""
+    """Return how many runs are taken at once."""
     scenario = setup.scenario
     if without_array_form(scenario) is not None:
         return 1

@@ -100,7 +100,7 @@ def timetable(bus: Bus, payload_bytes: np.ndarray) -> list[tuple[Transmission, .
 def bus_figures(
     bus: Bus, payload_bytes: np.ndarray, asked: np.ndarray, ages: np.ndarray
 ) -> BusFigures:
-    """The figures of a bus with time.
+    """Return the figures of a bus with time.
 
     `payload_bytes` (steps, rounds, N) say who sent how much, `asked` who asked for the dynamic
     segment; `ages` (any,) are those of the shares behind the estimates, -1 where there was none.
@@ -217,7 +217,7 @@ def capture(
 
 
 def lines(figures: BusFigures) -> list[str]:
-    """The figures in words."""
+    """Return the figures in words."""
     ages = np.repeat(np.arange(len(figures.share_ages)), figures.share_ages)
     text = [
         f"bus {figures.cluster}: {figures.frames_per_cycle_mean:.1f} frames in a cycle of "

@@ -79,7 +79,7 @@ def make_folder(out: Path | None, run: str) -> Path:
 
 
 def describe(run: str, driver: str, setup: Setup, tempo: Tempo | None = None) -> Description:
-    """The description of a run by this version of the program."""
+    """Return the description of a run by this version of the program."""
     return Description(run, driver, setup.scenario.seed, setup, versions(), commit(), tempo)
 
 
@@ -90,7 +90,7 @@ def versions() -> dict[str, str]:
 
 
 def commit() -> str | None:
-    """The commit of the program's own checkout, or None for an installed one."""
+    """Return the commit of the program's own checkout, or None for an installed one."""
     root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists():
         return None

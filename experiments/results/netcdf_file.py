@@ -34,7 +34,7 @@ class _Patient(io.RawIOBase):
         return size
 
     def truncate(self, size: int | None = None, /) -> int:
-        """The file has this length from now on."""
+        """Set the length of the file; return it."""
         return self._file.truncate(size) if self.error is None else (size or 0)
 
     def readinto(self, buffer: Any, /) -> int:

@@ -116,7 +116,7 @@ def record_spread(
 
 
 def figures_of(spread: RecordSpread) -> SpreadFigures:
-    """The figures of a run with at least one share."""
+    """Return the figures of a run with at least one share."""
     steps, nodes = spread.taken.shape
     others = np.broadcast_to(~np.eye(nodes, dtype=bool)[:, None, :], spread.arrival_steps.shape)
     over = np.arange(steps) + spread.window_steps <= steps
@@ -147,7 +147,7 @@ def _mean(values: np.ndarray) -> float:
 
 
 def lines(figures: SpreadFigures) -> list[str]:
-    """The figures in words."""
+    """Return the figures in words."""
     coverage = "-" if np.isnan(figures.coverage) else f"{100 * figures.coverage:.2f} %"
     return [
         f"records: {coverage} arrived within the window, after {figures.delay_steps_mean:.2f} "

@@ -80,7 +80,7 @@ def as_html(title: str, parts: Sequence[Part]) -> str:
 
 
 def as_markdown(parts: Sequence[Part]) -> str:
-    """The page as Markdown; pictures are inside, as data."""
+    """Return the page as Markdown; pictures are inside, as data."""
     return "\n\n".join(_markdown(part) for part in parts) + "\n"
 
 
