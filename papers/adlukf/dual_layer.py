@@ -1,9 +1,9 @@
 """The dual-layer unscented Kalman filter: every sigma point is filtered by a UKF of its own.
 
-One call is a whole step, prediction and update, for the method uses the measurement twice: the
+One call is a whole step, prediction and update, because the method uses the measurement twice. The
 inner filters move the outer points with it, then the outer filter conditions on it again. `literal`
-does just that and is overconfident. `consistent` halves the weight of the reading in each layer;
-what comes out is the UKF's belief, so the second layer adds gain and no knowledge.
+does exactly that and is overconfident. `consistent` halves the weight of the reading in each layer.
+Its result is the UKF's belief: the second layer adds gain but no information.
 
 Source: Wang, Liu and Cui, Vehicle state estimation based on an adaptive dual-layer unscented Kalman
 filter, section 3.2. Its equations, lost in print, are reconstructed in docs/vehicle.md; the numbers

@@ -1,8 +1,8 @@
 """Fuzzy covariance matching: R follows how large innovations are beside what the filter expects.
 
-Per channel, the mean square of the last innovations over its predicted variance is small, equal or
-large; a Sugeno rule base turns that into a factor for the channel's variance. The estimate is a
-value that travels with the belief.
+Each channel has a ratio: the mean square of the last innovations over its predicted variance. The
+ratio is small, equal or large. A Sugeno rule base turns it into a factor for the channel's
+variance. The caller keeps the estimate of R beside the belief.
 
 Source: Escamilla-Ambrosio and Mort (2003), Hybrid Kalman filter-fuzzy logic adaptive multisensor
 data fusion architectures (covariance matching with a fuzzy rule base). Sets and factors are chosen

@@ -1,8 +1,8 @@
 """Sage-Husa adaptation of everything at once, as the ADLUKF paper prints it: Q, R, and means q, r.
 
-It is here because the paper is; do not use it. Q and R cannot be told apart from one innovation,
-the differences in (31) and (33) need not be positive, and a mean added to the model takes over what
-the state should explain. `sage_husa` adapts R alone and promises more.
+This module reproduces the paper; do not use it for other work. One innovation cannot distinguish Q
+from R. The differences in (31) and (33) need not be positive. A mean added to the model absorbs
+errors that the state should explain. `sage_husa` adapts R alone and has stronger guarantees.
 
 Source: Wang, Liu and Cui, Vehicle state estimation based on an adaptive dual-layer unscented Kalman
 filter, section 3.3, equations 30-35; reconstructed in docs/vehicle.md.

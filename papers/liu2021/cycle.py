@@ -85,8 +85,8 @@ def unknowns(position: np.ndarray, cycle: Cycle) -> Unknowns:
 def turned(factor: np.ndarray, cycle: Cycle) -> np.ndarray:
     """The factor with u turned so that as few entries as possible are seen; the others left out.
 
-    The cycle sees but some coordinates of the state (the last block and the held values): with
-    those rows made triangular, the columns beyond reach nothing, and the worst u has zeros there.
+    The cycle depends on only some coordinates of the state (the last block and the held values).
+    With those rows made triangular, the other columns have no effect, and the worst u is 0 there.
     """
     parts = (cycle.transition, cycle.output, cycle.candidates)
     used = np.any([(part != 0).any(tuple(range(part.ndim - 1))) for part in parts], axis=0)

@@ -1,7 +1,7 @@
 """The closed loops of the consensus paper, measured.
 
-Loops run digitally, the control held over each sampling time, from the true state and without
-noise; lead and lag also in continuous time, where the specification has their overshoot.
+Loops run digitally from the true state and without noise; the control is held over each sampling
+time. Lead and lag also run in continuous time, where the specification gives their overshoot.
 """
 
 from typing import NamedTuple

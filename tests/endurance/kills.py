@@ -1,7 +1,7 @@
 """Deaths and hangs in a network of processes: `python -m tests.endurance.kills`.
 
-Random nodes of sixteen are killed and started again in lockstep, and stopped for a while in real
-time; printed is what that cost the others, and whether anything was left behind.
+The script kills and restarts random nodes of sixteen in lockstep, and stops them for a while in
+real time. It prints the cost to the other nodes, and whether any process or port was left behind.
 """
 
 import os

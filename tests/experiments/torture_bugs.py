@@ -1,8 +1,8 @@
-"""Bugs that are planted in the real functions, to see whether torture finds them.
+"""Plant bugs in the real functions, to see whether simulation testing finds them.
 
-A bug is a change of the source text of one function, which is compiled anew and put wherever the
-function is known. `python -m tests.experiments.torture_bugs` tries all of them and says which seed
-finds which.
+A bug is a change of the source text of one function. The changed function is compiled and replaces
+the original in each module that refers to it. `python -m tests.experiments.torture_bugs` tries all
+bugs and prints the seed that finds each.
 """
 
 import importlib

@@ -1,8 +1,8 @@
 """The compiled kernels, built for this machine, pass the tests that numpy passes.
 
-The suite itself takes what is installed, which on a new machine is numpy alone. Here the kernels
-are built into a folder that ends with the tests, and the tests that compare them with numpy,
-and the drivers with each other, run again with the kernels demanded.
+The suite itself uses the installed kernels; a new machine has numpy alone. This test builds the
+kernels into a temporary folder. With these kernels required, it runs two groups of tests again:
+those that compare the kernels with numpy, and those that compare the drivers with each other.
 """
 
 import os
