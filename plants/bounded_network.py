@@ -46,7 +46,7 @@ class OutputSensor:
     gate: None = None
 
     def strips(self, step: int) -> tuple[Array, Array]:
-        """The row (1, n) and how far the reading may be off (1,) at this step."""
+        """Return the row (1, n) and how far the reading may be off (1,) at this step."""
         disturbance = self.system.scaled_feedthrough(step)[self.output]
         row = self.system.output(step)[self.output]
         return row[None], np.sqrt(disturbance @ disturbance)[None]
@@ -95,7 +95,7 @@ class BoundedNetwork:
         """The nodes have no place in the plane."""
 
     def draw(self, generator_for: GeneratorFor, steps: int) -> Draws:
-        """The noise of one run: the same for the state and for every sensor."""
+        """Return the noise of one run: the same for the state and for every sensor."""
         process = self.noise(generator_for("process", 0), steps)
         everywhere = np.broadcast_to(
             process[:, None, None], (steps, self.nodes, 1, process.shape[-1])

@@ -120,7 +120,7 @@ class LinearPlant:
         """These sensors sit in one machine: nothing to draw on a map."""
 
     def draw(self, generator_for: GeneratorFor, steps: int) -> Draws:
-        """The noise of one run."""
+        """Return the noise of one run."""
         nodes, outputs = self.sensors.noise_std.shape
         n, q = self.noise_factor.shape
         return standard_draws(generator_for, n, q, (nodes, 1, outputs), steps)

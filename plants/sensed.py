@@ -48,7 +48,7 @@ class SensedPlant:
         """The nodes have no place in the plane."""
 
     def draw(self, generator_for: GeneratorFor, steps: int) -> Draws:
-        """The noise of one run: process (steps, n + numbers of g), measurement as placed."""
+        """Return the noise of one run: process (steps, n + numbers of g), measurement as placed."""
         n = len(self.prior_mean)
         numbers = n + self.system.process(0).numbers
         return Draws(

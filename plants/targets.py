@@ -72,7 +72,7 @@ class Target:
         return self.sensors.position_m
 
     def draw(self, generator_for: GeneratorFor, steps: int) -> Draws:
-        """The noise of one run."""
+        """Return the noise of one run."""
         states = len(self.start)
         return standard_draws(generator_for, states, states, (self.nodes, 1, 2), steps)
 

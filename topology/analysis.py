@@ -47,7 +47,7 @@ class Analysis:
 
 
 def analyse(adjacency: Adjacency, weights: csr_array) -> Analysis:
-    """The figures of a graph (n, n) under weights (n, n)."""
+    """Return the figures of a graph (n, n) under weights (n, n)."""
     degree = degrees(adjacency)
     directed = not is_symmetric(adjacency)
     parts = components(adjacency)

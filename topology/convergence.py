@@ -258,7 +258,7 @@ def _spread(links: Links, moments: Array) -> Array:
 
 
 def _partner(links: Links) -> NDArray[np.intp]:
-    """The link (links,) that is up and down with this one, -1 for none."""
+    """Return the link (links,) that is up and down with this one, -1 for none."""
     order = np.argsort(links.pair, kind="stable")
     same = np.flatnonzero(np.diff(links.pair[order]) == 0)
     partner = np.full(len(links.pair), -1)

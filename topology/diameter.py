@@ -18,7 +18,7 @@ _BUDGET = 1e9
 
 
 def diameter_bounds(adjacency: Adjacency, searches: int | None = None) -> tuple[int, int]:
-    """The least and the most that the diameter of a graph (n, n) in one piece can be.
+    """Return the least and the most that the diameter of a graph (n, n) in one piece can be.
 
     They are equal unless so many searches, as many as some seconds pay for when left out, could not
     tell.

@@ -28,7 +28,7 @@ _SUFFIXES = (".edges", ".edgelist", ".txt", ".csv", ".graphml")
 
 
 def read_network(file: str | Path, nodes: int | None = None, *, directed: bool = False) -> Network:
-    """The network of a file; of links that go one way if `directed`.
+    """Return the network of a file; of links that go one way if `directed`.
 
     Raises:
         ValueError: if the file is missing, malformed, has one-way links unless `directed`, or has

@@ -26,12 +26,12 @@ Array = NDArray[np.float64]
 
 
 def is_intel_lab(folder: str | Path) -> bool:
-    """Whether a folder holds the two files."""
+    """Return whether a folder holds the two files."""
     return all((Path(folder) / file).is_file() for file in (LOCATIONS, CONNECTIVITY))
 
 
 def intel_lab(folder: str | Path, nodes: int | None = None, *, one_way: bool = False) -> Network:
-    """The lab's network, of the motes that reach each other.
+    """Return the lab's network, of the motes that reach each other.
 
     Links deliver `LEAST_DELIVERY` or more, both ways, or in at least one direction with `one_way`.
     With `nodes`, so many that reach each other around the middle of the lab.

@@ -44,7 +44,7 @@ class LinkPlan(NamedTuple):
 
 
 def parse_links(text: str) -> LinkPlan:
-    """The plan that a name means.
+    """Return the plan that a name means.
 
     Raises:
         ValueError: for an unknown name, and for numbers that cannot be, with rule and example.

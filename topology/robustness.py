@@ -17,7 +17,7 @@ EXACT_NODES = 16
 
 
 def is_robust(neighbours: Sequence[Sequence[int]], reach: int) -> bool | None:
-    """Whether a graph is `reach`-robust, whose nodes hear these; None where it is not known.
+    """Return whether a graph is `reach`-robust, whose nodes hear these; None where it is not known.
 
     It is known for up to `EXACT_NODES` nodes, for degrees of half of the nodes and more, and where
     a node hears too few.

@@ -188,7 +188,7 @@ def check_weights(weights: Weights, adjacency: Adjacency) -> None:
 def _first(
     broken: NDArray[np.bool_], rows: NDArray[np.intp], columns: NDArray[np.intp], values: Array
 ) -> list[tuple[int, int, float]]:
-    """The first entry that breaks a rule, if any does."""
+    """Return the first entry that breaks a rule, if any does."""
     found = np.flatnonzero(broken)[:1]
     return [(int(rows[k]), int(columns[k]), float(values[k])) for k in found]
 
@@ -215,7 +215,7 @@ _RULES: dict[str, Callable[[Adjacency], Weights]] = {
 
 
 def build_weights(name: str, adjacency: Adjacency) -> Weights:
-    """The weights (n, n) of that name for a graph (n, n).
+    """Return the weights (n, n) of that name for a graph (n, n).
 
     Raises:
         ValueError: for an unknown name; for links that go one way under a rule that wants both;

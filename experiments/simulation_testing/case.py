@@ -36,7 +36,7 @@ OWN_FIELDS = ("wire",)
 
 
 def with_fields(case: Case, fields: Mapping[str, Any]) -> Case:
-    """The case with these fields of its own or of its scenario."""
+    """Return the case with these fields of its own or of its scenario."""
     own = {name: value for name, value in fields.items() if name in OWN_FIELDS}
     other = {name: value for name, value in fields.items() if name not in OWN_FIELDS}
     scenario, _ = case.scenario.with_known(**other)
@@ -53,7 +53,7 @@ def check_case(case: Case) -> None:
 
 
 def differences(case: Case, drawn: Case) -> dict[str, Any]:
-    """The fields in which a case is not the drawn one, by the names of options."""
+    """Return the fields in which a case is not the drawn one, by the names of options."""
     one, other = _fields(case), _fields(drawn)
     return {name: value for name, value in one.items() if value != other.get(name)}
 

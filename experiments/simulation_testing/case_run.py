@@ -91,7 +91,7 @@ def _run(case: Case, injected: Counter[str], struck: Counter[str]) -> History:
 
 
 def _without_faults(case: Case) -> Case:
-    """The same network, of which nothing becomes but what was set."""
+    """Return the same network without faults; only its settings change."""
     settings = tuple(
         f"{one.step} set " + " ".join(f"{k}={v}" for k, v in one.command.settings.items())
         for one in script_of(case.scenario)
@@ -102,5 +102,5 @@ def _without_faults(case: Case) -> Case:
 
 
 def _is_harmless(case: Case) -> bool:
-    """Whether no fault may change an estimate."""
+    """Return whether no fault may change an estimate."""
     return not {*read_wire(case.wire)} & {*LOSING} and is_harmless(script_of(case.scenario))

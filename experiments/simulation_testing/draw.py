@@ -55,7 +55,7 @@ _LINKS = ("static", "static", "static", "bernoulli:0.2", "markov:0.1,0.5", "swit
 
 
 def draw_case(seed: int, fixed: Mapping[str, Any]) -> Case:
-    """The case of a seed, of which some fields are fixed.
+    """Return the case of a seed, of which some fields are fixed.
 
     Raises:
         ValueError: no scenario has these fields.
@@ -84,7 +84,7 @@ def _completed(
     drawn: Scenario,
     fixed: Mapping[str, Any],
 ) -> Case:
-    """The case whose scenario was drawn, with what is fixed."""
+    """Return the case whose scenario was drawn, with what is fixed."""
     calm_step = int(generator.integers(4, _MOST_CALM))
     drawn = msgspec.structs.replace(drawn, steps=calm_step + RECOVERY_STEPS)
     case = Case(seed, drawn, _draw_wire(generator))

@@ -109,7 +109,7 @@ class Books:
         self._unchecked.append(sent)
 
     def step_of(self, cycle: int) -> int:
-        """The step that a cycle belongs to."""
+        """Return the step that a cycle belongs to."""
         return self.history.place(cycle)[0]
 
     def body(self, node: int, cycle: int) -> bytes | None:

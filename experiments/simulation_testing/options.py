@@ -26,7 +26,7 @@ else:
 
 
 def fixed_fields(asked: Mapping[str, str]) -> dict[str, Any]:
-    """The values that texts mean, by the fields of a case.
+    """Return the values that texts mean, by the fields of a case.
 
     Raises:
         ValueError: a text that means no value of its field, or no fault.
@@ -46,7 +46,7 @@ def fixed_fields(asked: Mapping[str, str]) -> dict[str, Any]:
 
 
 def read_seeds(text: str) -> range:
-    """The seeds of "1..1000", or the one of "17".
+    """Return the seeds of "1..1000", or the one of "17".
 
     Raises:
         ValueError: it names none.

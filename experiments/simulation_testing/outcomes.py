@@ -60,7 +60,7 @@ def fate_of(faults: Faults, way: Passage, frame: bytes, has_slot: Callable[[int]
 
 
 def must_be_silent(faults: Faults, step: int, cycle: int, node: int) -> str:
-    """The word that keeps a node from saying anything in its turn; "" for none."""
+    """Return the word that keeps a node from saying anything in its turn; "" for none."""
     if _stands_still(faults, step, node):
         return "hang"
     missing = _at(faults, "missing", step, node)

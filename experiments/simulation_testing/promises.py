@@ -50,12 +50,12 @@ def promises(scenario: Scenario, rules: tuple[str, ...]) -> bool:
 
 
 def sensors_are_honest(scenario: Scenario) -> bool:
-    """Whether no change makes a sensor say what it does not read."""
+    """Return whether no change makes a sensor send a false reading."""
     return not any(fault.kind in LYING_SENSORS for fault in _faults(scenario))
 
 
 def liars_of(scenario: Scenario) -> set[int]:
-    """The nodes that say what they do not believe, at some time of a run."""
+    """Return the nodes that send false beliefs at some time of a run."""
     return {
         fault.nodes[0] for fault in _faults(scenario) if fault.kind == "lie" and fault.numbers[0]
     }
@@ -67,7 +67,7 @@ def nodes_are_honest(scenario: Scenario) -> bool:
 
 
 def brings_back(setup: Setup) -> bool:
-    """Whether what was wrong may be expected to be forgotten as soon as it has ended.
+    """Return whether nodes recover as soon as a fault has ended.
 
     A lie that was believed is so only as fast as the plant forgets. The rule that expects liars
     brings nodes back where they agree with each other: on robust graphs that stay as they are.

@@ -75,7 +75,7 @@ def calm_from(script: tuple[Scripted, ...], steps: int) -> int:
 
 
 def is_harmless(script: tuple[Scripted, ...]) -> bool:
-    """Whether no change of a script may change an estimate, but what was set."""
+    """Return whether no change of a script may change an estimate, but what was set."""
     faults = []
     for _, command in script:
         if isinstance(command, Inject):
@@ -106,7 +106,7 @@ class _Author:
         self._lines: list[str] = []
 
     def written(self, calm_step: int) -> tuple[str, ...]:
-        """The whole script."""
+        """Return the whole script."""
         harmless = self._generator.random() < _HARMLESS_SWARMS
         words = (*HARMLESS, "set") if harmless else WORDS
         kinds = [word for word in words if self._generator.random() < (0.5 if harmless else 0.3)]

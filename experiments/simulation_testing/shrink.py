@@ -41,7 +41,7 @@ _PLAIN: tuple[dict[str, Any], ...] = (
 
 
 def shrink(case: Case, breaks: Callable[[Case], bool]) -> Case:
-    """The smallest case found in which the invariant still breaks; `breaks` runs one."""
+    """Return the smallest case found in which the invariant still breaks; `breaks` runs one."""
     tries = 0
     progress = True
     while progress:

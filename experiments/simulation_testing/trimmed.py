@@ -40,6 +40,6 @@ def broken_promise(
 
 
 def _least(root: Array, cov: Array) -> float:
-    """The least eigenvalue of a covariance in the frame in which root root' is 1."""
+    """Return the least eigenvalue of a covariance in the frame in which root root' is 1."""
     half = np.linalg.solve(root, cov)
     return float(np.linalg.eigvalsh(np.linalg.solve(root, half.T))[0])

@@ -53,7 +53,7 @@ class History(NamedTuple):
     control: Array | None
 
     def same_bits(self, other: "History") -> bool:
-        """Whether all estimates are equal, bit for bit."""
+        """Return whether all estimates are equal, bit for bit."""
         return (
             self.mean.tobytes() == other.mean.tobytes()
             and self.cov.tobytes() == other.cov.tobytes()
@@ -66,7 +66,7 @@ class History(NamedTuple):
 
 
 def history_of_run(setup: Setup, books: Books) -> History:
-    """The arrays of a run that came to its end.
+    """Return the arrays of a run that came to its end.
 
     Raises:
         Broken: a node that was in said nothing, or one that was out did.
@@ -180,7 +180,7 @@ def _error(run: History, calm: History, level: slice) -> float:
 
 
 def _disagreement(run: History, calm: History, level: slice) -> float:
-    """The same of what nodes differ by from their mean."""
+    """Return the same of what nodes differ by from their mean."""
     mean = run.mean[level]
     apart = mean - mean.mean(axis=1, keepdims=True)
     return float(_squares(apart, calm.cov[level]).mean()) / mean.shape[-1]

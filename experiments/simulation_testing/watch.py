@@ -41,7 +41,7 @@ class _Share(NamedTuple):
 
 
 def watched(config: NodeConfig, books: Books, scenario: Scenario) -> NodeConfig:
-    """The same node, and every node that it becomes, with an eye on its estimator."""
+    """Return the same node, and every node that it becomes, with an eye on its estimator."""
     rebuild = config.rebuild
 
     def rebuilt(standing: Standing, step: int, belief: Gaussian | None) -> NodeConfig:
@@ -136,7 +136,7 @@ class Watched:
                 self._heard.pop(sender, None)
 
     def _is_indefinite(self, body: bytes) -> bool:
-        """Whether a share is a belief with a variance that is negative."""
+        """Return whether a share is a belief with a variance that is negative."""
         if not isinstance(self._inner, AtNode) or self._inner.codec.what != "belief":
             return False
         belief = belief_of(self._inner.codec.decode(body), len(self._inner.prior.mean))
@@ -184,7 +184,7 @@ class Watched:
             raise self._broken("sets of the truth meet", bad[0])
 
     def _with_weights_shown(self, estimator: Estimator) -> Estimator:
-        """The same estimator, with an eye on its weights over fresh and held beliefs."""
+        """Return the same estimator, with an eye on its weights over fresh and held beliefs."""
         if not (isinstance(estimator, AtNode) and isinstance(estimator.rule, BeliefConsensus)):
             return estimator
         rule = estimator.rule

@@ -24,7 +24,7 @@ def checked_cells(specification: Specification) -> list[Cell]:
 
 
 def sorted_out(cells: Sequence[Cell]) -> tuple[list[Cell], list[tuple[Cell, ValueError]]]:
-    """The cells that can run, and those that cannot with the reason."""
+    """Return the cells that can run, and those that cannot with the reason."""
     good: list[Cell] = []
     bad: list[tuple[Cell, ValueError]] = []
     for cell in cells:

@@ -11,7 +11,7 @@ CONNECT_TIMEOUT_S = 10
 
 
 def connect(address: str) -> Engine:
-    """The engine of the scheduler at `address`, such as tcp://10.0.0.1:8786.
+    """Return the engine of the scheduler at `address`, such as tcp://10.0.0.1:8786.
 
     Raises:
         ValueError: the extra is not installed, nobody answers, there are no workers, or they have

@@ -41,7 +41,7 @@ def pieces_of(specification: Specification, cells: Sequence[Cell]) -> list[Piece
 
 
 def compute(piece: Piece) -> dict[str, Array]:
-    """The figures of a piece (`run_figures.FIGURES`)."""
+    """Return the figures of a piece (`run_figures.FIGURES`)."""
     setup = prepare(msgspec.json.decode(piece.scenario, type=Scenario))
     runs = range(piece.first, piece.last)
     histories = simulate(setup, runs)
@@ -49,7 +49,7 @@ def compute(piece: Piece) -> dict[str, Array]:
 
 
 def joined(parts: Sequence[dict[str, Array]]) -> dict[str, Array]:
-    """The figures of a cell from those of its pieces, in order of their runs."""
+    """Return the figures of a cell from those of its pieces, in order of their runs."""
     if len(parts) == 1:
         return parts[0]
     weights = np.array([len(part["rmse"]) for part in parts], dtype=float)

@@ -29,7 +29,7 @@ class Layout(NamedTuple):
 
 
 def levels_of(dataset: "xarray.Dataset") -> dict[str, list[Value]]:
-    """The swept fields and their values; for a Latin hypercube those that its cells have."""
+    """Return the swept fields and their values; for a Latin hypercube those that its cells have."""
     specification = specification_of(dataset)
     if not specification.samples:
         return dict(specification.levels)
@@ -41,7 +41,7 @@ def levels_of(dataset: "xarray.Dataset") -> dict[str, list[Value]]:
 
 
 def layout_of(dataset: "xarray.Dataset", axis: str | None = None) -> Layout:
-    """The layout that shows most of a result, with `axis` on the x axis if it is given."""
+    """Return the layout that shows most of a result, with `axis` on the x axis if it is given."""
     levels = levels_of(dataset)
     numbers = [field for field, of in levels.items() if all(map(is_number, of))]
     axis = axis or _first(_AXIS_FIRST, numbers)
@@ -53,12 +53,12 @@ def layout_of(dataset: "xarray.Dataset", axis: str | None = None) -> Layout:
 
 
 def is_number(value: Value) -> bool:
-    """Whether a value can stand on an axis."""
+    """Return whether a value can stand on an axis."""
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def drawn(parts: list[Part], layout: Layout) -> list[Part]:
-    """The parts at the first value of each field that the picture has no room for."""
+    """Return the parts at the first value of each field that the picture has no room for."""
     if not parts:
         return []
     first = parts[0][0].values

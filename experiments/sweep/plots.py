@@ -160,7 +160,7 @@ def pareto(dataset: "xarray.Dataset") -> "Figure | None":
 
 
 def network_map(dataset: "xarray.Dataset") -> "Figure | None":
-    """The best cell of each panel as a map of its nodes' errors."""
+    """Return the best cell of each panel as a map of its nodes' errors."""
     layout = layout_of(dataset)
     best: list[Mapped] = []
     for name, parts in grouped(flattened(dataset), layout.panel).items():
@@ -184,7 +184,7 @@ def network_map(dataset: "xarray.Dataset") -> "Figure | None":
 
 
 def sweep_figures(dataset: "xarray.Dataset") -> "dict[str, Figure]":
-    """The pictures that a result has enough for, by name."""
+    """Return the pictures that a result has enough for, by name."""
     made = {
         "error-over-time": error_over_time,
         "error-against": error_against_axis,
@@ -261,7 +261,7 @@ def _rows_and_columns(dataset: "xarray.Dataset", layout: Layout) -> tuple[list[A
 
 
 def _names(dataset: "xarray.Dataset", field: str | None) -> list[str]:
-    """The values of a field as text; one empty name without a field."""
+    """Return the values of a field as text; one empty name without a field."""
     return [""] if field is None else [shown(value) for value in levels_of(dataset)[field]]
 
 

@@ -27,7 +27,7 @@ SPECIFICATION = "specification"
 def assemble(
     specification: Specification, cells: Sequence[Cell], figures: Mapping[int, dict[str, Array]]
 ) -> "xarray.Dataset":
-    """The data set of a sweep from the figures of its cells; what a cell has not is NaN.
+    """Return the data set of a sweep from the figures of its cells; what a cell has not is NaN.
 
     Raises:
         ValueError: errors of different units, which cannot stand in one table.
@@ -61,7 +61,7 @@ def assemble(
 
 
 def score_unit(kinds: Sequence[Kind]) -> str:
-    """The one unit in which the errors of all cells are.
+    """Return the one unit in which the errors of all cells are.
 
     Raises:
         ValueError: there are several.
@@ -82,7 +82,7 @@ def write_result(dataset: "xarray.Dataset", path: Path) -> None:
 
 
 def read_result(path: Path) -> "xarray.Dataset":
-    """The data set of a finished sweep.
+    """Return the data set of a finished sweep.
 
     Raises:
         ValueError: it cannot be read, or is none of ours.
@@ -109,7 +109,7 @@ def specification_of(dataset: "xarray.Dataset") -> Specification:
 
 
 def dimensions_of(dataset: "xarray.Dataset") -> tuple[str, ...]:
-    """The dimensions of its cells: the swept fields, or `cell` for a Latin hypercube."""
+    """Return the dimensions of its cells: the swept fields, or `cell` for a Latin hypercube."""
     return tuple(str(d) for d in dataset["rmse"].dims if d != "run")
 
 
@@ -129,7 +129,7 @@ def flattened(dataset: "xarray.Dataset") -> list[tuple[Cell, "xarray.Dataset"]]:
 
 
 def _fields(specification: Specification, cells: Sequence[Cell]) -> dict[str, Sequence[Value]]:
-    """The dimensions of the cells and their values."""
+    """Return the dimensions of the cells and their values."""
     if specification.samples:
         return {"cell": [cell.number for cell in cells]}
     return dict(specification.levels)

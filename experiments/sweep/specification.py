@@ -51,7 +51,7 @@ class Specification(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def dimensions(self) -> tuple[str, ...]:
-        """The swept fields."""
+        """Return the swept fields."""
         return (*self.levels, *self.ranges)
 
 
@@ -64,7 +64,7 @@ class Cell(typing.NamedTuple):
 
     @property
     def name(self) -> str:
-        """The cell in the words of its swept fields."""
+        """Return the cell in the words of its swept fields."""
         return named(self.values)
 
 
@@ -88,7 +88,7 @@ def specify(
     samples: int | None = None,
     change_step: int = 0,
 ) -> Specification:
-    """The sweep that options say: comma lists of values, or low..high, by field.
+    """Return the sweep that options say: comma lists of values, or low..high, by field.
 
     Raises:
         ValueError: an unknown field, a value that its field cannot have, or a value twice.
@@ -126,7 +126,7 @@ def specify(
 
 
 def cells_of(specification: Specification) -> list[Cell]:
-    """The cells, the last field fastest; their scenarios are complete but not yet checked.
+    """Return the cells, the last field fastest; their scenarios are complete but not yet checked.
 
     Raises:
         ValueError: a scenario of an unknown name, or without its data, or an option that no cell

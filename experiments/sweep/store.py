@@ -35,7 +35,7 @@ def folder_of(result: Path) -> Path:
 
 
 def open_store(result: Path, specification: Specification) -> Path:
-    """The folder of the cells of a result; made, or found with some of them.
+    """Return the folder of the cells of a result; made, or found with some of them.
 
     Raises:
         ValueError: it cannot be made, or it is of another sweep or another version.

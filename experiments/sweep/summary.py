@@ -57,7 +57,7 @@ class SweepFigures(msgspec.Struct, frozen=True):
 
 
 def figures_of(dataset: "xarray.Dataset", method: str = "t") -> SweepFigures:
-    """The figures of a result; `method` is one of `intervals.METHODS`."""
+    """Return the figures of a result; `method` is one of `intervals.METHODS`."""
     parts = flattened(dataset)
     squares = [np.square(part["rmse"].to_numpy()) for _, part in parts]
     means = [np.mean(one) for one in squares]

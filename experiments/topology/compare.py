@@ -72,7 +72,7 @@ def compared(
 
 
 def _family(source: str, options: SubjectOptions, seeds: int) -> list[Subject]:
-    """The graph of each seed; one where the seed decides nothing."""
+    """Return the graph of each seed; one where the seed decides nothing."""
     drawn = seeds if is_random(source) else 1
     try:
         return [

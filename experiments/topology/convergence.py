@@ -60,7 +60,7 @@ class Convergence(msgspec.Struct, frozen=True):
 
 
 def convergence(subject: Subject, seed: int) -> Convergence:
-    """The factor of a subject, predicted, and measured on random numbers of its own."""
+    """Return the factor of a subject, predicted, and measured on random numbers of its own."""
     generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_PURPOSE,)))
     method, predicted = predicted_factor(subject)
     one_round, redrawn, runs = _rounds(subject, generator)
@@ -75,7 +75,7 @@ def convergence(subject: Subject, seed: int) -> Convergence:
 
 
 def random_links(subject: Subject) -> Links | None:
-    """The links of a subject in which chance has no memory; None for others."""
+    """Return the links of a subject in which chance has no memory; None for others."""
     kind, numbers, _ = subject.plan
     if kind == "static":
         return links_with(subject.weights, 1.0)

@@ -105,7 +105,7 @@ def _seen(setup: Setup) -> tuple[Array, Seen]:
 
 
 def losses_of(nodes: int) -> int:
-    """How many of so many nodes are taken away."""
+    """Return how many of so many nodes are taken away."""
     if nodes < 2:
         return 0
     return min(nodes, int(np.clip(_LOSS_BUDGET // nodes, _FEWEST_LOSSES, MOST_LOSSES)))
@@ -125,7 +125,7 @@ def suspects(subject: Subject, cut_nodes: Sequence[int], gramian: Array | None) 
 
 
 def links_out(subject: Subject) -> np.ndarray:
-    """How many hear each node (n,)."""
+    """Return how many hear each node (n,)."""
     _, heard = links_of(subject.network.adjacency)
     return np.bincount(heard, minlength=nodes_of(subject.weights))
 
@@ -173,7 +173,7 @@ def _without(subject: Subject, node: int, gramian: Array | None) -> Loss:
 
 
 def lines(report: Report) -> list[str]:
-    """The report for people."""
+    """Return the report for people."""
     a, c = report.analysis, report.convergence
     kind = "directed links" if a.directed else "links"
     text = [

@@ -77,7 +77,7 @@ class Subject(NamedTuple):
 
 
 def subject_of(source: str, options: SubjectOptions, *, connected: bool = False) -> Subject:
-    """The subject that source and options mean.
+    """Return the subject that source and options mean.
 
     Args:
         source: a graph's name, a graph file, or the folder of the Intel lab data; "" for the
@@ -119,7 +119,7 @@ def subject_of(source: str, options: SubjectOptions, *, connected: bool = False)
 
 
 def graph_name(source: str) -> str:
-    """The graph's name for a source: files and folders are looked at for what they are."""
+    """Return the graph's name for a source: files and folders are looked at for what they are."""
     path = Path(source)
     if path.is_dir():
         if not is_intel_lab(path):
@@ -150,7 +150,7 @@ def _network(source: str, options: SubjectOptions) -> Network:
 
 
 def _with_data(name: str, data: Path | None) -> str:
-    """The name of a graph that is read from a folder of data, with that folder."""
+    """Return the name of a graph that is read from a folder of data, with that folder."""
     return f"{name}:{data}" if data is not None and name.startswith("intel-lab") else name
 
 
@@ -189,7 +189,7 @@ def _of_scenario(source: str, options: SubjectOptions) -> Subject:
 
 
 def _phases(setup: Setup, adjacency: Adjacency) -> tuple[Adjacency, ...]:
-    """The graph of each step of a scenario in which graphs take turns or nodes move."""
+    """Return the graph of each step of a scenario in which graphs take turns or nodes move."""
     plan = parse_links(setup.scenario.network.links)
     up = link_up(setup)
     if up is None or plan.kind not in ("switching", "moving"):

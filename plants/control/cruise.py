@@ -42,7 +42,7 @@ def transfer_function() -> Rational:
 
 
 def cruise(nodes: int = 8, noise: Preset = "matched") -> LinearPlant:
-    """The network: seeing node i measures the speed with variance .5 (1 + i) (m/s)^2.
+    """Return the network: seeing node i measures the speed with variance .5 (1 + i) (m/s)^2.
 
     Matched process noise: white acceleration of density .1 (m/s)^2/s. See networks.py for the
     presets and the blind nodes; raises ValueError for an unknown preset or no nodes.
@@ -61,7 +61,7 @@ def cruise(nodes: int = 8, noise: Preset = "matched") -> LinearPlant:
 
 
 def cruise_controller(limit_n: float = np.inf) -> StateFeedback:
-    """The paper's pole -1.5, placed at exp(-1.5 t), following REFERENCE.
+    """Return the paper's pole -1.5, placed at exp(-1.5 t), following REFERENCE.
 
     Unlimited it starts with 15 kN. The paper's "nominal" 500 N is the open-loop value for 10 m/s;
     as a limit it leaves the car at 7.8 m/s after 30 s.

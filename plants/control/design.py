@@ -28,7 +28,7 @@ def observability_rank(state_matrix: Array, rows: Array) -> int:
 
 
 def pole_placement(state_matrix: Array, control_matrix: Array, poles: Sequence[complex]) -> Array:
-    """The gain K (1, n) that gives A - B K these eigenvalues (Ackermann, one control).
+    """Return the gain K (1, n) that gives A - B K these eigenvalues (Ackermann, one control).
 
     For a sampled pair pass the poles of the z-plane. Raises ValueError for a number of poles
     that is not n, and (python-control) for a pair that is not controllable.

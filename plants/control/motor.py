@@ -100,7 +100,7 @@ def position_transfer_function() -> Rational:
 
 
 def motor_speed(nodes: int = 8, noise: Preset = "matched") -> LinearPlant:
-    """The network: speed (.05 rad/s) and current (.05 A) dealt to the seeing nodes.
+    """Return the network: speed (.05 rad/s) and current (.05 A) dealt to the seeing nodes.
 
     Matched process noise: .5 V, held over a step, and a torque that moves the speed by .02 rad/s
     per step. See networks.py for the presets and the blind nodes; raises ValueError for an unknown
@@ -119,7 +119,7 @@ def motor_speed(nodes: int = 8, noise: Preset = "matched") -> LinearPlant:
 
 
 def motor_position(nodes: int = 8, noise: Preset = "matched") -> LinearPlant:
-    """The network: position (.01 rad), speed (.05 rad/s) and current (.05 A) dealt likewise.
+    """Return the network: position (.01 rad), speed (.05 rad/s) and current (.05 A) dealt likewise.
 
     Matched process noise: .5 V, held over a step, a torque that moves the speed by .02 rad/s per
     step, and 1e-10 I. With motor_position_controller this is the scenario MOTOR. See networks.py
@@ -146,7 +146,7 @@ def _motor(
 
 
 def motor_speed_controller(limit_v: float = np.inf) -> StateFeedback:
-    """The paper's poles -5 +- i, placed at exp(p t), following REFERENCE in rad/s."""
+    """Return the paper's poles -5 +- i, placed at exp(p t), following REFERENCE in rad/s."""
     return placed_feedback(speed_dynamics(), TIME_STEP_S, SPEED_POLES, REFERENCE, limit_v)
 
 

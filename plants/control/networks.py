@@ -73,7 +73,7 @@ def deal_outputs(nodes: int, outputs: Array, noise_std: Array) -> LinearSensor:
 def matched_noise(
     nodes: int, factor: Array, outputs: Array, noise_std: Array, prior_std: Array
 ) -> NoisePreset:
-    """The filter believes the truth: Q = E E' for the noise factor E (n, q) of one step.
+    """Return the true noise for the filter: Q = E E' for the noise factor E (n, q) of one step.
 
     outputs: (k, n) rows that nodes can measure; noise_std: (k,); prior_std: (n,).
     """
@@ -96,7 +96,7 @@ def paper_noise(nodes: int, model_cov: Array, output_row: Array, variance: float
 
 
 def choose(noise: Preset, matched: NoisePreset, paper: NoisePreset) -> NoisePreset:
-    """The preset of that name. Raises ValueError for another name."""
+    """Return the preset of that name. Raises ValueError for another name."""
     presets = {"matched": matched, "paper": paper}
     if noise not in presets:
         raise ValueError(
@@ -114,7 +114,7 @@ def linear_plant(
     known_drift: Drift | None = None,
     unknown_drift: Drift | None = None,
 ) -> LinearPlant:
-    """The sampled plant with that noise, at rest in the origin."""
+    """Return the sampled plant with that noise, at rest in the origin."""
     transition_matrix, control_matrix = continuous.sampled(time_step_s)
     return LinearPlant(
         name=continuous.name,

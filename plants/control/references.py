@@ -35,7 +35,7 @@ class Staircase:
 
 
 def constant(*level: float) -> Staircase:
-    """The same level (r,) at every step."""
+    """Return the same level (r,) at every step."""
     return Staircase((level,), (1,))
 
 

@@ -74,7 +74,7 @@ def suspension(
     *,
     road_known: bool = True,
 ) -> LinearPlant:
-    """The network: y1 (2 mm), x1 (5 mm) and dx1/dt (.05 m/s) dealt to the seeing nodes.
+    """Return the network: y1 (2 mm), x1 (5 mm) and dx1/dt (.05 m/s) dealt to the seeing nodes.
 
     Matched process noise: a road of white height 1 cm and a white force of 200 N, each held over
     a step. `road`, in m, comes on top of it: known to the filters as the paper's second input, or

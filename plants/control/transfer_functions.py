@@ -17,12 +17,12 @@ class Rational(NamedTuple):
     denominator: tuple[float, ...]
 
     def __call__(self, s: complex | np.ndarray) -> np.ndarray:
-        """The value at a point of the s-plane, or at many."""
+        """Return the value at a point of the s-plane, or at many."""
         return np.polyval(self.numerator, s) / np.polyval(self.denominator, s)
 
 
 def series(first: Rational, second: Rational) -> Rational:
-    """The product of two transfer functions; what they share is not cancelled."""
+    """Return the product of two transfer functions; what they share is not cancelled."""
     return Rational(
         tuple(np.polymul(first.numerator, second.numerator)),
         tuple(np.polymul(first.denominator, second.denominator)),
@@ -65,7 +65,7 @@ def lead(gain: float, zero: float, pole: float) -> Rational:
 
 
 def sampled_compensator(controller: Rational, time_step_s: float) -> Compensator:
-    """The controller as a recursion over time steps.
+    """Return the controller as a recursion over time steps.
 
     C(s) = k_d s + d + strictly proper rest: the derivative becomes a backward difference (one
     remembered error), the rest the trapezoidal rule (Tustin), which keeps its gain at rest.

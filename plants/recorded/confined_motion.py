@@ -40,7 +40,7 @@ class ConfinedMotion:
 
     @cached_property
     def transition_matrix(self) -> Array:
-        """The transition (4, 4) of what departs from the stationary mean."""
+        """Return the transition (4, 4) of what departs from the stationary mean."""
         matrix = np.zeros((4, 4))
         for axis, frequency in zip(_AXES, self.frequency_rad_s, strict=True):
             matrix[np.ix_(axis, axis)] = oscillation_transition(

@@ -48,7 +48,7 @@ class RecordedTarget:
 
     @property
     def steps(self) -> int:
-        """The number of instants on record."""
+        """Return the number of instants on record."""
         return len(self.truth)
 
     @property
@@ -84,12 +84,12 @@ class RecordedTarget:
         return np.broadcast_to(self.truth[0], shape), np.broadcast_to(mean, shape), cov
 
     def advance(self, state: Array, control: Array | None, noise: Array, step: int) -> Array:
-        """The recorded state of the next step for states (..., 4), NaN after the end."""
+        """Return the recorded state of the next step for states (..., 4), NaN after the end."""
         after = self.truth[step + 1] if step + 1 < self.steps else np.nan
         return np.broadcast_to(after, state.shape)
 
     def observe(self, state: Array, noise: Array, step: int) -> Array:
-        """The recorded readings of the step for noise (..., nodes, readings, 5)."""
+        """Return the recorded readings of the step for noise (..., nodes, readings, 5)."""
         return np.broadcast_to(self.delivered[step], noise.shape)
 
 
@@ -132,7 +132,7 @@ def _require_target(recording: Recording, target: int, robots: tuple[int, ...]) 
 
 
 def _times(recording: Recording, time_step_s: float) -> Array:
-    """The instants t_k (steps,) that all ground truths span, absolute in s."""
+    """Return the instants t_k (steps,) that all ground truths span, absolute in s."""
     begin = max(robot.truth[0, 0] for robot in recording.robots.values())
     end = min(robot.truth[-1, 0] for robot in recording.robots.values())
     steps = int((end - begin) / time_step_s + 1e-9) + 1

@@ -80,7 +80,7 @@ def _robot(folder: Path, number: int) -> Robot:
 
 
 def _table(file: Path, columns: int) -> Array:
-    """The numbers of a file: (rows, columns); `#` begins a comment line."""
+    """Return the numbers of a file: (rows, columns); `#` begins a comment line."""
     if not file.is_file():
         raise ValueError(f"{file}: no such file; a MRCLAM recording has one, fetch it again")
     lines = file.read_text(encoding="utf-8", errors="replace").splitlines()

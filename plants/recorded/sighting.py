@@ -29,7 +29,7 @@ class Sighting:
         return np.array([self.range_std_m, self.bearing_std_rad])
 
     def for_node(self, node: int) -> "Sighting":
-        """The same for every node: the reading itself carries the observer's pose."""
+        """Return the same for every node: the reading itself carries the observer's pose."""
         return self
 
     def measure(self, state: Array, step: int) -> Array:

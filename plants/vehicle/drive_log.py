@@ -83,7 +83,7 @@ class LoggedDrive(NamedTuple):
 
 
 def read_folder(folder: str | Path) -> LoggedDrive:
-    """The logged drive of a folder.
+    """Return the logged drive of a folder.
 
     Raises:
         ValueError: naming file and cure, for what is missing or cannot be read.
@@ -95,7 +95,7 @@ def read_folder(folder: str | Path) -> LoggedDrive:
 
 
 def read_car(folder: str | Path) -> Car:
-    """The car of such a folder.
+    """Return the car of such a folder.
 
     Raises:
         ValueError: as `read_folder`.
@@ -117,7 +117,7 @@ def _from_toml(file: Path, read: Callable[[str], T]) -> T:
 
 
 def columns_from_toml(text: str) -> ColumnMap:
-    """The map that a TOML text describes, one line per quantity:
+    """Return the map that a TOML text describes, one line per quantity:
 
         yaw_rate = { column = "YawRate", unit = "deg/s" }
 
@@ -144,7 +144,7 @@ def columns_from_toml(text: str) -> ColumnMap:
 
 
 def read_drive(file: str | Path, columns: ColumnMap, steering_ratio: float = 1.0) -> Drive:
-    """The drive in a CSV file; NaN for what it does not say.
+    """Return the drive in a CSV file; NaN for what it does not say.
 
     Uneven times are interpolated to their median spacing; what lies in a gap of more than five
     samples is NaN.
@@ -206,7 +206,7 @@ def _text(file: Path) -> str:
 
 
 def _numbers(file: Path, mapped: dict[str, Column]) -> dict[str, Array]:
-    """The mapped quantities (rows,) in SI."""
+    """Return the mapped quantities (rows,) in SI."""
     rows = list(csv.reader(_text(file).splitlines()))
     names = [name.strip() for name in rows[0]] if rows else []
     if len(names) == 1 and any(sign in names[0] for sign in ";\t"):

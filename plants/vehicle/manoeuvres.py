@@ -28,7 +28,7 @@ class Program(NamedTuple):
     values: tuple[float, ...]
 
     def at(self, time_s: float) -> float:
-        """The value at a time."""
+        """Return the value at a time."""
         return float(np.interp(time_s, self.times_s, self.values))
 
 
@@ -39,7 +39,7 @@ class Sine(NamedTuple):
     frequency_hz: float
 
     def at(self, time_s: float) -> float:
-        """The value at a time."""
+        """Return the value at a time."""
         return self.amplitude * math.sin(2 * math.pi * self.frequency_hz * time_s)
 
 
@@ -52,7 +52,7 @@ class SineWithDwell(NamedTuple):
     dwell_s: float
 
     def at(self, time_s: float) -> float:
-        """The value at a time."""
+        """Return the value at a time."""
         period = 1 / self.frequency_hz
         since = time_s - self.start_s
         held = max(since - self.dwell_s, min(since, 0.75 * period))
@@ -87,7 +87,7 @@ class OpenLoop(NamedTuple):
     lag_s: float = 0.01
 
     def steering(self, time_s: float, motion: Motion) -> float:
-        """The program's angle."""
+        """Return the program's angle."""
         return self.angle.at(time_s)
 
 
@@ -105,7 +105,7 @@ class PathFollower(NamedTuple):
     lag_s: float
 
     def steering(self, time_s: float, motion: Motion) -> float:
-        """The angle wanted now."""
+        """Return the angle wanted now."""
         ahead = self.preview_s * motion.speed_m_s
         course = motion.heading_rad + math.atan2(motion.lateral_speed_m_s, motion.speed_m_s)
         there = motion.y_m + ahead * math.sin(course)

@@ -111,7 +111,7 @@ class SingleTrack:
 
 
 def axles_of(car: Car) -> Axles:
-    """The tyres that a car's parameters describe."""
+    """Return the tyres that a car's parameters describe."""
     return Axles(
         car.front_stiffness_n_rad,
         car.rear_stiffness_n_rad,
@@ -121,7 +121,7 @@ def axles_of(car: Car) -> Axles:
 
 
 def single_track(car: Car, tyre: Tyre, time_step_s: float, noise_cov: Array) -> SingleTrack:
-    """The model of a car.
+    """Return the model of a car.
 
     Raises:
         ValueError: the time step is not positive.

@@ -178,14 +178,14 @@ class DrivenOnce:
 
     @property
     def steps(self) -> int:
-        """The number of instants there are."""
+        """Return the number of instants there are."""
         return len(self.truth)
 
     def positions(self, step: int) -> None:
         """The nodes sit in one car: nothing to draw on a map."""
 
     def draw(self, generator_for: GeneratorFor, steps: int) -> Draws:
-        """The noise of one run, outliers among it.
+        """Return the noise of one run, outliers among it.
 
         Raises:
             ValueError: for more steps than there are.
@@ -211,7 +211,7 @@ class DrivenOnce:
         return truth, self.prior_mean + error, np.diag(np.square(PRIOR_STD))
 
     def advance(self, state: Array, control: Array | None, noise: Array, step: int) -> Array:
-        """The state of the next step for states (..., 6), NaN after the end."""
+        """Return the state of the next step for states (..., 6), NaN after the end."""
         after = self.truth[step + 1] if step + 1 < self.steps else np.nan
         return np.broadcast_to(after, state.shape)
 
@@ -240,7 +240,7 @@ class DrivenOnce:
 def simulated(
     drive: Drive, car: Car, errors: tuple[tuple[SensorError, ...], ...] = ERRORS
 ) -> DrivenOnce:
-    """The plant of a drive whose truth is known, with sensors that err so."""
+    """Return the plant of a drive whose truth is known, with sensors that err so."""
     truth = np.stack(
         [
             drive.yaw_rate_rad_s,

@@ -67,7 +67,7 @@ class Car(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
 
 def car_from_toml(text: str) -> Car:
-    """The car that a TOML text describes, one line per field.
+    """Return the car that a TOML text describes, one line per field.
 
     Raises:
         CarError: the text is not TOML, or a field is missing, unknown or out of range.
@@ -81,7 +81,7 @@ def car_from_toml(text: str) -> Car:
 
 
 def car_to_toml(car: Car) -> str:
-    """The TOML text of a car."""
+    """Return the TOML text of a car."""
     lines = [
         # A JSON string without escapes of its own is a TOML string; names are printable text.
         f"{field} = {json.dumps(value, ensure_ascii=False) if isinstance(value, str) else value}"

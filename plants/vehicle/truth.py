@@ -84,7 +84,7 @@ def simulate(
     time_step_s: float,
     integration_step_s: float = INTEGRATION_STEP_S,
 ) -> Drive:
-    """The true drive of a car through a manoeuvre.
+    """Return the true drive of a car through a manoeuvre.
 
     The classical Runge-Kutta method with the driver's commands held over each of its steps.
 
@@ -200,7 +200,7 @@ def _command(
 def _runge_kutta(
     model: Body, state: Array, slope: Array, command: list[float], parameters: Any, h: float
 ) -> Array:
-    """The state h later; `slope` is the derivative at its beginning."""
+    """Return the state h later; `slope` is the derivative at its beginning."""
 
     def derivative(at: Array) -> Array:
         return np.array(model.derivative(at.tolist(), command, parameters))

@@ -61,7 +61,7 @@ def identify(
     seek_friction: bool = False,
     min_speed_m_s: float = 5.0,
 ) -> Identified:
-    """The tyres of a car that fit a drive best, starting from the car's own.
+    """Return the tyres of a car that fit a drive best, starting from the car's own.
 
     Args:
         drive: steering, speed and yaw rate must be known, lateral acceleration and side slip may.
@@ -167,7 +167,7 @@ def _identified(
 
 
 def _resampled(drive: Drive) -> Drive:
-    """The drive at the model's step, what is not known of it still NaN."""
+    """Return the drive at the model's step, what is not known of it still NaN."""
     if drive.time_step_s <= MODEL_STEP_S:
         return drive
     time_s = MODEL_STEP_S * np.arange(round((drive.steps - 1) * drive.time_step_s / MODEL_STEP_S))
