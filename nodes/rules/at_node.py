@@ -91,7 +91,9 @@ class AtNode(Generic[Own, Held, Said]):
     ) -> tuple[LaneContent[Own, Held], tuple[str, ...]]:
         """End a round with bodies that were accepted, in the order of the neighbours."""
         came = self.codec.unpack(*[share for share in shares if share is not None])
-        heard = np.array([share is not None for share in shares], dtype=bool)
+        heard = self._everybody
+        if len(came) < len(shares):
+            heard = np.array([share is not None for share in shares], dtype=bool)
         said, sound, reason = self.rule.read(came)
         again: tuple[str, ...] = ()
         if sound is not None and not sound.all():
@@ -102,6 +104,10 @@ class AtNode(Generic[Own, Held, Said]):
             heard = heard & _placed(cast(np.ndarray, sound), heard)
         content, failures = self.rule.fuse(self.place, content, said, heard)
         return content, again + _names(failures) if failures or again else ()
+
+    @cached_property
+    def _everybody(self) -> np.ndarray:
+        return np.ones(self.neighbours, dtype=bool)
 
     def belief(self, content: LaneContent[Own, Held]) -> Gaussian:
         """The node's belief now."""

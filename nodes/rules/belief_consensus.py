@@ -24,7 +24,7 @@ from nodes.rules.lane_rule import (
     nothing_published,
     older,
 )
-from nodes.rules.local_filter import finite, finite_lanes, where
+from nodes.rules.local_filter import all_finite, every, finite, finite_lanes, where
 
 _ALIKE = np.ones(1)
 
@@ -98,11 +98,11 @@ class BeliefConsensus:
             beliefs += [held.beliefs, own.published.belief][: 1 + self.contends]
         (moved, sound), *others = now.predict(*beliefs)
         own = own._replace(belief=where(sound, moved, own.belief))
-        failures = {} if sound.all() else {"predict-failed": ~sound}
+        failures = {} if every(sound) else {"predict-failed": ~sound}
         if others:
             kept = others[0]
             # A held pair that cannot be carried on is forgotten, not used at a wrong time.
-            ages = held.ages if kept.sound.all() else np.where(kept.sound, held.ages, -1)
+            ages = held.ages if every(kept.sound) else np.where(kept.sound, held.ages, -1)
             held = HeldBeliefs(where(kept.sound, kept.beliefs, held.beliefs), ages)
         if len(others) > 1:
             own = own._replace(published=own.published.moved(others[1]))
@@ -122,7 +122,7 @@ class BeliefConsensus:
         if not self.contends:
             return content
         published = own.published.sent(own.belief, sends)
-        return content._replace(own=own._replace(published=published))
+        return LaneContent(OwnBelief(own.belief, published), content.held, content.cycles_in_step)
 
     def read(self, numbers: Array) -> tuple[Gaussian, None, str]:
         """Beliefs; whether they are positive definite shows when they are fused."""
@@ -133,15 +133,17 @@ class BeliefConsensus:
     ) -> tuple[BeliefContent, Failures]:
         """Average the own pair with the neighbours' pairs, fresh or held, in sender order."""
         own, before, cycles = content
-        if heard.all():
+        if every(heard):
             held = HeldBeliefs(said, np.zeros(heard.shape, dtype=np.int64))
         else:
             ages = np.where(heard, 0, older(before.ages))
             held = HeldBeliefs(where(heard, said, before.beliefs), ages)
         weights = self._weights(place.weights, held.ages, cycles)
         fused = self.average.fuse(own.belief, held.beliefs, weights, self.hold.by_sharpness)
-        unsound = np.isnan(fused.sharpness[..., 1:])
-        if unsound.any() and (unsound := heard & unsound).any():
+        if (
+            not all_finite(fused.sharpness)
+            and (unsound := heard & np.isnan(fused.sharpness[..., 1:])).any()
+        ):
             # Few shares fail this check, and what is held instead is weighed in a second go.
             content, failures = self.fuse(place, content, said, heard & ~unsound)
             return content, {"rejected not-positive-definite": unsound.sum(axis=-1), **failures}

@@ -213,12 +213,18 @@ def _count(troubles: dict[str, np.ndarray], name: str, lanes: np.ndarray) -> Non
 
 def where(chosen: np.ndarray, one: Gaussian, other: Gaussian) -> Gaussian:
     """`one` in the lanes (...) that are chosen, `other` elsewhere."""
-    if chosen.all():
+    if every(chosen):
         return one
     return Gaussian(
         np.where(chosen[..., None], one.mean, other.mean),
         np.where(chosen[..., None, None], one.cov, other.cov),
     )
+
+
+def every(flags: np.ndarray) -> bool:
+    """Whether all flags are True."""
+    # Half a dozen flags are counted in a fifth of the time that `all` takes.
+    return np.count_nonzero(flags) == np.size(flags)
 
 
 def finite_lanes(beliefs: Gaussian) -> np.ndarray:
@@ -231,10 +237,11 @@ def finite_lanes(beliefs: Gaussian) -> np.ndarray:
 
 def finite(belief: Gaussian) -> bool:
     """Whether every number of all beliefs (..., n) is finite."""
-    return _all_finite(belief.mean) and _all_finite(belief.cov)
+    return all_finite(belief.mean) and all_finite(belief.cov)
 
 
-def _all_finite(values: Array) -> bool:
+def all_finite(values: Array) -> bool:
+    """Whether every number is finite."""
     # A sum of squares takes a third of the time, and is infinite for large numbers as well.
     flat = values.ravel(order="K")  # in the order of memory: nothing is copied
     return math.isfinite(flat.dot(flat)) or bool(np.isfinite(flat).all())

@@ -194,7 +194,7 @@ BUGS = (
     Bug(
         "a covariance that is none is used",
         "nodes.rules.belief_consensus", "BeliefConsensus.fuse",
-        (("and (unsound := heard & unsound)", "and (unsound := heard & False)"),),
+        (("unsound := heard & ", "unsound := heard & False & "),),
     ),
     Bug(
         "those who agree most are taken for liars",
