@@ -1,21 +1,21 @@
 """Estimator: a node's computation, apart from its timing; the interface of every fusion rule.
 
 `nodes/node.py` decides when a step begins, who is waited for and when a round is over; an
-`Estimator` decides what is shared and what becomes of what was heard. Its `Content` is a value that
-only the estimator reads.
+`Estimator` decides what is shared and what becomes of what was heard. Its `Content` and its `Share`
+are values that only the estimator reads; the state machine keeps them without looking.
 """
 
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from bus.bus import Rejected as Rejected
 from filters.gaussian import Gaussian
 from nodes.messages import Array, Measured
 
-Content = Any
-Share = Any
+Content = TypeVar("Content")
+Share = TypeVar("Share")
 
 
-class Estimator(Protocol):
+class Estimator(Protocol[Content, Share]):
     """A fusion rule at one node."""
 
     @property
@@ -65,10 +65,14 @@ class Estimator(Protocol):
         ...
 
 
+AnyEstimator = Estimator[Any, Any]
+"""An estimator whose content and shares are its own business."""
+
+
 @runtime_checkable
 class KeepsZonotope(Protocol):
     """An estimator that may keep a zonotope around the centre that `belief` tells."""
 
-    def generators(self, content: Content) -> Array | None:
+    def generators(self, content: Any) -> Array | None:
         """Its generators (n, q); None of another set."""
         ...

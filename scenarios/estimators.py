@@ -10,7 +10,7 @@ from filters.fusion import diffusion, hold, hybrid_consensus, information_weight
 from filters.fusion.averaging import MOMENTS, Averaged, Averaging, Directly
 from filters.fusion.trimmed import trimmed_intersection
 from filters.gaussian import Gaussian
-from nodes.estimator import Estimator
+from nodes.estimator import AnyEstimator
 from nodes.lanes.batch import AveragesInBatch, InBatch
 from nodes.lanes.beliefs import BatchedBeliefs
 from nodes.lanes.labelled import BatchedFlooding
@@ -115,7 +115,7 @@ def _at_node(kind: type[Kind], build: BuildRule, what: str, seat: Seat) -> Kind:
     return kind(rule, place, seat.model, seat.sensor, seat.prior, seat.points, codec)
 
 
-def flooding(seat: Seat) -> Estimator:
+def flooding(seat: Seat) -> AnyEstimator:
     """The estimator of labelled measurements."""
     assert seat.everybody is not None, "whoever seats a node of this rule knows all nodes"
     everybody, neighbours = seat.everybody(), seat.context.neighbours

@@ -10,7 +10,7 @@ from bus.schedule import Schedule
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule
 from nodes.environment_state import Delivery
-from nodes.estimator import Estimator
+from nodes.estimator import AnyEstimator
 from nodes.rules.local_filter import Model, Sensor
 from scenarios.scenario import Scenario
 from scenarios.seat import Seat
@@ -77,7 +77,7 @@ class Wiring(NamedTuple):
 
     schedule: Callable[[Scenario], Schedule]
     share_bytes: Callable[[Scenario], int]
-    estimator: Callable[[Setup, int], Estimator]
+    estimator: Callable[[Setup, int], AnyEstimator]
     names: dict[str, tuple[str, ...]]
 
 
@@ -118,5 +118,5 @@ class Kind(NamedTuple):
     wiring: Wiring | None = None
     delivery: Callable[[Scenario], Delivery] | None = None
     listen: Callable[[Setup, Sequence[int], Array], Gaussian] | None = None
-    around: Callable[[Scenario, Seat, Estimator], Estimator] | None = None
+    around: Callable[[Scenario, Seat, AnyEstimator], AnyEstimator] | None = None
     sensors: Callable[[Scenario], Sensor] | None = None

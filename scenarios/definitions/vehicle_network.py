@@ -13,7 +13,7 @@ import numpy as np
 from filters.adaptive.sage_husa import NoiseEstimate
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
-from nodes.estimator import Estimator
+from nodes.estimator import AnyEstimator
 from nodes.messages import Array, Measured, to_wire
 from nodes.rules.adaptive_noise import AdaptedSensor, AdaptiveNoise, declared_noise, learn
 from nodes.rules.local_filter import carry, take_own
@@ -145,7 +145,7 @@ def _check(scenario: Scenario) -> None:
         )
 
 
-def _around(scenario: Scenario, seat: Seat, rule: Estimator) -> Estimator:
+def _around(scenario: Scenario, seat: Seat, rule: AnyEstimator) -> AnyEstimator:
     if not vehicle_of(scenario).adaptive:
         return rule
     assert seat.sensor is not None, "every node of the car has a sensor"
