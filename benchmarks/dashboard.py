@@ -15,7 +15,7 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import NamedTuple
 
-from benchmarks.measure import Figures, figure, ratio, say
+from benchmarks.measure import BenchmarkFigures, figure, ratio, say
 from benchmarks.processor import spent_s
 from dashboard.app import Dashboard
 from dashboard.serve import open_recording
@@ -38,9 +38,9 @@ _LAST_STEPS = 40
 _SETTLED, _SETTLED_S, _LONGEST_S = 0.1, 1.0, 60.0
 
 
-def main() -> Figures:
+def main() -> BenchmarkFigures:
     """Print both and return them."""
-    results: Figures = {}
+    results: BenchmarkFigures = {}
     for nodes in SIZES:
         cost = figure(_update_ms(nodes), "ms of processor time per update", "less")
         results[f"dashboard-update-{nodes}"] = cost
@@ -67,7 +67,7 @@ class _Pace(NamedTuple):
     attaching_s: float
 
 
-def _compared(apart: "list[_Pace]", together: "list[_Pace]") -> Figures:
+def _compared(apart: "list[_Pace]", together: "list[_Pace]") -> BenchmarkFigures:
     """What a page takes: by the clock, and by the processor time, which others do not disturb."""
     rates = [[run.steps_per_s for run in runs] for runs in (together, apart)]
     costs = [[run.network_ms + run.page_ms for run in runs] for runs in (apart, together)]

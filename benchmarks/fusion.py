@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.measure import Figures, figure, in_turns, median_us, ratio, say
+from benchmarks.measure import BenchmarkFigures, figure, in_turns, median_us, ratio, say
 from experiments.scenario_options import scenario_of
 from filters.gaussian import Gaussian
 from nodes.lanes.network import BatchedRule
@@ -78,7 +78,7 @@ def timed(run: Callable[[], object], nodes: int) -> Callable[[], float]:
     return once
 
 
-def main() -> Figures:
+def main() -> BenchmarkFigures:
     """Print and return what a node costs, and ratios."""
     setup, single = network(1, by_sharpness=False)
     rules = {
@@ -109,9 +109,9 @@ def _check(found: Gaussian, expected: Gaussian) -> None:
         np.testing.assert_allclose(array, right, rtol=1e-9, atol=1e-11)
 
 
-def _figures(given: dict[str, list[float]]) -> Figures:
+def _figures(given: dict[str, list[float]]) -> BenchmarkFigures:
     say(f"fusion, covariance intersection, {NODES} nodes x {RUNS} runs, n = 4, {TURNS} turns")
-    results: Figures = {}
+    results: BenchmarkFigures = {}
     for name, spent in given.items():
         beside = ratio(given["loop"], spent)
         say(

@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.bare_loop import Load, pass_on
 from benchmarks.lockstep import GRAPH, NODES, load_of, setup_of, traffic_of
 from benchmarks.measure import (
-    Figures,
+    BenchmarkFigures,
     figure,
     in_turns,
     median_us,
@@ -93,7 +93,7 @@ class _Memory:
         """Nothing was opened."""
 
 
-def main() -> Figures:
+def main() -> BenchmarkFigures:
     """Print and return microseconds per step, and their ratios."""
     setup = setup_of(STEPS)
     messages = in_memory(setup)
@@ -110,7 +110,7 @@ def main() -> Figures:
             contestants |= {f"kernels, {warmth}": node, f"kernels, {warmth}, bare": bare}
     given = in_turns(contestants, TURNS)
     say(f"a node of {NODES}, {GRAPH}, fed from memory, beside its bare loop; {TURNS} turns")
-    results: Figures = {}
+    results: BenchmarkFigures = {}
     for name, spent in given.items():
         results[f"{name} us"] = figure([1e6 * one for one in spent], "us/step", "less")
         if name.endswith("bare"):

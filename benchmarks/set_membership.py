@@ -14,7 +14,7 @@ from functools import partial
 
 import numpy as np
 
-from benchmarks.measure import Figures, figure, ratio
+from benchmarks.measure import BenchmarkFigures, figure, ratio
 from filters.sets.ellipsoid import Ellipsoid, shape_matrix
 from papers.liu2021.bus import augmented
 from papers.liu2021.closed_form import closed_form_step
@@ -29,7 +29,7 @@ CYCLES, REPETITIONS, FAST_CALLS = 13, 5, 20
 METHODS = ("generic", "reduced", "exact", "fast")
 
 
-def main() -> Figures:
+def main() -> BenchmarkFigures:
     """Print and return milliseconds per cycle and how many times as fast as the generic route."""
     received = Received(
         *(part[0] for part in simulate(seed=1, sequences=0, cycles=CYCLES).received)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from experiments.design.candidates import Cost
 from experiments.design.results import Design, design_of
-from experiments.design.search import Task, search
+from experiments.design.search import SearchTask, search
 from experiments.design.space import space_of
 from experiments.design.target import parse_target
 from experiments.monte_carlo.simulate import Histories
@@ -81,7 +81,7 @@ def design(
     target = parse_target(target_rmse)
     settled, space = space_of(_specification(fields, runs, None))
     engine = engine_for(workers, None)
-    task = Task(target, minimise, settled, space, runs, engine, lambda _: None)
+    task = SearchTask(target, minimise, settled, space, runs, engine, lambda _: None)
     return design_of(settled, target, minimise, search(task, [], []), True)
 
 

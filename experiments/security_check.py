@@ -33,7 +33,7 @@ _SETTLE_S = 0.5
 _DELIVERED, _REFUSED = "delivered", "refused"
 
 
-class Attempt(msgspec.Struct, frozen=True):
+class IntrusionAttempt(msgspec.Struct, frozen=True):
     """What somebody tried against a guarded network, what should become of it, and what did."""
 
     who: str
@@ -111,7 +111,7 @@ def _write_to(guarded: _Guarded, keys: str, topics: tuple[str, ...], mark: bytes
     intruder.close()
 
 
-def _writers(guarded: _Guarded) -> list[Attempt]:
+def _writers(guarded: _Guarded) -> list[IntrusionAttempt]:
     """Members who say what is theirs, and what is not."""
     own = ("hello/0", "bid/0", "share/0", "estimate/0")
     of_another = tuple(topic.replace("0", "1") for topic in own)
@@ -140,12 +140,12 @@ def _writers(guarded: _Guarded) -> list[Attempt]:
     return attempts
 
 
-def _attempt(who: str, tried: str, wanted: str, came: int, tries: int) -> Attempt:
+def _attempt(who: str, tried: str, wanted: str, came: int, tries: int) -> IntrusionAttempt:
     outcome = {0: _REFUSED, tries: _DELIVERED}.get(came, "in part")
-    return Attempt(who, tried, wanted, outcome, came, tries)
+    return IntrusionAttempt(who, tried, wanted, outcome, came, tries)
 
 
-def _reader(guarded: _Guarded) -> list[Attempt]:
+def _reader(guarded: _Guarded) -> list[IntrusionAttempt]:
     """A monitor hears what a node says."""
     monitor = guarded.join(guarded.keys(MONITOR), ("share/*",))
     time.sleep(_SETTLE_S)
@@ -162,7 +162,7 @@ def _reader(guarded: _Guarded) -> list[Attempt]:
     return [_attempt(MONITOR, "hears a node's shares", _DELIVERED, heard.qsize(), TRIES)]
 
 
-def _commands(guarded: _Guarded) -> list[Attempt]:
+def _commands(guarded: _Guarded) -> list[IntrusionAttempt]:
     """Who may command the network: the world answers whoever gets through."""
     guarded.answer("control")
     attempts = []
@@ -179,7 +179,7 @@ def _commands(guarded: _Guarded) -> list[Attempt]:
     return attempts
 
 
-def _tokens(guarded: _Guarded) -> list[Attempt]:
+def _tokens(guarded: _Guarded) -> list[IntrusionAttempt]:
     """A node says that another is ready; then that other says so itself."""
     watcher = guarded.join(guarded.keys(MONITOR))
     wait = threading.Thread(target=watcher.join, args=(MONITOR, {"1"}), daemon=True)
@@ -196,7 +196,7 @@ def _tokens(guarded: _Guarded) -> list[Attempt]:
     return attempts
 
 
-def _joiners(guarded: _Guarded, authority: Authority, folder: Path) -> list[Attempt]:
+def _joiners(guarded: _Guarded, authority: Authority, folder: Path) -> list[IntrusionAttempt]:
     """Guests at the door: right and wrong certificates, none, or no TLS at all."""
     node, day = certificate_name(0), timedelta(days=1)
     stranger = new_authority(1)
@@ -249,7 +249,7 @@ def _knock(guarded: _Guarded, enter: Callable[[], Transport]) -> int:
     return came
 
 
-def _false_router(guarded: _Guarded, folder: Path) -> list[Attempt]:
+def _false_router(guarded: _Guarded, folder: Path) -> list[IntrusionAttempt]:
     """A router of somebody else lies in wait for a node."""
     stranger = new_authority(1)
     tls = zenoh_settings(
@@ -268,7 +268,7 @@ def _false_router(guarded: _Guarded, folder: Path) -> list[Attempt]:
     return [_attempt("false router", "lets node-0 join", _REFUSED, came, 1)]
 
 
-def check(folder: Path) -> list[Attempt]:
+def check(folder: Path) -> list[IntrusionAttempt]:
     """Try everything against a router with the keys in `folder`, and say how far it is; takes about
     half a minute.
 
@@ -277,10 +277,10 @@ def check(folder: Path) -> list[Attempt]:
     """
     authority = read_authority(folder)
     guarded = _Guarded(folder)
-    attempts: list[Attempt] = []
+    attempts: list[IntrusionAttempt] = []
     try:
         with tempfile.TemporaryDirectory() as scratch:
-            trials: list[Callable[[], list[Attempt]]] = [
+            trials: list[Callable[[], list[IntrusionAttempt]]] = [
                 partial(_writers, guarded),
                 partial(_reader, guarded),
                 partial(_tokens, guarded),

@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
 
-class Event(NamedTuple):
+class LogEvent(NamedTuple):
     """Something worth a line in the log; `node` is whom it is about, None for the network."""
 
     step: int
@@ -33,7 +33,7 @@ class BusCycle(NamedTuple):
     payload_bytes: int
 
 
-class Traffic(NamedTuple):
+class NodeTraffic(NamedTuple):
     """Totals of each node (N,) since the start, in frames."""
 
     sent: Numbers
@@ -42,7 +42,7 @@ class Traffic(NamedTuple):
     rejected: Numbers
 
 
-class Scores(NamedTuple):
+class StepScores(NamedTuple):
     """How good the estimates of a step are; NaN where the truth is not known.
 
     error, width (N,): of the scored states, and what the node believes of it (square root of the
@@ -59,7 +59,7 @@ class Scores(NamedTuple):
     fused: float
 
 
-class Frame(NamedTuple):
+class StepFrame(NamedTuple):
     """The network after step `step`.
 
     Attributes:
@@ -83,8 +83,8 @@ class Frame(NamedTuple):
     ages: Numbers
     lost: NDArray[np.bool_]
     cut: NDArray[np.bool_]
-    traffic: Traffic
+    traffic: NodeTraffic
     rejection: tuple[str, ...]
     cycles: tuple[BusCycle, ...]
-    scores: Scores
-    events: tuple[Event, ...]
+    scores: StepScores
+    events: tuple[LogEvent, ...]

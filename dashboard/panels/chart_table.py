@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from dashboard.frames.frame import Array, Frame
+from dashboard.frames.frame import Array, StepFrame
 from dashboard.frames.history import state_table
 from dashboard.frames.stage import Stage
 from dashboard.panels.chart import Chart, Column, Line, Sample, of_frames
@@ -72,7 +72,7 @@ def state_charts() -> tuple[Chart, ...]:
     )
 
 
-def _payload_kilobytes_per_s(stage: Stage) -> Callable[[Frame], float]:
+def _payload_kilobytes_per_s(stage: Stage) -> Callable[[StepFrame], float]:
     seconds = stage.setup.time_step_s
     return lambda frame: sum(cycle.payload_bytes for cycle in frame.cycles) / seconds / 1e3
 

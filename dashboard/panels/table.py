@@ -6,7 +6,7 @@ from html import escape
 import numpy as np
 
 from dashboard.frames.conditions import BLIND, DOWN, REJECTED, SEEING, STALE, conditions, oldest
-from dashboard.frames.frame import Array, Event, Frame
+from dashboard.frames.frame import Array, LogEvent, StepFrame
 from dashboard.frames.stage import Stage
 from dashboard.theme import Colour, Theme, css, mixed
 from dashboard.view import View
@@ -26,7 +26,7 @@ def colour_of(theme: Theme, condition: str) -> Colour:
     }[condition]
 
 
-def node_table(stage: Stage, view: View, frame: Frame) -> str:
+def node_table(stage: Stage, view: View, frame: StepFrame) -> str:
     """A row per node."""
     theme, words, ages = view.theme, conditions(stage, frame), oldest(stage, frame)
     width = (1.0 if stage.certain else 3.0) * frame.scores.width
@@ -98,7 +98,7 @@ def chosen_rows(nodes: int, view: View, error: Array, ages: np.ndarray) -> list[
     return shown
 
 
-def log(theme: Theme, events: Iterable[Event]) -> str:
+def log(theme: Theme, events: Iterable[LogEvent]) -> str:
     """The newest events first."""
     lines = "".join(
         f'<div{_bad(theme, event.trouble)}><span style="color:{css(theme.quiet)};display:'
@@ -111,7 +111,9 @@ def log(theme: Theme, events: Iterable[Event]) -> str:
     )
 
 
-def status(stage: Stage, theme: Theme, frame: Frame | None, state: str, detail: str = "") -> str:
+def status(
+    stage: Stage, theme: Theme, frame: StepFrame | None, state: str, detail: str = ""
+) -> str:
     """The state of the run in a few lines."""
     colour = {"RUNNING": theme.fused, "PAUSED": theme.sending, "ENDED": theme.quiet}
     pill = (

@@ -4,7 +4,7 @@ from html import escape
 
 import numpy as np
 
-from dashboard.frames.frame import Array, Frame
+from dashboard.frames.frame import Array, StepFrame
 from dashboard.frames.stage import Stage
 from dashboard.scene.geometry import ellipse_axes, zonotope_corners
 from dashboard.theme import Colour, Theme, css
@@ -15,7 +15,7 @@ _MOST_NODES = 120
 
 
 def zoom(
-    stage: Stage, theme: Theme, frame: Frame, pair: tuple[int, int], selected: int | None
+    stage: Stage, theme: Theme, frame: StepFrame, pair: tuple[int, int], selected: int | None
 ) -> str:
     """An SVG of two states around the truth, or around what all believe where it is not known."""
     states = list(pair)
@@ -67,7 +67,7 @@ class _Drawing:
     """The ellipses of one frame, in pixels."""
 
     def __init__(
-        self, stage: Stage, theme: Theme, frame: Frame, states: list[int], centre: Array,
+        self, stage: Stage, theme: Theme, frame: StepFrame, states: list[int], centre: Array,
         spans: Array, known: bool,
     ) -> None:  # fmt: skip
         self._stage, self._theme, self._frame, self._states = stage, theme, frame, states

@@ -7,7 +7,7 @@ import numpy as np
 import viser
 
 from dashboard.frames.conditions import DOWN, REJECTED, STALE, conditions
-from dashboard.frames.frame import Array, Frame
+from dashboard.frames.frame import Array, StepFrame
 from dashboard.frames.stage import SCENE_WIDTH, Picture, Stage
 from dashboard.panels.table import colour_of
 from dashboard.scene import geometry
@@ -122,7 +122,7 @@ class Scene:
         return (points[:, None] + around).reshape(-1, 3)
 
     def draw(
-        self, view: View, frame: Frame, past: Sequence[Frame], sender: int
+        self, view: View, frame: StepFrame, past: Sequence[StepFrame], sender: int
     ) -> Callable[[], None]:
         """Work out the picture; returns what assigns it, for inside of one `atomic()`."""
         stage, theme = self._stage, view.theme
@@ -164,7 +164,7 @@ class Scene:
             ring.scale = size * self._radius
             ring.color = colour
 
-    def _links(self, view: View, frame: Frame, at: Array) -> tuple[Array, np.ndarray, Array]:
+    def _links(self, view: View, frame: StepFrame, at: Array) -> tuple[Array, np.ndarray, Array]:
         """Segments and colours of the links that are up, and the dashes of those that are cut."""
         edges, theme = self._stage.edges, view.theme
         if not len(edges):
@@ -184,14 +184,14 @@ class Scene:
         painted = np.repeat(colours[up][:, None], 2, axis=1)
         return ends[up], painted, geometry.dashed(ends[frame.cut])
 
-    def _sending_links(self, frame: Frame, at: Array, sender: int) -> Array:
+    def _sending_links(self, frame: StepFrame, at: Array, sender: int) -> Array:
         edges = self._stage.edges
         if sender < 0 or not len(edges):
             return _NO_LINES
         hers = (edges == sender).any(1) & ~frame.cut & frame.alive[edges].all(1)
         return at[edges[hers]] + [0, 0, 0.08]
 
-    def _label(self, view: View, frame: Frame, at: Array) -> None:
+    def _label(self, view: View, frame: StepFrame, at: Array) -> None:
         """Names beside the nodes, where they have room; again only when something about them is."""
         wanted = view.labels and self._stage.nodes <= MOST_LABELS
         places = tuple(map(tuple, np.round(at, 1))) if wanted else ()

@@ -28,7 +28,7 @@ Means = Callable[[Array], Interval]
 Ratios = Callable[[Array, Array], Interval]
 
 
-class Method(NamedTuple):
+class IntervalMethod(NamedTuple):
     """A way to make intervals of (runs,) figures: of a mean, and of the ratio of two root means."""
 
     mean: Means
@@ -80,9 +80,9 @@ def ratio_bootstrap(squares: Array, others: Array, confidence: float = 0.95) -> 
     return Interval(_root_ratio(squares, others), low, high)
 
 
-METHODS: dict[str, Method] = {
-    "t": Method(mean_t, ratio_t),
-    "bootstrap": Method(mean_bootstrap, ratio_bootstrap),
+METHODS: dict[str, IntervalMethod] = {
+    "t": IntervalMethod(mean_t, ratio_t),
+    "bootstrap": IntervalMethod(mean_bootstrap, ratio_bootstrap),
 }
 
 

@@ -60,14 +60,14 @@ class ManyFigures(msgspec.Struct, frozen=True):
     peak_memory_mb: float
 
 
-class Cost(NamedTuple):
+class RunCost(NamedTuple):
     """What the runs took."""
 
     seconds: float
     peak_memory_mb: float
 
 
-def summarise(histories: Histories, cost: Cost) -> ManyFigures:
+def summarise(histories: Histories, cost: RunCost) -> ManyFigures:
     """The figures of histories with their readings."""
     setup, scenario = histories.setup, histories.setup.scenario
     assert histories.readings is not None, "keep the readings"

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from experiments.monte_carlo.energy import energy_per_bit_nj
-from experiments.monte_carlo.run_frame import Frame
+from experiments.monte_carlo.run_frame import RunFrame
 from experiments.monte_carlo.simulate import Histories
 from filters.linalg import symmetrise
 from filters.metrics import largest_of_known, mean_of_known, nees, rmse
@@ -63,7 +63,7 @@ FIGURES = {
 }
 
 
-def figures_of(setup: Setup, histories: Histories, frame: Frame) -> dict[str, Array]:
+def figures_of(setup: Setup, histories: Histories, frame: RunFrame) -> dict[str, Array]:
     """The variables of `FIGURES`, with their dimensions."""
     score = kind_of(setup.scenario.name).score
     readings, _ = kept(histories)

@@ -49,24 +49,24 @@ class Grid(NamedTuple):
     texts: int
 
 
-class Picture(NamedTuple):
+class ReportPicture(NamedTuple):
     """A picture as PNG bytes, and what it is called."""
 
     name: str
     png: bytes
 
 
-Part = Heading | Paragraph | Code | Grid | Picture
+Part = Heading | Paragraph | Code | Grid | ReportPicture
 
 
-def picture(name: str, figure: "Figure") -> Picture:
+def picture(name: str, figure: "Figure") -> ReportPicture:
     """A figure as a picture of a page."""
     import matplotlib.pyplot as plt
 
     buffer = BytesIO()
     figure.savefig(buffer, format="png")
     plt.close(figure)
-    return Picture(name, buffer.getvalue())
+    return ReportPicture(name, buffer.getvalue())
 
 
 def as_html(title: str, parts: Sequence[Part]) -> str:
@@ -92,7 +92,7 @@ def _html(part: Part) -> str:
             return f"<p>{html.escape(text)}</p>"
         case Code(text):
             return f"<pre>{html.escape(text)}</pre>"
-        case Picture(name, png):
+        case ReportPicture(name, png):
             return f'<p><img alt="{html.escape(name)}" src="{_data(png)}"></p>'
         case Grid(head, rows, texts):
             lines = [_row("th", head, texts), *(_row("td", row, texts) for row in rows)]
@@ -115,7 +115,7 @@ def _markdown(part: Part) -> str:
             return text
         case Code(text):
             return "\n".join(f"    {line}" for line in text.splitlines())
-        case Picture(name, png):
+        case ReportPicture(name, png):
             return f"![{name}]({_data(png)})"
         case Grid(head, rows, texts):
             rule = ["---" if place < texts else "---:" for place in range(len(head))]

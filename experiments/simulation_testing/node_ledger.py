@@ -3,7 +3,7 @@
 from collections import Counter
 from typing import NamedTuple
 
-from experiments.simulation_testing.outcomes import Fate
+from experiments.simulation_testing.outcomes import FrameOutcome
 from nodes.node_state import Phase
 
 Key = tuple[int, int, int]
@@ -21,7 +21,7 @@ class Sent(NamedTuple):
     frame: bytes
 
 
-class Page:
+class NodeLedger:
     """The books of one node since it was started."""
 
     def __init__(self, cycle: int, end_cycle: int) -> None:
@@ -49,7 +49,7 @@ class Page:
         if key not in self._overtaken:
             self.counts["heard"] += self.is_whole(sender, sent.cycle)
 
-    def suffer(self, sender: int, sent: Sent, fate: Fate) -> None:
+    def suffer(self, sender: int, sent: Sent, fate: FrameOutcome) -> None:
         """Something befalls a frame that comes."""
         self.counts.update(fate.counts)
         self._later += fate.later

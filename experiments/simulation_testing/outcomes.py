@@ -13,7 +13,7 @@ from nodes.faults.links import Passage
 from nodes.faults.vocabulary import PASSING
 
 
-class Fate(NamedTuple):
+class FrameOutcome(NamedTuple):
     """What becomes of a frame at one receiver.
 
     Attributes:
@@ -29,11 +29,13 @@ class Fate(NamedTuple):
     struck: tuple[str, ...]
 
 
-def fate_of(faults: Faults, way: Passage, frame: bytes, has_slot: Callable[[int], bool]) -> Fate:
+def outcome_of(
+    faults: Faults, way: Passage, frame: bytes, has_slot: Callable[[int], bool]
+) -> FrameOutcome:
     """The fate of a frame that its sender meant to send; `has_slot(node)` says who has a slot in
     its cycle."""
     for word, counted in _obstacles(faults, way):
-        return Fate((counted,), (), False, False, (word,))
+        return FrameOutcome((counted,), (), False, False, (word,))
     reading, struck = _reading(faults, way, frame)
     later, late_words = _late(faults, way)
     again = [later]
@@ -45,7 +47,7 @@ def fate_of(faults: Faults, way: Passage, frame: bytes, has_slot: Callable[[int]
         # Outside of its slot it is no frame of this cycle, and of an earlier one when it comes.
         counted = reading or "late"
         comes = tuple((way.cycle + cycles, counted) for cycles in again)
-        return Fate((), comes, False, False, struck + late_words)
+        return FrameOutcome((), comes, False, False, struck + late_words)
     counts = [reading] if reading else []
     if _strikes_link(faults, "duplicate", way):
         counts.append(reading or "repeated")
@@ -56,7 +58,7 @@ def fate_of(faults: Faults, way: Passage, frame: bytes, has_slot: Callable[[int]
     counts += ["reordered"] * is_overtaken
     struck += ("spoof",) * len(victims) + ("reorder",) * is_overtaken
     comes = tuple((way.cycle + cycles, reading or "late") for cycles in again[1:])
-    return Fate(tuple(counts), comes, not reading, is_overtaken, struck)
+    return FrameOutcome(tuple(counts), comes, not reading, is_overtaken, struck)
 
 
 def must_be_silent(faults: Faults, step: int, cycle: int, node: int) -> str:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from experiments.simulation_testing.broken import Broken
-from experiments.simulation_testing.ledger import Books
+from experiments.simulation_testing.ledger import OracleLedger
 from experiments.simulation_testing.promises import nodes_are_honest, sensors_are_honest
 from experiments.simulation_testing.trimmed import broken_promise
 from experiments.simulation_testing.weights import promised_weights
@@ -40,7 +40,7 @@ class _Share(NamedTuple):
     body: bytes
 
 
-def watched(config: NodeConfig, books: Books, scenario: Scenario) -> NodeConfig:
+def watched(config: NodeConfig, books: OracleLedger, scenario: Scenario) -> NodeConfig:
     """The same node, and every node that it becomes, with an eye on its estimator."""
     rebuild = config.rebuild
 
@@ -49,7 +49,7 @@ def watched(config: NodeConfig, books: Books, scenario: Scenario) -> NodeConfig:
         changed, _ = scenario.with_known(**standing.settings)
         return watched(rebuild(standing, step, belief), books, changed)
 
-    return replace(config, estimator=Watched(config, books, scenario), rebuild=rebuilt)
+    return replace(config, estimator=WatchedEstimator(config, books, scenario), rebuild=rebuilt)
 
 
 class _ShownRule(NamedTuple):
@@ -67,13 +67,13 @@ class _ShownRule(NamedTuple):
         return fused
 
 
-class Watched:
+class WatchedEstimator:
     """The estimator of a node, and what must hold of it after every cycle.
 
     Raises `Broken` where it does not.
     """
 
-    def __init__(self, config: NodeConfig, books: Books, scenario: Scenario) -> None:
+    def __init__(self, config: NodeConfig, books: OracleLedger, scenario: Scenario) -> None:
         self._config, self._books, self._scenario = config, books, scenario
         self._inner = self._with_weights_shown(config.estimator)
         self._cycle = self._group = -1

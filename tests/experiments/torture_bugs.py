@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
-from experiments.simulation_testing.case_run import Outcome, torture
+from experiments.simulation_testing.case_run import CaseOutcome, torture
 from experiments.simulation_testing.draw import draw_case
 from filters.kernels import compiled
 
@@ -230,7 +230,7 @@ def planted(bug: Bug) -> Iterator[None]:
         sound.__code__ = code
 
 
-def first_found(bug: Bug, seeds: range) -> Outcome | None:
+def first_found(bug: Bug, seeds: range) -> CaseOutcome | None:
     """What came of the first seed that finds a bug."""
     with planted(bug):
         for seed in seeds:
