@@ -6,28 +6,21 @@ arrives is heard, lost, late, repeated or rejected, and exactly once.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
-from bus.bus import Bus
 from experiments.simulation_testing.broken import Broken
 from experiments.simulation_testing.node_ledger import Key, NodeLedger, Sent
 from experiments.simulation_testing.outcomes import FrameOutcome, must_be_silent, outcome_of
-from nodes.changes import Calm, Cut, Event, Fault, Healed, Welcome
-from nodes.faults.active import Faults
+from experiments.simulation_testing.run_record import RunRecord
+from nodes.changes import Welcome
 from nodes.faults.links import Passage
 from nodes.faults.losses import hears
-from nodes.history import History, history_of, with_event
 from nodes.messages import (
     CycleClosed,
-    Estimate,
-    Grant,
-    Measured,
     NodeEvent,
     ShareHeard,
-    Truth,
-    decode,
 )
 from nodes.node_state import NodeConfig, NodeState, Phase
 
@@ -38,271 +31,173 @@ _NO_NUMBERS = (np.full(1, np.nan, "<f8").tobytes(), np.full(2, np.nan, "<f4").to
 
 
 class OracleLedger:
-    """Recorder and onlooker of one run, which begins with this bus; `loses_frames` says that some
-    never come."""
+    """Onlooker of one run; `loses_frames` says that some frames never come."""
 
-    def __init__(self, bus: Bus, rounds: int, nodes: int, loses_frames: bool) -> None:
-        self._frames = bus.frame_format
-        self.history: History = history_of(rounds, ())
-        self.estimates: dict[tuple[int, int], Estimate] = {}
-        self.truths: dict[int, Truth] = {}
-        self.measured: dict[tuple[int, int], Measured] = {}
-        self.grants: dict[tuple[int, int], tuple[int, ...]] = {}
+    def __init__(self, record: RunRecord, nodes: int, loses_frames: bool) -> None:
+        self.record = record
         self.struck: Counter[str] = Counter()
-        self.liars: set[int] = set()
-        self._sent: dict[tuple[int, int], list[Sent]] = {}
-        self._owners: dict[tuple[int, int], int] = {}
-        self._unchecked: list[Sent] = []
-        self._genuine: dict[bytes, Sent] = {}
-        self._pages = [NodeLedger(0, 0) for _ in range(nodes)]
-        self._cuts: set[tuple[int, int]] = set()
-        self._wrong: dict[tuple[str, tuple[int, ...]], Fault] = {}
+        self._nodes = [NodeLedger(0, 0) for _ in range(nodes)]
         self._events = 0
         self._loses_frames = loses_frames
-
-    # --- what is sent ----------------------------------------------------------------------------
-
-    def record(self, messages: Sequence[tuple[str, bytes]]) -> None:
-        """Take note of messages, (topic, bytes), in this order."""
-        for topic, data in messages:
-            self._note(topic, data)
-
-    def _note(self, topic: str, data: bytes) -> None:
-        kind, _, node = topic.partition("/")
-        if kind == "share":
-            self._note_frame(int(node), data)
-            return
-        match decode(topic, data):
-            case Estimate() as message:
-                key = message.step, message.node
-                if key in self.estimates:
-                    raise Broken("one estimate a step", f"node {key[1]} gave two of step {key[0]}")
-                self.estimates[key] = message
-            case Measured() as message:
-                self.measured[message.step, message.node] = message
-            case Truth() as message:
-                self.truths[message.step] = message
-            case Grant() as message:
-                self.grants[message.cycle, message.group] = tuple(message.winners)
-            case Event() as message:
-                self._note_change(message)
-
-    def close(self) -> None:
-        """Nothing to do."""
-
-    def _note_frame(self, node: int, frame: bytes) -> None:
-        fragment = self._frames.read(frame)
-        data, place = fragment.data, self._frames.numbered(fragment.data)
-        sent = Sent(
-            node, fragment.cycle, fragment.frame_id, place.number, place.frames, data, frame
-        )
-        self._genuine[frame] = sent
-        self._sent.setdefault((node, fragment.cycle), []).append(sent)
-        self._pages[node].counts["sent"] += 1
-        slot = (fragment.cycle, fragment.frame_id)
-        if slot in self._owners:
-            raise Broken(
-                "one sender per slot and channel",
-                f"nodes {self._owners[slot]} and {node} send frame {slot[1]} in cycle {slot[0]}",
-            )
-        self._owners[slot] = node
-        self._unchecked.append(sent)
-
-    def step_of(self, cycle: int) -> int:
-        """The step that a cycle belongs to."""
-        return self.history.place(cycle)[0]
-
-    def body(self, node: int, cycle: int) -> bytes | None:
-        """What a node has sent in a cycle; None for nothing."""
-        frames = self._sent.get((node, cycle))
-        return None if frames is None else self._frames.join([one.data for one in frames])
-
-    def _note_change(self, event: Event) -> None:
-        self.history = with_event(self.history, event)
-        match event.change:
-            case Fault(kind, nodes, numbers) as fault:
-                self._wrong[kind, nodes] = fault
-                if kind == "lie" and numbers[0]:
-                    self.liars.add(nodes[0])
-            case Cut(sender, receiver):
-                self._cuts.add((sender, receiver))
-            case Healed(sender, receiver):
-                self._cuts.discard((sender, receiver))
-            case Calm():
-                self._cuts.clear()
-                self._wrong.clear()
-
-    def _faults(self, config: NodeConfig, step: int) -> Faults:
-        """What was announced to be wrong in a step: who is out does no harm to others."""
-        return config.faults._replace(
-            standing={
-                place: fault
-                for place, fault in self._wrong.items()
-                if fault.kind != "babble" or self.history.is_in(fault.nodes[0], step)
-            }
-        )
-
-    # --- what arrives ----------------------------------------------------------------------------
 
     def watch(self, config: NodeConfig, event: NodeEvent | Welcome, state: NodeState) -> None:
         """After an event at a node: book it, and compare."""
         node = config.index
         if isinstance(event, Welcome):
-            self._pages[node] = NodeLedger(state.cycle, _end_cycle(config, state))
+            self._nodes[node] = NodeLedger(state.cycle, _end_cycle(config, state))
             return
         self._check_progress()
         self._check_turns(config)
-        page = self._pages[node]
+        ledger = self._nodes[node]
         if isinstance(event, CycleClosed):
-            self._check_patience(node, page, event)
+            _check_time(node, ledger, event, self._loses_frames)
         if isinstance(event, ShareHeard):
-            self._book(config, page, event.sender, event.frame)
+            self._book(config, ledger, event.sender, event.frame)
         end = _end_cycle(config, state)
-        if end != page.end_cycle:
-            page.end_cycle = end
-            due = [one for one in page.early if one[2][1] < end]
+        if end != ledger.end_cycle:
+            ledger.end_cycle = end
+            due = [one for one in ledger.early if one[2][1] < end]
             # Once a step is open it is known in whose slots frames of later ones must be.
-            later = [one for one in page.early if one[2][1] >= end]
-            page.early = [one for one in later if one[1] is not None]
-            page.counts["rejected"] += len(later) - len(page.early)
+            later = [one for one in ledger.early if one[2][1] >= end]
+            ledger.early = [one for one in later if one[1] is not None]
+            ledger.counts["rejected"] += len(later) - len(ledger.early)
             for sender, sent, _ in due:
-                self._file(config, page, sender, sent)
-        page.cycle, page.group, page.phase = state.cycle, state.group, state.phase
-        self._settle(config, page)
-        page.book_what_was_late()
-        silent = self._keeps_silent(config, page, state.step)
-        self._compare(node, page, state.counters, silent)
+                self._file(config, ledger, sender, sent)
+        ledger.cycle, ledger.group, ledger.phase = state.cycle, state.group, state.phase
+        self._settle(config, ledger)
+        ledger.book_what_was_late()
+        silent = self._keeps_silent(config, ledger, state.step)
+        _compare(node, ledger, state.counters, silent)
 
-    def _keeps_silent(self, config: NodeConfig, page: NodeLedger, step: int) -> bool:
+    def _keeps_silent(self, config: NodeConfig, ledger: NodeLedger, step: int) -> bool:
         """Whether a node has let a turn pass by in the part of a cycle that is open."""
-        if page.phase not in (Phase.GRANT, Phase.SHARES):
+        if ledger.phase not in (Phase.GRANT, Phase.SHARES):
             return False
         granted = (
-            self.grants.get((page.cycle, page.group), ()) if page.phase is Phase.SHARES else ()
+            self.record.grants.get((ledger.cycle, ledger.group), ())
+            if ledger.phase is Phase.SHARES
+            else ()
         )
-        turns = (*config.schedule.groups(page.cycle)[page.group].senders, *granted)
-        faults = self._faults(config, step)
+        turns = (*config.schedule.groups(ledger.cycle)[ledger.group].senders, *granted)
+        faults = self.record.faults(config, step)
         return config.index in turns and bool(
-            must_be_silent(faults, step, page.cycle, config.index)
+            must_be_silent(faults, step, ledger.cycle, config.index)
         )
 
     def _check_turns(self, config: NodeConfig) -> None:
         """What the node has just sent, it may send."""
-        unchecked, self._unchecked = self._unchecked, []
+        unchecked, self.record.unchecked = self.record.unchecked, []
         for one in unchecked:
+            self._nodes[one.sender].counts["sent"] += 1
             groups = range(len(config.schedule.groups(one.cycle)))
-            winners = [w for group in groups for w in self.grants.get((one.cycle, group), ())]
+            winners = [
+                w for group in groups for w in self.record.grants.get((one.cycle, group), ())
+            ]
             if one.sender not in (*config.schedule.static_senders(one.cycle), *winners):
                 raise Broken(
                     "who sends has a turn", f"node {one.sender} has none in cycle {one.cycle}"
                 )
 
-    def _check_patience(self, node: int, page: NodeLedger, closed: CycleClosed) -> None:
-        """Time runs out only where something that was sent never comes."""
-        if (page.cycle, page.group) != (closed.cycle, closed.group):
-            return
-        if page.phase is Phase.GRANT or not self._loses_frames:
-            what = "a grant" if page.phase is Phase.GRANT else "a share"
-            raise Broken("nobody waits in vain", f"node {node} in cycle {page.cycle} for {what}")
-
     def _check_progress(self) -> None:
         self._events += 1
-        if self._events > 10_000 + _EVENTS_PER_FRAME * (len(self._genuine) + len(self.estimates)):
+        if self._events > 10_000 + _EVENTS_PER_FRAME * (
+            len(self.record.genuine) + len(self.record.estimates)
+        ):
             raise Broken("progress", f"{self._events} events and no end")
 
-    def _book(self, config: NodeConfig, page: NodeLedger, sender: int, frame: bytes) -> None:
+    def _book(self, config: NodeConfig, ledger: NodeLedger, sender: int, frame: bytes) -> None:
         """One frame that has arrived."""
-        sent = self._genuine.get(frame)
+        sent = self.record.genuine.get(frame)
         if sent is None:
-            page.counts["rejected"] += 1
+            ledger.counts["rejected"] += 1
             return
         key = (sender, sent.cycle, sent.frame_id)
-        if sent.cycle < page.cycle:
-            page.counts["late"] += 1
+        if sent.cycle < ledger.cycle:
+            ledger.counts["late"] += 1
         elif sent.sender != sender:
-            self._book_spoof(page, sender, sent, key)
-        elif key in page.seen:
-            page.counts["repeated"] += 1
+            self._book_spoof(ledger, sender, sent, key)
+        elif key in ledger.seen:
+            ledger.counts["repeated"] += 1
         else:
-            page.seen.add(key)
-            if sent.cycle >= page.end_cycle:
-                page.early.append((sender, sent, key))
+            ledger.seen.add(key)
+            if sent.cycle >= ledger.end_cycle:
+                ledger.early.append((sender, sent, key))
             else:
-                self._file(config, page, sender, sent)
+                self._file(config, ledger, sender, sent)
 
-    def _book_spoof(self, page: NodeLedger, sender: int, sent: Sent, key: Key) -> None:
+    def _book_spoof(self, ledger: NodeLedger, sender: int, sent: Sent, key: Key) -> None:
         """A sound frame of somebody else, who sent it in a slot of its own."""
-        if sent.cycle < page.end_cycle or page.phase is not Phase.MEASUREMENT:
-            page.counts["rejected"] += 1
-        elif any(key == other for *_, other in page.early):
-            page.counts["repeated"] += 1
+        if sent.cycle < ledger.end_cycle or ledger.phase is not Phase.MEASUREMENT:
+            ledger.counts["rejected"] += 1
+        elif any(key == other for *_, other in ledger.early):
+            ledger.counts["repeated"] += 1
         else:
-            page.early.append((sender, None, key))
+            ledger.early.append((sender, None, key))
 
-    def _file(self, config: NodeConfig, page: NodeLedger, sender: int, sent: Sent | None) -> None:
+    def _file(self, config: NodeConfig, ledger: NodeLedger, sender: int, sent: Sent | None) -> None:
         """A frame of the open step."""
         if sent is None:
-            page.counts["rejected"] += 1
+            ledger.counts["rejected"] += 1
             return
         # What a cut link brings all the same is told by the changes, and not by the node.
-        step, _ = self.history.place(sent.cycle)
+        step, _ = self.record.history.place(sent.cycle)
         receiver, cycle = config.index, sent.cycle
-        arrives = (sender, receiver) not in self._cuts and hears(
+        arrives = (sender, receiver) not in self.record.cuts and hears(
             config.links._replace(cuts=frozenset()), step, cycle, sender, receiver, sent.number
         )
-        if arrives and self._wrong:
-            fate = self._fate(config, step, sender, sent)
-            self.struck.update(fate.struck)
-            page.suffer(sender, sent, fate)
+        if arrives and self.record.wrong:
+            outcome = self._outcome(config, step, sender, sent)
+            self.struck.update(outcome.struck)
+            ledger.suffer(sender, sent, outcome)
             return
-        page.counts["lost"] += not arrives
-        page.arrive(sender, sent, arrives)
+        ledger.counts["lost"] += not arrives
+        ledger.arrive(sender, sent, arrives)
 
-    def _fate(self, config: NodeConfig, step: int, sender: int, sent: Sent) -> FrameOutcome:
+    def _outcome(self, config: NodeConfig, step: int, sender: int, sent: Sent) -> FrameOutcome:
         way = Passage(step, sent.cycle, sender, config.index, sent.number, sent.frame_id)
         return outcome_of(
-            self._faults(config, step),
+            self.record.faults(config, step),
             way,
             sent.frame,
             lambda node: config.bus.in_slot_of(sent.frame, node, sent.cycle) is not None,
         )
 
-    # --- what nodes say of themselves ---------------------------------------------------------
-
     def missed(self, config: NodeConfig, cycle: int, group: int, silent: Iterable[int]) -> None:
         """A node fuses a part of a cycle, in which these neighbours said nothing usable."""
         senders = config.schedule.groups(cycle)[group].senders
-        due = {*senders, *self.grants.get((cycle, group), ())}
-        step, _ = self.history.place(cycle)
-        page = self._pages[config.index]
-        page.counts["missed"] += sum(j in due and self.history.is_in(j, step) for j in silent)
-        page.fused.append(cycle)
+        due = {*senders, *self.record.grants.get((cycle, group), ())}
+        step, _ = self.record.history.place(cycle)
+        ledger = self._nodes[config.index]
+        ledger.counts["missed"] += sum(
+            j in due and self.record.history.is_in(j, step) for j in silent
+        )
+        ledger.fused.append(cycle)
         if config.index in due:
-            page.turns.append((step, cycle))
+            ledger.turns.append((step, cycle))
 
     def used(self, node: int, sender: int, cycle: int) -> None:
         """A node's estimator is given what a neighbour has said in a cycle."""
-        self._pages[node].used.append((sender, cycle))
+        self._nodes[node].used.append((sender, cycle))
 
-    def _settle(self, config: NodeConfig, page: NodeLedger) -> None:
+    def _settle(self, config: NodeConfig, ledger: NodeLedger) -> None:
         """What was fused within an event is looked at when all that belongs to it is booked."""
-        page.let_in_overtaken()
-        for step, cycle in page.turns:
+        ledger.let_in_overtaken()
+        for step, cycle in ledger.turns:
             self._check_turn_is_used(config, step, cycle)
-        for sender, cycle in page.used:
-            if not page.is_whole(sender, cycle):
+        for sender, cycle in ledger.used:
+            if not ledger.is_whole(sender, cycle):
                 seen = f"node {config.index} has used that of node {sender} in cycle {cycle}"
                 raise Broken("what did not come is not used", seen)
-        page.fused, page.turns, page.used = [], [], []
+        ledger.fused, ledger.turns, ledger.used = [], [], []
 
     def _check_turn_is_used(self, config: NodeConfig, step: int, cycle: int) -> None:
         """Who has a turn says something, unless it must not."""
         node = config.index
-        why = must_be_silent(self._faults(config, step), step, cycle, node)
-        self._pages[node].counts["silent"] += bool(why)
+        why = must_be_silent(self.record.faults(config, step), step, cycle, node)
+        self._nodes[node].counts["silent"] += bool(why)
         if why:
             self.struck[why] += 1
-        if bool(why) == bool(self._sent.get((node, cycle))):
+        if bool(why) == bool(self.record.has_sent(node, cycle)):
             what = f"speaks under {why!r}" if why else "says nothing"
             raise Broken("who has a turn uses it", f"node {node} {what} in cycle {cycle}")
 
@@ -323,32 +218,40 @@ class OracleLedger:
         """
         if not body.startswith(_NO_NUMBERS):
             raise Broken("a share that was said is read", f"node {node} has refused one")
-        page = self._pages[node]
+        ledger = self._nodes[node]
         self.struck["nan"] += 1
-        page.counts["heard"] -= 1
-        page.counts["rejected"] += 1
+        ledger.counts["heard"] -= 1
+        ledger.counts["rejected"] += 1
 
     def refused(self, node: int, shares: int) -> None:
         """A node's estimator has refused so many shares that it had heard."""
         self.struck["indefinite"] += shares
-        self._pages[node].refused_shares += shares
-
-    def _compare(self, node: int, page: NodeLedger, counters: dict[str, int], silent: bool) -> None:
-        rejected = sum(n for name, n in counters.items() if name.startswith("rejected "))
-        said = {name: counters.get(name, 0) for name in _BOOKED}
-        said["rejected"] = rejected - page.refused_shares
-        booked = {name: page.counts[name] for name in said}
-        booked["silent"] += silent
-        if said != booked:
-            wrong = [
-                f"{name} {said[name]} for {booked[name]}"
-                for name in said
-                if said[name] != booked[name]
-            ]
-            raise Broken(
-                "counters add up", f"node {node} in cycle {page.cycle} counts {', '.join(wrong)}"
-            )
+        self._nodes[node].refused_shares += shares
 
 
 def _end_cycle(config: NodeConfig, state: NodeState) -> int:
     return config.first_cycle + (state.step + 1 - config.first_step) * config.rounds
+
+
+def _check_time(node: int, ledger: NodeLedger, closed: CycleClosed, loses_frames: bool) -> None:
+    """Time runs out only where something that was sent never comes."""
+    if (ledger.cycle, ledger.group) != (closed.cycle, closed.group):
+        return
+    if ledger.phase is Phase.GRANT or not loses_frames:
+        what = "a grant" if ledger.phase is Phase.GRANT else "a share"
+        raise Broken("nobody waits in vain", f"node {node} in cycle {ledger.cycle} for {what}")
+
+
+def _compare(node: int, ledger: NodeLedger, counters: dict[str, int], silent: bool) -> None:
+    rejected = sum(n for name, n in counters.items() if name.startswith("rejected "))
+    said = {name: counters.get(name, 0) for name in _BOOKED}
+    said["rejected"] = rejected - ledger.refused_shares
+    booked = {name: ledger.counts[name] for name in said}
+    booked["silent"] += silent
+    if said != booked:
+        wrong = [
+            f"{name} {said[name]} for {booked[name]}" for name in said if said[name] != booked[name]
+        ]
+        raise Broken(
+            "counters add up", f"node {node} in cycle {ledger.cycle} counts {', '.join(wrong)}"
+        )

@@ -1,4 +1,4 @@
-"""One node's page in the books of a run: what it must have counted, and what is still to come."""
+"""The ledger of one node: the counters that it must have, and frames that are still to come."""
 
 from collections import Counter
 from typing import NamedTuple
@@ -22,7 +22,7 @@ class Sent(NamedTuple):
 
 
 class NodeLedger:
-    """The books of one node since it was started."""
+    """The ledger of one node since its start."""
 
     def __init__(self, cycle: int, end_cycle: int) -> None:
         self.cycle, self.end_cycle = cycle, end_cycle
@@ -49,12 +49,12 @@ class NodeLedger:
         if key not in self._overtaken:
             self.counts["heard"] += self.is_whole(sender, sent.cycle)
 
-    def suffer(self, sender: int, sent: Sent, fate: FrameOutcome) -> None:
+    def suffer(self, sender: int, sent: Sent, outcome: FrameOutcome) -> None:
         """Something befalls a frame that comes."""
-        self.counts.update(fate.counts)
-        self._later += fate.later
-        self._overtaken |= {(sent.cycle, sender)} if fate.is_overtaken else set()
-        self.arrive(sender, sent, fate.is_usable)
+        self.counts.update(outcome.counts)
+        self._later += outcome.later
+        self._overtaken |= {(sent.cycle, sender)} if outcome.is_overtaken else set()
+        self.arrive(sender, sent, outcome.is_usable)
 
     def is_whole(self, sender: int, cycle: int) -> bool:
         """Whether all frames of a share have come as they were sent."""
