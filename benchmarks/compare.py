@@ -34,7 +34,7 @@ class Change(NamedTuple):
 
     @property
     def worse(self) -> bool:
-        """Return whether it lost more than either measurement wavers."""
+        """Whether it lost more than either measurement wavers."""
         return self.beyond and self.factor < 1
 
 

@@ -1,4 +1,4 @@
-"""Results of `make bench` as one table."""
+"""All that `make bench` measured as one table."""
 
 from benchmarks.measure import Figure, Figures
 

@@ -1,14 +1,16 @@
-"""Result of a measurement update; helpers for missing entries and for lanes that keep a belief."""
+"""What a measurement did to a belief; entries that were not taken, lanes that keep their belief."""
 
 import math
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from filters.gaussian import Gaussian
+from filters.gaussian import Gaussian, SquareRootGaussian
+
+Belief = TypeVar("Belief", Gaussian, SquareRootGaussian)
 
 
-class Update(NamedTuple):
+class Update(NamedTuple, Generic[Belief]):
     """The belief after a measurement, and what the measurement said.
 
     Attributes:
@@ -19,7 +21,7 @@ class Update(NamedTuple):
             a matched filter it is chi-square with as many degrees of freedom as entries taken.
     """
 
-    belief: Gaussian
+    belief: Belief
     innovation: np.ndarray
     innovation_cov: np.ndarray
     normalised_innovation_squared: np.ndarray
@@ -44,14 +46,14 @@ def without_rows(cov: np.ndarray, missing: np.ndarray) -> np.ndarray:
 
 
 def settle(
-    before: Gaussian,
-    after: Gaussian,
+    before: Belief,
+    after: Belief,
     innovation: np.ndarray,
     innovation_cov: np.ndarray,
     normalised_innovation_squared: np.ndarray,
     missing: np.ndarray | None,
     gate: float | None,
-) -> Update:
+) -> Update[Belief]:
     """The Update, with the belief before in lanes with nothing taken or beyond the gate."""
     kept = None
     if missing is not None:
@@ -63,7 +65,7 @@ def settle(
         rejected = np.asarray(normalised_innovation_squared > gate)
         kept = rejected if kept is None else kept | rejected
     if kept is not None and kept.any():
-        after = Gaussian(
+        after = type(before)(
             np.where(kept[..., None], before[0], after[0]),
             np.where(kept[..., None, None], before[1], after[1]),
         )

@@ -1,1 +1,1 @@
-"""Plants: dynamics, sensors, controllers and recorded data; needs no package of ours."""
+"""The truth: dynamics, sensors, controllers and recorded data; imports nothing of ours."""

@@ -76,12 +76,12 @@ class Stabiliser:
     initial_memory = np.zeros(0)
 
     def control(self, state_estimate: Array, memory: Array, step: int) -> tuple[Array, Array]:
-        """Return the control (1,) for an estimate (4,); nothing is remembered."""
+        """The control (1,) for an estimate (4,); nothing is remembered."""
         return -(state_estimate @ _FEEDBACK.T), memory
 
 
 def network(nodes: int, noise: str) -> BoundedNetwork:
-    """Return the example with its outputs dealt out to nodes.
+    """The example with its outputs dealt out to nodes.
 
     Args:
         nodes: how many.
@@ -103,5 +103,5 @@ def network(nodes: int, noise: str) -> BoundedNetwork:
 
 
 def _inside(direction: Array) -> Array:
-    """Return the direction, as long as the unit ball allows."""
+    """The direction, as long as the unit ball allows."""
     return direction / np.linalg.norm(direction)

@@ -1,4 +1,4 @@
-"""Test which figures `make bench-compare` calls worse."""
+"""What `make bench-compare` calls worse."""
 
 import msgspec
 import pytest

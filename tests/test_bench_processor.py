@@ -1,4 +1,4 @@
-"""Test the processor time of processes, read from outside of them."""
+"""What processes cost, read from outside of them."""
 
 import os
 import signal
@@ -26,7 +26,7 @@ def test_a_process_costs_what_it_and_its_children_worked():
     with process:
         assert process.stdout
         assert process.stdout.readline()
-        # A stopped process uses no processor time between two readings.
+        # Who stands still works no more between one look and the next.
         process.send_signal(signal.SIGSTOP)
         os.waitpid(process.pid, os.WUNTRACED)
         assert WORK_S - LOST_S <= spent_s([process.pid]) < 6 * WORK_S

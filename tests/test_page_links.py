@@ -1,4 +1,4 @@
-"""Test that the targets of a page's links exist: files, pictures, other pages."""
+"""What a page points to is there: files, pictures, other pages."""
 
 import re
 from pathlib import Path

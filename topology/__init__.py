@@ -1,1 +1,1 @@
-"""Graphs, weights and their analysis; imports no other package of the project."""
+"""Who can hear whom: graphs, weights and their analysis; imports nothing of ours."""

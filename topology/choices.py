@@ -1,4 +1,4 @@
-"""Names of the graphs and weights, without their code.
+"""Graphs and weights by name, for whoever only wants to know what there is.
 
 Apart from the functions that make them, which bring scipy and networkx.
 """

@@ -1,4 +1,4 @@
-"""Graphs of radio range: a node hears the nodes within range."""
+"""Graphs of radio range: who is near enough hears."""
 
 import math
 

@@ -2,17 +2,18 @@
 
 from pathlib import Path
 
-from experiments.results.trace import Trace, read_trace
-from runtime.recording import read_recording
+import msgspec
+
+from experiments.trace import Trace, read_trace
+from nodes.recording import read_recording
 from scenarios.catalogue import kind_of
-from scenarios.preparation import prepare
 from scenarios.scenario import Scenario
-from scenarios.setup import Setup
+from scenarios.setup import Setup, prepare
 
 
 def scenario(name: str = "oscillator", **changes) -> Scenario:
     """A scenario with its own defaults but for these changes."""
-    return kind_of(name).defaults.with_(**changes)
+    return msgspec.structs.replace(kind_of(name).defaults, **changes)
 
 
 def small(name: str = "oscillator", **changes) -> Setup:

@@ -9,24 +9,21 @@ import tyro
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.flexray.cluster_files import cluster_to_toml
-from bus.flexray.dynamic_segment import walk
-from bus.flexray.flexray_bus import FlexRayBus
-from experiments.cli.scenario_flags import ScenarioFlags, resolved
-from experiments.flexray.plan_report import answer_plan, run_command, slot_rows
-from experiments.flexray.rehearsal import (
+from bus.cluster_files import cluster_to_toml
+from bus.dynamic_segment import walk
+from experiments.bus_rehearsal import (
     alternatives,
     changed,
+    dynamic_room,
     prepare_without_bus,
     rehearse,
 )
-from experiments.results.trace import read_trace
-from experiments.scenario_options import scenario_of
-from runtime.drivers import in_memory
-from scenarios.build import build_bus
-from scenarios.preparation import prepare
-from scenarios.setup import Setup
-from scenarios.types.buses import occupancy_of
+from experiments.drivers import in_memory
+from experiments.options import ScenarioOptions
+from experiments.plan_report import answer_plan, run_command, slot_rows
+from experiments.trace import read_trace
+from scenarios.build import build_plan
+from scenarios.setup import Setup, prepare
 from tests.experiments.flexray_support import concord, refused
 from tests.experiments.test_bus_report import SMALL
 
@@ -39,7 +36,7 @@ def test_what_does_not_fit_is_said_and_the_most_that_does_is_shown(capsys):
     assert said.code == 0
     # A share of 5 + 15 float64 takes 7 frames of 34 bytes; 20 nodes need 140 of the 51 slots.
     assert "140" in answer["problem"] and "51" in answer["problem"]
-    assert answer["asked"]["bus"]["schedule"] == {"type": "full"}
+    assert answer["asked"]["occupancy"] == 1.0 and answer["asked"]["schedule"] == "full"
     shown = answer["shown"]
     assert shown == answer["alternatives"][0]
     assert shown["shares_per_cycle"] == max(a["shares_per_cycle"] for a in answer["alternatives"])
@@ -94,12 +91,12 @@ def test_cycles_longer_than_the_step_are_said_to_be(capsys):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (("--bus", "ideal"), "without time"),
+        (("--cluster", "none"), "without time"),
         (("--cluster", "volkswagen"), "volkswagen"),
         (("--cluster", "/nowhere/c.toml"), "No such file"),
         (("--schedule", "chaos"), "chaos"),
         (("--arbiter", "coin", "--occupancy", "0.5"), "coin"),
-        (("--schedule", "full", "--occupancy", "0.5"), "belongs to --schedule round-robin"),
+        (("--schedule", "full", "--occupancy", "0.5"), "every node"),
         (("--occupancy", "2"), "(0, 1]"),
         (("--nodes", "0"), "nodes"),
         (("--scenario", "nothing"), "nothing"),
@@ -121,10 +118,10 @@ def test_a_cluster_too_small_for_one_share_is_refused(tmp_path, capsys):
 
 
 def unplanned(nodes: int, cluster: str, number: str = "float64") -> Setup:
-    options = scenario_of(
+    options = ScenarioOptions(
         scenario="oscillator", graph="ring", nodes=nodes, cluster=cluster, number=number, steps=4
     )
-    return prepare_without_bus(options)
+    return prepare_without_bus(options.resolve())
 
 
 @settings(max_examples=20)
@@ -137,18 +134,18 @@ def test_one_share_more_does_not_fit(nodes: int, cluster: str, number: str):
     setup = unplanned(nodes, cluster, number)
     found = alternatives(setup)
     assert found
-    sizes = [round(occupancy_of(other.setup.scenario.bus.schedule) * nodes) for other in found]
+    sizes = [round(other.setup.scenario.occupancy * nodes) for other in found]
     assert sizes == sorted(sizes, reverse=True)
     for other, size in zip(found, sizes, strict=True):
-        assert other.bus.dynamic_room() == max(other.bus.schedule.dynamic_slot_table)
+        assert dynamic_room(other.plan) == max(other.plan.schedule.dynamic_slot_table)
         if size == nodes:
             continue
         more = changed(other.setup, occupancy=(size + 1) / nodes)
         try:
-            plan = flexray(more)
+            plan = build_plan(more)
         except ValueError:
             continue
-        assert plan.dynamic_room() < max(plan.schedule.dynamic_slot_table)
+        assert dynamic_room(plan) < max(plan.schedule.dynamic_slot_table)
 
 
 @settings(max_examples=30)
@@ -156,24 +153,19 @@ def test_one_share_more_does_not_fit(nodes: int, cluster: str, number: str):
 def test_dynamic_room_is_the_most_that_any_winners_fit(nodes: int, cluster: str, data):
     setup = changed(unplanned(nodes, cluster), schedule="dynamic", occupancy=1.0)
     try:
-        plan = flexray(setup)
+        plan = build_plan(setup)
     except ValueError:
         return
     car = plan.cluster
-    room = plan.dynamic_room()
-    requests = [plan.table.request(node) for node in range(nodes)]
+    assert car is not None and plan.table is not None
+    room = dynamic_room(plan)
+    requests = [plan.table.request(node, 0) for node in range(nodes)]
 
     def fits(count: int) -> bool:
         return all(not walk(car, some).waiting for some in combinations(requests, count))
 
     assert fits(room)
     assert room == nodes or not fits(room + 1)
-
-
-def flexray(setup: Setup) -> FlexRayBus:
-    bus = build_bus(setup)
-    assert isinstance(bus, FlexRayBus)
-    return bus
 
 
 # --- slot tables and command lines ---------------------------------------------------------------
@@ -183,7 +175,8 @@ def flexray(setup: Setup) -> FlexRayBus:
 @given(st.integers(2, 30), st.floats(0.05, 1.0), st.sampled_from(["round-robin", "hybrid"]))
 def test_the_shown_slots_are_those_of_the_schedule(nodes: int, occupancy: float, schedule: str):
     setup = changed(unplanned(nodes, "fitted"), schedule=schedule, occupancy=occupancy)
-    plan = flexray(setup)
+    plan = build_plan(setup)
+    assert plan.table is not None
     rows = [row for row in slot_rows(plan.table) if row.segment == "static"]
     for cycle in range(2 * plan.schedule.period):
         sending = [row for row in rows if cycle % row.repetition == row.base_cycle]
@@ -211,10 +204,10 @@ def test_the_shown_slots_are_those_of_the_schedule(nodes: int, occupancy: float,
     )
 )
 def test_the_command_line_means_the_scenario(options: dict):
-    scenario = scenario_of(scenario="oscillator", **options)
+    scenario = ScenarioOptions(scenario="oscillator", **options).resolve()
     program, command, *words = shlex.split(run_command(scenario))
     assert (program, command) == ("concord", "run")
-    assert resolved(tyro.cli(ScenarioFlags, args=words)) == scenario
+    assert tyro.cli(ScenarioOptions, args=words).resolve() == scenario
 
 
 # --- rehearsals --------------------------------------------------------------------------------
@@ -223,7 +216,7 @@ def test_the_command_line_means_the_scenario(options: dict):
 @pytest.mark.parametrize(
     ("schedule", "arbiter"),
     [
-        ("round-robin", None),
+        ("round-robin", "wtod"),
         ("hybrid", "minislot"),
         ("hybrid", "round-robin"),
         ("dynamic", "minislot"),
@@ -232,30 +225,30 @@ def test_the_command_line_means_the_scenario(options: dict):
 )
 @pytest.mark.parametrize("cluster", ["fitted", "bosch"])
 def test_where_bids_do_not_matter_the_rehearsal_is_the_run(schedule, arbiter, cluster):
-    options = scenario_of(
+    options = ScenarioOptions(
         scenario="oscillator", nodes=7, graph="ring", steps=5, occupancy=0.4, schedule=schedule,
-        cluster=cluster, **({} if arbiter is None else {"arbiter": arbiter}),
+        arbiter=arbiter, cluster=cluster,
     )  # fmt: skip
-    setup = prepare(options)
+    setup = prepare(options.resolve())
     trace = read_trace(setup, in_memory(setup))
-    rehearsal = rehearse(setup, flexray(setup), 5)
+    rehearsal = rehearse(setup, build_plan(setup), 5)
     np.testing.assert_array_equal(rehearsal.published, trace.published)
     np.testing.assert_array_equal(rehearsal.asked, trace.asked)
 
 
 def test_under_growing_bids_the_longest_silent_go_first():
     setup = changed(unplanned(9, "demo"), schedule="dynamic", occupancy=1 / 3)
-    rehearsal = rehearse(setup, flexray(setup), 4)
+    rehearsal = rehearse(setup, build_plan(setup), 4)
     turns = rehearsal.published.reshape(-1, 9)
     assert (turns.sum(1) == 3).all()
-    # Three of nine win: each node once in any three cycles, so no share gets older than two.
+    # Three of nine win: everybody once in any three cycles, so nothing gets older than two.
     assert all((turns[c : c + 3].sum(0) == 1).all() for c in range(len(turns) - 2))
     assert rehearsal.ages.max() == 2 and rehearsal.ages.min() == 0
 
 
 def test_ages_of_a_rehearsal_by_hand():
     setup = changed(unplanned(3, "fitted"), schedule="round-robin", occupancy=1 / 3)
-    rehearsal = rehearse(setup, flexray(setup), 2)
+    rehearsal = rehearse(setup, build_plan(setup), 2)
     # One node a cycle in turn, three cycles a step: after each step they are 2, 1 and 0 old.
     assert rehearsal.ages.tolist() == [[2, 1, 0], [2, 1, 0]]
 
@@ -305,4 +298,4 @@ def test_only_cycles_of_the_run_can_be_shown(capsys):
 
 def test_the_plan_of_a_bad_scenario_is_an_error_not_an_alternative():
     with pytest.raises(ValueError, match="unknown schedule"):
-        answer_plan(scenario_of(schedule="chaos"))
+        answer_plan(ScenarioOptions(schedule="chaos").resolve())

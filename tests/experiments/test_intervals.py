@@ -3,13 +3,7 @@
 import numpy as np
 import pytest
 
-from experiments.monte_carlo.intervals import (
-    METHODS,
-    mean_bootstrap,
-    mean_t,
-    ratio_bootstrap,
-    ratio_t,
-)
+from experiments.intervals import METHODS, mean_bootstrap, mean_t, ratio_bootstrap, ratio_t
 
 
 def covered(method: str, runs: int, trials: int) -> tuple[float, float]:

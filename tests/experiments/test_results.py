@@ -1,4 +1,4 @@
-"""Test the files of a run: run.json repeats its figures, run.nc holds the recording's content."""
+"""What a run leaves: run.json says it all again, run.nc holds what the recording holds."""
 
 import json
 from pathlib import Path
@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import xarray
 
-from experiments.results.folder import (
+from experiments.drivers import in_memory
+from experiments.results import (
     ARRAYS,
     DESCRIPTION,
     describe,
@@ -17,9 +18,8 @@ from experiments.results.folder import (
     write_arrays,
     write_description,
 )
-from experiments.results.trace import read_trace
+from experiments.trace import read_trace
 from filters.metrics import nees
-from runtime.drivers import in_memory
 from scenarios.scenario import Scenario
 from tests.experiments.support import small
 

@@ -5,10 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from filters.fusion import diffusion, kalman_consensus
-from filters.fusion.local import keep_own
+from filters import diffusion, kalman, kalman_consensus
 from filters.gaussian import Gaussian
-from tests.filters import kalman
+from filters.local import keep_own
 from tests.filters.support import BATCHES, random_belief, random_spd
 
 SEEDS = st.integers(0, 2**16)

@@ -3,7 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from filters.fusion.packed import (
+from filters.gaussian import Gaussian, Information
+from filters.packed import (
     average,
     concluded,
     informed,
@@ -12,7 +13,6 @@ from filters.fusion.packed import (
     packed_sharpness,
     unpack,
 )
-from filters.gaussian import Gaussian, Information
 from tests.filters.support import BATCHES, random_spd
 
 SEEDS = st.integers(0, 2**16)

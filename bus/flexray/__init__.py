@@ -1,1 +1,0 @@
-"""FlexRay: cluster, schedule, arbitration, frames and timing."""

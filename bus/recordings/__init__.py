@@ -1,1 +1,0 @@
-"""Recorded bus signals: waveforms, decoder, fit and capture files."""

@@ -1,1 +1,0 @@
-"""Frames that the dashboard draws, made from messages and recordings."""

@@ -1,1 +1,0 @@
-"""The search for the cheapest network that meets an error target."""

@@ -1,1 +1,0 @@
-"""Computations of the `concord flexray` commands."""

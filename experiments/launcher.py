@@ -1,0 +1,117 @@
+"""A run over operating-system processes: start the zygote, listen to what it says, end it.
+
+The zygote (`scenarios/zygote.py`) is a fresh Python process, so that forking is clean whatever this
+one has imported. Its standard input is its lifeline: it ends everything when that closes.
+"""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+
+from nodes.network_file import Network, write_network
+from nodes.tempo import Tempo
+from scenarios.job import Happened, Job
+from scenarios.setup import Setup
+
+_STOP_TIMEOUT_S = 3.0
+
+
+class NetworkFailed(Exception):
+    """A process of the network ended before the run did."""
+
+
+def run_processes(
+    setup: Setup,
+    run: str,
+    recording: Path,
+    port: int | None,
+    on_event: Callable[[Happened], None],
+    tempo: Tempo | None = None,
+) -> None:
+    """Run `setup` with one process per node; its messages are in `recording` when this returns.
+
+    Args:
+        setup: the compiled scenario.
+        run: unique name of the run, part of every zenoh key.
+        recording: the MCAP file to write.
+        port: first of consecutive loopback ports, or None for free ones.
+        on_event: told when the network is ready and as steps complete.
+        tempo: that of real time, None for lockstep.
+
+    Raises:
+        NetworkFailed: a process died; its last words are on standard error.
+        ValueError: `port` cannot be used.
+    """
+    run_job(Job(setup, run, str(recording), port, tempo), recording.parent, on_event)
+
+
+def run_job(job: Job, folder: Path | None, on_event: Callable[[Happened], None]) -> None:
+    """Run the processes of a job until the end; where the network is stands in `folder`.
+
+    Raises:
+        NetworkFailed: a process died; its last words are on standard error.
+        ValueError: the job cannot be done.
+    """
+    # A network of many small processes: one BLAS thread each, or they fight for the cores.
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+    zygote = subprocess.Popen(
+        [sys.executable, "-m", "scenarios.zygote"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        env=environment,
+        # Ctrl-C is for us; the zygote ends by its lifeline.
+        start_new_session=True,
+    )
+    assert zygote.stdin is not None and zygote.stdout is not None
+    is_loaded = False
+
+    def hear(happened: Happened) -> None:
+        nonlocal is_loaded
+        is_loaded = True
+        _note(job.run, folder, on_event, happened)
+
+    try:
+        zygote.stdin.write(msgspec.json.encode(job) + b"\n")
+        zygote.stdin.flush()
+        _follow(zygote.stdout, hear)
+    finally:
+        if not is_loaded:
+            # While the process loads its modules it does not read its lifeline. Children that it
+            # has forked by now watch their own lifeline.
+            zygote.terminate()
+        zygote.stdin.close()
+        zygote.stdout.close()
+        try:
+            zygote.wait(_STOP_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            zygote.kill()
+            zygote.wait()
+
+
+def _note(
+    run: str, folder: Path | None, on_event: Callable[[Happened], None], happened: Happened
+) -> None:
+    """Leave word where the network is, for those who watch it."""
+    if happened.connect and folder is not None:
+        write_network(folder, Network(run, happened.connect, happened.pids))
+    on_event(happened)
+
+
+def _follow(lines, on_event: Callable[[Happened], None]) -> None:
+    decoder = msgspec.json.Decoder(Happened)
+    for line in lines:
+        happened = decoder.decode(line)
+        match happened.what:
+            case "done":
+                return
+            case "refused":
+                raise ValueError(happened.detail)
+            case "failed":
+                raise NetworkFailed(happened.detail)
+            case _:
+                on_event(happened)
+    raise NetworkFailed("the parent of the network's processes is gone; its last words are above")

@@ -1,1 +1,0 @@
-"""Many runs: simulation, figures and intervals."""

@@ -1,1 +1,0 @@
-"""Results of a run: arrays, figures, tables and pictures."""

@@ -1,1 +1,0 @@
-"""Sweeps: cells, pieces, workers, results and plots."""

@@ -1,1 +1,0 @@
-"""Filters that learn the noise of their sensors."""

@@ -1,1 +1,0 @@
-"""Fusion of beliefs whose errors are correlated in an unknown way."""

@@ -1,1 +1,0 @@
-"""Faster ways through the unscented transform, by the size of the batch."""

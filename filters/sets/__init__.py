@@ -1,1 +1,0 @@
-"""Sets that contain the state with certainty: ellipsoids and zonotopes."""

@@ -1,1 +1,0 @@
-"""Faults as data: their vocabulary, and what they do to sensors, senders and links."""

@@ -1,1 +1,0 @@
-"""The array forms of the rules, for all nodes of many runs."""

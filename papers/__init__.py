@@ -1,1 +1,0 @@
-"""The papers that concord reproduces; only the `reproduce` command imports this package."""

@@ -1,1 +1,0 @@
-"""The adaptive dual-layer UKF for vehicles."""

@@ -1,1 +1,0 @@
-"""The common kit of the papers: checks, claims, figures, traces and the report."""

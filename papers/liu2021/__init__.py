@@ -1,1 +1,0 @@
-"""Set-membership estimation over FlexRay (Liu et al., 2021)."""

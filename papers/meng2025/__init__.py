@@ -1,1 +1,0 @@
-"""The UKF under the FlexRay protocol (Meng et al., 2025)."""

@@ -1,1 +1,0 @@
-"""The weighted-average consensus UKF (Widjiantoro et al.)."""

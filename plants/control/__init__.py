@@ -1,1 +1,0 @@
-"""Plants with a controller, and the design of their controllers."""

@@ -1,1 +1,0 @@
-"""Plants whose truth was recorded: readers of data sets."""

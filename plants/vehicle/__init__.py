@@ -1,1 +1,0 @@
-"""A car: its model, its sensors, its drives."""

@@ -1,1 +1,0 @@
-"""Drivers of nodes and environment: in process, batched, or as processes over zenoh."""

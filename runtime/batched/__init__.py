@@ -1,1 +1,0 @@
-"""The batched driver: all nodes of many runs as arrays."""

@@ -1,1 +1,0 @@
-"""The zenoh network of a run: links, transport, access control."""

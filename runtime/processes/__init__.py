@@ -1,1 +1,0 @@
-"""Nodes, environment and recorder as operating-system processes."""

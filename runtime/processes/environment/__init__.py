@@ -1,1 +1,0 @@
-"""The environment process: plant, sensors and arbiter of a network of processes."""

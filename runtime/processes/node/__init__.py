@@ -1,1 +1,0 @@
-"""The process of one node, in lockstep or in real time."""

@@ -1,1 +1,0 @@
-"""The recorder process: it keeps all messages, and lets others watch."""

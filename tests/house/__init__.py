@@ -1,1 +1,0 @@
-"""House rules over the whole product: circles, folders, names, dead functions, large classes."""
