@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: browser screenshots demo test test-slow check format fast bench bench-compare kills fuzz docs lock clean
+.PHONY: browser screenshots demo test test-slow test-all check format fast bench bench-compare kills fuzz stories docs lock clean
 
 demo: .venv/run.stamp
 	$(BIN)/concord run --scenario target-tracking --nodes 12 --graph geometric --seed 7 --driver processes
@@ -24,6 +24,9 @@ screenshots: .venv/dev.stamp browser
 test-slow: .venv/dev.stamp
 	$(BIN)/python -m pytest -m slow
 
+# Every test: `make test` first, then the slow ones.
+test-all: test test-slow
+
 check: .venv/dev.stamp
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
@@ -34,7 +37,7 @@ format: .venv/dev.stamp
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-# Compiled kernels, for this machine; needs a C++ compiler. concord works without them.
+# The compiled kernel, for this machine; needs a C++ compiler. concord works without it.
 fast: .venv/run.stamp
 	$(BIN)/pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir .venv/wheels ./fast
 	-$(BIN)/pip uninstall --quiet --disable-pip-version-check --yes concord-fast
@@ -50,15 +53,20 @@ bench-compare: .venv/dev.stamp
 
 # 300 kills and restarts in lockstep, 100 hangs in real time: what they cost the others.
 kills: .venv/dev.stamp
-	$(BIN)/python -m benchmarks.kills
+	$(BIN)/python -m tests.endurance.kills
 
 # A million malformed messages against a network that runs: all counted, no estimate changed.
 fuzz: .venv/dev.stamp
-	$(BIN)/python -m benchmarks.fuzz
+	$(BIN)/python -m tests.endurance.fuzz
+
+# Golden transcripts of faults and phases; read the difference before you commit it.
+stories: .venv/dev.stamp
+	CONCORD_REWRITE=1 $(BIN)/python -m pytest tests/nodes/test_stories.py tests/nodes/test_transcript.py
 
 docs: .venv/run.stamp
 	$(BIN)/python -m docs.picture
 	$(BIN)/python -m docs.labelled_picture
+	$(BIN)/python -m docs.state_diagram
 
 lock:
 	uv pip compile pyproject.toml --universal --python-version 3.11 --generate-hashes \

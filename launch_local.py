@@ -1,9 +1,9 @@
-"""A network on this machine in one command: world, one process per node, recorder.
+"""Run a network on this machine: environment, one process per node, recorder.
 
     python launch_local.py --scenario target-tracking --nodes 8
 
-Takes every option of `concord run`, --dashboard among them; stops what it started on Ctrl-C,
-SIGTERM or a crash.
+The script takes every option of `concord run`, including --dashboard. It stops its processes on
+Ctrl-C, SIGTERM or a crash.
 """
 
 import sys

@@ -1,9 +1,9 @@
-"""The floor of a lockstep network: the same processes, links and messages, and the filter calls.
+"""Lower bound of a lockstep network: the same processes, links, messages and filter calls.
 
 `python -m benchmarks.bare_loop` reads one JSON object (`Load`) from standard input and prints the
-lockstep steps per second of a network whose nodes call the filters as a node does, and pass on
-bytes: those of messages that are made and read, checksums and all, or as many that say nothing. No
-state is kept, nothing is counted, scheduled, judged or recorded.
+lockstep steps per second of a network. Its nodes call the filters as a node does and pass on bytes.
+The bytes are encoded and decoded messages with checksums, or as many empty bytes. The network keeps
+no state, and it counts, schedules, evaluates and records nothing.
 """
 
 import secrets
@@ -18,23 +18,26 @@ import msgspec
 import numpy as np
 
 from benchmarks.cases import beliefs, readings, turn
-from bus.publication import Slot
-from filters.fusion import INFORMATION
+from bus.ideal import TimelessBus
+from bus.schedule import full_publish
+from filters.fusion.averaging import INFORMATION
 from filters.gaussian import Gaussian
 from filters.linalg import pack_upper
 from filters.sigma_points import scaled_unscented
 from filters.ukf import predict, update
 from nodes.belief_codec import BeliefCodec
-from nodes.links import RECORDER, WORLD, Links, free_ports, names, plan_links
 from nodes.messages import Estimate, Measured, decode, encode, to_wire
-from nodes.share import payload_lengths, to_frames, whole_body
-from nodes.supervisor import Ended, Supervisor
-from nodes.zenoh_transport import Transport, start_router
+from runtime.network.links import RECORDER, WORLD, Links, free_ports, names, plan_links
+from runtime.network.zenoh_transport import Transport, start_router
+from runtime.processes.supervisor import Ended, Supervisor
 
 
 class Load(msgspec.Struct, frozen=True):
-    """What travels: messages, or (`says` is False) as many bytes as a measurement, a share and an
-    estimate have; `lead` of the world; in which part of its steps a node `sees` something."""
+    """Load of the loop: messages, or (`says` is False) as many bytes as a measurement, a share and
+    an estimate have.
+
+    `lead` is that of the environment; `sees` is the fraction of a node's steps with a reading.
+    """
 
     neighbours: list[list[int]]
     rounds: int
@@ -90,7 +93,7 @@ class _Language(Protocol):
 
 
 class _Bytes:
-    """Bytes that say nothing, and that nobody reads."""
+    """Bytes without content, which no node decodes."""
 
     def __init__(self, load: Load) -> None:
         self._measured = bytes(load.measured_bytes)
@@ -118,8 +121,7 @@ class _Messages:
         case, places = turn(), range(len(load.neighbours))
         self._belief, self._reading = case.start, [to_wire(readings(case, ()))]
         self._codec = BeliefCodec(len(case.start.mean))
-        (payload_bytes,) = payload_lengths(self._codec.size)
-        self._slots = [Slot(1 + node, payload_bytes) for node in places]
+        self._bus = TimelessBus(full_publish(len(places)), self._codec.size)
         self._ages = [[0] * len(heard) for heard in load.neighbours]
         self._counters = {"sent": 1000, "heard": 1000}
 
@@ -127,7 +129,7 @@ class _Messages:
         return encode(Measured(node, step, self._reading))
 
     def share(self, node: int, cycle: int) -> bytes:
-        return to_frames(self._codec.encode(self._belief), cycle, [self._slots[node]])[0]
+        return self._bus.encode(node, cycle, self._codec.encode(self._belief))[0]
 
     def estimate(self, node: int, step: int) -> bytes:
         mean, cov = to_wire(self._belief.mean), to_wire(pack_upper(self._belief.cov))
@@ -136,7 +138,7 @@ class _Messages:
     def hear_shares(self, cycle: int, came: Sequence[tuple[int, bytes]]) -> None:
         codec, bodies = self._codec, []
         for node, data in came:
-            body = whole_body(data, self._slots[node], codec.size, cycle)
+            body = self._bus.due_body(data, node, cycle, codec.size)
             assert body is not None, "what is sent is what is due"
             bodies.append(codec.check(body))
         codec.unpack(*bodies)
@@ -187,7 +189,7 @@ def _receive(transport: Transport, topic: str) -> bytes:
 
 
 class _Filters:
-    """What a node of `target-tracking` asks of the filters, on numbers that stay the same."""
+    """Filter calls of a node of `target-tracking`, on constant numbers."""
 
     def __init__(self, neighbours: int) -> None:
         case = turn()
@@ -198,7 +200,7 @@ class _Filters:
         self._reading = readings(case, ())
 
     def predict(self) -> Gaussian:
-        """All that a node holds."""
+        """Predict every belief that a node holds."""
         return predict(self._all, self._case.transition, self._case.process_noise_cov, self._rule)
 
     def update(self) -> None:

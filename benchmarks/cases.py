@@ -32,7 +32,7 @@ class Case(NamedTuple):
 
 
 def beliefs(case: Case, lanes: tuple[int, ...]) -> Gaussian:
-    """The start in every lane."""
+    """Return the start in every lane."""
     mean, cov = case.start
     return Gaussian(
         np.broadcast_to(mean, (*lanes, *mean.shape)).copy(),

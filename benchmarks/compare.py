@@ -34,7 +34,7 @@ class Change(NamedTuple):
 
     @property
     def worse(self) -> bool:
-        """Whether it lost more than either measurement wavers."""
+        """Return whether it lost more than either measurement wavers."""
         return self.beyond and self.factor < 1
 
 

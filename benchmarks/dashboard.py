@@ -1,13 +1,13 @@
-"""What the dashboard costs: its own processor time per update, and what it takes from a network.
+"""Cost of the dashboard: its processor time per update, and the slowdown of a network.
 
-The first is measured on a page with every panel drawn at 10 Hz from a recorded run, without a
-browser; the second on a network that runs with and without a page attached to it, in turns, while
-somebody looks at the page (`benchmarks/onlooker.py`). What attaching costs once is apart.
+The first figure is measured on a page that draws every panel at 10 Hz from a recorded run, without
+a browser. The second is measured on a network that runs with and without a page, in turns, while a
+client looks at the page (`benchmarks/onlooker.py`). The one-time cost of attaching is measured
+separately.
 """
 
 import os
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -16,19 +16,20 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import NamedTuple
 
-import msgspec
-
 from benchmarks.measure import Figures, figure, ratio, say
 from benchmarks.processor import spent_s
 from dashboard.app import Dashboard
 from dashboard.serve import open_recording
-from experiments.drivers import drive, over_processes
 from nodes.commands import Pause, Resume
-from nodes.control_client import Client
-from nodes.network_file import read_network
-from nodes.recording import McapRecorder
+from runtime.drivers import drive, over_processes
+from runtime.interpreter import fresh_command, fresh_variables
+from runtime.network.control_client import Client
+from runtime.network.network_file import read_network
+from runtime.recording import McapRecorder
+from scenarios.bus_plan import frame_format
 from scenarios.catalogue import kind_of
-from scenarios.setup import Setup, prepare
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 
 SIZES = (24, 100, 400)
 UPDATES_HZ, SECONDS = 10.0, 4.0
@@ -51,7 +52,7 @@ def main() -> Figures:
     setup = _setup(NODES, STEPS)
     runs: dict[bool, list[_Pace]] = {False: [], True: []}
     for number in range(REPETITIONS):
-        # Whoever is first has the quieter moment: in turns.
+        # The contestant that runs first has the quieter machine, so the order alternates.
         for attached in (False, True) if number % 2 == 0 else (True, False):
             runs[attached].append(_pace(setup, attached))
     return results | _compared(runs[False], runs[True])
@@ -68,7 +69,8 @@ class _Pace(NamedTuple):
 
 
 def _compared(apart: "list[_Pace]", together: "list[_Pace]") -> Figures:
-    """What a page takes: by the clock, and by the processor time, which others do not disturb."""
+    """Return the cost of a page, by the clock and by processor time, which other
+    processes disturb less."""
     rates = [[run.steps_per_s for run in runs] for runs in (together, apart)]
     costs = [[run.network_ms + run.page_ms for run in runs] for runs in (apart, together)]
     alone = figure(rates[1], "steps per second", "more")
@@ -100,8 +102,7 @@ def _setup(nodes: int, steps: int) -> Setup:
     # A neighbourhood of a few nodes at every size; half of 24 publish in a cycle, fewer of more.
     defaults = kind_of("target-tracking").defaults
     return prepare(
-        msgspec.structs.replace(
-            defaults,
+        defaults.with_(
             nodes=nodes,
             steps=steps,
             graph="4-regular",
@@ -116,7 +117,9 @@ def _update_ms(nodes: int) -> list[float]:
     setup = _setup(nodes, 30)
     with tempfile.TemporaryDirectory() as folder:
         recording = Path(folder) / "run.mcap"
-        recorder = McapRecorder(recording, setup.scenario.rounds, setup.time_step_s)
+        recorder = McapRecorder(
+            recording, setup.scenario.rounds, setup.time_step_s, frame_format(setup.scenario)
+        )
         drive(setup, recorder, lambda _: None)
         recorder.close()
         page = open_recording(setup, recording, "127.0.0.1", 0, light=False)
@@ -138,7 +141,7 @@ def _paced_ms(page: Dashboard) -> list[float]:
     spent_s = time.process_time()
     for number in range(updates):
         page.view.step, page.view.cursor = number % len(page.history), 0.5
-        page.pick(number % page.stage.nodes)
+        page.inputs.select(number % page.stage.nodes)
         # Late enough that every panel is due.
         clock_s += 1
         page.tick(clock_s)
@@ -217,18 +220,19 @@ def _settle(page: tuple[int, ...]) -> None:
 def _page(folder: Path) -> Iterator[tuple[int, ...]]:
     """The process of a page that is attached, as the launcher starts it, and looked at."""
     command = ("dashboard", "--folder", str(folder), "--http-port", "0")
-    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     # In a session of its own, which has a priority of its own.
     page = subprocess.Popen(
-        [sys.executable, "-m", "experiments", *command],
+        fresh_command("experiments", *command),
         stderr=subprocess.PIPE,
-        env=environment,
+        env=fresh_variables(OPENBLAS_NUM_THREADS="1"),
         start_new_session=True,
     )
     assert page.stderr is not None, "it was started with a pipe"
     port = page.stderr.readline().decode().split()[2].rpartition(":")[2]
     onlooker = subprocess.Popen(
-        [sys.executable, "-m", "benchmarks.onlooker", port], stdout=subprocess.PIPE
+        fresh_command("benchmarks.onlooker", port),
+        stdout=subprocess.PIPE,
+        env=fresh_variables(),
     )
     assert onlooker.stdout is not None, "it was started with a pipe"
     try:

@@ -1,8 +1,8 @@
 """Covariance intersection over a whole network: a round beside a loop over nodes, and many rounds.
 
-What is timed is what the vectorised driver does between the readings of a step and its estimates:
-the rounds of the fleet that a scenario builds. Where beliefs weigh alike however sharp they are,
-the fleet takes all rounds as one product; else it looks at their sharpness after every round.
+The benchmark times the rounds of a scenario's rule, which the batched driver executes between the
+readings of a step and its estimates. If the weights do not depend on the covariances, the rule
+takes all rounds as one product. Otherwise it computes the inverse volumes after every round.
 """
 
 import time
@@ -10,25 +10,25 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.measure import Figures, figure, in_turns, median_us, ratio, say, without_kernels
-from experiments.options import ScenarioOptions
-from filters import compiled
+from benchmarks.measure import Figures, figure, in_turns, median_us, ratio, say
+from experiments.scenario_options import scenario_of
 from filters.gaussian import Gaussian
-from nodes.vectorised_network import Fleet
-from scenarios.setup import Setup, prepare
-from scenarios.vectorised import build_network
+from nodes.lanes.network import BatchedRule
+from runtime.batched.build import build_network
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 
 NODES, RUNS, TURNS, LOOP_RUNS, MANY, REPEATS = 20, 500, 15, 5, 5, 5
 SCENARIO = "target-crossing"  # four states, on a geometric graph
 
 
-def network(rounds: int, by_sharpness: bool) -> tuple[Setup, Fleet]:
-    """The network of a scenario, and its rule at all nodes of all runs."""
-    options = ScenarioOptions(
+def network(rounds: int, by_sharpness: bool) -> tuple[Setup, BatchedRule]:
+    """Return the network of a scenario, and its rule at all nodes of all runs."""
+    options = scenario_of(
         scenario=SCENARIO, nodes=NODES, rounds=rounds, determinant_weights=by_sharpness, seed=1
     )
-    setup = prepare(options.resolve())
-    return setup, build_network(setup, range(RUNS)).eras[0].regime.fleet
+    setup = prepare(options)
+    return setup, build_network(setup, range(RUNS)).eras[0].regime.rule
 
 
 def beliefs(states: int) -> Gaussian:
@@ -40,12 +40,12 @@ def beliefs(states: int) -> Gaussian:
     return Gaussian(mean.transpose(1, 2, 0), cov.transpose(2, 3, 0, 1))
 
 
-def fuse(fleet: Fleet, given: Gaussian, rounds: int) -> Gaussian:
-    """What all nodes believe after so many rounds in which everybody is heard."""
-    content, everybody = fleet.start(given), np.ones(given.mean.shape[:2], dtype=bool)
+def fuse(rule: BatchedRule, given: Gaussian, rounds: int) -> Gaussian:
+    """Return the beliefs of all nodes after `rounds` rounds in which every frame arrives."""
+    content, everybody = rule.start(given), np.ones(given.mean.shape[:2], dtype=bool)
     for _ in range(rounds):
-        content = fleet.exchange(content, everybody, None)
-    return fleet.belief(content)
+        content = rule.exchange(content, everybody, None)
+    return rule.belief(content)
 
 
 def loop(given: Gaussian, setup: Setup) -> Gaussian:
@@ -81,7 +81,7 @@ def timed(run: Callable[[], object], nodes: int) -> Callable[[], float]:
 def main() -> Figures:
     """Print and return what a node costs, and ratios."""
     setup, single = network(1, by_sharpness=False)
-    fleets = {
+    rules = {
         "1 round": (single, 1),
         f"{MANY} rounds": (network(MANY, by_sharpness=False)[1], MANY),
         "1 round by sharpness": (network(1, by_sharpness=True)[1], 1),
@@ -90,7 +90,7 @@ def main() -> Figures:
     given = beliefs(len(setup.prior_mean))
     few = Gaussian(*(np.ascontiguousarray(part[:LOOP_RUNS]) for part in given))
     once = Gaussian(*(part[:LOOP_RUNS] for part in fuse(single, given, 1)))
-    twice = Gaussian(*(part[:LOOP_RUNS] for part in fuse(fleets[f"{MANY} rounds"][0], given, MANY)))
+    twice = Gaussian(*(part[:LOOP_RUNS] for part in fuse(rules[f"{MANY} rounds"][0], given, MANY)))
     _check(once, loop(few, setup))
     many = few
     for _ in range(MANY):
@@ -98,11 +98,9 @@ def main() -> Figures:
     _check(twice, many)
 
     contestants = {"loop": timed(lambda: loop(few, setup), NODES * LOOP_RUNS)}
-    for name, (fleet, rounds) in fleets.items():
-        run = timed(lambda fleet=fleet, rounds=rounds: fuse(fleet, given, rounds), NODES * RUNS)
-        contestants[f"numpy, {name}"] = without_kernels(run)
-        if compiled.KERNELS is not None:
-            contestants[f"compiled, {name}"] = run
+    for name, (rule, rounds) in rules.items():
+        run = timed(lambda rule=rule, rounds=rounds: fuse(rule, given, rounds), NODES * RUNS)
+        contestants[f"numpy, {name}"] = run
     return _figures(in_turns(contestants, TURNS))
 
 
@@ -122,18 +120,15 @@ def _figures(given: dict[str, list[float]]) -> Figures:
         )
         results[f"{name} us"] = figure([1e6 * one for one in spent], "us/node", "less")
         results[f"{name} x loop"] = beside
-    for kind in ("numpy", "compiled"):
-        for how in ("", " by sharpness"):
-            one, many = f"{kind}, 1 round{how}", f"{kind}, {MANY} rounds{how}"
-            if one not in given:
-                continue
-            pairs = zip(given[many], given[one], strict=True)
-            cost = figure([after / before for after, before in pairs], "x", "less")
-            results[f"{kind}, five rounds over one{how}"] = cost
-            say(
-                f"  {kind}{how}: {MANY} rounds cost {cost.value:.2f} x one "
-                f"({cost.low:.2f} - {cost.high:.2f})"
-            )
+    for how in ("", " by sharpness"):
+        one, many = f"numpy, 1 round{how}", f"numpy, {MANY} rounds{how}"
+        pairs = zip(given[many], given[one], strict=True)
+        cost = figure([after / before for after, before in pairs], "x", "less")
+        results[f"numpy, five rounds over one{how}"] = cost
+        say(
+            f"  numpy{how}: {MANY} rounds cost {cost.value:.2f} x one "
+            f"({cost.low:.2f} - {cost.high:.2f})"
+        )
     return results
 
 

@@ -6,10 +6,11 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.measure import Figures, figure
-from experiments.launcher import run_processes
-from experiments.options import ScenarioOptions
-from scenarios.job import Happened
-from scenarios.setup import Setup, prepare
+from experiments.scenario_options import scenario_of
+from runtime.processes.job import Happened
+from runtime.processes.launcher import run_processes
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 
 # As many steps as let every process be weighed before the first one leaves.
 STEPS = 80
@@ -21,8 +22,8 @@ def main() -> Figures:
     results: Figures = {}
     for nodes in SIZES:
         graph = "complete" if nodes < 5 else GRAPH
-        options = ScenarioOptions(scenario="oscillator", nodes=nodes, graph=graph, steps=STEPS)
-        setup = prepare(options.resolve())
+        options = scenario_of(scenario="oscillator", nodes=nodes, graph=graph, steps=STEPS)
+        setup = prepare(options)
         ready, memory = zip(*(_launch(setup) for _ in range(REPETITIONS)), strict=True)
         results[f"{nodes} nodes ready s"] = figure(list(ready), "s", "less")
         results[f"{nodes} nodes MB per node"] = figure(list(memory), "MB", "less")

@@ -7,10 +7,8 @@ Processor time per step is that of all processes together: a long run less a sho
 starting up is left out. It wavers less than the rate where others use the machine too.
 """
 
-import os
 import resource
 import subprocess
-import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -22,11 +20,13 @@ import numpy as np
 
 from benchmarks.bare_loop import Load
 from benchmarks.measure import Figures, figure, ratio, say
-from experiments.drivers import in_memory, over_processes
-from experiments.options import ScenarioOptions
+from experiments.scenario_options import scenario_of
 from nodes.messages import decode, from_wire
+from runtime.drivers import in_memory, over_processes
+from runtime.interpreter import fresh_command, fresh_variables
 from scenarios.build import OPEN_LOOP_LEAD
-from scenarios.setup import Setup, prepare
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 
 NODES, GRAPH, STEPS, SHORT_STEPS, REPETITIONS = 16, "4-regular", 300, 50, 5
 
@@ -85,12 +85,12 @@ def main() -> Figures:
 
 
 def setup_of(steps: int) -> Setup:
-    """The network that is measured."""
-    return prepare(ScenarioOptions(nodes=NODES, graph=GRAPH, steps=steps, seed=1).resolve())
+    """Return the network that is measured."""
+    return prepare(scenario_of(nodes=NODES, graph=GRAPH, steps=steps, seed=1))
 
 
 def _pace(run: Run, shorter: Run) -> Pace:
-    """The rate of a run, and what each of its steps takes of the processor."""
+    """Return the rate of a run, and what each of its steps takes of the processor."""
     before_s = _children_s()
     shorter()
     between_s = _children_s()
@@ -120,7 +120,7 @@ class Traffic(NamedTuple):
 
 
 def traffic_of(messages: Sequence[tuple[str, bytes]]) -> Traffic:
-    """What a run sends."""
+    """Return the traffic of a run."""
     sizes: dict[str, int] = {}
     seen: list[bool] = []
     for topic, data in messages:
@@ -133,7 +133,7 @@ def traffic_of(messages: Sequence[tuple[str, bytes]]) -> Traffic:
 
 
 def load_of(setup: Setup, traffic: Traffic, says: bool = True) -> Load:
-    """The same for a bare loop."""
+    """Return the same for a bare loop."""
     sizes = traffic.sizes
     return Load(
         setup.neighbours,
@@ -150,10 +150,10 @@ def load_of(setup: Setup, traffic: Traffic, says: bool = True) -> Load:
 
 def _floor(load: Load) -> float:
     process = subprocess.Popen(
-        [sys.executable, "-m", "benchmarks.bare_loop"],
+        fresh_command("benchmarks.bare_loop"),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+        env=fresh_variables(OPENBLAS_NUM_THREADS="1"),
     )
     assert process.stdin is not None and process.stdout is not None
     with process:

@@ -16,8 +16,8 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from filters import compiled
-from nodes.memory import keep_freed_memory
+from filters.kernels import compiled
+from runtime.batched.memory import keep_freed_memory
 
 Better = Literal["more", "less"]
 
@@ -42,8 +42,10 @@ def figure(values: list[float], unit: str, better: Better) -> Figure:
 
 
 def in_turns(contestants: Mapping[str, Callable[[], float]], turns: int) -> dict[str, list[float]]:
-    """What every contestant gives (seconds per unit of its work), turn by turn; the first turn,
-    which loads and compiles, is left out."""
+    """Return each contestant's seconds per unit of work, turn by turn.
+
+    The first turn loads and compiles, so it is left out.
+    """
     keep_freed_memory()
     given: dict[str, list[float]] = {name: [] for name in contestants}
     for turn in range(turns + 1):
@@ -55,17 +57,17 @@ def in_turns(contestants: Mapping[str, Callable[[], float]], turns: int) -> dict
 
 
 def ratio(over: list[float], under: list[float]) -> Figure:
-    """How many times as fast the second is as the first."""
+    """Return how many times as fast the second is as the first."""
     return figure([a / b for a, b in zip(over, under, strict=True)], "x", "more")
 
 
 def peak_mb() -> float:
-    """The most memory that this process has had."""
+    """Return the most memory that this process has had."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 def without_kernels(run: Callable[[], float]) -> Callable[[], float]:
-    """The same with numpy alone."""
+    """Return the same with numpy alone."""
 
     def wrapped() -> float:
         kept, compiled.KERNELS = compiled.KERNELS, None
@@ -78,7 +80,7 @@ def without_kernels(run: Callable[[], float]) -> Callable[[], float]:
 
 
 def machine() -> dict[str, str]:
-    """What the figures were measured on."""
+    """Return the machine and the versions on which the figures were measured."""
     cpu = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():

@@ -1,9 +1,9 @@
 """A Monte Carlo from end to end beside the filter steps and fusions that it cannot do without.
 
-20 nodes, 500 runs, 100 steps, 3 rounds. End to end means `experiments.vectorised.simulate`: noise,
-plant, sensors, schedule, weights by determinants and age, fusion, metrics, histories. The kernels
-are the functions that it calls for all its lanes at once: `ukf.predict` and `ukf.update`, with the
-same models and readings, and the rounds of its fleet, `start` and `exchange`.
+20 nodes, 500 runs, 100 steps, 3 rounds. End to end means `simulate`: noise,
+plant, sensors, schedule, weights by determinants and age, fusion, metrics, histories. Beside it
+stand the functions that it calls for all its lanes at once: `ukf.predict` and `ukf.update`, with
+the same models and readings, and the rounds of its rule, `start` and `exchange`.
 """
 
 import time
@@ -13,42 +13,36 @@ from functools import partial
 import numpy as np
 
 from benchmarks.fusion import fuse
-from benchmarks.measure import Figures, figure, in_turns, peak_mb, say, without_kernels
-from experiments.options import ScenarioOptions
-from experiments.vectorised import READINGS, simulate
-from filters import compiled
+from benchmarks.measure import Figures, figure, in_turns, peak_mb, say
+from experiments.monte_carlo.simulate import READINGS, simulate
+from experiments.scenario_options import scenario_of
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
 from filters.ukf import predict, update
 from plants.targets import Target
+from runtime.batched.build import build_network
 from scenarios.catalogue import kind_of
-from scenarios.setup import Setup, prepare
-from scenarios.vectorised import build_network
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 
 SCENARIO, NODES, RUNS, STEPS, KERNEL_STEPS, TURNS = "target-tracking", 20, 500, 100, 10, 5
 
 
 def main() -> Figures:
     """Print and return seconds of the processor, and the ratio of the whole to its kernels."""
-    options = ScenarioOptions(scenario=SCENARIO, nodes=NODES, steps=STEPS, seed=1)
-    setup = prepare(options.resolve())
+    options = scenario_of(scenario=SCENARIO, nodes=NODES, steps=STEPS, seed=1)
+    setup = prepare(options)
     parts = {
         "end to end": partial(_whole, setup),
         "UKF": _filters(setup),
         "fusion": _fusions(setup),
     }
-    contestants = {f"numpy, {name}": without_kernels(run) for name, run in parts.items()}
-    if compiled.KERNELS is not None:
-        contestants |= {f"compiled, {name}": run for name, run in parts.items()}
-    given = in_turns(contestants, TURNS)
+    given = in_turns({f"numpy, {name}": run for name, run in parts.items()}, TURNS)
     say(
         f"Monte Carlo, {NODES} nodes x {RUNS} runs x {STEPS} steps x {setup.scenario.rounds} "
         f"rounds, {TURNS} turns"
     )
-    results: Figures = {}
-    for kind in ("numpy", "compiled"):
-        if f"{kind}, end to end" in given:
-            results |= _beside_kernels(kind, given)
+    results = _beside_kernels("numpy", given)
     results["peak MB"] = figure([peak_mb()], "MB", "less")
     say(f"  peak {peak_mb():.0f} MB")
     return results
@@ -81,7 +75,7 @@ def _whole(setup: Setup) -> float:
 
 
 def _start(setup: Setup) -> Gaussian:
-    """The priors of all nodes and runs, lanes last in memory as filters leave them."""
+    """Return the priors of all nodes and runs, lanes last in memory as filters leave them."""
     n = len(setup.prior_mean)
     mean, cov = np.empty((n, RUNS, NODES)), np.empty((n, n, RUNS, NODES))
     mean[:] = np.array(setup.prior_mean)[:, None, None]
@@ -95,9 +89,7 @@ def _filters(setup: Setup) -> Callable[[], float]:
     assert isinstance(plant, Target)
     model, sensors = plant.model, plant.sensors
     rule, start = scaled_unscented(len(setup.prior_mean)), _start(setup)
-    short = prepare(
-        ScenarioOptions(scenario=SCENARIO, nodes=NODES, steps=KERNEL_STEPS, seed=1).resolve()
-    )
+    short = prepare(scenario_of(scenario=SCENARIO, nodes=NODES, steps=KERNEL_STEPS, seed=1))
     readings = simulate(short, range(RUNS), keep=(READINGS,)).readings
     assert readings is not None
 
@@ -126,13 +118,13 @@ def _filters(setup: Setup) -> Callable[[], float]:
 
 
 def _fusions(setup: Setup) -> Callable[[], float]:
-    start, fleet = _start(setup), build_network(setup, range(RUNS)).eras[0].regime.fleet
+    start, rule = _start(setup), build_network(setup, range(RUNS)).eras[0].regime.rule
 
     def run() -> float:
         belief = start
         started = time.thread_time()
         for _ in range(KERNEL_STEPS):
-            belief = fuse(fleet, belief, setup.scenario.rounds)
+            belief = fuse(rule, belief, setup.scenario.rounds)
         return (time.thread_time() - started) * STEPS / KERNEL_STEPS
 
     return run

@@ -1,8 +1,8 @@
 """One node fed from memory, beside the bare loop of the same messages and filter calls.
 
-Nobody waits and nothing comes over zenoh: this is what a step takes of a processor in a node alone.
-In a network other processes have had the processor before each wait, and the caches hold what is
-theirs; `cold` turns them out wherever a node would wait for the first message of a round.
+The node never waits and zenoh is not used, so the figure is the processor time of a step in one
+node. In a network, other processes use the processor and fill its caches before each wait. `cold`
+therefore clears the caches wherever a node would wait for the first message of a round.
 """
 
 import time
@@ -25,13 +25,14 @@ from benchmarks.measure import (
     say,
     without_kernels,
 )
-from experiments.drivers import in_memory
-from filters import compiled
-from nodes import process
-from nodes.links import Links
-from nodes.membership import Membership
+from filters.kernels import compiled
 from nodes.messages import END
-from nodes.zenoh_transport import Transport
+from runtime.drivers import in_memory
+from runtime.network.links import Links
+from runtime.network.zenoh_transport import Transport
+from runtime.processes.node import lockstep
+from runtime.processes.node.membership import Membership
+from runtime.processes.node.process import run_node
 from scenarios.build import build_node
 from scenarios.setup import Setup
 
@@ -55,11 +56,11 @@ class _Memory:
         self.spent_s = 0.0
 
     def join(self, *_: object) -> None:
-        """Everybody is there."""
+        """Start the measurement; every peer is present."""
         self.spent_s -= time.thread_time()
 
     def receive(self, topic: str) -> tuple[str, bytes]:
-        """The next message of a topic, which is there already."""
+        """Return the next message of a topic, which is there already."""
         if topic in self._first_of_round:
             self.spent_s += time.thread_time()
             np.add(_OTHERS, 1.0, out=_OTHERS)
@@ -67,7 +68,7 @@ class _Memory:
         return topic, self._queues[topic].popleft()
 
     def send(self, topic: str, data: bytes) -> None:
-        """Nobody hears it; after its last estimate a node hears that all is over."""
+        """Drop the message; after the node's last estimate, deliver the end of the run."""
         if topic.startswith("estimate/"):
             self._left -= 1
             if not self._left:
@@ -83,10 +84,10 @@ class _Memory:
         """Nothing but what is asked for."""
 
     def watch(self, *_: object) -> None:
-        """Nobody comes or goes."""
+        """Ignore the request, because no peer joins or leaves."""
 
     def wake(self, *_: object) -> None:
-        """Nobody sleeps."""
+        """Do nothing, because no thread waits."""
 
     def close(self) -> None:
         """Nothing was opened."""
@@ -127,9 +128,10 @@ def _node(setup: Setup, messages: Messages, cold: bool) -> float:
     """Seconds per step of a node as it is."""
     memory = _memory(setup.neighbours[NODE], messages, cold)
     links = Links("peer", (), ())
-    with patch.object(process, "Transport", lambda *_: memory):
-        peers = setup.neighbours[NODE]
-        process.run_node(Membership("memory", links, build_node(setup, NODE), peers, ""))
+    peers = setup.neighbours[NODE]
+    membership = Membership("memory", links, build_node(setup, NODE), peers, "")
+    with patch.object(lockstep, "Transport", lambda *_: memory):
+        run_node(membership, lockstep.LockstepNode(membership))
     return memory.spent_s / STEPS
 
 

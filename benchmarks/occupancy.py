@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from experiments.drivers import in_memory
-from experiments.options import ScenarioOptions
-from experiments.summary import summarise
-from experiments.trace import read_trace
-from scenarios.setup import prepare
+from experiments.results.summary import summarise
+from experiments.results.trace import read_trace
+from experiments.scenario_options import scenario_of
+from runtime.drivers import in_memory
+from scenarios.preparation import prepare
 
 HOLDS, DEFAULT = ("raw", "decayed"), "decayed"
 OCCUPANCIES = (1.0, 0.5, 0.25, 0.1)
@@ -65,10 +65,10 @@ def main() -> dict[str, dict[str, float]]:
 
 def _outcome(job: Job) -> tuple[float, float, float]:
     """RMSE over centralised, RMSE and ANEES of one run."""
-    options = ScenarioOptions(
+    options = scenario_of(
         scenario="target-tracking", nodes=20, occupancy=job.occupancy, hold=job.hold, run=job.run
     )
-    setup = prepare(options.resolve())
+    setup = prepare(options)
     figures = summarise(setup, read_trace(setup, in_memory(setup)))
     return figures.rmse / figures.rmse_centralised, figures.rmse, figures.anees
 

@@ -1,4 +1,4 @@
-"""Somebody who looks at a page, without a browser: takes all that it sends and draws nothing.
+"""Client of a page without a browser: it receives every message and draws nothing.
 
 A browser draws on a graphics card, or on another computer; here it would draw on the processors
 that are measured. `python -m benchmarks.onlooker PORT` looks until it is ended.
@@ -19,7 +19,7 @@ _CAMERA = {
 
 
 def main() -> None:
-    """Look, until the page or whoever started us ends."""
+    """Look until the page or the parent process ends."""
     spoken = Subprotocol(f"viser-v{version('viser')}")
     place = f"ws://127.0.0.1:{sys.argv[1]}"
     with connect(place, subprotocols=[spoken], max_size=None, compression=None) as page:

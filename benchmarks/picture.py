@@ -1,4 +1,4 @@
-"""What `make bench` measured as a picture, for the page on performance and the README.
+"""Picture of the results of `make bench`, for the page on performance and the README.
 
 python -m benchmarks.picture runs/bench.json docs/performance.png draws it again.
 """
@@ -25,23 +25,19 @@ FILTERS = {
     "Stone Soup": "Stone Soup",
     "filterpy": "filterpy",
     "numpy, one": "concord, one filter",
-    "compiled, one": "concord + kernels, one filter",
     "numpy, many": "concord, 10,000 filters",
     "C loop": "loop in C, models in C",
-    "compiled, many": "concord + kernels, 10,000 filters",
 }
 # Label, benchmark, figure.
 TIMES_AS_FAST = (
-    ("fusion, kernels / Python loop", "fusion", "compiled, 1 round x loop"),
-    ("fusion, numpy / Python loop", "fusion", "numpy, 1 round x loop"),
+    ("fusion / Python loop", "fusion", "numpy, 1 round x loop"),
     ("set membership, exact / solver", "set-membership", "exact x generic"),
     ("set membership, closed form / solver", "set-membership", "fast x generic"),
 )
 # And whether the figure should be above or below the aim.
 RATIOS = (
     ("five rounds of fusion / one", "fusion", "numpy, five rounds over one", 1.4),
-    ("Monte Carlo / its filters, kernels", "monte-carlo", "compiled, end to end over kernels", 1.5),
-    ("Monte Carlo / its filters, numpy", "monte-carlo", "numpy, end to end over kernels", 1.5),
+    ("Monte Carlo / its filters", "monte-carlo", "numpy, end to end over kernels", 1.5),
     ("10,000 nodes / 100, per edge", "scale", "10000 over 100 nodes", 1.3),
     ("lockstep / bare loop, rate", "lockstep", "lockstep over bare", 0.8),
     ("with a page attached / without", "dashboard", "watched-to-alone", None),
@@ -74,7 +70,7 @@ INK, GREY = "#2a6f97", "#6b6b6b"
 
 
 def draw(results: Results, path: Path) -> None:
-    """All that was measured, one panel a question; what was not measured is left out."""
+    """Draw the measured results, one panel per question; missing results are left out."""
     import matplotlib.pyplot as plt
 
     figure = plt.figure(figsize=(12.5, 7.2), layout="constrained")

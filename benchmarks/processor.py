@@ -8,7 +8,8 @@ _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
 
 def spent_s(processes: Iterable[int]) -> float:
-    """Processor time of these processes and of their children, in seconds; of who has left, none.
+    """Processor time of these processes and of their children, in seconds; 0 for a process that has
+    ended.
 
     The kernel counts whole ticks (10 ms as a rule), so up to four of them per process are missing.
     Source: proc(5), /proc/PID/stat, fields utime to cstime.

@@ -1,8 +1,8 @@
-"""What a step costs as the network grows: ten to ten thousand nodes, and of a thousand nodes two
-thousand to thirty-two thousand edges; always the same number of lanes.
+"""Cost of a step as the network grows, at a constant number of lanes.
 
-`experiments.vectorised.simulate` runs regular networks; runs are as many as make up the lanes, so
-that what is compared is the size of the network and not that of the arrays.
+The sizes are ten to ten thousand nodes and, for a thousand nodes, two thousand to thirty-two
+thousand edges. `simulate` runs regular networks. The number of runs is chosen to fill the lanes, so
+the arrays have one size and only the size of the network varies.
 """
 
 import time
@@ -11,9 +11,10 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from benchmarks.measure import Figure, Figures, figure, in_turns, peak_mb, say
-from experiments.options import ScenarioOptions
-from experiments.vectorised import simulate
-from scenarios.setup import Setup, prepare
+from experiments.monte_carlo.simulate import simulate
+from experiments.scenario_options import scenario_of
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 
 LANES, STEPS, TURNS = 10_000, 8, 5
 SIZES, DEGREE = (10, 100, 1_000, 10_000), 4
@@ -64,7 +65,7 @@ def _per_edge(name: str, spent: list[float], edges: int) -> Figure:
 
 
 def _slope(spent: Spent) -> Figure:
-    """The power of the size that the cost grows with."""
+    """Return the power of the size that the cost grows with."""
     costs = np.array(list(spent.values())).T
     return figure(
         [float(np.polyfit(np.log(list(spent)), np.log(c), 1)[0]) for c in costs], "", "less"
@@ -73,10 +74,8 @@ def _slope(spent: Spent) -> Figure:
 
 def _timed(nodes: int, degree: int) -> Callable[[], float]:
     """Seconds of the processor for a network, per run and round."""
-    options = ScenarioOptions(
-        nodes=nodes, graph=f"{degree}-regular", steps=STEPS, seed=1, cluster="none"
-    )
-    setup: Setup = prepare(options.resolve())
+    options = scenario_of(nodes=nodes, graph=f"{degree}-regular", steps=STEPS, seed=1, bus="ideal")
+    setup: Setup = prepare(options)
     runs = range(LANES // nodes)
     work = len(runs) * STEPS * setup.scenario.rounds
 

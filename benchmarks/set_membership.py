@@ -15,15 +15,15 @@ from functools import partial
 import numpy as np
 
 from benchmarks.measure import Figures, figure, ratio
-from experiments.reproduce_liu2021_runs import HELD, PLANT, G, N, simulate
-from filters.ellipsoid import Ellipsoid, shape_matrix
-from filters.set_membership_cycle import Cycle, Step, turned
-from filters.set_membership_fast import closed_form_step
-from filters.set_membership_multipliers import Problem
-from filters.set_membership_paper import optimal_step, problem
-from filters.set_membership_sdp import Solution, SolverFailed, matrix_inequality
-from plants.flexray_cycle import Received
-from scenarios.liu2021_bus import augmented
+from filters.sets.ellipsoid import Ellipsoid, shape_matrix
+from papers.liu2021.bus import augmented
+from papers.liu2021.closed_form import closed_form_step
+from papers.liu2021.cycle import Cycle, Step, turned
+from papers.liu2021.flexray_cycle import Received
+from papers.liu2021.multipliers import Problem
+from papers.liu2021.recursive_estimator import optimal_step, problem
+from papers.liu2021.runs import HELD, PLANT, G, N, simulate
+from papers.liu2021.semidefinite import Solution, SolverFailed, matrix_inequality
 
 CYCLES, REPETITIONS, FAST_CALLS = 13, 5, 20
 METHODS = ("generic", "reduced", "exact", "fast")

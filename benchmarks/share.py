@@ -1,13 +1,13 @@
-"""What it takes to put a share into its frame and to read it again, checksums and all."""
+"""Time to encode a share into its frame and to decode it, with checksums."""
 
 import time
 from collections.abc import Callable
 
 from benchmarks.cases import turn
 from benchmarks.measure import Figures, figure, in_turns, say
-from bus.publication import Slot
+from bus.ideal import TimelessBus
+from bus.schedule import full_publish
 from nodes.belief_codec import BeliefCodec
-from nodes.share import payload_lengths, read_body, read_frame, to_frames, whole_body
 
 TURNS, TIMES = 20, 1_000
 
@@ -16,20 +16,19 @@ def main() -> Figures:
     """Print and return microseconds per share of five states in one frame."""
     belief = turn().start
     codec = BeliefCodec(len(belief.mean))
-    (payload_bytes,) = payload_lengths(codec.size)
-    slot = Slot(1, payload_bytes)
-    (frame,) = to_frames(codec.encode(belief), 7, [slot])
+    bus = TimelessBus(full_publish(1), codec.size)
+    (frame,) = bus.encode(0, 7, codec.encode(belief))
 
     def encode() -> None:
-        to_frames(codec.encode(belief), 7, [slot])
+        bus.encode(0, 7, codec.encode(belief))
 
     def decode() -> None:
-        body = whole_body(frame, slot, codec.size, 7)
+        body = bus.due_body(frame, 0, 7, codec.size)
         assert body is not None, "what is sent is what is due"
         codec.decode(body)
 
     def decode_any() -> None:
-        codec.decode(read_body([read_frame(frame).data]))
+        codec.decode(bus.frame_format.join([bus.receive(frame).data]))
 
     contestants = {"encode": encode, "decode": decode, "decode at any time": decode_any}
     times = in_turns({name: _timed(work) for name, work in contestants.items()}, TURNS)

@@ -1,4 +1,4 @@
-"""All that `make bench` measured as one table."""
+"""Results of `make bench` as one table."""
 
 from benchmarks.measure import Figure, Figures
 

@@ -7,17 +7,15 @@ from collections.abc import Callable
 import numpy as np
 
 from benchmarks.cases import Case, beliefs, readings, straight, turn
-from benchmarks.measure import Figures, figure, in_turns, median_us, ratio, say, without_kernels
+from benchmarks.measure import Figures, figure, in_turns, median_us, ratio, say
 from benchmarks.peers import c_loop, filterpy_loop, stone_soup_loop
-from filters import compiled
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
 from filters.ukf import predict, update
 
 LANES, TURNS = 10_000, 15
-# As many at a time as fit into the caches with all their sigma points. Kernels pass over them less
-# often, and gain more from fewer calls.
-BLOCK, KERNEL_BLOCK = 2_000, 5_000
+# As many at a time as fit into the caches with all their sigma points.
+BLOCK = 2_000
 ONE_STEPS, MANY_STEPS = 200, 3
 
 
@@ -52,14 +50,9 @@ def main() -> Figures:
         contestants = {
             "filterpy": filterpy_loop(case),
             "Stone Soup": stone_soup_loop(case),
-            "numpy, one": without_kernels(ours(case, 1, (), ONE_STEPS)),
-            "numpy, many": without_kernels(ours(case, LANES // BLOCK, (BLOCK,), MANY_STEPS)),
+            "numpy, one": ours(case, 1, (), ONE_STEPS),
+            "numpy, many": ours(case, LANES // BLOCK, (BLOCK,), MANY_STEPS),
         }
-        if compiled.KERNELS is not None:
-            contestants["compiled, one"] = ours(case, 1, (), ONE_STEPS)
-            contestants["compiled, many"] = ours(
-                case, LANES // KERNEL_BLOCK, (KERNEL_BLOCK,), MANY_STEPS
-            )
         if (in_c := c_loop(case)) is not None:
             contestants["C loop"] = in_c
         given = in_turns(contestants, TURNS)

@@ -1,110 +1,153 @@
-"""Who wins the dynamic segment of a cycle: three arbiters, and the events on which nodes ask.
+"""Arbitration: choose the winners of the slots for which nodes contend in a cycle.
 
-An arbiter is a pure function `(state, requests, *, cluster, slots) -> (state, winners)`: at most
-`slots` requests win, all of them fit into the segment together, and they come back in the order of
-the bus. The order in which requests are given does not matter.
+An arbiter says how urgent each request is; the bus awards its slots in that order. Both work on any
+number of runs at once: a bus that serves messages is a batch of shape `()`.
 """
 
-from collections.abc import Callable, Iterable, Sequence
-from typing import NamedTuple, Protocol
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
-from bus.cluster import Cluster
-from bus.dynamic_segment import Request, walk
+import numpy as np
+from numpy.typing import NDArray
 
-Trigger = Callable[[int], bool]
-"""Whether a node asks for the dynamic segment, given the bid it would make."""
+Numbers = NDArray[np.int64]
+
+NO_BID = -1
+"""In the place of a bid: the node does not ask."""
 
 
 class ArbiterState(NamedTuple):
-    """What an arbiter remembers: the last frame ID served (round robin), and how long who waits.
+    """State that an arbiter may remember, of any number of runs.
 
-    `waits` holds (node, cycles in a row in which it asked and did not win), by node.
+    Attributes:
+        last_frame_id: (...,), of the slot awarded last; 0 before the first.
+        waits: (..., N), contested parts of cycles in a row in which a node asked in vain.
     """
 
-    last_frame_id: int = 0
-    waits: tuple[tuple[int, int], ...] = ()
+    last_frame_id: Numbers
+    waits: Numbers
 
 
-class Arbiter(Protocol):
-    """The face of `minislot`, `wtod` and `round_robin`. Raises ValueError as `walk` does."""
-
-    def __call__(
-        self, state: ArbiterState, requests: Iterable[Request], *, cluster: Cluster, slots: int
-    ) -> tuple[ArbiterState, tuple[Request, ...]]: ...
+Urgency = Callable[[ArbiterState, Numbers, Numbers], NDArray[np.generic]]
+"""(state, bids (..., C), frame IDs (C,)) -> order of the requests (..., C), small numbers first;
+equal ones go by frame ID. The state is that of the contenders: (..., 1) and (..., C)."""
 
 
-def minislot(
-    state: ArbiterState, requests: Iterable[Request], *, cluster: Cluster, slots: int
-) -> tuple[ArbiterState, tuple[Request, ...]]:
-    """FlexRay's own: the slot counter goes through the frame IDs, low ones first.
+class Arbiter(NamedTuple):
+    """How requests are ordered, and what happens to one that does not fit beside the others.
 
-    A request that does not fit any more waits; high IDs can starve (`starving`).
+    With `overtakes` the arbiter passes over that request; otherwise it ends the cycle, unless the
+    request would not fit on an empty bus either.
     """
-    pending = sorted(requests, key=lambda request: request.frame_id)
-    waiting = set(walk(cluster, pending).waiting)
-    winners = [request for request in pending if request not in waiting][:slots]
-    return _conclude(state.last_frame_id, state, pending, winners)
+
+    urgency: Urgency
+    overtakes: bool = True
 
 
-def wtod(
-    state: ArbiterState, requests: Iterable[Request], *, cluster: Cluster, slots: int
-) -> tuple[ArbiterState, tuple[Request, ...]]:
-    """Weighted try-once-discard: the largest bids win, ties go to the lowest frame ID.
+def lowest_frame_id(state: ArbiterState, bids: Numbers, frame_ids: Numbers) -> Numbers:
+    """Serve low frame IDs first, as minislots do; high ones can starve."""
+    return frame_ids
 
-    A request that does not fit beside larger bids is passed over.
+
+def largest_bid(state: ArbiterState, bids: Numbers, frame_ids: Numbers) -> Numbers:
+    """Serve the largest bids first: weighted try-once-discard."""
+    return -bids
+
+
+def in_turn(state: ArbiterState, bids: Numbers, frame_ids: Numbers) -> NDArray[np.bool_]:
+    """Serve by frame ID, from the one after the last that was served."""
+    return frame_ids <= state.last_frame_id
+
+
+ARBITERS: dict[str, Arbiter] = {
+    "wtod": Arbiter(largest_bid),
+    "minislot": Arbiter(lowest_frame_id),
+    "round-robin": Arbiter(in_turn, overtakes=False),
+}
+
+Fits = Callable[[tuple[int, ...], Sequence[int]], bool]
+"""(run, places of contenders) -> whether the requests of these contenders fit into one cycle."""
+
+
+def begin_arbitration(nodes: int, runs: tuple[int, ...] = ()) -> ArbiterState:
+    """Return the state before the first cycle."""
+    return ArbiterState(np.zeros(runs, dtype=np.int64), np.zeros((*runs, nodes), dtype=np.int64))
+
+
+def award(
+    arbiter: Arbiter,
+    state: ArbiterState,
+    nodes: Sequence[int] | Numbers,
+    frame_ids: Numbers,
+    bids: Numbers,
+    slots: int,
+    fits: Fits | None = None,
+) -> tuple[ArbiterState, NDArray[np.bool_]]:
+    """Award the slots of one group of a cycle.
+
+    Args:
+        arbiter: orders the requests.
+        state: what it remembers.
+        nodes: (C,), the contenders.
+        frame_ids: (C,), of their slots.
+        bids: (..., C), `NO_BID` of a contender that does not ask.
+        slots: at most this many contenders win.
+        fits: whether requests fit beside each other; None where any `slots` of them do.
+
+    Returns:
+        The state after the cycle, and the winners (..., C).
     """
-    pending = sorted(requests, key=lambda request: (-request.bid, request.frame_id))
-    winners: list[Request] = []
-    for request in pending:
-        if len(winners) < slots and not walk(cluster, [*winners, request]).waiting:
-            winners.append(request)
-    return _conclude(state.last_frame_id, state, pending, winners)
+    nodes = np.asarray(nodes, dtype=np.int64)
+    asks, waited = bids != NO_BID, state.waits[..., nodes]
+    seen = ArbiterState(state.last_frame_id[..., None], waited)
+    urgency = np.broadcast_to(arbiter.urgency(seen, bids, frame_ids), bids.shape)
+    order = np.lexsort((np.broadcast_to(frame_ids, bids.shape), urgency, ~asks), axis=-1)
+    if fits is None:
+        first = np.arange(bids.shape[-1]) < slots
+        ranked = first & np.take_along_axis(asks, order, axis=-1)
+    else:
+        ranked = np.zeros(bids.shape, dtype=bool)
+        for run in np.ndindex(bids.shape[:-1]):
+            places = order[run][: np.count_nonzero(asks[run])].tolist()
+            ranked[run][_fitting(arbiter, run, places, slots, fits)] = True
+    wins = np.zeros(bids.shape, dtype=bool)
+    np.put_along_axis(wins, order, ranked, axis=-1)
+    return _remembered(state, nodes, frame_ids[order], ranked, asks, wins), wins
 
 
-def round_robin(
-    state: ArbiterState, requests: Iterable[Request], *, cluster: Cluster, slots: int
-) -> tuple[ArbiterState, tuple[Request, ...]]:
-    """In turn by frame ID, from the one after the last that was served.
-
-    Nobody is overtaken: the first request that does not fit ends the cycle. One that would not fit
-    into an empty segment either is passed over, and waits for ever.
-    """
-    pending = sorted(
-        requests, key=lambda request: (request.frame_id <= state.last_frame_id, request.frame_id)
-    )
-    winners: list[Request] = []
-    for request in pending:
+def _fitting(
+    arbiter: Arbiter, run: tuple[int, ...], places: Sequence[int], slots: int, fits: Fits
+) -> list[int]:
+    """Return the ranks of the winners among the `places` that ask, the most urgent first."""
+    winners: list[int] = []
+    ranks: list[int] = []
+    for rank, place in enumerate(places):
         if len(winners) == slots:
             break
-        if not walk(cluster, [*winners, request]).waiting:
-            winners.append(request)
-        elif not walk(cluster, [request]).waiting:
+        if fits(run, [*winners, place]):
+            winners.append(place)
+            ranks.append(rank)
+        elif not arbiter.overtakes and fits(run, [place]):
             break
-    last = winners[-1].frame_id if winners else state.last_frame_id
-    return _conclude(last, state, pending, winners)
+    return ranks
 
 
-def starving(state: ArbiterState, cycles: int) -> tuple[tuple[int, int], ...]:
-    """(node, cycles waited) of all who asked in vain in at least so many cycles in a row."""
-    return tuple((node, waited) for node, waited in state.waits if waited >= cycles)
-
-
-def always(bid: int) -> bool:
-    """Ask in every cycle."""
-    return True
-
-
-def above(threshold: int) -> Trigger:
-    """Ask only when the bid (the change since the last publication) is above the threshold."""
-    return lambda bid: bid > threshold
-
-
-def _conclude(
-    last_frame_id: int, state: ArbiterState, pending: Sequence[Request], winners: Sequence[Request]
-) -> tuple[ArbiterState, tuple[Request, ...]]:
-    served = {request.node for request in winners}
-    before = dict(state.waits)
-    losers = sorted({request.node for request in pending} - served)
-    waits = tuple((node, before.get(node, 0) + 1) for node in losers)
-    ordered = tuple(sorted(winners, key=lambda request: request.frame_id))
-    return ArbiterState(last_frame_id, waits), ordered
+def _remembered(
+    state: ArbiterState,
+    nodes: Numbers,
+    ordered_ids: Numbers,
+    ranked: NDArray[np.bool_],
+    asks: NDArray[np.bool_],
+    wins: NDArray[np.bool_],
+) -> ArbiterState:
+    """Return the state after a cycle; a run in which no contender asked keeps its state."""
+    if not len(nodes):
+        return state
+    # The last winner in the arbiter's order: the first one from behind.
+    place = ranked.shape[-1] - 1 - np.argmax(ranked[..., ::-1], axis=-1)
+    latest = np.take_along_axis(ordered_ids, place[..., None], axis=-1)[..., 0]
+    last_frame_id = np.where(ranked.any(axis=-1), latest, state.last_frame_id)
+    waits = np.zeros_like(state.waits)
+    waits[..., nodes] = np.where(asks & ~wins, state.waits[..., nodes] + 1, 0)
+    contested = asks.any(axis=-1)
+    return ArbiterState(last_frame_id, np.where(contested[..., None], waits, state.waits))

@@ -5,7 +5,7 @@ measurement of every silent sensor (or takes it to be zero). Sensors that conten
 with the weighted squared change since their last transmission (weighted try-once-discard).
 
 Source: Meng et al. (2025), UKF for nonlinear systems with stochastic nonlinearities under FlexRay
-protocol, equations (2) to (5), the plain rule; `bus.measurement_matrices` has (6) to (9).
+protocol, equations (2) to (5), the plain rule; a test holds it against the matrices (6) to (9).
 """
 
 from collections.abc import Callable, Sequence
@@ -28,17 +28,17 @@ LARGEST_BID = 2**53
 
 
 def zero_order_hold(received: Array) -> Array:
-    """What a silent sensor is taken to measure: the last value that it sent."""
+    """Return the assumed measurement of a silent sensor: the last value that it sent."""
     return received
 
 
 def zero_input(received: Array) -> Array:
-    """What a silent sensor is taken to measure: zero."""
+    """Return the assumed measurement of a silent sensor: zero."""
     return np.zeros_like(received)
 
 
 class Slot(NamedTuple):
-    """What the receiver knows after a slot.
+    """Knowledge of the receiver after a slot.
 
     Attributes:
         sent: (..., N), which sensors transmitted in this slot.
@@ -144,7 +144,7 @@ def bid(change: Array, weight: Array) -> Array:
     """The bid (...) of a change (..., m_j) since the last transmission: change' Q_j change,
     rounded down to units of BID_RESOLUTION; -1 where an entry of the change is NaN.
 
-    Whole, so that who wins does not hang on the last bit of a sum.
+    Whole, so that the winner does not depend on the last bit of a sum.
     """
     urgency = (change * (change @ weight)).sum(axis=-1) / BID_RESOLUTION
     return np.where(np.isnan(urgency), -1.0, np.clip(np.floor(urgency), 0.0, LARGEST_BID))

@@ -1,7 +1,7 @@
-"""Who may publish in which communication cycle: the static turns, and who contends for the rest.
+"""Schedules: which nodes own the static slots of each cycle, and which contend for the rest.
 
 A schedule speaks of nodes and cycles only, so that a state machine or an array program can follow
-it without a cluster; `bus.slot_table` gives it frame IDs, channels and cycle multiplexing.
+it without a cluster; `bus.flexray.slot_table` gives it frame IDs, channels and cycle multiplexing.
 """
 
 import itertools
@@ -66,7 +66,7 @@ class Schedule(msgspec.Struct, frozen=True):
         return self.dynamic_slot_table[cycle % len(self.dynamic_slot_table)]
 
     def groups(self, cycle: int) -> tuple[Group, ...]:
-        """What is composed at once, in order of time: the whole cycle; with `relay` each slot."""
+        """Return the groups in order of time: the whole cycle, or each slot with `relay`."""
         static = self.static_senders(cycle)
         dynamic = self.dynamic_slots(cycle) if self.contenders(cycle) else 0
         if not (self.relay and (static or dynamic)):
@@ -94,9 +94,9 @@ def round_robin(nodes: int, slots_per_cycle: int) -> Schedule:
     """Static slots only: in cycle c nodes (c S + 0 .. S-1) mod N send, with S slots per cycle.
 
     The turn is exact for any N because cycles do not wrap here. It repeats after N / gcd(N, S)
-    cycles: a controller does it by cycle multiplexing if that divides the cluster's number of
-    cycles and is a repetition that FlexRay has (1, 2, 4, ..., 64); else the host must reassign
-    slots, which `bus.slot_table.deviations` tells.
+    cycles. A controller does it by cycle multiplexing if that number divides the cluster's number
+    of cycles and is a repetition that FlexRay has (1, 2, 4, ..., 64). Otherwise the host must
+    reassign slots, which `bus.flexray.slot_table.deviations` reports.
     """
     if not 1 <= slots_per_cycle <= nodes:
         raise ValueError(

@@ -64,7 +64,7 @@ class Bridge:
 
     @property
     def content(self) -> str:
-        """The HTML, as that of viser's handles."""
+        """Return the HTML, as that of viser's handles."""
         return self._content
 
     @content.setter
@@ -73,7 +73,7 @@ class Bridge:
         self._html.content = f"{self._frame}>{html}</div>"
 
     def _hear(self, event: Any) -> None:
-        # Anybody who can open the page can write anything here.
+        # Every user who can open the page can write any text here.
         pointed, _, pressed = self._text.value.partition(" ")
         node = self._nodes.get(pressed.partition("@")[0])
         if node is not None and self._pressed.get(event.client) != pressed:

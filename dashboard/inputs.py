@@ -1,8 +1,8 @@
-"""What people enter: read the moment it comes, acted upon in its order.
+"""Inputs of users: read when they arrive, handled in order.
 
-viser stores what a browser sends in its event loop, and calls an ordinary function some time later
-in any of its threads: it would find what was stored last, perhaps by the loop that draws. So values
-are read in the event loop at once and shown there in turn, and nothing comes between.
+viser stores a browser's input in its event loop and later calls an ordinary function in any of its
+threads. That function would read the last stored value, perhaps one that the drawing loop wrote. So
+the event loop reads each value at once, and the values are handled one after another.
 """
 
 from asyncio import AbstractEventLoop
@@ -35,6 +35,14 @@ class Inputs:
         """Have the view changed before the next picture; from any thread."""
         self._changes.append(change)
         self._wake()
+
+    def select(self, node: int | None) -> None:
+        """Select a node, everywhere."""
+        self.alter(lambda view: setattr(view, "selected", node))
+
+    def point(self, node: int | None) -> None:
+        """Mark the node at which a pointer rests, or none."""
+        self.alter(lambda view: setattr(view, "hovered", node))
 
     def apply(self, view: View) -> None:
         """Do what has been asked for; by whoever draws, with the view's lock."""

@@ -13,8 +13,11 @@ _REST = 0.35
 
 
 class Extent(NamedTuple):
-    """What can be shown: steps `first` to `last`, `rounds` cycles in the shown one; `growing` while
-    more will come."""
+    """Extent of the recording: steps `first` to `last`.
+
+    `rounds` is the number of cycles in the shown step; `growing` is True while more steps will
+    come.
+    """
 
     first: int
     last: int
@@ -23,7 +26,7 @@ class Extent(NamedTuple):
 
 
 def play_live(view: View, extent: Extent, elapsed_s: float, paused: bool) -> bool:
-    """Stay at the newest step unless somebody looks at the past; True where something moved."""
+    """Stay at the newest step unless the user looks at the past; return whether the view moved."""
     before = view.step, view.cursor
     if view.follow:
         view.step = extent.last

@@ -3,12 +3,12 @@
 from pathlib import Path
 
 from dashboard.app import Dashboard
-from dashboard.expected import Expectation, nothing_expected
-from dashboard.live import LiveNetwork
-from dashboard.source import Recorded
-from dashboard.stage import set_stage
+from dashboard.frames.expected import Expectation, nothing_expected
+from dashboard.frames.live import LiveNetwork
+from dashboard.frames.source import Recorded
+from dashboard.frames.stage import set_stage
 from dashboard.theme import DARK, LIGHT
-from nodes.recording import read_recording
+from runtime.recording import read_recording
 from scenarios.setup import Setup
 
 

@@ -19,6 +19,10 @@ VERMILION: Colour = (213, 94, 0)
 PINK: Colour = (204, 121, 167)
 
 
+QUIET_BUTTON: Colour = (72, 80, 92)
+"""Of buttons that are not the first thing to press."""
+
+
 class Theme(NamedTuple):
     """The colours of everything; `lines` to `faint` are shades of the text on the background."""
 

@@ -1,4 +1,4 @@
-"""What the person before the screen has chosen: which step, which node, what is shown."""
+"""Choices of the user: step, node and visible parts."""
 
 from dataclasses import dataclass, field
 from threading import RLock

@@ -1,4 +1,4 @@
-"""The picture of docs/labelled.md, made from a run: `make docs`."""
+"""Draw the picture of docs/labelled.md from a run: `make docs`."""
 
 from pathlib import Path
 
@@ -13,12 +13,13 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.patches import Patch
 
-from experiments.drivers import in_memory
-from experiments.options import ScenarioOptions
-from experiments.record_spread import RecordSpread
-from experiments.trace import Trace, read_trace
+from experiments.results.record_spread import RecordSpread
+from experiments.results.trace import Trace, read_trace
+from experiments.scenario_options import scenario_of
+from runtime.drivers import in_memory
 from scenarios.catalogue import kind_of
-from scenarios.setup import Setup, prepare
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 
 # Okabe and Ito's colours, which most people can tell apart.
 BLUE, SKY, ORANGE, YELLOW, RED = "#0072B2", "#56B4E9", "#E69F00", "#F0E442", "#D55E00"
@@ -30,7 +31,7 @@ STEP, OLDEST = 60, 12
 def draw_spread(
     axes: Axes, setup: Setup, trace: Trace, spread: RecordSpread, source: int, node: int
 ) -> None:
-    """How long after it was taken each node held the record of one source."""
+    """Draw the delay after which each node held the record of one source."""
     positions = kind_of(setup.scenario.name).plant(setup.scenario).positions(0)
     assert positions is not None
     links = [
@@ -58,7 +59,7 @@ def draw_spread(
 
 
 def draw_window(axes: Axes, spread: RecordSpread, node: int) -> None:
-    """Which records a node holds at a step, and which of them are still on their way."""
+    """Draw the records that a node holds at a step, and those that are still on their way."""
     steps = np.arange(STEP - OLDEST + 1, STEP + 1)
     arrival = spread.arrival_steps[node, steps]
     kind = np.where(spread.taken[steps], np.where((arrival >= 0) & (arrival <= STEP), 2, 1), 0)
@@ -86,8 +87,8 @@ def draw_window(axes: Axes, spread: RecordSpread, node: int) -> None:
 
 def main() -> None:
     """Write docs/labelled.png."""
-    options = ScenarioOptions(nodes=20, rule="labelled", occupancy=0.25, steps=STEP + 12)
-    setup = prepare(options.resolve())
+    options = scenario_of(nodes=20, rule="labelled", occupancy=0.25, steps=STEP + 12)
+    setup = prepare(options)
     trace = read_trace(setup, in_memory(setup))
     spread = trace.spread
     assert spread is not None

@@ -1,4 +1,4 @@
-"""The picture of the README, made from a run: `make docs`."""
+"""Draw the pictures of the README and of sweeps from runs: `make docs`."""
 
 from pathlib import Path
 
@@ -11,21 +11,22 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 
-from experiments.drivers import in_memory
 from experiments.notebook import plots, sweep
-from experiments.options import ScenarioOptions
-from experiments.palette import save, use_house_style
-from experiments.trace import Trace, read_trace
+from experiments.results.palette import save, use_house_style
+from experiments.results.trace import Trace, read_trace
+from experiments.scenario_options import scenario_of
+from runtime.drivers import in_memory
 from scenarios.baselines import centralised
 from scenarios.catalogue import kind_of
-from scenarios.setup import Setup, prepare
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 
 # Okabe and Ito's colours, which most people can tell apart.
 SKY, ORANGE, GREEN, PINK, GREY = "#56B4E9", "#E69F00", "#009E73", "#CC79A7", "#999999"
 
 
 def draw_map(axes: Axes, setup: Setup, trace: Trace) -> None:
-    """Nodes and links, the target's way, and what every node believes at a few instants."""
+    """Draw nodes and links, the target's path, and each node's belief at a few instants."""
     positions = kind_of(setup.scenario.name).plant(setup.scenario).positions(0)
     assert positions is not None
     links = [
@@ -49,7 +50,7 @@ def draw_map(axes: Axes, setup: Setup, trace: Trace) -> None:
 
 
 def draw_errors(axes: Axes, setup: Setup, trace: Trace) -> None:
-    """Each node's position error over time beside the filter that hears everything."""
+    """Draw each node's position error over time beside the filter that hears everything."""
     truth = trace.truth[:, None, [0, 2]]
     errors = np.linalg.norm(trace.mean[..., [0, 2]] - truth, axis=-1)
     central = centralised(setup, trace.readings, trace.control).mean[:, [0, 2]] - truth[:, 0]
@@ -61,7 +62,7 @@ def draw_errors(axes: Axes, setup: Setup, trace: Trace) -> None:
 
 
 def draw_sweep() -> None:
-    """What the share of the bus does to three rules on three graphs: docs/sweep.png."""
+    """Draw the effect of occupancy on three rules on three graphs: docs/sweep.png."""
     use_house_style()
     swept = sweep(
         scenario="target-tracking",
@@ -76,7 +77,7 @@ def draw_sweep() -> None:
 
 def main() -> None:
     """Write docs/network.png and docs/sweep.png."""
-    setup = prepare(ScenarioOptions(nodes=20, seed=7).resolve())
+    setup = prepare(scenario_of(nodes=20, seed=7))
     trace = read_trace(setup, in_memory(setup))
     figure, (left, right) = plt.subplots(1, 2, figsize=(12, 5.5), layout="constrained")
     draw_map(left, setup, trace)

@@ -1,6 +1,7 @@
-"""Pictures of the dashboard: `make screenshots` writes them to runs/screenshots, `--out` elsewhere.
+"""Take pictures of the dashboard: `make screenshots` writes them to runs/screenshots.
 
-Each is a recorded run of this version, shown at a step, in a headless Chromium.
+`--out` names another folder. Each picture shows a recorded run of this version at a step, in a
+headless Chromium.
 """
 
 import argparse
@@ -10,18 +11,18 @@ import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import msgspec
-
 from dashboard.app import Dashboard
-from dashboard.expected import Expectation, nothing_expected
+from dashboard.frames.expected import Expectation, nothing_expected
 from dashboard.serve import open_recording
-from experiments.drivers import drive
-from experiments.other_runs import expected, told_by
-from nodes.recording import McapRecorder
+from experiments.monte_carlo.other_runs import expected, told_by
+from runtime.batched.build import without_array_form
+from runtime.drivers import drive
+from runtime.recording import McapRecorder
+from scenarios.bus_plan import frame_format
 from scenarios.catalogue import kind_of
+from scenarios.preparation import prepare
 from scenarios.rules import is_certain
-from scenarios.setup import Setup, prepare
-from scenarios.vectorised import without_array_form
+from scenarios.setup import Setup
 
 _FLAGS = (
     "--no-sandbox",
@@ -38,7 +39,7 @@ _CLOSE = "()=>document.querySelectorAll('.mantine-Notification-closeButton').for
 
 
 class Shot(NamedTuple):
-    """One picture: the scenario and what is changed in it, the step, what is chosen on the page."""
+    """One picture: the scenario with its changes, the step, and the selection on the page."""
 
     scenario: str
     changes: dict[str, Any]
@@ -82,7 +83,7 @@ SHOTS = {
 
 
 def main() -> None:
-    """Take the pictures that are named, or all."""
+    """Take the named pictures, or all."""
     parser = argparse.ArgumentParser(prog="docs.screenshots", description=__doc__)
     parser.add_argument("names", nargs="*", help=f"any of {', '.join(SHOTS)}")
     parser.add_argument("--out", type=Path, default=Path("runs/screenshots"))
@@ -105,10 +106,12 @@ def main() -> None:
 
 
 def _take(browser: Any, shot: Shot, file: Path) -> None:
-    setup = prepare(msgspec.structs.replace(kind_of(shot.scenario).defaults, **shot.changes))
+    setup = prepare(kind_of(shot.scenario).defaults.with_(**shot.changes))
     with tempfile.TemporaryDirectory() as folder:
         recording = Path(folder) / "run.mcap"
-        recorder = McapRecorder(recording, setup.scenario.rounds, setup.time_step_s)
+        recorder = McapRecorder(
+            recording, setup.scenario.rounds, setup.time_step_s, frame_format(setup.scenario)
+        )
         drive(setup, recorder, lambda _: None)
         recorder.close()
         page = open_recording(setup, recording, "127.0.0.1", 0, shot.light, _expectation(setup))
@@ -119,7 +122,7 @@ def _take(browser: Any, shot: Shot, file: Path) -> None:
 
 
 def _expectation(setup: Setup) -> Expectation:
-    """What other runs tell; of what takes minutes to run again, nothing."""
+    """Return the expectation from other runs; an empty one if other runs would take minutes."""
     if is_certain(setup.scenario) or without_array_form(setup.scenario) is not None:
         return nothing_expected
     told = told_by(setup, 40 if setup.scenario.nodes < 100 else 20)
@@ -141,7 +144,7 @@ def _shoot(browser: Any, page: Dashboard, shot: Shot, file: Path) -> None:
     for _ in range(5):
         # The same moment of the bus in every picture.
         view.step, view.cursor = shot.step, 0.5 * len(page.history.at(shot.step).cycles)
-        page.pick(view.selected)
+        page.inputs.select(view.selected)
         clock_s += 0.3
         page.tick(clock_s)
         tab.wait_for_timeout(400)

@@ -11,18 +11,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from experiments.design_candidates import Cost
-from experiments.design_results import Design, design_of
-from experiments.design_search import Task, search
-from experiments.design_space import space_of
-from experiments.design_target import parse_target
-from experiments.options import scenario_of
-from experiments.sweep_run import begin, finish
-from experiments.sweep_specification import Specification, Value, shown, specify
-from experiments.vectorised import Histories
-from experiments.vectorised import simulate as simulate_setup
-from experiments.workers import engine_for
-from scenarios.setup import prepare
+from experiments.design.candidates import Cost
+from experiments.design.results import Design, design_of
+from experiments.design.search import Task, search
+from experiments.design.space import space_of
+from experiments.design.target import parse_target
+from experiments.monte_carlo.simulate import Histories
+from experiments.monte_carlo.simulate import simulate as simulate_setup
+from experiments.scenario_options import scenario_of
+from experiments.sweep.engines import engine_for
+from experiments.sweep.run import begin, finish
+from experiments.sweep.specification import Specification, Value, shown, specify
+from scenarios.preparation import prepare
 
 if TYPE_CHECKING:
     import xarray
@@ -37,7 +37,7 @@ def simulate(scenario: str = "target-tracking", runs: int = 1, **fields: Value) 
     Raises:
         ValueError: a scenario that cannot run.
     """
-    return simulate_setup(prepare(scenario_of(scenario, dict(fields))), range(runs))
+    return simulate_setup(prepare(scenario_of(scenario, **fields)), range(runs))
 
 
 def sweep(
@@ -86,12 +86,12 @@ def design(
 
 
 def plots(result: "xarray.Dataset | Design") -> "dict[str, Figure]":
-    """The pictures of a result by name."""
+    """Return the pictures of a result by name."""
     if isinstance(result, Design):
-        from experiments.design_plots import design_figures
+        from experiments.design.plots import design_figures
 
         return design_figures(result)
-    from experiments.sweep_plots import sweep_figures
+    from experiments.sweep.plots import sweep_figures
 
     return sweep_figures(result)
 

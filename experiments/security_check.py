@@ -1,4 +1,4 @@
-"""Who gets in and who does not: intruders against a guarded router, in sessions on loopback."""
+"""Access checks: intruders against a guarded router, in sessions on loopback."""
 
 import queue
 import tempfile
@@ -13,9 +13,9 @@ from typing import Any
 import msgspec
 
 from experiments.progress import progress
-from nodes.access_control import MONITOR, OPERATOR, ROUTER_NAME, certificate_name
 from nodes.bounds import MAX_FRAME_BYTES, MAX_MESSAGE_BYTES
-from nodes.certificates import (
+from runtime.network.access_control import MONITOR, OPERATOR, ROUTER_NAME, certificate_name
+from runtime.network.certificates import (
     MAX_NODES,
     Authority,
     issue,
@@ -23,8 +23,8 @@ from nodes.certificates import (
     read_authority,
     zenoh_settings,
 )
-from nodes.links import LOOPBACK, RECORDER, WORLD, Links, free_ports
-from nodes.zenoh_transport import LinkError, Transport, start_router
+from runtime.network.links import LOOPBACK, RECORDER, WORLD, Links, free_ports
+from runtime.network.zenoh_transport import LinkError, Transport, start_router
 
 RUN = "security-check"
 TRIES = 3
@@ -34,7 +34,7 @@ _DELIVERED, _REFUSED = "delivered", "refused"
 
 
 class Attempt(msgspec.Struct, frozen=True):
-    """What somebody tried against a guarded network, what should become of it, and what did."""
+    """Attempt against a guarded network, its expected outcome, and its outcome."""
 
     who: str
     tried: str
@@ -92,7 +92,7 @@ class _Guarded:
         return counts
 
     def answer(self, topic: str) -> None:
-        """Have the world answer questions on a topic."""
+        """Make the environment answer queries on a topic."""
         self._world.answer(topic, lambda question: question)
 
     def close(self) -> None:
@@ -102,7 +102,7 @@ class _Guarded:
 
 def _write_to(guarded: _Guarded, keys: str, topics: tuple[str, ...], mark: bytes) -> None:
     intruder = guarded.join(keys)
-    # What others have subscribed must have come before the first message can go.
+    # The subscriptions of the other sessions must arrive before the first message is sent.
     time.sleep(_SETTLE_S)
     for topic in topics:
         for _ in range(TRIES):
@@ -112,7 +112,7 @@ def _write_to(guarded: _Guarded, keys: str, topics: tuple[str, ...], mark: bytes
 
 
 def _writers(guarded: _Guarded) -> list[Attempt]:
-    """Members who say what is theirs, and what is not."""
+    """Check that members can publish on their own topics and on no others."""
     own = ("hello/0", "bid/0", "share/0", "estimate/0")
     of_another = tuple(topic.replace("0", "1") for topic in own)
     of_the_world = ("measured/0", "grant", "truth", "finished", "end/0", "welcome/0")
@@ -163,7 +163,7 @@ def _reader(guarded: _Guarded) -> list[Attempt]:
 
 
 def _commands(guarded: _Guarded) -> list[Attempt]:
-    """Who may command the network: the world answers whoever gets through."""
+    """Check access to the control interface: the environment answers each query that arrives."""
     guarded.answer("control")
     attempts = []
     for who, wanted in (
@@ -236,7 +236,7 @@ def _keys_file(path: Path, tls: dict[str, Any]) -> str:
 
 
 def _knock(guarded: _Guarded, enter: Callable[[], Transport]) -> int:
-    """How many messages somebody gets through who may not even be let in."""
+    """Return the number of messages that a client without access gets through."""
     try:
         guest = enter()
     except LinkError:
@@ -250,7 +250,7 @@ def _knock(guarded: _Guarded, enter: Callable[[], Transport]) -> int:
 
 
 def _false_router(guarded: _Guarded, folder: Path) -> list[Attempt]:
-    """A router of somebody else lies in wait for a node."""
+    """Check that a node refuses a router of another authority."""
     stranger = new_authority(1)
     tls = zenoh_settings(
         stranger, *issue(stranger, ROUTER_NAME, ("localhost", LOOPBACK), timedelta(days=1))
@@ -269,11 +269,12 @@ def _false_router(guarded: _Guarded, folder: Path) -> list[Attempt]:
 
 
 def check(folder: Path) -> list[Attempt]:
-    """Try everything against a router with the keys in `folder`, and say how far it is; takes about
-    half a minute.
+    """Make every attempt against a router with the keys in `folder`; takes about half a minute.
+
+    The function prints its progress.
 
     Raises:
-        ValueError: the folder has no keys for a router, a world, a recorder and two nodes.
+        ValueError: the folder has no keys for a router, an environment, a recorder and two nodes.
     """
     authority = read_authority(folder)
     guarded = _Guarded(folder)

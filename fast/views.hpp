@@ -69,13 +69,6 @@ class View {
         }
     }
 
-    // Whether lanes follow each other in memory, or there is one for all.
-    bool direct() const { return table_.empty() && (stride_ == sizeof(double) || stride_ == 0); }
-
-    char *place() const { return static_cast<char *>(buffer_.buf); }
-    Py_ssize_t own(int axis) const { return own_[axis]; }
-    Py_ssize_t stride() const { return stride_; }
-
   private:
     char *at(Py_ssize_t i, Py_ssize_t j) const {
         return static_cast<char *>(buffer_.buf) + i * own_[0] + j * own_[1];
@@ -119,37 +112,3 @@ class View {
     Py_ssize_t lanes_ = 1, stride_ = 0;
     std::vector<Py_ssize_t> table_;
 };
-
-// A direct view in full blocks of lanes: a copy of what its addresses are made of, which the
-// compiler can keep in registers.
-class Direct {
-  public:
-    explicit Direct(const View &view)
-        : place_(view.place()), first_(view.own(0)), second_(view.own(1)), stride_(view.stride()) {}
-
-    Vector load(Py_ssize_t lane, Py_ssize_t i = 0, Py_ssize_t j = 0) const {
-        const char *place = place_ + lane * stride_ + i * first_ + j * second_;
-        if (!stride_) return *reinterpret_cast<const double *>(place) - Vector{};
-        Vector values;
-        std::memcpy(&values, place, sizeof values);
-        return values;
-    }
-
-    void store(Vector values, Py_ssize_t lane, Py_ssize_t i = 0, Py_ssize_t j = 0) const {
-        std::memcpy(place_ + lane * stride_ + i * first_ + j * second_, &values, sizeof values);
-    }
-
-  private:
-    char *place_;
-    Py_ssize_t first_, second_, stride_;
-};
-
-// block(lane, views...) for all blocks of lanes: the full ones through `Direct` where every view
-// allows it, the rest through the views themselves.
-template <class Block, class... Views>
-void over_lanes(Py_ssize_t lanes, const Block &block, const Views &...views) {
-    Py_ssize_t lane = 0;
-    if ((views.direct() && ...))
-        for (; lane + WIDTH <= lanes; lane += WIDTH) block(lane, Direct(views)...);
-    for (; lane < lanes; lane += WIDTH) block(lane, views...);
-}

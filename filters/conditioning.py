@@ -3,8 +3,8 @@
 import numpy as np
 
 from filters.gaussian import Gaussian
+from filters.linalg import cholesky, inverse_of_triangle, lanes_last, multiply, times_transposed
 from filters.moments import Residual
-from filters.paths import path_of_correction
 from filters.update import Update, missing_entries, settle, without_rows
 
 
@@ -16,7 +16,7 @@ def condition(
     cross_cov: np.ndarray,
     residual: Residual = np.subtract,
     gate: float | None = None,
-) -> Update[Gaussian]:
+) -> Update:
     """The belief given a measurement, from moments that some rule has found.
 
     Args:
@@ -32,6 +32,7 @@ def condition(
         An Update as of `ukf.update`; NaN in a lane whose innovation covariance is not positive
         definite.
     """
+    measurement = lanes_last(measurement, 1)
     missing = missing_entries(measurement)
     if missing is None:
         innovation = residual(measurement, predicted)
@@ -40,6 +41,12 @@ def condition(
         innovation = np.where(missing, 0.0, residual(taken, predicted))
         innovation_cov = without_rows(innovation_cov, missing)
         cross_cov = np.where(missing[..., None, :], 0.0, cross_cov)
-    correct = path_of_correction(belief, innovation).correct
-    after, squared = correct(belief, innovation, innovation_cov, cross_cov)
+    # With S = F F' and G = K F = C F^-T, P - K S K' is P - G G', which stays symmetric.
+    whitener = inverse_of_triangle(cholesky(innovation_cov))
+    whitened = multiply(whitener, innovation)
+    gain = times_transposed(cross_cov, whitener)
+    after = Gaussian(
+        belief.mean + multiply(gain, whitened), belief.cov - times_transposed(gain, gain)
+    )
+    squared = np.vecdot(whitened, whitened)
     return settle(belief, after, innovation, innovation_cov, squared, missing, gate)

@@ -1,11 +1,9 @@
 """How good estimates are: error, consistency, agreement. Leading axes are free."""
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
-from filters.columns import eliminate, in_columns
+from filters.linalg import cholesky, inverse_of_triangle, multiply
 
 Array = NDArray[np.float64]
 
@@ -41,14 +39,8 @@ def nees(errors: Array, cov: Array) -> Array:
     """
     known = np.logical_not(np.isnan(errors).any(axis=-1))
     filled = np.where(known[..., None], errors, 0.0)
-    # With P = C C' it is the square of C^-1 e, a row that elimination takes along.
-    m, lanes = errors.shape[-1], np.broadcast_shapes(known.shape, cov.shape[:-2])
-    rows = np.empty((m + 1, m, math.prod(lanes)))
-    rows[:m] = in_columns(np.broadcast_to(cov, (*lanes, m, m)), 2)
-    rows[m] = in_columns(np.broadcast_to(filled, (*lanes, m)), 1)
-    whitened = eliminate(rows, m)[m]
-    values = np.einsum("ml,ml->l", whitened, whitened).reshape(lanes)
-    return np.where(known, values, np.nan)
+    whitened = multiply(inverse_of_triangle(cholesky(cov)), filled)
+    return np.where(known, np.vecdot(whitened, whitened), np.nan)
 
 
 def anees(errors: Array, cov: Array, axes: tuple[int, ...]) -> Array:

@@ -29,14 +29,24 @@ def evaluate(model: Model, points: np.ndarray, size: int, name: str) -> np.ndarr
 def moments(
     values: np.ndarray, rule: SigmaPointRule, residual: Residual
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean (..., m) of values (S, ..., m), and their deviations from it, (..., S, m).
+    """Mean (..., m) of values (S, ..., m), and their deviations from it, (..., S, m)."""
+    mean = weighted_mean(values, rule, residual)
+    return mean, points_last(residual(values, mean))
 
-    The mean is taken of residuals to the first point, so that angles near the wrap average
-    properly; for a plain difference it is the weighted mean.
+
+def weighted_mean(values: np.ndarray, rule: SigmaPointRule, residual: Residual) -> np.ndarray:
+    """Return sum_s w_s Y_s (..., m) of values Y (S, ..., m).
+
+    The sum is taken of residuals to the first value, so that angles near the wrap average properly.
     """
     first = values[0]
-    mean = first + rule.mean_weights @ points_last(residual(values, first))
-    return mean, points_last(residual(values, mean))
+    return first + np.einsum("s,s...i->...i", rule.mean_weights, residual(values, first))
+
+
+def weighted_products(rule: SigmaPointRule, left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Return sum_s w_s L_s R_s' (..., n, m) of L (S, ..., n) and R (S, ..., m)."""
+    weights = rule.cov_weights.reshape(-1, *(1,) * (left.ndim - 1))
+    return np.einsum("s...i,s...j->...ij", weights * left, right)
 
 
 def points_last(values: np.ndarray) -> np.ndarray:

@@ -39,7 +39,7 @@ def resample(particles: Particles, offset: np.ndarray) -> Particles:
     """Particles of equal weight, drawn systematically with offsets (...) in [0, 1)."""
     count = particles.states.shape[-2]
     edges = np.cumsum(weights(particles), axis=-1)
-    # The last edge may fall short of one by rounding; nobody may fall off it.
+    # The last edge may fall short of one by rounding; no particle may fall off it.
     edges[..., -1] = 1.0
     places = (np.arange(count) + offset[..., None]) / count
     # All lanes in one sorted row, each lane in an interval of its own.

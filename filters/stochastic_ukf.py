@@ -5,7 +5,7 @@
 of y only some rows are transmitted per step; the receiver holds old values of the others. A filter
 is a value of three functions. `RECOMMENDED` updates with what was transmitted: a held row is a
 constant that the filter knows, with no innovation, no variance and no covariance with the state, so
-it drops out. `filters.stochastic_ukf_printed` has the algorithm as it is printed.
+it drops out.
 
 Source: Meng et al. (2025), UKF for nonlinear systems with stochastic nonlinearities under FlexRay
 protocol. Its points are `scaled_unscented(n, alpha, beta, kappa=0)`.
@@ -49,7 +49,7 @@ class Observation(NamedTuple):
 
 
 class Received(NamedTuple):
-    """What came in a slot: values (..., m), fresh or held, and which are fresh (..., m)."""
+    """Reception of a slot: values (..., m), fresh or held, and which are fresh (..., m)."""
 
     values: np.ndarray
     fresh: np.ndarray
@@ -62,13 +62,11 @@ class MeasurementFilter(NamedTuple):
         start: (belief at the first instant, Observation then, rule) -> state.
         predict: (state, Dynamics, rule) -> state, one step later.
         update: (state, Received, Observation, rule) -> state.
-        warning: what a user must be told before trusting it.
     """
 
     start: Callable[[Gaussian, Observation, SigmaPointRule], Any]
     predict: Callable[[Any, Dynamics, SigmaPointRule], Any]
     update: Callable[[Any, Received, Observation, SigmaPointRule], Any]
-    warning: str = ""
 
 
 def expected_cov(stochastic: SecondMoment, belief: Gaussian) -> np.ndarray:

@@ -1,10 +1,18 @@
 """The unscented Kalman filter with additive noise, one function per half step.
 
-Models are plain callables on sigma points, (S, ..., n) -> (S, ..., n or m); the caller binds
-control and time. Any strides may come back, and nothing is written into what a model returned.
+With sigma points X_s of weights w_s, and the model's values Y_s = f(X_s) at them:
+
+    predict   x = sum w_s Y_s,  P = sum w_s (Y_s - x) (Y_s - x)' + Q
+
+    update    y = sum w_s Y_s,  S = sum w_s (Y_s - y) (Y_s - y)' + R,
+              C = sum w_s (X_s - x) (Y_s - y)',  K = C S^-1,
+              x + K (z - y),  P - K S K'
+
+Sigma points lie on the first axis; all axes between it and the last are lanes, and free. Models are
+plain callables on sigma points, (S, ..., n) -> (S, ..., n or m); the caller binds control and time.
 
 Source: Wan and Van der Merwe (2001), The unscented Kalman filter, in Haykin (ed.), Kalman filtering
-and neural networks, chapter 7, the form for additive noise; with the points redrawn from the
+and neural networks, chapter 7, the form for additive noise. The points are redrawn from the
 predicted belief before the update, so that they spread with the process noise as well.
 """
 
@@ -12,9 +20,9 @@ import numpy as np
 
 from filters.conditioning import condition
 from filters.gaussian import Gaussian
-from filters.moments import Model, Residual, check_noise
-from filters.paths import path_of_transform
-from filters.sigma_points import SigmaPointRule
+from filters.linalg import symmetrise
+from filters.moments import Model, Residual, check_noise, evaluate, weighted_mean, weighted_products
+from filters.sigma_points import SigmaPointRule, sigma_points
 from filters.update import Update
 
 
@@ -42,8 +50,11 @@ def predict(
     """
     n = belief.mean.shape[-1]
     check_noise(noise_cov, n, "process noise covariance")
-    path = path_of_transform(belief, noise_cov, rule)
-    return path.predict(belief, transition, noise_cov, rule, residual)
+    points = sigma_points(belief, rule)
+    values = evaluate(transition, points, n, "transition")
+    mean = weighted_mean(values, rule, residual)
+    away = residual(values, mean)
+    return Gaussian(mean, symmetrise(weighted_products(rule, away, away)) + noise_cov)
 
 
 def update(
@@ -56,7 +67,7 @@ def update(
     residual: Residual = np.subtract,
     state_residual: Residual = np.subtract,
     gate: float | None = None,
-) -> Update[Gaussian]:
+) -> Update:
     """The belief given a measurement.
 
     Args:
@@ -81,8 +92,10 @@ def update(
     measurement = np.asarray(measurement, dtype=float)
     m = measurement.shape[-1]
     check_noise(noise_cov, m, "measurement noise covariance")
-    path = path_of_transform(belief, noise_cov, rule)
-    predicted, innovation_cov, cross_cov = path.expect(
-        belief, measure, m, noise_cov, rule, residual, state_residual
-    )
+    points = sigma_points(belief, rule)
+    values = evaluate(measure, points, m, "measure")
+    predicted = weighted_mean(values, rule, residual)
+    away = residual(values, predicted)
+    innovation_cov = symmetrise(weighted_products(rule, away, away)) + noise_cov
+    cross_cov = weighted_products(rule, state_residual(points, belief.mean), away)
     return condition(belief, measurement, predicted, innovation_cov, cross_cov, residual, gate)

@@ -1,16 +1,14 @@
-"""What a measurement did to a belief; entries that were not taken, lanes that keep their belief."""
+"""Result of a measurement update; helpers for missing entries and for lanes that keep a belief."""
 
 import math
-from typing import Generic, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
-from filters.gaussian import Gaussian, SquareRootGaussian
-
-Belief = TypeVar("Belief", Gaussian, SquareRootGaussian)
+from filters.gaussian import Gaussian
 
 
-class Update(NamedTuple, Generic[Belief]):
+class Update(NamedTuple):
     """The belief after a measurement, and what the measurement said.
 
     Attributes:
@@ -21,7 +19,7 @@ class Update(NamedTuple, Generic[Belief]):
             a matched filter it is chi-square with as many degrees of freedom as entries taken.
     """
 
-    belief: Belief
+    belief: Gaussian
     innovation: np.ndarray
     innovation_cov: np.ndarray
     normalised_innovation_squared: np.ndarray
@@ -46,14 +44,14 @@ def without_rows(cov: np.ndarray, missing: np.ndarray) -> np.ndarray:
 
 
 def settle(
-    before: Belief,
-    after: Belief,
+    before: Gaussian,
+    after: Gaussian,
     innovation: np.ndarray,
     innovation_cov: np.ndarray,
     normalised_innovation_squared: np.ndarray,
     missing: np.ndarray | None,
     gate: float | None,
-) -> Update[Belief]:
+) -> Update:
     """The Update, with the belief before in lanes with nothing taken or beyond the gate."""
     kept = None
     if missing is not None:
@@ -65,7 +63,7 @@ def settle(
         rejected = np.asarray(normalised_innovation_squared > gate)
         kept = rejected if kept is None else kept | rejected
     if kept is not None and kept.any():
-        after = type(before)(
+        after = Gaussian(
             np.where(kept[..., None], before[0], after[0]),
             np.where(kept[..., None, None], before[1], after[1]),
         )

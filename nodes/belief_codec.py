@@ -1,7 +1,5 @@
 """A Gaussian as bytes: the mean, then the upper triangle of the covariance row by row."""
 
-import math
-import struct
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -9,7 +7,18 @@ import numpy as np
 
 from filters.gaussian import Gaussian
 from filters.linalg import pack_upper, unpack_upper
-from nodes.estimator import Rejected
+from nodes.messages import Array
+from nodes.vector_codec import VectorCodec
+
+
+def belief_numbers(belief: Gaussian) -> Array:
+    """The numbers (..., m) of beliefs (..., n): mean, then upper triangle."""
+    return np.concatenate((belief.mean, pack_upper(belief.cov)), axis=-1)
+
+
+def belief_of(numbers: Array, states: int) -> Gaussian:
+    """The beliefs (..., n) of numbers (..., m)."""
+    return Gaussian(numbers[..., :states], unpack_upper(numbers[..., states:]))
 
 
 @dataclass(frozen=True)
@@ -20,46 +29,19 @@ class BeliefCodec:
     number: str = "<f8"
 
     @cached_property
+    def vector(self) -> VectorCodec:
+        """The codec of its numbers."""
+        n = self.states
+        return VectorCodec(n + n * (n + 1) // 2, self.number, "belief")
+
+    @property
     def size(self) -> int:
         """Length in bytes of an encoded belief."""
-        n = self.states
-        return (n + n * (n + 1) // 2) * self._dtype.itemsize
-
-    @cached_property
-    def _dtype(self) -> np.dtype:
-        return np.dtype(self.number)
-
-    @cached_property
-    def _numbers(self) -> struct.Struct:
-        return struct.Struct(f"<{self.size // self._dtype.itemsize}{self._dtype.char}")
+        return self.vector.size
 
     def encode(self, belief: Gaussian) -> bytes:
         """The bytes of mean (n,) and cov (n, n)."""
-        packed = np.concatenate((belief.mean, pack_upper(belief.cov)))
-        return packed.astype(self._dtype, copy=False).tobytes()
-
-    def check(self, body: bytes) -> bytes:
-        """A body without what pads it, of which a belief can be read.
-
-        Raises:
-            Rejected: `belief-length` or `belief-not-finite`.
-        """
-        # A static slot may pad the body; anything shorter is not a belief of this network.
-        size = self.size
-        if len(body) < size:
-            raise Rejected("belief-length")
-        body = body[:size]
-        # Finite numbers may have an infinite sum, but no sum of others is finite.
-        numbers = self._numbers.unpack(body)
-        if not (math.isfinite(sum(numbers)) or all(map(math.isfinite, numbers))):
-            raise Rejected("belief-not-finite")
-        return body
-
-    def unpack(self, *bodies: bytes) -> Gaussian:
-        """The beliefs (K, n) in K bodies that were checked."""
-        numbers = np.frombuffer(b"".join(bodies), self._dtype).astype(np.float64, copy=False)
-        numbers = numbers.reshape(len(bodies), -1)
-        return Gaussian(numbers[:, : self.states], unpack_upper(numbers[:, self.states :]))
+        return self.vector.encode(belief_numbers(belief))
 
     def decode(self, body: bytes) -> Gaussian:
         """The belief that `encode` wrote.
@@ -67,5 +49,4 @@ class BeliefCodec:
         Raises:
             Rejected: `belief-length` or `belief-not-finite`.
         """
-        mean, cov = self.unpack(self.check(body))
-        return Gaussian(mean[0], cov[0])
+        return belief_of(self.vector.decode(body), self.states)

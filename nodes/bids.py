@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from bus.arbitration import NO_BID
 from filters.gaussian import Gaussian
 from filters.linalg import solve_spd
 
 FIRST_BID = 2**31 - 1
-NO_BID = -1
 BID_RESOLUTION = 1 / 1024
 
 

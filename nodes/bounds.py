@@ -1,14 +1,14 @@
-"""What any message may be at most, whoever sent it: sizes and ranges, refused before it is used."""
+"""Bounds on the size and the numbers of any message; a receiver checks them before use."""
 
 from typing import Annotated
 
 from msgspec import Meta, MsgspecError
 
-# What a decoder of JSON may raise for bytes that are none, or nested too deep.
+# Exceptions that a decoder of JSON may raise for bytes that are not JSON, or nested too deep.
 UNREADABLE = (MsgspecError, UnicodeDecodeError, RecursionError)
 # An estimate of a hundred states takes about 120 kB of JSON.
 MAX_MESSAGE_BYTES = 1 << 20
-# The longest FlexRay frame: header (5), payload (254), checksum (3).
+# The longest frame of any bus: header (5), payload (254), checksum (3).
 MAX_FRAME_BYTES = 262
 
 NodeIndex = Annotated[int, Meta(ge=0, lt=1 << 16)]

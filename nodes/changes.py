@@ -1,8 +1,8 @@
-"""What can become of a network while it runs: changes, each of which holds from a step on.
+"""Changes to a network while it runs; each takes effect at the start of a step.
 
-The world announces a change with the first heartbeat of the step from which it holds, when every
-node has finished the step before; so all apply it at once, in every driver. `Standing` is what all
-changes so far amount to.
+The environment announces a change with the first heartbeat of the step from which it holds, when
+every node has finished the step before. So all nodes apply it at once, in every driver. `Standing`
+is the sum of all changes so far.
 """
 
 from typing import Any
@@ -16,13 +16,13 @@ Settings = dict[str, int | float | str]
 
 
 class Left(msgspec.Struct, frozen=True, tag="left", tag_field="what"):
-    """A node is out on command: nobody waits for it from this step on."""
+    """A node is out on command: no process waits for it from this step on."""
 
     node: NodeIndex
 
 
 class Gone(msgspec.Struct, frozen=True, tag="gone", tag_field="what"):
-    """A node's process has died or hangs: whoever waits for it stops waiting at once."""
+    """A node's process has died or hangs: every process stops waiting for it at once."""
 
     node: NodeIndex
 
@@ -59,7 +59,7 @@ class Loss(msgspec.Struct, frozen=True, tag="loss", tag_field="what", omit_defau
 
 
 class Fault(msgspec.Struct, frozen=True, tag="fault", tag_field="what"):
-    """Something is wrong from a step on, in the words of `nodes/fault_words.py`.
+    """Something is wrong from a step on, in the words of `nodes/faults/vocabulary.py`.
 
     It holds for `nodes` (a node; sender and receiver; the number of a channel), or for every link
     where there are none. `numbers` say how much of it; it is off where the first of them is 0.
@@ -73,8 +73,10 @@ class Fault(msgspec.Struct, frozen=True, tag="fault", tag_field="what"):
 
 
 class Calm(msgspec.Struct, frozen=True, tag="calm", tag_field="what"):
-    """All that is wrong with links, sensors, nodes and the bus is withdrawn; who is out stays out,
-    and what the scenario's own links lose they still lose."""
+    """Withdraw all faults of links, sensors, nodes and the bus.
+
+    Absent nodes stay absent, and the scenario's own links lose frames as before.
+    """
 
 
 class Set(msgspec.Struct, frozen=True, tag="settings", tag_field="what"):
@@ -96,14 +98,14 @@ Change = Left | Gone | Joined | Cut | Healed | Loss | Fault | Calm | Set | Pace
 
 
 class Event(msgspec.Struct, frozen=True):
-    """World to whoever listens: a change, and the first step for which it holds."""
+    """Environment to subscribers: a change, and the first step for which it holds."""
 
     step: Instant
     change: Change
 
 
 class Standing(msgspec.Struct, frozen=True):
-    """What changes have made of a network so far.
+    """State of a network after all changes so far.
 
     Attributes:
         absent: nodes that are out. settings: fields of the scenario that were set.
@@ -127,7 +129,7 @@ UNCHANGED = Standing()
 
 
 class Welcome(msgspec.Struct, frozen=True):
-    """World to a node that is back: from which step on it takes part, and in what."""
+    """Environment to a returned node: the step from which it takes part, and the settings."""
 
     node: int
     step: int
@@ -136,7 +138,7 @@ class Welcome(msgspec.Struct, frozen=True):
 
 
 def after(standing: Standing, step: int, change: Change) -> Standing:
-    """What stands from `step` on, when a change holds from there."""
+    """Return the state of the network from `step` on, when a change takes effect there."""
     match change:
         case Left(node) | Gone(node):
             return replace(standing, absent=tuple(sorted({*standing.absent, node})))

@@ -1,4 +1,4 @@
-"""Which commands a network can obey that stands as it does: all others are refused, and why."""
+"""Checks of commands: refuse each one that the network cannot obey now, and say why."""
 
 import difflib
 from collections.abc import Sequence
@@ -21,11 +21,11 @@ from nodes.commands import (
     Speed,
     Step,
 )
-from nodes.fault_words import CHANNELS, FAULTS, usage
-from nodes.faults import PLAIN, Equipment
+from nodes.faults.active import PLAIN, Equipment
+from nodes.faults.vocabulary import CHANNELS, FAULTS, usage
 
 MAX_STEPS_AT_ONCE = 1000
-# Whoever wants fewer pauses the network and asks for steps.
+# A user who wants a slower run pauses the network and asks for single steps.
 MIN_STEPS_PER_SECOND, MAX_STEPS_PER_SECOND = 0.001, 1000.0
 
 

@@ -1,7 +1,7 @@
-"""What a person may ask of a network that runs: commands, their bytes, and their words.
+"""Commands that a user may give to a running network, their bytes, and their words.
 
 The words are those of `concord control` and of scripts: `kill 3`, `cut 1 2`, `loss 0.1 1 2`,
-`corrupt 0.05`, `set rule=hcmci rounds=2`; those of faults are in `nodes/fault_words.py`.
+`corrupt 0.05`, `set rule=hcmci rounds=2`; those of faults are in `nodes/faults/vocabulary.py`.
 """
 
 import difflib
@@ -11,10 +11,9 @@ import msgspec
 
 from nodes.bounds import UNREADABLE
 from nodes.changes import Settings
-from nodes.fault_words import CHANNELS, COMMANDS, FAULTS, usage
+from nodes.faults.vocabulary import CHANNELS, COMMANDS, FAULTS, usage
 
 MAX_COMMAND_BYTES = 4096
-SETTINGS = ("rule", "rounds", "occupancy", "schedule", "arbiter", "hold", "decay", "trigger")
 
 
 class Pause(msgspec.Struct, frozen=True, tag="pause", tag_field="do"):
@@ -76,7 +75,7 @@ class Partition(
 
 
 class Inject(msgspec.Struct, frozen=True, tag="fault", tag_field="do", forbid_unknown_fields=True):
-    """A fault of this kind, at these nodes or this link (`nodes/fault_words.py`)."""
+    """A fault of this kind, at these nodes or this link (`nodes/faults/vocabulary.py`)."""
 
     kind: str
     nodes: tuple[int, ...] = ()
@@ -106,7 +105,7 @@ class Configure(msgspec.Struct, frozen=True, tag="set", tag_field="do", forbid_u
 
 
 PaceCommand = Pause | Resume | Step | Speed
-# What may begin while steps are under way, whoever has missed it.
+# Commands that may take effect while steps are under way, even if some node has missed them.
 TimelyCommand = Kill | Restart | CutLink | HealLink | LoseFrames | Partition | Inject | Soothe
 ChangeCommand = TimelyCommand | Configure
 Command = PaceCommand | ChangeCommand

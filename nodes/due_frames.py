@@ -1,8 +1,8 @@
 """The short way of the frames that are due: nearly all come when, and as, they are expected.
 
-What is expected of a neighbour in the open cycle is known to the last bit but for the body and its
-checksum. Whatever differs takes the long way (`nodes/hearing.py`), which finds out what it is; a
-frame that is due would come to the same there.
+The frame expected of a neighbour in the open cycle is known to the last bit but for the body and
+its checksum. A frame that differs takes the slow path (`nodes/inbox.py`), which finds out what it
+is. For a frame that is due, both paths give the same result.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,6 @@ from msgspec.structs import replace
 from nodes.estimator import Rejected, Share
 from nodes.messages import NodeEvent, ShareHeard
 from nodes.node_state import NodeConfig, NodeState, Phase
-from nodes.share import whole_body
 
 
 def take_due(
@@ -24,8 +23,8 @@ def take_due(
     if not (is_open and config.hears_all):
         return state, events
     cycle, inbox, estimator = state.cycle, state.inbox, config.estimator
-    size, counts = estimator.share_bytes, config.cycle_counts
-    due = list(config.parts(cycle)[state.group].neighbours)
+    size, due_body = estimator.share_bytes, config.bus.due_body
+    due = list(config.groups(cycle)[state.group].neighbours)
     if inbox.shares or inbox.parts:
         known = inbox.shares.keys() | inbox.parts.keys()
         due = [j for j in due if (cycle, j) not in known]
@@ -34,7 +33,7 @@ def take_due(
         if not isinstance(event, ShareHeard) or event.sender not in due:
             break
         sender = event.sender
-        body = whole_body(event.frame, config.slots(sender, cycle)[0], size, cycle, counts)
+        body = due_body(event.frame, sender, cycle, size)
         if body is None:
             break
         try:

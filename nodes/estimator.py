@@ -1,25 +1,18 @@
-"""What a node computes, apart from when: the face that every fusion rule shows the state machine.
+"""Estimator: a node's computation, apart from its timing; the interface of every fusion rule.
 
-`nodes/state_machine.py` decides when a step begins, who is waited for and when a round is over; an
+`nodes/node.py` decides when a step begins, which nodes are awaited and when a round is over; an
 `Estimator` decides what is shared and what becomes of what was heard. Its `Content` is a value that
 only the estimator reads.
 """
 
 from typing import Any, Protocol, runtime_checkable
 
+from bus.bus import Rejected as Rejected
 from filters.gaussian import Gaussian
 from nodes.messages import Array, Measured
 
 Content = Any
 Share = Any
-
-
-class Rejected(Exception):
-    """A peer's share that cannot be used; `reason` is a short word that is counted."""
-
-    def __init__(self, reason: str) -> None:
-        super().__init__(reason)
-        self.reason = reason
 
 
 class Estimator(Protocol):
@@ -46,7 +39,7 @@ class Estimator(Protocol):
         ...
 
     def compose(self, content: Content) -> tuple[Content, bytes]:
-        """What to share now."""
+        """Return the share to send now."""
         ...
 
     def accept(self, body: bytes) -> Share:

@@ -1,4 +1,4 @@
-"""What became of a network in a run: who took part in which step, which step a cycle belongs to.
+"""History of a network in a run: which nodes took part in which step, and each cycle's step.
 
 It is read from the events of a recording.
 """
@@ -26,7 +26,7 @@ class Absence(NamedTuple):
 
 
 class History(NamedTuple):
-    """The epochs of a run in order, who was out when, and whether anything changed at all."""
+    """The epochs of a run in order, the absent nodes, and whether anything changed at all."""
 
     epochs: tuple[Epoch, ...]
     absences: tuple[Absence, ...] = ()
@@ -104,8 +104,11 @@ def with_holes(history: History, said: Container[tuple[int, int]], last: dict[in
 
 
 def without_lost_words(history: History, estimated: Container[tuple[int, int]]) -> History:
-    """The history in which who died without a word was out from the first (step, node) on that the
-    recording has lost, though the world had heard it."""
+    """Return the history in which a node that died silently is out from its first lost estimate on.
+
+    The recording has lost the estimates from that (step, node) on, though the environment had
+    received them.
+    """
     absences = []
     for absence in history.absences:
         first = absence.first_step

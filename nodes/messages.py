@@ -1,7 +1,7 @@
-"""The closed vocabulary of the network: what world and nodes say to each other, and its bytes.
+"""The closed vocabulary of the network: the messages of environment and nodes, and their bytes.
 
-A share is not in this list of encodings: it travels as the bytes of FlexRay frames
-(`nodes/share.py`). Everything else is JSON, which anyone can read in a recording and which carries
+A share is not in this list of encodings: it travels as the bytes of the bus's frames
+(`bus/bus.py`). Everything else is JSON, which anyone can read in a recording and which carries
 a float64 without loss (shortest representation that reads back to the same bits); a missing value
 is `null`.
 """
@@ -27,12 +27,12 @@ from nodes.bounds import (
 from nodes.changes import Change, Event, Gone, Set, Welcome
 
 Array = NDArray[np.float64]
-# Recorder to all: everything is kept, and everybody may leave.
+# Recorder to all: all messages are kept, and every process may leave.
 END = b"{}"
 
 
 class Measured(msgspec.Struct, frozen=True):
-    """World to node: the heartbeat that opens a step, with what the node's sensors delivered.
+    """Environment to node: the heartbeat that opens a step, with the node's readings.
 
     `readings` has shape (readings, d); `control` (p,) is what drove the plant into this step;
     `changes` hold from this step on.
@@ -46,7 +46,7 @@ class Measured(msgspec.Struct, frozen=True):
 
 
 class ShareSent(msgspec.Struct, frozen=True):
-    """Node to its neighbours: one FlexRay frame on the bus in communication cycle `cycle`."""
+    """Node to its neighbours: one frame on the bus in communication cycle `cycle`."""
 
     node: NodeIndex
     cycle: Instant
@@ -54,10 +54,10 @@ class ShareSent(msgspec.Struct, frozen=True):
 
 
 class Bid(msgspec.Struct, frozen=True):
-    """Contender to world: how urgent a slot in the dynamic segment is; None asks for no slot.
+    """Contender to environment: its urgency for a dynamic slot; None asks for no slot.
 
-    `payload_bytes` is the length of all its payloads together; `group` the part of the cycle that
-    is composed at once (`bus.schedule.Schedule.groups`).
+    `payload_bytes` is the length of all its payloads together. `group` is the group of the cycle
+    (`bus.schedule.Schedule.groups`).
     """
 
     node: NodeIndex
@@ -68,9 +68,9 @@ class Bid(msgspec.Struct, frozen=True):
 
 
 class Grant(msgspec.Struct, frozen=True):
-    """World to all: who may send in the dynamic slots of this part of the cycle, in bus order.
+    """Environment to all: the winners of this group's dynamic slots, in bus order.
 
-    In real time `unheard` are contenders who had not asked when bids ended.
+    In real time `unheard` are contenders that had not asked when bids ended.
     """
 
     cycle: Instant
@@ -80,18 +80,18 @@ class Grant(msgspec.Struct, frozen=True):
 
 
 class Truth(msgspec.Struct, frozen=True):
-    """World to whoever records: the plant's state (n,) at a step, null where nobody knows it."""
+    """Environment to recorder: the plant's state (n,) at a step, null where it is unknown."""
 
     step: Instant
     state: list[float | None]
 
 
 class Estimate(msgspec.Struct, frozen=True, omit_defaults=True):
-    """Node to world: its belief after the last round of a step, and what it was made of.
+    """Node to environment: its belief after the last round of a step, and the shares it used.
 
     `mean` (n,), `cov` the upper triangle row by row; `ages` per neighbour in communication cycles
-    (-1: never heard); `counters` are totals since the start; `generators` (n, q) are those of a
-    node that keeps a zonotope with the centre `mean`; the ellipsoid of `cov` is around it then.
+    (-1: never heard); `counters` are totals since the start. `generators` (n, q) are those of a
+    node that keeps a zonotope with the centre `mean`; then `cov` describes an ellipsoid around it.
     """
 
     node: NodeIndex
@@ -104,18 +104,18 @@ class Estimate(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class Start(msgspec.Struct, frozen=True):
-    """World to nodes, in real time: when step 0 begins, on this machine's monotonic clock."""
+    """Environment to nodes, in real time: start of step 0 on this machine's monotonic clock."""
 
     at_s: float
 
 
 class Timing(msgspec.Struct, frozen=True):
-    """Node to whoever records, in real time: how well a step kept its time.
+    """Node to recorder, in real time: how well a step kept its time.
 
-    `heartbeat_late_s` (None: it was not waited for any longer) and `cycle_late_s` (rounds,) are
-    behind the timetable; `delay_s` is from the
-    sampling instant of the timetable to the estimate. `incomplete` cycles ended at their deadline
-    without something that was due; `overrun` ones began after their own deadline.
+    `heartbeat_late_s` (None: the node stopped waiting for it) and `cycle_late_s` (rounds,) are
+    delays against the timetable. `delay_s` is the time from the sampling instant of the timetable
+    to the estimate. `incomplete` cycles ended at their deadline without a frame that was due;
+    `overrun` cycles began after their own deadline.
     """
 
     node: NodeIndex
@@ -128,30 +128,36 @@ class Timing(msgspec.Struct, frozen=True):
 
 
 class Unreachable(msgspec.Struct, frozen=True):
-    """Node to world: the link to a neighbour is broken, though both may still reach the world."""
+    """Node to environment: the link to a neighbour is broken; both may still be reachable."""
 
     node: NodeIndex
     neighbour: NodeIndex
 
 
 class CycleClosed(msgspec.Struct, frozen=True):
-    """Driver to node: the time of this part of the cycle is over; go on with what has come."""
+    """Driver to node: the time of this group is over; go on with the shares received."""
 
     cycle: int
     group: int = 0
 
 
 class BidsClosed(msgspec.Struct, frozen=True):
-    """Driver to world, in real time: who has not asked for this part of a cycle by now is late."""
+    """Driver to environment, in real time: later requests for this group are late."""
 
     cycle: int
     group: int
 
 
 class StepClosed(msgspec.Struct, frozen=True):
-    """Driver to world, in real time: who has not estimated this step by now never will."""
+    """Driver to environment, in real time: later estimates of this step are ignored."""
 
     step: int
+
+
+class Allowed(msgspec.Struct, frozen=True):
+    """Run controller to environment: steps before `limit` may begin."""
+
+    limit: int
 
 
 class ShareHeard(msgspec.Struct, frozen=True):
@@ -163,9 +169,9 @@ class ShareHeard(msgspec.Struct, frozen=True):
 
 NodeEvent = Measured | ShareHeard | Grant | CycleClosed | Gone
 NodeMessage = ShareSent | Bid | Estimate
-WorldEvent = Bid | Estimate | Gone | BidsClosed | StepClosed
-WorldMessage = Measured | Grant | Truth | Event | Gone | Welcome
-Message = NodeMessage | WorldMessage | Start | Timing | Unreachable
+EnvironmentEvent = Bid | Estimate | Gone | BidsClosed | StepClosed | Allowed
+EnvironmentMessage = Measured | Grant | Truth | Event | Gone | Welcome
+Message = NodeMessage | EnvironmentMessage | Start | Timing | Unreachable
 
 _TYPES: dict[str, type] = {
     "measured": Measured,
@@ -183,9 +189,9 @@ _TYPES: dict[str, type] = {
 _KINDS: dict[type, str] = {ShareSent: "share", **{type_: kind for kind, type_ in _TYPES.items()}}
 # One node's topics, by name; what they carry must be of that node.
 _OWNED = ("measured", "bid", "estimate", "timing", "unreachable")
-# What tells everybody of a node, or is of nobody, has one topic for all.
+# Messages to all processes, about one node or about none, share one topic each.
 _SHARED = ("grant", "truth", "event", "gone", "start")
-# What is said both of everybody and to one node.
+# Messages that go both to all processes and to a single node.
 _BOTH = ("gone",)
 _encoder = msgspec.json.Encoder()
 _decoders = {topic: msgspec.json.Decoder(type_) for topic, type_ in _TYPES.items()}

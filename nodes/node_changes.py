@@ -1,4 +1,4 @@
-"""What a node does when the network changes: a new configuration, and a state that goes with it."""
+"""Changes of the network at a node: a new configuration, and a state that goes with it."""
 
 import dataclasses
 
@@ -6,9 +6,9 @@ from msgspec.structs import replace
 
 from filters.gaussian import Gaussian
 from filters.linalg import unpack_upper
-from nodes import state_machine
+from nodes import node as state_machine
 from nodes.changes import Joined, Set, Standing, Welcome, after
-from nodes.link_state import LinkState
+from nodes.faults.losses import LinkState
 from nodes.messages import NodeMessage, from_wire
 from nodes.node_state import NodeConfig, NodeState, Phase, count
 
@@ -22,7 +22,7 @@ def apply(config: NodeConfig, state: NodeState) -> tuple[NodeConfig, NodeState, 
     assert state.phase is Phase.CHANGE, "changes come with the heartbeat of their first step"
     step = state.step + 1
     measured = state.inbox.measured[step]
-    # Who was missed meanwhile is out too.
+    # Neighbours whose ends were told meanwhile are out too.
     standing = replace(config.standing, absent=tuple(sorted(state.absent)))
     for change in measured.changes:
         standing = after(standing, step, change)
@@ -32,7 +32,7 @@ def apply(config: NodeConfig, state: NodeState) -> tuple[NodeConfig, NodeState, 
         try:
             config = _rebuilt(config, standing, step, belief)
         except ValueError:
-            # The world has checked what it says; this was said by somebody else.
+            # The environment checks its changes; this one came from another process.
             standing = config.standing
             state = count(state, "rejected change")
         else:

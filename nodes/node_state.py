@@ -1,4 +1,4 @@
-"""What a node knows before the start, and what it is between two events."""
+"""The configuration of a node, and its state between two events."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,19 +9,18 @@ from typing import NamedTuple
 import msgspec
 from msgspec.structs import replace
 
-from bus.publication import Slot
+from bus.bus import Bus, Fragment
 from bus.schedule import Schedule
 from filters.gaussian import Gaussian
 from nodes.changes import UNCHANGED, Standing
 from nodes.estimator import Content, Estimator, Share
-from nodes.faults import HEALTHY, Faults
-from nodes.link_state import PERFECT, LinkState
+from nodes.faults.active import HEALTHY, Faults
+from nodes.faults.losses import PERFECT, LinkState
 from nodes.messages import Measured
-from nodes.share import CYCLE_COUNTS, Fragment
 
 
 class Phase(Enum):
-    """What a node waits for."""
+    """The events that a node waits for."""
 
     MEASUREMENT = "measurement"
     CHANGE = "change"
@@ -34,11 +33,10 @@ class Phase(Enum):
 class NodeConfig:
     """Everything a node knows before the start.
 
-    `neighbours` ascend, as the weights do; `slots(node, cycle)` are those of a node's share;
-    the cluster's cycle counter wraps at `cycle_counts`; `links` says which frames do not arrive,
-    `scenario_links` which would not if nothing had changed, `faults` what else is wrong. In a
-    `timed` network a part of a cycle ends when its time is over (`CycleClosed`), and not when all
-    has come.
+    `neighbours` ascend, as the weights do. `bus` says which node sends when and in which frames.
+    `links` says which frames do not arrive, `scenario_links` which would not without any change.
+    `faults` are all other faults. In a `timed` network a group ends when its time is over
+    (`CycleClosed`), and not when all its frames have come.
 
     The configuration holds from `first_step` on, whose cycles begin at `first_cycle`. `standing` is
     what changes have made of the network; `rebuild(standing, step, belief)` makes the configuration
@@ -49,10 +47,8 @@ class NodeConfig:
     neighbours: tuple[int, ...]
     rounds: int
     steps: int
-    schedule: Schedule
-    slots: Callable[[int, int], tuple[Slot, ...]]
+    bus: Bus
     estimator: Estimator
-    cycle_counts: int = CYCLE_COUNTS
     links: LinkState = PERFECT
     first_step: int = 0
     first_cycle: int = 0
@@ -62,15 +58,20 @@ class NodeConfig:
     faults: Faults = HEALTHY
     scenario_links: LinkState = PERFECT
 
-    def parts(self, cycle: int) -> "tuple[Part, ...]":
-        """What is composed at once in a cycle, in order of time."""
+    @property
+    def schedule(self) -> Schedule:
+        """The schedule: which nodes may send in which cycle."""
+        return self.bus.schedule
+
+    def groups(self, cycle: int) -> "tuple[NodeGroup, ...]":
+        """The groups of frames that are composed at once, in order of time."""
         # Kept: a node asks with every event, and turns repeat.
         turn = cycle % self._period
         known = self._known_turns.get(turn)
         if known is None:
             groups = self.schedule.groups(cycle)
             known = tuple(
-                Part(*group, tuple(j for j in self.neighbours if j in group.senders))
+                NodeGroup(*group, tuple(j for j in self.neighbours if j in group.senders))
                 for group in groups
             )
             self._known_turns[turn] = known
@@ -78,7 +79,7 @@ class NodeConfig:
 
     @cached_property
     def hears_all(self) -> bool:
-        """What is sent arrives as it was sent."""
+        """Whether frames arrive as they were sent."""
         return self.links.perfect and not self.faults.standing
 
     @cached_property
@@ -86,12 +87,12 @@ class NodeConfig:
         return self.schedule.period
 
     @cached_property
-    def _known_turns(self) -> "dict[int, tuple[Part, ...]]":
+    def _known_turns(self) -> "dict[int, tuple[NodeGroup, ...]]":
         return {}
 
 
-class Part(NamedTuple):
-    """A group of a cycle (`bus.schedule.Group`), and the node's neighbours among its senders,
+class NodeGroup(NamedTuple):
+    """A group of a cycle (`Group`), and the node's neighbours among its senders,
     ascending."""
 
     senders: tuple[int, ...]
@@ -100,8 +101,10 @@ class Part(NamedTuple):
 
 
 class Inbox(msgspec.Struct, frozen=True):
-    """What has come before its time: heartbeats by step, grants by (cycle, group), shares and their
-    parts by (cycle, sender). What the link has lost is None: nobody waits for it any more.
+    """Messages that came before their time.
+
+    Heartbeats are kept by step, grants by (cycle, group), shares and their parts by (cycle,
+    sender). A frame that the link has lost is None: the node does not wait for it.
 
     Frames of later steps wait in `early` by (sender, cycle, frame ID): changes may come before
     them, and say what they are. `overtaken` shares by (cycle, sender) come after all others of
@@ -121,9 +124,9 @@ class Inbox(msgspec.Struct, frozen=True):
 class NodeState(msgspec.Struct, frozen=True):
     """A node between two events.
 
-    `step` is the last begun, `cycle` the one that is open or next, `group` its open part; `won` are
-    the nodes that have had a dynamic slot in earlier parts of it; `absent` those that are out;
-    `pattern` is a heartbeat as all are formed.
+    `step` is the last begun, `cycle` the one that is open or next, `group` its open group. `won`
+    are the nodes that have had a dynamic slot in earlier groups of the cycle, `absent` those that
+    are out. `pattern` is a heartbeat as all are formed.
     """
 
     phase: Phase

@@ -24,6 +24,6 @@ class Tempo(msgspec.Struct, frozen=True):
         """Where a cycle of a step begins; `cycle` counts from the step's first one, 0."""
         return self.step_begins_s(step) + cycle * self.cycle_s
 
-    def part_ends_s(self, step: int, cycle: int, group: int, groups: int) -> float:
-        """The deadline of a part of a cycle, of which all parts last equally long."""
+    def group_ends_s(self, step: int, cycle: int, group: int, groups: int) -> float:
+        """The deadline of a group of a cycle; all groups last equally long."""
         return self.cycle_begins_s(step, cycle) + (group + 1) / groups * self.cycle_s

@@ -1,1 +1,1 @@
-"""The truth: dynamics, sensors, controllers and recorded data; imports nothing of ours."""
+"""Plants: dynamics, sensors, controllers and recorded data; needs no package of ours."""

@@ -9,6 +9,6 @@ TURN = 2 * math.pi
 
 
 def wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The same angles (...) in rad, within (-pi, pi]."""
+    """Return the same angles (...) in rad, within (-pi, pi]."""
     # The minimum takes back one unit in the last place that rounding may add to pi.
     return np.minimum(angle - TURN * np.ceil(angle / TURN - 0.5), math.pi)

@@ -15,7 +15,7 @@ from plants.draws import Array, Draws, GeneratorFor
 
 @dataclass(frozen=True, eq=False)
 class BoundedModel:
-    """What filters know: the system, and how a known control (p,) enters, by G (n, p)."""
+    """Model of the filters: the system, and how a known control (p,) enters, by G (n, p)."""
 
     system: BoundedSystem
     control_matrix: Array
@@ -37,7 +37,8 @@ class BoundedModel:
 
 @dataclass(frozen=True, eq=False)
 class OutputSensor:
-    """What a node reads: one output of the system; `noise_bound` is its largest disturbance."""
+    """Sensor of a node: it reads one output of the system; `noise_bound` is its largest
+    disturbance."""
 
     system: BoundedSystem
     output: int
@@ -45,7 +46,7 @@ class OutputSensor:
     gate: None = None
 
     def strips(self, step: int) -> tuple[Array, Array]:
-        """The row (1, n) and how far the reading may be off (1,) at this step."""
+        """Return the row (1, n) and how far the reading may be off (1,) at this step."""
         disturbance = self.system.scaled_feedthrough(step)[self.output]
         row = self.system.output(step)[self.output]
         return row[None], np.sqrt(disturbance @ disturbance)[None]
@@ -94,7 +95,7 @@ class BoundedNetwork:
         """The nodes have no place in the plane."""
 
     def draw(self, generator_for: GeneratorFor, steps: int) -> Draws:
-        """The noise of one run: the same for the state and for every sensor."""
+        """Return the noise of one run: the same for the state and for every sensor."""
         process = self.noise(generator_for("process", 0), steps)
         everywhere = np.broadcast_to(
             process[:, None, None], (steps, self.nodes, 1, process.shape[-1])
@@ -113,7 +114,8 @@ class BoundedNetwork:
         return moved + noise @ self.system.scaled_noise_input(step).T
 
     def observe(self, state: Array, noise: Array, step: int) -> Array:
-        """What the nodes read (..., nodes, 1, 1) of state (..., n), noise (..., nodes, 1, q)."""
+        """Return the nodes' readings (..., nodes, 1, 1) of state (..., n), noise (..., nodes, 1,
+        q)."""
         dealt = np.arange(self.nodes) % len(self.noise_bounds)
         exact = state @ self.system.output(step)[dealt].T
         disturbance = self.system.scaled_feedthrough(step)[dealt][:, None]

@@ -27,13 +27,13 @@ class Drift(NamedTuple):
     signal: Signal
 
     def __call__(self, step: int) -> Array:
-        """What the input adds to the state between step and step + 1: (n,)."""
+        """Return the input's contribution to the state between step and step + 1: (n,)."""
         return self.matrix @ self.signal(step)
 
 
 @dataclass(frozen=True, eq=False)
 class LinearModel:
-    """What a filter believes: F (n, n), G (n, p), Q (n, n), and the drift it knows of."""
+    """Model of a filter: F (n, n), G (n, p), Q (n, n), and the known drift."""
 
     transition_matrix: Array
     control_matrix: Array
@@ -54,10 +54,10 @@ class LinearModel:
 
 @dataclass(frozen=True, eq=False)
 class LinearSensor:
-    """What a node measures: rows (..., m, n) of the state, with standard deviations (..., m).
+    """Sensor of a node: rows (..., m, n) of the state, with standard deviations (..., m).
 
-    One node, or all of them with a leading axis. A NaN in noise_std means that there is nothing
-    to measure that row with: a blind entry.
+    A leading axis, if present, counts the nodes. A NaN in noise_std means that the node has no
+    sensor for that row.
     """
 
     rows: Array
@@ -113,14 +113,14 @@ class LinearPlant:
         return len(self.sensors.rows)
 
     def sensor(self, node: int) -> LinearSensor:
-        """What one of the nodes sees."""
+        """Return the sensor of one node."""
         return LinearSensor(self.sensors.rows[node], self.sensors.noise_std[node])
 
     def positions(self, step: int) -> None:
         """These sensors sit in one machine: nothing to draw on a map."""
 
     def draw(self, generator_for: GeneratorFor, steps: int) -> Draws:
-        """The noise of one run."""
+        """Return the noise of one run."""
         nodes, outputs = self.sensors.noise_std.shape
         n, q = self.noise_factor.shape
         return standard_draws(generator_for, n, q, (nodes, 1, outputs), steps)

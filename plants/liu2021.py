@@ -76,12 +76,12 @@ class Stabiliser:
     initial_memory = np.zeros(0)
 
     def control(self, state_estimate: Array, memory: Array, step: int) -> tuple[Array, Array]:
-        """The control (1,) for an estimate (4,); nothing is remembered."""
+        """Return the control (1,) for an estimate (4,); nothing is remembered."""
         return -(state_estimate @ _FEEDBACK.T), memory
 
 
 def network(nodes: int, noise: str) -> BoundedNetwork:
-    """The example with its outputs dealt out to nodes.
+    """Return the example with its outputs dealt out to nodes.
 
     Args:
         nodes: how many.
@@ -103,5 +103,5 @@ def network(nodes: int, noise: str) -> BoundedNetwork:
 
 
 def _inside(direction: Array) -> Array:
-    """The direction, as long as the unit ball allows."""
+    """Return the direction, as long as the unit ball allows."""
     return direction / np.linalg.norm(direction)

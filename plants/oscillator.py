@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 
 class Output(NamedTuple):
-    """What a node sees: `row` (2,) times the state, with noise of `noise_std`."""
+    """Output that a node measures: `row` (2,) times the state, with noise of `noise_std`."""
 
     row: tuple[float, float]
     noise_std: float
@@ -51,7 +51,7 @@ class Oscillation:
 
     @cached_property
     def transition_matrix(self) -> Array:
-        """The transition (2, 2)."""
+        """Return the transition (2, 2)."""
         return oscillation_transition(self.frequency_rad_s, self.damping_1_s, self.time_step_s)
 
     @cached_property
@@ -85,11 +85,11 @@ class ScalarSensor:
     gate: float | None = None
 
     def for_node(self, node: int) -> "ScalarSensor":
-        """The sensor of one of the nodes."""
+        """Return the sensor of one of the nodes."""
         return replace(self, row=self.row[node], noise_std=self.noise_std[node])
 
     def measure(self, state: Array, step: int) -> Array:
-        """The number (..., 1) of states (..., 2), without noise."""
+        """Return the number (..., 1) of states (..., 2), without noise."""
         value = self.row[..., 0] * state[..., 0] + self.row[..., 1] * state[..., 1]
         return value[..., None]
 
@@ -98,7 +98,7 @@ class ScalarSensor:
         return a - b
 
     def interpret(self, delivered: Array) -> tuple[Array, Array]:
-        """The delivered (..., 1) as it is, and its noise covariance (..., 1, 1)."""
+        """Return the delivered (..., 1) as it is, and its noise covariance (..., 1, 1)."""
         noise_cov = (self.noise_std**2)[..., None, None]
         return delivered, np.broadcast_to(noise_cov, (*delivered.shape, 1))
 
@@ -144,14 +144,14 @@ class Oscillator:
         )
 
     def sensor(self, node: int) -> ScalarSensor:
-        """What one of the nodes sees."""
+        """Return the sensor of one node."""
         return self.sensors.for_node(node)
 
     def positions(self, step: int) -> None:
         """The nodes have no place in the plane."""
 
     def draw(self, generator_for: GeneratorFor, steps: int) -> Draws:
-        """The noise of one run."""
+        """Return the noise of one run."""
         return standard_draws(generator_for, 2, 2, (self.nodes, 1, 1), steps)
 
     def initial(self, noise: Array) -> tuple[Array, Array, Array]:
@@ -166,7 +166,7 @@ class Oscillator:
         return self.model.transition(state, control, step) + noise @ factor.T
 
     def observe(self, state: Array, noise: Array, step: int) -> Array:
-        """What the nodes deliver, (..., nodes, 1, 1), of states (..., 2) for such noise."""
+        """Return the nodes' readings (..., nodes, 1, 1) of states (..., 2) for this noise."""
         exact = self.sensors.measure(state[..., None, :], step)
         delivered = exact + noise[..., 0, :] * self.sensors.noise_std[:, None]
         delivered[..., self._blind, :] = np.nan

@@ -37,7 +37,7 @@ def place_sensors(
 
 
 def _in_one_piece(positions: NDArray[np.float64], radio_range_m: float) -> bool:
-    """Whether a message that starts at the first node reaches all others."""
+    """Return whether a message that starts at the first node reaches all others."""
     pending = np.ones(len(positions), dtype=bool)
     pending[0] = False
     front = positions[:1]

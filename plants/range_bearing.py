@@ -38,7 +38,7 @@ class RangeBearing:
         require_positive(range_std_m=self.range_std_m, bearing_std_rad=self.bearing_std_rad)
 
     def for_node(self, node: int) -> "RangeBearing":
-        """The sensor of one of the nodes."""
+        """Return the sensor of one of the nodes."""
         return replace(self, position_m=self.position_m[node])
 
     def measure(self, state: Array, step: int) -> Array:
@@ -57,7 +57,7 @@ class RangeBearing:
         return difference
 
     def interpret(self, delivered: Array) -> tuple[Array, Array]:
-        """The delivered (..., 2) as it is, and its noise covariance (..., 2, 2)."""
+        """Return the delivered (..., 2) as it is, and its noise covariance (..., 2, 2)."""
         return delivered, np.broadcast_to(self._noise_cov, (*delivered.shape, 2))
 
     @property

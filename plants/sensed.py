@@ -48,7 +48,7 @@ class SensedPlant:
         """The nodes have no place in the plane."""
 
     def draw(self, generator_for: GeneratorFor, steps: int) -> Draws:
-        """The noise of one run: process (steps, n + numbers of g), measurement as placed."""
+        """Return the noise of one run: process (steps, n + numbers of g), measurement as placed."""
         n = len(self.prior_mean)
         numbers = n + self.system.process(0).numbers
         return Draws(
@@ -67,7 +67,7 @@ class SensedPlant:
         return self.system.advance(state, control, noise, step)
 
     def observe(self, state: Array, noise: Array, step: int) -> Array:
-        """What the nodes read (..., nodes, 1, d); NaN where there is nothing, so at step 0."""
+        """Return the nodes' readings (..., nodes, 1, d); NaN without a reading, as at step 0."""
         delivered = self.placement.observe(self.system, state, noise, step)
         return delivered if step > 0 else np.full_like(delivered, np.nan)
 

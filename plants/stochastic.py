@@ -3,8 +3,8 @@
     x[s+1] = f(x[s], u[s], s) + g(x[s], eta[s]) + w[s]
     y[s] = h(x[s], s) + b(x[s], zeta[s]) + v[s]
 
-g and b are sums of terms A Z B x with a matrix Z of independent standard normal numbers, so that
-E{g | x} = 0 and E{g g' | x} = sum_t Pi_t x' Gamma_t x with Pi = A A', Gamma = B' B: any second
+g and b are sums of terms A Z B x with a matrix Z of independent standard normal numbers. So
+E{g | x} = 0 and E{g g' | x} = sum_t Pi_t x' Gamma_t x with Pi = A A', Gamma = B' B. Any second
 moment of that form has such a term. Source: Meng et al. (2025), UKF for nonlinear systems with
 stochastic nonlinearities under FlexRay protocol, equation (1).
 """
@@ -27,11 +27,11 @@ class Term(NamedTuple):
 
     @property
     def numbers(self) -> int:
-        """How many normal numbers p q it consumes."""
+        """Return how many normal numbers p q it consumes."""
         return self.outer.shape[-1] * self.inner.shape[0]
 
     def value(self, state: Array, noise: Array) -> Array:
-        """The term (..., d) at states (..., n) for noise (..., p q)."""
+        """Return the term (..., d) at states (..., n) for noise (..., p q)."""
         matrix = noise.reshape(*noise.shape[:-1], self.outer.shape[-1], self.inner.shape[0])
         return ((matrix @ (state @ self.inner.T)[..., None])[..., 0]) @ self.outer.T
 
@@ -65,7 +65,7 @@ class StochasticNonlinearity:
 
     @property
     def numbers(self) -> int:
-        """How many standard normal numbers one value consumes."""
+        """Return how many standard normal numbers one value consumes."""
         return sum(term.numbers for term in self.terms)
 
     @cached_property
@@ -81,7 +81,7 @@ class StochasticNonlinearity:
         )
 
     def value(self, state: Array, noise: Array) -> Array:
-        """The sum (..., d) at states (..., n) for standard normal noise (..., numbers)."""
+        """Return the sum (..., d) at states (..., n) for standard normal noise (..., numbers)."""
         total = np.zeros((*np.broadcast_shapes(state.shape[:-1], noise.shape[:-1]), self.size))
         first = 0
         for term in self.terms:
@@ -111,11 +111,11 @@ class StochasticSystem:
     measurement: Callable[[int], StochasticNonlinearity]
 
     def process_moment(self, step: int) -> SecondMoment:
-        """The second moment of g at a step."""
+        """Return the second moment of g at a step."""
         return self.process(step).second_moment
 
     def measurement_moment(self, step: int) -> SecondMoment:
-        """The second moment of b at a step."""
+        """Return the second moment of b at a step."""
         return self.measurement(step).second_moment
 
     @property

@@ -64,7 +64,7 @@ class Target:
         return self.model.state_units
 
     def sensor(self, node: int) -> RangeBearing:
-        """What one of the nodes sees."""
+        """Return the sensor of one node."""
         return self.sensors.for_node(node)
 
     def positions(self, step: int) -> Array:
@@ -72,7 +72,7 @@ class Target:
         return self.sensors.position_m
 
     def draw(self, generator_for: GeneratorFor, steps: int) -> Draws:
-        """The noise of one run."""
+        """Return the noise of one run."""
         states = len(self.start)
         return standard_draws(generator_for, states, states, (self.nodes, 1, 2), steps)
 
@@ -88,7 +88,7 @@ class Target:
         return self.model.transition(state, control, step) + noise @ factor.T
 
     def observe(self, state: Array, noise: Array, step: int) -> Array:
-        """What the nodes deliver, (..., nodes, 1, 2), of states (..., n) for such noise."""
+        """Return the nodes' readings (..., nodes, 1, 2) of states (..., n) for this noise."""
         exact = self.sensors.measure(state[..., None, :], step)
         delivered = exact + noise[..., 0, :] * self.sensors.noise_std
         delivered[..., 1] = wrapped(delivered[..., 1])

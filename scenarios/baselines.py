@@ -13,12 +13,12 @@ import numpy as np
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule, scaled_unscented
 from filters.ukf import predict, update
-from nodes.local_filter import Sensor, take_readings
 from nodes.messages import Array
-from nodes.vectorised_filter import LocalFilters, SensorGroup
+from nodes.rules.local_filter import LocalFilters, Sensor, SensorGroup, take_readings
 from scenarios.catalogue import kind_of
+from scenarios.preparation import setup_of_run
 from scenarios.rules import rule_of
-from scenarios.setup import Setup, setup_of_run
+from scenarios.setup import Setup
 
 # An update inverts a matrix of all readings that it takes, so beyond so many they are taken batch
 # by batch, and the cost grows with their number. On a linear plant that is the same; elsewhere each
@@ -145,7 +145,7 @@ def _through(
     for step in range(readings.shape[1]):
         driven = None if control is None else control[:, step]
         if driven is not None and np.isnan(driven).all():
-            # Whoever closes the loop was not there yet.
+            # The node that closes the loop was not present yet.
             driven = None
         belief = listen(belief, step, readings[:, step], driven)
         means.append(belief.mean)
@@ -204,7 +204,7 @@ class _Block(NamedTuple):
     noise_cov: Array
 
     def measure(self, state: Array, step: int) -> Array:
-        """What their sensors would deliver of points (S, ..., n): (S, ..., M, m)."""
+        """Return the readings of their sensors at points (S, ..., n): (S, ..., M, m)."""
         every = self.sensor.measure(state[..., None, :], step)
         # Sensors that are all alike deliver one value for all nodes.
         every = np.broadcast_to(every, (*every.shape[:-2], self.nodes, every.shape[-1]))

@@ -1,4 +1,4 @@
-"""From a setup to what the drivers run: the configuration of one node, or of the world."""
+"""Build the drivers' input from a setup: the configuration of one node, or of the environment."""
 
 import dataclasses
 from functools import partial
@@ -6,31 +6,33 @@ from functools import partial
 import msgspec
 import numpy as np
 
-from bus.arbitration import ArbiterState
+from bus.bus import Bus
 from bus.schedule import Schedule
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
 from nodes.changes import UNCHANGED, Standing
+from nodes.environment_state import Controller, EnvironmentConfig
 from nodes.estimator import Estimator
 from nodes.messages import from_wire
 from nodes.node_state import NodeConfig
-from nodes.world import Controller, WorldConfig
-from scenarios.bus_plan import BusPlan, arbitrate, plan_bus
+from scenarios.bus_plan import plan_bus
 from scenarios.catalogue import kind_of
-from scenarios.control import control_node
+from scenarios.definitions.control import control_node
 from scenarios.equipment import build_faults, spread_of
-from scenarios.estimators import Beginning, Seat
-from scenarios.labelled import Everybody
 from scenarios.links import link_state
+from scenarios.preparation import complete_settings, share_bytes, with_settings
 from scenarios.rules import build_estimator, hold_policy, wire_number
 from scenarios.scenario import Scenario
-from scenarios.setup import Setup, complete_settings, generator, share_bytes, with_settings
+from scenarios.seat import Beginning, Everybody, RuleContext, Seat
+from scenarios.setup import Setup
+from scenarios.streams import generator
+from scenarios.types.buses import trigger_of
 
-# Steps by which an undriven world may run ahead of the slowest estimate.
+# Steps by which an undriven environment may run ahead of the slowest estimate.
 OPEN_LOOP_LEAD = 4
 
 
-def build_plan(setup: Setup) -> BusPlan:
+def build_bus(setup: Setup) -> Bus:
     """The bus of a setup."""
     return plan_bus(setup.scenario, share_bytes(setup), setup.neighbours)
 
@@ -43,23 +45,21 @@ def build_node(setup: Setup, node: int) -> NodeConfig:
 def _node(setup: Setup, node: int, standing: Standing, step: int) -> NodeConfig:
     """That of a node which begins at a step, where `setup` holds by what has been set since."""
     scenario = setup.scenario
-    plan = build_plan(setup)
+    bus = build_bus(setup)
     cycle = standing.first_cycle + (step - standing.first_step) * scenario.rounds
     return NodeConfig(
         node,
         tuple(setup.neighbours[node]),
         scenario.rounds,
         scenario.steps,
-        plan.schedule,
-        plan.slots,
-        _estimator(setup, node, plan.schedule, Beginning(step, cycle)),
-        plan.cycle_counts,
+        bus,
+        _estimator(setup, node, bus.schedule, Beginning(step, cycle)),
         link_state(setup),
         standing.first_step,
         standing.first_cycle,
         standing,
         partial(_rebuilt, setup, node),
-        faults=build_faults(setup, plan),
+        faults=build_faults(setup, bus),
         scenario_links=link_state(setup),
     )
 
@@ -73,14 +73,14 @@ def _rebuilt(
         ValueError: they cannot be set so.
     """
     if standing.settings:
-        complete_settings(setup, standing.settings)
+        complete_settings(setup, {}, standing.settings)
     changed = with_settings(setup, standing.settings)
     if belief is not None:
         changed = msgspec.structs.replace(
             changed, prior_mean=belief.mean.tolist(), prior_cov=belief.cov.tolist()
         )
     config = _node(changed, node, standing, step)
-    # What is set next is set beside what was set before.
+    # A later change of settings applies to the original setup, beside all earlier changes.
     return dataclasses.replace(config, rebuild=partial(_rebuilt, setup, node))
 
 
@@ -91,16 +91,12 @@ def _estimator(setup: Setup, node: int, schedule: Schedule, beginning: Beginning
         return kind.wiring.estimator(setup, node)
     seat = Seat(
         node,
-        setup.neighbours,
+        rule_context(setup),
         weights=np.array(setup.weights[node]),
         model=kind.model(scenario),
         sensor=kind.sensor(scenario, node),
         prior=Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov)),
         points=kind.points(scenario) if kind.points else scaled_unscented(len(setup.prior_mean)),
-        hold=hold_policy(scenario),
-        trigger=scenario.trigger,
-        number=wire_number(scenario),
-        liars=scenario.liars,
         everybody=partial(everybody_of, setup, schedule),
         beginning=beginning,
     )
@@ -108,8 +104,22 @@ def _estimator(setup: Setup, node: int, schedule: Schedule, beginning: Beginning
     return kind.around(scenario, seat, rule) if kind.around else rule
 
 
+def rule_context(setup: Setup, contends: bool = True) -> RuleContext:
+    """Return the context of a setup's rule."""
+    scenario = setup.scenario
+    return RuleContext(
+        len(setup.prior_mean),
+        setup.neighbours,
+        hold_policy(scenario),
+        trigger_of(scenario.bus.schedule),
+        wire_number(scenario),
+        scenario.rule,
+        contends,
+    )
+
+
 def everybody_of(setup: Setup, schedule: Schedule) -> Everybody:
-    """What every node knows of all nodes."""
+    """Return the knowledge that all nodes have of all nodes."""
     scenario = setup.scenario
     kind = kind_of(scenario.name)
     plant = kind.plant(scenario)
@@ -119,14 +129,14 @@ def everybody_of(setup: Setup, schedule: Schedule) -> Everybody:
     return Everybody(scenario, schedule, sensors, (readings, channels))
 
 
-def build_world(setup: Setup) -> WorldConfig:
-    """The configuration of the world, with all its randomness drawn."""
+def build_environment(setup: Setup) -> EnvironmentConfig:
+    """Return the configuration of the environment, with all its randomness drawn."""
     scenario = setup.scenario
-    plan = build_plan(setup)
+    bus = build_bus(setup)
     kind = kind_of(scenario.name)
     plant = kind.plant(scenario)
     controller = build_controller(scenario)
-    return WorldConfig(
+    return EnvironmentConfig(
         plant=plant,
         initial_state=from_wire(setup.initial_state),
         states=len(setup.prior_mean),
@@ -135,30 +145,28 @@ def build_world(setup: Setup) -> WorldConfig:
         steps=scenario.steps,
         rounds=scenario.rounds,
         lead=OPEN_LOOP_LEAD if controller is None or controller.node is None else 1,
-        schedule=plan.schedule,
-        arbitrate=arbitrate(scenario, plan),
-        arbiter_state=ArbiterState(),
+        bus=bus,
         controller=controller,
         delivery=kind.delivery(scenario) if kind.delivery else None,
         neighbours=setup.neighbours,
-        rebuild=partial(_world_rebuilt, setup),
-        faults=build_faults(setup, plan),
+        rebuild=partial(_environment_rebuilt, setup),
+        faults=build_faults(setup, bus),
         spread=partial(spread_of, scenario),
     )
 
 
-def _world_rebuilt(setup: Setup, standing: Standing) -> WorldConfig:
-    changed = build_world(with_settings(setup, standing.settings))
+def _environment_rebuilt(setup: Setup, standing: Standing) -> EnvironmentConfig:
+    changed = build_environment(with_settings(setup, standing.settings))
     return dataclasses.replace(
         changed,
         first_step=standing.first_step,
         first_cycle=standing.first_cycle,
-        rebuild=partial(_world_rebuilt, setup),
+        rebuild=partial(_environment_rebuilt, setup),
     )
 
 
 def build_controller(scenario: Scenario) -> Controller | None:
-    """What closes the loop of the plant, and through whose knowledge; None for an open loop."""
+    """Return the plant's controller and the node whose belief it uses; None for an open loop."""
     law = kind_of(scenario.name).controller(scenario)
     if law is None:
         return None

@@ -1,20 +1,18 @@
-"""What of a scenario its faults need to know."""
+"""Equipment: the properties of a scenario's network that its faults need."""
 
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from bus.bus import Bus
 from nodes.belief_codec import BeliefCodec
-from nodes.faults import Equipment, Faults
+from nodes.faults.active import Equipment, Faults
 from nodes.messages import Array
-from scenarios.bus_plan import BusPlan
 from scenarios.catalogue import kind_of
-from scenarios.links import key_of
 from scenarios.rules import rule_of, wire_number
 from scenarios.scenario import Scenario
-
-if TYPE_CHECKING:
-    from scenarios.setup import Setup
+from scenarios.setup import Setup
+from scenarios.streams import key_of
 
 
 @runtime_checkable
@@ -33,26 +31,22 @@ class _Uncalibrated(Protocol):
     def delivered_std(self) -> Array: ...
 
 
-def build_faults(setup: "Setup", plan: BusPlan) -> Faults:
-    """What decides of the faults of a run, of which none stands yet."""
-    return Faults(key_of(setup.scenario, "faults"), equipment_of(setup, plan))
+def build_faults(setup: Setup, bus: Bus) -> Faults:
+    """Return the faults of a run, none active yet, with the key of their draws."""
+    return Faults(key_of(setup.scenario, "faults"), equipment_of(setup, bus))
 
 
-def equipment_of(setup: "Setup", plan: BusPlan) -> Equipment:
-    """What the network of a setup has that can be wrong."""
-    scenario, cluster = setup.scenario, plan.cluster
-    number, codec = "", None
+def equipment_of(setup: Setup, bus: Bus) -> Equipment:
+    """Return the equipment of a setup's network that faults can strike."""
+    scenario, number, codec = setup.scenario, "", None
     if kind_of(scenario.name).wiring is None:
         rule = rule_of(scenario)
         number = "" if rule.share_numbers is None else wire_number(scenario)
         codec = BeliefCodec(len(setup.prior_mean), number) if rule.shares_beliefs else None
-    if cluster is None:
-        return Equipment(number=number, codec=codec)
-    # Both action points are as far from the edge of their slot as clocks may be apart.
-    offsets = [cluster.action_point_us]
-    if cluster.minislots:
-        offsets.append(cluster.minislot_action_point_us)
-    return Equipment(cluster.channels, cluster.cycle_us, min(offsets), number, codec)
+    noticed_bits = bus.frame_format.noticed_bits
+    return Equipment(
+        bus.channels, bus.cycle_us, bus.clock_precision_us, number, codec, noticed_bits
+    )
 
 
 def spread_of(scenario: Scenario, readings: Array) -> Array:

@@ -1,136 +1,128 @@
-"""How a rule's estimator is built at one node's place in the network."""
+"""How a rule is built from a scenario: once, and then at one node or at all nodes of many runs."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, TypeVar
 
 import numpy as np
 
-from filters import diffusion, hybrid_consensus, information_weighted, kalman_consensus
-from filters.fusion import Averaged, Directly
+from filters.fusion import diffusion, hold, hybrid_consensus, information_weighted, kalman_consensus
+from filters.fusion.averaging import MOMENTS, Averaged, Averaging, Directly
+from filters.fusion.trimmed import trimmed_intersection
 from filters.gaussian import Gaussian
-from filters.sigma_points import SigmaPointRule
-from filters.trimmed import trimmed_intersection
-from nodes.belief_codec import BeliefCodec
-from nodes.belief_consensus import BeliefConsensus, HoldPolicy
 from nodes.estimator import Estimator
-from nodes.fresh_consensus import FreshConsensus, FreshRule
-from nodes.information_rounds import InformationRounds
-from nodes.labelled import LabelledFlooding
-from nodes.local_filter import Model, Sensor
+from nodes.lanes.batch import AveragesInBatch, InBatch
+from nodes.lanes.beliefs import BatchedBeliefs
+from nodes.lanes.labelled import BatchedFlooding
+from nodes.lanes.network import BatchedRule
+from nodes.lanes.window import WindowFilters
 from nodes.messages import Array
-from nodes.novelty_rounds import NoveltyRounds
+from nodes.rules.at_node import AtNode
+from nodes.rules.belief_consensus import BeliefConsensus, HoldPolicy
+from nodes.rules.fresh_consensus import FreshConsensus
+from nodes.rules.information_rounds import InformationRounds
+from nodes.rules.labelled import GAP_STEPS, LabelledFlooding
+from nodes.rules.lane_rule import LaneRule, Place
+from nodes.rules.novelty_rounds import NoveltyRounds
+from nodes.rules.set_membership import SetAtNode
+from nodes.rules.window_filter import WindowFilter
 from nodes.vector_codec import VectorCodec
-from nodes.window_filter import WindowFilter
-from scenarios.labelled import Everybody, frame_codec, gates_of
+from scenarios.labelled import frame_codec, gates_of
+from scenarios.seat import BatchSeat, RuleContext, Seat
+from scenarios.types.rules import TrimmedCovarianceIntersection
+
+AnyRule = LaneRule[Any, Any, Any]
+BuildRule = Callable[[RuleContext], AnyRule]
+Kind = TypeVar("Kind", bound=AtNode)
 
 
-class Beginning(NamedTuple):
-    """The first step of an estimator, and the communication cycle with which it begins."""
-
-    step: int = 0
-    cycle: int = 0
+# --- a rule, once --------------------------------------------------------------------------------
 
 
-class Seat(NamedTuple):
-    """A node's place in the network: all that its estimator is built from.
-
-    `neighbours` are whom each node of the network hears; `weights` (1 + J,) the node's own weight
-    first, then those of its neighbours; `number` is "<f8" or "<f4"; so many of its neighbours may
-    be `liars`; `everybody` tells what rules need to know that use the readings of others.
-    """
-
-    node: int
-    neighbours: Sequence[Sequence[int]]
-    weights: Array
-    model: Model
-    sensor: Sensor | None
-    prior: Gaussian
-    points: SigmaPointRule
-    hold: HoldPolicy
-    trigger: float
-    number: str
-    liars: int = 0
-    everybody: Callable[[], Everybody] | None = None
-    beginning: Beginning = Beginning()
-
-
-def averaging(average: Callable[[Gaussian, Array], Gaussian], seat: Seat) -> Estimator:
+def averaging(rule: Averaged, context: RuleContext) -> AnyRule:
     """For rules that average beliefs, fresh ones and held ones."""
-    return averaging_numbers(Directly(average), seat)
+    return BeliefConsensus(rule, context.hold, context.states, context.trigger, context.contends)
 
 
-def averaging_numbers(rule: Averaged, seat: Seat) -> Estimator:
-    """For those of them whose averages are of numbers, which one factorisation gives."""
-    states = len(seat.prior.mean)
-    return BeliefConsensus(
-        model=seat.model,
-        sensor=seat.sensor,
-        prior=seat.prior,
-        points=seat.points,
-        rule=rule,
-        hold=seat.hold,
-        weights=seat.weights,
-        codec=BeliefCodec(states, seat.number),
-        trigger=seat.trigger,
-    )
+def trimmed(context: RuleContext) -> AnyRule:
+    """For covariance intersection among liars: their own claims give no weight."""
+    rule = context.rule
+    assert isinstance(rule, TrimmedCovarianceIntersection), "the table of rules chose it"
+    return averaging(Directly(partial(trimmed_intersection, liars=rule.liars)), context)
 
 
-def trimmed(seat: Seat) -> Estimator:
-    """For covariance intersection among liars: what they claim of themselves gives no weight."""
-    average = partial(trimmed_intersection, liars=seat.liars)
-    return averaging(average, seat._replace(hold=seat.hold._replace(by_sharpness=False)))
-
-
-def hybrid(gain: hybrid_consensus.Gain, seat: Seat) -> Estimator:
+def hybrid(gain: hybrid_consensus.Gain, context: RuleContext) -> AnyRule:
     """For consensus on prior and novelty."""
-    states = len(seat.prior.mean)
+    rows = np.eye(len(context.neighbours))
+
+    def begin(node: np.ndarray, prior: Gaussian, posterior: Gaussian) -> Array:
+        return hybrid_consensus.begin(prior, posterior, rows[node])
+
     rule = InformationRounds(
-        partial(hybrid_consensus.begin, row=np.eye(len(seat.neighbours))[seat.node]),
-        partial(hybrid_consensus.conclude, states=states, gain=gain),
-        partial(hybrid_consensus.sound, states=states),
-        seat.weights,
+        begin,
+        partial(hybrid_consensus.conclude, states=context.states, gain=gain),
+        partial(hybrid_consensus.sound, states=context.states),
     )
-    return _fresh(rule, seat)
+    return FreshConsensus(rule, context.trigger, context.contends)
 
 
-def weighted_information(seat: Seat) -> Estimator:
+def weighted_information(context: RuleContext) -> AnyRule:
     """For information-weighted consensus."""
-    nodes = len(seat.neighbours)
+    nodes = len(context.neighbours)
     rule = InformationRounds(
-        partial(information_weighted.begin, nodes=nodes),
+        lambda _, prior, posterior: information_weighted.begin(prior, posterior, nodes),
         partial(information_weighted.conclude, nodes=nodes),
         information_weighted.sound,
-        seat.weights,
     )
-    return _fresh(rule, seat)
+    return FreshConsensus(rule, context.trigger, context.contends)
 
 
-def diffused(seat: Seat) -> Estimator:
+def diffused(context: RuleContext) -> AnyRule:
     """For diffusion; on a complete graph with one round it is the centralised filter."""
-    mix = partial(diffusion.combine, weights=seat.weights)
-    return _fresh(NoveltyRounds(diffusion.begin, diffusion.incremental, mix), seat)
+    rule = NoveltyRounds(diffusion.begin, diffusion.incremental, diffusion.combine)
+    return FreshConsensus(rule, context.trigger, context.contends)
 
 
-def pulled(seat: Seat) -> Estimator:
+def pulled(context: RuleContext) -> AnyRule:
     """For the Kalman-consensus filter."""
-    rate = kalman_consensus.largest_rate(max(len(heard) for heard in seat.neighbours))
+    rate = kalman_consensus.largest_rate(max(len(heard) for heard in context.neighbours))
     rule = NoveltyRounds(
         kalman_consensus.begin,
         partial(kalman_consensus.correct, rate=rate),
-        partial(kalman_consensus.average, rate=rate),
+        lambda means, _: kalman_consensus.average(means, rate),
     )
-    return _fresh(rule, seat)
+    return FreshConsensus(rule, context.trigger, context.contends)
+
+
+# --- at one node ---------------------------------------------------------------------------------
+
+
+def at_node(build: BuildRule, what: str, seat: Seat) -> AtNode[Any, Any, Any]:
+    """The estimator of a rule whose shares are vectors of numbers, and `what` they are."""
+    return _at_node(AtNode, build, what, seat)
+
+
+def set_at_node(build: BuildRule, what: str, seat: Seat) -> SetAtNode[Any]:
+    """The same of a set-membership rule."""
+    return _at_node(SetAtNode, build, what, seat)
+
+
+def _at_node(kind: type[Kind], build: BuildRule, what: str, seat: Seat) -> Kind:
+    rule = build(seat.context)
+    place = Place(np.array(seat.node), seat.weights)
+    length = rule.say(rule.start(place.node, seat.prior, seat.prior)).shape[-1]
+    codec = VectorCodec(length, seat.context.number, what)
+    return kind(rule, place, seat.model, seat.sensor, seat.prior, seat.points, codec)
 
 
 def flooding(seat: Seat) -> Estimator:
-    """For labelled measurements."""
+    """The estimator of labelled measurements."""
     assert seat.everybody is not None, "whoever seats a node of this rule knows all nodes"
-    everybody = seat.everybody()
-    frames = frame_codec(everybody, seat.neighbours, len(seat.prior.mean))
+    everybody, neighbours = seat.everybody(), seat.context.neighbours
+    frames = frame_codec(everybody, neighbours, seat.context.states)
     return LabelledFlooding(
         node=seat.node,
-        neighbours=seat.neighbours,
+        neighbours=neighbours,
         prior=seat.prior,
         filter=WindowFilter(seat.model, everybody.sensors, frames.codecs, seat.points),
         frames=frames,
@@ -142,16 +134,56 @@ def flooding(seat: Seat) -> Estimator:
     )
 
 
-def _fresh(rule: FreshRule, seat: Seat) -> Estimator:
-    """For a rule that uses fresh shares alone."""
-    numbers = len(rule.begin(seat.prior, seat.prior))
-    return FreshConsensus(
-        model=seat.model,
-        sensor=seat.sensor,
-        prior=seat.prior,
-        points=seat.points,
-        rule=rule,
-        neighbours=len(seat.neighbours[seat.node]),
-        codec=VectorCodec(numbers, seat.number),
-        trigger=seat.trigger,
+# --- at all nodes of many runs -------------------------------------------------------------------
+
+
+def in_batch(build: BuildRule, what: str, seat: BatchSeat) -> BatchedRule:
+    """A rule whose shares are vectors of numbers."""
+    rule = build(seat.context)
+    return InBatch(rule, seat.filters, seat.links, seat.base, seat.context.number, what)
+
+
+def averages_in_batch(build: BuildRule, what: str, seat: BatchSeat) -> BatchedRule:
+    """The matrix form of a rule whose rounds are averages."""
+    rule = build(seat.context)
+    return AveragesInBatch(rule, seat.filters, seat.links, seat.base, seat.context.number, what)
+
+
+def alone_in_batch(seat: BatchSeat) -> BatchedRule:
+    """The matrix form of the rule that fuses nothing."""
+    alone = HoldPolicy(lambda base, ages, _sharpness, _cycles: hold.alone(base, ages), False)
+    return beliefs_in_batch(MOMENTS, seat._replace(context=seat.context._replace(hold=alone)))
+
+
+def beliefs_in_batch(rule: Averaging, seat: BatchSeat) -> BatchedRule:
+    """The matrix form of rules that average beliefs."""
+    context = seat.context
+    return BatchedBeliefs(
+        filters=seat.filters,
+        averaging=rule,
+        hold=context.hold,
+        links=seat.links,
+        base=seat.base,
+        rounds=seat.rounds,
+        contenders=seat.contenders,
+        number=context.number,
+        trigger=context.trigger,
+    )
+
+
+def flooding_in_batch(seat: BatchSeat) -> BatchedRule:
+    """Labelled measurements, in scenarios of which `scenarios.labelled.without_arrays` has nothing
+    to name."""
+    everybody = seat.everybody()
+    frames = frame_codec(everybody, seat.context.neighbours, seat.context.states)
+    codecs = tuple(codec for codec in frames.codecs if codec is not None)
+    channels = everybody.readings_shape[1]
+    return BatchedFlooding(
+        WindowFilters(seat.filters, codecs, frames.window_steps, channels),
+        frames,
+        seat.links,
+        everybody.schedule,
+        seat.rounds,
+        GAP_STEPS,
+        gates_of(everybody.scenario, channels),
     )

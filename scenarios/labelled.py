@@ -1,36 +1,28 @@
-"""The rule `labelled` in a scenario: what everybody must know of everybody, and what it refuses."""
+"""The rule `labelled` in a scenario: the knowledge common to all nodes, and the refused cases."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
-from bus.fragments import PREFIX_BYTES as FRAGMENT_BYTES
-from bus.schedule import Schedule, publishers_per_cycle
+from bus.schedule import publishers_per_cycle
 from nodes.belief_codec import BeliefCodec
 from nodes.commands import Configure, Restart
-from nodes.labelled_frame import (
+from nodes.rules.labelled_frame import (
     MAX_SOURCES,
     MAX_WINDOW_STEPS,
     LabelledFrameCodec,
     check_limit,
 )
-from nodes.local_filter import Sensor, StateNoise
-from nodes.record_codec import Calibrated, record_codec
-from nodes.share import PREFIX_BYTES as CYCLE_BYTES
+from nodes.rules.local_filter import Sensor, StateNoise
+from nodes.rules.record_codec import Calibrated, record_codec
+from scenarios.bus_plan import frame_format
 from scenarios.catalogue import kind_of
 from scenarios.scenario import Scenario
 from scenarios.script import script_of
-from topology.names import unknown_name
+from scenarios.seat import Everybody
+from scenarios.types.buses import FlexRay, occupancy_of, trigger_of
+from scenarios.types.rules import MeasurementFlooding
 
-# Fields of `Scenario` that mean something under this rule alone.
-LABELLED_FIELDS = (
-    "window_steps",
-    "digest_steps",
-    "gate_probability",
-    "record_number",
-    "payload_bytes",
-)
 RECORD_NUMBERS = {"int16": "<i2", "float32": "<f4", "float64": "<f8"}
 _CHECKPOINT_NUMBER = "<f4"
 # A window costs neither bytes nor time of the bus, so it is longer than most networks need.
@@ -39,16 +31,10 @@ _LOSSY_DIGEST_STEPS = 8
 _NEGLIGIBLE_LOSS = 0.01
 
 
-class Everybody(NamedTuple):
-    """What all nodes know of all nodes.
-
-    `sensors` has one entry per node; readings of each are of shape `readings_shape` (r, d).
-    """
-
-    scenario: Scenario
-    schedule: Schedule
-    sensors: tuple[Sensor | None, ...]
-    readings_shape: tuple[int, int]
+def flooding_of(scenario: Scenario) -> MeasurementFlooding:
+    """The rule of a scenario that floods measurements."""
+    assert isinstance(scenario.rule, MeasurementFlooding), "the table of rules chose this file"
+    return scenario.rule
 
 
 def frame_codec(
@@ -60,7 +46,7 @@ def frame_codec(
         ValueError: a share cannot hold what it must.
     """
     scenario = everybody.scenario
-    number = RECORD_NUMBERS[scenario.record_number]
+    number = RECORD_NUMBERS[flooding_of(scenario).record_number]
     return LabelledFrameCodec(
         [record_codec(sensor, everybody.readings_shape, number) for sensor in everybody.sensors],
         BeliefCodec(states, _CHECKPOINT_NUMBER),
@@ -76,7 +62,7 @@ def largest_share(scenario: Scenario, states: int) -> int:
     Raises:
         ValueError: it does not hold a checkpoint of so many states.
     """
-    limit = scenario.payload_bytes - CYCLE_BYTES - FRAGMENT_BYTES
+    limit = flooding_of(scenario).payload_bytes - frame_format(scenario).numbering_bytes
     checkpoint = BeliefCodec(states, _CHECKPOINT_NUMBER).size
     check_limit(limit, scenario.nodes, digest_of(scenario), checkpoint)
     return limit
@@ -84,31 +70,34 @@ def largest_share(scenario: Scenario, states: int) -> int:
 
 def window_of(scenario: Scenario, neighbours: Sequence[Sequence[int]]) -> int:
     """Steps in the window: what was asked for, else the latency, but 32 at least."""
-    if scenario.window_steps is not None:
-        return scenario.window_steps
+    asked = flooding_of(scenario).window_steps
+    if asked is not None:
+        return asked
     latency = latency_steps(scenario, neighbours)
     return min(max(latency, _LEAST_WINDOW_STEPS), MAX_WINDOW_STEPS)
 
 
 def digest_of(scenario: Scenario) -> int:
     """Steps in a digest: what was asked for, else eight where links lose frames or change."""
-    if scenario.digest_steps is not None:
-        return scenario.digest_steps
-    if scenario.links == "static" and scenario.loss <= _NEGLIGIBLE_LOSS:
+    rule, network = flooding_of(scenario), scenario.network
+    if rule.digest_steps is not None:
+        return rule.digest_steps
+    if network.links == "static" and network.loss <= _NEGLIGIBLE_LOSS:
         return 0
-    return min(_LOSSY_DIGEST_STEPS, scenario.window_steps or _LOSSY_DIGEST_STEPS)
+    return min(_LOSSY_DIGEST_STEPS, rule.window_steps or _LOSSY_DIGEST_STEPS)
 
 
 def without_arrays(scenario: Scenario) -> str | None:
-    """What of a scenario has no array form under this rule; None if all has."""
+    """Return the part of a scenario that has no array form under this rule; None if all has."""
     kind = kind_of(scenario.name)
     if kind.sensors is None:
         return f"rule labelled where sensors are unlike (scenario {scenario.name})"
     if not all(_is_plain(kind.sensor(scenario, node)) for node in range(scenario.nodes)):
         return f"rule labelled with such sensors as those of scenario {scenario.name}"
     # Elsewhere a share may take several frames, or not fit beside others: that hangs on its length.
-    if scenario.cluster not in ("fitted", "fitted-ab", "none"):
-        return f"rule labelled on a cluster of its own (--cluster {scenario.cluster})"
+    bus = scenario.bus
+    if isinstance(bus, FlexRay) and bus.cluster not in ("fitted", "fitted-ab"):
+        return f"rule labelled on a cluster of its own (--cluster {bus.cluster})"
     if any(isinstance(one.command, Restart | Configure) for one in script_of(scenario)):
         # Windows of one network would begin at different steps.
         return "rule labelled where nodes come back or settings change (--changes restart, set)"
@@ -122,18 +111,21 @@ def _is_plain(sensor: Sensor | None) -> bool:
 
 def gates_of(scenario: Scenario, channels: int) -> tuple[float, ...]:
     """Chi-square thresholds for readings of 1, 2, ... `channels` entries; none for no gate."""
-    if scenario.gate_probability == 0:
+    probability = flooding_of(scenario).gate_probability
+    if probability == 0:
         return ()
     # Only here: a node without a gate need not wait for it.
     from scipy.special import chdtri
 
-    return tuple(chdtri(np.arange(1, channels + 1), scenario.gate_probability).tolist())
+    return tuple(chdtri(np.arange(1, channels + 1), probability).tolist())
 
 
 def latency_steps(scenario: Scenario, neighbours: Sequence[Sequence[int]]) -> int:
     """Steps in which a record crosses the graph if every node must wait for a turn of all others:
     diameter times nodes over shares per step."""
-    shares = scenario.rounds * publishers_per_cycle(scenario.nodes, scenario.occupancy)
+    shares = scenario.rounds * publishers_per_cycle(
+        scenario.nodes, occupancy_of(scenario.bus.schedule)
+    )
     return -(-_diameter(neighbours) * scenario.nodes // shares)
 
 
@@ -145,14 +137,13 @@ def check_labelled(
     Raises:
         ValueError: naming the option, its value, the rule and the cure.
     """
-    if scenario.record_number not in RECORD_NUMBERS:
-        raise unknown_name("record number", scenario.record_number, RECORD_NUMBERS)
     if scenario.nodes > MAX_SOURCES:
         raise ValueError(
             f"rule labelled with --nodes {scenario.nodes}: a label names its source in one byte, "
             f"for {MAX_SOURCES} nodes at most; use rule ci or hcmci"
         )
-    window = scenario.window_steps
+    rule = flooding_of(scenario)
+    window = rule.window_steps
     if window is not None and not 1 <= window <= MAX_WINDOW_STEPS:
         raise ValueError(
             f"--window-steps {window}: must be 1 to {MAX_WINDOW_STEPS}, as a label says the age of "
@@ -160,21 +151,21 @@ def check_labelled(
         )
     if digest_of(scenario) > window_of(scenario, neighbours):
         raise ValueError(
-            f"--digest-steps {scenario.digest_steps}: nothing older than the window of "
+            f"--digest-steps {rule.digest_steps}: nothing older than the window of "
             f"{window_of(scenario, neighbours)} steps is held; lower it, or raise --window-steps"
         )
-    if scenario.trigger > 0:
+    if (trigger := trigger_of(scenario.bus.schedule)) > 0:
         raise ValueError(
-            f"--trigger {scenario.trigger:g}: rule labelled asks for a slot when a neighbour lacks "
+            f"--trigger {trigger:g}: rule labelled asks for a slot when a neighbour lacks "
             "a record, and not when its estimate has changed; leave --trigger out"
         )
     for node, heard in enumerate(neighbours):
         for other in heard:
             if node not in neighbours[other]:
                 raise ValueError(
-                    f"rule labelled on graph {scenario.graph}: node {node} hears node {other}, "
-                    "which does not hear it; a node must hear those it passes records to: use an "
-                    "undirected graph, or rule ci"
+                    f"rule labelled on graph {scenario.network.graph}: node {node} hears node "
+                    f"{other}, which does not hear it; a node must hear those it passes records "
+                    "to: use an undirected graph, or rule ci"
                 )
 
 

@@ -1,25 +1,25 @@
-"""What the links of a run do: lose frames, fail, switch, follow nodes that move.
+"""The links of a run: they lose frames, fail, switch, or follow nodes that move.
 
 Everything follows from the setup and is a pure function of (step or cycle, sender, receiver), so
 every driver asks for itself and gets the same answer.
 """
 
-import hashlib
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
 
-from nodes.link_state import LinkState, LinkUp, chance
+from nodes.faults.losses import LinkState, LinkUp, chance
 from nodes.messages import Array
 from scenarios.catalogue import kind_of
 from scenarios.scenario import Scenario
+from scenarios.setup import Setup
+from scenarios.streams import key_of
 from topology.link_names import LinkPlan, parse_links
 from topology.time_varying import bernoulli, in_range, markov, switching, wandering
 
 if TYPE_CHECKING:
-    from scenarios.setup import Setup
     from topology.adjacency import Adjacency
     from topology.network import Network
 
@@ -27,33 +27,25 @@ if TYPE_CHECKING:
 _FIRST_COUNT = 2
 
 
-def stream_of(scenario: Scenario, purpose: str, node: int) -> np.random.SeedSequence:
-    """The randomness of one purpose at one node in one run of a scenario."""
-    return np.random.SeedSequence(scenario.seed, spawn_key=(scenario.run, code_of(purpose), node))
-
-
-def code_of(purpose: str) -> int:
-    """A purpose as a number of 32 bits, which does not depend on what other purposes there are."""
-    return int.from_bytes(hashlib.sha256(purpose.encode()).digest()[:4], "big")
-
-
-def link_state(setup: "Setup") -> LinkState:
-    """What the links of the run of a setup do to frames."""
+def link_state(setup: Setup) -> LinkState:
+    """Return the effect of a setup's links on frames."""
     scenario = setup.scenario
     losses: dict[tuple[int, int], float] = {}
     if setup.losses is not None:
-        # What a link loses of itself, and what all links lose, are independent.
+        # The loss of one link and the loss of all links are independent.
         losses = {
-            (sender, receiver): 1 - (1 - own) * (1 - scenario.loss)
+            (sender, receiver): 1 - (1 - own) * (1 - scenario.network.loss)
             for receiver, heard in enumerate(setup.neighbours)
             for sender, own in zip(heard, setup.losses[receiver], strict=True)
         }
-    return LinkState(key_of(scenario, "links"), scenario.loss, losses, link_up=link_up(setup))
+    return LinkState(
+        key_of(scenario, "links"), scenario.network.loss, losses, link_up=link_up(setup)
+    )
 
 
-def link_up(setup: "Setup") -> LinkUp | None:
+def link_up(setup: Setup) -> LinkUp | None:
     """(step, sender, receiver) -> whether there is a link; None where links stay."""
-    plan = parse_links(setup.scenario.links)
+    plan = parse_links(setup.scenario.network.links)
     match plan.kind:
         case "bernoulli":
             return bernoulli(plan.numbers[0], draw_of(setup.scenario))
@@ -83,8 +75,8 @@ def places(scenario: Scenario, plan: LinkPlan) -> Array:
     there = [plant.positions(step) for step in range(scenario.steps)]
     if there[0] is None:
         raise ValueError(
-            f"--links {scenario.links}: the nodes of scenario {scenario.name} have no places; use "
-            "bernoulli, markov or switching, or scenario target-tracking or mrclam"
+            f"--links {scenario.network.links}: the nodes of scenario {scenario.name} have no "
+            "places; use bernoulli, markov or switching, or scenario target-tracking or mrclam"
         )
     homes = np.stack([np.asarray(place)[:, :2] for place in there if place is not None])
     if len(plan.numbers) == 1:
@@ -101,8 +93,8 @@ def network_of(
 ) -> "tuple[Network, tuple[Adjacency, ...]]":
     """The network of a scenario and the graphs that it switches among.
 
-    Whoever hears a node in some step is its neighbour: where graphs take turns or nodes move it is
-    the union.
+    A node's neighbours are all nodes that it hears in some step: where graphs take turns or nodes
+    move, the result is the union.
 
     Args:
         build: the network of a graph's name.
@@ -115,18 +107,19 @@ def network_of(
     from topology.geometric_graphs import geometric
     from topology.network import Network
 
-    plan = parse_links(scenario.links)
+    plan = parse_links(scenario.network.links)
     if plan.kind == "switching":
         graphs = tuple(build(name).adjacency for name in plan.graphs)
         return Network(union(graphs)), graphs
     if plan.kind == "moving":
         reach, there = plan.numbers[0], places(scenario, plan)
         return Network(union([geometric(place, reach) for place in there])), ()
-    network = build(scenario.graph)
+    network = build(scenario.network.graph)
     if plan.kind == "measured" and network.delivery is None:
         raise ValueError(
-            f"--links measured: graph {scenario.graph} has no chances of delivery; take a file "
-            "with numbers between 0 and 1 on its links, graph intel-lab, or --links bernoulli:0.1"
+            f"--links measured: graph {scenario.network.graph} has no chances of delivery; take a "
+            "file with numbers between 0 and 1 on its links, graph intel-lab, or --links "
+            "bernoulli:0.1"
         )
     return network, ()
 
@@ -135,14 +128,8 @@ def losses_of(
     scenario: Scenario, network: "Network", neighbours: list[list[int]]
 ) -> list[list[float]] | None:
     """Per node, the chance that a frame of each neighbour is lost; None unless it is measured."""
-    if parse_links(scenario.links).kind != "measured":
+    if parse_links(scenario.network.links).kind != "measured":
         return None
     assert network.delivery is not None, "network_of has looked"
     ends = np.cumsum([len(heard) for heard in neighbours])[:-1]
     return [part.tolist() for part in np.split(1 - network.delivery, ends)]
-
-
-def key_of(scenario: Scenario, purpose: str) -> tuple[int, int]:
-    """Two words of 64 bits that belong to a purpose in one run of a scenario."""
-    first, second = stream_of(scenario, purpose, 0).generate_state(2, np.uint64).tolist()
-    return first, second

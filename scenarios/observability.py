@@ -1,10 +1,10 @@
-"""What the nodes of a scenario can see together: observability of the plant along its own way.
+"""Observability of the plant by all nodes together, along the plant's own trajectory.
 
-The plant runs undisturbed by filters through some steps of the scenario's own noise; model and
-sensors are linearised along the way, and the Gramian sums what the readings that really came tell
-of the first state (Kalman 1960; local observability of a nonlinear plant: Krener, Ide 2009). The
-state is scaled by the prior's standard deviations and each reading by its noise, so that a
-direction is seen as well as the readings tell more of it than the prior did.
+The plant runs undisturbed by filters through some steps of the scenario's own noise. Model and
+sensors are linearised along the trajectory. The Gramian sums the information of the readings that
+really came about the first state (Kalman 1960; local observability of a nonlinear plant: Krener,
+Ide 2009). The state is scaled by the prior's standard deviations and each reading by its noise, so
+that a direction is seen as well as the readings tell more of it than the prior did.
 """
 
 from collections.abc import Callable
@@ -13,19 +13,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nodes.local_filter import Sensor
 from nodes.messages import Array, from_wire
+from nodes.rules.local_filter import Sensor
 from scenarios.catalogue import kind_of
-from scenarios.setup import Setup, generator
+from scenarios.setup import Setup
+from scenarios.streams import generator
 
-# What has less information than this part of the best seen direction is rounding.
+# A direction with less information than this fraction of the best seen one is rounding.
 _RANK_TOLERANCE = 1e-13
 # Numerical derivatives look this part of a prior standard deviation to each side.
 _DIFFERENCE = 1e-3
 
 
 class Observability(NamedTuple):
-    """What is seen of n states in `steps` steps.
+    """Information of the readings about n states in `steps` steps.
 
     gramian: per node (N, n, n), in units of prior information; states: their names; blind: nodes
     that saw nothing at all.
@@ -38,7 +39,7 @@ class Observability(NamedTuple):
 
 
 def observability(setup: Setup, most_steps: int = 60) -> Observability:
-    """What the nodes of a setup see of its plant.
+    """Return the observability of a setup's plant by its nodes.
 
     Raises:
         ValueError: for a scenario whose nodes are no sensors of one plant (a measurement bus), or
@@ -84,7 +85,7 @@ def rank(gramian: Array, joint: Array) -> int:
 
 
 def remaining(gramian: Array) -> Array:
-    """What is left of the prior standard deviation of each state (n,) after all readings."""
+    """Return the fraction of each state's prior deviation (n,) left after all readings."""
     return np.sqrt(np.diag(np.linalg.inv(np.eye(len(gramian)) + gramian)))
 
 

@@ -6,102 +6,76 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from filters import hold
-from filters.fusion import INFORMATION, MOMENTS
+from filters.fusion import hold
+from filters.fusion.averaging import INFORMATION, MOMENTS, Directly
+from filters.fusion.hybrid_consensus import classical_gain, safe_gain
+from filters.fusion.local import keep_own
+from filters.fusion.packed import packed_length
 from filters.gaussian import Gaussian
-from filters.hybrid_consensus import classical_gain, safe_gain
-from filters.local import keep_own
-from filters.packed import packed_length
-from nodes.belief_consensus import HoldPolicy
 from nodes.estimator import Estimator
+from nodes.lanes.network import BatchedRule
 from nodes.messages import Array
-from nodes.set_shapes import Ellipsoids, Zonotopes
-from nodes.vectorised_network import Fleet
+from nodes.rules.belief_consensus import HoldPolicy
+from nodes.rules.set_shapes import Ellipsoids, Zonotopes
 from scenarios import set_rules
 from scenarios.estimators import (
-    Seat,
+    alone_in_batch,
+    at_node,
+    averages_in_batch,
     averaging,
-    averaging_numbers,
+    beliefs_in_batch,
     diffused,
     flooding,
+    flooding_in_batch,
     hybrid,
+    in_batch,
     pulled,
+    set_at_node,
     trimmed,
     weighted_information,
 )
-from scenarios.fleets import (
-    FleetSeat,
-    averaging_fleet,
-    diffused_fleet,
-    flooding_fleet,
-    hybrid_fleet,
-    local_fleet,
-    pulled_fleet,
-    weighted_information_fleet,
-)
-from scenarios.labelled import (
-    LABELLED_FIELDS,
-    check_labelled,
-    largest_share,
-    without_arrays,
-)
+from scenarios.labelled import check_labelled, largest_share, without_arrays
 from scenarios.scenario import Scenario, lossy_links
+from scenarios.seat import BatchSeat, Seat
+from scenarios.setup import Setup
+from scenarios.types.buses import FullSchedule
+from scenarios.types.holds import Decayed, Dropped, Fading, InStep, Predicted, Raw
+from scenarios.types.rules import NumberRule, TrimmedCovarianceIntersection, hold_of
 from topology.names import unknown_name
 
 if TYPE_CHECKING:
-    from scenarios.setup import Setup
     from topology.weights import Weights
 
 _NUMBERS = {"float64": "<f8", "float32": "<f4"}
-_DEFAULT_HOLD = "decayed"
 
 
 class Rule(NamedTuple):
     """A fusion rule of the network.
 
     Attributes:
-        summary: what it promises, one line for `concord list`.
         share_numbers: how many numbers are in a share, for so many states and nodes; None for
             shares of any length up to `scenario.payload_bytes`.
         estimator: builds that of one node.
-        holds: whether shares of silent neighbours are held, as --hold says.
-        relays: whether a node can send on what it has heard in the same cycle.
+        batched: builds the rule at all nodes of many runs.
         check: refuses scenario, neighbours of each node and weights (N, N) that it cannot do with.
         certain: covariances are shape matrices of ellipsoids that hold the truth for certain.
         listen: (setup, nodes, readings (steps, N, r, d), control (steps, p) or None) -> beliefs
             (steps,) of one filter that takes the readings of these nodes; None for the Gaussian
             filter of the scenario.
-        fleet: builds the rule at all nodes of many runs; None for a rule without an array form.
-        lacking: what of a scenario the array form does not have; None if it has all.
+        lacking: what of a scenario the batched rule does not have; None if it has all.
         shares_beliefs: a share is a mean and a covariance.
-        own: fields of `Scenario` that mean something here and not under every rule.
-        ignores: fields that mean something under other rules and nothing here.
+        weighted: the network's consensus weights are used.
     """
 
-    summary: str
     share_numbers: Callable[[int, int], int] | None
     estimator: Callable[[Seat], Estimator]
-    holds: bool = False
-    relays: bool = False
+    batched: Callable[[BatchSeat], BatchedRule]
     check: "Callable[[Scenario, Sequence[Sequence[int]], Weights], None] | None" = None
     certain: bool = False
-    listen: "Callable[[Setup, Sequence[int], Array, Array | None], Gaussian] | None" = None
-    fleet: Callable[[FleetSeat], Fleet] | None = None
+    listen: Callable[[Setup, Sequence[int], Array, Array | None], Gaussian] | None = None
     lacking: Callable[[Scenario], str | None] = lambda _: None
     shares_beliefs: bool = False
-    own: tuple[str, ...] = ()
-    ignores: tuple[str, ...] = ()
-
-
-def rules_where(holds: Callable[[Rule], bool]) -> tuple[str, ...]:
-    """The names of the rules of which that holds."""
-    return tuple(name for name, rule in _RULES.items() if holds(rule))
-
-
-def rules_by_own_field() -> dict[str, tuple[str, ...]]:
-    """For each field that means something under some rules alone, the names of those."""
-    fields = {field: None for rule in _RULES.values() for field in rule.own}
-    return {field: rules_where(lambda rule, own=field: own in rule.own) for field in fields}
+    weighted: bool = True
 
 
 def rule_of(scenario: Scenario) -> Rule:
@@ -110,14 +84,14 @@ def rule_of(scenario: Scenario) -> Rule:
     Raises:
         ValueError: there is no such rule.
     """
-    if scenario.rule not in _RULES:
-        raise unknown_name("rule", scenario.rule, _RULES)
-    return _RULES[scenario.rule]
+    if scenario.rule.name not in _RULES:
+        raise unknown_name("rule", scenario.rule.name, _RULES)
+    return _RULES[scenario.rule.name]
 
 
 def is_certain(scenario: Scenario) -> bool:
     """Whether its estimates are sets that hold the truth for certain."""
-    rule = _RULES.get(scenario.rule)
+    rule = _RULES.get(scenario.rule.name)
     return rule is not None and rule.certain
 
 
@@ -128,18 +102,6 @@ def check_rule(scenario: Scenario, neighbours: Sequence[Sequence[int]], weights:
         ValueError: naming the rule, what is in its way, and the cure.
     """
     rule = rule_of(scenario)
-    hold_policy(scenario)
-    # The default of a scenario is that of the rules that hold, and nobody's wish for the others.
-    if not rule.holds and scenario.hold not in (_DEFAULT_HOLD, "renormalise"):
-        raise ValueError(
-            f"--hold {scenario.hold}: rule {scenario.rule} fuses fresh shares alone and holds "
-            "none; leave --hold out, or choose rule ci or wac"
-        )
-    if scenario.relay and not rule.relays:
-        raise ValueError(
-            f"--relay with rule {scenario.rule}: averaging what was averaged in the same cycle "
-            "gives other weights than the network's; leave --relay out, or choose rule labelled"
-        )
     if rule.check is not None:
         rule.check(scenario, neighbours, weights)
 
@@ -163,24 +125,26 @@ def share_size(scenario: Scenario, states: int) -> int:
 
 
 def hold_policy(scenario: Scenario) -> HoldPolicy:
-    """The scenario's hold policy; `renormalise` for a rule that holds nothing.
-
-    Raises:
-        ValueError: there is no such policy or rule.
-    """
-    if scenario.hold not in _HOLDS:
-        raise unknown_name("hold", scenario.hold, _HOLDS)
-    return _HOLDS[scenario.hold if rule_of(scenario).holds else "renormalise"](scenario)
-
-
-def hold_names() -> tuple[str, ...]:
-    """The hold policies there are."""
-    return tuple(_HOLDS)
+    """The scenario's hold policy; that of `Renormalised` for a rule that holds nothing."""
+    match hold_of(scenario.rule):
+        case Fading(decay=decay) as held:
+            by_determinant = isinstance(held, Decayed) and held.determinant_weights
+            return HoldPolicy(partial(_decayed, decay), carried=True, by_sharpness=by_determinant)
+        case Predicted():
+            return HoldPolicy(partial(_by_age, hold.full), carried=True)
+        case Raw():
+            return HoldPolicy(partial(_by_age, hold.full), carried=False)
+        case Dropped():
+            return HoldPolicy(partial(_by_age, hold.drop), carried=False)
+        case InStep():
+            return HoldPolicy(_in_step, carried=False)
+    return HoldPolicy(partial(_by_age, hold.renormalise), carried=False)
 
 
 def wire_number(scenario: Scenario) -> str:
     """The numpy type code of numbers in a share."""
-    return _NUMBERS[scenario.number]
+    rule = scenario.rule
+    return _NUMBERS[rule.number if isinstance(rule, NumberRule) else "float64"]
 
 
 # --- hold policies -------------------------------------------------------------------------------
@@ -212,47 +176,35 @@ def _in_step(
     return hold.in_step(base_weights, ages, cycles_in_step)
 
 
-_HOLDS: dict[str, Callable[[Scenario], HoldPolicy]] = {
-    "decayed": lambda s: HoldPolicy(
-        partial(_decayed, s.decay),
-        carried=True,
-        by_sharpness=s.determinant_weights,
-    ),
-    "predict": lambda _: HoldPolicy(partial(_by_age, hold.full), carried=True),
-    "raw": lambda _: HoldPolicy(partial(_by_age, hold.full), carried=False),
-    "drop": lambda _: HoldPolicy(partial(_by_age, hold.drop), carried=False),
-    "renormalise": lambda _: HoldPolicy(partial(_by_age, hold.renormalise), carried=False),
-    "in-step": lambda _: HoldPolicy(_in_step, carried=False),
-}
-
-
 # --- the rules -----------------------------------------------------------------------------------
 
 
 def _require_the_average(
     scenario: Scenario, neighbours: Sequence[Sequence[int]], weights: "Weights"
 ) -> None:
-    # Only here: whoever checks a scenario may be slow to start, a node of the network may not.
+    # Only here: a check of a scenario may be slow to start, a node of the network may not.
     from topology.weights import check_doubly_stochastic
 
     try:
         check_doubly_stochastic(weights)
     except ValueError as error:
         raise ValueError(
-            f"rule {scenario.rule} multiplies the network's average by the number of nodes, and "
-            f"needs weights that lead there: {error}; or choose rule hcmci, which takes any"
+            f"rule {scenario.rule.name} multiplies the network's average by the number of nodes, "
+            f"and needs weights that lead there: {error}; or choose rule hcmci, which takes any"
         ) from None
 
 
 def _require_honest_majorities(
     scenario: Scenario, neighbours: Sequence[Sequence[int]], weights: "Weights"
 ) -> None:
-    # A node that is alone has nobody to fear.
-    needed = 2 * scenario.liars if len(neighbours) > 1 else 0
+    assert isinstance(scenario.rule, TrimmedCovarianceIntersection), "the table of rules chose it"
+    liars = scenario.rule.liars
+    # A node without neighbours hears no liar.
+    needed = 2 * liars if len(neighbours) > 1 else 0
     few = [node for node, heard in enumerate(neighbours) if len(heard) < needed]
     if few:
         raise ValueError(
-            f"rule trimmed-ci --liars {scenario.liars} on graph {scenario.graph}: node {few[0]} "
+            f"rule trimmed-ci --liars {liars} on graph {scenario.network.graph}: node {few[0]} "
             f"hears {len(neighbours[few[0]])} neighbours and must hear {needed} to tell liars from "
             "others; use a denser --graph, fewer --liars, or rule ci, which believes everybody"
         )
@@ -265,13 +217,14 @@ def _require_all_at_once(
     deaf = [node for node, heard in enumerate(neighbours) if len(heard) < everybody]
     if deaf:
         raise ValueError(
-            f"rule centralised on graph {scenario.graph}: node {deaf[0]} hears "
+            f"rule centralised on graph {scenario.network.graph}: node {deaf[0]} hears "
             f"{len(neighbours[deaf[0]])} of {everybody} others, and must hear all; use --graph "
             "complete, or rule hcmci, which comes near the centralised filter on any graph"
         )
-    if scenario.schedule != "full":
+    schedule = scenario.bus.schedule
+    if not isinstance(schedule, FullSchedule):
         raise ValueError(
-            f"rule centralised with --schedule {scenario.schedule}: every node must publish in "
+            f"rule centralised with --schedule {schedule.name}: every node must publish in "
             "every cycle; use --schedule full, or rule hcmci or ci, which do with less"
         )
     if lossy := lossy_links(scenario):
@@ -288,110 +241,90 @@ def _require_all_at_once(
 
 _RULES: dict[str, Rule] = {
     "ci": Rule(
-        "covariance intersection: consistent for any correlation, never less tight than wac",
         lambda n, _: packed_length(n),
-        partial(averaging_numbers, INFORMATION),
-        holds=True,
-        fleet=partial(averaging_fleet, INFORMATION),
+        partial(at_node, partial(averaging, INFORMATION), "belief"),
+        partial(beliefs_in_batch, INFORMATION),
         shares_beliefs=True,
     ),
     "trimmed-ci": Rule(
-        "ci that --liars of a node's neighbours cannot drag away; needs twice as many neighbours",
         lambda n, _: packed_length(n),
-        trimmed,
-        holds=True,
+        partial(at_node, trimmed, "belief"),
+        partial(in_batch, trimmed, "belief"),
         check=_require_honest_majorities,
         shares_beliefs=True,
-        own=("liars",),
-        ignores=("determinant_weights",),
     ),
     "wac": Rule(
-        "weighted average of means and covariances (the paper's): no inverse, may diverge",
         lambda n, _: packed_length(n),
-        partial(averaging_numbers, MOMENTS),
-        holds=True,
-        fleet=partial(averaging_fleet, MOMENTS),
+        partial(at_node, partial(averaging, MOMENTS), "belief"),
+        partial(beliefs_in_batch, MOMENTS),
         shares_beliefs=True,
     ),
     "hcmci": Rule(
-        "consensus on prior and novelty, safe gain: consistent, near centralised with more rounds",
         lambda n, nodes: 2 * packed_length(n) + nodes,
-        partial(hybrid, safe_gain),
-        fleet=partial(hybrid_fleet, safe_gain),
+        partial(at_node, partial(hybrid, safe_gain), "share"),
+        partial(averages_in_batch, partial(hybrid, safe_gain), "share"),
     ),
     "hcmci-classical": Rule(
-        "as hcmci with the number of nodes as gain: overconfident before the rounds converge",
         lambda n, nodes: 2 * packed_length(n) + nodes,
-        partial(hybrid, classical_gain),
-        fleet=partial(hybrid_fleet, classical_gain),
+        partial(at_node, partial(hybrid, classical_gain), "share"),
+        partial(averages_in_batch, partial(hybrid, classical_gain), "share"),
         check=_require_the_average,
     ),
     "icf": Rule(
-        "information-weighted consensus: hcmci-classical in the bytes of ci, as overconfident",
         lambda n, _: packed_length(n),
-        weighted_information,
-        fleet=weighted_information_fleet,
+        partial(at_node, weighted_information, "share"),
+        partial(averages_in_batch, weighted_information, "share"),
         check=_require_the_average,
     ),
     "diffusion": Rule(
-        "readings of the neighbours, then averaged means; covariance not fused: not consistent",
         lambda n, _: packed_length(n),
-        diffused,
-        fleet=diffused_fleet,
+        partial(at_node, diffused, "share"),
+        partial(in_batch, diffused, "share"),
     ),
     "kcf": Rule(
-        "readings of the neighbours, then a pull to their means: not consistent, takes no weights",
         lambda n, _: packed_length(n) + n,
-        pulled,
-        fleet=pulled_fleet,
-        ignores=("weights",),
+        partial(at_node, pulled, "share"),
+        partial(in_batch, pulled, "share"),
+        weighted=False,
     ),
     "labelled": Rule(
-        "measurements with labels, each counted once: near centralised in a fraction of the bytes",
         None,
         flooding,
-        relays=True,
+        flooding_in_batch,
         check=check_labelled,
-        fleet=flooding_fleet,
         lacking=without_arrays,
-        own=LABELLED_FIELDS,
-        ignores=("weights", "number"),
+        weighted=False,
     ),
     "local": Rule(
-        "every node alone: publishes, but fuses nothing",
         lambda n, _: packed_length(n),
-        partial(averaging, keep_own),
-        fleet=local_fleet,
+        partial(at_node, partial(averaging, Directly(keep_own)), "belief"),
+        alone_in_batch,
         shares_beliefs=True,
-        ignores=("weights",),
+        weighted=False,
     ),
     "centralised": Rule(
-        "all readings at every node: the optimum; complete graph, full schedule, one round",
         lambda n, _: packed_length(n),
-        diffused,
-        fleet=diffused_fleet,
+        partial(at_node, diffused, "share"),
+        partial(in_batch, diffused, "share"),
         check=_require_all_at_once,
-        ignores=("weights",),
+        weighted=False,
     ),
     "ellipsoid": Rule(
-        "sets that hold the truth for certain: ellipsoids that intersect; needs bounded noise",
         lambda n, _: packed_length(n),
-        set_rules.ellipsoids,
-        holds=True,
+        partial(set_at_node, partial(set_rules.set_membership, Ellipsoids), "belief"),
+        partial(in_batch, partial(set_rules.set_membership, Ellipsoids), "belief"),
         check=set_rules.check_bounded,
         certain=True,
         listen=partial(set_rules.listen, Ellipsoids),
-        ignores=("weights", "decay", "determinant_weights"),
+        weighted=False,
     ),
     "zonotope": Rule(
-        "the same with zonotopes: tighter prediction, wider shares; needs bounded noise",
         lambda n, _: n + n**2,
-        set_rules.zonotopes,
-        holds=True,
+        partial(set_at_node, partial(set_rules.set_membership, Zonotopes), "share"),
+        partial(in_batch, partial(set_rules.set_membership, Zonotopes), "share"),
         check=set_rules.check_bounded,
         certain=True,
         listen=partial(set_rules.listen, Zonotopes),
-        ignores=("weights", "decay", "determinant_weights"),
+        weighted=False,
     ),
 }
-RULE_SUMMARIES = {name: rule.summary for name, rule in _RULES.items()}

@@ -1,4 +1,4 @@
-"""What becomes of a network in a run, checked before it starts: changes with their steps."""
+"""The changes of a network in a run, with their steps, checked before the run starts."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -17,8 +17,8 @@ from nodes.commands import (
     Step,
     in_words,
 )
-from nodes.conductor import Scripted
-from nodes.faults import Equipment
+from nodes.faults.active import Equipment
+from nodes.run_controller import Scripted
 from scenarios.scenario import Scenario
 
 _FILE = "file:"
@@ -93,7 +93,7 @@ def _read(line: str) -> Scripted:
 def check_script(
     scenario: Scenario,
     neighbours: Sequence[Sequence[int]],
-    complete: Callable[[Settings], Settings],
+    complete: Callable[[Settings, Settings], Settings],
     equip: Callable[[Settings], Equipment],
 ) -> None:
     """Refuse changes that cannot follow upon one another; `complete` refuses settings, `equip` says
@@ -121,9 +121,9 @@ def _stands(
     step: int,
     command: ChangeCommand,
     neighbours: Sequence[Sequence[int]],
-    complete: Callable[[Settings], Settings],
+    complete: Callable[[Settings, Settings], Settings],
 ) -> Standing:
-    """What matters of it to the changes that follow."""
+    """Return the state after a command, as far as later changes depend on it."""
     match command:
         case Kill(node):
             return after(standing, step, Left(node))
@@ -134,5 +134,5 @@ def _stands(
                 )
             return after(standing, step, Joined(node))
         case Configure(settings):
-            return after(standing, step, Set(complete({**standing.settings, **settings})))
+            return after(standing, step, Set(complete(standing.settings, settings)))
     return standing

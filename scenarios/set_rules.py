@@ -1,96 +1,82 @@
 """The set-membership rules: how their estimators are built, and what frames them."""
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from filters.gaussian import Gaussian
-from nodes.estimator import Estimator
-from nodes.messages import Array, Measured, to_wire
-from nodes.set_membership import BoundedModel, BoundedSensor, SetMembership, carry, take_strips
-from nodes.set_shapes import Ellipsoids, Shape, Zonotopes
+from filters.sigma_points import scaled_unscented
+from nodes.messages import Array
+from nodes.rules.lane_rule import LocalStep
+from nodes.rules.local_filter import LocalFilters, SensorGroup
+from nodes.rules.set_membership import (
+    BoundedModel,
+    SetMembership,
+    carry,
+    take_strips,
+)
+from nodes.rules.set_shapes import Shape
 from scenarios.catalogue import kind_of
-from scenarios.estimators import Seat
 from scenarios.scenario import Scenario
+from scenarios.seat import RuleContext
+from scenarios.setup import Setup
 
 if TYPE_CHECKING:
-    from scenarios.setup import Setup
     from topology.weights import Weights
 
-MakeShape = Callable[[int, str], Shape]
+MakeShape = Callable[[int, str], Shape[Any]]
 
 
-def ellipsoids(seat: Seat) -> Estimator:
-    """For nodes that keep ellipsoids."""
-    return _estimator(Ellipsoids(len(seat.prior.mean), seat.number), seat)
-
-
-def zonotopes(seat: Seat) -> Estimator:
-    """For nodes that keep zonotopes."""
-    return _estimator(Zonotopes(len(seat.prior.mean), seat.number), seat)
-
-
-def _estimator(shape: Shape, seat: Seat) -> SetMembership:
-    return SetMembership(
-        model=_bounded_model(seat.model),
-        sensor=_bounded_sensor(seat.sensor),
-        prior=seat.prior,
-        shape=shape,
-        neighbours=len(seat.neighbours[seat.node]),
-        carried=seat.hold.carried,
-        trigger=seat.trigger,
-    )
+def set_membership(make: MakeShape, context: RuleContext) -> SetMembership[Any]:
+    """For nodes that keep sets of a shape."""
+    shape = make(context.states, context.number)
+    return SetMembership(shape, context.hold.carried, context.trigger, context.contends)
 
 
 def check_bounded(
     scenario: Scenario, neighbours: Sequence[Sequence[int]], weights: "Weights"
 ) -> None:
-    """Refuse a plant without bounds, and sets that are not carried through it.
+    """Refuse a plant without bounds.
 
     Raises:
         ValueError: naming what is in the way, and the cure.
     """
     _bounded_model(kind_of(scenario.name).model(scenario), scenario)
-    if scenario.hold == "raw":
-        raise ValueError(
-            f"--hold raw with rule {scenario.rule}: a set that is not carried through the plant "
-            "does not hold the truth of a later step; use --hold predict, or drop"
-        )
 
 
 def listen(
-    make: MakeShape, setup: "Setup", nodes: Sequence[int], readings: Array, control: Array | None
+    make: MakeShape, setup: Setup, nodes: Sequence[int], readings: Array, control: Array | None
 ) -> Gaussian:
     """One set that is cut with the readings (steps, N, r, d) of these nodes, after every step."""
     kind = kind_of(setup.scenario.name)
-    model = _bounded_model(kind.model(setup.scenario))
-    sensors = {i: _bounded_sensor(kind.sensor(setup.scenario, i)) for i in nodes}
+    model, points = kind.model(setup.scenario), scaled_unscented(len(setup.prior_mean))
+    groups = {
+        node: SensorGroup(slice(None), sensor)
+        for node in nodes
+        if (sensor := kind.sensor(setup.scenario, node)) is not None
+    }
     shape = make(len(setup.prior_mean), "<f8")
     own = shape.around(Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov)))
     bounds = []
     for step, delivered in enumerate(readings):
-        driven = None if control is None or step == 0 else control[step].tolist()
-        for place, (node, sensor) in enumerate(sensors.items()):
-            measured = Measured(node, step, to_wire(delivered[node]), driven)
-            if step > 0 and place == 0:
-                own = carry(shape, [own], measured, model)[0]
-            own, _ = take_strips(shape, own, measured, sensor)
+        driven = None if control is None or step == 0 else control[step]
+        if step > 0:
+            own = carry(
+                shape, own, LocalStep(LocalFilters(model, (), points), delivered[0], driven, step)
+            )
+        for node, group in groups.items():
+            filters = LocalFilters(model, (group,), points)
+            own, _ = take_strips(shape, own, LocalStep(filters, delivered[node], driven, step))
         bounds.append(shape.bounds(own))
     return Gaussian(np.array([b.mean for b in bounds]), np.array([b.cov for b in bounds]))
 
 
 def _bounded_model(model: object, scenario: Scenario | None = None) -> BoundedModel:
     if not isinstance(model, BoundedModel):
-        what = "this rule" if scenario is None else f"rule {scenario.rule} on {scenario.name}"
+        what = "this rule" if scenario is None else f"rule {scenario.rule.name} on {scenario.name}"
         raise ValueError(
             f"{what}: its noise has no bound, and a set can hold the truth only of a plant whose "
             "noise has one; use --scenario liu2021-network, or a Gaussian rule such as ci"
         )
     return model
-
-
-def _bounded_sensor(sensor: object) -> BoundedSensor | None:
-    if sensor is not None and not isinstance(sensor, BoundedSensor):
-        raise ValueError("this rule needs sensors whose noise has a bound")
-    return sensor

@@ -4,10 +4,11 @@ import math
 
 from nodes.commands import TimelyCommand
 from nodes.tempo import Tempo
-from scenarios.build import build_controller, build_plan
+from scenarios.build import build_bus, build_controller
 from scenarios.scenario import require
 from scenarios.script import script_of
 from scenarios.setup import Setup
+from scenarios.types.buses import stretch_of
 
 # Processes that share a machine keep such times; a cycle on the bus is some ten times shorter.
 SHORTEST_PART_S = 0.02
@@ -28,11 +29,11 @@ def tempo_of(setup: Setup, stretch: float | None) -> Tempo:
         ValueError: the scenario has no time to be kept, or cannot be run against the clock.
     """
     scenario = setup.scenario
-    plan = build_plan(setup)
-    if plan.cluster is None:
+    bus = build_bus(setup)
+    if not bus.has_time:
         raise ValueError(
-            f"--driver realtime --cluster {scenario.cluster}: a bus without time sets no pace; "
-            "choose a cluster (fitted, a preset, a file), or --driver processes"
+            f"--driver realtime --bus {scenario.bus.name}: a bus without time sets no pace; "
+            "use --bus flexray, or --driver processes"
         )
     for step, command in script_of(scenario):
         if not isinstance(command, TimelyCommand):
@@ -43,13 +44,13 @@ def tempo_of(setup: Setup, stretch: float | None) -> Tempo:
     controller = build_controller(scenario)
     if controller is not None and controller.node is not None:
         raise ValueError(
-            f"--driver realtime --control {scenario.control}: the plant would wait for a node's "
+            f"--driver realtime --control {controller.node}: the plant would wait for a node's "
             "estimate; use --control truth, or --driver processes"
         )
     if stretch is None:
-        parts = max(len(plan.schedule.groups(cycle)) for cycle in range(plan.schedule.period))
-        stretch = max(1.0, parts * SHORTEST_PART_S / plan.cluster.cycle_time_s)
+        parts = max(len(bus.schedule.groups(cycle)) for cycle in range(bus.schedule.period))
+        stretch = max(1.0, parts * SHORTEST_PART_S / (bus.cycle_us * 1e-6))
     require(1 <= stretch < math.inf, "cycle-stretch", stretch, "at least 1, and finite")
-    cycle_s = plan.cluster.cycle_time_s * stretch
-    step_s = max(setup.time_step_s * scenario.stretch, scenario.rounds * cycle_s)
+    cycle_s = bus.cycle_us * 1e-6 * stretch
+    step_s = max(setup.time_step_s * stretch_of(scenario.bus), scenario.rounds * cycle_s)
     return Tempo(stretch, cycle_s, step_s)

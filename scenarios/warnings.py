@@ -1,19 +1,30 @@
-"""What is known to go wrong with a rule on a network, or to change nothing, said before the run."""
+"""Warnings before a run: options of a rule on this network that fail or have no effect."""
 
 from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
 
-from nodes.labelled_frame import MAX_WINDOW_STEPS
 from nodes.messages import Array, from_wire
-from scenarios.bus_plan import has_contenders
+from nodes.rules.labelled_frame import MAX_WINDOW_STEPS
 from scenarios.catalogue import kind_of
-from scenarios.idle_options import idle_options
 from scenarios.labelled import digest_of, latency_steps, window_of
 from scenarios.rules import rule_of
 from scenarios.scenario import lossy_links
-from scenarios.setup import Setup, generator
+from scenarios.setup import Setup
+from scenarios.streams import generator
+from scenarios.types.buses import ContendedSchedule, occupancy_of, trigger_of
+from scenarios.types.holds import Decayed, Raw
+from scenarios.types.rules import (
+    ClassicalHybridConsensus,
+    DiffusionRule,
+    InformationConsensus,
+    KalmanConsensus,
+    MeasurementFlooding,
+    TrimmedCovarianceIntersection,
+    WeightedAverage,
+    hold_of,
+)
 from topology.analysis import rounds_to
 from topology.robustness import is_robust
 from topology.spectrum import second_eigenvalue_modulus, vote_of
@@ -25,17 +36,17 @@ _DISAGREEMENT = 0.01
 
 
 def warnings_of(setup: Setup) -> tuple[str, ...]:
-    """A sentence for every known failure of the setup's rule on its network, and for every option
-    that changes nothing there; empty if none.
+    """A sentence for every known failure of the setup's rule on its network, and for weights that
+    the rule does not use; empty if none.
 
     Each names the rule, the condition with its numbers, and what to use instead. Sources are given
     where the conditions are: the functions of `filters/`.
     """
     wiring = kind_of(setup.scenario.name).wiring
     if wiring is not None:
-        return (*idle_options(setup), *wiring.warnings(setup.scenario))
+        return ()
     return (
-        *idle_options(setup),
+        *_idle_weights(setup),
         *kind_of(setup.scenario.name).warnings(setup.scenario),
         *_diverging_average(setup),
         *_too_few_rounds(setup),
@@ -48,6 +59,17 @@ def warnings_of(setup: Setup) -> tuple[str, ...]:
     )
 
 
+def _idle_weights(setup: Setup) -> Iterator[str]:
+    """Weights of a network whose rule uses none."""
+    scenario = setup.scenario
+    usual = kind_of(scenario.name).defaults.network.weights
+    if scenario.network.weights != usual and not rule_of(scenario).weighted:
+        yield (
+            f"--weights {scenario.network.weights} changes nothing here: rule "
+            f"{scenario.rule.name} takes no weights; leave it out, or use another rule"
+        )
+
+
 def _diverging_average(setup: Setup) -> Iterator[str]:
     """wac on an unstable plant: the spectral condition of `fusion.weighted_average`.
 
@@ -55,11 +77,13 @@ def _diverging_average(setup: Setup) -> Iterator[str]:
     grows, and the average stays bounded.
     """
     scenario = setup.scenario
-    by_determinant = scenario.hold == "decayed" and scenario.determinant_weights
-    if scenario.rule != "wac" or by_determinant:
+    rule = scenario.rule
+    if not isinstance(rule, WeightedAverage):
+        return
+    if isinstance(rule.hold, Decayed) and rule.hold.determinant_weights:
         return
     if kind_of(scenario.name).delivery is not None:
-        # What a bus delivers to a node at the start says nothing of what its sensors see.
+        # The bus's deliveries at the start do not show which states a node's sensors see.
         return
     growth = _spectral_radius(_transition_matrix(setup))
     blind = _blind(setup)
@@ -84,22 +108,22 @@ def _diverging_average(setup: Setup) -> Iterator[str]:
 def _too_few_rounds(setup: Setup) -> Iterator[str]:
     """icf and hcmci-classical count on the average: enough rounds, and nobody silent."""
     scenario = setup.scenario
-    if scenario.rule not in ("icf", "hcmci-classical"):
+    if not isinstance(scenario.rule, InformationConsensus | ClassicalHybridConsensus):
         return
     modulus = second_eigenvalue_modulus(_weights(setup))
     needed = rounds_to(_DISAGREEMENT, modulus)
     if needed is not None and scenario.rounds < needed:
         yield (
-            f"rule {scenario.rule} is overconfident after {scenario.rounds} rounds: these weights "
-            f"leave {modulus:.3g} of a disagreement per round and need {needed} rounds to leave "
-            f"{_DISAGREEMENT:.0%}; use --rounds {needed}, or --rule hcmci, which is consistent "
-            "after any number"
+            f"rule {scenario.rule.name} is overconfident after {scenario.rounds} rounds: these "
+            f"weights leave {modulus:.3g} of a disagreement per round and need {needed} rounds to "
+            f"leave {_DISAGREEMENT:.0%}; use --rounds {needed}, or --rule hcmci, which is "
+            "consistent after any number"
         )
     if silent := _who_is_silent(setup):
         yield (
-            f"rule {scenario.rule} is overconfident with {silent}: what is not published is not "
-            "averaged, and multiplied by the number of nodes all the same; use --schedule full, or "
-            "--rule hcmci"
+            f"rule {scenario.rule.name} is overconfident with {silent}: what is not published is "
+            "not averaged, and multiplied by the number of nodes all the same; use --schedule "
+            "full, or --rule hcmci"
         )
 
 
@@ -107,9 +131,9 @@ def _raw_hold(setup: Setup) -> Iterator[str]:
     """A held pair that is not carried on is an estimate of an older state."""
     scenario = setup.scenario
     silent = _who_is_silent(setup)
-    if rule_of(scenario).holds and scenario.hold == "raw" and silent:
+    if isinstance(hold_of(scenario.rule), Raw) and silent:
         yield (
-            f"--hold raw with {silent}: rule {scenario.rule} takes shares of former steps for "
+            f"--hold raw with {silent}: rule {scenario.rule.name} takes shares of former steps for "
             "estimates of the present one and is overconfident without bound; use --hold decayed"
         )
 
@@ -117,31 +141,31 @@ def _raw_hold(setup: Setup) -> Iterator[str]:
 def _inconsistent(setup: Setup) -> Iterator[str]:
     """Rules that do not fuse covariances."""
     scenario = setup.scenario
-    if scenario.rule not in ("kcf", "diffusion"):
+    if not isinstance(scenario.rule, KalmanConsensus | DiffusionRule):
         return
     yield (
-        f"rule {scenario.rule} is not consistent: it averages means and not covariances, so what "
-        "it reports need not bound its errors; use --rule hcmci or ci where that matters"
+        f"rule {scenario.rule.name} is not consistent: it averages means and not covariances, so "
+        "what it reports need not bound its errors; use --rule hcmci or ci where that matters"
     )
     if scenario.rounds == 1:
         yield (
-            f"rule {scenario.rule} with --rounds 1: the only round exchanges readings, and means "
-            "are not averaged afterwards; use --rounds 2 or more"
+            f"rule {scenario.rule.name} with --rounds 1: the only round exchanges readings, and "
+            "means are not averaged afterwards; use --rounds 2 or more"
         )
 
 
 def _liars_in_between(setup: Setup) -> Iterator[str]:
     """trimmed-ci: what a node is promised holds anywhere, that nodes agree on robust graphs."""
-    scenario = setup.scenario
-    if scenario.rule != "trimmed-ci":
+    rule = setup.scenario.rule
+    if not isinstance(rule, TrimmedCovarianceIntersection):
         return
-    reach = 2 * scenario.liars + 1
+    reach = 2 * rule.liars + 1
     robust = is_robust(setup.neighbours, reach)
     if robust:
         return
     what = "is not" if robust is False else "is too large to be shown to be"
     yield (
-        f"rule trimmed-ci --liars {scenario.liars}: the graph {what} {reach}-robust, so that "
+        f"rule trimmed-ci --liars {rule.liars}: the graph {what} {reach}-robust, so that "
         "honest nodes may not agree with each other while liars speak, though each stays among "
         "what its honest neighbours say; use a denser --graph, such as complete, or fewer --liars"
     )
@@ -150,7 +174,7 @@ def _liars_in_between(setup: Setup) -> Iterator[str]:
 def _short_window(setup: Setup) -> Iterator[str]:
     """labelled: what comes after its window has passed is lost."""
     scenario = setup.scenario
-    if scenario.rule != "labelled":
+    if not isinstance(scenario.rule, MeasurementFlooding):
         return
     window = window_of(scenario, setup.neighbours)
     latency = latency_steps(scenario, setup.neighbours)
@@ -171,7 +195,8 @@ def _never_resent(setup: Setup) -> Iterator[str]:
     """labelled: without digests nobody learns what a link has lost."""
     scenario = setup.scenario
     lossy = lossy_links(scenario)
-    if scenario.rule == "labelled" and lossy and digest_of(scenario) == 0:
+    is_flooding = isinstance(scenario.rule, MeasurementFlooding)
+    if is_flooding and lossy and digest_of(scenario) == 0:
         yield (
             f"rule labelled with {lossy} and no digests: a record that a link "
             "loses is never sent again; leave --digest-steps out, or use 8"
@@ -179,12 +204,13 @@ def _never_resent(setup: Setup) -> Iterator[str]:
 
 
 def _ideal_relay(setup: Setup) -> Iterator[str]:
-    """What relaying within a cycle takes for granted."""
+    """Warn of the assumptions behind relaying within a cycle."""
     scenario = setup.scenario
-    if scenario.relay:
-        awards = setup.scenario.schedule in ("hybrid", "hybrid-leaves", "dynamic")
+    rule = scenario.rule
+    if isinstance(rule, MeasurementFlooding) and rule.relay:
+        awards = isinstance(scenario.bus.schedule, ContendedSchedule)
         yield (
-            f"--relay: hosts must compose a frame within {scenario.latch_delay_us:g} us of the one "
+            f"--relay: hosts must compose a frame within {rule.latch_delay_us:g} us of the one "
             "before"
             + (
                 ", and dynamic slots go to whoever needs them most at that moment, in any "
@@ -199,12 +225,13 @@ def _ideal_relay(setup: Setup) -> Iterator[str]:
 def _who_is_silent(setup: Setup) -> str:
     """Why not everybody is heard in every cycle, in the words of the options; "" if all are."""
     scenario = setup.scenario
-    if scenario.occupancy < 1:
-        return f"--occupancy {scenario.occupancy:g}"
+    schedule = scenario.bus.schedule
+    if (occupancy := occupancy_of(schedule)) < 1:
+        return f"--occupancy {occupancy:g}"
     if lossy := lossy_links(scenario):
         return lossy
-    if scenario.trigger > 0 and has_contenders(scenario, setup.neighbours):
-        return f"--trigger {scenario.trigger:g}"
+    if (trigger := trigger_of(schedule)) > 0:
+        return f"--trigger {trigger:g}"
     return ""
 
 

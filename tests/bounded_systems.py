@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from hypothesis import strategies as st
 
+from papers.liu2021.bus import MeasuredPlant
+from papers.liu2021.flexray_cycle import Received, transmit
 from plants.bounded import BoundedSystem
-from plants.flexray_cycle import Received, transmit
-from scenarios.liu2021_bus import MeasuredPlant
 
 STEPS = 12
 

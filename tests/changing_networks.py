@@ -1,11 +1,10 @@
 """Random changes of a network, of those that can follow upon one another."""
 
-import msgspec
 from hypothesis import reject
 from hypothesis import strategies as st
 
+from scenarios.preparation import prepare
 from scenarios.scenario import Scenario
-from scenarios.setup import prepare
 
 VERBS = ("kill", "restart", "cut", "heal", "loss", "loss on")
 
@@ -17,7 +16,7 @@ def changing(
     set_to: tuple[str, ...] = (),
     verbs: tuple[str, ...] = VERBS,
 ) -> Scenario:
-    """Such scenarios, with up to six changes: of these verbs, and with other settings."""
+    """Draw one of these scenarios with up to six changes: these verbs and other settings."""
     asked = draw(scenarios)
     neighbours = prepare(asked).neighbours
     steps = sorted(draw(st.lists(st.integers(0, asked.steps - 1), min_size=1, max_size=6)))
@@ -33,7 +32,7 @@ def changing(
             line = draw(st.sampled_from([one for one in choices if one.split()[0] == verb]))
             absent = _absent(absent, line.split())
             lines.append(f"{step} {line}")
-    changed = msgspec.structs.replace(asked, changes=tuple(lines))
+    changed = asked.with_(changes=tuple(lines))
     try:
         prepare(changed)
     except ValueError:
@@ -43,7 +42,7 @@ def changing(
 
 
 def _lines(verb: str, neighbours: list[list[int]], absent: set[int]) -> list[str]:
-    """What can be said with a verb of a network of which these are out."""
+    """Return the lines that a verb allows in a network from which the absent nodes are out."""
     nodes = range(len(neighbours))
     links = [(sender, receiver) for receiver in nodes for sender in neighbours[receiver]]
     match verb:

@@ -1,8 +1,8 @@
-"""What all tests share: one BLAS thread, the hypothesis profile, the folder of real data."""
+"""Shared settings of all tests: one BLAS thread, the hypothesis profile, the real data folder."""
 
 import os
 
-# Before anything imports numpy: results must not depend on how many threads share a sum.
+# This runs before numpy is imported: results must not depend on how many threads share a sum.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from collections.abc import Iterator

@@ -50,11 +50,11 @@ class Lan:
         return f"tcp/10.77.0.{1 + self._hosts.index(host)}:7447"
 
     def at(self, host: str) -> tuple[str, ...]:
-        """What to write before a command that is to run on a host."""
+        """Return the prefix of a command that runs on a host."""
         return ("ip", "netns", "exec", f"{self._mark}-{host}")
 
     def pull(self, host: str) -> None:
-        """Pull its cable out of the bridge."""
+        """Disconnect a host from the bridge."""
         self._at_centre("link", "set", f"to-{host}", "down")
 
     def plug(self, host: str) -> None:
@@ -62,7 +62,7 @@ class Lan:
         self._at_centre("link", "set", f"to-{host}", "up")
 
     def delay(self, host: str, milliseconds: int) -> bool:
-        """Delay all that a host sends; False where the kernel has no netem."""
+        """Delay each packet of a host; return False where the kernel has no netem."""
         words = ("qdisc", "add", "dev", "cable", "root", "netem", "delay", f"{milliseconds}ms")
         return subprocess.run((*self.at(host), "tc", *words), capture_output=True).returncode == 0
 

@@ -11,13 +11,13 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 # Recorded data, no part of the checkout; pages say `data/...` for wherever a reader keeps it.
 DATA = ROOT.parent / "shared" / "data"
-# What a reader has done before, and what the tests of the project are run by.
+# Commands that a reader has already run, and the `make` targets that run the tests.
 SKIPPED = ("make", "git clone", "cd ", ". .venv")
 TIMEOUT_S = 120
 
 
 def blocks(text: str, language: str) -> list[str]:
-    """The code blocks of a page in a language."""
+    """Return the code blocks of a page in a language."""
     return re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
 
 

@@ -1,4 +1,4 @@
-"""Processes under test: start a command, find all that came of it, see them gone."""
+"""Start a command under test, find its processes, and wait for their end."""
 
 import os
 import signal
@@ -52,16 +52,16 @@ class Family:
         return self.gone_within(self.at_once_s * _LEFT_S / _AT_ONCE_S)
 
     def alive(self) -> list[int]:
-        """Process numbers of all that live (a zombie does not)."""
+        """Return the process numbers of the living processes; a zombie is not one."""
         sign = f"{MARK}={self.mark}".encode()
         return [pid for pid in _processes() if sign in _read(pid, "environ")]
 
     def descendants(self) -> list[int]:
-        """All that live but the command itself."""
+        """Return the living processes without the command itself."""
         return [pid for pid in self.alive() if pid != self.process.pid]
 
     def gone_within(self, seconds: float) -> bool:
-        """Wait until nobody is left."""
+        """Wait until no process is left; return whether that happened."""
         return holds_within(seconds, lambda: not self.alive())
 
     def send(self, signal_number: int) -> None:

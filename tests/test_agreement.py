@@ -1,21 +1,21 @@
 """Every driver gives the same bits: one process, or one per node over zenoh.
 
-What is compared is what was recorded: truth, readings, who published, estimates, ages.
+The test compares recorded data: truth, readings, publishers, estimates, ages.
 """
 
 import json
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 
 from experiments.__main__ import main
-from experiments.agree_command import Difference, first_difference
-from experiments.drivers import DRIVERS
-from experiments.trace import Trace
-from nodes.links import wants_router
-from scenarios.setup import Setup, prepare
+from experiments.cli.agree import Difference, first_difference
+from experiments.results.trace import Trace
+from runtime.drivers import DRIVERS
+from runtime.network.links import wants_router
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 from tests.experiments.support import scenario, small, trace_of
 
 # fmt: off
@@ -120,7 +120,7 @@ def test_drivers_agree_on_the_oscillator(name: str, tmp_path: Path):
 
 @pytest.mark.zenoh
 def test_drivers_agree_where_some_hear_and_are_not_heard(tmp_path: Path):
-    """A ring on which everybody hears the next one only: entry (i, j) says that i hears j."""
+    """Return a ring on which each node hears only the next: entry (i, j) says that i hears j."""
     file = tmp_path / "ring.csv"
     file.write_text("0,1,0,0\n0,0,1,0\n0,0,0,1\n1,0,0,0\n")
     setup = small(graph=f"directed:{file}", weights="equal-neighbour", steps=8)
@@ -223,11 +223,11 @@ def test_the_command_names_the_first_difference_and_leaves_with_one(
     """A second driver that runs another seed."""
 
     def other(setup: Setup, *rest):
-        changed = msgspec.structs.replace(setup.scenario, seed=2)
+        changed = setup.scenario.with_(seed=2)
         return DRIVERS["in-process"](prepare(changed), *rest)
 
     monkeypatch.setattr(
-        "experiments.agree_command.DRIVERS",
+        "experiments.cli.agree.DRIVERS",
         {"in-process": DRIVERS["in-process"], "other": other},
     )
     options = ["--scenario", "oscillator", "--nodes", "3", "--graph", "path", "--steps", "5"]
@@ -237,7 +237,7 @@ def test_the_command_names_the_first_difference_and_leaves_with_one(
     captured = capsys.readouterr()
     if as_json:
         said = json.loads(captured.out)
-        assert said["drivers"] == ["in-process", "other", "vectorised"]
+        assert said["drivers"] == ["in-process", "other", "batched"]
         assert said["differences"][0]["index"][0] == 0
     else:
         assert "other differs from in-process first in" in captured.out

@@ -1,4 +1,4 @@
-"""What `make bench-compare` calls worse."""
+"""Test which figures `make bench-compare` calls worse."""
 
 import msgspec
 import pytest

@@ -1,4 +1,4 @@
-"""What processes cost, read from outside of them."""
+"""Test the processor time of processes, read from outside of them."""
 
 import os
 import signal
@@ -26,7 +26,7 @@ def test_a_process_costs_what_it_and_its_children_worked():
     with process:
         assert process.stdout
         assert process.stdout.readline()
-        # Who stands still works no more between one look and the next.
+        # A stopped process uses no processor time between two readings.
         process.send_signal(signal.SIGSTOP)
         os.waitpid(process.pid, os.WUNTRACED)
         assert WORK_S - LOST_S <= spent_s([process.pid]) < 6 * WORK_S

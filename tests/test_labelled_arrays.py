@@ -1,4 +1,4 @@
-"""Labelled records in the vectorised driver: the numbers of the in-process driver."""
+"""Labelled records in the batched driver: the numbers of the in-process driver."""
 
 from typing import Any
 
@@ -7,24 +7,26 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiments.drivers import in_memory
-from experiments.trace import read_trace
-from experiments.vectorised import simulate
+from experiments.monte_carlo.simulate import simulate
+from experiments.results.trace import read_trace
+from runtime.batched.build import build_network, without_array_form
+from runtime.drivers import in_memory
+from scenarios.catalogue import kind_of
+from scenarios.preparation import prepare, setup_of_run
 from scenarios.scenario import Scenario
-from scenarios.setup import prepare, setup_of_run
-from scenarios.vectorised import build_network, without_array_form
 from tests.changing_networks import changing
-from tests.experiments.support import scenario
-from tests.test_vectorised_agreement import check_agreement
+from tests.test_batched_agreement import check_agreement
 
 RUNS = (0, 3)
-# Who comes back has a window of its own, which has no array form.
+# A node that returns has a window of its own, which has no array form.
 FINAL = ("kill", "cut", "heal", "loss", "loss on")
 
 
 def labelled(name: str = "target-tracking", **options: Any) -> Scenario:
     # The time of the bus is not what is compared here.
-    return scenario(name, **{"rule": "labelled", "stretch": 100.0, **options})
+    usual = kind_of(name).defaults.with_(rule="labelled", stretch=100.0)
+    # An arbiter of a schedule without contenders is left out.
+    return usual.with_known(**options)[0]
 
 
 def check(asked: Scenario) -> None:

@@ -1,4 +1,4 @@
-"""What a page points to is there: files, pictures, other pages."""
+"""Test that the targets of a page's links exist: files, pictures, other pages."""
 
 import re
 from pathlib import Path

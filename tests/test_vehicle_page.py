@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from plants.drive_log import UNITS, ColumnMap, columns_from_toml
-from plants.vehicle_cars import FITTED_CARS
-from plants.vehicle_manoeuvres import MANOEUVRES
-from plants.vehicle_network import NODES
-from plants.vehicle_parameters import car_from_toml
+from plants.vehicle.cars import FITTED_CARS
+from plants.vehicle.drive_log import UNITS, ColumnMap, columns_from_toml
+from plants.vehicle.manoeuvres import MANOEUVRES
+from plants.vehicle.network import NODES
+from plants.vehicle.parameters import car_from_toml
 from tests.pages import ROOT, blocks, commands, link_checkout, run_as_reader
 
 PAGE = (ROOT / "docs" / "vehicle.md").read_text(encoding="utf-8")

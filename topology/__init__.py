@@ -1,1 +1,1 @@
-"""Who can hear whom: graphs, weights and their analysis; imports nothing of ours."""
+"""Graphs, weights and their analysis; imports no other package of the project."""

@@ -46,20 +46,20 @@ def both_ways(nodes: int, one: ArrayLike, other: ArrayLike) -> Adjacency:
 
 
 def union(graphs: Sequence[Adjacency]) -> Adjacency:
-    """The graph (n, n) of all links of graphs with the same nodes."""
+    """Return the graph (n, n) of all links of graphs with the same nodes."""
     hearer, heard = zip(*(links_of(graph) for graph in graphs), strict=True)
     return from_links(nodes_of(graphs[0]), np.concatenate(hearer), np.concatenate(heard))
 
 
 def links_of(adjacency: Adjacency) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Who hears (links,) and who is heard (links,), by hearer and then by heard."""
+    """Return the receivers (links,) and senders (links,), ordered by receiver, then sender."""
     entries = csr_array(adjacency).tocoo()
     order = np.lexsort((entries.col, entries.row))
     return entries.row[order].astype(np.intp), entries.col[order].astype(np.intp)
 
 
 def entries(matrix: csr_array, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray:
-    """The entries (k,) of a sparse matrix at rows (k,) and columns (k,)."""
+    """Return the entries (k,) of a sparse matrix at rows (k,) and columns (k,)."""
     # scipy answers an empty question with another type.
     return np.asarray(matrix[rows, columns]).ravel() if len(rows) else np.zeros(0, matrix.dtype)
 
@@ -72,17 +72,17 @@ def neighbours_of(adjacency: Adjacency) -> list[list[int]]:
 
 
 def nodes_of(matrix: Any) -> int:
-    """How many nodes a graph or its weights (n, n) have."""
+    """Return how many nodes a graph or its weights (n, n) have."""
     return matrix.shape[0]
 
 
 def degrees(adjacency: Adjacency) -> NDArray[np.int64]:
-    """How many others each node (n,) hears."""
+    """Return how many others each node (n,) hears."""
     return np.asarray(adjacency.sum(axis=1, dtype=np.int64)).ravel()
 
 
 def is_symmetric(adjacency: Adjacency) -> bool:
-    """Whether whoever is heard hears too."""
+    """Return whether every link has its opposite."""
     return one_way_links(adjacency).shape[0] == 0
 
 
@@ -99,7 +99,7 @@ def require_nodes(nodes: int, what: str) -> None:
 
 
 def is_connected(adjacency: Adjacency) -> bool:
-    """Whether every node of a graph (n, n) reaches every other, taking links both ways."""
+    """Return whether every node of a graph (n, n) reaches every other, taking links both ways."""
     return connected_components(adjacency, directed=False, return_labels=False) == 1
 
 
@@ -109,7 +109,7 @@ def first_accepted(
     seed: int,
     what: str,
 ) -> Drawn:
-    """The first of at most `ATTEMPTS` draws from the stream of `seed` that is accepted.
+    """Return the first of at most `ATTEMPTS` draws from the stream of `seed` that is accepted.
 
     Raises:
         ValueError: if none is, with `what` in the message.

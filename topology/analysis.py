@@ -1,4 +1,4 @@
-"""What a graph and its weights promise: connection, weak points, speed of agreement."""
+"""Properties of a graph and its weights: connection, weak points, speed of agreement."""
 
 import math
 from collections.abc import Iterator
@@ -21,12 +21,12 @@ Array = NDArray[np.float64]
 class Analysis:
     """A graph with weights, in figures.
 
-    `links` are pairs of nodes, or who-hears-whom where the graph is `directed`. `components` are
-    the parts whose nodes all reach each other (strongly, in a directed graph), `weak_components`
-    those that hang together at all. `cut_nodes` and `cut_links` divide a part if they are lost.
-    `diameter` and `rounds_to_one_percent` are None where no number is large enough: the graph is in
-    pieces, or its weights never lead to agreement; the diameter also where the graph is so large
-    that no more than its `diameter_bounds` are known.
+    `links` are pairs of nodes, or pairs (receiver, sender) where the graph is `directed`.
+    `components` are the parts whose nodes all reach each other (strongly, in a directed graph).
+    `weak_components` are the parts that are connected when directions are ignored. The loss of one
+    of `cut_nodes` or `cut_links` divides a part. `diameter` is None if the graph is not connected;
+    it is also None if the graph is so large that only its `diameter_bounds` are known.
+    `rounds_to_one_percent` is None if the weights never lead to agreement.
     """
 
     nodes: int
@@ -47,7 +47,7 @@ class Analysis:
 
 
 def analyse(adjacency: Adjacency, weights: csr_array) -> Analysis:
-    """The figures of a graph (n, n) under weights (n, n)."""
+    """Return the figures of a graph (n, n) under weights (n, n)."""
     degree = degrees(adjacency)
     directed = not is_symmetric(adjacency)
     parts = components(adjacency)

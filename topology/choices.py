@@ -1,4 +1,4 @@
-"""Graphs and weights by name, for whoever only wants to know what there is.
+"""Names of the graphs and weights, without their code.
 
 Apart from the functions that make them, which bring scipy and networkx.
 """

@@ -1,10 +1,10 @@
 """How fast disagreement falls, predicted and measured, on links that stay, fail or take turns.
 
-With links that come and go a round multiplies by a random matrix W(t): node i adds w_ij (x_j - x_i)
-for every link that is up, and keeps to itself what the others would have given. Its rows sum to 1,
-so with P = I - 11'/n disagreement P x goes to P W P x, and its second moments go linearly by
-E[P W (x) P W] (Kushner 1971; for averaging: Boyd, Ghosh, Prabhakar, Shah 2006, section II). The
-root of the spectral radius is the factor by which the root mean square of disagreement falls.
+With intermittent links a round multiplies by a random matrix W(t). Node i adds w_ij (x_j - x_i) for
+every link that is up; the weight of each other link stays with the node's own value. The rows of W
+sum to 1, so with P = I - 11'/n the disagreement P x becomes P W P x. Its second moments evolve
+linearly by E[P W (x) P W] (Kushner 1971; for averaging: Boyd, Ghosh, Prabhakar, Shah 2006, section
+II). The root of the spectral radius is the factor per round of the root mean square disagreement.
 """
 
 import math
@@ -145,12 +145,12 @@ def measured_factor(
     generator: np.random.Generator,
     redrawn: Callable[[NDArray[np.intp]], None] = lambda chosen: None,
 ) -> Measured:
-    """The factor per round of an averaging that is carried out.
+    """Return the factor per round, measured by carrying out an averaging.
 
-    `one_round(values (n, runs), round)` is the averaging. The runs begin at random and are carried
-    through `rounds` rounds, of which the second half counts. So that few runs do not come to stand
-    for all, runs are drawn anew by their mean square when they have grown unlike; `redrawn` is told
-    which (runs,), for averagings that remember something of their runs.
+    `one_round(values (n, runs), round)` is the averaging. The runs begin at random values and take
+    `rounds` rounds, of which the second half counts. When the runs have grown unlike, they are
+    drawn again in proportion to their mean square, so that a few runs do not dominate. `redrawn`
+    receives their indices (runs,), for averagings that keep a state for each run.
     """
     values = generator.normal(size=(nodes, runs))
     growth = np.empty(rounds)
@@ -225,7 +225,7 @@ def averaging(links: Links, generator: np.random.Generator) -> Callable[[Array, 
 
 
 def _gather(links: Links) -> csr_array:
-    """What a link brings to whom, (n, links)."""
+    """Return the matrix (n, links) that adds the value of each link at its receiver."""
     place = (links.hearer, np.arange(len(links.hearer)))
     return csr_array((links.weight, place), shape=(links.nodes, len(links.hearer)))
 
@@ -258,7 +258,7 @@ def _spread(links: Links, moments: Array) -> Array:
 
 
 def _partner(links: Links) -> NDArray[np.intp]:
-    """The link (links,) that is up and down with this one, -1 for none."""
+    """Return the link (links,) that is up and down with this one, -1 for none."""
     order = np.argsort(links.pair, kind="stable")
     same = np.flatnonzero(np.diff(links.pair[order]) == 0)
     partner = np.full(len(links.pair), -1)

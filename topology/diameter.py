@@ -1,7 +1,7 @@
-"""The most hops between two nodes: exactly where that can be paid for, else between two bounds.
+"""Diameter of a graph in hops: exact where the cost allows it, otherwise two bounds.
 
-Source: Takes, Kosters (2011), Determining the diameter of small world networks, CIKM: each search
-bounds how far every other node can be from its farthest one, and most need never be searched from.
+Source: Takes, Kosters (2011), "Determining the diameter of small world networks", CIKM. Each search
+bounds the eccentricity of every other node, so most nodes need no search of their own.
 """
 
 import math
@@ -18,7 +18,7 @@ _BUDGET = 1e9
 
 
 def diameter_bounds(adjacency: Adjacency, searches: int | None = None) -> tuple[int, int]:
-    """The least and the most that the diameter of a graph (n, n) in one piece can be.
+    """Return the least and the most that the diameter of a graph (n, n) in one piece can be.
 
     They are equal unless so many searches, as many as some seconds pay for when left out, could not
     tell.

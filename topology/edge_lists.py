@@ -75,7 +75,7 @@ def write_edge_list(file: Path, network: Network) -> None:
 
 
 def read_matrix(file: Path) -> csr_array:
-    """The numbers (n, n) of a matrix.
+    """Return the numbers (n, n) of a matrix.
 
     Raises:
         ValueError: naming file, line and cure.

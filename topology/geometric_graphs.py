@@ -1,4 +1,4 @@
-"""Graphs of radio range: who is near enough hears."""
+"""Graphs of radio range: a node hears the nodes within range."""
 
 import math
 

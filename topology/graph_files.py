@@ -7,7 +7,7 @@
 |                       | `#` begins a comment |
 | .csv                  | the matrix itself: one row per line, 0 or a positive number per entry; |
 |                       | entry (i, j) says that i hears j |
-| .graphml              | GraphML; an edge leads from who is heard to who hears; the nodes' |
+| .graphml              | GraphML; an edge leads from sender to receiver; the nodes'         |
 |                       | attributes `x` and `y` are their places |
 
 Numbers on links, `delivery` in GraphML, are the chance that a frame arrives if all lie between 0
@@ -20,7 +20,7 @@ from pathlib import Path
 
 from scipy.sparse import csr_array
 
-from topology.adjacency import Adjacency, is_symmetric, nodes_of, one_way_links
+from topology.adjacency import is_symmetric, nodes_of, one_way_links
 from topology.edge_lists import read_edge_list, read_matrix, write_edge_list, write_matrix
 from topology.network import Array, Network, delivery_of
 
@@ -28,7 +28,7 @@ _SUFFIXES = (".edges", ".edgelist", ".txt", ".csv", ".graphml")
 
 
 def read_network(file: str | Path, nodes: int | None = None, *, directed: bool = False) -> Network:
-    """The network of a file; of links that go one way if `directed`.
+    """Return the network of a file; of links that go one way if `directed`.
 
     Raises:
         ValueError: if the file is missing, malformed, has one-way links unless `directed`, or has
@@ -65,16 +65,6 @@ def read_network(file: str | Path, nodes: int | None = None, *, directed: bool =
     return Network(adjacency, delivery_of(adjacency, given), positions, names)
 
 
-def read_graph(file: str | Path, nodes: int | None = None) -> Adjacency:
-    """The undirected graph of a file, as `read_network` has it."""
-    return read_network(file, nodes).adjacency
-
-
-def read_directed_graph(file: str | Path, nodes: int | None = None) -> Adjacency:
-    """The directed graph of a file, as `read_network` has it."""
-    return read_network(file, nodes, directed=True).adjacency
-
-
 def write_network(file: str | Path, network: Network) -> None:
     """Writes a network so that `read_network` returns it; edge lists and matrices hold neither
     places nor names. Raises ValueError for the suffix."""
@@ -88,11 +78,6 @@ def write_network(file: str | Path, network: Network) -> None:
         write_matrix(file, network)
     else:
         write_edge_list(file, network)
-
-
-def write_graph(file: str | Path, adjacency: Adjacency) -> None:
-    """Writes a graph (n, n) so that it is read back. Raises ValueError for the suffix."""
-    write_network(file, Network(adjacency))
 
 
 def _known_suffix(file: Path) -> str:

@@ -1,4 +1,4 @@
-"""Graphs as GraphML, by networkx: an edge leads from who is heard to who hears."""
+"""Graphs as GraphML, by networkx: an edge leads from sender to receiver."""
 
 from pathlib import Path
 from typing import Any

@@ -66,7 +66,7 @@ def grid(rows: int, columns: int) -> Adjacency:
 
 
 def near_square(nodes: int) -> tuple[int, int]:
-    """The rows and columns nearest to a square that hold exactly `nodes` nodes.
+    """Return the rows and columns nearest to a square that hold exactly `nodes` nodes.
 
     Raises:
         ValueError: for a prime number, whose only grid is a path.
@@ -93,7 +93,7 @@ _BUILDERS: dict[str, Callable[[int, int], Adjacency]] = {
 }
 
 
-# What follows the colon is a path.
+# The text after the colon is a path.
 _SOURCES: dict[str, Callable[[str, int | None], Network]] = {
     "file": lambda path, nodes: read_network(path, nodes),
     "directed": lambda path, nodes: read_network(path, nodes, directed=True),
@@ -104,7 +104,7 @@ _LABS = ("intel-lab", "intel-lab-directed")
 
 
 def is_random(name: str) -> bool:
-    """Whether the graph of a name depends on the seed."""
+    """Return whether the graph of a name depends on the seed."""
     drawn = ("erdos-renyi", "small-world", "scale-free", "geometric")
     return name in drawn or name.endswith("-regular")
 
@@ -116,7 +116,7 @@ def build_graph(
     positions: NDArray[np.float64] | None = None,
     radius: float | None = None,
 ) -> Adjacency:
-    """The graph of that name: sparse boolean (nodes, nodes), as `build_network` has it."""
+    """Return the graph of that name: sparse boolean (nodes, nodes), as `build_network` has it."""
     return build_network(name, nodes, seed, positions, radius).adjacency
 
 
@@ -128,7 +128,7 @@ def build_network(
     radius: float | None = None,
     data: str | None = None,
 ) -> Network:
-    """The graph of that name and what is known of it.
+    """Return the graph of that name and what is known of it.
 
     `geometric` takes `positions` (nodes, 2) and a `radius` in their unit; without positions it
     draws them by `scatter`. `intel-lab` takes the folder of its `data`, which may also follow its
@@ -145,7 +145,7 @@ def build_network(
         if data is None:
             raise ValueError(
                 f"graph {name} is read from the Intel lab data: name their folder as "
-                f"{name}:FOLDER, with --data, or with the environment variable {DATA_VARIABLE}"
+                f"{name}:FOLDER, or with the environment variable {DATA_VARIABLE}"
             )
         return _SOURCES[source](data, nodes)
     if source in _SOURCES and colon:

@@ -2,9 +2,9 @@
 
 Source: Bodik, Hong, Guestrin, Madden, Paskin, Thibaux, Intel Lab Data, 2004, free with credit. The
 folder holds `mote_loc.txt` (number, x and y in m) and `connectivity.txt` (sender, receiver, share
-of the frames that arrived). A line of another length is a record cut off in the original and is
-left out; mote 0 is the base station, which has no place and is no node; a mote whose frames nobody
-hears, or that hears nobody (mote 5), takes no part.
+of the frames that arrived). A line of another length is a truncated record of the original; the
+reader skips it. Mote 0 is the base station, which has no position and is no node. A mote whose
+frames no mote hears, or that hears no mote (mote 5), is left out.
 """
 
 from functools import cache
@@ -26,12 +26,12 @@ Array = NDArray[np.float64]
 
 
 def is_intel_lab(folder: str | Path) -> bool:
-    """Whether a folder holds the two files."""
+    """Return whether a folder holds the two files."""
     return all((Path(folder) / file).is_file() for file in (LOCATIONS, CONNECTIVITY))
 
 
 def intel_lab(folder: str | Path, nodes: int | None = None, *, one_way: bool = False) -> Network:
-    """The lab's network, of the motes that reach each other.
+    """Return the lab's network, of the motes that reach each other.
 
     Links deliver `LEAST_DELIVERY` or more, both ways, or in at least one direction with `one_way`.
     With `nodes`, so many that reach each other around the middle of the lab.

@@ -1,4 +1,4 @@
-"""What becomes of links while a network runs, by name: `bernoulli:0.1`, `switching:ring,star:10`.
+"""Behaviour of links during a run, by name: `bernoulli:0.1`, `switching:ring,star:10`.
 
 | name | meaning |
 |---|---|
@@ -7,8 +7,8 @@
 | bernoulli:P | a link is down with probability P in a step |
 | markov:F,R | an up link fails with probability F in a step, a down one comes back with R |
 | switching:A,B,...:STEPS | one graph after another, for so many steps each |
-| moving:RANGE | who is within RANGE m of where the plant has the nodes hears |
-| moving:RANGE,WANDER,PERIOD | the same, nodes circle around their places: radius in m, steps |
+| moving:RANGE | a node hears the nodes within RANGE m of its position in the plant | |
+moving:RANGE,WANDER,PERIOD | the same, nodes circle around their places: radius in m, steps |
 """
 
 import math
@@ -25,7 +25,7 @@ NAMES = (
     "moving:RANGE",
     "moving:RANGE,WANDER,PERIOD",
 )
-_EXAMPLES = {
+EXAMPLES = {
     "static": "static",
     "measured": "measured",
     "bernoulli": "bernoulli:0.1",
@@ -36,7 +36,7 @@ _EXAMPLES = {
 
 
 class LinkPlan(NamedTuple):
-    """What becomes of links: the name of `NAMES`, its numbers, and the names of its graphs."""
+    """Behaviour of links: the name of `NAMES`, its numbers, and the names of its graphs."""
 
     kind: str
     numbers: tuple[float, ...] = ()
@@ -44,13 +44,13 @@ class LinkPlan(NamedTuple):
 
 
 def parse_links(text: str) -> LinkPlan:
-    """The plan that a name means.
+    """Return the plan that a name means.
 
     Raises:
         ValueError: for an unknown name, and for numbers that cannot be, with rule and example.
     """
     kind, _, rest = text.partition(":")
-    if kind not in _EXAMPLES:
+    if kind not in EXAMPLES:
         raise unknown_name("links", text, NAMES)
     if kind == "switching":
         return _switching(text, rest)
@@ -77,7 +77,7 @@ def parse_links(text: str) -> LinkPlan:
     }
     holds, rule = rules[kind]
     if not holds:
-        raise ValueError(f"links {text}: {rule}; for example {_EXAMPLES[kind]}")
+        raise ValueError(f"links {text}: {rule}; for example {EXAMPLES[kind]}")
     return LinkPlan(kind, numbers)
 
 
@@ -87,6 +87,6 @@ def _switching(text: str, rest: str) -> LinkPlan:
     if len(graphs) < 2 or not every.isdecimal() or int(every) < 1:
         raise ValueError(
             f"links {text}: give two graphs or more and the steps that each stays; for example "
-            f"{_EXAMPLES['switching']}"
+            f"{EXAMPLES['switching']}"
         )
     return LinkPlan("switching", (float(every),), graphs)

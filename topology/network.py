@@ -34,7 +34,7 @@ def delivery_of(adjacency: Adjacency, given: csr_array) -> Array | None:
 
 
 def part_of(network: Network, kept: NDArray[np.intp]) -> Network:
-    """The network of some of the nodes (m,), in their order."""
+    """Return the network of some of the nodes (m,), in their order."""
     adjacency, delivery, positions, names = network
     inner = adjacency[kept][:, kept]
     inner_delivery = None

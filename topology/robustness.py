@@ -17,7 +17,7 @@ EXACT_NODES = 16
 
 
 def is_robust(neighbours: Sequence[Sequence[int]], reach: int) -> bool | None:
-    """Whether a graph is `reach`-robust, whose nodes hear these; None where it is not known.
+    """Return whether a graph is `reach`-robust, whose nodes hear these; None where it is not known.
 
     It is known for up to `EXACT_NODES` nodes, for degrees of half of the nodes and more, and where
     a node hears too few.
@@ -34,7 +34,7 @@ def is_robust(neighbours: Sequence[Sequence[int]], reach: int) -> bool | None:
 
 
 def _is_robust(neighbours: Sequence[Sequence[int]], reach: int) -> bool:
-    """By all sets of nodes, each a number whose bits say who is in it."""
+    """Check all sets of nodes; each set is a number whose bits mark its nodes."""
     nodes = len(neighbours)
     sets = np.arange(1 << nodes, dtype=np.uint32)
     shut = sets > 0

@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 # Up to here all eigenvalues take less than a second.
 DENSE_NODES = 600
-# What a sparse iteration may take before the slow ends of the spectrum are shifted and inverted.
+# Limit of a sparse iteration; after it, the slow ends of the spectrum use shift and invert.
 _ITERATIONS = 60
 # Beside an eigenvalue, so that the shifted matrix can be factorised.
 _BESIDE = 1e-7

@@ -83,7 +83,7 @@ def switching(graphs: Sequence[Sequence[Sequence[int]]], every: int) -> LinkUp:
 
 
 def in_range(positions: NDArray[np.float64], reach: float) -> LinkUp:
-    """Who is near enough hears: nodes at `positions` (steps, n, 2) up to the distance `reach`."""
+    """Return links between nodes at `positions` (steps, n, 2) up to the distance `reach`."""
 
     def up(step: Any, sender: Any, receiver: Any) -> Any:
         offset = positions[step, sender] - positions[step, receiver]

@@ -76,9 +76,10 @@ def best_constant(adjacency: Adjacency) -> Weights:
 
 
 def fastest_mixing(adjacency: Adjacency) -> Weights:
-    """The symmetric weights without negative entries that converge fastest: they minimise the
-    contraction factor |W - 11'/n|, a semidefinite program (Xiao, Boyd 2004, section 4 with the
-    entries bounded below by 0 as in Boyd, Diaconis, Xiao 2004); (n, n) -> (n, n).
+    """Return the fastest symmetric weights without negative entries; (n, n) -> (n, n).
+
+    The weights minimise the contraction factor |W - 11'/n| by a semidefinite program. Source: Xiao,
+    Boyd 2004, section 4, with the entries bounded below by 0 as in Boyd, Diaconis, Xiao 2004.
 
     Raises:
         ValueError: the graph is not connected or has more than `MOST_FASTEST_MIXING` nodes, the
@@ -145,12 +146,13 @@ def check_doubly_stochastic(weights: Weights) -> None:
 
 
 def check_weights(weights: Weights, adjacency: Adjacency) -> None:
-    """Whether fusion may use these weights (n, n) on this graph (n, n).
+    """Check that fusion may use these weights (n, n) on this graph (n, n).
 
     Raises:
-        ValueError: naming the first rule that is broken: finite with one row per node, no entry
-            below 0, rows that sum to 1, nothing outside graph and diagonal, primitivity (some
-            power has no zero, so that all nodes come to agree).
+        ValueError: the weights break a rule; the message names the first. The rules: finite with
+            one row per node, no entry below 0, rows that sum to 1, no entry outside graph and
+            diagonal. The last rule is primitivity: some power has no zero, so all nodes come to
+            agree.
     """
     if weights.shape != adjacency.shape or not np.isfinite(weights.data).all():
         raise ValueError(
@@ -186,7 +188,7 @@ def check_weights(weights: Weights, adjacency: Adjacency) -> None:
 def _first(
     broken: NDArray[np.bool_], rows: NDArray[np.intp], columns: NDArray[np.intp], values: Array
 ) -> list[tuple[int, int, float]]:
-    """The first entry that breaks a rule, if any does."""
+    """Return the first entry that breaks a rule, if any does."""
     found = np.flatnonzero(broken)[:1]
     return [(int(rows[k]), int(columns[k]), float(values[k])) for k in found]
 
@@ -213,7 +215,7 @@ _RULES: dict[str, Callable[[Adjacency], Weights]] = {
 
 
 def build_weights(name: str, adjacency: Adjacency) -> Weights:
-    """The weights (n, n) of that name for a graph (n, n).
+    """Return the weights (n, n) of that name for a graph (n, n).
 
     Raises:
         ValueError: for an unknown name; for links that go one way under a rule that wants both;

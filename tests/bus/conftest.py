@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from bus.decoder import Decoding, decode_waveform
-from bus.waveform import Waveform, read_waveform
+from bus.recordings.decoder import Decoding, decode_waveform
+from bus.recordings.waveform import Waveform, parse_waveform
 
 
 def _file(shared_data: Path, name: str) -> Path:
@@ -18,7 +18,8 @@ def _file(shared_data: Path, name: str) -> Path:
 @pytest.fixture(scope="session")
 def capture(shared_data: Path) -> Waveform:
     """Eight cycles of a real car's bus."""
-    return read_waveform(_file(shared_data, "flexray_capture/audi_cycles_28_35.csv")).waveform
+    file = _file(shared_data, "flexray_capture/audi_cycles_28_35.csv")
+    return parse_waveform(file.read_text()).waveform
 
 
 @pytest.fixture(scope="session")

@@ -1,13 +1,14 @@
-"""What the tests of the bus share: random clusters, requests and frames, checksums the long way."""
+"""Shared parts of the bus tests: random clusters, requests and frames, and bitwise checksums."""
 
 import math
+from collections.abc import Sequence
 
 from hypothesis import settings
 from hypothesis import strategies as st
 
-from bus.cluster import Cluster
-from bus.dynamic_segment import Request
-from bus.frame import Frame
+from bus.flexray.cluster import Cluster
+from bus.flexray.dynamic_segment import Request, walk
+from bus.flexray.frame import Frame
 
 quick = settings(max_examples=60)
 
@@ -86,12 +87,17 @@ def dynamic_segments(draw: st.DrawFn) -> tuple[Cluster, list[Request]]:
         Request(
             node=place,
             frame_id=cluster.first_dynamic_id + place,
-            bid=draw(st.integers(0, 5)),
             payload_bytes=2 * draw(st.integers(0, cluster.dynamic_payload_words)),
         )
         for place in sorted(places)
     ]
     return cluster, draw(st.permutations(requests))
+
+
+def served(cluster: Cluster, requests: Sequence[Request]) -> list[Request]:
+    """The requests that the minislots of a cycle hold, low frame IDs first."""
+    waiting = walk(cluster, requests).waiting
+    return [request for request in requests if request not in waiting]
 
 
 @st.composite

@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.bitstream import BitError, decode_bits, encode_bits
-from bus.presets import AUDI
+from bus.flexray.presets import AUDI
+from bus.recordings.bitstream import BitError, decode_bits
+from tests.bus.signals import encode_bits
 from tests.bus.support import quick
 
 

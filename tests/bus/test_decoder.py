@@ -5,10 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.bitstream import byte_bits, encode_bits
-from bus.decoder import Decoding, decode_waveform, reencodes
-from bus.frame import Frame, encode
-from bus.waveform import Waveform, WaveformError, from_bits, from_samples
+from bus.flexray.frame import Frame, encode
+from bus.recordings.bitstream import byte_bits
+from bus.recordings.decoder import Decoding, decode_waveform, reencodes
+from bus.recordings.waveform import Waveform, WaveformError, from_samples
+from tests.bus.signals import encode_bits, from_bits
 from tests.bus.support import binary, long_division, quick
 
 

@@ -5,9 +5,9 @@ import math
 import pytest
 from hypothesis import given
 
-from bus.cluster import Cluster
-from bus.dynamic_segment import Request, frame_payloads, walk
-from bus.presets import DEMO, FLEXRAY_ADAPTER
+from bus.flexray.cluster import Cluster
+from bus.flexray.dynamic_segment import Request, frame_payloads, walk
+from bus.flexray.presets import DEMO, FLEXRAY_ADAPTER
 from tests.bus.support import dynamic_segments, quick
 
 
@@ -58,29 +58,29 @@ def test_nothing_begins_late_overlaps_or_overruns(segment: tuple[Cluster, list[R
 def test_a_request_longer_than_one_frame_is_sent_whole_or_not_at_all():
     # 16-byte frames last 7 of 163 minislots, none may begin after minislot 157.
     adapter = FLEXRAY_ADAPTER
-    long = Request(3, 61, 0, 40)
+    long = Request(3, 61, 40)
     assert frame_payloads(adapter, 40) == (16, 16, 8)
     placed, waiting = walk(adapter, [long])
     assert [(frame.frame_id, frame.minislot) for frame in placed] == [(61, 1), (62, 8), (63, 15)]
     assert not waiting
-    late = Request(3, 61 + 146, 0, 40)
+    late = Request(3, 61 + 146, 40)
     assert walk(adapter, [late]).waiting == (late,)
     assert not walk(adapter, [late]).placed
     assert walk(adapter, [late._replace(payload_bytes=16)]).placed[0].minislot == 147
     # Its three slots stay silent for a minislot each, and the next node gets its turn.
-    placed, waiting = walk(adapter, [late, Request(4, late.frame_id + 3, 0, 16)])
+    placed, waiting = walk(adapter, [late, Request(4, late.frame_id + 3, 16)])
     assert waiting == (late,)
     assert [(frame.node, frame.minislot) for frame in placed] == [(4, 150)]
 
 
 def test_slots_with_two_senders_are_refused_by_name():
     with pytest.raises(ValueError, match="nodes 1 and 2 both send in dynamic slot 30"):
-        walk(DEMO, [Request(1, 30, 0, 8), Request(2, 30, 0, 8)])
+        walk(DEMO, [Request(1, 30, 8), Request(2, 30, 8)])
     with pytest.raises(ValueError, match="nodes 1 and 2 both send in dynamic slot 30"):
-        walk(DEMO, [Request(1, 29, 0, 300), Request(2, 30, 0, 8)])
+        walk(DEMO, [Request(1, 29, 300), Request(2, 30, 8)])
 
 
 @pytest.mark.parametrize("frame_id", [20, 2048])
 def test_ids_outside_of_the_segment_are_refused(frame_id: int):
     with pytest.raises(ValueError, match=f"frame ID {frame_id}"):
-        walk(DEMO, [Request(1, frame_id, 0, 8)])
+        walk(DEMO, [Request(1, frame_id, 8)])

@@ -5,17 +5,17 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from bus.arbitration import ArbiterState, minislot
-from bus.bitstream import encode_bits
-from bus.cluster import Cluster
-from bus.decoder import Decoding, decode_waveform
-from bus.dynamic_segment import Request
-from bus.fit import fit
-from bus.frame import Frame, encode
-from bus.presets import BOSCH, FLEXRAY_ADAPTER
-from bus.slot_table import SlotAssignment
-from bus.timing import Transmission, dynamic_transmissions, static_transmissions
-from bus.waveform import Waveform, from_bits
+from bus.flexray.cluster import Cluster
+from bus.flexray.dynamic_segment import Request
+from bus.flexray.frame import Frame, encode
+from bus.flexray.presets import BOSCH, FLEXRAY_ADAPTER
+from bus.flexray.slot_table import SlotAssignment
+from bus.flexray.timing import Transmission, dynamic_transmissions, static_transmissions
+from bus.recordings.decoder import Decoding, decode_waveform
+from bus.recordings.fit import fit
+from bus.recordings.waveform import Waveform
+from tests.bus.signals import encode_bits, from_bits
+from tests.bus.support import served
 
 
 def test_the_recording_gives_the_known_grid(audi: Decoding):
@@ -71,10 +71,9 @@ def signal_of(cluster: Cluster, cycles: int, seed: int) -> tuple[Waveform, list[
         ids = cluster.first_dynamic_id + random.choice(40, size=6, replace=False)
         sizes = 2 * random.integers(0, cluster.dynamic_payload_words + 1, 6)
         requests = [
-            Request(0, int(frame_id), 0, int(size))
-            for frame_id, size in zip(ids, sizes, strict=True)
+            Request(0, int(frame_id), int(size)) for frame_id, size in zip(ids, sizes, strict=True)
         ]
-        _, winners = minislot(ArbiterState(), requests, cluster=cluster, slots=6)
+        winners = served(cluster, requests)
         frames = static_transmissions(cluster, slots) + dynamic_transmissions(cluster, winners)
         for frame in frames:
             sent.append(

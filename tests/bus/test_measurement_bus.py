@@ -18,14 +18,14 @@ from bus.measurement_bus import (
     try_once_discard,
     zero_input,
 )
-from bus.measurement_matrices import (
+from bus.schedule import Schedule
+from tests.bus.measurement_matrices import (
     receive,
     receive_by_segments,
     segment,
     slot_matrices,
     static_turn,
 )
-from bus.schedule import Schedule
 
 FLEXRAY_SENSORS = st.integers(2, 7).flatmap(
     lambda sensors: st.tuples(
@@ -40,7 +40,7 @@ def numbers(seed: int, *shape: int) -> np.ndarray:
 
 
 def by_hand(sizes, static_slots, slot, measurement, received, weights):
-    """(2) to (5) in words: who sends in slot s (1..N), and ybar_s, sensor by sensor."""
+    """Equations (2) to (5), sensor by sensor: the sender of slot s (1..N), and ybar_s."""
     ends = np.cumsum([0, *sizes])
     rows = [range(*pair) for pair in pairwise(ends)]
     place = (slot - 1) % (static_slots + 1)

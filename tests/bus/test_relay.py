@@ -5,11 +5,11 @@ from itertools import pairwise
 import msgspec
 import pytest
 
-from bus.fitted import fitted_cluster
-from bus.relay import check_relay, least_gap_us
+from bus.flexray.fitted import fitted_cluster
+from bus.flexray.relay import check_relay, least_gap_us
+from bus.flexray.slot_table import allocate
+from bus.flexray.timing import dynamic_transmissions, static_transmissions
 from bus.schedule import Group, dynamic_only, full_publish, hybrid
-from bus.slot_table import allocate
-from bus.timing import dynamic_transmissions, static_transmissions
 
 PAYLOADS = (40,)
 
@@ -25,7 +25,7 @@ def test_the_gap_is_what_the_timetable_leaves_at_least(schedule):
     cluster = fitted_cluster(schedule, PAYLOADS)
     table = allocate(schedule, cluster, PAYLOADS, PAYLOADS)
     frames = [*static_transmissions(cluster, table.static_slots(0))]
-    requests = [table.request(node, 0) for node in schedule.contenders(0)]
+    requests = [table.request(node) for node in schedule.contenders(0)]
     segments = [frames]
     if requests:
         # Frames of all lengths, next to each other.

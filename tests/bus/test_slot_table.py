@@ -7,10 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.dynamic_segment import Request
-from bus.presets import AUDI, DEMO, FLEXRAY_ADAPTER
+from bus.flexray.dynamic_segment import Request
+from bus.flexray.presets import AUDI, DEMO, FLEXRAY_ADAPTER
+from bus.flexray.slot_table import (
+    SlotAssignment,
+    SlotTable,
+    allocate,
+    deviations,
+)
 from bus.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
-from bus.slot_table import SlotAssignment, SlotTable, allocate, deviations, schedule_from_slots
 from tests.bus.support import quick
 
 BIG = msgspec.structs.replace(
@@ -94,16 +99,16 @@ def test_other_periods_are_told():
 def test_contenders_get_the_dynamic_ids_that_follow_the_static_segment():
     table = allocate(hybrid(4, 0.5), AUDI, (34,) * 3, (100,))
     assert [slot.node for slot in table.static_slots(0)] == [0, 0, 0]
-    assert table.request(2, 7) == Request(2, 52, 7, 100)
-    assert table.request(3, 7).frame_id == 53
+    assert table.request(2) == Request(2, 52, 100)
+    assert table.request(3).frame_id == 53
     with pytest.raises(ValueError, match="node 0 owns no dynamic slot"):
-        table.request(0, 7)
+        table.request(0)
 
 
 def test_long_shares_take_consecutive_dynamic_slots():
     table = allocate(dynamic_only(3, 0.5), FLEXRAY_ADAPTER, (), (16, 16, 8))
-    assert [table.request(node, 0).frame_id for node in range(3)] == [61, 64, 67]
-    assert table.request(0, 0).payload_bytes == 40
+    assert [table.request(node).frame_id for node in range(3)] == [61, 64, 67]
+    assert table.request(0).payload_bytes == 40
 
 
 def test_more_static_slots_than_the_cluster_holds_are_refused():
@@ -133,85 +138,15 @@ def test_contenders_that_could_never_send_are_refused():
     allocate(dynamic_only(157, 0.1), FLEXRAY_ADAPTER, (), (16,))
 
 
-WRITTEN = [
-    SlotAssignment(1, 0),
-    SlotAssignment(3, 1, "A", 0, 2),
-    SlotAssignment(3, 2, "A", 1, 4),
-    SlotAssignment(3, 0, "A", 3, 4),
-    SlotAssignment(25, 3, "A", 1, 2),
-]
-
-
-def test_a_written_table_becomes_a_schedule():
-    schedule = schedule_from_slots(4, WRITTEN, DEMO)
-    static = [schedule.static_senders(cycle) for cycle in range(5)]
-    assert static == [(0, 1), (0, 2), (0, 1), (0,), (0, 1)]
-    assert [schedule.contenders(cycle) for cycle in range(3)] == [(), (3,), ()]
-
-
 @quick
 @given(schedules())
 def test_a_multiplexed_table_gives_back_its_schedule(schedule: Schedule):
     table = allocate(schedule, BIG, (10,), (254,))
     if deviations(table.assignments, BIG):
         return
-    again = schedule_from_slots(schedule.nodes, table.assignments, BIG)
     for cycle in range(64):
-        assert again.static_senders(cycle) == schedule.static_senders(cycle)
+        static = [slot.node for slot in table.static_slots(cycle)]
+        assert tuple(static) == schedule.static_senders(cycle)
         if schedule.dynamic_slots(cycle):
-            assert again.contenders(cycle) == schedule.contenders(cycle)
-
-
-@pytest.mark.parametrize(
-    ("slot", "said"),
-    [
-        (SlotAssignment(3, 3, "A", 5, 8), "slot 3 on channel A has two owners.*node 2.*node 3"),
-        (SlotAssignment(1, 2), "slot 1 on channel A has two owners.*node 0.*node 2"),
-        (SlotAssignment(2, 4), r"node 4.*0\.\.3"),
-        (SlotAssignment(2, 1, "A", 0, 3), "repetition 3"),
-        (SlotAssignment(2, 1, "A", 2, 2), "base cycle 2"),
-        (SlotAssignment(2, 1, "B"), "channel B"),
-        (SlotAssignment(0, 1), "slot 0"),
-        (SlotAssignment(2000, 1), "could never send in dynamic slot 2000"),
-    ],
-)
-def test_impossible_slots_are_refused_by_name(slot: SlotAssignment, said: str):
-    with pytest.raises(ValueError, match=said):
-        schedule_from_slots(4, [*WRITTEN, slot], DEMO)
-
-
-@quick
-@given(
-    st.lists(
-        st.builds(
-            lambda frame_id, node, power, base: SlotAssignment(
-                frame_id, node, "A", base % 2**power, 2**power
-            ),
-            st.integers(1, 3),
-            st.integers(0, 3),
-            st.integers(0, 6),
-            st.integers(0, 63),
-        ),
-        max_size=6,
-    )
-)
-def test_a_table_is_refused_exactly_if_a_slot_has_two_owners_in_some_cycle(slots):
-    owners = Counter(
-        (slot.frame_id, cycle) for slot in slots for cycle in range(64) if slot.sends(cycle)
-    )
-    clash = any(count > 1 for count in owners.values())
-    try:
-        schedule_from_slots(4, slots, DEMO)
-    except ValueError as refused:
-        assert "two owners" in str(refused)
-        assert clash
-    else:
-        assert not clash
-
-
-def test_channels_may_share_a_slot():
-    both = msgspec.structs.replace(DEMO, channels="AB")
-    split = [SlotAssignment(1, 0, "A"), SlotAssignment(1, 1, "B")]
-    assert schedule_from_slots(2, split, both).static_senders(0) == (0, 1)
-    with pytest.raises(ValueError, match="two owners"):
-        schedule_from_slots(2, [*split, SlotAssignment(1, 1, "AB")], both)
+            dynamic = {s.node for s in table.assignments if s.frame_id >= table.first_dynamic_id}
+            assert dynamic >= set(schedule.contenders(cycle))

@@ -7,14 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.arbitration import ArbiterState, minislot
-from bus.cluster import Cluster
-from bus.decoder import Decoding
-from bus.dynamic_segment import Request
-from bus.presets import AUDI, DEMO
-from bus.slot_table import SlotAssignment
-from bus.timeline import BAR_COLUMNS, timeline
-from bus.timing import (
+from bus.flexray.cluster import Cluster
+from bus.flexray.dynamic_segment import Request
+from bus.flexray.presets import AUDI, DEMO
+from bus.flexray.slot_table import SlotAssignment
+from bus.flexray.timeline import BAR_COLUMNS, timeline
+from bus.flexray.timing import (
     TimingError,
     bus_load,
     check_timing,
@@ -24,7 +22,8 @@ from bus.timing import (
     static_transmissions,
     stretch_needed,
 )
-from tests.bus.support import clusters, dynamic_segments, quick
+from bus.recordings.decoder import Decoding
+from tests.bus.support import clusters, dynamic_segments, quick, served
 
 
 @quick
@@ -33,7 +32,7 @@ def test_frames_lie_in_their_segments_and_apart(segment, data):
     cluster, requests = segment
     owned = data.draw(st.sets(st.integers(1, cluster.static_slots)))
     slots = [SlotAssignment(frame_id, 0, cluster.channels) for frame_id in sorted(owned)]
-    _, winners = minislot(ArbiterState(), requests, cluster=cluster, slots=99)
+    winners = served(cluster, requests)
     static = static_transmissions(cluster, slots)
     dynamic = dynamic_transmissions(cluster, winners)
     places = {part.name: part for part in segments(cluster)}
@@ -68,7 +67,7 @@ def test_recorded_frames_are_where_the_model_puts_them(audi: Decoding):
         dynamic = [f for f in frames if audi.segment(f) == "dynamic"]
         model = static_transmissions(AUDI, [SlotAssignment(f.frame.frame_id, 0) for f in static])
         model += dynamic_transmissions(
-            AUDI, [Request(0, f.frame.frame_id, 0, len(f.frame.payload)) for f in dynamic]
+            AUDI, [Request(0, f.frame.frame_id, len(f.frame.payload)) for f in dynamic]
         )
         assert len(model) == len(frames)
         offsets = [f.start_us - m.start_us for f, m in zip(frames, model, strict=True)]
@@ -81,7 +80,7 @@ def test_recorded_frames_are_where_the_model_puts_them(audi: Decoding):
 def test_a_known_cycle_by_hand():
     (static,) = static_transmissions(DEMO, [SlotAssignment(3, 7)])
     assert (static.start_us, static.end_us) == pytest.approx((2 * 271 + 3, 545 + 263.2))
-    first, second = dynamic_transmissions(DEMO, [Request(1, 23, 0, 0), Request(2, 25, 0, 254)])
+    first, second = dynamic_transmissions(DEMO, [Request(1, 23, 0), Request(2, 25, 254)])
     # Two silent slots, then 9.2 us in 2 + 1 minislots, one silent slot, then minislot 7.
     assert (first.minislot, second.minislot) == (3, 7)
     assert first.start_us == pytest.approx(20 * 271 + 2 * 8 + 3)
@@ -94,7 +93,7 @@ def test_a_known_cycle_by_hand():
 
 def test_winners_that_do_not_fit_are_refused():
     with pytest.raises(ValueError, match="no time for frame IDs 37"):
-        dynamic_transmissions(DEMO, [Request(i, 21 + i, 0, 254) for i in range(17)])
+        dynamic_transmissions(DEMO, [Request(i, 21 + i, 254) for i in range(17)])
 
 
 @quick
@@ -139,7 +138,7 @@ def test_nonsense_is_refused(rounds, step, stretch):
 @given(dynamic_segments(), st.integers(0, 200))
 def test_the_timeline_shows_every_frame_once_in_order_of_time(segment, cycle):
     cluster, requests = segment
-    _, winners = minislot(ArbiterState(), requests, cluster=cluster, slots=99)
+    winners = served(cluster, requests)
     frames = dynamic_transmissions(cluster, winners) + static_transmissions(
         cluster, [SlotAssignment(2, 5, cluster.channels), SlotAssignment(1, 4, cluster.channels)]
     )

@@ -5,17 +5,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.bitstream import encode_bits
-from bus.waveform import (
+from bus.recordings.waveform import (
     Waveform,
     WaveformError,
-    format_waveform,
-    from_bits,
     from_samples,
     parse_waveform,
-    read_waveform,
     without_spikes,
 )
+from tests.bus.signals import encode_bits, format_waveform, from_bits
 from tests.bus.support import quick
 
 SIGNAL = from_bits([(1000.0, encode_bits(bytes(range(12)), 9))], 100.0)
@@ -26,9 +23,7 @@ def equal(one: Waveform, other: Waveform) -> bool:
 
 
 def test_text_and_file_survive_the_round_trip(tmp_path):
-    path = tmp_path / "signal.csv"
-    path.write_text(format_waveform(SIGNAL))
-    reading = read_waveform(path)
+    reading = parse_waveform(format_waveform(SIGNAL))
     assert equal(reading.waveform, SIGNAL)
     assert reading.unreadable_lines == 0
 

@@ -110,7 +110,7 @@ class Page:
         return self.page.evaluate(_SCENE)
 
     def part(self, name: str) -> dict[str, Any]:
-        """What the browser knows of a part of the scene: its properties, and whether it is shown.
+        """Return the browser's view of a part of the scene: its properties and its visibility.
 
         Arrays are flat lists.
         """
@@ -135,11 +135,11 @@ class Page:
         self.widget(label).locator("input[type=text], input[inputmode]").last.fill(f"{value:g}")
 
     def chosen(self, label: str) -> str:
-        """What a dropdown shows."""
+        """Return the text that a dropdown shows."""
         return self.widget(label).locator("input").first.input_value()
 
     def download(self, button: str, seconds: float = 30.0) -> bytes:
-        """What a button hands over."""
+        """Press a button and return the file that it offers for download."""
         self.page.evaluate(_CLOSE)
         got: list[Any] = []
         self.page.once("download", lambda download: got.append(download))

@@ -2,19 +2,20 @@
 
 import msgspec
 
-from dashboard.frame import Frame
-from dashboard.replay import assembled
-from dashboard.stage import Stage, set_stage
-from experiments.drivers import in_memory
+from dashboard.frames.frame import Frame
+from dashboard.frames.replay import assembled
+from dashboard.frames.stage import Stage, set_stage
+from runtime.drivers import in_memory
 from scenarios.catalogue import kind_of
-from scenarios.setup import Setup, prepare
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 
 Messages = list[tuple[str, bytes]]
 
 
 def setup_of(name: str, **changes) -> Setup:
     """A scenario with its own defaults but for these changes, worked out."""
-    return prepare(msgspec.structs.replace(kind_of(name).defaults, **changes))
+    return prepare(kind_of(name).defaults.with_(**changes))
 
 
 def run_of(name: str, **changes) -> tuple[Stage, Messages]:

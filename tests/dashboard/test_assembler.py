@@ -7,13 +7,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from dashboard.assembler import Assembler
-from dashboard.frame import Frame
-from dashboard.network import Network
-from experiments.summary import summarise
-from experiments.trace import read_trace
+from bus.flexray.share_frames import SHARE_FRAMES
+from dashboard.frames.assembler import Assembler
+from dashboard.frames.frame import Frame
+from dashboard.frames.network import Network
+from experiments.results.summary import summarise
+from experiments.results.trace import read_trace
 from nodes.messages import Estimate, decode
-from nodes.whole_steps import WholeStep, WholeSteps
+from runtime.whole_steps import WholeStep, WholeSteps
 from tests.dashboard.runs import event, frames_of, run_of
 
 STAGE, MESSAGES = run_of("target-tracking", nodes=8, steps=24, schedule="hybrid", occupancy=0.5)
@@ -140,7 +141,7 @@ def test_a_share_that_did_not_arrive_is_lost_at_its_receiver():
 
 
 def steps_of(messages=MESSAGES) -> list[WholeStep]:
-    together = WholeSteps(8, 3)
+    together = WholeSteps(8, 3, SHARE_FRAMES)
     return [step for message in messages for step in together.take(*message)]
 
 
@@ -160,7 +161,7 @@ def test_frames_of_some_steps_are_those_of_all(chosen):
         np.testing.assert_array_equal(frame.ages, whole.ages)
         assert frame.cycles == whole.cycles
         assert all(map(np.array_equal, frame.traffic, whole.traffic))
-        # Of those who may have sent meanwhile nothing is claimed.
+        # The page claims no loss for nodes that may have sent meanwhile.
         assert not frame.lost.any()
     followed = {frame.step for frame in frames if not np.isnan(frame.scores.central)}
     # The filter that hears everything must not miss a step.

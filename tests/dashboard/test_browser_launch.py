@@ -1,4 +1,4 @@
-"""Network and page in one command: the network waits for somebody to look, and needs nobody."""
+"""Test network and page in one command: the network waits for a viewer, then needs none."""
 
 import os
 import signal
@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from nodes.control_client import Client
-from nodes.network_file import read_network
+from runtime.network.control_client import Client
+from runtime.network.network_file import read_network
 from tests.dashboard.browser_page import press_on, row_of, slot_of
 from tests.processes import PROC, Family, family, holds_within, lives
 

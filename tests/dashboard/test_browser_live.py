@@ -8,12 +8,12 @@ from threading import Event
 import numpy as np
 import pytest
 
-from dashboard.frame import Frame
-from dashboard.live import LiveNetwork
+from dashboard.frames.frame import Frame
+from dashboard.frames.live import LiveNetwork
 from dashboard.serve import open_network
 from dashboard.theme import linear
-from nodes.control_client import Client
-from nodes.network_file import read_network
+from runtime.network.control_client import Client
+from runtime.network.network_file import read_network
 from tests.dashboard.browser_page import Page, press_on, row_of, slot_of
 from tests.processes import CONCORD, family, holds_within, lives
 
@@ -35,7 +35,7 @@ def network(chromium, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path
 
 @pytest.fixture(scope="module")
 def onlooker(network: Path) -> Iterator[Client]:
-    """Somebody beside the page who asks the network itself."""
+    """Yield a client beside the page that asks the network itself."""
     reach = read_network(network)
     client = Client(reach.connect, reach.run)
     yield client
@@ -244,7 +244,7 @@ def test_a_link_loses_the_part_of_its_frames_that_was_asked_for(page: Page, onlo
 def test_faults_are_asked_for_in_words(page: Page, onlooker: Client):
     def say(words: str) -> None:
         page.widget("Fault").locator("input").first.fill(words)
-        page.until(lambda: page.dashboard.controls.fault.value == words)
+        page.until(lambda: page.dashboard.controls.node.fault.value == words)
         page.press("Inject")
 
     say("crc 5 1")
@@ -271,11 +271,11 @@ def test_speed_is_that_of_the_slider(page: Page, onlooker: Client):
 
 def test_rule_and_rounds_hold_from_the_next_step_for_all(page: Page, onlooker: Client):
     page.choose("Rule", "wac")
-    page.until(lambda: page.dashboard.controls.rule.value == "wac")
+    page.until(lambda: page.dashboard.controls.network.rule.value == "wac")
     page.enter("Rounds", 2)
-    page.until(lambda: page.dashboard.controls.rounds.value == 2)
+    page.until(lambda: page.dashboard.controls.network.rounds.value == 2)
     page.press("Apply at the next step")
-    page.until(lambda: page.dashboard.stage.setup.scenario.rule == "wac")
+    page.until(lambda: page.dashboard.stage.setup.scenario.rule.name == "wac")
     page.until(lambda: len(newest(page).cycles) == 2)
     assert onlooker.state()["standing"]["settings"] == {"rule": "wac", "rounds": 2}
     page.page.get_by_text("Log", exact=True).first.click()
@@ -285,11 +285,11 @@ def test_rule_and_rounds_hold_from_the_next_step_for_all(page: Page, onlooker: C
 def test_occupancy_and_arbiter_give_the_bus_to_fewer_and_to_others(page: Page, onlooker: Client):
     assert all(len(in_static(cycle)) == 8 for cycle in newest(page).cycles)
     page.enter("Occupancy", 0.5)
-    page.until(lambda: page.dashboard.controls.occupancy.value == 0.5)
+    page.until(lambda: page.dashboard.controls.network.occupancy.value == 0.5)
     page.choose("Arbiter", "round-robin")
-    page.until(lambda: page.dashboard.controls.arbiter.value == "round-robin")
+    page.until(lambda: page.dashboard.controls.network.arbiter.value == "round-robin")
     page.press("Apply at the next step")
-    page.until(lambda: page.dashboard.stage.setup.scenario.occupancy == 0.5)
+    page.until(lambda: page.dashboard.stage.setup.scenario.bus.schedule.occupancy == 0.5)
     settings = onlooker.state()["standing"]["settings"]
     assert (settings["occupancy"], settings["arbiter"]) == (0.5, "round-robin")
     steps_on(page, 3)

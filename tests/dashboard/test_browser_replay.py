@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from bus.flexray.share_frames import SHARE_FRAMES
 from dashboard.serve import open_recording
-from experiments.drivers import drive
-from nodes.recording import McapRecorder
+from runtime.drivers import drive
+from runtime.recording import McapRecorder
 from tests.dashboard.browser_page import Page, point_at, press_on, row_of, slot_of
 from tests.dashboard.runs import setup_of
 
@@ -31,7 +32,9 @@ _PRESS_AND_MOVE_ON = """([first, second, third]) => {
 def page(chromium, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
     setup = setup_of("target-tracking", nodes=8, steps=40, schedule="hybrid", occupancy=0.5)
     folder = tmp_path_factory.mktemp("recorded")
-    recorder = McapRecorder(folder / "run.mcap", setup.scenario.rounds, setup.time_step_s)
+    recorder = McapRecorder(
+        folder / "run.mcap", setup.scenario.rounds, setup.time_step_s, SHARE_FRAMES
+    )
     drive(setup, recorder, lambda _: None)
     recorder.close()
     (folder / "run.json").write_text("{}")
@@ -50,7 +53,7 @@ def _begin(page: Page) -> None:
     dashboard.inputs.alter(lambda view: view.look_at(30))
     dashboard.inputs.alter(lambda view: setattr(view, "cursor", dashboard.stage.rounds - 0.35))
     dashboard.inputs.alter(lambda view: setattr(view, "hovered", None))
-    dashboard.pick(None)
+    dashboard.inputs.select(None)
     page.until(lambda: page.text("step") == "30" and not page.part("/network/selected")["shown"])
     last = dashboard.history.at(30).cycles[-1].cycle
     page.until(lambda: page.text("bus-cycle") == str(last))
@@ -150,10 +153,10 @@ def test_what_is_entered_holds_though_a_picture_of_before_is_drawn_meanwhile(pag
     async def note(_) -> None:
         entered.set()
 
-    page.dashboard.slider.on_update(note)
+    page.dashboard.page.slider.on_update(note)
     page.enter("Step", 17)
     assert entered.wait(10)
-    page.dashboard.point(3)
+    page.dashboard.inputs.point(3)
     page.draw()
     free.set()
     assert all(job.result() for job in busy)
@@ -201,9 +204,9 @@ def test_the_same_node_can_be_pressed_again(page: Page):
     for _ in range(2):
         press_on(page.page, slot_of(node))
         page.until(lambda: page.dashboard.view.selected == node)
-        page.dashboard.pick(None)
+        page.dashboard.inputs.select(None)
         page.until(lambda: page.dashboard.view.selected is None)
-        # What a press left behind selects nothing when the pointer moves on.
+        # The state that a press left behind selects no node when the pointer moves on.
         page.page.mouse.move(400, 20)
         page.until(lambda: page.dashboard.view.hovered is None)
         assert page.dashboard.view.selected is None
@@ -219,8 +222,8 @@ def test_the_pointer_on_a_frame_or_a_row_shows_its_node_and_leaves_no_trace(page
         page.until(lambda: not page.part("/network/hovered")["shown"])
         page.until(lambda: not is_marked(page, node))
     # Faster than any picture.
-    page.dashboard.point(node)
-    page.dashboard.point(None)
+    page.dashboard.inputs.point(node)
+    page.dashboard.inputs.point(None)
     page.draw()
     assert page.dashboard.view.hovered is None
 
@@ -246,11 +249,11 @@ def test_what_anybody_writes_into_the_bridge_is_a_node_or_nothing(page: Page):
 def test_a_click_on_a_node_in_the_scene_selects(page: Page):
     client = next(iter(page.dashboard.server.get_clients().values()))
     frame = page.dashboard.history.at(30)
-    places = page.dashboard.scene.plant.node_places(frame, [frame])
+    places = page.dashboard.page.scene.plant.node_places(frame, [frame])
     canvas = page.page.locator("canvas").first.bounding_box()
     assert canvas
     seen = [_pixel(client.camera, place, canvas) for place in places]
-    # One that no panel covers.
+    # The node must be one that no panel covers.
     node = min(range(len(seen)), key=lambda i: abs(seen[i][0] - 450) + abs(seen[i][1] - 260))
     page.page.mouse.click(*seen[node])
     page.until(lambda: is_selected(page, node))

@@ -1,18 +1,20 @@
-"""What charts say in words, and what becomes of them on paper."""
+"""Test the texts of charts and their form in exported files."""
 
 import io
-from types import SimpleNamespace
-from typing import Any
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
-from dashboard.chart_export import charts_page, charts_picture
-from dashboard.charts import chart_lines, shown_power, titled
-from dashboard.history import History
-from dashboard.scores import score
-from dashboard.states import states
+from dashboard.frames.expected import nothing_expected
+from dashboard.frames.history import History
+from dashboard.frames.scores import score
+from dashboard.panels.chart import Chart, Curve, Drawn
+from dashboard.panels.chart_export import charts_page, charts_picture
+from dashboard.panels.chart_table import run_charts, state_charts
+from dashboard.panels.charts import sampled, shown_power, titled
+from dashboard.panels.states import states
 from dashboard.theme import DARK
 from dashboard.view import View
 from tests.dashboard.runs import frames_of, run_of
@@ -21,14 +23,18 @@ STAGE, MESSAGES = run_of("oscillator", nodes=4, steps=60)
 FRAMES = frames_of(STAGE, MESSAGES)
 
 
-def chart(title: str, *columns: np.ndarray, dashed: tuple[str, ...] = ()) -> Any:
-    """What an export reads of a chart."""
-    names = [f"line {number}" for number in range(len(columns))]
-    times = np.arange(len(columns[0])) * 0.1
-    return SimpleNamespace(
-        title=title, rows=(times, *columns), names=names, dashed=dashed,
-        colours=[(230, 159, 0)] * len(columns),
-    )  # fmt: skip
+def chart(title: str, *columns: np.ndarray) -> Drawn:
+    """Return a chart with some orange lines."""
+    curves = (
+        Curve(f"line {number}", (230, 159, 0), False, column)
+        for number, column in enumerate(columns)
+    )
+    return Drawn(title, np.arange(len(columns[0])) * 0.1, tuple(curves))
+
+
+def plain(name: str, unit: str) -> Chart:
+    """Return a chart without lines."""
+    return Chart(name, unit, ())
 
 
 RISING, NOTHING = np.linspace(0, 3, 50), np.full(50, np.nan)
@@ -46,16 +52,48 @@ def test_what_is_small_is_shown_in_a_power_of_ten_that_leaves_digits(largest: fl
 
 
 def test_titles_name_the_unit_and_the_power():
-    assert titled("RMSE", "m", 0) == "RMSE [m]"
-    assert titled("RMSE", "rad", -3) == "RMSE [10⁻³ rad]"
-    assert titled("NEES", "1", 0) == "NEES"
-    assert titled("RMSE", "1", -12) == "RMSE [10⁻¹² ]".replace(" ]", "]")
+    assert titled(plain("RMSE", "m"), 0) == "RMSE [m]"
+    assert titled(plain("RMSE", "rad"), -3) == "RMSE [10⁻³ rad]"
+    assert titled(plain("NEES", "1"), 0) == "NEES"
+    assert titled(plain("RMSE", "1"), -12) == "RMSE [10⁻¹² ]".replace(" ]", "]")
 
 
 def test_a_colour_means_one_thing_in_a_chart():
-    for lines in chart_lines(STAGE, DARK).values():
-        solid = [colour for colour in lines.values() if colour != DARK.quiet]
+    for each in (*run_charts(STAGE), *state_charts()):
+        solid = [line.colour(DARK) for line in each.lines if not line.dashed]
         assert len(set(solid)) == len(solid)
+
+
+def test_every_line_has_a_value_for_every_frame():
+    sample = sampled(STAGE, VIEW, kept(), nothing_expected)
+    for each in (*run_charts(STAGE), *state_charts()):
+        for line in each.lines:
+            assert line.column(sample).shape == sample.times.shape
+
+
+def test_charts_show_the_numbers_of_the_frames():
+    sample = sampled(STAGE, replace(VIEW, selected=2, state=1), kept(), nothing_expected)
+    lines = {
+        (each.name, line.name): line.column(sample)[-1]
+        for each in (*run_charts(STAGE), *state_charts())
+        for line in each.lines
+    }
+    last = sample.frames[-1]
+    assert last.step == 41
+    sent = sum(cycle.payload_bytes for cycle in last.cycles)
+    off = last.belief.mean[2, 1] - last.truth[1]
+    deviation = np.sqrt(last.belief.cov[2, 1, 1])
+    expected = {
+        ("RMSE of the nodes", "nodes"): last.scores.rmse,
+        ("Disagreement of the nodes", "rms spread"): last.scores.spread,
+        ("NEES, mean of the nodes", "NEES"): last.scores.nees,
+        ("Payload on the bus", "payload"): sent / STAGE.setup.time_step_s / 1000,
+        ("State", "truth"): last.truth[1],
+        ("State", "+3σ"): last.belief.mean[2, 1] + 3 * deviation,
+        ("Error", "error"): off,
+        ("Error", "−3σ"): -3 * deviation,
+    }
+    assert {name: lines[name] for name in expected} == pytest.approx(expected)
 
 
 def test_the_page_has_a_drawing_with_text_per_chart_that_shows_anything():

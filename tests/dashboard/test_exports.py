@@ -1,4 +1,4 @@
-"""What was taken away, opened as people would: in a browser, from a file, with no one to ask."""
+"""Test exported pages as users open them: in a browser, from a file, without a server."""
 
 import io
 import zipfile
@@ -8,16 +8,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dashboard.camera import Free, aimed
-from dashboard.chart_export import charts_page
-from dashboard.expected import nothing_expected
-from dashboard.export import animated_scene, zipped
-from dashboard.replay import replayed
+from bus.flexray.share_frames import SHARE_FRAMES
+from dashboard.frames.expected import nothing_expected
+from dashboard.frames.replay import replayed
+from dashboard.panels.chart_export import charts_page
+from dashboard.panels.charts import sampled
+from dashboard.panels.export import animated_scene, zipped
+from dashboard.scene.camera import Free, aimed
 from dashboard.serve import open_recording
 from dashboard.theme import LIGHT
 from dashboard.view import View
-from experiments.drivers import drive
-from nodes.recording import McapRecorder
+from runtime.drivers import drive
+from runtime.recording import McapRecorder
 from tests.dashboard.runs import frames_of, run_of
 
 STAGE, MESSAGES = run_of("target-tracking", nodes=6, steps=30)
@@ -79,9 +81,9 @@ def test_the_charts_are_a_page_with_all_that_the_page_showed(chromium, tmp_path:
     try:
         while dashboard.source.pace().state == "LOADING":
             dashboard.history_add()
-        dashboard.charts.draw(VIEW, dashboard.history, nothing_expected)
+        dashboard.page.charts.draw(sampled(STAGE, VIEW, dashboard.history, nothing_expected))
         file = tmp_path / "charts.html"
-        file.write_text(charts_page(STAGE, dashboard.charts.drawn, VIEW))
+        file.write_text(charts_page(STAGE, dashboard.page.charts.drawn, VIEW))
     finally:
         dashboard.close()
     page, troubles = opened(chromium, file)
@@ -93,7 +95,7 @@ def test_the_charts_are_a_page_with_all_that_the_page_showed(chromium, tmp_path:
         box = page.locator("svg").first.bounding_box()
         assert box
         assert 700 < box["width"] <= 800
-        # Of the bound and the band nobody has told anything.
+        # The network has sent no bound and no band.
         assert "bound" not in said[0]
         assert troubles == []
     finally:
@@ -104,7 +106,7 @@ def recorded(place: Path) -> Path:
     """A recording of the run, in a folder of its own."""
     file = place / "run" / "run.mcap"
     file.parent.mkdir()
-    recorder = McapRecorder(file, STAGE.rounds, STAGE.setup.time_step_s)
+    recorder = McapRecorder(file, STAGE.rounds, STAGE.setup.time_step_s, SHARE_FRAMES)
     drive(STAGE.setup, recorder, lambda _: None)
     recorder.close()
     return file

@@ -1,10 +1,12 @@
 """The frames that are kept, and the numbers that are charted of them."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
-from dashboard import history
-from dashboard.history import History
+from dashboard.frames import history
+from dashboard.frames.history import History, state_table
 from tests.dashboard.runs import frames_of, run_of
 
 STAGE, MESSAGES = run_of("oscillator", nodes=4, steps=60)
@@ -27,22 +29,21 @@ def test_a_step_is_found_and_one_that_was_left_out_gives_the_one_before():
 
 
 def test_charts_are_thinned_and_end_with_the_shown_step():
-    times, columns = kept(FRAMES).columns(47, 10)
-    assert len(times) <= 10
-    assert times[-1] == FRAMES[47].time_s
-    assert columns["rmse"][-1] == FRAMES[47].scores.rmse
+    sample = kept(FRAMES).sampled(47, 10)
+    assert len(sample) <= 10
+    assert sample[-1] is FRAMES[47]
+    assert len({after.step - before.step for before, after in pairwise(sample)}) == 1
 
 
 def test_charts_leave_the_unscored_beginning_out_once_there_is_more():
     first = STAGE.score.first_step
-    times, _ = kept(FRAMES).columns(59, 1000)
-    assert times[0] == pytest.approx(first * STAGE.setup.time_step_s)
-    early, _ = kept(FRAMES).columns(max(first - 1, 5), 1000)
-    assert early[0] == 0.0
+    assert kept(FRAMES).sampled(59, 1000)[0].step == first
+    assert kept(FRAMES).sampled(max(first - 1, 5), 1000)[0].step == 0
+    assert kept(FRAMES).sampled(59, 1000, 4)[0].step == 56
 
 
 def test_states_are_truth_estimate_and_deviation_of_a_node():
-    _, table = kept(FRAMES).states(30, 1000, node=2, state=1)
+    table = state_table(kept(FRAMES).sampled(30, 1000), node=2, state=1)
     frame = FRAMES[30]
     expected = (frame.truth[1], frame.belief.mean[2, 1], np.sqrt(frame.belief.cov[2, 1, 1]))
     np.testing.assert_allclose(table[-1], expected)

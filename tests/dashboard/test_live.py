@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dashboard.frame import Frame
-from dashboard.live import LiveNetwork
+from dashboard.frames.frame import Frame
+from dashboard.frames.live import LiveNetwork
 from nodes.commands import in_words
-from nodes.control_client import Client, NotThere
-from nodes.network_file import read_network
-from nodes.offering import STEPS_PER_S
+from runtime.network.control_client import Client, NotThere
+from runtime.network.network_file import read_network
+from runtime.processes.recorder.throttled_feed import STEPS_PER_S
 from tests.processes import CONCORD, PROC, family, holds_within
 
 pytestmark = pytest.mark.zenoh
@@ -31,7 +31,7 @@ def network(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 def _runs(folder: Path) -> bool:
-    """Whether the network has begun; while its processes start nobody answers."""
+    """Return whether the network has begun; while its processes start, none of them answers."""
     try:
         reach = read_network(folder)
         client = Client(reach.connect, reach.run)
@@ -47,7 +47,7 @@ def _runs(folder: Path) -> bool:
 
 @pytest.fixture
 def onlooker(network: Path) -> Iterator[Client]:
-    """Somebody who asks the network itself; it runs as fast as it can."""
+    """Yield a client that asks the network itself; the network runs as fast as it can."""
     reach = read_network(network)
     client = Client(reach.connect, reach.run)
     _say(client, "resume")
@@ -75,7 +75,7 @@ def _pause(client: Client) -> int:
 
 
 def _until(page: LiveNetwork, holds: Callable[[list[Frame]], bool]) -> list[Frame]:
-    """What a page sees until something holds of it."""
+    """Return the frames that a page receives until a condition on them holds."""
     frames: list[Frame] = []
 
     def heard() -> bool:
@@ -143,7 +143,7 @@ def test_to_who_has_left_nothing_is_sent_and_nobody_misses_him(
     assert holds_within(20.0, lambda: len(_connected(port)) == 2)
     seen = _until(page, lambda frames: len(frames) > 3)
     page.close()
-    # Nobody but the onlooker is left, who hears nothing.
+    # Only the onlooker is still connected, and it receives no frames.
     assert holds_within(20.0, lambda: len(_connected(port)) == 1)
     completed = onlooker.state()["completed"]
     assert holds_within(20.0, lambda: onlooker.state()["completed"] > completed + 50)

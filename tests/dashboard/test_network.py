@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from dashboard.network import Change, Network, changed, read_change
-from dashboard.stage import restaged, set_stage
+from dashboard.frames.network import Change, Network, changed, read_change
+from dashboard.frames.stage import restaged, set_stage
 from tests.dashboard.runs import event, setup_of
 
 NAMES = ("00", "01", "02", "03")
@@ -66,8 +66,8 @@ def test_a_told_change_is_read():
 
 def test_settings_change_the_bus_that_is_drawn():
     stage = set_stage(setup_of("target-tracking", nodes=8, steps=2))
-    assert len(stage.plan.schedule.static_senders(0)) == 8
+    assert len(stage.bus.schedule.static_senders(0)) == 8
     other = restaged(stage, {"occupancy": 0.25, "schedule": "hybrid", "rounds": 1, "rule": "wac"})
-    assert len(other.plan.schedule.static_senders(0)) < 8
-    assert (other.rounds, other.setup.scenario.rule) == (1, "wac")
-    assert (stage.rounds, stage.setup.scenario.rule) == (3, "ci")
+    assert len(other.bus.schedule.static_senders(0)) < 8
+    assert (other.rounds, other.setup.scenario.rule.name) == (1, "wac")
+    assert (stage.rounds, stage.setup.scenario.rule.name) == (3, "ci")

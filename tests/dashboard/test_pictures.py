@@ -7,14 +7,15 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from dashboard.conditions import conditions, oldest, sender_at
-from dashboard.frame import Event
-from dashboard.selected import selected_panel
-from dashboard.table import MOST_ROWS, chosen_rows, log, node_table, status
+from dashboard.frames.conditions import conditions, oldest, sender_at
+from dashboard.frames.frame import Event
+from dashboard.panels.selected import selected_panel
+from dashboard.panels.table import MOST_ROWS, chosen_rows, log, node_table, status
+from dashboard.panels.timeline import TimelineView
+from dashboard.panels.timeline_marks import LEFT, RIGHT, WIDTH
+from dashboard.panels.zoom import SIZE, zoom
 from dashboard.theme import DARK, LIGHT, linear
-from dashboard.timeline import LEFT, RIGHT, WIDTH, TimelineView
 from dashboard.view import View
-from dashboard.zoom import SIZE, zoom
 from tests.dashboard.runs import frames_of, run_of
 
 STAGE, MESSAGES = run_of("target-tracking", nodes=8, steps=24, schedule="hybrid", occupancy=0.5)
@@ -45,12 +46,12 @@ def boxes(html: str) -> dict[int, ElementTree.Element]:
 
 
 def test_frames_lie_to_scale_in_the_cycle():
-    cluster = STAGE.cluster
-    assert cluster is not None
+    bus = STAGE.bus
+    assert bus.has_time
     drawn = boxes(timeline())
     for frame in FRAME.cycles[-1].frames:
-        x = LEFT + (WIDTH - LEFT - RIGHT) * frame.start_us / cluster.cycle_us
-        wide = (WIDTH - LEFT - RIGHT) * (frame.end_us - frame.start_us) / cluster.cycle_us
+        x = LEFT + (WIDTH - LEFT - RIGHT) * frame.start_us / bus.cycle_us
+        wide = (WIDTH - LEFT - RIGHT) * (frame.end_us - frame.start_us) / bus.cycle_us
         assert float(drawn[frame.node].attrib["x"]) == pytest.approx(x, abs=0.1)
         assert float(drawn[frame.node].attrib["width"]) == pytest.approx(wide, abs=0.8)
 
@@ -66,7 +67,7 @@ def test_the_frame_that_is_on_the_bus_has_a_colour_of_its_own():
 
 def test_an_owner_that_is_silent_has_a_crossed_slot():
     cycle = FRAME.cycles[-1]
-    owner = STAGE.plan.schedule.static_senders(cycle.cycle)[0]
+    owner = STAGE.bus.schedule.static_senders(cycle.cycle)[0]
     silent = cycle._replace(
         silent=(owner,), frames=tuple(f for f in cycle.frames if f.node != owner)
     )

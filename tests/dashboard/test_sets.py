@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial import ConvexHull, Delaunay
 
-from dashboard.geometry import zonotope_corners
+from dashboard.panels.zoom import SIZE, zoom
+from dashboard.scene.geometry import zonotope_corners
 from dashboard.theme import DARK
-from dashboard.zoom import SIZE, zoom
 from nodes.messages import Estimate, decode
 from tests.dashboard.runs import frames_of, run_of
 

@@ -2,12 +2,13 @@
 
 from typing import NamedTuple
 
-from experiments.drivers import in_memory
-from experiments.options import ScenarioOptions
-from experiments.trace import Trace, read_trace
-from scenarios.build import build_plan
-from scenarios.bus_plan import BusPlan
-from scenarios.setup import Setup, prepare
+from bus.bus import Bus
+from experiments.results.trace import Trace, read_trace
+from experiments.scenario_options import scenario_of
+from runtime.drivers import in_memory
+from scenarios.build import build_bus
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 
 
 class Run(NamedTuple):
@@ -16,12 +17,12 @@ class Run(NamedTuple):
     messages: list[tuple[str, bytes]]
 
     @property
-    def plan(self) -> BusPlan:
-        return build_plan(self.setup)
+    def plan(self) -> Bus:
+        return build_bus(self.setup)
 
 
 def run(**options) -> Run:
     options = {"scenario": "oscillator", "graph": "ring", "nodes": 5, "steps": 3, **options}
-    setup = prepare(ScenarioOptions(**options).resolve())
+    setup = prepare(scenario_of(**options))
     messages = in_memory(setup)
     return Run(setup, read_trace(setup, messages), messages)

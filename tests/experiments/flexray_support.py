@@ -1,4 +1,4 @@
-"""What the tests of the command line share: a command in this process, and what Wireshark sees."""
+"""Shared parts of the command-line tests: commands in this process, and Wireshark's decoding."""
 
 import shutil
 import subprocess
@@ -16,7 +16,7 @@ needs_tshark = pytest.mark.skipif(
 
 
 class Said(NamedTuple):
-    """What a command left behind."""
+    """Exit code and output of a command."""
 
     code: int
     out: str

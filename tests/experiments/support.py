@@ -2,18 +2,17 @@
 
 from pathlib import Path
 
-import msgspec
-
-from experiments.trace import Trace, read_trace
-from nodes.recording import read_recording
+from experiments.results.trace import Trace, read_trace
+from runtime.recording import read_recording
 from scenarios.catalogue import kind_of
+from scenarios.preparation import prepare
 from scenarios.scenario import Scenario
-from scenarios.setup import Setup, prepare
+from scenarios.setup import Setup
 
 
 def scenario(name: str = "oscillator", **changes) -> Scenario:
     """A scenario with its own defaults but for these changes."""
-    return msgspec.structs.replace(kind_of(name).defaults, **changes)
+    return kind_of(name).defaults.with_(**changes)
 
 
 def small(name: str = "oscillator", **changes) -> Setup:

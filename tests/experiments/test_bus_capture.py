@@ -1,4 +1,4 @@
-"""What a run leaves of its bus: the capture, the arrays, and Wireshark's opinion of them."""
+"""Test the bus data of a run: the capture, the arrays, and Wireshark's decoding of them."""
 
 import struct
 import subprocess
@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 import xarray
 
-from bus.cluster_files import cluster_to_toml
-from bus.presets import AUDI, DEMO
-from experiments.bus_report import (
+from bus.flexray.cluster_files import cluster_to_toml
+from bus.flexray.presets import AUDI, DEMO
+from bus.flexray.share_frames import read_frame
+from experiments.results.bus_report import (
     capture,
     figures_of,
 )
-from experiments.trace import read_trace
-from nodes.recording import read_recording
-from nodes.share import read_frame
+from experiments.results.trace import read_trace
+from runtime.recording import read_recording
 from tests.experiments.bus_runs import run
 from tests.experiments.flexray_support import concord, dissect, needs_tshark
 from tests.processes import CONCORD

@@ -7,27 +7,29 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from bus.cluster import Cluster
-from bus.publication import Publications
+from bus.arbitration import ARBITERS
+from bus.bus import Bus
+from bus.flexray.cluster import Cluster
+from bus.flexray.flexray_bus import FlexRayBus
+from bus.flexray.share_frames import read_frame
+from bus.flexray.slot_table import allocate
 from bus.schedule import Schedule
-from bus.slot_table import allocate
-from experiments.bus_rehearsal import rehearse
-from experiments.bus_report import (
+from experiments.flexray.rehearsal import rehearse
+from experiments.results.bus_report import (
     bus_figures,
     bus_times,
     capture,
     figures_of,
     lines,
     longest_waits,
+    timetable,
 )
-from experiments.drivers import in_memory
-from experiments.options import ScenarioOptions
-from experiments.trace import read_trace
-from nodes.share import read_frame
-from scenarios.build import build_plan
-from scenarios.bus_plan import BusPlan
-from scenarios.setup import Setup, prepare
-from scenarios.timetable import timetable
+from experiments.results.trace import read_trace
+from experiments.scenario_options import scenario_with_known
+from runtime.drivers import in_memory
+from scenarios.build import build_bus
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 from tests.experiments.bus_runs import run
 
 # --- by hand -----------------------------------------------------------------------------------
@@ -55,11 +57,11 @@ SENDERS = [(0, 2), (1, 2), (0, 2), (1, 3)]
 ASKERS = [(2, 3), (2, 3), (2, 3), (3,)]
 
 
-def small_plan() -> BusPlan:
+def small_plan() -> FlexRayBus:
     """Nodes 0 and 1 share static slot 1, nodes 2 and 3 contend for one dynamic frame a cycle."""
     schedule = Schedule(4, ((0,), (1,)), ((2, 3),), (1,))
     table = allocate(schedule, SMALL, (20,), (20,))
-    return BusPlan(schedule, SMALL, table, Publications(table, SMALL).slots)
+    return FlexRayBus(schedule, SMALL, table, ARBITERS["wtod"])
 
 
 def marked(rows: list[tuple[int, ...]]) -> np.ndarray:
@@ -68,7 +70,7 @@ def marked(rows: list[tuple[int, ...]]) -> np.ndarray:
 
 
 def sizes(rows: list[tuple[int, ...]]) -> np.ndarray:
-    """Who sends, sends 20 bytes."""
+    """Return 20 bytes for each sender."""
     return 20 * marked(rows)
 
 
@@ -105,7 +107,7 @@ def test_times_of_a_small_bus_by_hand():
 def test_shares_take_as_much_of_the_bus_as_they_have_bytes():
     schedule = Schedule(4, ((0,),), ((2, 3),), (2,))
     table = allocate(schedule, SMALL, (20, 20), (20,))
-    plan = BusPlan(schedule, SMALL, table, Publications(table, SMALL).slots)
+    plan = FlexRayBus(schedule, SMALL, table, ARBITERS["wtod"])
     # Static frames of 20 bytes: one, then two of them. Dynamic frames of 8 and 20 bytes.
     sizes = np.array([[20, 0, 8, 20], [40, 0, 20, 0]])
     first, second = timetable(plan, sizes)
@@ -165,13 +167,13 @@ choices = st.fixed_dictionaries(
 def prepared(options: dict) -> Setup:
     options = {"scenario": "oscillator", "graph": "ring", "steps": 2, **options}
     try:
-        return prepare(ScenarioOptions(**options).resolve())
+        return prepare(scenario_with_known(**options)[0])
     except ValueError:
         assume(False)
         raise
 
 
-def assert_orderly(plan: BusPlan, payload_bytes: np.ndarray) -> None:
+def assert_orderly(plan: Bus, payload_bytes: np.ndarray) -> None:
     """One frame at a time, each in its segment, none begun after pLatestTx."""
     cluster = plan.cluster
     assert cluster is not None
@@ -195,7 +197,7 @@ def assert_orderly(plan: BusPlan, payload_bytes: np.ndarray) -> None:
 def test_no_two_frames_of_a_run_overlap_and_all_were_recorded(options: dict):
     setup = prepared(options)
     messages = in_memory(setup)
-    trace, plan = read_trace(setup, messages), build_plan(setup)
+    trace, plan = read_trace(setup, messages), build_bus(setup)
     assert_orderly(plan, trace.payload_bytes)
     planned = {
         (number, frame.node, frame.frame_id, frame.payload_bytes)
@@ -215,7 +217,7 @@ def test_no_two_frames_of_a_run_overlap_and_all_were_recorded(options: dict):
 @given(choices, st.integers(10, 40))
 def test_no_two_frames_of_a_larger_network_overlap(options: dict, nodes: int):
     setup = prepared({**options, "nodes": nodes})
-    plan = build_plan(setup)
+    plan = build_bus(setup)
     rehearsal = rehearse(setup, plan, 6)
     assert_orderly(plan, rehearsal.payload_bytes)
     table = plan.table
@@ -247,6 +249,6 @@ def test_ages_are_cycles_since_the_sender_last_had_the_bus(options: dict):
 
 
 def test_a_bus_without_time_has_no_report():
-    silent = run(cluster="none")
+    silent = run(bus="ideal")
     assert figures_of(silent.setup, silent.trace) is None
     assert capture(silent.setup, silent.trace, silent.messages) is None

@@ -1,4 +1,4 @@
-"""The command line as a whole: its commands, what they load, and output that nobody takes."""
+"""Test the whole command line: its commands, their imports, and output without a reader."""
 
 import os
 import subprocess
@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from experiments.command_line import COMMANDS, GROUPS, main
+from experiments.cli.command_line import COMMANDS, GROUPS, main
 from tests.processes import CONCORD
 
 FULL = Path("/dev/full")
-# What each printed last in a fresh process; loading is what a user waits for.
+# A fresh process prints the modules that a command loads, as a user waits for their loading.
 LOADED_BY = """
 import contextlib, io, sys
-from experiments.command_line import main
+from experiments.cli.command_line import main
 with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):
     main({arguments!r})
 sys.stdout.write(" ".join(sorted({{name.partition(".")[0] for name in sys.modules}})))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from experiments.__main__ import main
-from experiments.containment import containment
+from experiments.results.containment import containment
 from filters.gaussian import Gaussian
 
 
@@ -32,7 +32,7 @@ def test_a_run_says_containment_instead_of_anees(tmp_path: Path, capsys):
     assert figures["containment"]["violations"] == 0
     assert figures["containment"]["largest"] <= 1
     assert [node["containment"]["violations"] for node in figures["nodes"]] == [0] * 6
-    # Who hears everything has the smaller set.
+    # The centralised filter hears every reading and has the smaller set.
     central = figures["containment_centralised"]
     assert central["violations"] == 0
     assert central["half_width"] < figures["containment"]["half_width"]

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from experiments.__main__ import main
-from experiments.drivers import over_processes
 from nodes.commands import Answer, in_words
-from nodes.control_client import Client, NotThere
 from nodes.messages import decode
-from nodes.network_file import read_network
+from runtime.drivers import over_processes
+from runtime.network.control_client import Client, NotThere
+from runtime.network.network_file import read_network
 from scenarios.setup import Setup
 from tests.experiments.support import small, trace_of
 from tests.processes import PATIENCE_S, PROC, holds_within, lives

@@ -1,4 +1,4 @@
-"""What `deploy/` holds is what its tools accept, and its commands are commands of ours."""
+"""Test that tools accept the files of `deploy/`, and that their commands exist in concord."""
 
 import os
 import shutil
@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from experiments.__main__ import main
-from experiments.results import read_description
-from nodes.links import free_ports
+from experiments.results.folder import read_description
+from runtime.network.links import free_ports
 from tests.experiments.hosts import hosts
 from tests.experiments.test_hosts import write_setup
 from tests.experiments.units import CONCORD, DEPLOY, UNITS, credentials, unit_command
@@ -125,7 +125,7 @@ def manifest() -> list[dict[str, Any]]:
 
 
 def pods() -> dict[str, dict[str, Any]]:
-    """What becomes a pod, by the name of what makes it."""
+    """Return the pod specifications by the name of the deployment or job that makes them."""
     return {
         one["metadata"]["name"]: one["spec"]["template"]["spec"]
         for one in manifest()
@@ -164,7 +164,7 @@ def test_what_pods_want_is_there(tmp_path: Path):
     assert nodes["completions"] == nodes["parallelism"] and nodes["completionMode"] == "Indexed"
     router = by_kind["Deployment", "concord-router"]["spec"]["template"]["metadata"]["labels"]
     assert by_kind["Service", "concord-router"]["spec"]["selector"] == router
-    # Nodes see their own key, and nobody the authority's.
+    # Each node sees its own key, and no process sees the authority's.
     [node] = pods()["concord-nodes"]["containers"]
     assert {"name": "own-key", "mountPath": "/keys", "readOnly": True} in node["volumeMounts"]
     assert "keys" not in {mount["name"] for mount in node["volumeMounts"]}

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from experiments.__main__ import main
-from experiments.design_candidates import Cost
-from experiments.design_results import design_of, nearest, read_design, write_design
-from experiments.design_search import FRESH_RUN, Found, Task, search
-from experiments.design_space import OPEN, coarse_grid, neighbours_of, space_of
-from experiments.design_target import Target, error_of, parse_target
-from experiments.sweep_pieces import Piece
-from experiments.sweep_specification import specify
+from experiments.design.candidates import Cost
+from experiments.design.results import design_of, nearest, read_design, write_design
+from experiments.design.search import FRESH_RUN, Found, Task, search
+from experiments.design.space import OPEN, coarse_grid, neighbours_of, space_of
+from experiments.design.target import Target, error_of, parse_target
+from experiments.sweep.pieces import Piece
+from experiments.sweep.specification import specify
 from scenarios.scenario import Scenario
 
 ASKED = {"scenario": "oscillator", "nodes": "10", "weights": "metropolis"}

@@ -11,16 +11,17 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from experiments.palette import save
-from experiments.results import ARRAYS, RECORDING, read_description
-from experiments.sweep_store import folder_of, load_cells, save_cell
-from experiments.trace import read_trace
-from nodes.disk import NotWritten
-from nodes.recording import McapRecorder, read_recording
+from bus.flexray.share_frames import SHARE_FRAMES
+from experiments.results.folder import ARRAYS, RECORDING, read_description
+from experiments.results.palette import save
+from experiments.results.trace import read_trace
+from experiments.sweep.store import folder_of, load_cells, save_cell
+from runtime.disk import NotWritten
+from runtime.recording import McapRecorder, read_recording
 from tests.processes import CONCORD, PROC, family
 
 RUN = ["run", "--scenario", "oscillator", "--nodes", "4", "--out", "run"]
-# What a run of that size has recorded before the disk is full, and is far from done.
+# A run of so many steps fills a disk of this size long before its end.
 DISK_KIB, STEPS = 300, "5000"
 
 
@@ -116,7 +117,7 @@ def few_bytes() -> Iterator[int]:
 
 def test_a_recorder_that_meets_a_limit_keeps_every_whole_message(tmp_path: Path, few_bytes: int):
     path = tmp_path / "run.mcap"
-    recorder = McapRecorder(path, 1, 0.1)
+    recorder = McapRecorder(path, 1, 0.1, SHARE_FRAMES)
     kept = 0
     with pytest.raises(NotWritten, match=r"run\.mcap cannot be written \(File too large\)"):
         while True:
@@ -131,7 +132,7 @@ def test_of_messages_that_come_together_those_before_the_limit_are_kept(
     tmp_path: Path, few_bytes: int
 ):
     path = tmp_path / "run.mcap"
-    recorder = McapRecorder(path, 1, 0.1)
+    recorder = McapRecorder(path, 1, 0.1, SHARE_FRAMES)
     messages = [("bid/0", b"%d" % n) for n in range(few_bytes)]
     with pytest.raises(NotWritten, match=r"run\.mcap"):
         recorder.record(messages)
@@ -144,7 +145,7 @@ def test_of_messages_that_come_together_those_before_the_limit_are_kept(
 
 def test_an_index_that_does_not_fit_is_left_out(tmp_path: Path):
     path = tmp_path / "run.mcap"
-    recorder = McapRecorder(path, 1, 0.1)
+    recorder = McapRecorder(path, 1, 0.1, SHARE_FRAMES)
     for n in range(100):
         recorder.record([("bid/0", b"%d" % n)])
     before = resource.getrlimit(resource.RLIMIT_FSIZE)

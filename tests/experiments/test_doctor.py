@@ -8,10 +8,11 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from experiments import doctor, doctor_machine
-from experiments.command_line import main
-from experiments.finding import Finding, Verdict
-from nodes.zenoh_transport import LinkError
+from experiments.cli.command_line import main
+from experiments.doctor import checks as doctor
+from experiments.doctor import machine as doctor_machine
+from experiments.doctor.finding import Finding, Verdict
+from runtime.network.zenoh_transport import LinkError
 
 OK, WARNING, FAILING = Verdict.OK, Verdict.WARNING, Verdict.FAILING
 
@@ -147,7 +148,7 @@ def test_the_exit_code_tells(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ):
-    from experiments import doctor_command
+    from experiments.cli import doctor as doctor_command
 
     found = [Finding("this", OK, "fine"), Finding("that", verdict, "[seen]", "do something")]
     monkeypatch.setattr(doctor_command, "look", lambda nodes, data: iter(found))

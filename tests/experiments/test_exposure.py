@@ -1,4 +1,4 @@
-"""What a machine shows to others by default, and what a file can make it do: nothing."""
+"""Test that a machine exposes no port by default, and that a file cannot make it run code."""
 
 import socket
 from pathlib import Path
@@ -8,10 +8,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from experiments import dashboard_command
 from experiments.__main__ import main
-from experiments.sweep_store import folder_of, load_cells, save_cell
-from nodes.network_file import Network, read_network, write_network
+from experiments.cli import dashboard as dashboard_command
+from experiments.sweep.store import folder_of, load_cells, save_cell
+from runtime.network.network_file import Network, read_network, write_network
 from tests.experiments.test_hosts import write_setup
 from tests.processes import CONCORD, PROC, Family, family, holds_within
 
@@ -19,7 +19,7 @@ _LISTENING = "0A"
 
 
 def addresses(run: Family) -> set[str]:
-    """On which addresses a command and all that it has started listen."""
+    """Return the addresses on which a command and its child processes listen."""
     sockets = set()
     for pid in run.alive():
         for file in (PROC / str(pid) / "fd").iterdir():
@@ -90,7 +90,7 @@ def test_a_name_that_is_none_is_refused_wherever_it_comes_from(
 
 
 class _Trap:
-    """What would make a file when it is unpickled."""
+    """Object that creates a file when it is unpickled."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -108,7 +108,7 @@ def test_a_cell_that_must_be_unpickled_is_not_read(tmp_path: Path):
     np.savez(folder / "cell-00001.npz", figures=objects)
     assert {*load_cells(folder, [0, 1])} == {0}
     assert not sprung.exists()
-    # What it would have done.
+    # Unpickling would have made this call.
     made, arguments = objects[0].__reduce__()
     made(*arguments)
     assert sprung.exists()

@@ -9,21 +9,24 @@ import tyro
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.cluster_files import cluster_to_toml
-from bus.dynamic_segment import walk
-from experiments.bus_rehearsal import (
+from bus.flexray.cluster_files import cluster_to_toml
+from bus.flexray.dynamic_segment import walk
+from bus.flexray.flexray_bus import FlexRayBus
+from experiments.cli.scenario_flags import ScenarioFlags, resolved
+from experiments.flexray.plan_report import answer_plan, run_command, slot_rows
+from experiments.flexray.rehearsal import (
     alternatives,
     changed,
-    dynamic_room,
     prepare_without_bus,
     rehearse,
 )
-from experiments.drivers import in_memory
-from experiments.options import ScenarioOptions
-from experiments.plan_report import answer_plan, run_command, slot_rows
-from experiments.trace import read_trace
-from scenarios.build import build_plan
-from scenarios.setup import Setup, prepare
+from experiments.results.trace import read_trace
+from experiments.scenario_options import scenario_of
+from runtime.drivers import in_memory
+from scenarios.build import build_bus
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
+from scenarios.types.buses import occupancy_of
 from tests.experiments.flexray_support import concord, refused
 from tests.experiments.test_bus_report import SMALL
 
@@ -36,7 +39,7 @@ def test_what_does_not_fit_is_said_and_the_most_that_does_is_shown(capsys):
     assert said.code == 0
     # A share of 5 + 15 float64 takes 7 frames of 34 bytes; 20 nodes need 140 of the 51 slots.
     assert "140" in answer["problem"] and "51" in answer["problem"]
-    assert answer["asked"]["occupancy"] == 1.0 and answer["asked"]["schedule"] == "full"
+    assert answer["asked"]["bus"]["schedule"] == {"type": "full"}
     shown = answer["shown"]
     assert shown == answer["alternatives"][0]
     assert shown["shares_per_cycle"] == max(a["shares_per_cycle"] for a in answer["alternatives"])
@@ -91,12 +94,12 @@ def test_cycles_longer_than_the_step_are_said_to_be(capsys):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (("--cluster", "none"), "without time"),
+        (("--bus", "ideal"), "without time"),
         (("--cluster", "volkswagen"), "volkswagen"),
         (("--cluster", "/nowhere/c.toml"), "No such file"),
         (("--schedule", "chaos"), "chaos"),
         (("--arbiter", "coin", "--occupancy", "0.5"), "coin"),
-        (("--schedule", "full", "--occupancy", "0.5"), "every node"),
+        (("--schedule", "full", "--occupancy", "0.5"), "belongs to --schedule round-robin"),
         (("--occupancy", "2"), "(0, 1]"),
         (("--nodes", "0"), "nodes"),
         (("--scenario", "nothing"), "nothing"),
@@ -118,10 +121,10 @@ def test_a_cluster_too_small_for_one_share_is_refused(tmp_path, capsys):
 
 
 def unplanned(nodes: int, cluster: str, number: str = "float64") -> Setup:
-    options = ScenarioOptions(
+    options = scenario_of(
         scenario="oscillator", graph="ring", nodes=nodes, cluster=cluster, number=number, steps=4
     )
-    return prepare_without_bus(options.resolve())
+    return prepare_without_bus(options)
 
 
 @settings(max_examples=20)
@@ -134,18 +137,18 @@ def test_one_share_more_does_not_fit(nodes: int, cluster: str, number: str):
     setup = unplanned(nodes, cluster, number)
     found = alternatives(setup)
     assert found
-    sizes = [round(other.setup.scenario.occupancy * nodes) for other in found]
+    sizes = [round(occupancy_of(other.setup.scenario.bus.schedule) * nodes) for other in found]
     assert sizes == sorted(sizes, reverse=True)
     for other, size in zip(found, sizes, strict=True):
-        assert dynamic_room(other.plan) == max(other.plan.schedule.dynamic_slot_table)
+        assert other.bus.dynamic_room() == max(other.bus.schedule.dynamic_slot_table)
         if size == nodes:
             continue
         more = changed(other.setup, occupancy=(size + 1) / nodes)
         try:
-            plan = build_plan(more)
+            plan = flexray(more)
         except ValueError:
             continue
-        assert dynamic_room(plan) < max(plan.schedule.dynamic_slot_table)
+        assert plan.dynamic_room() < max(plan.schedule.dynamic_slot_table)
 
 
 @settings(max_examples=30)
@@ -153,19 +156,24 @@ def test_one_share_more_does_not_fit(nodes: int, cluster: str, number: str):
 def test_dynamic_room_is_the_most_that_any_winners_fit(nodes: int, cluster: str, data):
     setup = changed(unplanned(nodes, cluster), schedule="dynamic", occupancy=1.0)
     try:
-        plan = build_plan(setup)
+        plan = flexray(setup)
     except ValueError:
         return
     car = plan.cluster
-    assert car is not None and plan.table is not None
-    room = dynamic_room(plan)
-    requests = [plan.table.request(node, 0) for node in range(nodes)]
+    room = plan.dynamic_room()
+    requests = [plan.table.request(node) for node in range(nodes)]
 
     def fits(count: int) -> bool:
         return all(not walk(car, some).waiting for some in combinations(requests, count))
 
     assert fits(room)
     assert room == nodes or not fits(room + 1)
+
+
+def flexray(setup: Setup) -> FlexRayBus:
+    bus = build_bus(setup)
+    assert isinstance(bus, FlexRayBus)
+    return bus
 
 
 # --- slot tables and command lines ---------------------------------------------------------------
@@ -175,8 +183,7 @@ def test_dynamic_room_is_the_most_that_any_winners_fit(nodes: int, cluster: str,
 @given(st.integers(2, 30), st.floats(0.05, 1.0), st.sampled_from(["round-robin", "hybrid"]))
 def test_the_shown_slots_are_those_of_the_schedule(nodes: int, occupancy: float, schedule: str):
     setup = changed(unplanned(nodes, "fitted"), schedule=schedule, occupancy=occupancy)
-    plan = build_plan(setup)
-    assert plan.table is not None
+    plan = flexray(setup)
     rows = [row for row in slot_rows(plan.table) if row.segment == "static"]
     for cycle in range(2 * plan.schedule.period):
         sending = [row for row in rows if cycle % row.repetition == row.base_cycle]
@@ -204,10 +211,10 @@ def test_the_shown_slots_are_those_of_the_schedule(nodes: int, occupancy: float,
     )
 )
 def test_the_command_line_means_the_scenario(options: dict):
-    scenario = ScenarioOptions(scenario="oscillator", **options).resolve()
+    scenario = scenario_of(scenario="oscillator", **options)
     program, command, *words = shlex.split(run_command(scenario))
     assert (program, command) == ("concord", "run")
-    assert tyro.cli(ScenarioOptions, args=words).resolve() == scenario
+    assert resolved(tyro.cli(ScenarioFlags, args=words)) == scenario
 
 
 # --- rehearsals --------------------------------------------------------------------------------
@@ -216,7 +223,7 @@ def test_the_command_line_means_the_scenario(options: dict):
 @pytest.mark.parametrize(
     ("schedule", "arbiter"),
     [
-        ("round-robin", "wtod"),
+        ("round-robin", None),
         ("hybrid", "minislot"),
         ("hybrid", "round-robin"),
         ("dynamic", "minislot"),
@@ -225,30 +232,30 @@ def test_the_command_line_means_the_scenario(options: dict):
 )
 @pytest.mark.parametrize("cluster", ["fitted", "bosch"])
 def test_where_bids_do_not_matter_the_rehearsal_is_the_run(schedule, arbiter, cluster):
-    options = ScenarioOptions(
+    options = scenario_of(
         scenario="oscillator", nodes=7, graph="ring", steps=5, occupancy=0.4, schedule=schedule,
-        arbiter=arbiter, cluster=cluster,
+        cluster=cluster, **({} if arbiter is None else {"arbiter": arbiter}),
     )  # fmt: skip
-    setup = prepare(options.resolve())
+    setup = prepare(options)
     trace = read_trace(setup, in_memory(setup))
-    rehearsal = rehearse(setup, build_plan(setup), 5)
+    rehearsal = rehearse(setup, flexray(setup), 5)
     np.testing.assert_array_equal(rehearsal.published, trace.published)
     np.testing.assert_array_equal(rehearsal.asked, trace.asked)
 
 
 def test_under_growing_bids_the_longest_silent_go_first():
     setup = changed(unplanned(9, "demo"), schedule="dynamic", occupancy=1 / 3)
-    rehearsal = rehearse(setup, build_plan(setup), 4)
+    rehearsal = rehearse(setup, flexray(setup), 4)
     turns = rehearsal.published.reshape(-1, 9)
     assert (turns.sum(1) == 3).all()
-    # Three of nine win: everybody once in any three cycles, so nothing gets older than two.
+    # Three of nine win: each node once in any three cycles, so no share gets older than two.
     assert all((turns[c : c + 3].sum(0) == 1).all() for c in range(len(turns) - 2))
     assert rehearsal.ages.max() == 2 and rehearsal.ages.min() == 0
 
 
 def test_ages_of_a_rehearsal_by_hand():
     setup = changed(unplanned(3, "fitted"), schedule="round-robin", occupancy=1 / 3)
-    rehearsal = rehearse(setup, build_plan(setup), 2)
+    rehearsal = rehearse(setup, flexray(setup), 2)
     # One node a cycle in turn, three cycles a step: after each step they are 2, 1 and 0 old.
     assert rehearsal.ages.tolist() == [[2, 1, 0], [2, 1, 0]]
 
@@ -298,4 +305,4 @@ def test_only_cycles_of_the_run_can_be_shown(capsys):
 
 def test_the_plan_of_a_bad_scenario_is_an_error_not_an_alternative():
     with pytest.raises(ValueError, match="unknown schedule"):
-        answer_plan(ScenarioOptions(schedule="chaos").resolve())
+        answer_plan(scenario_of(schedule="chaos"))

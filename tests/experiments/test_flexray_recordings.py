@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.bitstream import encode_bits
-from bus.frame import Frame, encode
-from bus.waveform import Waveform, format_waveform, from_bits
-from experiments.flexray_recordings import read_recorded
+from bus.flexray.frame import Frame, encode
+from bus.recordings.waveform import Waveform
+from experiments.flexray.recordings import read_recorded
+from tests.bus.signals import encode_bits, format_waveform, from_bits
 from tests.experiments.flexray_support import concord, refused
 
 BIT_NS, SLOT_NS = 100.0, 60_000.0

@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dashboard.live import LiveNetwork
+from dashboard.frames.live import LiveNetwork
 from experiments.__main__ import main
-from experiments.agree_command import first_difference
-from experiments.drivers import in_this_process
-from experiments.results import read_description, read_description_file
-from nodes.access_control import MONITOR, OPERATOR
-from nodes.control_client import Client, NotThere
-from nodes.links import Links, checked_endpoints, checked_run, free_ports
-from nodes.zenoh_transport import Transport
+from experiments.cli.agree import first_difference
+from experiments.results.folder import read_description, read_description_file
+from runtime.drivers import in_this_process
+from runtime.network.access_control import MONITOR, OPERATOR
+from runtime.network.control_client import Client, NotThere
+from runtime.network.links import Links, checked_endpoints, checked_run, free_ports
+from runtime.network.zenoh_transport import Transport
 from tests.experiments.hosts import Hosts, hosts
 from tests.experiments.support import trace_of
 from tests.processes import PROC, holds_within
@@ -38,7 +38,7 @@ def two_routers(there: Hosts) -> tuple[str, str]:
 
 
 def await_network(endpoint: str, keys: str | None = None) -> Client:
-    """Somebody who watches, as soon as the world answers."""
+    """Return a client as soon as the environment answers it."""
     client = Client([endpoint], "hosts", keys)
     for _ in range(10):
         with suppress(NotThere):
@@ -73,9 +73,10 @@ def test_commands_on_several_hosts_give_the_bits_of_one_process(tmp_path: Path):
 @needs_proc
 @pytest.mark.zenoh
 def test_what_is_no_message_ends_nobody_and_changes_no_bit(tmp_path: Path):
-    """Somebody who is let in and obeys no rule: without keys a network can only bear that.
+    """Without keys, a network accepts a client that breaks every rule and must tolerate it.
 
-    In the name of a node, and before the run, another setup would end it: it is that node's word.
+    Another setup, sent in the name of a node before the run, would end the run. That message counts
+    as the node's own.
     """
     setup = write_setup(tmp_path)
     with hosts(tmp_path) as there:
@@ -140,7 +141,7 @@ def test_who_may_look_on_and_who_may_command_a_guarded_network(
         monitor, operator = (("--keys", str(keys / f"{who}.json")) for who in (MONITOR, OPERATOR))
 
         def runs() -> bool:
-            # Who takes part is told before the first step, and commands are obeyed from it on.
+            # The nodes are announced before the first step; commands are obeyed from that step on.
             said = control("state", *monitor)[1]
             return "nodes 0 1 2 3" in said and ": 0 steps done" not in said
 

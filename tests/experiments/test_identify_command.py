@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from experiments.__main__ import main
-from plants.drive_log import write_drive
-from plants.vehicle_parameters import BMW_320I, car_from_toml
+from plants.vehicle.drive_log import write_drive
+from plants.vehicle.parameters import BMW_320I, car_from_toml
 from tests.plants.test_tyre_identification import TRUE, drive
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.filterwarnings("error")
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    from plants.vehicle_model import tanh_tyre
+    from plants.vehicle.model import tanh_tyre
 
     write_drive(tmp_path, drive(TRUE, tanh_tyre, 0.06), BMW_320I)
     return tmp_path

@@ -1,6 +1,6 @@
 """Ctrl-C, a polite end or a sudden death of the command, at any moment.
 
-Nobody is left behind, and what was recorded can be read.
+No process is left behind, and the recording can be read.
 """
 
 import json
@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 import xarray
 
-from experiments.results import ARRAYS, DESCRIPTION, RECORDING, read_description
-from experiments.trace import read_trace
-from experiments.vectorised import simulate
-from nodes.network_file import read_network
-from nodes.recording import read_recording
+from experiments.monte_carlo.simulate import simulate
+from experiments.results.folder import ARRAYS, DESCRIPTION, RECORDING, read_description
+from experiments.results.trace import read_trace
+from runtime.network.network_file import read_network
+from runtime.recording import read_recording
 from tests.processes import CONCORD, PATIENCE_S, PROC, Family, family
 
 pytestmark = [
@@ -29,9 +29,9 @@ pytestmark = [
 ]
 
 INTERRUPTED = 130
-# What the command says on standard error at each moment, and the steps it was asked for.
+# The text on standard error at each moment, and the number of steps of the run.
 MOMENTS = {
-    # So many that the end is far off, however late a busy machine lets us look.
+    # The steps are so many that the run cannot end before the test looks, even on a busy machine.
     "before ready": ("seed", 3000),
     "in the middle": ("oscillator: ", 3000),
     "near the end": ("oscillator: 60 of 60", 60),
@@ -84,7 +84,9 @@ def test_an_interrupted_network_ends_at_once_and_leaves_its_folder(
     with family(run_command("processes", steps), tmp_path) as run:
         run.await_line(line)
         if moment == "in the middle":
-            assert len(run.descendants()) == 1 + 2 + 4  # zygote, world and recorder, nodes
+            assert (
+                len(run.descendants()) == 1 + 2 + 4
+            )  # launcher process, world and recorder, nodes
         interrupted(run, how)
     done = check_folder(tmp_path / "run")
     if moment == "in the middle":
@@ -110,11 +112,11 @@ def test_an_interrupted_run_in_one_process_leaves_its_folder(tmp_path: Path):
 
 @pytest.mark.parametrize(
     "scenario",
-    ["oscillator --graph ring --nodes 8200 --cluster none", "liu2021-network --nodes 4"],
+    ["oscillator --graph ring --nodes 8200 --bus ideal", "liu2021-network --nodes 4"],
     ids=["one run at a time is as much as fits", "message by message"],
 )
 def test_interrupted_runs_of_many_keep_those_that_are_complete(tmp_path: Path, scenario: str):
-    options = f"--scenario {scenario} --steps 2 --driver vectorised --runs 20 --out run --json"
+    options = f"--scenario {scenario} --steps 2 --driver batched --runs 20 --out run --json"
     with family([*CONCORD, "run", *options.split()], tmp_path) as run:
         run.await_line("8 of 40")  # after a fifth of the runs
         run.send_to_group(signal.SIGINT)
@@ -126,7 +128,7 @@ def test_interrupted_runs_of_many_keep_those_that_are_complete(tmp_path: Path, s
         kept = dataset["mean"].values
         assert dataset["run"].values.tolist() == list(range(runs))
     assert 3 <= runs < 20  # the fourth may not be whole when its last step is said to be done
-    # What is kept is what a command for so many runs leaves.
+    # The kept results are those of a command for so many runs.
     setup = read_description(tmp_path / "run").setup
     np.testing.assert_array_equal(kept[-1:], simulate(setup, [runs - 1]).mean)
 
@@ -150,7 +152,7 @@ def test_an_interruption_while_the_program_loads_is_as_quiet(tmp_path: Path, how
 # Python imports this module at the start of a process; the command itself is not a module.
 SLOW_TO_LOAD = """
 import select, sys, time
-if sys.orig_argv[1] == "-m":
+if "-m" in sys.orig_argv:
     select.select([sys.stdin], [], [])
     sys.stderr.write("has a job, and loads\\n")
     sys.stderr.flush()
@@ -158,7 +160,8 @@ if sys.orig_argv[1] == "-m":
 """
 PATIENT = """
 import sys
-from experiments import __main__, launcher
+from experiments import __main__
+from runtime.processes import launcher
 launcher._STOP_TIMEOUT_S = 600
 __main__.main(sys.argv[1:])
 """
@@ -203,7 +206,7 @@ def test_a_killed_command_takes_its_network_with_it(tmp_path: Path, moment: str)
 
 
 def test_a_run_that_fails_says_where_its_remains_are(tmp_path: Path):
-    """The world is killed: exit code 1, its name, and figures of nothing."""
+    """After the environment is killed: exit code 1, its name, and no figures."""
     with family(run_command("processes", 700), tmp_path) as run:
         run.await_line("oscillator: ")
         os.kill(read_network(tmp_path / "run").pids["world"], signal.SIGKILL)
@@ -227,7 +230,7 @@ def test_a_run_that_loses_a_node_says_so_and_goes_on(tmp_path: Path):
 
 @pytest.mark.slow
 def test_an_interruption_late_in_a_long_run_is_as_quick(tmp_path: Path):
-    """Nobody who has lost patience waits for figures."""
+    """An interrupted command ends without computing its figures."""
     options = "--scenario target-tracking --nodes 20 --steps 1500 --out run"
     with family([*CONCORD, "run", *options.split()], tmp_path) as run:
         run.await_line("1200 of 1500", 90)

@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from experiments.intervals import METHODS, mean_bootstrap, mean_t, ratio_bootstrap, ratio_t
+from experiments.monte_carlo.intervals import (
+    METHODS,
+    mean_bootstrap,
+    mean_t,
+    ratio_bootstrap,
+    ratio_t,
+)
 
 
 def covered(method: str, runs: int, trials: int) -> tuple[float, float]:

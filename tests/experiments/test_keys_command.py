@@ -51,7 +51,7 @@ def test_nobody_gets_in_and_a_hole_is_found(tmp_path: Path):
         ("false router", "lets node-0 join"): "refused",
     }
 
-    # What the page on security shows is what was printed.
+    # The page on security shows the printed outcomes.
     page = (Path(__file__).parents[2] / "docs" / "security.md").read_text()
     rows = [line.strip("| ").split(" | ") for line in page.splitlines() if line.startswith("| ")]
     shown = {(row[0], row[1]): row[2] for row in rows if row[-1] in ("delivered", "refused")}
@@ -91,7 +91,7 @@ def test_nobody_gets_in_and_a_hole_is_found(tmp_path: Path):
 def test_mistakes_are_one_line_and_leave_nothing(
     tmp_path: Path, words: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]
 ):
-    from experiments.command_line import main
+    from experiments.cli.command_line import main
 
     with pytest.raises(SystemExit) as end:
         main(["keys", str(tmp_path / "keys"), *words])
@@ -102,7 +102,7 @@ def test_mistakes_are_one_line_and_leave_nothing(
 
 
 def test_the_files_are_listed_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    from experiments.command_line import main
+    from experiments.cli.command_line import main
 
     main(["keys", str(tmp_path / "keys"), "--nodes", "1", "--json"])
     made = msgspec.json.decode(capsys.readouterr().out)

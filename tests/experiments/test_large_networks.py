@@ -6,12 +6,12 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from experiments import vectorised
-from experiments.vectorised import COV, Histories, simulate
-from scenarios.scenario import Scenario
-from scenarios.setup import prepare
+from experiments.monte_carlo import simulate as batched
+from experiments.monte_carlo.simulate import COV, Histories, simulate
+from experiments.scenario_options import scenario_of
+from scenarios.preparation import prepare
 
-SPARSE = Scenario(name="oscillator", nodes=2000, graph="6-regular", steps=5, cluster="none")
+SPARSE = scenario_of("oscillator", nodes=2000, graph="6-regular", steps=5, bus="ideal")
 
 
 def test_a_sparse_network_needs_no_array_of_pairs():
@@ -27,7 +27,7 @@ def test_a_sparse_network_needs_no_array_of_pairs():
 
 def kept_and_most(runs: int, keep: Iterable[str] = ()) -> tuple[int, int]:
     """Bytes of the histories of so many runs, and the most that was taken to make them."""
-    setup = prepare(Scenario(name="oscillator", nodes=4, graph="ring", steps=30, cluster="none"))
+    setup = prepare(scenario_of("oscillator", nodes=4, steps=30, bus="ideal"))
     tracemalloc.start()
     histories: Histories = simulate(setup, range(runs), keep=keep)
     most = tracemalloc.get_traced_memory()[1]
@@ -37,8 +37,8 @@ def kept_and_most(runs: int, keep: Iterable[str] = ()) -> tuple[int, int]:
 
 
 def test_runs_are_taken_in_chunks_and_what_is_kept_is_what_was_asked_for(monkeypatch):
-    kept_and_most(1)  # what is loaded and cached once
-    monkeypatch.setattr(vectorised, "LANES", 4 * 100)
+    kept_and_most(1)  # loads modules and fills caches once
+    monkeypatch.setattr(batched, "LANES", 4 * 100)
     (of_one, most_of_one), (of_many, most_of_many) = kept_and_most(100), kept_and_most(600)
     assert of_many == 6 * of_one
     # Six chunks at once would take six times as much beside what is kept.

@@ -1,11 +1,11 @@
-"""What `concord agree` says of the vectorised driver."""
+"""Test the report of `concord agree` on the batched driver."""
 
 import numpy as np
 import pytest
 
-from experiments.drivers import in_memory
-from experiments.near_agreement import departures
-from experiments.trace import Trace, read_trace
+from experiments.results.near_agreement import departures
+from experiments.results.trace import Trace, read_trace
+from runtime.drivers import in_memory
 from tests.experiments.support import small
 
 SETUP = small(steps=5, schedule="hybrid", occupancy=0.5)

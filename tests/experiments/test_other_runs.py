@@ -1,4 +1,4 @@
-"""What other runs tell of a run, and that telling it takes nothing from a network beside it."""
+"""Test the figures that other runs give for a run, and that they slow no network beside them."""
 
 import json
 import os
@@ -11,16 +11,16 @@ import msgspec
 import numpy as np
 import pytest
 
-from dashboard.replay import assembled
-from dashboard.stage import set_stage
-from experiments import other_runs
-from experiments.drivers import in_memory
-from experiments.other_runs import OtherRuns, Question, expected, told_by
+from dashboard.frames.replay import assembled
+from dashboard.frames.stage import set_stage
+from experiments.monte_carlo import other_runs
+from experiments.monte_carlo.other_runs import OtherRuns, Question, expected, told_by
 from experiments.priority import give_way
 from filters.gaussian import Gaussian
+from runtime.drivers import in_memory
 from scenarios.baselines import listener
 from scenarios.catalogue import kind_of
-from scenarios.setup import prepare, setup_of_run
+from scenarios.preparation import prepare, setup_of_run
 from tests.dashboard.runs import setup_of
 from tests.processes import holds_within
 
@@ -70,13 +70,13 @@ def test_runs_of_what_was_recorded_once_are_no_band():
     if not data.is_dir():
         pytest.skip("needs the recorded robots in ../shared/data/mrclam6")
     defaults = kind_of("mrclam").defaults
-    setup = prepare(msgspec.structs.replace(defaults, data=str(data), target=4, steps=30))
+    setup = prepare(defaults.with_(data=str(data), target=4, steps=30))
     told = told_by(setup, 3)
     assert told.nees_low == told.nees_high == [None] * 30
 
 
 def test_the_process_tells_and_of_sets_nothing(monkeypatch: pytest.MonkeyPatch):
-    # On a machine at its limit, who gives way may wait for minutes.
+    # On a fully loaded machine a process of low priority may wait for minutes.
     monkeypatch.setattr(other_runs, "give_way", lambda *_: None)
     others = OtherRuns(setup_of("oscillator", nodes=4, steps=10), sparing=True)
     times = np.array([0.0, 0.5])
@@ -91,7 +91,9 @@ def test_the_process_tells_and_of_sets_nothing(monkeypatch: pytest.MonkeyPatch):
 def test_the_process_ends_with_whoever_asked():
     question = Question(setup_of("oscillator", nodes=8, steps=5000), sparing=True)
     process = subprocess.Popen(
-        [sys.executable, "-m", "experiments.other_runs"], cwd=ROOT, stdin=subprocess.PIPE
+        [sys.executable, "-m", "experiments.monte_carlo.other_runs"],
+        cwd=ROOT,
+        stdin=subprocess.PIPE,
     )
     assert process.stdin
     process.stdin.write(msgspec.json.encode(question) + b"\n")

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from experiments.__main__ import main
-from experiments.results import read_description
-from experiments.trace import Trace
+from experiments.results.folder import read_description
+from experiments.results.trace import Trace
 from nodes.changes import Event, Gone, Joined
 from nodes.messages import decode
-from nodes.recording import read_recording
+from runtime.recording import read_recording
 from tests.experiments.hosts import hosts
 from tests.experiments.support import trace_of
 from tests.namespaces import Lan, lan
@@ -31,8 +31,8 @@ STEPS = 260
 FAR = (2, 3, 4, 5)
 LISTENER = """
 import sys
-from nodes.links import links_to_routers
-from nodes.zenoh_transport import Transport
+from runtime.network.links import links_to_routers
+from runtime.network.zenoh_transport import Transport
 heard = Transport("hosts", links_to_routers([sys.argv[1]], None), ["estimate/*"], 4096)
 print("listening", flush=True)
 while True:
@@ -43,7 +43,7 @@ while True:
 
 
 class Ear:
-    """What can be heard of estimates at one host: the latest step of each node."""
+    """Listener at one host: the latest step of each node whose estimates it receives."""
 
     def __init__(self, process: Family) -> None:
         self.steps: dict[int, int] = {}
@@ -91,7 +91,7 @@ def disagreement(trace: Trace, steps: slice) -> float:
 
 
 def cut_and_heal(there: Lan, ear: Ear) -> tuple[dict[int, int], dict[int, int]]:
-    """What b heard last of each node when it was cut off from the world, and when it was healed."""
+    """Return the last step of each node that b heard at the cut, and at the end of the cut."""
     assert holds_within(120, lambda: len(ear.steps) == 6 and min(ear.steps.values()) > 60), (
         ear.steps
     )
@@ -152,7 +152,7 @@ def test_in_lockstep_the_worlds_side_goes_on_and_the_others_come_back(
         back_s = time.monotonic() - began
         together = max(ear.steps.values())
         assert holds_within(40, lambda: min(ear.steps.values()) > together + 20)
-    # The world has been killed with all else: what it has recorded can be read.
+    # The environment was killed with all other processes: the recording can be read.
     setup = read_description(tmp_path / "run").setup
     trace = trace_of(setup, tmp_path / "run" / "run.mcap")
     out = np.isnan(trace.mean[:, :, 0])

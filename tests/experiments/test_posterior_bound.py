@@ -7,23 +7,24 @@ import msgspec
 import numpy as np
 import pytest
 
-from experiments.options import scenario_of
-from experiments.posterior_bound import Truths, posterior_bound
+from experiments.monte_carlo.posterior_bound import Truths, posterior_bound
+from experiments.scenario_options import scenario_of
 from nodes.messages import Array
 from scenarios.baselines import centralised
 from scenarios.catalogue import kind_of
-from scenarios.setup import generator, prepare
+from scenarios.preparation import prepare
+from scenarios.streams import generator
 
 
 def truths_of(name: str, runs: int, **fields) -> tuple[Truths, SimpleNamespace]:
     """Truths without any filter, and what the bound needs of the scenario."""
-    scenario = scenario_of(name, fields)
+    scenario = scenario_of(name, **fields)
     kind = kind_of(name)
     plant = kind.plant(scenario)
     truth, readings, priors = [], [], []
     cov = np.empty(0)
     for run in range(runs):
-        own = msgspec.structs.replace(scenario, run=run)
+        own = scenario.with_(run=run)
         draws = plant.draw(partial(generator, own), scenario.steps)
         state, mean, cov = plant.initial(draws.initial)
         states, seen = [], []

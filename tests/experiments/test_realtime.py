@@ -1,4 +1,4 @@
-"""A network in real time: it keeps its timetable, says what it missed, and waits for nobody."""
+"""Test a network in real time: it keeps its timetable, reports misses, and waits for no node."""
 
 import os
 import signal
@@ -11,18 +11,18 @@ import msgspec
 import numpy as np
 import pytest
 
-from experiments.agree_command import first_difference
-from experiments.drivers import in_this_process
-from experiments.launcher import run_processes
-from experiments.results import describe
-from experiments.timing_figures import TimingFigures, figures_of, lines
+from experiments.cli.agree import first_difference
+from experiments.results.folder import describe
+from experiments.results.timing_figures import TimingFigures, figures_of, lines
 from nodes.changes import Calm, Cut, Fault, Gone, Joined
 from nodes.commands import Answer, in_words
-from nodes.control_client import Client
 from nodes.messages import Grant, Timing, decode, encode, topic
-from nodes.recording import read_recording
 from nodes.tempo import Tempo
-from scenarios.job import Happened
+from runtime.drivers import in_this_process
+from runtime.network.control_client import Client
+from runtime.processes.job import Happened
+from runtime.processes.launcher import run_processes
+from runtime.recording import read_recording
 from scenarios.setup import Setup
 from scenarios.tempo import tempo_of
 from tests.experiments.support import small, trace_of
@@ -85,14 +85,14 @@ def test_a_short_run_keeps_its_timetable(tmp_path: Path):
     assert figures.step_ms == pytest.approx(1e3 * STEP_S)
     assert figures.cycle_ms == pytest.approx(100)
     assert figures.cycles == 4 * 10 * 3
-    # The estimate follows the deadline of the last round, however fast everybody is.
+    # The estimate follows the deadline of the last round, however fast the nodes are.
     assert figures.delay.p50_ms > 3 * figures.cycle_ms
     assert 0 < figures.cycle_jitter.p50_ms <= figures.cycle_jitter.p99_ms
     assert figures.deadline_misses == figures.incomplete + figures.overrun < figures.cycles / 2
     trace = trace_of(setup, tmp_path / "run.mcap")
     assert trace.steps == 10
     if sum(c.get("missed", 0) for c in trace.counters) == 0:
-        # Who missed nothing has computed what lockstep computes.
+        # A run without missed frames has the results of lockstep.
         in_this_process(setup, "reference", tmp_path / "reference.mcap", None, lambda step: None)
         reference = trace_of(setup, tmp_path / "reference.mcap")
         assert first_difference(reference, trace, "realtime") is None
@@ -224,7 +224,7 @@ def test_every_command_is_obeyed_or_refused_with_reason_and_cure(tmp_path: Path)
 @pytest.mark.parametrize(
     ("changed", "stretch", "named"),
     [
-        ({"cluster": "none"}, None, "--cluster none: a bus without time sets no pace"),
+        ({"bus": "ideal"}, None, "--bus ideal: a bus without time sets no pace"),
         ({"changes": ("3 kill 1", "5 set rounds=2")}, None, "set at step 5 waits until all"),
         ({}, 0.5, "--cycle-stretch 0.5: must be at least 1"),
     ],
@@ -260,8 +260,8 @@ def test_cycles_last_as_long_as_processes_can_hold():
     slow = tempo_of(setup, 10 * tempo.stretch)
     assert slow.cycle_s == pytest.approx(0.2)
     assert slow.step_s == pytest.approx(3 * 0.2)
-    assert slow.part_ends_s(2, 2, 0, 1) == pytest.approx(slow.step_begins_s(3))
-    assert slow.part_ends_s(0, 1, 0, 4) == pytest.approx(0.25)
+    assert slow.group_ends_s(2, 2, 0, 1) == pytest.approx(slow.step_begins_s(3))
+    assert slow.group_ends_s(0, 1, 0, 4) == pytest.approx(0.25)
 
 
 def test_the_description_keeps_the_tempo():

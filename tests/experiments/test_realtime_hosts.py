@@ -1,4 +1,4 @@
-"""Real time on hosts whose clocks differ: they keep the world's time, or say what they miss."""
+"""Test real time on hosts with different clocks: they keep common time or report misses."""
 
 import json
 from pathlib import Path
@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.agree_command import first_difference
-from experiments.drivers import in_this_process
-from experiments.results import read_description
+from experiments.cli.agree import first_difference
+from experiments.results.folder import read_description
 from nodes.messages import Timing, decode
-from nodes.recording import read_recording
+from runtime.drivers import in_this_process
+from runtime.recording import read_recording
 from tests.experiments.hosts import hosts
 from tests.experiments.support import trace_of
 from tests.experiments.test_hosts import two_routers, write_setup
@@ -29,7 +29,7 @@ time.monotonic = lambda: _began_s + {ahead_s} + (_monotonic() - _began_s) * {rat
 
 
 def with_clock(folder: Path, ahead_s: float, rate: float) -> tuple[str, ...]:
-    """What to start a command with, so that its processes have another monotonic clock."""
+    """Return a command prefix that gives the processes another monotonic clock."""
     folder.mkdir()
     (folder / "sitecustomize.py").write_text(CLOCK.format(ahead_s=ahead_s, rate=rate))
     return ("env", f"PYTHONPATH={folder}")

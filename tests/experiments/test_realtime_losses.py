@@ -1,4 +1,4 @@
-"""Who dies, hangs or asks too late in real time: what it costs, to whom, and that all is told."""
+"""Test deaths, hangs and late requests in real time: their cost per node and their reports."""
 
 import os
 import signal
@@ -11,16 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.running import Running
-from experiments.timing_figures import TimingFigures, figures_of
-from experiments.trace import Trace
+from bus.flexray.share_frames import read_frame
+from experiments.results.timing_figures import TimingFigures, figures_of
+from experiments.results.trace import Trace
 from nodes.changes import Event, Gone, Joined, Left
 from nodes.commands import in_words
 from nodes.messages import decode
-from nodes.share import read_frame
-from scenarios.build import build_world
+from nodes.tempo import Tempo
+from scenarios.build import build_environment
 from scenarios.setup import Setup
 from scenarios.tempo import tempo_of
+from tests.endurance.running import Running
 from tests.experiments.support import small, trace_of
 from tests.processes import PATIENCE_S, PROC, holds_within, lives
 
@@ -29,11 +30,18 @@ pytestmark = [
     pytest.mark.skipif(not PROC.is_dir(), reason="finds processes in /proc, which is not there"),
 ]
 STRUCK = 2
+# A busy machine does not keep cycles of 20 ms; these last 60 ms, and steps 180 ms.
+SLOWER = 3
 # A death is seen when its links close, and not only after the two seconds of the lease.
-SEEN_CYCLES = 50
+SEEN_CYCLES = 17
 # Three steps of three rounds.
 AGREES_CYCLES = 9
-HANG_S = 0.6
+HANG_S = 1.5
+
+
+def slow_tempo(setup: Setup) -> Tempo:
+    """Return the timetable of these tests."""
+    return tempo_of(setup, SLOWER * tempo_of(setup, None).stretch)
 
 
 class Played:
@@ -42,9 +50,7 @@ class Played:
     def __init__(self, setup: Setup, folder: Path, messages: list[tuple[str, bytes]]) -> None:
         self.setup, self.messages = setup, messages
         self.trace: Trace = trace_of(setup, folder / "run.mcap")
-        self.figures: TimingFigures = figures_of(
-            tempo_of(setup, None), messages, self.trace.counters
-        )
+        self.figures: TimingFigures = figures_of(slow_tempo(setup), messages, self.trace.counters)
 
     def told(self, kind: str) -> list:
         """Messages of a topic, in the order in which they were recorded."""
@@ -69,7 +75,7 @@ class Played:
 @contextmanager
 def playing(setup: Setup, folder: Path) -> Iterator[Running]:
     """A network in real time; it must come to its end by itself."""
-    network = Running(setup, "realtime", folder, tempo=tempo_of(setup, None))
+    network = Running(setup, "realtime", folder, tempo=slow_tempo(setup))
     try:
         yield network
     finally:
@@ -99,9 +105,10 @@ def check_books(played: Played, gone: int, joined: int) -> None:
     assert gone * rounds <= died + 1 <= back
     for node in played.setup.neighbours[STRUCK]:
         counters = played.trace.counters[node]
-        # Nobody waits for it from when its death was told; before that each cycle is missed.
+        # No node waits for it after its death was announced; before that each cycle is missed.
         due_of_struck = counters["heard"] + counters.get("missed", 0) - cycles
-        assert died + 1 <= due_of_struck - (cycles - back) <= died + 1 + SEEN_CYCLES
+        # The share of its last cycle may have reached the recorder alone.
+        assert died <= due_of_struck - (cycles - back) <= died + 1 + SEEN_CYCLES
         said = [one for one in played.told("timing") if one.node == node]
         assert sum(one.incomplete for one in said) <= counters.get("missed", 0)
 
@@ -116,11 +123,11 @@ def test_who_dies_in_real_time_is_back_on_command_and_agrees_at_once(tmp_path: P
             os.kill(pid, signal.SIGKILL)
         else:
             say(network, f"kill {STRUCK}")
-        assert holds_within(5, lambda: not has_member(network, STRUCK))
-        assert holds_within(5, lambda: not lives(pid))
+        assert holds_within(PATIENCE_S, lambda: not has_member(network, STRUCK))
+        assert holds_within(PATIENCE_S, lambda: not lives(pid))
         assert reaches(network, 35)
         say(network, f"restart {STRUCK}")
-        assert holds_within(10, lambda: has_member(network, STRUCK))
+        assert holds_within(PATIENCE_S, lambda: has_member(network, STRUCK))
     played = Played(setup, tmp_path, network.recorded())
     assert played.trace.steps == 75
     [gone] = played.step_of(Gone if death == "SIGKILL" else Left)
@@ -130,10 +137,10 @@ def test_who_dies_in_real_time_is_back_on_command_and_agrees_at_once(tmp_path: P
     assert not np.delete(out, STRUCK, axis=1).any()
     if death == "SIGKILL":
         check_books(played, gone, joined)
-    # Whoever commands does not set the clock: no reading comes before its time.
+    # A command does not change the clock: no reading comes before its time.
     assert all((one.heartbeat_late_s or 0.0) > -0.01 for one in played.told("timing"))
-    # A late share was missed, and what was said before it was back is late for nobody. After a kill
-    # on command nobody misses the shares that the node sends until its process ends.
+    # A late share was missed. A share that was sent before its node was back is late for no node.
+    # After a kill on command no node misses the shares that the killed process still sends.
     rounds = setup.scenario.rounds
     unmissed = sum(gone * rounds <= cycle < joined * rounds for cycle in played.cycles_sent(STRUCK))
     for node, counters in enumerate(played.trace.counters):
@@ -147,8 +154,8 @@ def test_who_dies_in_real_time_is_back_on_command_and_agrees_at_once(tmp_path: P
 
 
 def contested(setup: Setup) -> dict[tuple[int, int], set[int]]:
-    """Who contends for the dynamic slots of each part of a cycle that has any."""
-    schedule, scenario = build_world(setup).schedule, setup.scenario
+    """Return the contenders for the dynamic slots of each group of a cycle that has such slots."""
+    schedule, scenario = build_environment(setup).schedule, setup.scenario
     found = {}
     for cycle in range(scenario.steps * scenario.rounds):
         contenders = set(schedule.contenders(cycle)) - set(schedule.static_senders(cycle))
@@ -168,26 +175,26 @@ def test_who_hangs_over_the_end_of_bids_gets_nothing_and_holds_up_nobody(tmp_pat
         os.kill(pid, signal.SIGCONT)
     played = Played(setup, tmp_path, network.recorded())
     contests, grants = contested(setup), played.told("grant")
-    # The cycles go on: each has its one grant, in order, whoever has asked.
+    # The cycles go on: each has its one grant, in order, whichever nodes have sent bids.
     assert [(grant.cycle, grant.group) for grant in grants] == sorted(contests)
     unheard = {(g.cycle, g.group): set(g.unheard or ()) for g in grants}
     its_own = [key for key in sorted(contests) if STRUCK in contests[key]]
     # A busy machine may make it late elsewhere, but nowhere for so long.
     streaks = groupby(its_own, lambda key: STRUCK in unheard[key])
     without = max((list(keys) for is_without, keys in streaks if is_without), key=len)
-    assert len(without) > 0.25 * HANG_S / tempo_of(setup, None).cycle_s
+    assert len(without) > 0.25 * HANG_S / slow_tempo(setup).cycle_s
     for grant in grants:
         missing = unheard[grant.cycle, grant.group]
         assert missing <= contests[grant.cycle, grant.group]
         assert not missing & set(grant.winners)
-    # It asks for them when it moves again, and nobody turns back for it.
+    # It asks for them when it moves again, and no process goes back for it.
     asked = {(bid.cycle, bid.group) for bid in played.told("bid") if bid.node == STRUCK}
     assert len(asked & set(without)) > 0.5 * len(without)
     assert any(STRUCK in grant.winners for grant in grants if grant.cycle > without[-1][0])
     assert played.figures.late_bids == sum(map(len, unheard.values()))
     said = played.told("timing")
     delays_s = [one.delay_s for one in said if one.node != STRUCK]
-    # Held up they would be in one step of seven.
+    # Held up they would be in one step of five.
     assert np.quantile(delays_s, 0.9) < HANG_S / 2
     assert not played.step_of(Gone)
     assert not np.isnan(np.delete(played.trace.mean, STRUCK, axis=1)).any()
@@ -207,10 +214,13 @@ def test_a_script_starts_a_process_at_its_step_and_time_does_not_wait_for_it(tmp
     assert set(np.flatnonzero(out[:, STRUCK])) == set(range(8, joined))
     others = [one for one in played.told("timing") if one.node != STRUCK]
     assert [one.step for one in others if one.node == 0] == list(range(50))
-    # A wait would hold up both neighbours of the node, or all nodes; a busy machine holds up one.
+    # A wait would hold up both neighbours of the node, or all nodes, from the restart on. A busy
+    # machine holds up single nodes, or all of them at any time.
     near = set(setup.neighbours[STRUCK])
+    common_s = np.zeros(50)
     for nodes in (near, set(range(5)) - near - {STRUCK}):
         for step in range(50):
-            assert (
-                min(one.delay_s for one in others if one.step == step and one.node in nodes) < 0.3
-            )
+            told = [one.delay_s for one in others if one.step == step and one.node in nodes]
+            common_s[step] = max(common_s[step], min(told))
+    usual_s = np.delete(common_s, np.s_[15 : joined + 1]).max()
+    assert common_s[15 : joined + 1].max() < max(0.5, 2 * usual_s)

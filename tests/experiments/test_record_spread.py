@@ -3,20 +3,21 @@
 import numpy as np
 import pytest
 
-from experiments.drivers import drive
-from experiments.options import ScenarioOptions
-from experiments.record_spread import NEVER, RecordSpread, figures_of
-from experiments.summary import lines, summarise
-from experiments.trace import read_trace
-from nodes import in_process
-from nodes.recording import MemoryRecorder
-from scenarios.build import build_node, build_world
-from scenarios.setup import Setup, prepare
+from experiments.results.record_spread import NEVER, RecordSpread, figures_of
+from experiments.results.summary import lines, summarise
+from experiments.results.trace import read_trace
+from experiments.scenario_options import scenario_of
+from runtime import in_process
+from runtime.drivers import drive
+from runtime.recording import MemoryRecorder
+from scenarios.build import build_environment, build_node
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 
 
 def setup_of(**options) -> Setup:
     chosen = {"scenario": "oscillator", "nodes": 6, "steps": 20, **options}
-    return prepare(ScenarioOptions(**chosen).resolve())
+    return prepare(scenario_of(**chosen))
 
 
 @pytest.mark.parametrize("lossy", [{}, {"loss": 0.4}, {"loss": 0.2, "cluster": "audi"}])
@@ -24,7 +25,7 @@ def test_arrivals_are_what_the_nodes_hold(lossy: dict):
     setup = setup_of(rule="labelled", occupancy=0.4, window_steps=6, **lossy)
     recorder = MemoryRecorder()
     nodes = [build_node(setup, node) for node in range(6)]
-    states = in_process.run(build_world(setup), nodes, recorder)
+    states = in_process.run(build_environment(setup), nodes, recorder)
     spread = read_trace(setup, recorder.messages).spread
     assert spread is not None
     last = setup.scenario.steps - 1

@@ -1,4 +1,4 @@
-"""What a run leaves: run.json says it all again, run.nc holds what the recording holds."""
+"""Test the files of a run: run.json repeats its figures, run.nc holds the recording's content."""
 
 import json
 from pathlib import Path
@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import xarray
 
-from experiments.drivers import in_memory
-from experiments.results import (
+from experiments.results.folder import (
     ARRAYS,
     DESCRIPTION,
     describe,
@@ -18,8 +17,9 @@ from experiments.results import (
     write_arrays,
     write_description,
 )
-from experiments.trace import read_trace
+from experiments.results.trace import read_trace
 from filters.metrics import nees
+from runtime.drivers import in_memory
 from scenarios.scenario import Scenario
 from tests.experiments.support import small
 

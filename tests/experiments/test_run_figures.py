@@ -3,22 +3,22 @@
 import numpy as np
 import pytest
 
-from experiments.convergence import settling_interval, settling_steps
-from experiments.drivers import in_memory
-from experiments.energy import energy_per_bit_nj
-from experiments.options import scenario_of
-from experiments.pareto import front
-from experiments.run_figures import FIGURES, figures_of
-from experiments.run_frame import frame_of
-from experiments.summary import summarise
-from experiments.trace import read_trace
-from experiments.vectorised import simulate
-from scenarios.setup import prepare, setup_of_run
+from experiments.monte_carlo.convergence import settling_interval, settling_steps
+from experiments.monte_carlo.energy import energy_per_bit_nj
+from experiments.monte_carlo.pareto import front
+from experiments.monte_carlo.run_figures import FIGURES, figures_of
+from experiments.monte_carlo.run_frame import frame_of
+from experiments.monte_carlo.simulate import simulate
+from experiments.results.summary import summarise
+from experiments.results.trace import read_trace
+from experiments.scenario_options import scenario_of
+from runtime.drivers import in_memory
+from scenarios.preparation import prepare, setup_of_run
 
 CHANGES = ("3 kill 1", "10 loss 0.3", "12 restart 1", "14 kill 2")
 CASES = [
     ("target-tracking", {"nodes": 8, "steps": 25, "occupancy": 0.5}),
-    ("target-tracking", {"nodes": 8, "steps": 25, "cluster": "none", "graph": "ring"}),
+    ("target-tracking", {"nodes": 8, "steps": 25, "bus": "ideal", "graph": "ring"}),
     ("oscillator", {"nodes": 4, "steps": 24, "rule": "hcmci"}),
     ("dc-motor-speed", {"nodes": 4, "steps": 62}),
     ("oscillator", {"nodes": 5, "steps": 30, "changes": CHANGES}),
@@ -28,7 +28,7 @@ CASES = [
 
 @pytest.mark.parametrize(("name", "fields"), CASES)
 def test_each_run_has_the_figures_of_a_single_run(name: str, fields: dict):
-    setup = prepare(scenario_of(name, fields))
+    setup = prepare(scenario_of(name, **fields))
     runs = range(3, 5)
     histories = simulate(setup, runs)
     many = figures_of(setup, histories, frame_of(setup, runs, histories))
@@ -60,7 +60,7 @@ def test_each_run_has_the_figures_of_a_single_run(name: str, fields: dict):
 def test_who_publishes_is_counted_in_the_cycles_that_there_were():
     """Four nodes that always do, one for half of the time; in steps of three rounds and of one."""
     changes = ("5 kill 0", "5 set rounds=1")
-    setup = prepare(scenario_of("oscillator", {"nodes": 5, "steps": 10, "changes": changes}))
+    setup = prepare(scenario_of("oscillator", nodes=5, steps=10, changes=changes))
     histories = simulate(setup, range(2))
     figures = figures_of(setup, histories, frame_of(setup, range(2), histories))
     assert figures["published"].tolist() == pytest.approx([(5 * 15 + 4 * 5) / (5 * 20)] * 2)
@@ -68,7 +68,7 @@ def test_who_publishes_is_counted_in_the_cycles_that_there_were():
 
 
 def test_shapes_are_those_that_are_promised():
-    setup = prepare(scenario_of("oscillator", {"nodes": 3, "steps": 22}))
+    setup = prepare(scenario_of("oscillator", nodes=3, steps=22))
     histories = simulate(setup, range(2))
     sizes = {"run": 2, "step": 22, "node": 3, "state": 2}
     for name, values in figures_of(setup, histories, frame_of(setup, range(2), histories)).items():
@@ -76,16 +76,16 @@ def test_shapes_are_those_that_are_promised():
 
 
 def test_the_frame_is_computed_once_for_equal_noise_and_anew_for_other():
-    first = prepare(scenario_of("oscillator", {"nodes": 3, "steps": 5}))
-    other = prepare(scenario_of("oscillator", {"nodes": 3, "steps": 5, "rule": "wac"}))
-    seeded = prepare(scenario_of("oscillator", {"nodes": 3, "steps": 5, "seed": 9}))
+    first = prepare(scenario_of("oscillator", nodes=3, steps=5))
+    other = prepare(scenario_of("oscillator", nodes=3, steps=5, rule="wac"))
+    seeded = prepare(scenario_of("oscillator", nodes=3, steps=5, seed=9))
     one, two, three = (frame_of(s, range(1), simulate(s, range(1))) for s in (first, other, seeded))
     assert one is two
     assert one is not three
 
 
 def test_a_blind_node_is_worse_than_one_that_reads():
-    setup = prepare(scenario_of("oscillator", {"nodes": 8, "steps": 40, "rule": "local"}))
+    setup = prepare(scenario_of("oscillator", nodes=8, steps=40, rule="local"))
     histories = simulate(setup, range(2))
     figures = figures_of(setup, histories, frame_of(setup, range(2), histories))
     assert (figures["rmse_blind"] > 1.5 * figures["rmse"]).all()
@@ -94,7 +94,7 @@ def test_a_blind_node_is_worse_than_one_that_reads():
 def test_bytes_count_what_frames_add():
     # So wide a share that it takes two frames.
     fields = {"nodes": 4, "steps": 3, "rule": "hcmci", "graph": "ring"}
-    setup = prepare(scenario_of("target-tracking", fields))
+    setup = prepare(scenario_of("target-tracking", **fields))
     frames = [data for topic, data in in_memory(setup) if topic.startswith("share/")]
     assert len(frames) == 3 * 3 * 4 * 2
     histories = simulate(setup, range(1))

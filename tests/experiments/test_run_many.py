@@ -1,4 +1,4 @@
-"""`concord run --driver vectorised`: the figures of the runs one by one, with intervals."""
+"""`concord run --driver batched`: the figures of the runs one by one, with intervals."""
 
 import json
 from pathlib import Path
@@ -9,15 +9,16 @@ import xarray
 from scipy.stats import t
 
 from experiments.__main__ import main
-from experiments.drivers import in_memory
-from experiments.many_figures import Cost, lines, summarise
-from experiments.summary import Figures
-from experiments.summary import summarise as summarise_one
-from experiments.trace import read_trace
-from experiments.vectorised import Histories, simulate
+from experiments.monte_carlo.many_figures import Cost, lines, summarise
+from experiments.monte_carlo.simulate import Histories, simulate
+from experiments.results.summary import Figures
+from experiments.results.summary import summarise as summarise_one
+from experiments.results.trace import read_trace
+from runtime.drivers import in_memory
 from scenarios.baselines import READINGS_AT_ONCE, centralised_of_runs
 from scenarios.catalogue import kind_of
-from scenarios.setup import Setup, setup_of_run
+from scenarios.preparation import setup_of_run
+from scenarios.setup import Setup
 from tests.experiments.support import small
 
 RUNS = range(2, 5)
@@ -61,7 +62,7 @@ def test_figures_are_means_of_those_of_the_runs(name: str):
     buses = [one.bus for one in expected if one.bus is not None]
     assert len(buses) == len(expected)
     assert found.bus_load.value == pytest.approx(np.mean([bus.load_mean for bus in buses]))
-    # What pads a static slot is on the wire as well.
+    # The padding of a static slot is on the wire as well.
     wire_bytes = np.mean([bus.wire_bytes_per_step for bus in buses])
     assert 0.5 * wire_bytes < found.bytes_per_step.value <= wire_bytes * (1 + 1e-12)
     assert f"bus load {100 * found.bus_load.value:.3g} %" in "".join(lines(found))
@@ -69,7 +70,7 @@ def test_figures_are_means_of_those_of_the_runs(name: str):
 
 def test_a_large_network_has_a_centralised_filter_too():
     """That takes readings batch by batch: of a linear plant the same as the filter of all."""
-    setup = small(nodes=READINGS_AT_ONCE + 7, steps=3, graph="ring", cluster="none")
+    setup = small(nodes=READINGS_AT_ONCE + 7, steps=3, graph="ring", bus="ideal")
     histories = simulate(setup, [0])
     figures = summarise(histories, Cost(1.0, 1.0))
     assert 0 < figures.rmse_centralised.value < figures.rmse.value
@@ -99,7 +100,7 @@ def run(*options: str) -> int:
 def test_the_command_writes_arrays_by_run_and_prints_intervals(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    options = ("--driver", "vectorised", "--runs", "3", "--run", "2", "--covariances", "--json")
+    options = ("--driver", "batched", "--runs", "3", "--run", "2", "--covariances", "--json")
     assert run(*options, "--out", str(tmp_path / "many")) == 0
     said = json.loads(capsys.readouterr().out)
     assert said["runs"] == 3 and said["first_run"] == 2
@@ -110,7 +111,7 @@ def test_the_command_writes_arrays_by_run_and_prints_intervals(
         assert dict(dataset["mean"].sizes) == {"run": 3, "step": 9, "node": 4, "state": 2}
         assert dataset["run"].values.tolist() == [2, 3, 4]
         assert dataset["cov"].dims == ("run", "step", "node", "state", "other_state")
-        assert dataset.attrs["driver"] == "vectorised"
+        assert dataset.attrs["driver"] == "batched"
         ages = dataset["ages"].values
     setup = small(steps=9, run=2)
     kept: Histories = simulate(setup, range(2, 5))
@@ -121,9 +122,9 @@ def test_the_command_writes_arrays_by_run_and_prints_intervals(
     ("options", "says"),
     [
         (["--runs", "3"], "--runs 3 with --driver in-process"),
-        (["--runs", "0", "--driver", "vectorised"], "--runs 0: must be at least 1"),
+        (["--runs", "0", "--driver", "batched"], "--runs 0: must be at least 1"),
         (["--covariances"], "--covariances with --driver in-process"),
-        (["--port", "7000", "--driver", "vectorised"], "--port 7000 with --driver vectorised"),
+        (["--port", "7000", "--driver", "batched"], "--port 7000 with --driver batched"),
     ],
 )
 def test_options_of_another_driver_are_refused(
@@ -141,7 +142,7 @@ def test_an_interrupted_monte_carlo_leaves_nothing(
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("experiments.run_many.simulate", interrupted)
-    assert run("--driver", "vectorised", "--out", str(tmp_path / "many")) == 130
+    monkeypatch.setattr("experiments.monte_carlo.run_many.simulate", interrupted)
+    assert run("--driver", "batched", "--out", str(tmp_path / "many")) == 130
     assert "is removed" in capsys.readouterr().err
     assert not (tmp_path / "many").exists()

@@ -11,11 +11,11 @@ import xarray
 from rich.console import Console
 
 from experiments.__main__ import main
-from experiments.drivers import in_memory
-from experiments.summary import Figures, lines, summarise, table
-from experiments.trace import read_trace
-from nodes.recording import read_recording
-from scenarios.setup import prepare
+from experiments.results.summary import Figures, lines, summarise, table
+from experiments.results.trace import read_trace
+from runtime.drivers import in_memory
+from runtime.recording import read_recording
+from scenarios.preparation import prepare
 from tests.experiments.support import scenario, small
 
 SETUP = small(steps=30, nodes=4)
@@ -179,7 +179,7 @@ def test_what_is_said_follows_from_what_is_recorded(run_json):
 
 
 def test_what_is_not_known_is_null_in_json(run_json, mrclam_folder: Path):
-    """Nobody has seen the target in the first steps, and JSON has no NaN."""
+    """No node has seen the target in the first steps, and JSON has no NaN."""
     out, _, _ = run_json(f"--scenario mrclam --data {mrclam_folder} --target 4 --steps 3")
     json.loads(out, parse_constant=lambda name: pytest.fail(f"{name} in JSON"))
 

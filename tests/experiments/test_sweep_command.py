@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 
 from experiments.__main__ import main
-from experiments.sweep_results import read_result
-from experiments.sweep_run import begin, finish
-from experiments.sweep_specification import Specification, specify
-from experiments.sweep_store import folder_of
-from experiments.sweep_summary import figures_of
-from experiments.workers import engine_for, in_this_process
+from experiments.sweep.engines import engine_for
+from experiments.sweep.results import read_result
+from experiments.sweep.run import begin, finish
+from experiments.sweep.specification import Specification, specify
+from experiments.sweep.store import folder_of
+from experiments.sweep.summary import figures_of
+from experiments.sweep.workers import in_this_process
 from tests.pages import ROOT
 
 ASKED = {"scenario": "oscillator", "nodes": "3", "steps": "24", "graph": "ring,path",
@@ -67,7 +68,7 @@ def test_noise_is_common_to_all_cells(result: Path):
 
 
 class Stopped(Exception):
-    """What ends a sweep in these tests."""
+    """Exception that ends a sweep in these tests."""
 
 
 def stopping(after: int):

@@ -1,14 +1,17 @@
-"""What a sweep is: from comma lists to cells, and what is refused."""
+"""Test the specification of a sweep: from comma lists to cells, and the refusals."""
 
 import numpy as np
 import pytest
+import tyro
 from hypothesis import given
 from hypothesis import strategies as st
 
-from experiments.sweep_cells import checked_cells, difference
-from experiments.sweep_options import FieldOptions, asked_fields
-from experiments.sweep_specification import FIELDS, Range, cells_of, specify
-from scenarios.scenario import Scenario
+from experiments.cli.scenario_flags import said_in
+from experiments.sweep.cells import checked_cells, difference
+from experiments.sweep.options import FieldOptions
+from experiments.sweep.specification import FIELDS, Range, cells_of, specify
+from scenarios.catalogue import kinds
+from scenarios.types.assignment import flat
 
 
 def test_every_combination_in_order_the_last_field_fastest():
@@ -24,7 +27,7 @@ def test_every_combination_in_order_the_last_field_fastest():
 
 def test_a_part_of_the_bus_asks_for_a_schedule_as_in_a_run():
     schedules = {
-        cell.values["occupancy"]: cell.scenario.schedule
+        cell.values["occupancy"]: cell.scenario.bus.schedule.name
         for cell in cells_of(specify({"occupancy": "1,.5"}))
     }
     assert schedules == {1.0: "full", 0.5: "hybrid"}
@@ -37,9 +40,10 @@ def test_what_becomes_of_the_network_is_swept_with_semicolons_between_changes():
 
 
 def test_every_field_of_a_scenario_can_be_swept():
-    assert set(FIELDS) == {*Scenario.__struct_fields__, "scenario"} - {"name", "run"}
-    options = FieldOptions(rounds="1,2", relay="true,false", window_steps="none,3")  # type: ignore[call-arg]
-    specification = specify(asked_fields(options))
+    for kind in kinds().values():
+        assert {*flat(kind.defaults)} - {"run"} <= {*FIELDS}
+    words = "--rounds 1,2 --relay true,false --window-steps none,3"
+    specification = specify(said_in(tyro.cli(FieldOptions, args=words.split())))
     assert specification.levels == {
         "rounds": [1, 2], "relay": [True, False], "window_steps": [None, 3],
     }  # fmt: skip
@@ -95,7 +99,7 @@ BAD_CELLS = [
     ({"rule": "ci,centralised", "graph": "ring"}, "cell rule=centralised .*must hear all"),
     ({"scenario": "target-tracking,target-traking"}, "did you mean 'target-tracking'"),
     ({"rule": "ci,icf", "weights": "metropolis,equal-neighbour"}, "weights=equal-neighbour"),
-    ({"occupancy": ".5,1", "schedule": "full"}, "cell occupancy=0.5 .1 of 2."),
+    ({"occupancy": ".5,1", "schedule": "full"}, "--occupancy 0.5: belongs to --schedule"),
     ({"nodes": "20,60", "number": "float64", "cluster": "bosch"}, "cell nodes=60|cell nodes=20"),
     (
         {"changes": "none,3 kill 1;"},

@@ -12,14 +12,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.running import Running
-from experiments.timing_figures import figures_of
-from nodes.clock import WorldClock
+from bus.flexray.share_frames import cycle_of
+from experiments.results.timing_figures import figures_of
 from nodes.messages import Estimate, Timing, decode, encode, topic
-from nodes.share import cycle_of
 from nodes.tempo import Tempo
+from runtime.processes.clock import EnvironmentClock
 from scenarios.setup import Setup
 from scenarios.tempo import tempo_of
+from tests.endurance.running import Running
 from tests.experiments.support import small, trace_of
 from tests.processes import PATIENCE_S, PROC, holds_within
 
@@ -53,7 +53,7 @@ class Onlooker:
         self.estimates_s: dict[tuple[int, int], float] = {}
         answer = network.client._transport.ask("clock")
         assert answer is not None
-        start_s = msgspec.json.decode(answer, type=WorldClock).start_s
+        start_s = msgspec.json.decode(answer, type=EnvironmentClock).start_s
         assert start_s is not None
         self._start_s = start_s
         network.client.listen("share/*", self._hear_share)
@@ -100,7 +100,7 @@ def test_what_nodes_say_of_their_time_is_what_an_onlooker_sees(tmp_path: Path):
     ends = trace_of(setup, tmp_path / "run.mcap").counters
     figures = figures_of(tempo, messages, ends)
 
-    # What is heard is heard after it was said, and mostly within a few milliseconds.
+    # Each estimate is heard after it was sent, mostly within a few milliseconds.
     behind_s = [
         heard_s - step * tempo.step_s - said[node, step].delay_s
         for (node, step), heard_s in onlooker.estimates_s.items()
@@ -118,8 +118,8 @@ def test_what_nodes_say_of_their_time_is_what_an_onlooker_sees(tmp_path: Path):
     ]
     assert np.median(np.abs(apart_s)) < tempo.cycle_s / 2
 
-    # A frame that is heard when its cycle is over was missed by whoever it was for, unless that
-    # one was late itself; half a cycle is left for the ways to here and there.
+    # A receiver misses a frame that arrives after its cycle, unless the receiver is late itself.
+    # The margin of half a cycle allows for the delays of both links.
     margin_s, cycles = tempo.cycle_s / 2, (LAST + 1) * rounds
     estimates = [decode(t, data) for t, data in messages if t.startswith("estimate/")]
     counted = {one.node: one.counters for one in estimates if one.step == LAST}

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from experiments.__main__ import main
-from experiments.topology_convergence import convergence
-from experiments.topology_report import losses_of, suspects
-from experiments.topology_subject import SubjectOptions, subject_of
+from experiments.topology.convergence import convergence
+from experiments.topology.report import losses_of, suspects
+from experiments.topology.subject import SubjectOptions, subject_of
 from scenarios.observability import observability, rank
 from tests.experiments.support import small
 from topology.analysis import analyse

@@ -6,19 +6,19 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from bus.publication import Slot
-from experiments.command_line import main
-from experiments.torture import torture
-from experiments.torture_case import Case
-from experiments.torture_draw import draw_case
-from experiments.torture_promises import brings_back, liars_of
-from experiments.torture_script import WORDS, calm_from, is_harmless
-from experiments.torture_shrink import replay_command, run_command, shrink
-from experiments.torture_wire import LOSING, WIRE_FAULTS, Wire
-from nodes.fault_words import EVERY_FAULT
-from nodes.share import to_frames
+from bus.flexray.publication import Slot
+from bus.flexray.share_frames import SHARE_FRAMES, to_frames
+from experiments.cli.command_line import main
+from experiments.simulation_testing.case import Case
+from experiments.simulation_testing.case_run import torture
+from experiments.simulation_testing.draw import draw_case
+from experiments.simulation_testing.promises import brings_back, liars_of
+from experiments.simulation_testing.script import WORDS, calm_from, is_harmless
+from experiments.simulation_testing.shrink import replay_command, run_command, shrink
+from experiments.simulation_testing.wire import LOSING, WIRE_FAULTS, Wire
+from nodes.faults.vocabulary import EVERY_FAULT
+from scenarios.preparation import prepare
 from scenarios.script import script_of
-from scenarios.setup import prepare
 from tests.experiments.torture_bugs import BUGS, MOST_SEEDS, Bug, first_found, planted
 
 # Those that are found within one small case, and so in a fast test.
@@ -56,11 +56,11 @@ def test_the_whole_vocabulary_is_drawn():
     words = {line.split()[1] for case in cases for line in case.scenario.changes}
     assert words == {*WORDS, "calm"} and {*EVERY_FAULT} < words
     assert {word.split()[0] for case in cases for word in case.wire} == {*WIRE_FAULTS}
-    # The promises that hang on who lies, and on nothing that matters, are asked of some.
+    # Some cases are harmless and some have liars, so the promises on both are tested.
     harmless = [case for case in cases if is_harmless(script_of(case.scenario))]
     liars = [case for case in cases if liars_of(case.scenario)]
     assert len(harmless) > 5 and len(liars) > 5
-    assert {case.scenario.rule for case in liars} > {"trimmed-ci"}
+    assert {case.scenario.rule.name for case in liars} > {"trimmed-ci"}
 
 
 @pytest.mark.parametrize(
@@ -97,14 +97,14 @@ def test_calm_begins_when_nothing_is_wrong_any_more(lines: tuple[str, ...], calm
 )
 def test_what_can_do_no_harm_is_known_from_its_words(lines: tuple[str, ...], harmless: bool):
     fixed = {"changes": lines, "nodes": 4, "graph": "ring", "cluster": "fitted-ab"}
-    case = draw_case(1, {**fixed, "rule": "ci", "name": "oscillator", "control": "open"})
+    case = draw_case(1, {**fixed, "rule": "ci", "scenario": "oscillator", "control": "open"})
     assert is_harmless(script_of(case.scenario)) == harmless
 
 
 def test_who_lies_is_forgiven_where_the_rule_expects_so_many_liars():
     def back(rule: str, *lines: str, graph: str = "complete") -> bool:
         fixed = {"nodes": 6, "graph": graph, "rule": rule, "liars": 1, "hold": "decayed"}
-        fixed |= {"name": "oscillator", "control": "open", "links": "static", "changes": lines}
+        fixed |= {"scenario": "oscillator", "control": "open", "links": "static", "changes": lines}
         return brings_back(prepare(draw_case(1, fixed).scenario))
 
     assert back("ci") and back("trimmed-ci") and not back("trimmed-ci", graph="ring")
@@ -136,13 +136,13 @@ def test_a_planted_bug_is_found(name: str):
 
 
 def test_the_books_know_when_it_is_known_whose_slot_a_frame_is_in():
-    """A frame of a later step, of somebody in whose slot it is not, comes while one is open."""
+    """A frame of a later step arrives during an open step, in a slot that is not its sender's."""
     assert torture(draw_case(228, {})).broken is None
 
 
 @pytest.mark.parametrize("bug", BUGS, ids=lambda bug: bug.name)
 def test_every_bug_can_be_planted(bug: Bug):
-    """What it changes stands where it says, so that whoever rewrites a function sees it."""
+    """The text that a bug replaces is in its function, so a rewrite of the function fails here."""
     with planted(bug):
         pass
 
@@ -190,7 +190,7 @@ def test_shrinking_keeps_what_matters():
     small = shrink(case, breaks)
     assert small.scenario.changes == ("2 kill 1",)
     assert small.wire == ("garbage 0.5",)
-    assert (small.scenario.steps, small.scenario.nodes, small.scenario.rule) == (3, 2, "ci")
+    assert (small.scenario.steps, small.scenario.nodes, small.scenario.rule.name) == (3, 2, "ci")
     assert small.scenario.rounds > 1
     words = shlex.split(replay_command(small))
     assert "2 kill 1" in words and "garbage 0.5" in words
@@ -200,16 +200,16 @@ def test_shrinking_keeps_what_matters():
 @pytest.mark.parametrize("kind", WIRE_FAULTS)
 def test_the_wire_strikes_as_often_as_it_should_until_calm(kind: str):
     if kind == "shuffle":  # happens to messages that wait, and not on a link
-        wire = Wire(3, {kind: 0.3}, calm=lambda _: False)
+        wire = Wire(3, {kind: 0.3}, calm=lambda _: False, frame_format=SHARE_FRAMES)
         picked = [wire.pick(10) for _ in range(500)]
         assert min(picked) == 0 and max(picked) == 9
         assert 80 < wire.injected[kind] < 180
         return
-    wire = Wire(3, {kind: 0.3}, calm=lambda cycle: cycle >= 400)
+    wire = Wire(3, {kind: 0.3}, calm=lambda cycle: cycle >= 400, frame_format=SHARE_FRAMES)
     frames = [to_frames(b"0123456789", cycle, [Slot(1, 18)])[0] for cycle in range(500)]
     arrived = []
     for frame in frames:
-        wire.carry(1, 2, frame)  # what another receiver gets is no matter
+        wire.carry(1, 2, frame)  # the frames of another receiver do not count
         arrived.append(list(wire.carry(0, 2, frame)))
     pairs = list(zip(arrived, frames, strict=True))
     assert all(got == [frame] for got, frame in pairs[400:])

@@ -1,8 +1,8 @@
-"""Bugs that are planted in the real functions, to see whether torture finds them.
+"""Plant bugs in the real functions, to see whether simulation testing finds them.
 
-A bug is a change of the source text of one function, which is compiled anew and put wherever the
-function is known. `python -m tests.experiments.torture_bugs` tries all of them and says which seed
-finds which.
+A bug is a change of the source text of one function. The changed function is compiled and replaces
+the original in each module that refers to it. `python -m tests.experiments.torture_bugs` tries all
+bugs and prints the seed that finds each.
 """
 
 import importlib
@@ -13,15 +13,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
-from experiments.torture import Outcome, torture
-from experiments.torture_draw import draw_case
-from filters import compiled
+from experiments.simulation_testing.case_run import Outcome, torture
+from experiments.simulation_testing.draw import draw_case
+from filters.kernels import compiled
 
 MOST_SEEDS = 60
 
 
 class Bug(NamedTuple):
-    """What is planted: `texts` are what stands in a function, and what shall stand there."""
+    """Bug to plant: `texts` are pairs of a text in a function and its replacement."""
 
     name: str
     module: str
@@ -32,109 +32,111 @@ class Bug(NamedTuple):
 BUGS = (
     Bug(
         "a share is used in every part of its cycle",
-        "nodes.state_machine", "_close_group",
+        "nodes.node", "_close_group",
         (("usable = due if state.phase is Phase.SHARES else config.neighbours",
           "usable = config.neighbours"),),
     ),
     Bug(
         "a share of the next cycle is used before its time",
-        "nodes.state_machine", "_close_group",
+        "nodes.node", "_close_group",
         (("came.get((cycle, j)) if j in usable",
           "came.get((cycle, j), came.get((cycle + 1, j))) if j in usable"),),
     ),
     Bug(
         "a stale share is taken as fresh",
-        "nodes.hearing", "_read",
+        "nodes.inbox", "_read",
         (("    if fragment.cycle < cycle:\n        raise Rejected(_LATE)\n    return fragment",
           "    return replace(fragment, cycle=max(fragment.cycle, cycle))"),),
     ),
     Bug(
         "late frames are one cycle less late",
-        "nodes.hearing", "_read",
+        "nodes.inbox", "_read",
         (("if fragment.cycle < cycle:", "if fragment.cycle < cycle - 1:"),),
     ),
     Bug(
         "a late frame is not counted",
-        "nodes.hearing", "hear",
+        "nodes.inbox", "hear",
         (("return count(state, _counter(rejected))",
           "return state if rejected.reason == _LATE else count(state, _counter(rejected))"),),
     ),
     Bug(
         "the cycle counter is not checked",
-        "nodes.hearing", "_read",
-        (("if fragment.cycle % config.cycle_counts != fragment.cycle_count:", "if False:"),),
+        "bus.flexray.share_frames", "read_frame",
+        (("if cycle_counts is not None and", "if False and"),),
     ),
     Bug(
         "the owner of a slot is not checked",
-        "nodes.hearing", "_place",
-        (('raise Rejected("wrong-slot")', "return _Place(0, frames)"),),
+        "bus.flexray.slotted_bus", "SlottedBus.place",
+        (('raise Rejected("wrong-slot")', "return SharePlace(0, frames)"),),
     ),
     Bug(
         "the frame's checksum is not checked",
-        "bus.frame", "decode", (("if not frame_crc_ok:", "if False:"),),
+        "bus.flexray.frame", "decode", (("if not frame_crc_ok:", "if False:"),),
     ),
     Bug(
         "the checksum of a frame that is due is not checked",
-        "nodes.share", "whole_body", (("and is_intact(frame)", ""),),
+        "bus.flexray.share_frames", "whole_body", (("and is_intact(frame)", ""),),
     ),
     Bug(
         "a frame that is due is that of any cycle",
-        "nodes.share", "whole_body",
+        "bus.flexray.share_frames", "whole_body",
         (("frame.startswith(start)", "frame.startswith(shape.header[:2])"),),
     ),
     Bug(
         "a null frame is read",
-        "nodes.share", "read_frame", (("if frame.null:", "if False:"),),
+        "bus.flexray.share_frames", "read_frame", (("if frame.null:", "if False:"),),
     ),
     Bug(
         "a cut holds in one direction only",
-        "nodes.link_state", "hears",
+        "nodes.faults.losses", "hears",
         (("if (sender, receiver) in links.cuts:",
           "if (sender, receiver) in links.cuts and sender < receiver:"),),
     ),
     Bug(
         "who is out is still waited for",
-        "nodes.state_machine", "_due", (("if not state.absent:", "if True:"),),
+        "nodes.node", "_due", (("if not state.absent:", "if True:"),),
     ),
     Bug(
         "who lost the contest sends all the same",
-        "nodes.state_machine", "advance", (("if config.index in winners:", "if True:"),),
+        "nodes.node", "_take_grant", (("if config.index in winners", "if True"),),
     ),
     Bug(
         "all nodes share the slots of node 0",
-        "bus.publication", "Publications.slots",
+        "bus.flexray.publication", "Publications.slots",
         (("key = (node, cycle", "key = (0 * node, cycle"),),
     ),
     Bug(
         "nobody grants what no bid asks for",
-        "nodes.world", "_release", (("return _grant(config, state, outbox)", "return state"),),
+        "nodes.environment", "_release",
+        (("return _grant(config, state, outbox)", "return state"),),
     ),
     Bug(
         "who comes back in vain is not asked again",
-        "nodes.conductor", "Conductor._limit",
+        "nodes.run_controller", "RunController._limit",
         (("if any(self._has_company(node) for node in self._ready):", "if False:"),),
     ),
     Bug(
         "weights are not renormalised when one is missing",
-        "filters.hold", "_normalise",
+        "filters.fusion.hold", "_normalise",
         (("return worth / worth.sum(axis=-1, keepdims=True)", "return worth"),),
     ),
     Bug(
         "a held share never ages",
-        "nodes.belief_consensus", "_aged", (("else age if age < 0 else age + 1", "else age"),),
+        "nodes.rules.lane_rule",
+        "older", (("ages + 1", "ages"),),
     ),
     Bug(
         "a share of an earlier cycle is not dropped",
-        "filters.hold", "drop", (("present = ages == 0", "present = ages >= 0"),),
+        "filters.fusion.hold", "drop", (("present = ages == 0", "present = ages >= 0"),),
     ),
     Bug(
         "a covariance is not quite symmetric",
-        "filters.fusion", "Averaging.fuse",
+        "filters.fusion.averaging", "Averaging.fuse",
         (("symmetrise(cov)", "cov * (1 + 1e-15 * np.tri(len(cov)))"),),
     ),
     Bug(
         "averaged information weighs twice",
-        "filters.fusion", "Averaging.average",
+        "filters.fusion.averaging", "Averaging.average",
         (("multiply(numbers.mT, weights)", "multiply(numbers.mT, 2 * weights)"),),
     ),
     Bug(
@@ -144,35 +146,35 @@ BUGS = (
     ),
     Bug(
         "hcmci takes the gain of hcmci-classical",
-        "filters.hybrid_consensus", "conclude",
+        "filters.fusion.hybrid_consensus", "conclude",
         (("gain(row)", "classical_gain(row)"),),
     ),
     Bug(
         "set membership forgets the noise of the plant",
-        "nodes.set_membership", "carry",
+        "nodes.rules.set_membership", "carry",
         (("*model.motion(step))", "model.motion(step)[0], 0 * model.motion(step)[1])"),),
     ),
     Bug(
         "a guardian blocks nobody",
-        "nodes.link_faults", "_collides", (('if faults.at("guardian", way.step):', "if False:"),),
+        "nodes.faults.links", "_collides", (('if faults.at("guardian", way.step):', "if False:"),),
     ),
     Bug(
         "a channel that loses some frames loses all",
-        "nodes.link_faults", "_carried",
+        "nodes.faults.links", "_carried",
         (("if fails is None or draw >= fails[0]:", "if fails is None:"),),
     ),
     Bug(
         "a clock has run away since the run began",
-        "nodes.link_faults", "_clock_us",
+        "nodes.faults.links", "_clock_us",
         (('- faults.first_cycle("drift", node)', ""),),
     ),
     Bug(
         "what a slow node says comes at once",
-        "nodes.link_faults", "_late", (("late += int(slow[0])", "late += 0"),),
+        "nodes.faults.links", "_late", (("late += int(slow[0])", "late += 0"),),
     ),
     Bug(
         "who hangs never wakes up",
-        "nodes.faults", "Faults.at",
+        "nodes.faults.active", "Faults.at",
         (("passed = kind in PASSING and", "passed = kind in PASSING and False and"),),
     ),
     Bug(
@@ -182,25 +184,25 @@ BUGS = (
     ),
     Bug(
         "a share that was overtaken is lost",
-        "nodes.hearing", "let_in_overtaken", (("if fragments:", "if False:"),),
+        "nodes.inbox", "let_in_overtaken", (("if fragments:", "if False:"),),
     ),
     Bug(
         "a share of no numbers is read",
-        "nodes.belief_codec", "BeliefCodec.check",
+        "nodes.vector_codec", "VectorCodec.check",
         (("if not (math.isfinite", "if False and not (math.isfinite"),),
     ),
     Bug(
         "a covariance that is none is used",
-        "nodes.belief_consensus", "_unsound",
-        (("if math.isnan(sharp) and shares[j] is not None", "if False and math.isnan(sharp)"),),
+        "nodes.rules.belief_consensus", "BeliefConsensus.fuse",
+        (("and (unsound := heard & unsound)", "and (unsound := heard & False)"),),
     ),
     Bug(
         "those who agree most are taken for liars",
-        "filters.trimmed", "_far_ones", (("candidates, -distance", "candidates, distance"),),
+        "filters.fusion.trimmed", "_far_ones", (("candidates, -distance", "candidates, distance"),),
     ),
     Bug(
         "a neighbour may be as sure as it likes",
-        "filters.trimmed", "_growth", (("share < least", "share < 0 * least"),),
+        "filters.fusion.trimmed", "_growth", (("share < least", "share < 0 * least"),),
     ),
 )  # fmt: skip
 
@@ -218,25 +220,18 @@ def planted(bug: Bug) -> Iterator[None]:
         text = text.replace(stands, shall)
     made: dict[str, Any] = {}
     exec(compile(text, f"<{bug.name}>", "exec"), module.__dict__, made)
-    places = [
-        (place, known_as)
-        for place in [owner, *list(sys.modules.values())]
-        for known_as, value in list(getattr(place, "__dict__", {}).items())
-        if value is sound
-    ]
-    for place, known_as in places:
-        setattr(place, known_as, made[name])
+    # The code of the function, as tables and other modules hold the function itself.
+    code, sound.__code__ = sound.__code__, made[name].__code__
     kernels, compiled.KERNELS = compiled.KERNELS, None
     try:
         yield
     finally:
         compiled.KERNELS = kernels
-        for place, known_as in places:
-            setattr(place, known_as, sound)
+        sound.__code__ = code
 
 
 def first_found(bug: Bug, seeds: range) -> Outcome | None:
-    """What came of the first seed that finds a bug."""
+    """Return the outcome of the first seed that finds a bug."""
     with planted(bug):
         for seed in seeds:
             outcome = torture(draw_case(seed, {}))

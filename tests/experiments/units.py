@@ -10,8 +10,10 @@ CONCORD = "/opt/concord/bin/concord"
 
 
 def unit_command(unit: str, environment: Mapping[str, str], instance: str = "") -> list[str]:
-    """What a unit starts, without the name of the program: `${NAME}` is one word, `$NAME` as many
-    as it has."""
+    """Return the arguments of the command that a unit starts, without the program's name.
+
+    `${NAME}` becomes one word, and `$NAME` as many words as it has.
+    """
     lines = (UNITS / unit).read_text().splitlines()
     [line] = [line.removeprefix("ExecStart=") for line in lines if line.startswith("ExecStart=")]
     program, *said = shlex.split(line.replace("%i", instance))

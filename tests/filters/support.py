@@ -3,7 +3,7 @@
 import numpy as np
 
 from filters.gaussian import Gaussian
-from filters.sigma_points import SigmaPointRule, cubature, gauss_hermite, scaled_unscented
+from filters.sigma_points import SigmaPointRule, cubature, scaled_unscented
 
 BATCHES = [(), (1,), (3, 1, 2)]
 SENSOR_POSITION_M = np.array([-150.0, 80.0])
@@ -15,8 +15,6 @@ def rules(n: int) -> dict[str, SigmaPointRule]:
         "unscented": scaled_unscented(n),
         "narrow": scaled_unscented(n, alpha=0.5),
         "cubature": cubature(n),
-        "hermite": gauss_hermite(n, 3),
-        "hermite even": gauss_hermite(n, 4),
     }
 
 

@@ -1,8 +1,8 @@
 """The compiled kernels, built for this machine, pass the tests that numpy passes.
 
-The suite itself takes what is installed, which on a new machine is numpy alone. Here the kernels
-are built into a folder that ends with the tests, and the tests that compare them with numpy, path
-by path, and the drivers with each other, run again with the kernels demanded.
+The suite itself uses the installed kernels; a new machine has numpy alone. This test builds the
+kernels into a temporary folder. With these kernels required, it runs two groups of tests again:
+those that compare the kernels with numpy, and those that compare the drivers with each other.
 """
 
 import os
@@ -16,12 +16,10 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 DEMANDED = (
-    "tests/filters/test_paths.py",
-    "tests/filters/test_ukf.py",
-    "tests/filters/test_packed.py",
+    "tests/filters/test_compiled.py",
     "tests/filters/test_fusion.py",
     "tests/test_agreement.py",
-    "tests/test_vectorised_agreement.py",
+    "tests/test_batched_agreement.py",
 )
 
 pytestmark = pytest.mark.skipif(

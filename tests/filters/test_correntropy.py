@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from filters import correntropy, ukf
+from filters import ukf
+from filters.adaptive import correntropy
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
 from tests.filters.support import (

@@ -5,11 +5,11 @@ from functools import partial
 
 import numpy as np
 
-from filters import square_root, ukf
-from filters.gaussian import Gaussian, from_square_root, to_square_root
+from filters import ukf
+from filters.gaussian import Gaussian
 from filters.sigma_points import cubature, scaled_unscented
-from plants.vehicle_model import linear_tyre, single_track
-from plants.vehicle_parameters import BMW_320I
+from plants.vehicle.model import linear_tyre, single_track
+from plants.vehicle.parameters import BMW_320I
 from tests.filters.support import (
     TURN_NOISE_COV,
     TURN_START,
@@ -124,17 +124,3 @@ def test_stone_soups_cubature_filter_agrees_on_a_turn():
         mean, cov = np.asarray(state.mean, float).ravel(), np.asarray(state.covar, float)
         # Its covariances are differences of squares of the position.
         assert_close(belief, mean, cov, 1e-7)
-
-
-def test_square_roots_of_both_rules_are_the_filters_themselves():
-    reading, control = car_track()[5], CONTROLS[5]
-    measure = partial(CAR.measure, control=control)
-    transition = partial(CAR.transition, control=control, step=0)
-    for rule in (cubature(3), scaled_unscented(3)):
-        belief = ukf.predict(CAR_START, transition, CAR.noise_cov, rule)
-        belief = ukf.update(belief, reading, measure, CAR_NOISE_COV, rule).belief
-        root = square_root.predict(
-            to_square_root(CAR_START), transition, np.sqrt(CAR.noise_cov), rule
-        )
-        root = square_root.update(root, reading, measure, np.sqrt(CAR_NOISE_COV), rule).belief
-        assert_close(belief, *from_square_root(root), tolerance=1e-9)

@@ -1,4 +1,4 @@
-"""Every filter on input that no theory covers: it stays finite, or `failures` says why it does not.
+"""Every filter on input that no theory covers: a lane stays finite, or is lost for good.
 
 Lanes that are sound must not notice: lane 0 always is.
 """
@@ -10,22 +10,16 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from filters import (
-    adaptive,
-    correntropy,
-    dual_layer,
-    fuzzy_noise,
-    sage_husa,
-    sage_husa_literal,
-    square_root,
-    ukf,
-)
-from filters.diagnosis import failures
-from filters.gaussian import Gaussian, SquareRootGaussian, from_square_root, to_square_root
+from filters import ukf
+from filters.adaptive import correntropy, sage_husa
+from filters.gaussian import Gaussian
 from filters.sigma_points import cubature, scaled_unscented
 from filters.update import Update
-from plants.vehicle_model import linear_tyre, single_track
-from plants.vehicle_parameters import BMW_320I
+from papers.adlukf import adaptive_filters as adaptive
+from papers.adlukf import dual_layer, fuzzy_noise
+from papers.adlukf import sage_husa_as_printed as sage_husa_literal
+from plants.vehicle.model import linear_tyre, single_track
+from plants.vehicle.parameters import BMW_320I
 
 Q = np.diag([1e-5, 1e-8, 1e-5])
 R = np.diag([0.1, 0.005, 0.1]) ** 2
@@ -34,7 +28,7 @@ MODEL = single_track(BMW_320I, linear_tyre, 0.01, Q)
 RULE = scaled_unscented(3, alpha=0.1, kappa=0.0)
 f = partial(MODEL.transition, control=CONTROL, step=0)
 h = partial(MODEL.measure, control=CONTROL)
-Step = Callable[[Gaussian, Any, np.ndarray, np.ndarray], tuple[Update[Gaussian], Any]]
+Step = Callable[[Gaussian, Any, np.ndarray, np.ndarray], tuple[Update, Any]]
 
 
 class Filter(NamedTuple):
@@ -48,17 +42,6 @@ def fixed(rule):
     def step(belief, noise, z, process):
         prior = ukf.predict(belief, f, process, rule)
         return ukf.update(prior, z, h, noise, rule), noise
-
-    return Filter(lambda _, noise: noise, step)
-
-
-def roots(rule):
-    def step(belief, noise, z, process):
-        root = square_root.predict(to_square_root(belief), f, np.sqrt(process), rule)
-        after = square_root.update(root, z, h, np.sqrt(noise), rule)
-        assert isinstance(after.belief, SquareRootGaussian)
-        update = Update(from_square_root(after.belief), *after[1:])
-        return update, noise
 
     return Filter(lambda _, noise: noise, step)
 
@@ -119,8 +102,6 @@ def dual_printed(means):
 FILTERS = {
     "UKF": fixed(RULE),
     "CKF": fixed(cubature(3)),
-    "square-root UKF": roots(scaled_unscented(3)),
-    "square-root CKF": roots(cubature(3)),
     "maximum correntropy": robust(),
     "dual layer": dual(dual_layer.literal),
     "dual layer, consistent": dual(dual_layer.consistent),
@@ -133,7 +114,7 @@ FILTERS = {
 
 
 class Case(NamedTuple):
-    """What is wrong in lane 1; lane 0 gets `R`, a definite covariance and good readings."""
+    """Degenerate input of lane 1; lane 0 gets `R`, a definite covariance and good readings."""
 
     cov: np.ndarray
     noise: np.ndarray
@@ -166,7 +147,7 @@ HOPELESS = {"zero covariance", "singular covariance", "negative covariance", "in
 
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("name", FILTERS)
-def test_it_stays_finite_or_says_why(name: str, case: str):
+def test_it_stays_finite_or_is_lost(name: str, case: str):
     trouble, chosen = CASES[case], FILTERS[name]
     noise = np.stack([R, trouble.noise])
     if name in ("AUKF", "ADLUKF") and (variances(trouble.noise) == 0).any():
@@ -177,36 +158,16 @@ def test_it_stays_finite_or_says_why(name: str, case: str):
     belief = Gaussian(np.stack([start, start]), np.stack([GOOD_COV, trouble.cov]))
     memory = chosen.begin(trouble.process, noise)
     process = trouble.process
-    why = np.array(["", ""], dtype=object)
+    lost = np.array([False, False])
     with np.errstate(all="ignore"):
         for k in range(60):
             z = np.stack([GOOD, trouble.readings(k)])
             update, memory = chosen.step(belief, memory, z, process)
-            words = failures(belief, z, update)
-            why = np.where(why == "", words, why)
-            finite = [
-                bool(np.isfinite(mean).all() and np.isfinite(cov).all())
-                for mean, cov in zip(*update.belief, strict=True)
-            ]
-            assert [word == "" for word in words] == finite
+            mean, cov = update.belief
+            finite = np.isfinite(mean).all(axis=-1) & np.isfinite(cov).all(axis=(-1, -2))
+            assert not (lost & finite).any()
+            lost = ~finite
             belief = update.belief
-    assert why[0] == "" or process is not Q
+    assert not lost[0] or process is not Q
     if case in HOPELESS:
-        assert why[1] != ""
-
-
-def test_the_reasons_name_the_cause():
-    sound = Gaussian(np.zeros((1, 2)), np.eye(2)[None])
-    rule = scaled_unscented(2)
-
-    def reason(belief, z, measure, noise):
-        with np.errstate(all="ignore"):
-            return str(failures(belief, z, ukf.update(belief, z, measure, noise, rule))[0])
-
-    z, unit = np.zeros((1, 2)), np.eye(2)
-    assert reason(sound, z, lambda x: x, unit) == ""
-    assert "not finite" in reason(Gaussian(sound.mean * np.nan, sound.cov), z, lambda x: x, unit)
-    assert "add process noise" in reason(Gaussian(sound.mean, 0 * sound.cov), z, lambda x: x, unit)
-    assert "pass NaN" in reason(sound, np.full((1, 2), np.inf), lambda x: x, unit)
-    assert "the model, or" in reason(sound, z, lambda x: x * np.nan, unit)
-    assert "some noise" in reason(sound, z, lambda x: 0 * x, 0 * unit)
+        assert lost[1]

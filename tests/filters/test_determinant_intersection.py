@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
-from filters.determinant_intersection import determinant_intersection
+from filters.fusion.determinant_intersection import determinant_intersection
 from filters.gaussian import Gaussian
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from filters.fusion import (
+from filters.fusion.averaging import (
     INFORMATION,
     MOMENTS,
     Directly,

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from filters.hold import drop, full, held_weights, in_step, renormalise, sharpened, sharpness
+from filters.fusion.hold import drop, full, held_weights, in_step, renormalise, sharpened, sharpness
 from tests.filters.support import BATCHES, random_spd
 
 BASE = np.array([0.4, 0.3, 0.2, 0.1])

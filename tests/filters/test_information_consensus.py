@@ -8,11 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
-from filters import hybrid_consensus, information_weighted, kalman
+from filters.fusion import hybrid_consensus, information_weighted
+from filters.fusion.hybrid_consensus import classical_gain, safe_gain
+from filters.fusion.novelty import novelty
+from filters.fusion.packed import average
 from filters.gaussian import Gaussian, to_information
-from filters.hybrid_consensus import classical_gain, safe_gain
-from filters.novelty import novelty
-from filters.packed import average
+from tests.filters import kalman
 from tests.filters.support import BATCHES, random_belief, random_spd
 from tests.nodes.networks import graphs
 from topology.weights import metropolis
@@ -36,7 +37,7 @@ def posteriors(generator, priors: Gaussian) -> Gaussian:
 
 
 def after_rounds(known: np.ndarray, weights: np.ndarray, rounds: int) -> np.ndarray:
-    """What nodes (..., N, m) know after so many full rounds."""
+    """Return the values of the nodes (..., N, m) after so many full rounds."""
     for _ in range(rounds):
         count = len(weights)
         everyone = np.broadcast_to(
@@ -48,7 +49,7 @@ def after_rounds(known: np.ndarray, weights: np.ndarray, rounds: int) -> np.ndar
 
 @given(lanes=LANES, nodes=st.integers(1, 5), n=st.integers(1, 4), seed=SEEDS)
 def test_before_any_round_hybrid_consensus_is_the_local_filter(lanes, nodes, n, seed):
-    """L = 0, or nobody heard: the safe gain is 1."""
+    """With L = 0 or no share heard, the safe gain is 1."""
     generator = np.random.default_rng(seed)
     priors = random_belief(generator, (*lanes, nodes), n)
     after = posteriors(generator, priors)

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from filters import kalman
 from filters.gaussian import Gaussian
+from tests.filters import kalman
 from tests.filters.support import BATCHES, random_belief, random_spd
 
 

@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from filters import diffusion, kalman, kalman_consensus
+from filters.fusion import diffusion, kalman_consensus
+from filters.fusion.local import keep_own
 from filters.gaussian import Gaussian
-from filters.local import keep_own
+from tests.filters import kalman
 from tests.filters.support import BATCHES, random_belief, random_spd
 
 SEEDS = st.integers(0, 2**16)

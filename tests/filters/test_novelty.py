@@ -3,10 +3,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from filters import kalman, ukf
+from filters import ukf
+from filters.fusion.novelty import absorb, novelty
 from filters.gaussian import Gaussian, Information
-from filters.novelty import absorb, novelty
 from filters.sigma_points import scaled_unscented
+from tests.filters import kalman
 from tests.filters.support import (
     BATCHES,
     RANGE_BEARING_NOISE_COV,

@@ -3,8 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from filters.gaussian import Gaussian, Information
-from filters.packed import (
+from filters.fusion.packed import (
     average,
     concluded,
     informed,
@@ -13,6 +12,7 @@ from filters.packed import (
     packed_sharpness,
     unpack,
 )
+from filters.gaussian import Gaussian, Information
 from tests.filters.support import BATCHES, random_spd
 
 SEEDS = st.integers(0, 2**16)

@@ -4,9 +4,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from filters import kalman
 from filters.gaussian import Gaussian
 from filters.particle import Particles, cov, mean, resample, weights
+from tests.filters import kalman
 
 
 @given(st.integers(0, 2**20), st.integers(1, 40))

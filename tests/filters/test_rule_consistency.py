@@ -6,11 +6,12 @@ from functools import partial
 import numpy as np
 import pytest
 
-from filters import hybrid_consensus, information_weighted, kalman
-from filters.fusion import covariance_intersection, weighted_average
+from filters.fusion import hybrid_consensus, information_weighted
+from filters.fusion.averaging import covariance_intersection, weighted_average
+from filters.fusion.packed import average
 from filters.gaussian import Gaussian
-from filters.packed import average
 from plants.oscillator import Oscillator
+from tests.filters import kalman
 from topology.graphs import ring
 from topology.weights import metropolis
 
@@ -26,7 +27,7 @@ Fuse = Callable[[Gaussian, Gaussian], Gaussian]  # priors and posteriors (RUNS, 
 
 
 def everyone(numbers: np.ndarray) -> np.ndarray:
-    """What all nodes hear: (RUNS, N, ...) -> (RUNS, N, N, ...)."""
+    """Return the values that all nodes hear: (RUNS, N, ...) -> (RUNS, N, N, ...)."""
     return np.broadcast_to(numbers[:, None], (RUNS, NODES, *numbers.shape[1:]))
 
 

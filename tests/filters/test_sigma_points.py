@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from filters.gaussian import Gaussian
-from filters.sigma_points import cubature, gauss_hermite, scaled_unscented, sigma_points
+from filters.sigma_points import cubature, scaled_unscented, sigma_points
 from tests.filters.support import BATCHES, RULE_NAMES, random_belief, rules
 
 
@@ -35,17 +35,6 @@ def test_covariance_weights_give_the_identity(name):
     rule = rules(4)[name]
     cov = (rule.unit_points.T * rule.cov_weights) @ rule.unit_points
     np.testing.assert_allclose(cov, np.eye(4), atol=1e-13)
-
-
-@pytest.mark.parametrize("order", [2, 3, 4, 5])
-def test_gauss_hermite_is_exact_to_its_degree_and_no_further(order):
-    rule = gauss_hermite(2, order)
-    for exponents in itertools.product(range(2 * order), repeat=2):
-        expected = normal_moment(exponents)
-        assert quadrature(rule, exponents) == pytest.approx(expected, rel=1e-10, abs=1e-9)
-    # The error at x^(2 order) is the squared norm of the Hermite polynomial: order factorial.
-    shortfall = normal_moment((2 * order, 0)) - quadrature(rule, (2 * order, 0))
-    assert shortfall == pytest.approx(math.factorial(order), rel=1e-9)
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 5, 7])
@@ -104,11 +93,9 @@ def test_a_shared_covariance_serves_all_lanes():
     [
         (lambda: scaled_unscented(0), "n is 0"),
         (lambda: cubature(-1), "n is -1"),
-        (lambda: gauss_hermite(0, 3), "n is 0"),
         (lambda: scaled_unscented(3, alpha=0.0), "alpha is 0"),
         (lambda: scaled_unscented(3, alpha=math.nan), "alpha is nan"),
         (lambda: scaled_unscented(3, kappa=-3.0), "kappa is -3"),
-        (lambda: gauss_hermite(3, 1), "order is 1"),
     ],
 )
 def test_parameters_without_a_rule_are_refused(make, message):

@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import eigh
 
-from filters.fusion import covariance_intersection
+from filters.fusion.averaging import covariance_intersection
+from filters.fusion.hold import sharpness
+from filters.fusion.trimmed import trimmed_intersection
 from filters.gaussian import Gaussian
-from filters.hold import sharpness
-from filters.trimmed import trimmed_intersection
 
 STATES = 3
 

@@ -3,9 +3,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from filters import kalman, ukf
+from filters import ukf
 from filters.gaussian import Gaussian
 from filters.sigma_points import cubature, scaled_unscented
+from tests.filters import kalman
 from tests.filters.support import (
     BATCHES,
     RANGE_BEARING_NOISE_COV,

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from experiments.trace import Trace, read_trace
-from nodes import in_process
+from experiments.results.trace import Trace, read_trace
 from nodes.commands import in_words
-from nodes.conductor import Scripted
-from nodes.recording import MemoryRecorder
-from scenarios.build import build_node, build_world
+from nodes.run_controller import Scripted
+from runtime import in_process
+from runtime.recording import MemoryRecorder
+from scenarios.build import build_environment, build_node
 from scenarios.setup import Setup
 
 
@@ -26,7 +26,7 @@ def run(
     recorder = MemoryRecorder()
     nodes = [build_node(setup, node) for node in range(setup.scenario.nodes)]
     in_process.run(
-        build_world(setup), nodes, recorder, pick=pick, watch=watch, script=script(*lines)
+        build_environment(setup), nodes, recorder, pick=pick, watch=watch, script=script(*lines)
     )
     return read_trace(setup, recorder.messages)
 

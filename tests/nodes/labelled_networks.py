@@ -2,26 +2,25 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import islice
 from typing import Any
 
 import numpy as np
 
-from bus.publication import Slot
+from bus.flexray.publication import Slot
+from bus.flexray.share_frames import read_body, read_frame
 from bus.schedule import Schedule
-from experiments import record_search
-from experiments.record_search import Held
 from filters.gaussian import Gaussian
 from nodes.belief_codec import BeliefCodec
-from nodes.in_process import Link
-from nodes.labelled import Content, LabelledFlooding
-from nodes.labelled_frame import LabelledFrameCodec
-from nodes.messages import Array, Bid, Measured, decode, from_wire
-from nodes.record_codec import RecordCodec
-from nodes.share import read_body, read_frame
-from nodes.window_filter import WindowFilter
-from tests.nodes.networks import Adjacency, Network, Outcome, WholeState, keenest, network
+from nodes.messages import Array, Measured, decode, from_wire
+from nodes.rules.labelled import Content, LabelledFlooding
+from nodes.rules.labelled_frame import LabelledFrameCodec
+from nodes.rules.record_codec import RecordCodec
+from nodes.rules.window_filter import WindowFilter
+from papers.labelled import record_search
+from papers.labelled.record_search import Held
+from runtime.in_process import Link
+from tests.nodes.networks import Adjacency, Network, Outcome, WholeState, network, with_slots
 from tests.nodes.rule_networks import F, Q, noise_cov
 
 PRIOR = Gaussian(np.array([1.0, -1.0]), np.diag([4.0, 2.0]))
@@ -77,9 +76,8 @@ def labelled(
             schedule=schedule,
             rounds=rounds,
         )
-        nodes.append(replace(config, estimator=estimator, slots=_slots))
-    world = replace(net.world, arbitrate=partial(_by_group, schedule))
-    return Network(world, nodes)
+        nodes.append(with_slots(replace(config, estimator=estimator), _slots))
+    return Network(replace(net.world, bus=nodes[0].bus), nodes)
 
 
 _FRAMES = 16
@@ -90,18 +88,11 @@ def _slots(node: int, cycle: int) -> tuple[Slot, ...]:
     return tuple(Slot(first + part, 254, fixed=False) for part in range(_FRAMES))
 
 
-def _by_group(
-    schedule: Schedule, state: Any, cycle: int, bids: Sequence[Bid]
-) -> tuple[Any, tuple[int, ...]]:
-    slots = schedule.groups(cycle)[bids[0].group].dynamic_slots
-    return keenest(slots, state, cycle, bids)
-
-
 # --- what should be held, found without the rule -------------------------------------------------
 
 
 def taken(outcome: Outcome) -> dict[tuple[int, int], Array]:
-    """Every reading (d,) by (step, source), from what the world said."""
+    """Return every reading (d,) by (step, source), from the environment's messages."""
     found = {}
     for topic, data in outcome.messages:
         if topic.startswith("measured/"):
@@ -115,7 +106,7 @@ def taken(outcome: Outcome) -> dict[tuple[int, int], Array]:
 def reachable(
     net: Network, outcome: Outcome, arrives: Callable[[int, int, int], bool]
 ) -> list[Held]:
-    """What each node can hold after each step if everybody who sends says all that it holds.
+    """Return the records that each node can hold after each step if senders send all they hold.
 
     `arrives(sender, receiver, cycle)` says whether a share came through.
     """
@@ -134,7 +125,7 @@ def reachable(
 
 
 def carried(net: Network, outcome: Outcome, arrives: Callable[[int, int, int], bool]) -> list[Held]:
-    """What each node holds after each step if it keeps what the frames that came through say."""
+    """Return the records of each node after each step if it keeps those of all arrived frames."""
     rounds, steps = net.nodes[0].rounds, net.nodes[0].steps
     frames: LabelledFrameCodec = net.nodes[0].estimator.frames  # type: ignore[attr-defined]
     readings = taken(outcome)
@@ -169,7 +160,7 @@ def _shares(outcome: Outcome) -> dict[tuple[int, int], bytes]:
 
 
 def held_by(states: Iterable[Any]) -> Held:
-    """What the nodes hold at the end of a run."""
+    """Return the records that the nodes hold at the end of a run."""
     found: Held = []
     for state in states:
         content: Content = state.content

@@ -1,32 +1,33 @@
 """Small networks for the tests of nodes/: a linear plant, chosen priors, links that lose frames."""
 
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from bus.publication import Slot
+from bus.flexray.publication import Slot
+from bus.ideal import TimelessBus
 from bus.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
-from filters import hold
-from filters.fusion import INFORMATION, MOMENTS, Averaged
+from filters.fusion import hold
+from filters.fusion.averaging import INFORMATION, MOMENTS, Averaged
 from filters.gaussian import Gaussian
 from filters.linalg import unpack_upper
 from filters.sigma_points import scaled_unscented
-from nodes import in_process
 from nodes.belief_codec import BeliefCodec
-from nodes.belief_consensus import BeliefConsensus, HoldPolicy
-from nodes.link_state import LinkState
-from nodes.messages import Array, Bid, Estimate, decode, from_wire
-from nodes.recording import MemoryRecorder
-from nodes.share import payload_lengths
-from nodes.state_machine import NodeConfig, NodeState
-from nodes.world import Controller, WorldConfig
+from nodes.environment_state import Controller, EnvironmentConfig
+from nodes.faults.losses import LinkState
+from nodes.messages import Array, Estimate, decode, from_wire
+from nodes.node import NodeConfig, NodeState
+from nodes.rules.at_node import AtNode
+from nodes.rules.belief_consensus import BeliefConsensus, HoldPolicy
+from nodes.rules.lane_rule import Place
+from runtime import in_process
+from runtime.recording import MemoryRecorder
 from topology.weights import metropolis
 
 Adjacency = NDArray[np.bool_]
@@ -91,23 +92,17 @@ class Draws(NamedTuple):
 
 
 class Network(NamedTuple):
-    """What the in-process driver runs."""
+    """Configurations of one network for the in-process driver."""
 
-    world: WorldConfig
+    world: EnvironmentConfig
     nodes: list[NodeConfig]
 
 
-def consecutive_slots(lengths: tuple[int, ...], node: int, cycle: int) -> tuple[Slot, ...]:
-    """Each node its own frame IDs, whatever the cycle."""
-    first = node * len(lengths) + 1
-    return tuple(Slot(first + part, length) for part, length in enumerate(lengths))
-
-
-def keenest(slots: int, state: Any, cycle: int, bids: Sequence[Bid]) -> tuple[Any, tuple[int, ...]]:
-    """An arbiter: the largest bids win."""
-    asking = [bid for bid in bids if bid.bid is not None]
-    asking.sort(key=lambda bid: (-(bid.bid or 0), bid.node))
-    return state, tuple(sorted(bid.node for bid in asking[:slots]))
+def with_slots(config: NodeConfig, slots: Callable[[int, int], tuple[Slot, ...]]) -> NodeConfig:
+    """The node on a bus on which a share has these slots: (node, cycle) -> slots."""
+    bus = TimelessBus(config.schedule, config.estimator.share_bytes)
+    bus.slots = slots
+    return replace(config, bus=bus)
 
 
 def network(
@@ -138,23 +133,22 @@ def network(
     weights = metropolis(csr_array(adjacency)).toarray()
     schedule = full_publish(count) if schedule is None else schedule
     codec = BeliefCodec(n, number)
+    bus = TimelessBus(schedule, codec.size)
     generator = np.random.default_rng(seed)
     nodes = []
     for i in range(count):
         heard = np.flatnonzero(adjacency[i]).tolist()
-        estimator = BeliefConsensus(
+        estimator = AtNode(
+            BeliefConsensus(average, hold_policy, n),
+            Place(np.array(i), weights[i, [i, *heard]]),
             model=plant,
             sensor=WholeState(0.5 * np.eye(n)) if i in seeing else None,
             prior=priors[i],
             points=scaled_unscented(n),
-            rule=average,
-            hold=hold_policy,
-            weights=weights[i, [i, *heard]],
-            codec=codec,
+            codec=codec.vector,
         )
-        slots = partial(consecutive_slots, payload_lengths(codec.size))
-        nodes.append(NodeConfig(i, tuple(heard), rounds, steps, schedule, slots, estimator))
-    world = WorldConfig(
+        nodes.append(NodeConfig(i, tuple(heard), rounds, steps, bus, estimator))
+    world = EnvironmentConfig(
         plant=plant,
         initial_state=np.ones(n),
         states=n,
@@ -166,16 +160,14 @@ def network(
         steps=steps,
         rounds=rounds,
         lead=lead,
-        schedule=schedule,
-        arbitrate=partial(keenest, max(schedule.dynamic_slot_table)),
-        arbiter_state=None,
+        bus=bus,
         controller=controller,
     )
     return Network(world, nodes)
 
 
 class Outcome(NamedTuple):
-    """What a run left: mean (steps, N, n), cov (steps, N, n, n), all messages, final states."""
+    """Results of a run: mean (steps, N, n), cov (steps, N, n, n), all messages, final states."""
 
     mean: Array
     cov: Array

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from bus.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
-from filters.fusion import INFORMATION
+from filters.fusion.averaging import INFORMATION
 from filters.gaussian import Gaussian
+from nodes.belief_codec import BeliefCodec
 from nodes.messages import Estimate, Grant, Measured, NodeEvent, NodeMessage, ShareHeard
-from nodes.share import to_frames
-from nodes.state_machine import NodeConfig, NodeState, initial_state, step
+from nodes.node import NodeConfig, NodeState, initial_state, step
 from tests.nodes.networks import DECAYED, network, path, random_priors
 
 STEPS, ROUNDS = 4, 2
@@ -34,12 +34,12 @@ def middle_node(schedule: Schedule | None = None) -> NodeConfig:
 
 def share(config: NodeConfig, sender: int, cycle: int, belief: Gaussian | None = None) -> bytes:
     """The frame that a neighbour sends in a cycle."""
-    body = config.estimator.codec.encode(belief or PRIORS[sender])  # type: ignore[attr-defined]
-    return to_frames(body, cycle, config.slots(sender, cycle))[0]
+    body = BeliefCodec(2).encode(belief or PRIORS[sender])
+    return config.bus.encode(sender, cycle, body)[0]
 
 
 def feed(config: NodeConfig, events: Sequence[NodeEvent]) -> tuple[NodeState, list[NodeMessage]]:
-    """The state after these events, and all that was sent."""
+    """Return the state after these events, and the sent messages."""
     state, sent = initial_state(config), []
     for event in events:
         state, messages = step(config, state, event)
@@ -70,7 +70,7 @@ def clean_events(config: NodeConfig) -> list[NodeEvent]:
 
 
 def estimates(messages: list[NodeMessage]) -> list[tuple]:
-    """What is said of the truth, without the counters."""
+    """Return the content of the estimates, without the counters."""
     return [(m.step, m.mean, m.cov, m.ages) for m in messages if isinstance(m, Estimate)]
 
 

@@ -1,24 +1,23 @@
 """Networks of any fusion rule for the tests of nodes/, with sensors that see a part each."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
+from bus.flexray.share_frames import read_frame
+from bus.ideal import TimelessBus
 from bus.schedule import Schedule
 from filters.gaussian import Gaussian
-from nodes.in_process import Link
 from nodes.messages import Array
-from nodes.share import payload_lengths, read_frame
-from scenarios.estimators import Seat
+from runtime.in_process import Link
+from scenarios.catalogue import kind_of
 from scenarios.rules import build_estimator, hold_policy
-from scenarios.scenario import Scenario
+from scenarios.seat import RuleContext, Seat
 from tests.nodes.networks import (
     Adjacency,
     Network,
     Outcome,
     WholeState,
-    consecutive_slots,
     network,
     run,
 )
@@ -30,7 +29,7 @@ Q = np.array([[0.2, 0.05], [0.05, 0.1]])
 
 
 def noise_cov(node: int) -> Array:
-    """What a node sees well, and what badly: every node something else."""
+    """Return a noise covariance whose precise direction differs from node to node."""
     angle = 0.7 * node
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     return turn @ np.diag([0.3, 5.0 + node]) @ turn.T
@@ -61,31 +60,29 @@ def ruled(
         number=number,
         seed=seed,
     )
-    scenario = Scenario(name="", nodes=len(priors), graph="", rule=rule, steps=steps)
+    scenario = kind_of("oscillator").defaults.with_(nodes=len(priors), rule=rule, steps=steps)
     neighbours = [node.neighbours for node in net.nodes]
     nodes = []
     for config in net.nodes:
         plain = config.estimator
+        context = RuleContext(len(priors[0].mean), neighbours, hold_policy(scenario), 0.0, number)
         seat = Seat(
             config.index,
-            neighbours,
-            plain.weights,  # type: ignore[attr-defined]
+            context,
+            plain.place.weights,  # type: ignore[attr-defined]
             model=plain.model,  # type: ignore[attr-defined]
             sensor=WholeState(noise_cov(config.index)) if config.index in seeing else None,
             prior=priors[config.index],
             points=plain.points,  # type: ignore[attr-defined]
-            hold=hold_policy(scenario),
-            trigger=0.0,
-            number=number,
         )
         estimator = build_estimator(scenario, seat)
-        slots = partial(consecutive_slots, payload_lengths(estimator.share_bytes))
-        nodes.append(replace(config, estimator=estimator, slots=slots))
+        bus = TimelessBus(config.schedule, estimator.share_bytes)
+        nodes.append(replace(config, estimator=estimator, bus=bus))
     return net._replace(nodes=nodes)
 
 
 def weight_matrix(net: Network) -> Array:
-    """The Metropolis weights (N, N) of a network, from who hears whom."""
+    """Return the Metropolis weights (N, N) of a network, from its neighbours."""
     weights = np.zeros((len(net.nodes), len(net.nodes)))
     for node in net.nodes:
         for j in node.neighbours:

@@ -1,18 +1,18 @@
 """A node that learns the noise of its own sensors, around any rule."""
 
-import msgspec
 import numpy as np
 import pytest
 
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
-from nodes.adaptive_noise import AdaptiveNoise, Learnt, declared_noise, learn
 from nodes.estimator import Rejected
 from nodes.messages import Measured, to_wire
+from nodes.rules.adaptive_noise import AdaptiveNoise, Learnt, declared_noise, learn
 from plants.oscillator import Oscillation, ScalarSensor
-from scenarios.estimators import Seat
+from scenarios.catalogue import kind_of
 from scenarios.rules import build_estimator, hold_policy
 from scenarios.scenario import Scenario
+from scenarios.seat import RuleContext, Seat
 
 MODEL = Oscillation()
 SENSOR = ScalarSensor(np.array([1.0, 0.0]), np.array(0.5))
@@ -22,25 +22,22 @@ RULES = ("ci", "wac", "local", "hcmci", "icf", "diffusion", "kcf")
 
 
 def seat() -> tuple[Scenario, Seat]:
-    scenario = Scenario(name="oscillator", nodes=2, graph="path", rule="ci", steps=1)
+    scenario = kind_of("oscillator").defaults.with_(nodes=2, graph="path", steps=1)
     return scenario, Seat(
         node=0,
-        neighbours=[[1], [0]],
+        context=RuleContext(len(PRIOR.mean), [[1], [0]], hold_policy(scenario), 0.0, "<f8"),
         weights=np.array([0.5, 0.5]),
         model=MODEL,
         sensor=SENSOR,
         prior=PRIOR,
         points=POINTS,
-        hold=hold_policy(scenario),
-        trigger=0.0,
-        number="<f8",
         everybody=lambda: pytest.fail("these rules know nothing of all nodes"),
     )
 
 
 def around(rule: str) -> AdaptiveNoise:
     scenario, place = seat()
-    inner = build_estimator(msgspec.structs.replace(scenario, rule=rule), place)
+    inner = build_estimator(scenario.with_(rule=rule), place)
     return AdaptiveNoise(inner, SENSOR, POINTS)
 
 
@@ -88,7 +85,7 @@ def test_it_never_believes_less_noise_than_the_data_sheet():
 def test_without_anything_to_learn_it_is_the_rule_itself(rule):
     """Exactly so in the first step, which takes the reading with the noise of the data sheet."""
     scenario, place = seat()
-    plain = build_estimator(msgspec.structs.replace(scenario, rule=rule), place)
+    plain = build_estimator(scenario.with_(rule=rule), place)
     wrapped = around(rule)
     measured = Measured(0, 0, [[0.3]])
     ours, _ = wrapped.begin_step(wrapped.start(), measured)
@@ -108,7 +105,7 @@ def test_a_learnt_noise_is_what_the_next_reading_is_taken_with():
     loud = ScalarSensor(SENSOR.row, np.sqrt(learnt(content)[0]))
     scenario, _ = seat()
     plain = build_estimator(
-        msgspec.structs.replace(scenario, rule="local"),
+        scenario.with_(rule="local"),
         place._replace(sensor=loud, prior=wrapped.belief(content)),
     )
     measured = Measured(0, 1, [[2.0]])

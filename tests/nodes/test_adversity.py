@@ -1,6 +1,6 @@
-"""What a hostile network cannot do.
+"""Test the effects that a hostile network cannot have.
 
-Order of arrival, repetition and garbage change nothing; loss does not part nodes that agree.
+Order of arrival, repetition and garbage change no result. Loss does not separate nodes that agree.
 """
 
 from collections.abc import Iterable
@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bus.flexray.share_frames import read_frame
 from bus.schedule import full_publish, hybrid, round_robin
-from filters.fusion import INFORMATION, MOMENTS
+from filters.fusion.averaging import INFORMATION, MOMENTS
 from filters.gaussian import Gaussian
-from nodes.belief_consensus import HoldPolicy
-from nodes.in_process import first_come
-from nodes.link_state import LinkState, Outage, hears
-from nodes.share import read_frame
+from nodes.faults.losses import LinkState, Outage, hears
+from nodes.rules.belief_consensus import HoldPolicy
+from runtime.in_process import first_come
 from tests.nodes.networks import (
     DECAYED,
     HOLDS,
@@ -123,7 +123,7 @@ def test_equal_beliefs_stay_equal_under_any_loss(
         schedule=schedule,
     )
     outcome = run(net, losing(fate, loss), shuffled(fate))
-    # What one node alone would believe, by the Kalman filter's equations.
+    # The belief of one node alone, by the Kalman filter's equations.
     mean, cov = belief
     for step in range(4):
         if step:

@@ -1,20 +1,22 @@
-"""What a node makes of its readings and of what it hears, without the machine around it."""
+"""Test how a node uses its readings and shares, without the state machine around it."""
 
 from dataclasses import replace
 
-import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from filters.fusion import INFORMATION
+from filters.fusion.averaging import INFORMATION
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
 from nodes.belief_codec import BeliefCodec
-from nodes.belief_consensus import FIRST_BID, BeliefConsensus, Content, HoldPolicy
-from nodes.local_filter import at
+from nodes.bids import FIRST_BID
 from nodes.messages import Array, Measured
+from nodes.rules.at_node import AtNode
+from nodes.rules.belief_consensus import BeliefConsensus, BeliefContent, HoldPolicy
+from nodes.rules.lane_rule import Place
+from nodes.rules.local_filter import at
 from tests.nodes.networks import DECAYED, DROP, PREDICT, Linear, WholeState, random_priors
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -26,15 +28,14 @@ BLIND: list[list[float | None]] = [[None, None]]
 
 
 def estimator(hold: HoldPolicy = PREDICT, sees: bool = False, gate: float | None = None):
-    return BeliefConsensus(
+    return AtNode(
+        BeliefConsensus(INFORMATION, hold, states=2),
+        Place(np.array(0), np.array([0.4, 0.3, 0.3])),
         model=Linear(F, Q),
         sensor=WholeState(R, gate) if sees else None,
         prior=PRIOR,
         points=scaled_unscented(2),
-        rule=INFORMATION,
-        hold=hold,
-        weights=np.array([0.4, 0.3, 0.3]),
-        codec=BeliefCodec(2),
+        codec=BeliefCodec(2).vector,
     )
 
 
@@ -121,7 +122,7 @@ def test_a_held_pair_is_carried_through_the_plant_if_the_policy_says_so(
     rule = estimator(hold)
     content, _ = rule.fuse(rule.start(), (told(LEFT), None))
     content, _ = rule.begin_step(content, Measured(0, 1, BLIND))
-    kept = at(content.held, 0)
+    kept = at(content.held.beliefs, 0)
     assert_close(kept, Gaussian(F @ LEFT.mean, F @ LEFT.cov @ F.T + Q) if carried else LEFT)
 
 
@@ -138,11 +139,11 @@ def test_a_share_that_is_no_covariance_is_dropped_and_named():
 # --- bids ----------------------------------------------------------------------------------------
 
 
-def believing(content: Content, belief: Gaussian) -> Content:
-    return msgspec.structs.replace(content, own=belief)
+def believing(content: BeliefContent, belief: Gaussian) -> BeliefContent:
+    return content._replace(own=content.own._replace(belief=belief))
 
 
-def moved_by(rule: BeliefConsensus, change: Array):
+def moved_by(rule: AtNode, change: Array):
     """A content that has published its prior and then moved on by `change`."""
     content, _ = rule.compose(rule.start())
     return believing(content, Gaussian(PRIOR.mean + change, PRIOR.cov))
@@ -166,7 +167,8 @@ def test_a_bid_is_the_squared_change_in_units_of_the_covariance(a: float, b: flo
 
 
 def test_below_its_trigger_a_node_asks_for_nothing():
-    rule = replace(estimator(), trigger=4.0)
+    plain = estimator()
+    rule = replace(plain, rule=replace(plain.rule, trigger=4.0))
     step = np.linalg.cholesky(PRIOR.cov) @ np.array([1.0, 0.0])
     assert rule.bid(moved_by(rule, 1.9 * step)) is None
     assert rule.bid(moved_by(rule, 2.1 * step)) == pytest.approx(1024 * 4.41, abs=1)
@@ -187,9 +189,9 @@ def test_what_is_composed_is_what_is_accepted(seed: int):
     rule = estimator()
     content, body = rule.compose(believing(rule.start(), belief))
     assert len(body) == rule.share_bytes
-    accepted = at(rule.codec.unpack(rule.accept(body)), 0)
+    accepted = BeliefCodec(2).decode(rule.accept(body))
     np.testing.assert_array_equal(accepted.mean, belief.mean)
     np.testing.assert_array_equal(accepted.cov, (belief.cov + belief.cov.T) / 2)
-    assert content.published is not None
-    np.testing.assert_array_equal(content.published.mean, belief.mean)
-    np.testing.assert_array_equal(content.published.cov, belief.cov)
+    assert content.own.published.known
+    np.testing.assert_array_equal(content.own.published.belief.mean, belief.mean)
+    np.testing.assert_array_equal(content.own.published.belief.cov, belief.cov)

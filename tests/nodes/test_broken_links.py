@@ -13,11 +13,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from experiments.agree_command import first_difference
-from experiments.drivers import in_this_process
-from experiments.trace import Trace
-from nodes.links import RECORDER, WORLD, free_ports, names
-from nodes.recording import read_recording
+from experiments.cli.agree import first_difference
+from experiments.results.trace import Trace
+from runtime.drivers import in_this_process
+from runtime.network.links import RECORDER, WORLD, free_ports, names
+from runtime.recording import read_recording
 from scenarios.setup import Setup
 from tests.experiments.support import small, trace_of
 from tests.processes import PROC, Family, family
@@ -30,20 +30,24 @@ pytestmark = [
 
 NETWORK = """
 import os, sys
+from bus.flexray.share_frames import SHARE_FRAMES
 from functools import partial
 from pathlib import Path
 import msgspec
-from nodes.links import *
-from nodes.management import Management
-from nodes.membership import Membership
-from nodes.process import run_node
-from nodes.recorder_process import run_recorder
-from nodes.recording import McapRecorder
-from nodes.supervisor import Supervisor
-from nodes.whole_steps import WholeSteps
-from nodes.world_process import run_world
-from scenarios.build import build_node, build_world
-from scenarios.setup import Setup, fingerprint
+from runtime.network.links import *
+from runtime.processes.environment.management import Management
+from runtime.processes.node.lockstep import LockstepNode
+from runtime.processes.node.membership import Membership
+from runtime.processes.node.process import run_node
+from runtime.processes.recorder.process import run_recorder
+from runtime.recording import McapRecorder
+from runtime.processes.supervisor import Supervisor
+from runtime.whole_steps import WholeSteps
+from runtime.processes.environment.pacing import Lockstep
+from runtime.processes.environment.process import run_environment
+from scenarios.build import build_node, build_environment
+from scenarios.preparation import fingerprint
+from scenarios.setup import Setup
 setup = msgspec.json.decode(Path("setup.json").read_bytes(), type=Setup)
 mark, count = fingerprint(setup), setup.scenario.nodes
 links = plan_links(setup.neighbours, {ports})
@@ -53,14 +57,20 @@ supervisor, (quiet, hold) = Supervisor(), os.pipe()
 def tell(step):
     os.write(1, f"{{step}}\\n".encode())
 def record():
-    recorder = McapRecorder(Path("run.mcap"), setup.scenario.rounds, setup.time_step_s)
-    run_recorder("broken", links[RECORDER], links[WATCH], recorder, WholeSteps(count, 3))
+    rounds, step_s = setup.scenario.rounds, setup.time_step_s
+    recorder = McapRecorder(Path("run.mcap"), rounds, step_s, SHARE_FRAMES)
+    steps = WholeSteps(count, 3, SHARE_FRAMES)
+    run_recorder("broken", links[RECORDER], links[WATCH], recorder, steps)
 def be(i):
     peers = peers_of(i, setup.neighbours)
-    run_node(Membership("broken", links[str(i)], build_node(setup, i), peers, mark))
+    membership = Membership("broken", links[str(i)], build_node(setup, i), peers, mark)
+    run_node(membership, LockstepNode(membership))
 supervisor.start(RECORDER, record)
 management = Management(None, None, None, tell, b"{{}}")
-world = partial(run_world, "broken", links[WORLD], build_world(setup), mark, management)
+config = build_environment(setup)
+world = partial(
+    run_environment, "broken", links[WORLD], config, mark, management, Lockstep()
+)
 supervisor.start(WORLD, world)
 for i in range(count):
     supervisor.start(str(i), partial(be, i))
@@ -98,7 +108,7 @@ def reference(setup: Setup, folder: Path) -> Trace:
 
 
 def await_pid(run: Family, name: str) -> int:
-    """The process number of somebody, from the beginning of what the network says."""
+    """Return the number of a process, from the first output of the network."""
     assert run.process.stdout is not None
     while line := run.process.stdout.readline():
         who, _, pid = line.strip().partition(" ")
@@ -144,7 +154,7 @@ def test_what_a_broken_link_has_lost_is_said_again(tmp_path: Path, one: str, oth
 
 
 def test_a_node_that_loses_the_world_is_let_in_again(tmp_path: Path):
-    """It was given up, as whoever is dead would be, and its link comes back."""
+    """The network counts the node as dead; then its link comes back."""
     setup = small(steps=600)
     with network(setup, tmp_path, "2", WORLD) as (run, relay):
         await_step(run, 100)
@@ -172,14 +182,14 @@ def test_a_link_between_nodes_that_stays_away_ends_the_wait(tmp_path: Path):
 
 
 SHORT = """
-import nodes.said, nodes.world_process
-nodes.said._AGAIN_S = nodes.said._TELL_S = 0.5
-nodes.world_process._PATIENCE_S = 3.0
+import runtime.processes.republisher, runtime.processes.environment.process
+runtime.processes.republisher._AGAIN_S = runtime.processes.republisher._TELL_S = 0.5
+runtime.processes.environment.process._PEER_TIMEOUT_S = 3.0
 """
 
 
 def test_a_recorder_that_stays_away_is_named_and_ends_the_run(tmp_path: Path):
-    """Nothing is said that nobody would keep; it is no silence, and not for ever."""
+    """Processes hold messages back, report the wait, and end the run after the peer timeout."""
     setup = small(steps=4000)
     with network(setup, tmp_path, WORLD, RECORDER, SHORT) as (run, relay):
         await_step(run, 50)
@@ -192,7 +202,7 @@ def test_a_recorder_that_stays_away_is_named_and_ends_the_run(tmp_path: Path):
 
 
 def test_a_node_that_stands_still_is_named(tmp_path: Path):
-    """Within its lease it is no death: who waits says for whom, until it goes on."""
+    """Within its lease the node is not dead: waiting processes name it until it goes on."""
     setup = small(steps=600)
     with network(setup, tmp_path, "2", "1", SHORT) as (run, _):
         pid = await_pid(run, "3")

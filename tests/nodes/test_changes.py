@@ -1,4 +1,4 @@
-"""What a change means, against networks in which the same comes about in another way."""
+"""Compare each change with a network that has the same effect for another reason."""
 
 import numpy as np
 import pytest
@@ -6,15 +6,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from experiments.trace import Trace
+from experiments.results.trace import Trace
 from filters.gaussian import Gaussian
-from nodes import node_changes, state_machine
+from nodes import node as state_machine
+from nodes import node_changes
 from nodes.changes import UNCHANGED, Cut, Event, Gone, Healed, Joined, Left, Loss, Pace, Set, after
 from nodes.history import Absence, Epoch, history_of
 from nodes.messages import CycleClosed, Estimate, Measured, ShareHeard, to_wire
-from nodes.state_machine import initial_state
+from nodes.node import initial_state
 from scenarios.build import build_node
-from scenarios.setup import Setup, prepare
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 from tests.experiments.support import scenario, small
 from tests.nodes.changing import run, same_bits
 from tests.nodes.networks import last_come, shuffled
@@ -53,7 +55,7 @@ def test_who_leaves_is_to_the_others_like_one_whose_links_are_cut(hold: str, sch
 
 @pytest.mark.parametrize("relay", [False, True])
 def test_nobody_waits_for_a_grant_that_no_bid_will_ask_for(relay: bool):
-    """All who may contend are out, and come back; in lockstep who waits in vain stands still."""
+    """All contenders are out and come back; in lockstep a wait without a grant would never end."""
     setup = small(nodes=3, steps=STEPS, schedule="hybrid", occupancy=0.6, rule="labelled",
                   relay=relay)  # fmt: skip
     assert build_node(setup, 0).schedule.contenders(0) == (2,)
@@ -66,7 +68,7 @@ def test_nobody_waits_for_a_grant_that_no_bid_will_ask_for(relay: bool):
     trace = run(setup, "3 kill 2", "8 restart 2", watch=watch)
     assert trace.steps == STEPS
     assert not closed
-    # Whoever is back wins slots again.
+    # A node that is back wins slots again.
     assert trace.payload_bytes[8:, :, 2].any()
 
 

@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bus.flexray.share_frames import read_frame
 from bus.schedule import full_publish, hybrid, round_robin
-from filters.fusion import INFORMATION, MOMENTS, Averaged
+from filters.fusion.averaging import INFORMATION, MOMENTS, Averaged
 from filters.gaussian import Gaussian
 from nodes.messages import Array
-from nodes.share import read_frame
 from tests.nodes.networks import (
     DECAYED,
     DROP,
@@ -111,7 +111,7 @@ def test_many_rounds_lead_to_the_average(adjacency: Adjacency, seed: int):
 
 
 class Held(NamedTuple):
-    """What a node keeps of a neighbour."""
+    """Held share of a neighbour."""
 
     belief: Gaussian
     age: int
@@ -218,7 +218,7 @@ def test_lost_and_held_shares_are_as_written_out(
 @given(graphs(least=2, most=5), SEEDS, st.floats(0, 1))
 @settings(max_examples=20)
 def test_what_is_sent_is_either_heard_or_missed(adjacency: Adjacency, seed: int, loss: float):
-    """With static turns everybody knows who is due, so that nothing is lost unnoticed."""
+    """With static turns each node knows the due senders, so it notices each lost frame."""
     count = len(adjacency)
     priors = random_priors(np.random.default_rng(seed), count, 2)
     schedule = round_robin(count, (count + 1) // 2)
@@ -249,14 +249,15 @@ def test_a_share_in_several_frames_counts_only_when_it_is_complete():
     priors = random_priors(generator, 2, 12)
     net = network(path(2), priors, steps=1, rounds=1)
     complete = run(net)
-    slots = net.nodes[0].slots(0, 0)
-    assert len(slots) == 3
+    first = [data for topic, data in complete.messages if topic == "share/0"]
+    ids = [read_frame(frame).frame_id for frame in first]
+    assert len(ids) == 3
     mixed = (priors[0].mean + priors[1].mean) / 2
     np.testing.assert_allclose(complete.mean[0], [mixed, mixed], rtol=1e-12, atol=1e-12)
     assert complete.counted("sent") == 6
     assert complete.counted("heard") == 2
     for lost in range(3):
-        numbers = {slots[lost].frame_id}
+        numbers = {ids[lost]}
         link = lambda sender, receiver, frame, numbers=numbers: (  # noqa: E731
             () if read_frame(frame).frame_id in numbers else (frame,)
         )

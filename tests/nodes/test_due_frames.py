@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nodes import state_machine
+from nodes import node as state_machine
 from nodes.messages import NodeEvent, ShareHeard
+from nodes.node import NodeConfig, initial_state, step
 from nodes.node_state import NodeState
-from nodes.state_machine import NodeConfig, initial_state, step
 from tests.nodes.one_node import (
     ROUNDS,
     SCHEDULES,
@@ -27,10 +27,11 @@ SENDERS = st.sampled_from([0, 2, STRANGER])
 
 
 def in_words(state: NodeState) -> tuple:
-    """All that a state is, arrays as bytes."""
+    """Return the content of a state, with arrays as bytes."""
     inbox, content = state.inbox, state.content
-    beliefs = content.own, content.held, content.published or content.own
-    told = [part.tobytes() for belief in beliefs for part in belief], content.ages
+    own, held = content.own, content.held
+    beliefs = own.belief, held.beliefs, own.published.belief
+    told = [part.tobytes() for belief in beliefs for part in belief], held.ages.tolist()
     waits = inbox.measured, inbox.grants, inbox.parts, inbox.early, inbox.overtaken, inbox.late
     return (
         state.phase,
@@ -114,4 +115,6 @@ def test_frames_that_come_together_mean_what_they_mean_one_after_the_other(data:
             one_by_one, _ = step(config, one_by_one, one)
         assert in_words(together) == in_words(one_by_one)
     assert together.step == STEPS - 1
-    np.testing.assert_array_equal(together.content.own.mean, one_by_one.content.own.mean)
+    np.testing.assert_array_equal(
+        together.content.own.belief.mean, one_by_one.content.own.belief.mean
+    )

@@ -6,9 +6,9 @@ import pytest
 from nodes.changes import UNCHANGED
 from nodes.command_checks import check_command
 from nodes.commands import Inject, Partition, Refused, in_words, read_command
-from nodes.fault_words import EVERY_FAULT, FAULTS, usage
-from nodes.faults import Equipment
-from scenarios.setup import prepare
+from nodes.faults.active import Equipment
+from nodes.faults.vocabulary import EVERY_FAULT, FAULTS, usage
+from scenarios.preparation import prepare
 from tests.experiments.support import scenario
 
 RING = ((1, 3), (0, 2), (1, 3), (0, 2))
@@ -108,5 +108,5 @@ def refuse(*changes: str, **others: str) -> str:
 def test_a_script_is_held_against_the_rule_that_holds_then():
     assert "choose rule ci" in refuse("3 set rule=hcmci", "5 lie 1 5 4")
     prepare(scenario(nodes=4, graph="ring", changes=("3 set rule=hcmci", "2 lie 1 5 4")))
-    assert "choose a --cluster" in refuse("3 drift 1 100", cluster="none")
+    assert "choose a --cluster" in refuse("3 drift 1 100", bus="ideal")
     assert "channel A alone" in refuse("3 channel B 1")

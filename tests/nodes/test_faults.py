@@ -1,4 +1,4 @@
-"""What each fault means, against networks in which the same comes about in another way."""
+"""Compare each fault with a network that has the same effect for another reason."""
 
 from collections import Counter
 from dataclasses import replace
@@ -8,13 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiments.trace import Trace
-from nodes import state_machine
+from bus.flexray.flexray_bus import FlexRayBus
+from bus.flexray.share_frames import read_frame
+from experiments.results.trace import Trace
+from nodes import node as state_machine
 from nodes.changes import Fault, Standing
-from nodes.fault_words import EVERY_FAULT, FAULTS
+from nodes.faults.vocabulary import EVERY_FAULT, FAULTS
 from nodes.messages import Measured, ShareHeard
-from nodes.share import read_frame
-from scenarios.build import build_node, build_plan, build_world
+from scenarios.build import build_bus, build_environment, build_node
 from scenarios.setup import Setup
 from tests.experiments.support import small
 from tests.nodes.changing import run, same_bits, script
@@ -224,8 +225,9 @@ def test_who_hangs_asks_for_no_slot():
 @pytest.mark.parametrize("ppm", [600.0, -1300.0])
 def test_a_clock_that_drifts_is_refused_once_it_is_beyond_the_precision(ppm: float):
     setup = ring()
-    cluster = build_plan(setup).cluster
-    assert cluster is not None
+    bus = build_bus(setup)
+    assert isinstance(bus, FlexRayBus)
+    cluster = bus.cluster
     off_us, refused = 0.0, 0
     for _ in range((STEPS - FIRST) * ROUNDS):
         off_us += ppm * 1e-6 * cluster.cycle_us
@@ -320,7 +322,7 @@ def test_a_babbling_idiot_leaves_nobody_but_itself_unless_it_is_guarded():
     assert same_bits(babbling, run(setup, *from_first(*alone)))
     assert total(babbling)["rejected collision"] == 6 * (STEPS - FIRST) * ROUNDS
     assert same_bits(run(setup, *from_first("guardian 1", "babble 3 1")), run(setup))
-    # Who is out makes no noise, and who hangs makes none while it does.
+    # A node that is out does not babble; a node that hangs does not babble while it hangs.
     assert same_bits(run(setup, *from_first("babble 3 1", "kill 3")), run(setup, "3 kill 3"))
     assert same_bits(run(setup, "3 babble 3 1", "3 hang 3 9"), run(setup, "3 hang 3 9"))
 
@@ -356,7 +358,7 @@ def test_what_is_sent_in_the_name_of_others_or_again_is_counted_and_not_used():
 def test_a_liar_says_what_it_does_not_believe():
     setup = ring()
     honest, lying = recorded(setup), recorded(setup, *from_first("lie 2 -5 4"))
-    codec = build_world(setup).faults.equipment.codec
+    codec = build_environment(setup).faults.equipment.codec
     assert codec is not None
     said = codec.decode(lying[FIRST * ROUNDS, 2])
     meant = codec.decode(honest[FIRST * ROUNDS, 2])
@@ -368,13 +370,13 @@ def test_a_liar_says_what_it_does_not_believe():
 
 def recorded(setup: Setup, *lines: str) -> dict[tuple[int, int], bytes]:
     """The body of what was sent, by cycle and node."""
-    from bus.fragments import join
-    from nodes import in_process
-    from nodes.recording import MemoryRecorder
+    from bus.flexray.fragments import join
+    from runtime import in_process
+    from runtime.recording import MemoryRecorder
 
     recorder = MemoryRecorder()
     nodes = [build_node(setup, node) for node in range(setup.scenario.nodes)]
-    in_process.run(build_world(setup), nodes, recorder, script=script(*lines))
+    in_process.run(build_environment(setup), nodes, recorder, script=script(*lines))
     bodies = {}
     for topic, data in recorder.messages:
         if topic.startswith("share/"):

@@ -6,8 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bus.schedule import Schedule, full_publish, hybrid, round_robin
-from filters import compiled, ukf
+from filters import ukf
 from filters.gaussian import Gaussian
+from filters.kernels import compiled
 from filters.sigma_points import scaled_unscented
 from nodes.messages import Array, Measured, decode, from_wire
 from tests.nodes.networks import (
@@ -49,7 +50,7 @@ def schedules(count: int) -> st.SearchStrategy[Schedule]:
 
 
 def readings(outcome: Outcome) -> dict[int, dict[int, Array]]:
-    """What each seeing node read at each step."""
+    """Return the readings of each seeing node at each step."""
     read: dict[int, dict[int, Array]] = {}
     for topic, data in outcome.messages:
         if topic.startswith("measured/"):
@@ -139,9 +140,9 @@ def test_rounds_of_information_are_powers_of_the_weights(
     start = []
     for i, config in enumerate(net.nodes):
         after = kalman(priors[i], {i: read[i]} if i in read else {})
-        start.append(config.estimator.rule.begin(priors[i], after))  # type: ignore[attr-defined]
+        start.append(config.estimator.rule.exchange.begin(np.array(i), priors[i], after))  # type: ignore[attr-defined]
     expected = np.linalg.matrix_power(weight_matrix(net), rounds) @ np.array(start)
-    known = np.array([state.content.known for state in outcome.states])
+    known = np.array([state.content.own.known for state in outcome.states])
     scale = max(1.0, np.abs(expected).max())
     np.testing.assert_allclose(known, expected, rtol=0, atol=1e-12 * scale)
 
@@ -175,7 +176,7 @@ def test_later_rounds_of_means_are_powers_of_the_weights(
 def test_the_row_that_travels_is_that_of_the_weights_really_used(
     adjacency: Adjacency, rounds: int, data: st.DataObject, seed: int, loss: float
 ):
-    """Whoever is silent or lost: no novelty counts more than once, some counts exactly once."""
+    """With silent nodes and lost frames, novelty counts at most once, and some exactly once."""
     count = len(adjacency)
     schedule = data.draw(schedules(count))
     priors = random_priors(np.random.default_rng(seed), count, 2)
@@ -189,7 +190,7 @@ def test_the_row_that_travels_is_that_of_the_weights_really_used(
                 used[receiver, sender] = weight_matrix(net)[receiver, sender]
         product = used / used.sum(axis=1, keepdims=True) @ product
     for i, state in enumerate(outcome.states):
-        row = state.content.known[-count:]
+        row = state.content.own.known[-count:]
         np.testing.assert_allclose(row, product[i], rtol=0, atol=1e-12)
         gain = 1 / row.max()
         assert (gain * row <= 1 + 1e-12).all()

@@ -8,15 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bus.flexray.share_frames import cycle_of
 from bus.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
 from filters.gaussian import Gaussian
 from nodes.estimator import Rejected
-from nodes.labelled import LabelledFlooding
-from nodes.labelled_frame import LabelledShare
-from nodes.link_state import LinkState
+from nodes.faults.losses import LinkState
 from nodes.messages import Measured
-from nodes.record_codec import RecordCodec
-from nodes.share import cycle_of
+from nodes.rules.labelled import LabelledFlooding
+from nodes.rules.labelled_frame import LabelledShare
+from nodes.rules.record_codec import RecordCodec
 from tests.nodes.labelled_networks import (
     PRIOR,
     carried,
@@ -339,12 +339,12 @@ def test_a_restarted_node_knows_nothing_until_a_checkpoint_and_then_what_the_oth
     rounds = net.nodes[0].rounds
 
     def dead(sender, receiver, frame):
-        # What is said to it in the step of its restart comes in the first cycle only.
+        # In the step of its restart, frames reach the node in the first cycle only.
         return () if receiver == 2 and cycle_of(frame) == at_step * rounds + 1 else (frame,)
 
     outcome = run(net._replace(nodes=nodes))
     untouched = run(net)
-    # In the step of the restart everybody first hears its call, and answers a cycle later.
+    # In the step of the restart the neighbours hear its call first, and answer a cycle later.
     assert not np.isnan(outcome.mean).any()
     np.testing.assert_allclose(
         outcome.cov[at_step + 1 :, 2], untouched.cov[at_step + 1 :, 2], rtol=1e-5

@@ -7,9 +7,9 @@ import numpy as np
 
 from bus.schedule import full_publish
 from filters.gaussian import Gaussian
-from nodes.labelled import LabelledFlooding
 from nodes.messages import Measured
-from nodes.source_gate import without_outliers
+from nodes.rules.labelled import LabelledFlooding
+from nodes.rules.source_gate import without_outliers
 from tests.nodes.labelled_networks import PRIOR, kalman, labelled, taken
 from tests.nodes.networks import WholeState, path, run
 
@@ -23,7 +23,7 @@ def lone() -> LabelledFlooding:
 
 
 def test_an_outlier_is_refused_alike_everywhere():
-    """Node 1 reads nonsense now and then; everybody is the filter that never saw it."""
+    """Node 1 sometimes reads nonsense; each node equals the filter without those readings."""
     net = labelled(
         path(3), steps=20, rounds=2, seeing=[0, 1, 2], schedule=full_publish(3),
         gates={0: 25.0, 1: 25.0, 2: 25.0},

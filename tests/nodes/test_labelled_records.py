@@ -9,9 +9,9 @@ from scipy import stats
 from filters.gaussian import Gaussian
 from nodes.belief_codec import BeliefCodec
 from nodes.estimator import Rejected
-from nodes.labelled_frame import Labelled, LabelledFrameCodec, LabelledShare
-from nodes.record_codec import RecordCodec, record_codec
-from nodes.record_sets import (
+from nodes.rules.labelled_frame import Labelled, LabelledFrameCodec, LabelledShare
+from nodes.rules.record_codec import RecordCodec, record_codec
+from nodes.rules.record_sets import (
     lacked,
     need,
     newest_first,
@@ -20,7 +20,7 @@ from nodes.record_sets import (
     with_sources,
 )
 from plants.range_bearing import RangeBearing
-from plants.sighting import Sighting
+from plants.recorded.sighting import Sighting
 from tests.nodes.networks import random_cov
 
 NUMBERS = ("<i1", "<i2", "<f4", "<f8")
@@ -54,7 +54,7 @@ def test_a_record_says_its_readings_to_half_a_step(number: str, readings: int, s
     step = SENSOR.noise_std / 16 if number.startswith("<i") else np.full(2, 1e-4)
     assert np.array_equal(np.isnan(found), np.isnan(delivered))
     assert (np.abs(np.nan_to_num(found - delivered)) <= step / 2 + 1e-12).all()
-    # What was decoded is what everybody uses: writing it again changes no bit.
+    # Each node uses the decoded values: encoding them again changes no bit.
     assert codec.encode(found) == record
 
 

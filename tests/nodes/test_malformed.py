@@ -11,10 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bus.flexray.share_frames import SHARE_FRAMES, in_slot
 from bus.schedule import hybrid
 from nodes.bounds import MAX_FRAME_BYTES, MAX_MESSAGE_BYTES
 from nodes.changes import Set
-from nodes.hearing import EARLY_CYCLES, EARLY_STEPS, MOST_EARLY
+from nodes.inbox import EARLY_CYCLES, EARLY_STEPS, MOST_EARLY
 from nodes.messages import (
     Bid,
     Estimate,
@@ -25,13 +26,12 @@ from nodes.messages import (
     decode,
     encode,
 )
+from nodes.node import NodeConfig, Phase, initial_state, step
 from nodes.node_changes import apply
-from nodes.recording import McapRecorder, read_recording
-from nodes.share import in_slot, to_frames
-from nodes.state_machine import NodeConfig, Phase, initial_state, step
+from runtime.recording import McapRecorder, read_recording
 from scenarios.build import build_node
 from scenarios.catalogue import kind_of
-from scenarios.setup import prepare
+from scenarios.preparation import prepare
 from tests.nodes.one_node import (
     ROUNDS,
     STEPS,
@@ -82,10 +82,7 @@ def malformed_frames(config: NodeConfig, seed: int, count: int) -> Iterator[Shar
     rng = np.random.default_rng(seed)
     sound = [share(config, j, cycle) for j in (0, 2) for cycle in range(STEPS * ROUNDS)]
     far = STEPS * ROUNDS + max(EARLY_STEPS * ROUNDS, EARLY_CYCLES) + 1
-    future = [
-        to_frames(sound[0][9:40], far + more, config.slots(0, far + more))[0]
-        for more in (0, 1, 999, 2**31)
-    ]
+    future = [config.bus.encode(0, far + more, sound[0][9:40])[0] for more in (0, 1, 999, 2**31)]
     sizes = rng.integers(0, MAX_FRAME_BYTES + 8, count).tolist()
     picks = rng.integers(0, len(sound), count).tolist()
     for number, (size, pick) in enumerate(zip(sizes, picks, strict=True)):
@@ -181,7 +178,7 @@ def test_a_million_malformed_frames_and_messages():
 
 
 def test_what_is_kept_for_later_is_bounded():
-    """Whole heartbeats, grants and frames of steps that nobody has begun."""
+    """Well-formed heartbeats, grants and frames of steps that no node has begun."""
     config = middle_node(hybrid(3, 0.7))
     state, _ = step(config, initial_state(config), heartbeat(0))
     for number in range(1, 2 * MOST_EARLY):
@@ -201,7 +198,7 @@ def test_early_frames_in_slots_of_nobody_are_not_kept():
         for frame in ahead:
             state, _ = step(config, state, ShareHeard(0, frame))
         if state.phase is Phase.MEASUREMENT:
-            # Between two steps nobody knows what slots there will be; from the next on it does.
+            # Between two steps a node does not know the next slots; from the next step on it does.
             state, _ = step(config, state, heartbeat(0))
         assert state.inbox.early == {}
         assert state.counters["rejected wrong-slot"] == len(ahead)
@@ -224,10 +221,10 @@ def test_what_is_too_long_is_not_even_read():
 
 @given(st.sampled_from(sorted(TOPICS)), st.binary(max_size=40) | st.just(b'{"step":1e30}'))
 def test_any_bytes_can_be_recorded(topic: str, data: bytes):
-    """What a stranger says is kept as it came, and what comes after it too."""
+    """The recorder keeps a stranger's message unchanged, and the message after it too."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.mcap"
-        recorder = McapRecorder(path, 2, 0.1)
+        recorder = McapRecorder(path, 2, 0.1, SHARE_FRAMES)
         recorder.record([(topic, data)])
         recorder.record([("bid/1", TOPICS["bid/1"])])
         recorder.close()
@@ -244,7 +241,7 @@ MISFITS = [
 
 @pytest.mark.parametrize("misfit", MISFITS)
 def test_a_heartbeat_of_another_form_is_refused(misfit: dict):
-    """What its sensors deliver a node knows from its first heartbeat; the true one comes later."""
+    """A node learns the form of its readings from its first heartbeat. The true one comes later."""
     config = middle_node()
     clean = clean_events(config)
     _, undisturbed = feed(config, clean)
@@ -258,7 +255,7 @@ def test_a_heartbeat_of_another_form_is_refused(misfit: dict):
 
 @pytest.mark.parametrize("settings", [{"rule": "nonsense"}, {"rounds": "x"}, {"steps": 3}])
 def test_settings_that_cannot_be_are_refused(settings: dict):
-    setup = prepare(msgspec.structs.replace(kind_of("oscillator").defaults, nodes=2, graph="path"))
+    setup = prepare(kind_of("oscillator").defaults.with_(nodes=2, graph="path"))
     config = build_node(setup, 0)
     heartbeat_ = Measured(0, 0, [[1.0]], changes=(Set(settings, 7),))
     state, _ = step(config, initial_state(config), heartbeat_)

@@ -7,11 +7,11 @@ from bus.measurement_bus import BID_RESOLUTION, zero_input, zero_order_hold
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
 from filters.stochastic_ukf import RECOMMENDED
-from filters.stochastic_ukf_printed import PAPER_LITERAL, PAPER_LITERAL_R
 from nodes.estimator import Rejected
-from nodes.measurement_bus import ReceiverNode, SensorNode
-from nodes.measurement_codec import MeasurementCodec
 from nodes.messages import Measured
+from nodes.rules.measurement_bus import ReceiverNode, SensorNode
+from nodes.rules.measurement_codec import MeasurementCodec
+from papers.meng2025.filter_as_printed import PAPER_LITERAL, PAPER_LITERAL_R
 from plants.stochastic import StochasticNonlinearity, StochasticSystem
 
 SYSTEM = StochasticSystem(

@@ -7,17 +7,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiments.trace import read_trace
+from experiments.results.trace import read_trace
 from filters.gaussian import Gaussian
-from nodes import in_process
+from filters.sigma_points import scaled_unscented
 from nodes.bids import FIRST_BID
-from nodes.in_process import Link
 from nodes.messages import Measured
-from nodes.recording import MemoryRecorder
-from nodes.set_membership import SetMembership
-from nodes.set_shapes import Ellipsoids, Zonotopes
-from scenarios.build import build_node, build_world
-from scenarios.setup import Setup, prepare
+from nodes.rules.lane_rule import Place
+from nodes.rules.set_membership import SetAtNode, SetMembership
+from nodes.rules.set_shapes import Ellipsoids, Zonotopes
+from nodes.vector_codec import VectorCodec
+from runtime import in_process
+from runtime.in_process import Link
+from runtime.recording import MemoryRecorder
+from scenarios.build import build_environment, build_node
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 from tests.experiments.support import scenario
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -32,7 +36,7 @@ def radii(setup: Setup, link: Link = in_process.lossless) -> np.ndarray:
     """e' P^-1 e (steps, N) of a run."""
     recorder = MemoryRecorder()
     nodes = [build_node(setup, node) for node in range(setup.scenario.nodes)]
-    in_process.run(build_world(setup), nodes, recorder, link=link)
+    in_process.run(build_environment(setup), nodes, recorder, link=link)
     trace = read_trace(setup, recorder.messages)
     errors = (trace.mean - trace.truth[:, None])[..., None]
     return (errors.mT @ np.linalg.solve(trace.cov, errors))[..., 0, 0]
@@ -68,7 +72,7 @@ def test_the_truth_stays_inside_at_every_node(
 
 
 @RULES
-@pytest.mark.parametrize("hold", ["decayed", "predict", "drop", "in-step"])
+@pytest.mark.parametrize("hold", ["predict", "drop"])
 def test_every_sound_hold_policy_keeps_it_inside(rule: str, hold: str):
     assert (radii(network(rule=rule, hold=hold, schedule="hybrid", occupancy=0.3)) <= 1).all()
 
@@ -89,7 +93,7 @@ def test_a_network_knows_more_than_a_node():
     def size(setup: Setup, link: Link = in_process.lossless) -> float:
         recorder = MemoryRecorder()
         nodes = [build_node(setup, node) for node in range(setup.scenario.nodes)]
-        in_process.run(build_world(setup), nodes, recorder, link=link)
+        in_process.run(build_environment(setup), nodes, recorder, link=link)
         cov = read_trace(setup, recorder.messages).cov
         return float(np.trace(cov[-1].mean(0)))
 
@@ -103,7 +107,7 @@ def test_equal_bits_whatever_the_order_of_arrival():
     def estimates(pick) -> tuple[bytes, bytes]:
         recorder = MemoryRecorder()
         nodes = [build_node(setup, node) for node in range(setup.scenario.nodes)]
-        in_process.run(build_world(setup), nodes, recorder, pick=pick)
+        in_process.run(build_environment(setup), nodes, recorder, pick=pick)
         trace = read_trace(setup, recorder.messages)
         return trace.mean.tobytes(), trace.cov.tobytes()
 
@@ -130,9 +134,24 @@ class First:
         return np.array([[1.0, 0.0]]), np.array([0.1])
 
 
-def one_node(shape, **changes) -> SetMembership:
+def one_node(shape, **changes) -> SetAtNode:
     prior = Gaussian(np.zeros(2), np.eye(2))
-    return SetMembership(Still(), First(), prior, shape, neighbours=1, **changes)
+    length = len(shape.numbers_of(shape.around(prior)))
+    return SetAtNode(
+        SetMembership(shape, **changes),
+        Place(np.array(0), np.array([0.5, 0.5])),
+        Still(),  # type: ignore[arg-type]
+        First(),  # type: ignore[arg-type]
+        prior,
+        scaled_unscented(2),
+        VectorCodec(length),
+    )
+
+
+def told(shape, centre: list[float], variance: float) -> bytes:
+    """The body of a share of a ball."""
+    ball = shape.around(Gaussian(np.array(centre), variance * np.eye(2)))
+    return shape.numbers_of(ball).tobytes()
 
 
 SHAPES = pytest.mark.parametrize("shape", [Ellipsoids(2), Zonotopes(2)])
@@ -162,8 +181,7 @@ def test_a_reading_that_contradicts_the_set_is_counted_and_left_out(shape):
 def test_a_share_that_contradicts_the_set_is_counted_and_not_held(shape):
     node = one_node(shape)
     content, _ = node.begin_step(node.start(), reading(0, 0.0))
-    far = shape.around(Gaussian(np.array([5.0, 5.0]), 0.01 * np.eye(2)))
-    after, troubles = node.fuse(content, (far,))
+    after, troubles = node.fuse(content, (told(shape, [5.0, 5.0], 0.01),))
     assert troubles == ("contradicting-share",)
     assert node.ages(after).tolist() == [-1]
     assert node.belief(after).cov.tobytes() == node.belief(content).cov.tobytes()
@@ -171,7 +189,7 @@ def test_a_share_that_contradicts_the_set_is_counted_and_not_held(shape):
 
 @SHAPES
 def test_a_held_set_is_carried_with_the_plant_and_helps_later(shape):
-    small = shape.around(Gaussian(np.zeros(2), 1e-4 * np.eye(2)))
+    small = told(shape, [0.0, 0.0], 1e-4)
     sizes = {}
     for carried in (True, False):
         node = one_node(shape, carried=carried)
@@ -196,7 +214,7 @@ def test_a_bid_is_how_much_there_is_to_tell(shape):
     content, body = node.compose(content)
     assert len(body) == node.share_bytes
     assert node.bid(content) is None  # nothing new: below the trigger
-    content, _ = node.fuse(content, (shape.around(Gaussian(np.zeros(2), 0.01 * np.eye(2))),))
+    content, _ = node.fuse(content, (told(shape, [0.0, 0.0], 0.01),))
     urgent = node.bid(content)
     assert urgent is not None
     assert 0 < urgent < FIRST_BID

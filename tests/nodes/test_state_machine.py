@@ -8,9 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.publication import Slot
+from bus.flexray.publication import Slot
+from bus.flexray.share_frames import to_frames
 from bus.schedule import Schedule, dynamic_only, round_robin
-from nodes.link_state import LinkState, hears
+from nodes.belief_codec import BeliefCodec
+from nodes.faults.losses import LinkState, hears
 from nodes.messages import (
     Bid,
     CycleClosed,
@@ -20,14 +22,14 @@ from nodes.messages import (
     ShareHeard,
     ShareSent,
 )
-from nodes.share import to_frames
-from nodes.state_machine import (
+from nodes.node import (
     NodeConfig,
     Phase,
     awaited_neighbours,
     initial_state,
     step,
 )
+from tests.nodes.networks import with_slots
 from tests.nodes.one_node import (
     PRIORS,
     ROUNDS,
@@ -104,18 +106,10 @@ def test_any_order_of_events_gives_the_same_estimates(name: str, random):
 def _nuisances(config: NodeConfig, cycle: int) -> dict[str, NodeEvent]:
     """Each kind of useless event while `cycle` is open, by the counter that it must raise."""
     sound = share(config, 0, cycle)
-    wrong_slot = to_frames(
-        config.estimator.codec.encode(PRIORS[0]),  # type: ignore[attr-defined]
-        cycle,
-        config.slots(2, cycle),
-    )[0]
+    body = BeliefCodec(2).encode(PRIORS[0])
+    wrong_slot = config.bus.encode(2, cycle, body)[0]
     flipped = bytes([*sound[:-1], sound[-1] ^ 1])
-    miscounted = to_frames(
-        config.estimator.codec.encode(PRIORS[0]),  # type: ignore[attr-defined]
-        cycle + 8,
-        config.slots(0, cycle),
-        8,
-    )[0]
+    miscounted = config.bus.frame_format.miscounted(config.bus.encode(0, cycle + 8, body)[0], 8)
     unscheduled = {0: 0, 1: 2, 2: 0}[cycle % 3]
     kinds: dict[str, NodeEvent] = {
         "rejected stranger": ShareHeard(STRANGER, sound),
@@ -228,7 +222,7 @@ def test_a_closed_cycle_goes_on_with_what_has_come():
 
 
 def test_without_a_grant_what_a_contender_sent_still_counts():
-    """Node 2 contends; it won and sent, but the world's word to us came too late."""
+    """Node 2 contends, wins and sends, but the environment's grant reaches this node too late."""
     config = middle_node(Schedule(3, ((0, 1),), ((2,),), (1,)))
     came = [heartbeat(0), *(ShareHeard(j, share(config, j, 0)) for j in (0, 2))]
     state, _ = feed(config, came)
@@ -236,7 +230,7 @@ def test_without_a_grant_what_a_contender_sent_still_counts():
     closed, _ = step(config, state, CycleClosed(0))
     granted, _ = step(config, state, Grant(0, [2]))
     assert closed.cycle == granted.cycle == 1
-    np.testing.assert_array_equal(closed.content.own.mean, granted.content.own.mean)
+    np.testing.assert_array_equal(closed.content.own.belief.mean, granted.content.own.belief.mean)
     late, _ = step(config, closed, Grant(0, [2]))
     assert late.counters["repeated grant"] == 1
 
@@ -257,10 +251,10 @@ def test_an_inbox_does_not_grow_with_time():
 def test_a_share_is_lost_with_any_of_its_frames_and_nobody_waits_for_the_rest():
     """Shares of three frames, of which the link loses some: counted one by one, used whole or not
     at all, in whatever order they come."""
-    plain = replace(middle_node(), slots=three_slots)
+    plain = with_slots(middle_node(), three_slots)
     for key in range(40):
         config = replace(plain, links=LinkState((key, 0), 0.3))
-        frames = to_frames(plain.estimator.codec.encode(PRIORS[0]), 0, three_slots(0, 0))  # type: ignore[attr-defined]
+        frames = to_frames(BeliefCodec(2).encode(PRIORS[0]), 0, three_slots(0, 0))
         assert len(frames) == 3
         arrive = [hears(config.links, 0, 0, 0, 1, number) for number in range(3)]
         outcomes = []

@@ -4,8 +4,10 @@ import dataclasses
 
 from msgspec import UNSET
 
-from nodes import state_machine, world
+from nodes import environment
+from nodes import node as state_machine
 from nodes.messages import (
+    Allowed,
     Bid,
     BidsClosed,
     CycleClosed,
@@ -17,13 +19,13 @@ from nodes.messages import (
     ShareSent,
 )
 from nodes.node_state import Phase
-from scenarios.build import build_node, build_world
+from scenarios.build import build_environment, build_node
 from tests.experiments.support import small
 
 
 def heartbeats(setup) -> list[Measured]:
-    config = build_world(setup)
-    _, messages = world.allow(config, world.begin(config), 1)
+    config = build_environment(setup)
+    _, messages = environment.step(config, environment.begin(config), Allowed(1))
     return [message for message in messages if isinstance(message, Measured)]
 
 
@@ -47,7 +49,7 @@ def estimates(timed: bool, reverse: bool) -> list[Estimate]:
                 if share.node in configs[node].neighbours:
                     give(node, ShareHeard(share.node, share.frame))
         if timed:
-            # All has come, and nobody goes on before the time is over.
+            # All messages have arrived, and no node goes on before the deadline.
             assert all(state.cycle == cycle for state in states)
             for node in range(4):
                 give(node, CycleClosed(cycle))
@@ -62,22 +64,22 @@ def test_the_clock_changes_nothing_where_all_comes_in_time():
 
 
 def test_who_asks_after_the_end_of_bids_is_not_granted_and_is_named():
-    config = build_world(small(schedule="hybrid", occupancy=0.5, steps=2))
-    state, _ = world.allow(config, world.begin(config), 1)
+    config = build_environment(small(schedule="hybrid", occupancy=0.5, steps=2))
+    state, _ = environment.step(config, environment.begin(config), Allowed(1))
     cycle, group = state.next_cycle, state.next_group
     first, *late = config.schedule.contenders(cycle)
     assert late
-    state, messages = world.step(config, state, Bid(first, cycle, 1, 30, group))
+    state, messages = environment.step(config, state, Bid(first, cycle, 1, 30, group))
     assert messages == []
-    state, messages = world.step(config, state, BidsClosed(cycle, group))
+    state, messages = environment.step(config, state, BidsClosed(cycle, group))
     assert messages == [Grant(cycle, [first], group, late)]
     # However urgent: that contest is over, and the next one hears all of them.
     for node in late:
-        state, messages = world.step(config, state, Bid(node, cycle, 9, 30, group))
+        state, messages = environment.step(config, state, Bid(node, cycle, 9, 30, group))
         assert messages == []
     following = state.next_cycle, state.next_group
     assert following > (cycle, group)
     for node in config.schedule.contenders(following[0]):
         bid = Bid(node, following[0], 1, 30, following[1])
-        state, messages = world.step(config, state, bid)
+        state, messages = environment.step(config, state, bid)
     assert [grant.unheard for grant in messages if isinstance(grant, Grant)] == [UNSET]

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from filters.fusion import INFORMATION, MOMENTS, Directly, covariance_intersection
+from bus.flexray.share_frames import read_frame
+from filters.fusion.averaging import INFORMATION, MOMENTS, Directly, covariance_intersection
 from nodes.messages import (
     CycleClosed,
     Estimate,
@@ -16,8 +17,7 @@ from nodes.messages import (
     NodeEvent,
     ShareHeard,
 )
-from nodes.share import read_frame, to_frames
-from nodes.state_machine import (
+from nodes.node import (
     NodeConfig,
     Phase,
     initial_state,
@@ -60,7 +60,7 @@ def any_events(draw: st.DrawFn, config: NodeConfig) -> list[NodeEvent]:
     # Right checksums around anything, in anybody's slot.
     odd = st.builds(
         lambda sender, owner, cycle, body: ShareHeard(
-            sender, to_frames(body, cycle, config.slots(owner, cycle))[0]
+            sender, config.bus.encode(owner, cycle, body)[0]
         ),
         st.sampled_from([0, 1, 2, STRANGER]),
         st.sampled_from([0, 1, 2]),
@@ -121,7 +121,7 @@ def test_absurd_beliefs_with_right_checksums_stop_nobody(name: str, average, hol
         body = np.array([mean, -mean, variances[0], 0.0, variances[1]]).tobytes()
         for place in places:
             sender, cycle = events[place].sender, read_frame(events[place].frame).cycle  # type: ignore[union-attr]
-            frame = to_frames(body, cycle, config.slots(sender, cycle))[0]
+            frame = config.bus.encode(sender, cycle, body)[0]
             events[place] = ShareHeard(sender, frame)
         with np.errstate(all="ignore"):
             state, sent = feed(config, events)

@@ -1,6 +1,6 @@
 """The golden transcript: three nodes and one lost share, the first page of documentation.
 
-Run with CONCORD_REWRITE=1 to write it anew, and read the difference before you commit it.
+`make stories` writes it anew; read the difference before you commit it.
 """
 
 import os
@@ -44,8 +44,8 @@ def test_three_nodes_one_lost_share():
     if os.environ.get("CONCORD_REWRITE"):
         FILE.write_text(text, encoding="utf-8")
     assert text == FILE.read_text(encoding="utf-8"), (
-        "the story of a run has changed; if that is wanted, run this test with CONCORD_REWRITE=1 "
-        "and read the difference"
+        "the story of a run has changed; if that is wanted, run `make stories` and read the "
+        "difference"
     )
 
 

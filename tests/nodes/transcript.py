@@ -6,13 +6,13 @@ from typing import Any, cast
 
 import numpy as np
 
+from bus.flexray.share_frames import read_frame
 from filters.gaussian import Gaussian
-from nodes import in_process
-from nodes.belief_consensus import BeliefConsensus
 from nodes.estimator import Estimator
 from nodes.messages import Array, Bid, Estimate, Grant, Measured, Truth, decode, from_wire
-from nodes.share import read_frame
-from nodes.state_machine import NodeConfig
+from nodes.node import NodeConfig
+from nodes.rules.belief_consensus import BeliefConsensus
+from runtime import in_process
 from tests.nodes.networks import Network
 
 Fate = set[tuple[int, int, int]]
@@ -29,7 +29,7 @@ class Storyteller:
         self.lines.append(f"  {when:<8} {who:<7} {what}")
 
     def record(self, messages: Sequence[tuple[str, bytes]]) -> None:
-        """What is sent, in the words of the sender."""
+        """Tell the sent messages from the sender's view."""
         for topic, data in messages:
             self._retell(topic, data)
 
@@ -58,7 +58,7 @@ class Storyteller:
         self.lines.append("")
 
     def link(self, sender: int, receiver: int, frame: bytes) -> Iterable[bytes]:
-        """What becomes of a frame on its way."""
+        """Tell whether a frame arrives, and return it if it does."""
         cycle = read_frame(frame).cycle
         lost = (sender, receiver, cycle) in self._lost
         arrow = "LOST on its way to" if lost else "on its way to"

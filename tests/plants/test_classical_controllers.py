@@ -9,19 +9,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
-from plants import cruise, motor, pitch, suspension
-from plants.closed_loop import closed_loop, quiet, step_figures
-from plants.controllers import IntegralFeedback, OutputFeedback, StateFeedback
-from plants.references import constant
-from plants.root_loci import figure_7
-from plants.transfer_functions import (
+from papers.wac.root_loci import figure_7
+from plants.control import cruise, motor, pitch, suspension
+from plants.control.closed_loop import closed_loop, quiet, step_figures
+from plants.control.controllers import IntegralFeedback, OutputFeedback, StateFeedback
+from plants.control.references import constant
+from plants.control.transfer_functions import (
     Rational,
     lag,
     lead,
     output_feedback,
     pid,
     proportional,
-    proportional_derivative,
     proportional_integral,
     root_locus,
     sampled_compensator,
@@ -83,7 +82,6 @@ def test_proportional_controller_has_no_memory():
 def test_controllers_are_equation_23():
     s = 0.3 + 2j
     assert proportional(3.0)(s) == pytest.approx(3)
-    assert proportional_derivative(3.0, 5.0)(s) == pytest.approx(3 + 5 * s)
     assert proportional_integral(3.0, 2.0)(s) == pytest.approx(3 + 2 / s)
     assert pid(3.0, 2.0, 5.0)(s) == pytest.approx(3 + 2 / s + 5 * s)
     assert lag(2.0, 0.3, 0.03)(0) == pytest.approx(20)

@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from plants import cruise, motor, pitch, suspension
-from plants.closed_loop import Response, closed_loop, quiet, step_figures
-from plants.control_design import (
+from plants.control import cruise, motor, pitch, suspension
+from plants.control.closed_loop import Response, closed_loop, quiet, step_figures
+from plants.control.controllers import StateFeedback
+from plants.control.design import (
     continuous_gain_feedback,
     lqr_gain,
     placed_feedback,
     pole_placement,
 )
-from plants.controllers import StateFeedback
+from plants.control.references import constant
 from plants.linear import LinearPlant
-from plants.references import constant
 
 
 def run(plant: LinearPlant, controller, seconds: float) -> Response:

@@ -6,10 +6,10 @@ import pytest
 from scipy.integrate import quad_vec, solve_ivp
 from scipy.linalg import expm
 
-from plants import cruise, motor, pitch, suspension
-from plants.continuous import ContinuousPlant, van_loan, zero_order_hold
-from plants.control_design import controllability_rank, observability_rank
-from plants.transfer_functions import Rational
+from plants.control import cruise, motor, pitch, suspension
+from plants.control.continuous import ContinuousPlant, van_loan, zero_order_hold
+from plants.control.design import controllability_rank, observability_rank
+from plants.control.transfer_functions import Rational
 
 PLANTS = [
     pytest.param(cruise.dynamics(), cruise.transfer_function(), id="cruise"),

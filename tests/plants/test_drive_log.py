@@ -5,9 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from plants.drive_log import ColumnMap, columns_from_toml, read_drive, read_folder, write_drive
-from plants.vehicle_drive import Drive
-from plants.vehicle_parameters import BMW_320I
+from plants.vehicle.drive import Drive
+from plants.vehicle.drive_log import (
+    ColumnMap,
+    columns_from_toml,
+    read_drive,
+    read_folder,
+    write_drive,
+)
+from plants.vehicle.parameters import BMW_320I
 
 MAP = """
 time = { column = "t", unit = "ms" }

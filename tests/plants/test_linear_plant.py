@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from plants import cruise, motor, pitch, suspension
+from plants.control import cruise, motor, pitch, suspension
+from plants.control.references import Staircase, constant, square
 from plants.linear import LinearPlant
-from plants.references import Staircase, constant, square
 
 MAKERS = [
     cruise.cruise,
@@ -244,8 +244,8 @@ def test_motor_is_the_scenario_of_the_specification():
 
 def test_import_of_the_plants_is_light():
     code = (
-        "import sys; import plants.cruise, plants.suspension, plants.pitch, plants.motor, "
-        "plants.root_loci, plants.closed_loop; "
+        "import sys; from plants.control import closed_loop, cruise, motor, pitch, suspension; "
+        "import papers.wac.root_loci; "
         "print([name for name in ('scipy', 'control', 'matplotlib') if name in sys.modules])"
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

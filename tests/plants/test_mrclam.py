@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from plants.confined_motion import ConfinedMotion
-from plants.mrclam import recorded_target
-from plants.mrclam_files import read_recording
-from plants.sighting import Sighting
+from plants.recorded.confined_motion import ConfinedMotion
+from plants.recorded.mrclam import recorded_target
+from plants.recorded.mrclam_files import read_recording
+from plants.recorded.sighting import Sighting
 
 SET_6 = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "mrclam6"
 
@@ -60,7 +60,7 @@ def test_a_reading_belongs_to_the_first_instant_after_its_picture(tmp_path):
             (100.345, 41, 2.0, 0.0),  # 100.300 -> k = 1 exactly, the instant itself
             (100.350, 41, 3.0, 0.0),  # 100.305 -> k = 2
             (100.350, 14, 8.0, 0.0),  # another robot: out
-            (100.350, 99, 8.0, 0.0),  # nobody's barcode: out
+            (100.350, 99, 8.0, 0.0),  # a barcode without an owner: out
             (104.045, 41, 4.0, 0.0),  # 104.000, after t_19 = 103.9: out
             (103.900, 41, 5.0, 0.0),  # 103.855 -> k = 19
         ],

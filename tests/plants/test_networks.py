@@ -1,4 +1,4 @@
-"""Who measures what: the dealing rule, the two presets, and the table they must reproduce."""
+"""Test the sensors of each node: the dealing rule, the two presets, and their table."""
 
 from typing import Any
 
@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plants import cruise, motor, pitch, suspension
+from plants.control import cruise, motor, pitch, suspension
+from plants.control.networks import PAPER_WARNING, deal_order
 from plants.linear import LinearPlant
-from plants.networks import PAPER_WARNING, deal_order
 
 MAKERS = [
     cruise.cruise,

@@ -127,7 +127,7 @@ def test_the_truth_keeps_its_stationary_law():
 
 
 def test_a_kalman_filter_of_all_nodes_is_consistent_on_it():
-    """What plant, model and sensors say about each other is one story: NEES is chi-square."""
+    """Plant, model and sensors are consistent with each other: NEES is chi-square."""
     plant, runs, steps = Oscillator(nodes=4), 500, 30
     rng = np.random.default_rng(3)
     state, mean, cov = plant.initial(rng.standard_normal((runs, 2)))

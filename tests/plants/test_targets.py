@@ -264,8 +264,11 @@ def test_the_truth_moves_with_the_noise_of_the_model(build):
 
 
 def assert_covariance(errors, cov):
-    """Whitened by `cov`, the errors have unit covariance: each entry within 5 of its deviations
-    (2 / N on the diagonal, 1 / N beside it), and their squared sum is chi-square."""
+    """Check that the errors, whitened by `cov`, have unit covariance.
+
+    Each entry is within 5 of its standard deviations; its variance is 2 / N on the diagonal and
+    1 / N beside it. The squared sum of the errors is chi-square.
+    """
     count, states = errors.shape
     white = np.linalg.solve(np.linalg.cholesky(cov), errors.T)
     sample = white @ white.T / count

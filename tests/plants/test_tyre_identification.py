@@ -4,10 +4,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from plants.tyre_identification import identify
-from plants.vehicle_drive import Drive
-from plants.vehicle_model import axles_of, linear_tyre, single_track, tanh_tyre
-from plants.vehicle_parameters import BMW_320I, Car
+from plants.vehicle.drive import Drive
+from plants.vehicle.model import axles_of, linear_tyre, single_track, tanh_tyre
+from plants.vehicle.parameters import BMW_320I, Car
+from plants.vehicle.tyre_identification import identify
 
 TRUE = msgspec.structs.replace(
     BMW_320I, front_stiffness_n_rad=90e3, rear_stiffness_n_rad=140e3, friction=0.8
@@ -59,7 +59,7 @@ def test_it_finds_the_stiffness_within_its_own_errors(tyre, slip_is_logged):
     assert (np.abs(ours - truth) < 4 * found.stiffness_std_n_rad).all()
     assert (np.abs(ours / truth - 1) < 0.03).all()
     assert found.steering_offset_rad == pytest.approx(STEERING_OFFSET, abs=3e-4)
-    # What is left over is the noise; its last place is 1 / sqrt(2 * 1600).
+    # The residual is the noise; its relative standard error is 1 / sqrt(2 * 1600).
     np.testing.assert_allclose(found.residual_rms[:2], [0.005, 0.1], rtol=0.08)
     assert np.isnan(found.residual_rms[2]) == (not slip_is_logged)
 

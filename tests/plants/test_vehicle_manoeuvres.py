@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from plants.vehicle_manoeuvres import (
+from plants.vehicle.manoeuvres import (
     MANOEUVRES,
     Motion,
     OpenLoop,

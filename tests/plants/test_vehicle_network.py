@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from plants.vehicle_drive import Drive
-from plants.vehicle_model import single_track, tanh_tyre
-from plants.vehicle_network import (
+from plants.vehicle.drive import Drive
+from plants.vehicle.model import single_track, tanh_tyre
+from plants.vehicle.network import (
     ACCELERATION,
     BELIEVED_STD,
     CHANNELS,
@@ -22,8 +22,8 @@ from plants.vehicle_network import (
     sensor,
     simulated,
 )
-from plants.vehicle_parameters import BMW_320I
-from plants.vehicle_sensors import SensorError
+from plants.vehicle.parameters import BMW_320I
+from plants.vehicle.sensors import SensorError
 
 MODEL = single_track(BMW_320I, tanh_tyre, 0.005, np.diag([1e-5, 1e-7, 1e-7]))
 CAR = DrivenCar(MODEL)

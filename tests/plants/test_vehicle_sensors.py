@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from plants.vehicle_drive import Drive
-from plants.vehicle_sensors import (
+from plants.vehicle.drive import Drive
+from plants.vehicle.sensors import (
     TEST_CAR,
     SensorError,
     contaminated,

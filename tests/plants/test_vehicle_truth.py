@@ -6,18 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from plants.vehicle_drive import FRONT_LEFT, FRONT_RIGHT, REAR_LEFT, REAR_RIGHT
-from plants.vehicle_manoeuvres import MANOEUVRES, OpenLoop, Program
-from plants.vehicle_model import linear_tyre, single_track
-from plants.vehicle_truth import (
+from plants.vehicle.drive import FRONT_LEFT, FRONT_RIGHT, REAR_LEFT, REAR_RIGHT
+from plants.vehicle.manoeuvres import MANOEUVRES, OpenLoop, Program
+from plants.vehicle.model import linear_tyre, single_track
+from plants.vehicle.truth import (
     BMW,
     SOFT_BMW,
     SpunOut,
     TrueCar,
     data_sheet,
-    multi_body,
     simulate,
-    single_track_drift,
 )
 
 installed = pytest.mark.skipif(
@@ -39,9 +37,8 @@ def test_half_the_integration_step_changes_nothing_that_matters():
 
 
 @installed
-@pytest.mark.parametrize("body", [multi_body, single_track_drift])
-def test_what_a_drive_says_agrees_with_itself(body):
-    drive = simulate(SHORT, BMW, 0.01, body)
+def test_what_a_drive_says_agrees_with_itself():
+    drive = simulate(SHORT, BMW, 0.01)
     rate = np.gradient(drive.heading_rad, 0.01)
     np.testing.assert_allclose(rate[2:-2], drive.yaw_rate_rad_s[2:-2], atol=2e-3)
     vy = drive.lateral_speed_m_s
@@ -66,9 +63,8 @@ def test_the_outer_wheels_are_the_faster_ones():
 
 
 @installed
-@pytest.mark.parametrize("body", [multi_body, single_track_drift])
-def test_gentle_cornering_is_the_single_track_models(body):
-    drive = simulate(GENTLE, BMW, 0.01, body)
+def test_gentle_cornering_is_the_single_track_models():
+    drive = simulate(GENTLE, BMW, 0.01)
     model = single_track(data_sheet(BMW), linear_tyre, 0.01, np.eye(3))
     state = drive.states[0]
     for control in drive.inputs[:-1]:

@@ -4,18 +4,19 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from experiments.drivers import in_memory
-from experiments.trace import Trace, read_trace
+from experiments.results.trace import Trace, read_trace
 from filters.gaussian import Gaussian
 from filters.metrics import nees
 from plants.oscillator import Oscillation, Oscillator
+from runtime.drivers import in_memory
 from scenarios.baselines import (
     centralised,
     centralised_of_runs,
     local_only,
     local_only_of_runs,
 )
-from scenarios.setup import Setup, setup_of_run
+from scenarios.preparation import setup_of_run
+from scenarios.setup import Setup
 from tests.experiments.support import small
 
 SETUP = small(steps=40, nodes=5)

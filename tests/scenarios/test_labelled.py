@@ -1,38 +1,37 @@
 """The rule `labelled` from the command line's options to a run, and what it refuses."""
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 from scipy import stats
 
-from experiments.agree_command import first_difference
-from experiments.drivers import DRIVERS, in_memory
-from experiments.labelled_cases import Case, runs_of_case
-from experiments.labelled_exact import FULL_INFORMATION, audit, full_information
-from experiments.options import ScenarioOptions
-from experiments.reproduce_labelled_exact import NETWORKS, exact_section
-from experiments.trace import Trace, read_trace
-from nodes.labelled import LabelledFlooding
-from nodes.record_sets import lacked, newest_first
-from nodes.recording import read_recording
+from experiments.cli.agree import first_difference
+from experiments.results.trace import Trace, read_trace
+from experiments.scenario_options import scenario_of
+from nodes.rules.labelled import LabelledFlooding
+from nodes.rules.record_sets import lacked, newest_first
+from papers.labelled.cases import Case, runs_of_case
+from papers.labelled.exact import FULL_INFORMATION, audit, full_information
+from papers.labelled.exact_section import NETWORKS, exact_section
+from runtime.drivers import DRIVERS, in_memory
+from runtime.recording import read_recording
 from scenarios.baselines import centralised
 from scenarios.build import build_node
 from scenarios.bus_plan import build_schedule
 from scenarios.catalogue import kind_of
 from scenarios.labelled import check_labelled, digest_of, gates_of, latency_steps, window_of
+from scenarios.preparation import prepare
 from scenarios.scenario import Scenario
-from scenarios.setup import Setup, prepare
+from scenarios.setup import Setup
 from scenarios.warnings import warnings_of
 
 
 def setup_of(**options) -> Setup:
     chosen = {"scenario": "oscillator", "rule": "labelled", "steps": 12, **options}
-    return prepare(ScenarioOptions(**chosen).resolve())
+    return prepare(scenario_of(**chosen))
 
 
 def trace_of(setup: Setup) -> Trace:
@@ -168,9 +167,10 @@ def test_a_wrong_reading_is_used_by_nobody():
 # --- options -------------------------------------------------------------------------------------
 
 REFUSED = [
-    ({"relay": True, "rule": "ci"}, "choose rule labelled"),
-    ({"relay": True, "cluster": "none"}, "--relay True --cluster none"),
+    ({"relay": True, "rule": "ci"}, "belongs to --rule labelled"),
+    ({"relay": True, "bus": "ideal"}, "--relay --bus ideal"),
     ({"relay": True, "latch_delay_us": 50.0}, "leaves 7.8 us"),
+    ({"latch_delay_us": 50.0}, "belongs to --relay"),
     ({"window_steps": 0}, "must be 1 to 255"),
     ({"window_steps": 256}, "must be 1 to 255"),
     ({"window_steps": 4, "digest_steps": 5}, "--digest-steps 5"),
@@ -180,8 +180,8 @@ REFUSED = [
     ({"record_number": "int61"}, "'int16'"),
     ({"payload_bytes": 15}, "even, 16 to 254"),
     ({"payload_bytes": 256}, "even, 16 to 254"),
-    ({"hold": "raw"}, "leave --hold out"),
-    ({"latch_delay_us": -1.0}, "0 or more"),
+    ({"hold": "raw"}, "--hold raw: belongs to --rule ci"),
+    ({"relay": True, "latch_delay_us": -1.0}, "0 or more"),
 ]
 
 
@@ -205,16 +205,16 @@ def test_a_directed_graph_is_refused():
 
 def test_the_window_is_the_latency_and_32_steps_at_least():
     path = [[1], *([i - 1, i + 1] for i in range(1, 19)), [18]]
-    scenario = Scenario(name="target-tracking", nodes=20, graph="path", steps=1, occupancy=0.1)
+    scenario = scenario_of(graph="path", rule="labelled", occupancy=0.1)
     # 19 hops, each of at most 20 nodes' turns, 2 a cycle and 3 cycles a step.
     assert latency_steps(scenario, path) == window_of(scenario, path) == -(-19 * 20 // 6)
-    assert window_of(msgspec.structs.replace(scenario, occupancy=1.0), path) == 32
-    assert window_of(msgspec.structs.replace(scenario, window_steps=5), path) == 5
+    assert window_of(scenario.with_(occupancy=1.0), path) == 32
+    assert window_of(scenario.with_(window_steps=5), path) == 5
 
 
 def test_digests_are_said_where_links_lose_frames():
-    scenario = Scenario(name="oscillator", nodes=5, graph="ring", steps=1, rule="labelled")
-    replaced = partial(msgspec.structs.replace, scenario)
+    scenario = scenario_of("oscillator", nodes=5, rule="labelled")
+    replaced = scenario.with_
     assert [digest_of(replaced(loss=loss)) for loss in (0.0, 0.01, 0.02)] == [0, 0, 8]
     assert digest_of(replaced(loss=0.3, window_steps=5)) == 5
     assert digest_of(replaced(loss=0.3, digest_steps=0)) == 0
@@ -222,13 +222,13 @@ def test_digests_are_said_where_links_lose_frames():
 
 def test_leaves_own_the_static_slots():
     star = [[1, 2, 3, 4], [0], [0], [0], [0]]
-    scenario = Scenario(
-        name="oscillator", nodes=5, graph="star", steps=1, schedule="hybrid-leaves", occupancy=0.8
+    scenario = scenario_of(
+        "oscillator", nodes=5, graph="star", schedule="hybrid-leaves", occupancy=0.8
     )
     schedule = build_schedule(scenario, star)
     assert {node for row in schedule.static_table for node in row} == {1, 2, 3}
     assert schedule.contender_table == ((0, 4),)
-    plain = build_schedule(msgspec.structs.replace(scenario, schedule="hybrid"), star)
+    plain = build_schedule(scenario.with_(schedule="hybrid"), star)
     assert build_schedule(scenario) == plain
 
 
@@ -257,5 +257,5 @@ def test_a_window_below_the_latency_and_relaying_are_said_before_the_run():
 def test_slots_awarded_one_by_one_are_no_more_than_the_schedule_has(schedule: str):
     setup = setup_of(schedule=schedule, occupancy=0.5, relay=True, nodes=6, steps=8)
     shares = trace_of(setup).published.sum(axis=2)
-    # Whoever has nothing to tell asks for none: at most three of six send.
+    # A node without new records sends no bid: at most three of six send.
     assert shares.max() == 3

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from experiments.drivers import in_memory
-from experiments.trace import read_trace
-from scenarios.setup import prepare
+from experiments.results.trace import read_trace
+from runtime.drivers import in_memory
+from scenarios.preparation import prepare
 from scenarios.warnings import warnings_of
 from tests.experiments.support import scenario
 
@@ -15,10 +15,11 @@ LIARS = (3, 5)
 
 def error_m(rule: str, *changes: str, liars: int = 1) -> float:
     """The worst honest node's RMSE of position in m after the lies have begun."""
+    expected = {"liars": liars} if rule == "trimmed-ci" else {}
     setup = prepare(
         scenario(
-            "target-tracking", rule=rule, graph="complete", nodes=NODES, steps=STEPS, liars=liars,
-            changes=changes,
+            "target-tracking", rule=rule, graph="complete", nodes=NODES, steps=STEPS,
+            changes=changes, **expected,
         )
     )  # fmt: skip
     trace = read_trace(setup, in_memory(setup))
@@ -39,7 +40,7 @@ def test_as_many_liars_as_were_said_do_not_drag_it_away_and_one_more_does():
     # Two that say the same are the worst that two can do.
     assert error_m("trimmed-ci", *lies(5, 100, *LIARS), liars=2) < 2.5 * plain
     assert error_m("trimmed-ci", *lies(5, 100, *LIARS), liars=1) > 10 * plain
-    # What it costs where nobody lies.
+    # The cost of the rule without liars.
     assert error_m("trimmed-ci") < 2.5 * plain
 
 

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.drivers import in_memory
-from experiments.trace import read_trace
+from experiments.results.trace import read_trace
+from runtime.drivers import in_memory
 from scenarios.links import link_state
-from scenarios.setup import prepare, setup_of_run
+from scenarios.preparation import prepare, setup_of_run
 from tests.experiments.support import scenario, small
-from tests.test_vectorised_agreement import check_agreement
+from tests.test_batched_agreement import check_agreement
 from topology.adjacency import neighbours_of
 from topology.graphs import build_graph
 
@@ -25,7 +25,7 @@ PLANS = {
 
 
 @pytest.mark.parametrize("name", PLANS)
-def test_the_vectorised_driver_loses_the_same_frames(name):
+def test_the_batched_driver_loses_the_same_frames(name):
     check_agreement(
         scenario("oscillator", nodes=5, steps=8, rounds=2, stretch=100.0, **PLANS[name])
     )
@@ -100,7 +100,7 @@ def test_chances_in_a_file_are_those_of_the_links(tmp_path):
         ({"links": "switching:ring,rign:3"}, "unknown graph 'rign': did you mean 'ring'"),
         ({"links": "bernoulli:0.1", "rule": "centralised", "graph": "complete", "rounds": 1},
          "centralised with --links bernoulli:0.1"),
-        ({"graph": "intel-lab"}, "intel-lab:FOLDER, with --data"),
+        ({"graph": "intel-lab"}, "intel-lab:FOLDER, or with"),
     ],
 )  # fmt: skip
 def test_links_that_cannot_be_are_refused(changes, message, monkeypatch):

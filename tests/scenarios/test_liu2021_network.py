@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.agree_command import first_difference
-from experiments.drivers import DRIVERS
+from experiments.cli.agree import first_difference
 from plants import liu2021
 from plants.bounded_network import BoundedNetwork, on_the_bound
+from runtime.drivers import DRIVERS
 from scenarios.catalogue import kind_of
+from scenarios.preparation import prepare
 from scenarios.rules import is_certain
-from scenarios.setup import prepare
 from tests.experiments.support import scenario, small, trace_of
 
 NAME = "liu2021-network"
@@ -75,7 +75,7 @@ def test_the_control_keeps_the_state_where_numbers_mean_something():
 
 
 def test_what_cannot_hold_the_truth_is_refused():
-    with pytest.raises(ValueError, match="--hold raw"):
+    with pytest.raises(ValueError, match="unknown hold 'raw'"):
         prepare(scenario(NAME, hold="raw"))
     with pytest.raises(ValueError, match="has no bound"):
         prepare(scenario("oscillator", rule="ellipsoid"))

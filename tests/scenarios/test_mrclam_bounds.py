@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from experiments.drivers import in_memory
-from experiments.summary import Figures, summarise
-from experiments.trace import Trace, read_trace
-from scenarios.setup import prepare
+from experiments.results.summary import Figures, summarise
+from experiments.results.trace import Trace, read_trace
+from runtime.drivers import in_memory
+from scenarios.preparation import prepare
 from tests.experiments.support import scenario
 
 TARGETS = (1, 2, 3, 4, 5)
@@ -96,7 +96,7 @@ def test_nodes_of_a_complete_graph_are_identical(mrclam_folder):
 
 
 def test_held_shares_come_in_turns(mrclam_folder):
-    """Node k mod 4 publishes in step k; nobody else does, and ages say so."""
+    """Only node k mod 4 publishes in step k, and the ages agree with that."""
     _, trace = outcome(str(mrclam_folder), 5, WAYS["held path"])
     np.testing.assert_array_equal(
         trace.published[:, 0], np.arange(3860)[:, None] % 4 == np.arange(4)

@@ -3,22 +3,24 @@
 import re
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
+from msgspec import structs
 
-from experiments.agree_command import first_difference
-from experiments.drivers import DRIVERS, in_memory
-from experiments.trace import Trace, read_trace
-from nodes.recording import read_recording
-from nodes.share import payload_lengths
+from bus.flexray.share_frames import payload_lengths
+from experiments.cli.agree import first_difference
+from experiments.results.trace import Trace, read_trace
+from runtime.drivers import DRIVERS, in_memory
+from runtime.recording import read_recording
 from scenarios import rules
 from scenarios.baselines import centralised
 from scenarios.build import build_node
 from scenarios.catalogue import kind_of
-from scenarios.rules import RULE_SUMMARIES, hold_policy
+from scenarios.preparation import prepare, share_bytes
 from scenarios.scenario import Scenario
-from scenarios.setup import Setup, prepare, share_bytes
+from scenarios.setup import Setup
+from scenarios.types import rules as rule_types
+from scenarios.types.rules import RULE_SUMMARIES
 
 NEEDS: dict[str, dict] = {
     "centralised": {"graph": "complete", "rounds": 1},
@@ -33,7 +35,7 @@ EACH = pytest.mark.parametrize("rule", FUSING)
 def scenario(rule: str, **changes) -> Scenario:
     """A short run of the oscillator under a rule."""
     settings = {"rule": rule, "steps": 6, **NEEDS.get(rule, {}), **changes}
-    return msgspec.structs.replace(kind_of("oscillator").defaults, **settings)
+    return kind_of("oscillator").defaults.with_(**settings)
 
 
 def trace(setup: Setup) -> Trace:
@@ -48,7 +50,8 @@ def test_every_share_has_the_length_that_the_bus_was_told(rule: str, number: str
     content = node.estimator.start()
     lengths = {node.estimator.share_bytes, len(node.estimator.compose(content)[1])}
     assert lengths == {share_bytes(setup)}
-    assert len(node.slots(0, 0)) == len(payload_lengths(share_bytes(setup)))
+    frames = node.bus.encode(0, 0, bytes(share_bytes(setup)))
+    assert len(frames) == len(payload_lengths(share_bytes(setup)))
 
 
 def test_shares_are_as_long_as_their_formulas_say():
@@ -80,22 +83,13 @@ def test_the_centralised_rule_is_the_centralised_baseline():
         np.testing.assert_allclose(found.cov[:, node], best.cov, rtol=0, atol=1e-12)
 
 
-def test_rules_without_held_shares_do_not_care_for_the_hold_policy():
-    by_default, asked = (
-        trace(prepare(scenario("hcmci", schedule="hybrid", occupancy=0.5, **hold)))
-        for hold in ({}, {"hold": "renormalise"})
-    )
-    np.testing.assert_array_equal(by_default.mean, asked.mean)
-    assert not hold_policy(scenario("local")).carried
-
-
 # --- refusals ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("rule", [*FRESH, "local"])
 @pytest.mark.parametrize("hold", ["raw", "predict", "drop", "in-step"])
 def test_a_hold_policy_that_a_rule_cannot_use_is_refused(rule: str, hold: str):
-    with pytest.raises(ValueError, match=f"--hold {hold}: rule {rule} .* leave --hold out"):
+    with pytest.raises(ValueError, match=f"--hold {hold}: belongs to --rule ci"):
         prepare(scenario(rule, hold=hold))
 
 
@@ -148,12 +142,14 @@ def test_processes_give_the_bits_of_one_process(rule: str, tmp_path: Path):
 
 def test_the_example_of_the_page_runs(monkeypatch: pytest.MonkeyPatch):
     page = (Path(__file__).parents[2] / "docs" / "adding_a_filter.md").read_text()
-    function, entry = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
-    names = {**vars(rules)}
+    function, struct, entry = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    names = {**vars(rule_types), **vars(rules)}
     exec(function, names)
+    exec(struct, names)
     monkeypatch.setitem(rules._RULES, "sharpest", eval(f"{{{entry}}}", names)["sharpest"])
-    found = trace(prepare(scenario("sharpest", graph="complete", rounds=1, steps=40)))
-    # Where everybody hears everybody, all are as sharp as the sharpest.
+    usual = scenario("ci", graph="complete", rounds=1, steps=40)
+    found = trace(prepare(structs.replace(usual, rule=names["Sharpest"]())))
+    # Where all nodes hear each other, each belief is as precise as the most precise one.
     size = np.linalg.det(found.cov)
     np.testing.assert_allclose(size, size[:, :1].repeat(8, axis=1), rtol=1e-12)
     alone = trace(prepare(scenario("local", steps=40)))

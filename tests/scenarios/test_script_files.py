@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.options import ScenarioOptions
+from experiments.scenario_options import scenario_of
 from scenarios.script import with_files
 
 TEXT = """# a bad night
@@ -20,8 +20,8 @@ def test_a_file_stands_for_its_lines(tmp_path: Path):
     file.write_text(TEXT)
     lines = ("3 corrupt 0.1", "5 kill 2", "7 restart 2")
     assert with_files(["1 loss 0.5", f"file:{file}"]) == ("1 loss 0.5", *lines)
-    options = ScenarioOptions(scenario="oscillator", changes=(f"file:{file}",))
-    assert options.resolve().changes == lines
+    options = scenario_of(scenario="oscillator", changes=(f"file:{file}",))
+    assert options.changes == lines
 
 
 @pytest.mark.parametrize(

@@ -4,11 +4,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from experiments.drivers import in_memory
-from filters import compiled
+from filters.kernels import compiled
+from runtime.drivers import in_memory
 from scenarios.catalogue import kinds
+from scenarios.preparation import fingerprint, prepare
 from scenarios.scenario import Scenario
-from scenarios.setup import Setup, fingerprint, prepare
+from scenarios.setup import Setup
 from tests.experiments.support import scenario, small
 
 # Another value for every field of a scenario that changes what is computed.
@@ -71,13 +72,13 @@ def test_a_misspelt_field_is_refused():
 def test_every_scenario_says_what_it_is():
     for name, kind in kinds().items():
         assert kind.defaults.name == name
-        assert 10 < len(kind.summary) < 100
-        assert kind.summary[0].islower()
+        assert 10 < len(type(kind.defaults.plant).summary()) < 100
+        assert type(kind.defaults.plant).summary()[0].islower()
 
 
 @pytest.mark.parametrize("name", [n for n, kind in kinds().items() if kind.all_steps is None])
 def test_every_scenario_runs_as_it_comes(name: str):
-    setup = prepare(msgspec.structs.replace(kinds()[name].defaults, steps=2))
+    setup = prepare(kinds()[name].defaults.with_(steps=2))
     assert len(setup.neighbours) == setup.scenario.nodes
     assert any(topic.startswith("estimate/") for topic, _ in in_memory(setup))
 

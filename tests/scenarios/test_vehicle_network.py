@@ -9,19 +9,20 @@ import msgspec
 import numpy as np
 import pytest
 
-from experiments.agree_command import first_difference
-from experiments.bus_report import figures_of
-from experiments.drivers import DRIVERS, in_memory
-from experiments.trace import Trace, read_trace
-from nodes.adaptive_noise import AdaptiveNoise
-from plants.drive_log import write_drive
-from plants.vehicle_cars import FITTED_CARS
-from plants.vehicle_manoeuvres import MANOEUVRES
-from plants.vehicle_network import SIDE_SLIP, STATE_NAMES
+from experiments.cli.agree import first_difference
+from experiments.results.bus_report import figures_of
+from experiments.results.trace import Trace, read_trace
+from nodes.rules.adaptive_noise import AdaptiveNoise
+from plants.vehicle.cars import FITTED_CARS
+from plants.vehicle.drive_log import write_drive
+from plants.vehicle.manoeuvres import MANOEUVRES
+from plants.vehicle.network import SIDE_SLIP, STATE_NAMES
+from runtime.drivers import DRIVERS, in_memory
 from scenarios.baselines import local_only
 from scenarios.build import build_node
 from scenarios.catalogue import kind_of
-from scenarios.setup import Setup, prepare
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
 from tests.experiments.support import scenario, trace_of
 
 pytestmark = pytest.mark.skipif(
@@ -83,7 +84,7 @@ def test_a_node_process_knows_nothing_of_the_simulated_truth(tmp_path: Path):
         "import msgspec, sys; from pathlib import Path; from scenarios.build import build_node; "
         "from scenarios.setup import Setup; "
         f"build_node(msgspec.json.decode(Path({str(described)!r}).read_bytes(), type=Setup), 1); "
-        "assert not {'vehiclemodels', 'plants.vehicle_truth'} & set(sys.modules)"
+        "assert not {'vehiclemodels', 'plants.vehicle.truth'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
 
@@ -100,7 +101,7 @@ def test_processes_give_the_same_bits(tmp_path: Path):
 
 
 def test_a_log_takes_the_place_of_the_simulation(tmp_path: Path):
-    from plants.vehicle_truth import BMW, simulate
+    from plants.vehicle.truth import BMW, simulate
 
     drive = simulate(MANOEUVRES["serpentine"], BMW, 0.01, integration_step_s=5e-3)
     write_drive(tmp_path, drive, FITTED_CARS["bmw-320i"])

@@ -9,11 +9,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
-from topology.graph_files import read_directed_graph, read_graph, write_graph
+from topology.adjacency import Adjacency
+from topology.graph_files import read_network, write_network
 from topology.graphs import path, ring
+from topology.network import Network
 
 INTEL_LAB = Path(__file__).resolve().parents[3] / "shared/data/intel_lab/connectivity.txt"
 SUFFIXES = (".edges", ".edgelist", ".txt", ".csv", ".graphml")
+
+
+def read_graph(file: str | Path, nodes: int | None = None) -> Adjacency:
+    return read_network(file, nodes).adjacency
+
+
+def write_graph(file: str | Path, adjacency: Adjacency) -> None:
+    write_network(file, Network(adjacency))
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +35,7 @@ def folder(tmp_path_factory):
 @given(nodes=st.integers(1, 14), seed=st.integers(0, 10**6), density=st.floats(0, 1))
 @settings(deadline=None, max_examples=25)
 def test_a_graph_survives_its_file(folder, suffix, nodes, seed, density):
-    """Also with nodes that hear nobody, and more than ten nodes (names sort as numbers)."""
+    """Graphs include nodes without neighbours, and over ten nodes (names sort as numbers)."""
     upper = np.triu(np.random.default_rng(seed).uniform(size=(nodes, nodes)) < density, 1)
     adjacency = csr_array(upper | upper.T)
     write_graph(folder / f"graph{suffix}", adjacency)
@@ -150,7 +160,10 @@ def test_a_directed_file_says_who_hears_whom(folder):
     """Row 0 of the matrix hears nodes 1 and 2; in GraphML an edge's target hears its source."""
     matrix = write(folder, "one_way.csv", "0,1,1\n0,0,1\n1,0,0\n")
     expected = [[False, True, True], [False, False, True], [True, False, False]]
-    assert read_directed_graph(matrix).toarray().tolist() == expected
+    assert read_network(matrix, directed=True).adjacency.toarray().tolist() == expected
     graph = networkx.DiGraph([(1, 0), (2, 0), (2, 1), (0, 2)])
     networkx.write_graphml(graph, folder / "one_way.graphml")
-    assert read_directed_graph(folder / "one_way.graphml").toarray().tolist() == expected
+    assert (
+        read_network(folder / "one_way.graphml", directed=True).adjacency.toarray().tolist()
+        == expected
+    )

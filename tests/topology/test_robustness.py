@@ -60,7 +60,7 @@ def test_a_ring_is_connected_and_holds_no_liar(nodes: int):
 
 
 def test_two_crowds_with_few_links_between_them_are_not_robust_however_dense():
-    """Each node hears at least four others, and yet the halves convince nobody of the other."""
+    """Each node hears at least four others, yet neither half convinces a node of the other."""
     crowd = complete(5)
     both = [*crowd, *([j + 5 for j in heard] for heard in crowd)]
     for i in range(5):

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nodes.link_state import chance
+from nodes.faults.losses import chance
 from topology.link_names import parse_links
 from topology.time_varying import bernoulli, in_range, markov, switching, wandering
 

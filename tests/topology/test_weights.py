@@ -207,8 +207,6 @@ def test_equal_neighbour_leads_to_its_left_eigenvector(adjacency):
 def test_a_directed_ring_agrees_only_with_row_stochastic_weights():
     one_way = csr_array(np.roll(np.eye(5, dtype=bool), 1, axis=1))
     check_weights(equal_neighbour(one_way), one_way)
-    cut = csr_array(
-        np.triu(one_way.toarray())
-    )  # a one-way path: nobody hears its last node's end again
+    cut = csr_array(np.triu(one_way.toarray()))  # a one-way path: no node hears node 0
     with pytest.raises(ValueError, match="not primitive"):
         check_weights(equal_neighbour(cut), cut)

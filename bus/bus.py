@@ -1,0 +1,244 @@
+"""The interface of a bus: which node sends when, in which bytes, and how long that takes.
+
+Nodes, environment, drivers and reports know a bus by this face alone. `bus.flexray.flexray_bus` and
+`bus.ideal` implement it.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, Protocol
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.arbitration import ArbiterState
+from bus.schedule import Schedule
+
+
+class Rejected(Exception):
+    """A peer's frame or share that cannot be used; `reason` is a short word that is counted."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason)
+        self.reason = reason
+
+
+class Fragment(msgspec.Struct, frozen=True):
+    """Fragment of a share in one frame: in which slot, and in which cycle since the start."""
+
+    frame_id: int
+    cycle: int
+    data: bytes
+
+
+class SharePlace(msgspec.Struct, frozen=True):
+    """A frame is number `number` of the `frames` of a share."""
+
+    number: int
+    frames: int
+
+
+class Transmission(NamedTuple):
+    """A frame on the bus, from its first bit to its last, from the beginning of the cycle.
+
+    `segment` is "static" for a slot of its own and "dynamic" for one that was awarded, which begins
+    with minislot `minislot`; `minislot` is 0 for a slot of its own.
+    """
+
+    node: int
+    frame_id: int
+    channel: str
+    segment: str
+    payload_bytes: int
+    start_us: float
+    end_us: float
+    minislot: int = 0
+
+
+class SegmentTime(NamedTuple):
+    """A segment of the communication cycle and its place in it."""
+
+    name: str
+    start_us: float
+    end_us: float
+
+
+class FrameFormat(NamedTuple):
+    """How the frames of a bus carry shares; the same for every schedule and in a whole run.
+
+    Attributes:
+        name: of the encoding, as a recording states it.
+        payload_limit_bytes: longest payload of a frame.
+        overhead_bytes: of a frame beside its payload.
+        numbering_bytes: of a payload beside its part of a share.
+        noticed_bits: a receiver finds any this many wrong bits in a frame.
+        read: the fragment in a frame; raises `Rejected` for bytes that are no sound frame.
+        cycle_of: the cycle that a frame names, unchecked; 0 for bytes that are too few.
+        numbered: the place of a fragment (its `data`) in its share; raises `Rejected` for one that
+            is too short to say.
+        join: the body of a share whose fragments (their `data`) have all come, in any order; raises
+            `Rejected` where they do not belong together.
+        emptied: the frame with nothing in it, as a controller sends it that its host left alone.
+        miscounted: the frame whose header is so many cycles ahead of its payload.
+        on_channel: a frame of a share as it is on the channel of that name.
+    """
+
+    name: str
+    payload_limit_bytes: int
+    overhead_bytes: int
+    numbering_bytes: int
+    noticed_bits: int
+    read: Callable[[bytes], Fragment]
+    cycle_of: Callable[[bytes], int]
+    numbered: Callable[[bytes], SharePlace]
+    join: Callable[[Sequence[bytes]], bytes]
+    emptied: Callable[[bytes], bytes]
+    miscounted: Callable[[bytes, int], bytes]
+    on_channel: Callable[[bytes, str], bytes]
+
+
+class Bus(Protocol):
+    """A bus that follows a schedule, made for shares of a known greatest length."""
+
+    @property
+    def name(self) -> str:
+        """Return the name for people."""
+        ...
+
+    @property
+    def schedule(self) -> Schedule:
+        """Return which nodes may send in which cycle."""
+        ...
+
+    @property
+    def frame_format(self) -> FrameFormat:
+        """How its frames carry shares."""
+        ...
+
+    # --- shares and frames ------------------------------------------------------------------------
+
+    def encode(self, node: int, cycle: int, body: bytes) -> list[bytes]:
+        """Return the frames in which a node sends a share in a cycle.
+
+        Raises:
+            ValueError: the share is longer than the node's slots.
+        """
+        ...
+
+    def payloads(self, node: int, cycle: int, body_bytes: int) -> tuple[int, ...]:
+        """Return the payload length of each frame that `encode` makes of a body of that length."""
+        ...
+
+    def due_body(self, frame: bytes, sender: int, cycle: int, body_bytes: int) -> bytes | None:
+        """Return the body in a frame that is bit by bit what `encode` makes of one of that length;
+        None for every other frame."""
+        ...
+
+    def receive(self, frame: bytes) -> Fragment:
+        """Return what a frame carries.
+
+        Raises:
+            Rejected: with the reason of the check that failed.
+        """
+        ...
+
+    def place(self, sender: int, fragment: Fragment) -> SharePlace:
+        """Return where a fragment of this sender belongs in its share.
+
+        Raises:
+            Rejected: nowhere.
+        """
+        ...
+
+    def in_slot_of(self, frame: bytes, node: int, cycle: int) -> bytes | None:
+        """Return a sound frame moved to the first slot of a node; None where it has no slot."""
+        ...
+
+    def renumbered(self, frame: bytes, cycle: int) -> bytes:
+        """Return a sound frame with the number of another cycle."""
+        ...
+
+    # --- awarded slots ----------------------------------------------------------------------------
+
+    def arbitrate(
+        self,
+        state: ArbiterState,
+        cycle: int,
+        group: int,
+        nodes: Sequence[int] | NDArray[np.int64],
+        bids: NDArray[np.int64],
+        payload_bytes: NDArray[np.int64],
+    ) -> tuple[ArbiterState, NDArray[np.bool_]]:
+        """Award the slots of one group of a cycle.
+
+        Args:
+            state: what the arbiter remembers; `begin_arbitration` makes the first.
+            cycle: the communication cycle.
+            group: number of the group in the cycle.
+            nodes: (C,), the contenders, ascending.
+            bids: (..., C), `NO_BID` of a contender that does not ask.
+            payload_bytes: (..., C), of all frames of a contender's share.
+
+        Returns:
+            The state after the cycle, and the winners (..., C).
+        """
+        ...
+
+    # --- time -------------------------------------------------------------------------------------
+
+    @property
+    def has_time(self) -> bool:
+        """Whether the bus says how long a cycle lasts. The times of one that does not are counted
+        in shares, for drawing alone."""
+        ...
+
+    @property
+    def cycle_us(self) -> float:
+        """Duration of a communication cycle; 0 without time."""
+        ...
+
+    @property
+    def channels(self) -> str:
+        """The names of its channels, one letter each; all frames travel on all of them."""
+        ...
+
+    @property
+    def clock_precision_us(self) -> float:
+        """How far two clocks may be apart before a frame leaves its slot; 0 without time."""
+        ...
+
+    def segments(self) -> tuple[SegmentTime, ...]:
+        """Return the segments of a cycle, in order; they meet."""
+        ...
+
+    def marks_us(self) -> tuple[Sequence[float], Sequence[float]]:
+        """Return where slots end that nodes own, and where minislots begin."""
+        ...
+
+    def own_slot_us(self, node: int, cycle: int) -> tuple[float, float]:
+        """Return the beginning and the end of the slots that a node owns in a cycle."""
+        ...
+
+    def transmissions(self, cycle: int, payload_bytes: Sequence[int]) -> tuple[Transmission, ...]:
+        """Return the frames of a cycle from the payload bytes of each node, 0 of a silent one.
+
+        The bytes are those of all frames of a node together: the owner of a slot sends in as many
+        of its slots as it takes, any other node in awarded slots.
+        """
+        ...
+
+    def load(self, transmissions: Sequence[Transmission]) -> float:
+        """Return the fraction of a cycle that the busier channel is in use; NaN without time."""
+        ...
+
+    def fusion_delay_us(self, rounds: int, last_cycle: Sequence[Transmission]) -> float:
+        """Return the time from a measurement to the end of the last share; NaN without time."""
+        ...
+
+    def check_pace(self, rounds: int, time_step_s: float, stretch: float) -> None:
+        """Refuse communication cycles that do not fit the plant's sampling time.
+
+        Raises:
+            ValueError: they do not; names the cure.
+        """
+        ...

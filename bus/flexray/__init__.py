@@ -1,0 +1,1 @@
+"""FlexRay: cluster, schedule, arbitration, frames and timing."""

@@ -1,0 +1,116 @@
+"""The dynamic segment of one cycle: which of the requested frames are sent, in which minislots.
+
+FlexRay protocol specification 2.1, chapter 5: a slot counter goes on from the static segment. While
+no node sends in a slot, it lasts one minislot; a frame makes it as long as the frame needs. A node
+begins no frame after minislot pLatestTx, so frames with high IDs wait when low IDs were busy.
+"""
+
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+from bus.flexray.cluster import Cluster
+from bus.flexray.frame import MAX_FRAME_ID
+
+
+class Request(NamedTuple):
+    """A node's wish to send: `frame_id` is its place in the segment.
+
+    More payload than one frame holds is sent as several frames, in slots `frame_id` and following.
+    """
+
+    node: int
+    frame_id: int
+    payload_bytes: int
+
+
+class Placement(NamedTuple):
+    """One frame in the segment: its slot begins at `minislot` (1 is the first)."""
+
+    node: int
+    frame_id: int
+    payload_bytes: int
+    minislot: int
+    minislots: int
+
+
+class Walk(NamedTuple):
+    """Frames in order of time, and the requests that must wait for another cycle."""
+
+    placed: tuple[Placement, ...]
+    waiting: tuple[Request, ...]
+
+
+def walk(cluster: Cluster, requests: Iterable[Request]) -> Walk:
+    """Count through the dynamic slots of one cycle in which these requests are pending.
+
+    A request is sent completely or not at all. Raises ValueError if two share a slot, or a frame ID
+    belongs to no dynamic slot.
+    """
+    ordered = sorted(requests, key=lambda request: request.frame_id)
+    _check_slots(cluster, ordered)
+    placed: list[Placement] = []
+    waiting: list[Request] = []
+    minislot, slot = 1, cluster.first_dynamic_id
+    for request in ordered:
+        minislot += request.frame_id - slot
+        frames = _frames(cluster, request, minislot)
+        slot = request.frame_id + len(frames)
+        if all(_in_time(cluster, frame) for frame in frames):
+            placed += frames
+            minislot = frames[-1].minislot + frames[-1].minislots
+        else:
+            waiting.append(request)
+            minislot += len(frames)
+    return Walk(tuple(placed), tuple(waiting))
+
+
+def frame_payloads(cluster: Cluster, payload_bytes: int) -> tuple[int, ...]:
+    """Payload lengths of the frames in which a request's payload is sent; all but the last full."""
+    limit = cluster.dynamic_payload_bytes
+    if payload_bytes <= limit:
+        return (payload_bytes,)
+    if limit == 0:
+        raise ValueError(f"cluster {cluster.name!r} has no payload in dynamic frames; set more")
+    full, rest = divmod(payload_bytes, limit)
+    return (limit,) * full + ((rest,) if rest else ())
+
+
+def _frames(cluster: Cluster, request: Request, minislot: int) -> list[Placement]:
+    """The frames of a request in consecutive slots from this minislot on."""
+    frames: list[Placement] = []
+    for index, payload_bytes in enumerate(frame_payloads(cluster, request.payload_bytes)):
+        minislots = cluster.dynamic_slot_minislots(payload_bytes)
+        frame_id = request.frame_id + index
+        frames.append(Placement(request.node, frame_id, payload_bytes, minislot, minislots))
+        minislot += minislots
+    return frames
+
+
+def _in_time(cluster: Cluster, frame: Placement) -> bool:
+    """Begins by pLatestTx and ends in the segment."""
+    return (
+        frame.minislot <= cluster.latest_transmission_minislot
+        and frame.minislot + frame.minislots - 1 <= cluster.minislots
+    )
+
+
+def _check_slots(cluster: Cluster, ordered: Sequence[Request]) -> None:
+    if ordered and ordered[0].frame_id < cluster.first_dynamic_id:
+        raise ValueError(
+            f"node {ordered[0].node} asks for the dynamic segment with frame ID "
+            f"{ordered[0].frame_id}, but the dynamic slots of cluster {cluster.name!r} begin at "
+            f"{cluster.first_dynamic_id}; give it an ID from there on"
+        )
+    if ordered and ordered[-1].frame_id > MAX_FRAME_ID:
+        raise ValueError(
+            f"node {ordered[-1].node} asks for the dynamic segment with frame ID "
+            f"{ordered[-1].frame_id}, but IDs end at {MAX_FRAME_ID}; use fewer contenders"
+        )
+    for earlier, later in pairwise(ordered):
+        last = earlier.frame_id + len(frame_payloads(cluster, earlier.payload_bytes)) - 1
+        if later.frame_id <= last:
+            raise ValueError(
+                f"nodes {earlier.node} and {later.node} both send in dynamic slot "
+                f"{later.frame_id}; give them frame IDs of their own"
+            )

@@ -1,0 +1,57 @@
+"""A cluster made to measure: the shortest cycle that holds what a schedule sends."""
+
+from collections.abc import Sequence
+
+from bus.flexray.cluster import Cluster
+from bus.flexray.presets import DEMO
+from bus.schedule import Schedule
+
+_MIN_STATIC_SLOTS = 2
+_MIN_STATIC_PAYLOAD_BYTES = 2
+_IDLE_MACROTICKS = 40
+
+
+def fitted_cluster(schedule: Schedule, payloads: Sequence[int]) -> Cluster:
+    """The cluster with macroticks of 1 us and the action points of the demo cluster, in which every
+    static turn of `schedule` has its slots and every choice of winners fits the dynamic segment.
+
+    Args:
+        schedule: which node publishes when.
+        payloads: payload length in bytes of each frame that a share takes, all but the last full.
+
+    Raises:
+        ClusterError: no FlexRay cycle (16 ms at most) is long enough.
+    """
+    turns = max(len(row) for row in schedule.static_table)
+    static_slots = max(_MIN_STATIC_SLOTS, turns * len(payloads))
+    static_payload_bytes = max(payloads) if turns else _MIN_STATIC_PAYLOAD_BYTES
+    slot_macroticks = DEMO.static_frame_macroticks(static_payload_bytes)
+
+    contenders = len({node for row in schedule.contender_table for node in row})
+    winners = min(max(schedule.dynamic_slot_table), contenders)
+    lengths = [DEMO.dynamic_slot_minislots(size) for size in payloads]
+    # The worst case: the winners have the last IDs, and every slot before them counts by empty.
+    minislots = (contenders - winners) * len(payloads) + winners * sum(lengths)
+    # A short last frame that begins where a long one could not any more begins too late.
+    minislots += (max(lengths) - lengths[-1]) if minislots else 0
+    macroticks = (
+        static_slots * slot_macroticks + minislots * DEMO.minislot_macroticks + _IDLE_MACROTICKS
+    )
+    return Cluster(
+        name="fitted",
+        cycle_us=float(macroticks),
+        macroticks_per_cycle=macroticks,
+        macrotick_us=DEMO.macrotick_us,
+        microtick_us=DEMO.microtick_us,
+        microticks_per_cycle=round(macroticks / DEMO.microtick_us),
+        static_slots=static_slots,
+        static_slot_macroticks=slot_macroticks,
+        action_point_macroticks=DEMO.action_point_macroticks,
+        static_payload_words=static_payload_bytes // 2,
+        minislots=minislots,
+        minislot_macroticks=DEMO.minislot_macroticks,
+        minislot_action_point_macroticks=DEMO.minislot_action_point_macroticks,
+        dynamic_payload_words=max(payloads) // 2,
+        latest_transmission_minislot=max(0, minislots - max(lengths) + 1) if minislots else 0,
+        network_idle_time_macroticks=_IDLE_MACROTICKS,
+    )

@@ -1,0 +1,94 @@
+"""Data that does not fit into one frame: cut into payloads, and put together when complete.
+
+Every payload begins with four bytes: number of the fragment, number of fragments, length of the
+whole (little-endian), so that a receiver needs no other knowledge, and padding falls away.
+"""
+
+import struct
+from collections.abc import Sequence
+from functools import lru_cache
+
+from bus.flexray.frame import MAX_PAYLOAD_BYTES
+
+_PREFIX = struct.Struct("<BBH")
+PREFIX_BYTES = _PREFIX.size
+MAX_FRAGMENTS = 255
+
+
+class FragmentError(ValueError):
+    """Payloads that are not one complete whole. `reason` is a short code for counters:
+
+    empty, too-short, mixed, repeated, incomplete, length.
+    """
+
+    def __init__(self, reason: str, message: str) -> None:
+        super().__init__(message)
+        self.reason = reason
+
+
+# Kept: the shares of a network have few lengths.
+@lru_cache
+def payload_sizes(data_bytes: int, payload_limit_bytes: int = MAX_PAYLOAD_BYTES) -> tuple[int, ...]:
+    """Payload lengths in which `data_bytes` travel, each even and at most the limit.
+
+    Raises ValueError if the limit leaves no room for data, or too many frames would be needed.
+    """
+    limit = min(payload_limit_bytes, MAX_PAYLOAD_BYTES) // 2 * 2
+    room = limit - PREFIX_BYTES
+    if room <= 0:
+        raise ValueError(
+            f"payloads of {payload_limit_bytes} bytes leave no room for data beside the "
+            f"{PREFIX_BYTES} bytes that number the fragments; use a cluster with longer payloads"
+        )
+    count = max(1, -(-data_bytes // room))
+    if count > MAX_FRAGMENTS:
+        raise ValueError(
+            f"{data_bytes} bytes need {count} frames of {limit} bytes, but at most {MAX_FRAGMENTS} "
+            "can be numbered; use float32, fewer states or a cluster with longer payloads"
+        )
+    last = PREFIX_BYTES + data_bytes - (count - 1) * room
+    return (limit,) * (count - 1) + (last + last % 2,)
+
+
+def split(data: bytes, payload_limit_bytes: int = MAX_PAYLOAD_BYTES) -> tuple[bytes, ...]:
+    """Payloads that carry `data`, in order. Raises ValueError as `payload_sizes` does."""
+    sizes = payload_sizes(len(data), payload_limit_bytes)
+    room = sizes[0] - PREFIX_BYTES
+    return tuple(
+        (
+            _PREFIX.pack(index, len(sizes), len(data)) + data[index * room : (index + 1) * room]
+        ).ljust(size, b"\0")
+        for index, size in enumerate(sizes)
+    )
+
+
+def fragment_count(payload: bytes) -> int:
+    """How many payloads the whole has that this one belongs to. Raises FragmentError."""
+    if len(payload) < PREFIX_BYTES:
+        raise FragmentError("too-short", f"a payload of {len(payload)} bytes has no number")
+    return payload[1]
+
+
+def join(payloads: Sequence[bytes]) -> bytes:
+    """The data of which these are the payloads, in any order, the last of them padded at will.
+
+    Raises FragmentError, and nothing else, for payloads that are not one complete whole.
+    """
+    if not payloads:
+        raise FragmentError("empty", "no payload")
+    first = payloads[0]
+    count = fragment_count(first)
+    parts: dict[int, bytes] = {}
+    for payload in payloads:
+        if fragment_count(payload) != count or payload[2:4] != first[2:4]:
+            raise FragmentError("mixed", "payloads of different wholes")
+        if payload[0] in parts:
+            raise FragmentError("repeated", f"fragment {payload[0]} came twice")
+        parts[payload[0]] = payload[PREFIX_BYTES:]
+    if len(parts) != count or max(parts) >= count:
+        raise FragmentError("incomplete", f"{len(parts)} of {count} fragments came")
+    length = int.from_bytes(first[2:4], "little")
+    data = parts[0] if count == 1 else b"".join(parts[number] for number in range(count))
+    if len(data) < length:
+        raise FragmentError("length", f"{length} bytes announced, but {len(data)} came")
+    return data[:length]

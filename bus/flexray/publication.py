@@ -1,0 +1,63 @@
+"""The slots that one node's share takes in one cycle, looked up fast."""
+
+from collections import defaultdict
+from math import lcm
+from typing import NamedTuple
+
+from bus.flexray.cluster import Cluster
+from bus.flexray.slot_table import SlotAssignment, SlotTable
+
+
+class Slot(NamedTuple):
+    """One frame: its ID and payload length in bytes.
+
+    A `fixed` one is padded to that length, as every static frame of a cluster is; another is as
+    short as what it carries.
+    """
+
+    frame_id: int
+    payload_bytes: int
+    fixed: bool = True
+
+
+class Publications:
+    """A slot table seen from its nodes; it never changes."""
+
+    def __init__(self, table: SlotTable, cluster: Cluster) -> None:
+        self._static: dict[int, list[SlotAssignment]] = defaultdict(list)
+        dynamic: dict[int, list[int]] = defaultdict(list)
+        for slot in table.assignments:
+            if slot.frame_id < table.first_dynamic_id:
+                self._static[slot.node].append(slot)
+            else:
+                dynamic[slot.node].append(slot.frame_id)
+        self._static_payload_bytes = cluster.static_payload_bytes
+        self._period = lcm(*(slot.repetition for slot in table.assignments))
+        # Cache of lookups; a table repeats within few cycles.
+        self._known: dict[tuple[int, int], tuple[Slot, ...]] = {}
+        self._dynamic = {
+            node: tuple(
+                Slot(frame_id, payload_bytes, fixed=False)
+                for frame_id, payload_bytes in zip(sorted(ids), table.dynamic_payloads, strict=True)
+            )
+            for node, ids in dynamic.items()
+        }
+
+    def slots(self, node: int, cycle: int) -> tuple[Slot, ...]:
+        """The slots of one share in this cycle: its static ones, else those it may contend for.
+
+        Every static frame has the cluster's static payload length.
+        """
+        key = (node, cycle % self._period)
+        slots = self._known.get(key)
+        if slots is None:
+            slots = self._known[key] = self._look_up(*key)
+        return slots
+
+    def _look_up(self, node: int, cycle: int) -> tuple[Slot, ...]:
+        static = tuple(
+            Slot(slot.frame_id, self._static_payload_bytes)
+            for slot in self._static.get(node, ())
+            if slot.sends(cycle)
+        )
+        return static or self._dynamic.get(node, ())

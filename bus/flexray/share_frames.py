@@ -1,0 +1,230 @@
+"""A share in FlexRay frames: the body cut into payloads, and what a frame says of its share.
+
+The payload of each frame begins with the number of its communication cycle since the start. That
+number gives the step, as a step has a fixed number of cycles. The frame's own header repeats its
+last six bits. Then comes the frame's fragment of the body (`bus/flexray/fragments.py`). Two
+checksums guard the whole.
+"""
+
+import struct
+from collections.abc import Sequence
+from functools import lru_cache
+
+import msgspec
+
+from bus.bus import Fragment, FrameFormat, Rejected, SharePlace
+from bus.flexray.fragments import PREFIX_BYTES as NUMBERING_BYTES
+from bus.flexray.fragments import FragmentError, fragment_count, join, payload_sizes, split
+from bus.flexray.frame import (
+    HEADER_BYTES,
+    MAX_PAYLOAD_BYTES,
+    OVERHEAD_BYTES,
+    Frame,
+    FrameError,
+    is_intact,
+)
+from bus.flexray.frame import decode as decode_frame
+from bus.flexray.frame import encode as encode_frame
+from bus.flexray.publication import Slot
+
+CYCLE_COUNTS = 64
+_CYCLE = struct.Struct("<I")
+PREFIX_BYTES = _CYCLE.size
+# The frame CRC finds any so many wrong bits, whatever the length of the payload: its Hamming
+# distance is 6 up to 248 bytes of payload and 4 beyond (protocol specification 2.1, 4.5).
+_NOTICED_BITS = 3
+
+
+def payload_lengths(share_bytes: int, limit_bytes: int = MAX_PAYLOAD_BYTES) -> tuple[int, ...]:
+    """Payload length of each frame that a share takes where no payload exceeds the limit."""
+    sizes = payload_sizes(share_bytes, limit_bytes - PREFIX_BYTES)
+    return tuple(PREFIX_BYTES + size for size in sizes)
+
+
+def to_frames(
+    body: bytes, cycle: int, slots: Sequence[Slot], cycle_counts: int = CYCLE_COUNTS
+) -> list[bytes]:
+    """The frames that carry `body` in the first of `slots`, as many as it takes; the cluster's
+    cycle counter wraps at `cycle_counts`.
+
+    Raises:
+        ValueError: the body is longer than the slots are.
+    """
+    prefix = _CYCLE.pack(cycle)
+    fragments = split(body, slots[0].payload_bytes - PREFIX_BYTES)
+    if len(fragments) > len(slots):
+        raise ValueError(f"a share of {len(body)} bytes does not fit into {len(slots)} frames")
+    return [
+        encode_frame(
+            Frame(
+                slot.frame_id,
+                cycle % cycle_counts,
+                (prefix + fragment).ljust(slot.payload_bytes if slot.fixed else 0, b"\0"),
+            )
+        )
+        for slot, fragment in zip(slots, fragments, strict=False)
+    ]
+
+
+def frame_payloads(share_bytes: int, slots: Sequence[Slot]) -> tuple[int, ...]:
+    """Payload length of each frame that `to_frames` makes of a body of that length."""
+    sizes = payload_sizes(share_bytes, slots[0].payload_bytes - PREFIX_BYTES)
+    return tuple(
+        max(PREFIX_BYTES + size, slot.payload_bytes if slot.fixed else 0)
+        for slot, size in zip(slots, sizes, strict=False)
+    )
+
+
+class _Shape(msgspec.Struct, frozen=True):
+    """A frame that carries a whole share, as its sender makes it: all that stands before the body
+    but the number of the cycle between `header` and `numbering`, and its length."""
+
+    header: bytes
+    numbering: bytes
+    frame_bytes: int
+
+
+# Kept: turns repeat with the cycle counter.
+@lru_cache(4096)
+def _shape(slot: Slot, share_bytes: int, cycle_count: int) -> _Shape | None:
+    """None where the share takes several frames."""
+    if len(payload_sizes(share_bytes, slot.payload_bytes - PREFIX_BYTES)) > 1:
+        return None
+    (frame,) = to_frames(bytes(share_bytes), cycle_count, [slot])
+    start = HEADER_BYTES + PREFIX_BYTES
+    numbering = frame[start : start + NUMBERING_BYTES]
+    return _Shape(frame[:HEADER_BYTES], numbering, len(frame))
+
+
+def whole_body(
+    frame: bytes, slot: Slot, share_bytes: int, cycle: int, cycle_counts: int = CYCLE_COUNTS
+) -> bytes | None:
+    """The body in a frame that is bit by bit what `to_frames` makes of one of that length in this
+    slot and cycle; None for every other frame, which `read_frame` looks at more closely."""
+    shape = _shape(slot, share_bytes, cycle % cycle_counts)
+    if shape is None or len(frame) != shape.frame_bytes:
+        return None
+    start = shape.header + _CYCLE.pack(cycle) + shape.numbering
+    if not (frame.startswith(start) and is_intact(frame)):
+        return None
+    return frame[len(start) : len(start) + share_bytes]
+
+
+def read_frame(data: bytes, cycle_counts: int | None = None) -> Fragment:
+    """Return the fragment in a frame; with `cycle_counts` its header must count the cycle by that.
+
+    Raises:
+        Rejected: with the reason of the check that failed.
+    """
+    try:
+        frame = decode_frame(data)
+    except FrameError as error:
+        raise Rejected(error.reason) from None
+    if frame.null:
+        raise Rejected("null-frame")
+    if len(frame.payload) < PREFIX_BYTES:
+        raise Rejected("too-short")
+    cycle = _CYCLE.unpack_from(frame.payload)[0]
+    if cycle_counts is not None and cycle % cycle_counts != frame.cycle_count:
+        raise Rejected("cycle-count")
+    return Fragment(frame.frame_id, cycle, frame.payload[PREFIX_BYTES:])
+
+
+def renumbered(frame: bytes, cycle: int, cycle_counts: int = CYCLE_COUNTS) -> bytes:
+    """The frame with the number of another cycle, in payload and header, and its checksums right.
+
+    Raises:
+        FrameError: it is no frame.
+    """
+    told = decode_frame(frame)
+    payload = _CYCLE.pack(cycle) + told.payload[PREFIX_BYTES:]
+    return encode_frame(Frame(told.frame_id, cycle % cycle_counts, payload))
+
+
+def in_slot(frame: bytes, frame_id: int) -> bytes:
+    """The frame with the ID of another slot, its checksums right.
+
+    Raises:
+        FrameError: it is no frame.
+    """
+    told = decode_frame(frame)
+    return encode_frame(Frame(frame_id, told.cycle_count, told.payload))
+
+
+def emptied(frame: bytes) -> bytes:
+    """The null frame in the place of a sound one.
+
+    Raises:
+        FrameError: it is no frame.
+    """
+    told = decode_frame(frame)
+    payload = bytes(len(told.payload))
+    return encode_frame(Frame(told.frame_id, told.cycle_count, payload, null=True))
+
+
+def on_channel(frame: bytes, channel: str) -> bytes:
+    """The frame as it is on a channel: shares travel with the checksum of channel A.
+
+    Raises:
+        FrameError: it is no frame.
+    """
+    return frame if channel == "A" else encode_frame(decode_frame(frame), "B")
+
+
+def miscounted(frame: bytes, cycles: int) -> bytes:
+    """The frame whose header counts so many cycles more than its payload.
+
+    Raises:
+        FrameError: it is no frame.
+    """
+    told = decode_frame(frame)
+    count = (told.cycle_count + cycles) % CYCLE_COUNTS
+    return encode_frame(Frame(told.frame_id, count, told.payload))
+
+
+def numbered(data: bytes) -> SharePlace:
+    """Where a fragment says that it belongs in its share.
+
+    Raises:
+        Rejected: the fragment is too short to say.
+    """
+    try:
+        frames = fragment_count(data)
+    except FragmentError as error:
+        raise Rejected(f"fragment-{error.reason}") from None
+    return SharePlace(data[0], frames)
+
+
+def read_body(fragments: Sequence[bytes]) -> bytes:
+    """The body of a share whose fragments have all come.
+
+    Raises:
+        Rejected: they do not belong together.
+    """
+    try:
+        return join(fragments)
+    except FragmentError as error:
+        raise Rejected(f"fragment-{error.reason}") from None
+
+
+def cycle_of(frame: bytes) -> int:
+    """The cycle that a frame's payload begins with, unchecked; 0 where the frame is too short."""
+    whole = len(frame) >= HEADER_BYTES + PREFIX_BYTES
+    return _CYCLE.unpack_from(frame, HEADER_BYTES)[0] if whole else 0
+
+
+SHARE_FRAMES = FrameFormat(
+    name="flexray",
+    payload_limit_bytes=MAX_PAYLOAD_BYTES,
+    overhead_bytes=OVERHEAD_BYTES,
+    numbering_bytes=PREFIX_BYTES + NUMBERING_BYTES,
+    noticed_bits=_NOTICED_BITS,
+    read=read_frame,
+    cycle_of=cycle_of,
+    numbered=numbered,
+    join=read_body,
+    emptied=emptied,
+    miscounted=miscounted,
+    on_channel=on_channel,
+)
+"""How shares travel in FlexRay frames."""

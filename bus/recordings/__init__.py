@@ -1,0 +1,1 @@
+"""Recorded bus signals: waveforms, decoder, fit and capture files."""

@@ -1,0 +1,1 @@
+"""Frames that the dashboard draws, made from messages and recordings."""

@@ -1,0 +1,230 @@
+"""Whole steps into frames: what a network said about a step becomes what is drawn of it.
+
+The order of messages within a step does not matter, and steps may be left out: what is told in
+totals or in ages is true all the same.
+"""
+
+import numpy as np
+
+from dashboard.frames.bus_cycles import BusView
+from dashboard.frames.frame import Array, Event, Frame, Numbers, Traffic
+from dashboard.frames.network import Change, Network, changed, read_change
+from dashboard.frames.scores import fuse, score
+from dashboard.frames.stage import Stage, restaged
+from dashboard.frames.told import Told, read_step
+from filters.gaussian import Gaussian
+from filters.linalg import unpack_upper
+from nodes.messages import Estimate, from_wire
+from runtime.whole_steps import WholeStep
+from scenarios.baselines import listener, listens_step_by_step
+
+# A restarted node tells nothing of the counters that died with it.
+_COUNTED = ("sent", "heard", "missed")
+
+
+class Assembler:
+    """Takes steps in order and gives the frame of each."""
+
+    def __init__(self, stage: Stage, network: Network | None = None) -> None:
+        """Begin with the first step, or in the middle with what is known of the network."""
+        self._stage = stage
+        everybody = frozenset(range(stage.nodes))
+        self._network = network or Network(everybody, (0, 0, stage.rounds))
+        self._changes: list[Change] = []
+        self._bus = BusView(stage.bus)
+        self._events: list[Event] = []
+        self._last: int | None = None
+        n, nodes = len(stage.setup.prior_mean), stage.nodes
+        prior = Gaussian(np.array(stage.setup.prior_mean), np.array(stage.setup.prior_cov))
+        self._listen = None
+        if listens_step_by_step(stage.setup):
+            self._listen = listener(stage.setup, list(range(nodes)))
+        self._central: Gaussian | None = prior
+        self._belief = Gaussian(np.full((nodes, n), np.nan), np.full((nodes, n, n), np.nan))
+        self._zonotopes: list[Array | None] = [None] * nodes
+        self._alive = np.ones(nodes, dtype=bool)
+        self._ages = np.full(len(stage.heard), -1)
+        self._counters: list[dict[str, int]] = [{} for _ in range(nodes)]
+        self._rejection = [""] * nodes
+        self._last_sent = np.full(nodes, -1)
+
+    @property
+    def stage(self) -> Stage:
+        """Return the stage with the settings of the newest frame."""
+        return self._stage
+
+    def hear(self, event: bytes) -> None:
+        """Apply an event of the network, which holds from the step that it names."""
+        change = read_change(event)
+        self._changes += [change] if change else []
+
+    def frame(self, step: WholeStep) -> Frame | None:
+        """Return the frame of a step later than all before; none without a truth."""
+        told = read_step(step, self._stage.nodes, self._stage.bus.frame_format)
+        late = self._last is not None and step.number <= self._last
+        if told.truth is None or late:
+            return None
+        self._apply_changes(step.number)
+        if self._last is not None and step.number > self._last + 1:
+            self._leave_out(step.number - self._last - 1)
+        self._last = step.number
+        return self._drawn(step.number, from_wire(told.truth.state), told)
+
+    def _leave_out(self, steps: int) -> None:
+        """Of so many steps nothing was heard: who sent in them, and what a filter would know."""
+        self._listen = None
+        self._last_sent[:] = -1
+        self._ages += np.where(self._ages >= 0, steps * self._stage.rounds, 0)
+
+    def _apply_changes(self, number: int) -> None:
+        """Take over what holds from this step on."""
+        due = [change for change in self._changes if change.step <= number]
+        if not due:
+            return
+        self._changes = [change for change in self._changes if change.step > number]
+        for change in due:
+            try:
+                self._network, event = changed(self._network, change, self._stage.names)
+            except (KeyError, TypeError, ValueError, IndexError):
+                # A newer network may tell of more than this page knows.
+                continue
+            self._events.append(event)
+            if change.what == "settings":
+                self._stage = restaged(self._stage, dict(self._network.settings))
+                self._bus = BusView(self._stage.bus)
+
+    def _drawn(self, number: int, truth: Array, told: Told) -> Frame:
+        stage = self._stage
+        numbers = self._network.cycles(number)
+        cycles = tuple(
+            self._bus.cycle(
+                cycle, {node: size for (when, node), size in told.sizes.items() if when == cycle}
+            )
+            for cycle in numbers
+        )
+        for cycle in cycles:
+            senders = list({frame.node for frame in cycle.frames})
+            self._last_sent[senders] = cycle.cycle
+        self._take_estimates(number, told)
+        central = self._hear_all(number, told)
+        events, self._events = tuple(self._events), []
+        alive = self._alive.copy()
+        ages = self._ages.copy()
+        fused = fuse(self._belief, alive)
+        return Frame(
+            step=number,
+            time_s=number * stage.setup.time_step_s,
+            truth=truth,
+            belief=self._belief,
+            zonotopes=tuple(self._zonotopes),
+            fused=fused,
+            seen=_seen(told, stage.nodes),
+            alive=alive,
+            ages=ages,
+            lost=self._lost(ages, alive, numbers[-1]),
+            cut=self._cut(),
+            traffic=self._traffic(),
+            rejection=tuple(self._rejection),
+            cycles=cycles,
+            scores=score(stage, truth, self._belief, alive, fused, central),
+            events=events,
+        )
+
+    def _take_estimates(self, number: int, told: Told) -> None:
+        mean, cov = self._belief.mean.copy(), self._belief.cov.copy()
+        start = 0
+        for node, neighbours in enumerate(self._stage.setup.neighbours):
+            estimate = told.estimates.get(node)
+            part = slice(start, start + len(neighbours))
+            start += len(neighbours)
+            self._note_life(number, node, estimate is not None)
+            if estimate is None:
+                known = self._ages[part] >= 0
+                self._ages[part] += np.where(known, self._stage.rounds, 0)
+                continue
+            mean[node] = from_wire(estimate.mean)
+            cov[node] = unpack_upper(from_wire(estimate.cov))
+            self._zonotopes[node] = _generators(estimate, mean.shape[-1])
+            if len(estimate.ages) == len(neighbours):
+                self._ages[part] = estimate.ages
+            self._note_rejections(number, node, estimate.counters)
+            self._counters[node] = estimate.counters
+        self._belief = Gaussian(mean, cov)
+
+    def _note_life(self, number: int, node: int, lives: bool) -> None:
+        if lives == self._alive[node]:
+            return
+        self._alive[node] = lives
+        # The network announces its members; a node that dies unannounced is entered here.
+        if any(event.node == node for event in self._events):
+            return
+        what = "is back" if lives else "is down"
+        self._events.append(
+            Event(number, f"node {self._stage.names[node]} {what}", node, not lives)
+        )
+
+    def _note_rejections(self, number: int, node: int, counters: dict[str, int]) -> None:
+        before = self._counters[node]
+        for name, total in counters.items():
+            if name.startswith("rejected") and total > before.get(name, 0):
+                reason = name.removeprefix("rejected ")
+                self._rejection[node] = reason
+                text = f"node {self._stage.names[node]} rejected a frame: {reason}"
+                self._events.append(Event(number, text, node, True))
+
+    def _hear_all(self, number: int, told: Told) -> Gaussian | None:
+        """The filter that hears everything, one step on; none where it cannot be followed."""
+        if self._listen is None or self._central is None:
+            return None
+        nodes = range(self._stage.nodes)
+        if not told.measured:
+            return None
+        example = from_wire(next(iter(told.measured.values())).readings)
+        nothing = np.full_like(example, np.nan)
+        delivered: Array = np.stack(
+            [from_wire(told.measured[i].readings) if i in told.measured else nothing for i in nodes]
+        )
+        control = next(iter(told.measured.values())).control
+        driven = None if control is None else np.array(control)
+        self._central = self._listen(self._central, number, delivered, driven)
+        return self._central
+
+    def _lost(self, ages: Numbers, alive: np.ndarray, last_cycle: int) -> np.ndarray:
+        """Whose newest share did not reach whom: what is held is older than what was sent."""
+        receiver, sender = self._stage.heard.T
+        sent = self._last_sent[sender]
+        newest = last_cycle - sent
+        return (sent >= 0) & alive[receiver] & (ages != newest)
+
+    def _cut(self) -> np.ndarray:
+        cut = self._network.cut
+        return np.array(
+            [(int(i), int(j)) in cut or (int(j), int(i)) in cut for i, j in self._stage.edges],
+            dtype=bool,
+        )
+
+    def _traffic(self) -> Traffic:
+        def total(name: str) -> Numbers:
+            return np.array([counters.get(name, 0) for counters in self._counters])
+
+        rejected = [
+            sum(count for name, count in counters.items() if name.startswith("rejected"))
+            for counters in self._counters
+        ]
+        sent, heard, missed = (total(name) for name in _COUNTED)
+        return Traffic(sent, heard, missed, np.array(rejected))
+
+
+def _generators(estimate: Estimate, states: int) -> Array | None:
+    """The generators (n, q) that a node tells; None of what is no zonotope of so many states."""
+    rows = estimate.generators
+    if rows is None or len(rows) != states or len({len(row) for row in rows}) != 1:
+        return None
+    return from_wire(rows)
+
+
+def _seen(told: Told, nodes: int) -> np.ndarray:
+    seen = np.zeros(nodes, dtype=bool)
+    for node, measured in told.measured.items():
+        seen[node] = any(value is not None for row in measured.readings for value in row)
+    return seen

@@ -1,0 +1,90 @@
+"""Frame of the dashboard: the network after one step, as one value."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.bus import Transmission
+from filters.gaussian import Gaussian
+
+Array = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+
+
+class Event(NamedTuple):
+    """Something worth a line in the log; `node` is whom it is about, None for the network."""
+
+    step: int
+    text: str
+    node: int | None = None
+    trouble: bool = False
+
+
+class BusCycle(NamedTuple):
+    """One communication cycle: its frames in order of time, and who owned a slot and was silent.
+
+    On a bus without time, times are places in the order of slots and `span_us` is their number.
+    """
+
+    cycle: int
+    frames: tuple[Transmission, ...]
+    silent: tuple[int, ...]
+    payload_bytes: int
+
+
+class Traffic(NamedTuple):
+    """Totals of each node (N,) since the start, in frames."""
+
+    sent: Numbers
+    heard: Numbers
+    missed: Numbers
+    rejected: Numbers
+
+
+class Scores(NamedTuple):
+    """How good the estimates of a step are; NaN where the truth is not known.
+
+    error, width (N,): of the scored states, and what the node believes of it (square root of the
+    trace of its covariance). nees: mean over the nodes. central: error of a filter that hears
+    everything. spread: root mean square distance of the nodes' estimates from their mean.
+    """
+
+    error: Array
+    width: Array
+    rmse: float
+    spread: float
+    nees: float
+    central: float
+    fused: float
+
+
+class Frame(NamedTuple):
+    """The network after step `step`.
+
+    Attributes:
+        truth: (n,), NaN where unknown. belief: of every node, (N, n) and (N, n, n); the last known
+        of a node that is down. zonotopes: generators (n, q) of those that keep a zonotope around
+        their mean. fused: the mean of all in information form. seen: (N,), who took a reading.
+        alive: (N,), who estimated this step. ages: (H,), communication cycles since what a node
+        holds of a neighbour was sent, -1 never, in the order of `Stage.heard`. lost: (H,), whose
+        newest share did not arrive. cut: (E,), links that are cut. rejection: per node, why it last
+        rejected a frame.
+    """
+
+    step: int
+    time_s: float
+    truth: Array
+    belief: Gaussian
+    zonotopes: tuple[Array | None, ...]
+    fused: Gaussian
+    seen: NDArray[np.bool_]
+    alive: NDArray[np.bool_]
+    ages: Numbers
+    lost: NDArray[np.bool_]
+    cut: NDArray[np.bool_]
+    traffic: Traffic
+    rejection: tuple[str, ...]
+    cycles: tuple[BusCycle, ...]
+    scores: Scores
+    events: tuple[Event, ...]

@@ -1,0 +1,178 @@
+"""Running network: received without slowing it, commanded through its control interface.
+
+Each received message costs processor time that the network needs. So the page receives whole steps:
+the recorder offers every step of a slow network and some steps of a fast one
+(`runtime/processes/recorder/throttled_feed.py`).
+"""
+
+import time
+from collections import deque
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from threading import Thread
+from typing import Any
+
+import msgspec
+
+from dashboard.frames.assembler import Assembler
+from dashboard.frames.frame import Frame
+from dashboard.frames.network import Network
+from dashboard.frames.source import Answer, Pace
+from dashboard.frames.stage import Stage, restaged, set_stage
+from nodes.commands import Command
+from runtime.network.control_client import Client, NotThere
+from runtime.whole_steps import WholeStep
+from scenarios.setup import Setup
+
+_STATE_PERIOD_S = 0.5
+_QUEUE = 1000
+
+
+class Standing(msgspec.Struct):
+    """State of a network after its changes so far."""
+
+    settings: dict[str, Any] = {}
+    loss: float | None = None
+    losses: list[tuple[int, int, float]] = []
+    cuts: list[tuple[int, int]] = []
+    first_step: int = 0
+    first_cycle: int = 0
+
+
+class Situation(msgspec.Struct):
+    """Answer of a network to `state` (docs/control.md)."""
+
+    run: str
+    setup: Setup
+    members: list[int]
+    standing: Standing
+    completed: int = 0
+    paused: bool = False
+
+
+class _Pause(msgspec.Struct):
+    completed: int = 0
+    paused: bool = False
+
+
+class LiveNetwork:
+    """A source of frames and a taker of commands; `endpoints` are all those of the network, `keys`
+    a file of `concord keys` for one that is guarded.
+
+    Raises:
+        ValueError: no network of this version answers.
+    """
+
+    live = True
+
+    def __init__(self, endpoints: Sequence[str], run: str | None, keys: str | None = None) -> None:
+        self._client = Client(endpoints, run, keys)
+        self._heard: deque[tuple[str, bytes]] = deque(maxlen=_QUEUE)
+        # First: what is said while the network answers must not be missed.
+        for topic in ("event", "steps"):
+            self._client.listen(topic, self._hear)
+        try:
+            situation = msgspec.convert(self._client.state(), Situation)
+        except msgspec.ValidationError as error:
+            self._client.close()
+            raise ValueError(f"--connect: no network of this version answers ({error})") from None
+        settings = dict(situation.standing.settings)
+        stage = set_stage(situation.setup)
+        self._stage = restaged(stage, settings) if settings else stage
+        self._state = _Pause(situation.completed, situation.paused)
+        self._begun_and_done = 0
+        self._assembler = Assembler(self._stage, network_of(situation))
+        self._ended = self._closed = False
+        self._asked_s = time.monotonic()
+
+    @property
+    def stage(self) -> Stage:
+        """Return the stage with the settings of the newest frame."""
+        return self._assembler.stage
+
+    def _hear(self, topic: str, data: bytes) -> None:
+        """In zenoh's thread: keep it; a queue that is full loses the oldest."""
+        self._heard.append((topic, data))
+
+    def poll(self) -> list[Frame]:
+        """Return the frames that have come since the last call."""
+        self._ask_state()
+        frames: list[Frame | None] = []
+        while self._heard:
+            topic, data = self._heard.popleft()
+            if topic == "event":
+                self._assembler.hear(data)
+                continue
+            with suppress(msgspec.MsgspecError):
+                step = msgspec.msgpack.decode(data, type=WholeStep)
+                frames.append(self._assembler.frame(step))
+        return [frame for frame in frames if frame is not None]
+
+    def _ask_state(self) -> None:
+        now_s = time.monotonic()
+        if self._ended or now_s - self._asked_s < _STATE_PERIOD_S:
+            return
+        self._asked_s = float("inf")
+        # The request has its own thread, so the drawing loop does not wait for the answer.
+        Thread(target=self._hear_state, daemon=True).start()
+
+    def _hear_state(self) -> None:
+        before = self._begun_and_done
+        try:
+            state = msgspec.convert(self._client.state(), _Pause)
+            # A message that was sent before a command and arrives after it is out of date.
+            if self._begun_and_done == before:
+                self._state = state
+        except NotThere:
+            self._ended = True
+        except Exception:
+            # A page that closes need not wait for the answer.
+            if not self._closed:
+                raise
+        finally:
+            self._asked_s = time.monotonic()
+
+    def pace(self) -> Pace:
+        """Return whether the network runs, and how far it is."""
+        if self._ended:
+            return Pace("ENDED", "nobody answers any more")
+        steps = self._assembler.stage.setup.scenario.steps
+        told = f"{self._state.completed} of {steps} steps"
+        if self._state.completed >= steps:
+            return Pace("ENDED", told)
+        return Pace("PAUSED" if self._state.paused else "RUNNING", told)
+
+    def ask(self, command: Mapping[str, Any]) -> Answer:
+        """Command the network; waits for its answer."""
+        self._begun_and_done += 1
+        try:
+            answer = self._client.command(msgspec.convert(command, Command))
+        except msgspec.ValidationError as error:
+            return Answer(False, f"{command['do']}: {error}")
+        except NotThere as gone:
+            self._ended = True
+            return Answer(False, str(gone))
+        if answer.accepted and command["do"] in ("pause", "resume"):
+            self._state = _Pause(self._state.completed, command["do"] == "pause")
+        self._begun_and_done += 1
+        return Answer(answer.accepted, answer.detail)
+
+    def close(self) -> None:
+        """Leave; the network does not notice."""
+        self._closed = True
+        self._client.close()
+
+
+def network_of(situation: Situation) -> Network:
+    """Return the network as known when the page begins to receive."""
+    standing = situation.standing
+    rounds = int(standing.settings.get("rounds", situation.setup.scenario.rounds))
+    return Network(
+        members=frozenset(situation.members),
+        anchor=(standing.first_step, standing.first_cycle, rounds),
+        cut=frozenset((sender, receiver) for sender, receiver in standing.cuts),
+        losses={(sender, receiver): chance for sender, receiver, chance in standing.losses},
+        loss=standing.loss or 0.0,
+        settings=standing.settings,
+        paused=situation.paused,
+    )

@@ -1,0 +1,135 @@
+"""State of a network since its start: its nodes, its cut links, its settings.
+
+The changes are those of docs/control.md; each holds from the step that it names.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import msgspec
+
+from dashboard.frames.frame import Event
+from nodes.faults.vocabulary import CHANNELS, EVERY_FAULT
+from scenarios.scenario import SETTINGS
+
+
+class Network(NamedTuple):
+    """The network at a step.
+
+    Attributes:
+        members: who takes part. cut: directed links (sender, receiver). losses: part of the frames
+        that a link loses, `loss` that of every other. settings: what was set since the start.
+        anchor: a step, the communication cycle with which it begins, and cycles per step from then
+        on.
+    """
+
+    members: frozenset[int]
+    anchor: tuple[int, int, int]
+    cut: frozenset[tuple[int, int]] = frozenset()
+    losses: Mapping[tuple[int, int], float] = {}
+    loss: float = 0.0
+    settings: Mapping[str, Any] = {}
+    paused: bool = False
+
+    @property
+    def rounds(self) -> int:
+        """Communication cycles per step."""
+        return self.anchor[2]
+
+    def cycles(self, step: int) -> range:
+        """Return the communication cycles of a step."""
+        since, first, rounds = self.anchor
+        begin = first + (step - since) * rounds
+        return range(begin, begin + rounds)
+
+
+class Change(NamedTuple):
+    """A change and the step from which it holds."""
+
+    step: int
+    what: str
+    facts: Mapping[str, Any]
+
+
+def read_change(data: bytes) -> Change | None:
+    """Return the change that bytes on topic `event` tell; None for what says nothing."""
+    try:
+        told = msgspec.json.decode(data)
+        facts = told["change"]
+        return Change(int(told["step"]), str(facts["what"]), facts)
+    except (msgspec.MsgspecError, KeyError, TypeError, ValueError):
+        return None
+
+
+def changed(network: Network, change: Change, names: tuple[str, ...]) -> tuple[Network, Event]:
+    """Return the network after a change, and the line of the log that tells of it.
+
+    Raises:
+        KeyError, TypeError, ValueError, IndexError: the change is malformed.
+    """
+    facts = change.facts
+    match change.what:
+        case "left" | "gone" | "joined":
+            return _membership(network, change, names)
+        case "cut" | "healed":
+            link = (int(facts["sender"]), int(facts["receiver"]))
+            is_cut = change.what == "cut"
+            cut = network.cut | {link} if is_cut else network.cut - {link}
+            text = f"link {names[link[0]]} → {names[link[1]]} {change.what}"
+            return network._replace(cut=cut), Event(change.step, text, link[0], is_cut)
+        case "loss":
+            return _loss(network, change, names)
+        case "fault":
+            return network, _fault(change, names)
+        case "calm":
+            calm = network._replace(cut=frozenset(), losses={}, loss=0.0)
+            return calm, Event(change.step, "all faults are withdrawn")
+        case "settings":
+            return _settings(network, change)
+        case "pace":
+            paused = bool(facts.get("paused"))
+            rate = facts.get("steps_per_second") or 0
+            speed = f"at most {rate:g} steps per second" if rate else "as fast as it can"
+            text = "paused" if paused else f"running, {speed}"
+            return network._replace(paused=paused), Event(change.step, text)
+    raise ValueError(change.what)
+
+
+def _membership(network: Network, change: Change, names: tuple[str, ...]) -> tuple[Network, Event]:
+    node = int(change.facts["node"])
+    words = {"left": "was killed", "gone": "is gone", "joined": "is back"}
+    back = change.what == "joined"
+    members = network.members | {node} if back else network.members - {node}
+    text = f"node {names[node]} {words[change.what]}"
+    return network._replace(members=members), Event(change.step, text, node, not back)
+
+
+def _loss(network: Network, change: Change, names: tuple[str, ...]) -> tuple[Network, Event]:
+    facts, chance = change.facts, float(change.facts["probability"])
+    if facts.get("sender") is None:
+        text = f"every link loses {100 * chance:.0f} % of its frames"
+        return network._replace(loss=chance), Event(change.step, text, None, chance > 0)
+    link = (int(facts["sender"]), int(facts["receiver"]))
+    text = f"link {names[link[0]]} → {names[link[1]]} loses {100 * chance:.0f} % of its frames"
+    losses = {**network.losses, link: chance}
+    return network._replace(losses=losses), Event(change.step, text, link[0], chance > 0)
+
+
+def _fault(change: Change, names: tuple[str, ...]) -> Event:
+    """Return the event of a fault, in the words of its request."""
+    kind, facts = str(change.facts["kind"]), change.facts
+    place, nodes = EVERY_FAULT[kind].place, [int(node) for node in facts["nodes"]]
+    known = CHANNELS if place == "channel" else names
+    numbers = [f"{float(number):g}" for number in facts["numbers"]]
+    text = " ".join((kind, *(known[node] for node in nodes), *numbers))
+    node = nodes[0] if nodes and place != "channel" else None
+    return Event(change.step, text, node, float(numbers[0]) != 0)
+
+
+def _settings(network: Network, change: Change) -> tuple[Network, Event]:
+    told = dict(change.facts["settings"])
+    settings = {**network.settings, **{k: v for k, v in told.items() if k in SETTINGS}}
+    rounds = int(settings.get("rounds", network.rounds))
+    since = (change.step, int(change.facts["first_cycle"]), rounds)
+    text = "set " + ", ".join(f"{name} {value}" for name, value in told.items())
+    return network._replace(settings=settings, anchor=since), Event(change.step, text)

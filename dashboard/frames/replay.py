@@ -1,0 +1,32 @@
+"""A recorded run as frames."""
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from dashboard.frames.assembler import Assembler
+from dashboard.frames.frame import Frame
+from dashboard.frames.stage import Stage
+from runtime.recording import read_recording
+from runtime.whole_steps import WholeSteps
+
+
+def replayed(stage: Stage, recording: Path) -> Iterator[Frame]:
+    """The frames of a recording, in order of steps.
+
+    Raises:
+        ValueError: the file is not a recording.
+    """
+    return assembled(stage, read_recording(recording))
+
+
+def assembled(stage: Stage, messages: Iterable[tuple[str, bytes]]) -> Iterator[Frame]:
+    """The frames that the (topic, bytes) of a run make, from its beginning on."""
+    assembler = Assembler(stage)
+    steps = WholeSteps(stage.nodes, stage.rounds, stage.bus.frame_format)
+    for topic, data in messages:
+        if topic == "event":
+            assembler.hear(data)
+        for step in steps.take(topic, data):
+            frame = assembler.frame(step)
+            if frame is not None:
+                yield frame

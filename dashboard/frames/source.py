@@ -1,0 +1,92 @@
+"""Where frames come from: a recording that is played, or a network that runs."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+from dashboard.frames.frame import Frame
+from dashboard.frames.replay import replayed
+from dashboard.frames.stage import Stage
+
+_FRAMES_PER_POLL = 40
+
+
+class Answer(NamedTuple):
+    """Answer of a network to a command."""
+
+    accepted: bool
+    detail: str
+
+
+class Pace(NamedTuple):
+    """Whether a network runs: RUNNING, PAUSED, ENDED, or why nothing is known."""
+
+    state: str
+    detail: str = ""
+
+
+class Source(Protocol):
+    """Source of frames, which also passes commands to a running network."""
+
+    @property
+    def live(self) -> bool:
+        """Return whether there is a network to command."""
+        ...
+
+    @property
+    def stage(self) -> Stage:
+        """Return the stage as it is now: settings can change while a network runs."""
+        ...
+
+    def poll(self) -> list[Frame]:
+        """Return the frames that have come since the last call; never waits."""
+        ...
+
+    def pace(self) -> Pace:
+        """Return whether the network runs."""
+        ...
+
+    def ask(self, command: dict[str, Any]) -> Answer:
+        """Command the network; waits for its answer."""
+        ...
+
+    def close(self) -> None:
+        """Leave."""
+        ...
+
+
+class Recorded:
+    """A recording: read little by little, so that the page is there at once."""
+
+    live = False
+
+    def __init__(self, stage: Stage, recording: Path) -> None:
+        self.stage = stage
+        self._frames: Iterator[Frame] | None = replayed(stage, recording)
+
+    def poll(self) -> list[Frame]:
+        """Return the next few frames of the recording.
+
+        Raises:
+            ValueError: the file is not a recording.
+        """
+        frames: list[Frame] = []
+        while self._frames is not None and len(frames) < _FRAMES_PER_POLL:
+            frame = next(self._frames, None)
+            if frame is None:
+                self._frames = None
+            else:
+                frames.append(frame)
+        return frames
+
+    def pace(self) -> Pace:
+        """A recording has no pace of its own; the player sets it."""
+        return Pace("LOADING" if self._frames is not None else "RECORDED")
+
+    def ask(self, command: dict[str, Any]) -> Answer:
+        """Refuse the command, because no network is running."""
+        return Answer(False, f"{command.get('do')}: this is a recording; nothing runs")
+
+    def close(self) -> None:
+        """Nothing is held open."""
+        self._frames = None

@@ -1,0 +1,166 @@
+"""Fixed part of a network's picture: everything that its setup determines before the run.
+
+Plants that live in the plane are drawn where they are; a car is drawn on its track; any other
+network is laid out by its graph, because its nodes have no place in space.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import Enum
+from functools import cached_property
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.bus import Bus
+from scenarios.build import build_bus
+from scenarios.catalogue import kind_of
+from scenarios.kind import Score
+from scenarios.rules import is_certain
+from scenarios.setup import Setup
+
+Array = NDArray[np.float64]
+
+SCENE_WIDTH = 20.0
+"""Width of the drawn network in units of the scene, whatever it measures in metres."""
+
+_CAR_STATES = ("yaw rate", "side slip", "speed", "heading")
+
+
+class Picture(Enum):
+    """How a plant is drawn."""
+
+    PLANE = "where it is"
+    TRACK = "a car on its track"
+    GRAPH = "the network by its graph"
+
+
+@dataclass(frozen=True)
+class Stage:
+    """The fixed part of every picture of one run.
+
+    Attributes:
+        names: of the nodes. edges: (E, 2), lower index first. heard: (H, 2) receiver, sender of
+        each neighbour, in the order in which estimates list ages. layout: (N, 2) of a network
+        without places. place: the two states that are a position, empty without.
+    """
+
+    setup: Setup
+    bus: Bus
+    names: tuple[str, ...]
+    state_names: tuple[str, ...]
+    state_units: tuple[str, ...]
+    edges: NDArray[np.int64]
+    heard: NDArray[np.int64]
+    score: Score
+    certain: bool
+    picture: Picture
+    place: tuple[int, ...]
+    positions: Callable[[int], Array]
+    sight_range_m: float | None
+
+    @property
+    def nodes(self) -> int:
+        return self.setup.scenario.nodes
+
+    @property
+    def rounds(self) -> int:
+        return self.setup.scenario.rounds
+
+    @property
+    def deviations(self) -> float:
+        """Half-width of the ellipses that are drawn, in standard deviations; of a set its own."""
+        return 1.0 if self.certain else 3.0
+
+    @property
+    def fused_name(self) -> str:
+        """Name of the fused belief of all nodes; sets are fused by their enclosing ellipsoids."""
+        return "fused ellipsoids" if self.certain else "fused"
+
+    @cached_property
+    def whereabouts(self) -> Array:
+        """Where nodes are in the course of the run (P, 2), in the network's own units."""
+        last = max(self.setup.scenario.steps - 1, 0)
+        return np.concatenate([self.positions(step) for step in range(0, last + 1, last // 20 + 1)])
+
+    @cached_property
+    def centre(self) -> Array:
+        """Middle of the drawn network (2,), in its own units."""
+        corners = self.whereabouts
+        return (corners.min(0) + corners.max(0)) / 2
+
+    @cached_property
+    def scale(self) -> float:
+        """Units of the scene per metre (or unit of the layout)."""
+        corners = self.whereabouts
+        extent = float((corners.max(0) - corners.min(0)).max())
+        return SCENE_WIDTH / extent if extent > 0 else 1.0
+
+    def in_scene(self, points: Array, height: float = 0.0) -> Array:
+        """Points (..., 2) of the plane as points (..., 3) of the scene."""
+        flat = (points - self.centre) * self.scale
+        return np.concatenate([flat, np.full((*flat.shape[:-1], 1), height)], axis=-1)
+
+
+def set_stage(setup: Setup) -> Stage:
+    """Return the stage of a setup."""
+    kind = kind_of(setup.scenario.name)
+    plant = kind.plant(setup.scenario)
+    places = plant.positions(0)
+    positions: Callable[[int], Array]
+    if places is not None:
+        picture, positions = Picture.PLANE, lambda step: np.asarray(plant.positions(step))
+    else:
+        layout = _laid_out(setup.neighbours)
+        track = set(_CAR_STATES) <= set(plant.state_names)
+        picture, positions = Picture.TRACK if track else Picture.GRAPH, lambda _: layout
+    links = {(min(i, j), max(i, j)) for i, heard in enumerate(setup.neighbours) for j in heard}
+    hearing = [(i, j) for i, heard in enumerate(setup.neighbours) for j in heard]
+    return Stage(
+        setup=setup,
+        bus=build_bus(setup),
+        names=_names(setup, picture),
+        state_names=tuple(plant.state_names),
+        state_units=tuple(plant.state_units),
+        edges=np.array(sorted(links), dtype=np.int64).reshape(-1, 2),
+        heard=np.array(hearing, dtype=np.int64).reshape(-1, 2),
+        score=kind.score,
+        certain=is_certain(setup.scenario),
+        picture=picture,
+        place=tuple(kind.score.states[:2]) if picture is Picture.PLANE else (),
+        positions=positions,
+        sight_range_m=getattr(plant, "field_of_view_m", None),
+    )
+
+
+def restaged(stage: Stage, settings: dict[str, Any]) -> Stage:
+    """Return the stage of a network whose settings have changed; all else stays."""
+    scenario, _ = stage.setup.scenario.with_known(**settings)
+    setup = msgspec.structs.replace(stage.setup, scenario=scenario)
+    return replace(stage, setup=setup, bus=build_bus(setup), certain=is_certain(scenario))
+
+
+def _names(setup: Setup, picture: Picture) -> tuple[str, ...]:
+    if picture is Picture.TRACK:
+        from plants.vehicle.network import NODES
+
+        if len(NODES) == setup.scenario.nodes:
+            return NODES
+    digits = max(2, len(str(setup.scenario.nodes - 1)))
+    return tuple(f"{node:0{digits}d}" for node in range(setup.scenario.nodes))
+
+
+def _laid_out(neighbours: list[list[int]]) -> Array:
+    """A place (N, 2) for each node of a graph; the same for the same graph."""
+    import networkx
+
+    graph = networkx.Graph()
+    graph.add_nodes_from(range(len(neighbours)))
+    graph.add_edges_from((i, j) for i, heard in enumerate(neighbours) for j in heard)
+    if len(neighbours) <= 60 and len(neighbours) > 2:
+        placed = networkx.kamada_kawai_layout(graph)
+    else:
+        placed = networkx.spring_layout(graph, seed=1)
+    return np.array([placed[node] for node in range(len(neighbours))], dtype=np.float64)

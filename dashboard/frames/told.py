@@ -1,0 +1,50 @@
+"""The messages of one whole step, decoded."""
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+from bus.bus import FrameFormat, Rejected
+from nodes.bounds import node_of
+from nodes.messages import Estimate, MalformedMessage, Measured, Truth, decode
+from runtime.whole_steps import WholeStep
+
+
+@dataclass
+class Told:
+    """The content of a step; `sizes` are payload bytes by (cycle, node)."""
+
+    truth: Truth | None = None
+    measured: dict[int, Measured] = field(default_factory=dict)
+    estimates: dict[int, Estimate] = field(default_factory=dict)
+    sizes: Counter[tuple[int, int]] = field(default_factory=Counter)
+
+
+def read_step(step: WholeStep, nodes: int, frames: FrameFormat) -> Told:
+    """Return the content of a step, whose shares are such frames; ignore what is no message."""
+    told = Told()
+    for topic, data in step.messages:
+        kind, _, number = topic.partition("/")
+        if kind == "share":
+            _read_share(told, node_of(number, nodes), data, frames)
+            continue
+        try:
+            message = decode(topic, data)
+        except MalformedMessage:
+            continue
+        match message:
+            case Truth():
+                told.truth = message
+            case Measured():
+                told.measured[message.node] = message
+            case Estimate():
+                told.estimates[message.node] = message
+    return told
+
+
+def _read_share(told: Told, sender: int | None, data: bytes, frames: FrameFormat) -> None:
+    try:
+        cycle = frames.read(data).cycle
+    except Rejected:
+        return
+    if sender is not None:
+        told.sizes[cycle, sender] += len(data) - frames.overhead_bytes

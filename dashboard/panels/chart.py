@@ -1,0 +1,66 @@
+"""A chart as a value: a name, a unit, and lines that know how to take their column from frames."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from dashboard.frames.expected import Expected
+from dashboard.frames.frame import Array, Frame
+from dashboard.frames.stage import Stage
+from dashboard.theme import Colour, Theme
+from dashboard.view import View
+
+
+class Sample(NamedTuple):
+    """The frames that charts show, their times (T,) in seconds, and the expectation at them."""
+
+    stage: Stage
+    view: View
+    frames: Sequence[Frame]
+    times: Array
+    expected: Expected
+
+
+Column = Callable[[Sample], Array]
+"""(sample) -> the values (T,) of a line; NaN where a value is unknown."""
+
+
+class Line(NamedTuple):
+    """A named line of a chart, with its colour in each theme."""
+
+    name: str
+    colour: Callable[[Theme], Colour]
+    column: Column
+    dashed: bool = False
+
+
+class Chart(NamedTuple):
+    """A chart of quantities over time; `from_zero` keeps zero in sight."""
+
+    name: str
+    unit: str
+    lines: tuple[Line, ...]
+    from_zero: bool = True
+
+
+def of_frames(value: Callable[[Frame], float]) -> Column:
+    """Return the column with one value of each frame."""
+    return lambda sample: np.array([value(frame) for frame in sample.frames], dtype=np.float64)
+
+
+class Curve(NamedTuple):
+    """A line with the colour and the values (T,) that a page shows."""
+
+    name: str
+    colour: Colour
+    dashed: bool
+    values: Array
+
+
+class Drawn(NamedTuple):
+    """A chart as a page shows it: its title with the unit, times (T,) in seconds, curves."""
+
+    title: str
+    times: Array
+    curves: tuple[Curve, ...]

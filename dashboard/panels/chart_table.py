@@ -1,0 +1,92 @@
+"""The charts of a page. A new chart is one more value here, and touches no other file."""
+
+from collections.abc import Callable
+
+from dashboard.frames.frame import Array, Frame
+from dashboard.frames.history import state_table
+from dashboard.frames.stage import Stage
+from dashboard.panels.chart import Chart, Column, Line, Sample, of_frames
+
+_LOWER, _UPPER = "−3σ", "+3σ"
+
+
+def run_charts(stage: Stage) -> tuple[Chart, ...]:
+    """Return the charts of the network: error, disagreement, consistency, traffic."""
+    return (
+        Chart(
+            "RMSE of the nodes",
+            stage.score.unit,
+            (
+                Line("nodes", lambda t: t.seeing, of_frames(lambda f: f.scores.rmse)),
+                Line(stage.fused_name, lambda t: t.fused, of_frames(lambda f: f.scores.fused)),
+                Line("centralised", lambda t: t.text, of_frames(lambda f: f.scores.central)),
+                Line("Cramér-Rao bound", lambda t: t.quiet, lambda s: s.expected.bound, True),
+            ),
+        ),
+        Chart(
+            "Disagreement of the nodes",
+            stage.score.unit,
+            (Line("rms spread", lambda t: t.estimate, of_frames(lambda f: f.scores.spread)),),
+        ),
+        Chart(
+            "NEES, mean of the nodes",
+            "1",
+            (
+                Line("NEES", lambda t: t.estimate, of_frames(lambda f: f.scores.nees)),
+                Line("95 % of runs from", lambda t: t.quiet, lambda s: s.expected.nees_low, True),
+                Line("to", lambda t: t.quiet, lambda s: s.expected.nees_high, True),
+            ),
+        ),
+        Chart(
+            "Payload on the bus",
+            "kB/s",
+            (Line("payload", lambda t: t.seeing, of_frames(_payload_kilobytes_per_s(stage))),),
+        ),
+    )
+
+
+def state_charts() -> tuple[Chart, ...]:
+    """Return the charts of the chosen state at the selected node: the state, and its error."""
+    return (
+        Chart(
+            "State",
+            "1",
+            (
+                Line("truth", lambda t: t.truth, _truth),
+                Line("node", lambda t: t.estimate, _mean),
+                Line(_LOWER, lambda t: t.quiet, lambda s: _mean(s) - _reach(s), True),
+                Line(_UPPER, lambda t: t.quiet, lambda s: _mean(s) + _reach(s), True),
+            ),
+            from_zero=False,
+        ),
+        Chart(
+            "Error",
+            "1",
+            (
+                Line("error", lambda t: t.estimate, lambda s: _mean(s) - _truth(s)),
+                Line(_LOWER, lambda t: t.quiet, lambda s: -_reach(s), True),
+                Line(_UPPER, lambda t: t.quiet, lambda s: _reach(s), True),
+            ),
+            from_zero=False,
+        ),
+    )
+
+
+def _payload_kilobytes_per_s(stage: Stage) -> Callable[[Frame], float]:
+    seconds = stage.setup.time_step_s
+    return lambda frame: sum(cycle.payload_bytes for cycle in frame.cycles) / seconds / 1e3
+
+
+def _of_state(column: int) -> Column:
+    def values(sample: Sample) -> Array:
+        view = sample.view
+        return state_table(sample.frames, view.selected or 0, view.state)[:, column]
+
+    return values
+
+
+_truth, _mean, _deviation = _of_state(0), _of_state(1), _of_state(2)
+
+
+def _reach(sample: Sample) -> Array:
+    return sample.stage.deviations * _deviation(sample)

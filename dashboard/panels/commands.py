@@ -1,0 +1,57 @@
+"""Commands from the page: asked of the source one after the other, answered in a corner."""
+
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
+
+from dashboard.frames.source import Answer, Source
+
+Tell = Callable[[Any, str, str, bool], None]
+"""(client, title, body, is trouble): show a short message to a person."""
+
+
+class Commands:
+    """A queue of commands with a thread of its own; a recording has no network to command."""
+
+    def __init__(self, source: Source, tell: Tell) -> None:
+        self._source, self.tell = source, tell
+        self._thread = ThreadPoolExecutor(1, "commands")
+        self._newest: dict[str, dict[str, Any]] = {}
+
+    def soon(self, act: Callable[..., object], *values: Any) -> None:
+        """Call `act(*values)` in the thread of the commands."""
+        self._thread.submit(act, *values).add_done_callback(_raise)
+
+    def newest_only(self, what: str, command: dict[str, Any], client: Any) -> None:
+        """Send the last of the commands that a slider makes on its way."""
+        self._newest[what] = command
+
+        def ask() -> None:
+            if newest := self._newest.pop(what, None):
+                self.send(newest, client)
+
+        self.soon(ask)
+
+    def send(self, command: dict[str, Any], client: Any) -> Answer:
+        """Ask the source, and tell the person how it answered; this call waits for the answer."""
+        answer = self._source.ask(command)
+        what = " ".join(str(value) for value in command.values())
+        if not answer.accepted:
+            self.tell(client, "Refused", answer.detail or what, True)
+        elif command["do"] not in ("pause", "resume", "step", "speed"):
+            self.tell(client, "Accepted", what, False)
+        return answer
+
+    def is_paused(self) -> bool:
+        """Say whether the network is paused."""
+        return self._source.pace().state == "PAUSED"
+
+    def close(self) -> None:
+        """Drop the commands that wait."""
+        self._thread.shutdown(wait=False, cancel_futures=True)
+
+
+def _raise(done: "Future[object]") -> None:
+    """Raise an error of the thread, which no caller waits for."""
+    if not done.cancelled():
+        done.result()

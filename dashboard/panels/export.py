@@ -1,0 +1,73 @@
+"""Exports: the scene as an animated page, a picture of it, the run."""
+
+import io
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import viser
+
+from dashboard.frames.conditions import sender_at
+from dashboard.frames.frame import Frame
+from dashboard.frames.stage import Stage
+from dashboard.scene.camera import Camera
+from dashboard.scene.plants import TRAIL
+from dashboard.scene.scene import Scene
+from dashboard.view import View
+
+MOST_FRAMES = 150
+_FRAME_S = 0.08
+
+
+def animated_scene(stage: Stage, view: View, frames: Sequence[Frame], camera: Camera) -> str:
+    """Return the scene through `frames` as one page that needs nothing else.
+
+    It is recorded on a server of its own: a recording takes down all that its server sends, and
+    must not move the pictures of those who watch.
+    """
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    try:
+        server.initial_camera.position = camera.position
+        server.initial_camera.look_at = camera.look_at
+        scene = Scene(server.scene, stage, view.theme, None)
+        recorder = server.get_scene_serializer()
+        stride = max(1, -(-len(frames) // MOST_FRAMES))
+        for index in range(0, len(frames), stride):
+            past = frames[max(0, index + 1 - TRAIL) : index + 1]
+            sender, _ = sender_at(frames[index], view.cursor)
+            assign = scene.draw(view, frames[index], past, sender)
+            with server.atomic():
+                assign()
+            recorder.insert_sleep(_FRAME_S)
+        return recorder.as_html(dark_mode=view.theme.dark)
+    finally:
+        server.stop()
+
+
+def screenshot(client: viser.ClientHandle) -> bytes:
+    """Return the scene as the browser of this client shows it, as PNG."""
+    height, width = client.camera.image_height, client.camera.image_width
+    picture = client.get_render(height=height or 900, width=width or 1600, transport_format="png")
+    # Loading matplotlib takes longer than the picture.
+    from matplotlib.image import imsave
+
+    buffer = io.BytesIO()
+    imsave(buffer, picture, format="png")
+    return buffer.getvalue()
+
+
+def zipped(folder: Path) -> bytes:
+    """Return the files of a run's folder in one archive.
+
+    Raises:
+        ValueError: the folder cannot be read.
+    """
+    buffer = io.BytesIO()
+    try:
+        with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+            for file in sorted(folder.iterdir()):
+                if file.is_file():
+                    archive.write(file, f"{folder.name}/{file.name}")
+    except OSError as error:
+        raise ValueError(f"{folder}: cannot be read ({error.strerror})") from None
+    return buffer.getvalue()

@@ -1,0 +1,90 @@
+"""The buttons that hand something over; each works in the thread of its click."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import viser
+
+from dashboard.frames.history import History
+from dashboard.frames.stage import Stage
+from dashboard.panels.chart import Drawn
+from dashboard.panels.chart_export import charts_page, charts_picture
+from dashboard.panels.export import animated_scene, screenshot, zipped
+from dashboard.scene.camera import Camera
+from dashboard.theme import QUIET_BUTTON
+from dashboard.view import View
+
+
+class Shown(NamedTuple):
+    """The content of a page at one moment; `view` is a copy."""
+
+    stage: Stage
+    view: View
+    history: History
+    charts: Sequence[Drawn]
+
+
+class ExportButtons:
+    """Buttons for a screenshot, an animated scene, the charts, and the folder of the run if known.
+
+    Runs on: viser's threads of clicks. `shown()` returns what the page shows at that moment.
+    """
+
+    def __init__(self, gui: viser.GuiApi, shown: Callable[[], Shown], folder: Path | None) -> None:
+        self._shown, self._folder = shown, folder
+        icon = viser.Icon
+        with gui.add_folder("Export"):
+            self.picture: Any = gui.add_button("Scene (.png)", color=QUIET_BUTTON, icon=icon.CAMERA)
+            self.scene: Any = gui.add_button(
+                "Animated scene (.html)", color=QUIET_BUTTON, icon=icon.MOVIE
+            )
+            self.charts: Any = gui.add_button(
+                "Charts (.html)", color=QUIET_BUTTON, icon=icon.CHART_LINE
+            )
+            self.chart_picture: Any = gui.add_button(
+                "Charts (.png)", color=QUIET_BUTTON, icon=icon.PHOTO
+            )
+            if folder is not None:
+                self.run: Any = gui.add_button(
+                    "Run folder (.zip)", color=QUIET_BUTTON, icon=icon.FILE_ZIP
+                )
+                self.run.on_click(self._give_run)
+        self.picture.on_click(self._give_picture)
+        self.scene.on_click(self._give_scene)
+        self.charts.on_click(self._give_charts)
+        self.chart_picture.on_click(self._give_chart_picture)
+
+    def _give_picture(self, event: Any) -> None:
+        if event.client is not None:
+            self._give(event.client, self._shown(), "png", screenshot(event.client))
+
+    def _give_scene(self, event: Any) -> None:
+        shown = self._shown()
+        if event.client is None or not len(shown.history):
+            return
+        seen = event.client.camera
+        camera = Camera(tuple(seen.position), tuple(seen.look_at))
+        frames = shown.history.until(shown.view.step, 2000)
+        html = animated_scene(shown.stage, shown.view, frames, camera)
+        self._give(event.client, shown, "scene.html", html.encode())
+
+    def _give_charts(self, event: Any) -> None:
+        if event.client is not None:
+            shown = self._shown()
+            html = charts_page(shown.stage, shown.charts, shown.view)
+            self._give(event.client, shown, "charts.html", html.encode())
+
+    def _give_chart_picture(self, event: Any) -> None:
+        if event.client is not None:
+            shown = self._shown()
+            picture = charts_picture(shown.stage, shown.charts, shown.view)
+            self._give(event.client, shown, "charts.png", picture)
+
+    def _give_run(self, event: Any) -> None:
+        if event.client is not None and self._folder is not None:
+            self._give(event.client, self._shown(), "zip", zipped(self._folder))
+
+    def _give(self, client: viser.ClientHandle, shown: Shown, ending: str, data: bytes) -> None:
+        name = f"{shown.stage.setup.scenario.name}-step{shown.view.step}.{ending}"
+        client.send_file_download(name, data, save_immediately=True)

@@ -1,0 +1,73 @@
+"""Widgets for the settings of a network: rounds, rule, occupancy, arbiter."""
+
+from typing import Any
+
+import viser
+
+from dashboard.frames.stage import Stage
+from dashboard.inputs import Inputs, at_once
+from dashboard.panels.commands import Commands
+from scenarios.bus_plan import arbiter_names
+from scenarios.scenario import Scenario
+from scenarios.types.buses import arbiter_of, occupancy_of
+from scenarios.types.rules import RULE_SUMMARIES
+
+_RULES = tuple(RULE_SUMMARIES)
+
+
+class NetworkControls:
+    """The folder of a live network's settings."""
+
+    def __init__(self, gui: viser.GuiApi, inputs: Inputs, commands: Commands, stage: Stage) -> None:
+        self._inputs, self._commands, self._stage = inputs, commands, stage
+        scenario = stage.setup.scenario
+        with gui.add_folder("Network"):
+            self.rounds: Any = gui.add_number("Rounds", scenario.rounds, min=1, max=20, step=1)
+            now = _settings_of(scenario)
+            self.rule: Any = gui.add_dropdown("Rule", _RULES, initial_value=now["rule"])
+            self.occupancy: Any = gui.add_slider("Occupancy", 0.05, 1.0, 0.05, now["occupancy"])
+            self.arbiter: Any = gui.add_dropdown(
+                "Arbiter", arbiter_names(), initial_value=now["arbiter"]
+            )
+            self.apply: Any = gui.add_button("Apply at the next step", icon=viser.Icon.CHECK)
+        self.apply.on_click(at_once(self._apply))
+
+    def _apply(self, event: Any) -> None:
+        scenario = self._stage.setup.scenario
+        wanted = {
+            "rounds": int(self.rounds.value), "rule": self.rule.value,
+            "occupancy": float(self.occupancy.value), "arbiter": self.arbiter.value,
+        }  # fmt: skip
+        there = _settings_of(scenario)
+        changed = {name: value for name, value in wanted.items() if there[name] != value}
+        # A full schedule has no room for less; half of the slots static is the house's default.
+        if changed.get("occupancy", 1.0) < 1.0 and scenario.bus.schedule.name == "full":
+            changed["schedule"] = "hybrid"
+        if not changed:
+            self._commands.tell(
+                event.client, "Nothing to apply", "the network has these settings", False
+            )
+            return
+        self._commands.soon(self._commands.send, {"do": "set", "settings": changed}, event.client)
+
+    def set_stage(self, stage: Stage) -> None:
+        """Show the settings that the network has now."""
+        self._stage = stage
+        for name, value in _settings_of(stage.setup.scenario).items():
+            self._inputs.show(getattr(self, name), value=value)
+
+
+def _settings_of(scenario: Scenario) -> dict[str, Any]:
+    """Return the settings of a scenario as the widgets show them."""
+    schedule = scenario.bus.schedule
+    return {
+        "rounds": scenario.rounds,
+        "rule": scenario.rule.name,
+        "occupancy": _on_slider(occupancy_of(schedule)),
+        "arbiter": arbiter_of(schedule),
+    }
+
+
+def _on_slider(occupancy: float) -> float:
+    """Return the place of the slider that is nearest to an occupancy."""
+    return max(1, round(occupancy * 20)) / 20

@@ -1,0 +1,132 @@
+"""The panels of the page and the scene: made once, drawn again with every picture."""
+
+from typing import Any
+
+from dashboard.bridge import Bridge
+from dashboard.frames.conditions import sender_at
+from dashboard.frames.expected import Expectation
+from dashboard.frames.frame import BusCycle
+from dashboard.frames.history import History
+from dashboard.frames.stage import Picture, Stage
+from dashboard.inputs import Inputs, at_once
+from dashboard.layout import lay_out
+from dashboard.panels.chart_table import run_charts, state_charts
+from dashboard.panels.charts import DENSE_STYLE, Charts, sampled
+from dashboard.panels.selected import selected_panel
+from dashboard.panels.states import states
+from dashboard.panels.table import log, node_table
+from dashboard.panels.timeline import RASTER_ROWS, TimelineView
+from dashboard.panels.zoom import zoom
+from dashboard.scene.plants import TRAIL
+from dashboard.scene.scene import Scene
+from dashboard.theme import Theme, css
+from dashboard.view import View
+from dashboard.window import Window
+
+_CHART_HEIGHT, _STATE_CHART_HEIGHT = 78, 190
+_CAR_TRAIL = 3000
+
+
+class Page:
+    """All pictures of the page: pure functions make them, and this class assigns them.
+
+    Everything is computed before `atomic()`, inside which properties are only assigned.
+    """
+
+    def __init__(self, window: Window, inputs: Inputs, stage: Stage, view: View) -> None:
+        self._window, self._inputs, self._stage = window, inputs, stage
+        self._drawn: dict[str, str] = {}
+        gui, nodes = window.server.gui, stage.nodes
+        panels = lay_out(window.server, stage.picture is not Picture.PLANE)
+        with panels.charts:
+            gui.add_html(DENSE_STYLE)
+            self.charts = Charts(gui, run_charts(stage), view.theme, _CHART_HEIGHT)
+        with panels.state:
+            self._state_charts = Charts(gui, state_charts(), view.theme, _STATE_CHART_HEIGHT)
+        with panels.log:
+            self._log: Any = gui.add_html("")
+        with panels.nodes:
+            self._table = Bridge(gui, nodes, inputs.select, inputs.point)
+        with panels.selected:
+            self._selected: Any = gui.add_html("")
+        with panels.bus:
+            self._bus = Bridge(gui, nodes, inputs.select, inputs.point)
+            self.slider: Any = gui.add_slider("Step", 0, 1, 1, 0)
+        with panels.zoom:
+            self._zoom = Bridge(gui, nodes, inputs.select, inputs.point)
+        with panels.states:
+            self._states: Any = gui.add_html("")
+        self.slider.on_update(at_once(self._scrub))
+        self._timeline = TimelineView(stage)
+        self.scene = Scene(window.server.scene, stage, view.theme, inputs.select)
+        window.aim(self.scene, panels.arrange)
+
+    def set_stage(self, stage: Stage) -> None:
+        """Draw a network whose settings have changed."""
+        self._stage = stage
+        self._timeline = TimelineView(stage)
+
+    def set_extent(self, first_step: int, last_step: int) -> None:
+        """Let people choose among these steps."""
+        self._inputs.show(self.slider, max=max(1, last_step), min=first_step)
+
+    def _scrub(self, _: Any) -> None:
+        step = int(self.slider.value)
+        self._inputs.alter(lambda view: view.look_at(step))
+
+    def draw_scene(self, view: View, history: History) -> None:
+        """Draw the scene and the timeline of the shown cycle."""
+        frame = history.at(view.step)
+        cycle = frame.cycles[min(int(view.cursor), len(frame.cycles) - 1)]
+        sender, now_us = sender_at(frame, view.cursor)
+        trail = _CAR_TRAIL if self._stage.picture is Picture.TRACK else TRAIL
+        assign = self.scene.draw(view, frame, history.until(frame.step, trail), sender)
+        past = _past_cycles(history, view.step, cycle)
+        timeline = self._timeline.draw(view.theme, frame, past, cycle, now_us, view.selected)
+        with self._window.server.atomic():
+            assign()
+            self.show("bus", self._bus, timeline)
+        self._inputs.show(self.slider, value=frame.step)
+
+    def draw_panels(self, view: View, history: History, expectation: Expectation) -> None:
+        """Draw tables, charts and the log, up to the shown step."""
+        stage, frame = self._stage, history.at(view.step)
+        rows = node_table(stage, view, frame)
+        picture = zoom(stage, view.theme, frame, view.pair, view.selected)
+        events = [event for event in reversed(history.log) if event.step <= view.step]
+        about = selected_panel(stage, view, frame)
+        over_time = states(stage, view, history)
+        sample = sampled(stage, view, history, expectation)
+        with self._window.server.atomic():
+            self.show("table", self._table, rows)
+            self.show("zoom", self._zoom, picture)
+            self.show("states", self._states, over_time)
+            self.show("log", self._log, log(view.theme, events))
+            self.show("selected", self._selected, about)
+            self.charts.draw(sample)
+            self._state_charts.draw(sample)
+        self._repaint(view.theme)
+
+    def show(self, name: str, handle: Any, html: str) -> None:
+        """Assign HTML to a panel unless the panel shows the same already."""
+        if self._drawn.get(name) == html:
+            return
+        self._drawn[name] = html
+        handle.content = html
+
+    def _repaint(self, theme: Theme) -> None:
+        painted = self._drawn.get("theme")
+        self._drawn["theme"] = css(theme.text)
+        if painted in (None, css(theme.text)):
+            return
+        self._window.set_theme(theme)
+        self.scene.set_theme(theme)
+        for charts in (self.charts, self._state_charts):
+            charts.set_theme(theme)
+
+
+def _past_cycles(history: History, step: int, shown: BusCycle) -> list[BusCycle]:
+    """Return cycles before the shown one, the newest first."""
+    wanted = -(-RASTER_ROWS // max(1, len(history.at(step).cycles))) + 1
+    cycles = [cycle for frame in history.until(step, wanted) for cycle in frame.cycles]
+    return [cycle for cycle in reversed(cycles) if cycle.cycle < shown.cycle][:RASTER_ROWS]

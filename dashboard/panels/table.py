@@ -1,0 +1,157 @@
+"""The table of nodes, the log and the state of the run, as HTML; all text from outside escaped."""
+
+from collections.abc import Iterable
+from html import escape
+
+import numpy as np
+
+from dashboard.frames.conditions import BLIND, DOWN, REJECTED, SEEING, STALE, conditions, oldest
+from dashboard.frames.frame import Array, Event, Frame
+from dashboard.frames.stage import Stage
+from dashboard.theme import Colour, Theme, css, mixed
+from dashboard.view import View
+
+MOST_ROWS = 60
+_HEADINGS = ("node", "state", "sent", "miss", "rej", "age", "error", "3σ", "rejected")
+
+
+def colour_of(theme: Theme, condition: str) -> Colour:
+    """Return the colour of a node in that condition."""
+    return {
+        DOWN: theme.down,
+        REJECTED: theme.estimate,
+        STALE: mixed(theme.down, theme.seeing, 0.5),
+        BLIND: theme.blind,
+        SEEING: theme.seeing,
+    }[condition]
+
+
+def node_table(stage: Stage, view: View, frame: Frame) -> str:
+    """A row per node."""
+    theme, words, ages = view.theme, conditions(stage, frame), oldest(stage, frame)
+    width = (1.0 if stage.certain else 3.0) * frame.scores.width
+    rows = chosen_rows(stage.nodes, view, frame.scores.error, ages)
+    told = any(frame.rejection)
+    top = float(np.nanmax(width)) if np.isfinite(width).any() else 1.0
+    cells = []
+    for node in rows:
+        marked = f"background:{css(theme.faint)};" if node == view.selected else ""
+        if node == view.hovered and node != view.selected:
+            marked = f"background:{css(theme.faint, 0.5)};"
+        error = frame.scores.error[node]
+        bar = min(100.0, 100.0 * error / top) if np.isfinite(error) and top > 0 else 0.0
+        over = np.isfinite(error) and error > width[node]
+        bar_colour = theme.down if over else theme.fused
+        numbers = (
+            frame.traffic.sent[node], frame.traffic.missed[node], frame.traffic.rejected[node],
+        )  # fmt: skip
+        age = "-" if ages[node] < 0 else str(ages[node])
+        cells.append(
+            f'<tr data-node="{node}" data-state="{words[node]}" style="{marked}">'
+            f'<td style="text-align:left;white-space:nowrap"><span style="color:'
+            f'{css(colour_of(theme, words[node]))}">{_MARKS[words[node]]}</span> '
+            f"{escape(stage.names[node])}</td>"
+            f"<td{_bad(theme, words[node] in (DOWN, REJECTED))}>"
+            f"{words[node].upper() if words[node] == DOWN else words[node]}</td>"
+            + "".join(f"<td>{number}</td>" for number in numbers)
+            + f"<td>{age}</td>"
+            f'<td style="padding-left:12px;background:linear-gradient(to right,'
+            f"{css(bar_colour, 0.35)} {bar:.0f}%,"
+            f'transparent {bar:.0f}%)">{_number(error)}</td><td>{_number(width[node])}</td>'
+            + (f'<td style="text-align:left">{escape(frame.rejection[node])}</td>' if told else "")
+            + "</tr>"
+        )
+    more = ""
+    if len(rows) < stage.nodes:
+        more = f"<div>{len(rows)} of {stage.nodes} nodes; choose the order under View</div>"
+    sigma = "set" if stage.certain else "3σ"
+    heads = "".join(
+        f"<th>{sigma if head == '3σ' else head}</th>" for head in _HEADINGS[: None if told else -1]
+    )
+    return (
+        f"<style>.nodes td,.nodes th{{padding:1px 3px;text-align:right;"
+        f"white-space:nowrap}}.nodes th{{color:"
+        f"{css(theme.quiet)};font-weight:600;position:sticky;top:0;background:{css(theme.panel)}}}"
+        f".nodes tr{{cursor:pointer}}.nodes tr:hover td{{background-color:{css(theme.faint, 0.6)}}}"
+        f'</style><div style="font-size:11px;color:{css(theme.text)};'
+        f'overflow-x:auto;padding-right:8px">'
+        f'<table class="nodes" data-testid="nodes" style="border-collapse:'
+        f'collapse;width:100%;font-variant-numeric:tabular-nums"><tr>{heads}</tr>{"".join(cells)}'
+        f"</table>{more}</div>"
+    )
+
+
+# A second sign beside the colour.
+_MARKS = {DOWN: "✕", REJECTED: "◆", STALE: "◐", BLIND: "○", SEEING: "●"}
+
+
+def chosen_rows(nodes: int, view: View, error: Array, ages: np.ndarray) -> list[int]:
+    """Return the nodes that the table shows, in order; the selected one is always among them."""
+    rows = list(range(nodes))
+    if view.order == "error":
+        rows = [int(i) for i in np.argsort(-np.nan_to_num(error, nan=-1.0), kind="stable")]
+    elif view.order == "age":
+        rows = [int(i) for i in np.argsort(-ages, kind="stable")]
+    shown = rows[:MOST_ROWS]
+    if view.selected is not None and view.selected not in shown:
+        shown[-1] = view.selected
+    return shown
+
+
+def log(theme: Theme, events: Iterable[Event]) -> str:
+    """Return the newest events first."""
+    lines = "".join(
+        f'<div{_bad(theme, event.trouble)}><span style="color:{css(theme.quiet)};display:'
+        f'inline-block;min-width:44px">{event.step}</span>{escape(event.text)}</div>'
+        for event in events
+    )
+    return (
+        f'<div data-testid="log" style="font-size:11.5px;color:{css(theme.text)}">'
+        f"{lines or 'nothing has happened yet'}</div>"
+    )
+
+
+def status(stage: Stage, theme: Theme, frame: Frame | None, state: str, detail: str = "") -> str:
+    """Return the state of the run in a few lines."""
+    colour = {"RUNNING": theme.fused, "PAUSED": theme.sending, "ENDED": theme.quiet}
+    pill = (
+        f'<span data-testid="run-state" style="background:{css(colour.get(state, theme.blind))};'
+        f'color:#fff;border-radius:10px;padding:2px 10px;font-weight:700;font-size:11px">{state}'
+        f'</span> <span style="color:{css(theme.quiet)};font-size:11px">{escape(detail)}</span>'
+    )
+    rows: list[tuple[str, str, str]] = []
+    if frame is not None:
+        unit = stage.score.unit.removeprefix("1")
+        rows = [
+            ("step", "step", f"{frame.step}"),
+            ("time", "time", f"{frame.time_s:.4g} s"),
+            ("alive", "alive", f"{int(frame.alive.sum())} / {stage.nodes}"),
+            ("links cut", "cut", f"{int(frame.cut.sum())} / {len(stage.edges)}"),
+            ("RMSE", "rmse", f"{_number(frame.scores.rmse)} {unit}".strip()),
+        ]
+        if np.isfinite(frame.scores.central):
+            rows.append(
+                ("centralised", "central", f"{_number(frame.scores.central)} {unit}".strip())
+            )
+    lines = "".join(
+        f'<div style="display:flex;justify-content:space-between"><span style="color:'
+        f'{css(theme.quiet)}">{name}</span><b data-testid="{key}">{escape(value)}</b></div>'
+        for name, key, value in rows
+    )
+    name = escape(stage.setup.scenario.name)
+    scenario = stage.setup.scenario
+    graph, rule = escape(scenario.network.graph), scenario.rule.name
+    about = f"{name}, {graph}, {rule}, {scenario.rounds} rounds"
+    return (
+        f'<div style="font-size:12.5px;color:{css(theme.text)};padding:4px 12px">{pill}'
+        f'<div style="margin:5px 0;color:{css(theme.quiet)};font-size:11px">{about}</div>'
+        f"{lines}</div>"
+    )
+
+
+def _bad(theme: Theme, holds: bool) -> str:
+    return f' style="color:{css(theme.down)};font-weight:600"' if holds else ""
+
+
+def _number(value: float) -> str:
+    return "-" if not np.isfinite(value) else f"{value:.3g}"

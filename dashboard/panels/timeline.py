@@ -1,0 +1,171 @@
+"""The FlexRay panel: the shown cycle to scale, past cycles as a raster; one SVG as text."""
+
+from collections.abc import Sequence
+
+from dashboard.frames.frame import BusCycle, Frame
+from dashboard.frames.stage import Stage
+from dashboard.panels.timeline_marks import (
+    BAR,
+    LEFT,
+    ROW,
+    TOP,
+    WIDTH,
+    Axis,
+    legend,
+    names_of_trains,
+    silent_slot,
+    slot,
+)
+from dashboard.theme import Theme, css, mixed
+
+RASTER_ROWS = 11
+
+
+class TimelineView:
+    """Draws the bus of one run; knows its slots and segments."""
+
+    def __init__(self, stage: Stage) -> None:
+        self._stage = stage
+        self._bus = stage.bus
+        self._segments = stage.bus.segments()
+        self._axis = Axis(self._segments[-1].end_us)
+
+    def draw(
+        self,
+        theme: Theme,
+        frame: Frame,
+        past: Sequence[BusCycle],
+        cycle: BusCycle,
+        now_us: float,
+        selected: int | None,
+    ) -> str:
+        """The panel: `cycle` of `frame` at time `now_us`, and `past` cycles, newest first."""
+        lost = self._lost_senders(frame) if cycle is frame.cycles[-1] else set()
+        height = TOP + BAR + 12 + ROW * RASTER_ROWS + 4
+        parts = [
+            f'<svg data-testid="timeline" viewBox="0 0 {WIDTH:g} {height:g}" width="100%" '
+            f'style="display:block;font-family:inherit" preserveAspectRatio="xMidYMin meet">',
+            f"<style>.slot{{cursor:pointer}}.slot:hover rect{{stroke:{css(theme.text)};"
+            f"stroke-width:2}}</style>",
+            self._headings(theme),
+            self._bar(theme, cycle, now_us, selected, lost),
+            self._raster(theme, past),
+            "</svg>",
+            legend(theme, self._bus, cycle),
+        ]
+        return "".join(parts)
+
+    def _lost_senders(self, frame: Frame) -> set[int]:
+        return {int(sender) for sender in self._stage.heard[frame.lost, 1]}
+
+    def _headings(self, theme: Theme) -> str:
+        names = {"static": "STATIC SEGMENT", "dynamic": "DYNAMIC SEGMENT"}
+        short = {"symbol window": "SW", "network idle time": "NIT"}
+        text = []
+        for part in self._segments:
+            wide = self._axis.x(part.end_us) - self._axis.x(part.start_us)
+            label = names.get(part.name, short.get(part.name, part.name))
+            if wide < 7.2 * len(label):
+                label = label.split()[0] if wide > 7.2 * len(label.split()[0]) else ""
+            text.append(
+                f'<text x="{self._axis.x(part.start_us):.1f}" y="13" font-size="10.5" '
+                f'fill="{css(theme.quiet)}">{label}</text>'
+            )
+        return "".join(text)
+
+    def _bar(
+        self, theme: Theme, cycle: BusCycle, now_us: float, selected: int | None, lost: set[int]
+    ) -> str:
+        """Return the cycle to scale: segments, slots with their owners, minislots, the time."""
+        parts = [
+            f'<text x="6" y="{TOP + 15:g}" font-size="11.5" fill="{css(theme.text)}">cycle</text>'
+            f'<text x="6" y="{TOP + 29:g}" font-size="11.5" fill="{css(theme.text)}" '
+            f'data-testid="bus-cycle">{cycle.cycle}</text>'
+        ]
+        for part in self._segments:
+            x, wide = (
+                self._axis.x(part.start_us),
+                self._axis.x(part.end_us) - self._axis.x(part.start_us),
+            )
+            idle = part.name not in ("static", "dynamic")
+            fill = mixed(theme.faint, theme.panel, 0.8 if idle else 0.35)
+            parts.append(
+                f'<rect x="{x:.1f}" y="{TOP:g}" width="{wide:.1f}" height="{BAR:g}" '
+                f'fill="{css(fill)}"><title>{part.name}: {part.start_us:.0f} to '
+                f"{part.end_us:.0f} us</title></rect>"
+            )
+        parts.append(self._grid_of_slots(theme))
+        names = self._stage.names
+        parts += [
+            silent_slot(
+                self._axis, theme, names[node], node, self._bus.own_slot_us(node, cycle.cycle)
+            )
+            for node in cycle.silent
+        ]
+        for frame in cycle.frames:
+            state = "past" if frame.end_us < now_us else "future"
+            if frame.start_us <= now_us <= frame.end_us:
+                state = "now"
+            parts.append(
+                slot(
+                    self._axis,
+                    theme,
+                    names[frame.node],
+                    frame,
+                    state,
+                    frame.node == selected,
+                    frame.node in lost,
+                )
+            )
+        parts.append(names_of_trains(self._axis, theme, names, cycle))
+        if now_us > 0:
+            x = self._axis.x(now_us)
+            parts.append(
+                f'<path d="M{x:.1f} {TOP - 4:g}V{TOP + BAR + 4:g}" stroke="{css(theme.text)}" '
+                'stroke-width="2" pointer-events="none"/>'
+            )
+        return "".join(parts)
+
+    def _grid_of_slots(self, theme: Theme) -> str:
+        """Where slots begin: ticks for static slots and for minislots."""
+        ends, minislots = self._bus.marks_us()
+        path: list[str] = []
+        if ends and self._axis.x(ends[0]) - LEFT > 3:
+            path += [f"M{self._axis.x(end):.1f} {TOP:g}v{BAR:g}" for end in ends]
+        if minislots:
+            width_us = minislots[1] - minislots[0] if len(minislots) > 1 else self._axis.span_us
+            stride = max(1, round(3.0 / max(self._axis.x(width_us) - LEFT, 1e-6)))
+            for start in minislots[::stride]:
+                path.append(f"M{self._axis.x(start):.1f} {TOP + BAR - 5:g}v5")
+        if not path:
+            return ""
+        return f'<path d="{"".join(path)}" stroke="{css(theme.panel)}" stroke-width="1"/>'
+
+    def _raster(self, theme: Theme, past: Sequence[BusCycle]) -> str:
+        """One row per past cycle and one path per row and colour."""
+        parts: list[str] = []
+        for number, cycle in enumerate(past[:RASTER_ROWS]):
+            y = TOP + BAR + 12 + number * ROW
+            share = 1.0 - 0.065 * number
+            if number in (0, len(past[:RASTER_ROWS]) - 1, RASTER_ROWS // 2):
+                parts.append(
+                    f'<text x="6" y="{y + ROW - 2:g}" font-size="9" fill="{css(theme.quiet)}">'
+                    f"{cycle.cycle}</text>"
+                )
+            for segment, colour in (("static", theme.seeing), ("dynamic", theme.estimate)):
+                boxes = [
+                    self._axis.box(f.start_us, f.end_us, y)
+                    for f in cycle.frames
+                    if f.segment == segment
+                ]
+                if boxes:
+                    shade = css(mixed(colour, theme.panel, 0.75 * share))
+                    parts.append(f'<path d="{"".join(boxes)}" fill="{shade}"/>')
+            silent = [
+                self._axis.box(*self._bus.own_slot_us(node, cycle.cycle), y)
+                for node in cycle.silent
+            ]
+            if silent:
+                shade = css(mixed(theme.down, theme.panel, share))
+                parts.append(f'<path d="{"".join(silent)}" fill="{shade}"/>')
+        return "".join(parts)

@@ -1,0 +1,141 @@
+"""Marks of the bus timeline: slots, silent slots, names and the legend, as SVG text."""
+
+from collections.abc import Sequence
+from html import escape
+from itertools import groupby
+from typing import NamedTuple
+
+from bus.bus import Bus, Transmission
+from dashboard.frames.frame import BusCycle
+from dashboard.theme import Theme, css, mixed
+
+WIDTH, LEFT, RIGHT = 1000.0, 62.0, 8.0
+TOP, BAR, ROW = 20.0, 34.0, 9.0
+
+
+class Axis(NamedTuple):
+    """The time of a cycle from left to right."""
+
+    span_us: float
+
+    def x(self, time_us: float) -> float:
+        """Return the place of a time, in units of the drawing."""
+        return LEFT + (WIDTH - LEFT - RIGHT) * time_us / self.span_us
+
+    def box(self, start_us: float, end_us: float, y: float) -> str:
+        """Return the path of a box in a row of the raster."""
+        x = self.x(start_us)
+        wide = max(self.x(end_us) - x - 0.7, 0.5)
+        return f"M{x:.1f} {y:g}h{wide:.1f}v{ROW - 2:g}h-{wide:.1f}z"
+
+
+def names_of_trains(axis: Axis, theme: Theme, names: Sequence[str], cycle: BusCycle) -> str:
+    """Return the names of nodes that send many frames in a row, each too short for a name."""
+    text = []
+    for node, frames in groupby(cycle.frames, key=lambda frame: frame.node):
+        train, name = list(frames), names[node]
+        x, right = axis.x(train[0].start_us), axis.x(train[-1].end_us)
+        single = axis.x(train[0].end_us) - x
+        if len(train) > 1 and single < _room(_short(name)) and right - x > _room(name):
+            text.append(
+                f'<text x="{(x + right) / 2:.1f}" y="{TOP + BAR / 2 + 4:g}" font-size="11" '
+                f'text-anchor="middle" fill="{css(theme.text)}" stroke="{css(theme.panel)}" '
+                f'stroke-width="3" paint-order="stroke" pointer-events="none">'
+                f"{escape(name)}</text>"
+            )
+    return "".join(text)
+
+
+def slot(
+    axis: Axis, theme: Theme, name: str, frame: Transmission, state: str, is_selected: bool,
+    is_lost: bool,
+) -> str:  # fmt: skip
+    """Return the box of a frame; `state` is past, now or future."""
+    x, right = axis.x(frame.start_us), axis.x(frame.end_us)
+    wide = max(right - x - 0.6, 0.8)
+    colour = theme.seeing if frame.segment == "static" else theme.estimate
+    if state == "now":
+        colour = theme.sending
+    shown = mixed(colour, theme.panel, 0.32 if state == "future" else 1.0)
+    stroke = f' stroke="{css(theme.selection)}" stroke-width="2"' if is_selected else ""
+    note = "; did not reach everybody" if is_lost else ""
+    text = ""
+    if wide > _room(_short(name)):
+        size = 10 if wide < 22 else 11
+        ink = theme.panel if state != "future" else theme.quiet
+        text = (
+            f'<text x="{x + wide / 2:.1f}" y="{TOP + BAR / 2 + 4:g}" font-size="{size}" '
+            f'text-anchor="middle" fill="{css(ink if theme.dark else _INK[state])}">'
+            f"{escape(_short(name))}</text>"
+        )
+    mark = ""
+    if is_lost:
+        mark = (
+            f'<rect x="{x:.1f}" y="{TOP + BAR - 5:g}" width="{wide:.1f}" height="5" '
+            f'fill="{css(theme.down)}"/>'
+        )
+    return (
+        f'<g class="slot" data-node="{frame.node}"><title>node {escape(name)}: frame '
+        f"{frame.frame_id}, {frame.payload_bytes} bytes, {frame.start_us:.1f} to "
+        f"{frame.end_us:.1f} us{note}</title>"
+        f'<rect x="{x:.1f}" y="{TOP + 2:g}" width="{wide:.1f}" height="{BAR - 4:g}" rx="1.5" '
+        f'fill="{css(shown)}"{stroke}/>{text}{mark}</g>'
+    )
+
+
+def silent_slot(
+    axis: Axis, theme: Theme, name: str, node: int, span_us: tuple[float, float]
+) -> str:
+    """Return the mark of an owner that sent nothing: an empty frame with a cross."""
+    start_us, end_us = span_us
+    x, wide = axis.x(start_us), axis.x(end_us) - axis.x(start_us)
+    middle, y = x + wide / 2, TOP + BAR / 2
+    arm = min(4.0, wide / 3)
+    return (
+        f'<g class="slot" data-node="{node}"><title>node {escape(name)}: silent</title>'
+        f'<rect x="{x + 1:.1f}" y="{TOP + 3:g}" width="{max(wide - 2, 0.8):.1f}" '
+        f'height="{BAR - 6:g}" fill="{css(theme.panel)}" stroke="{css(theme.down)}" '
+        f'stroke-width="1.5"/><path d="M{middle - arm:.1f} {y - arm:g}l{2 * arm:.1f} '
+        f'{2 * arm:.1f}m0 {-2 * arm:.1f}l{-2 * arm:.1f} {2 * arm:.1f}" '
+        f'stroke="{css(theme.down)}" stroke-width="1.5"/></g>'
+    )
+
+
+def legend(theme: Theme, bus: Bus, cycle: BusCycle) -> str:
+    """Return the colours with their meaning, and the facts of the shown cycle."""
+    entries = [
+        (theme.seeing, "static frame"),
+        (theme.sending, "sending"),
+        (theme.estimate, "dynamic frame"),
+        (theme.down, "silent or not received"),
+    ]
+    spans = "".join(
+        f'<span style="margin-right:14px;white-space:nowrap"><span style="display:inline-block;'
+        f'width:9px;height:9px;margin-right:5px;border-radius:2px;background:{css(colour)}">'
+        f"</span>{text}</span>"
+        for colour, text in entries
+    )
+    facts = "a bus without time"
+    if bus.has_time:
+        load = 100 * bus.load(cycle.frames)
+        facts = (
+            f"{escape(bus.name)}: cycle {bus.cycle_us / 1e3:.4g} ms, "
+            f"{len(cycle.frames)} frames, load {load:.0f} %"
+        )
+    return (
+        f'<div style="display:flex;justify-content:space-between;flex-wrap:wrap;font-size:11px;'
+        f'color:{css(theme.quiet)};padding:2px 4px"><span>{spans}</span>'
+        f'<span data-testid="bus-load">{facts}</span></div>'
+    )
+
+
+_INK = {"past": (20, 30, 40), "now": (20, 30, 40), "future": (120, 126, 138)}
+
+
+def _room(text: str) -> float:
+    """Pixels that a text takes."""
+    return 6.0 * len(text) + 3
+
+
+def _short(name: str) -> str:
+    return name if len(name) <= 3 else name[:3]

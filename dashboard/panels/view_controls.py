@@ -1,0 +1,58 @@
+"""Widgets for what the page shows: theme, ellipses, labels, order, chosen states."""
+
+from collections.abc import Callable
+from typing import Any
+
+import viser
+
+from dashboard.frames.stage import Picture, Stage
+from dashboard.inputs import Inputs, at_once
+from dashboard.theme import DARK, LIGHT
+from dashboard.view import ELLIPSES, ORDERS, View
+
+MAGNIFIED = (1, 2, 5, 10, 20, 50, 100)
+
+
+class ViewControls:
+    """The folder of the view."""
+
+    def __init__(self, gui: viser.GuiApi, inputs: Inputs, stage: Stage, view: View) -> None:
+        self._inputs, self._stage = inputs, stage
+        with gui.add_folder("View"):
+            self.dark: Any = gui.add_checkbox("Dark", view.theme.dark)
+            if stage.picture is Picture.PLANE:
+                ellipses: Any = gui.add_dropdown("Ellipses", ELLIPSES, initial_value=view.ellipses)
+                self.magnify: Any = gui.add_dropdown(
+                    "Errors ×", tuple(map(str, MAGNIFIED)), initial_value=f"{view.magnify:g}",
+                    hint="how much larger than the map errors and ellipses are drawn",
+                )  # fmt: skip
+                sights: Any = gui.add_checkbox("Sight lines", view.sight_lines)
+                self._bind(ellipses, "ellipses", str)
+                self._bind(self.magnify, "magnify", float)
+                self._bind(sights, "sight_lines", bool)
+                if stage.sight_range_m is not None:
+                    reach: Any = gui.add_checkbox("Sensing range", view.sight_range)
+                    self._bind(reach, "sight_range", bool)
+            labels: Any = gui.add_checkbox("Names", view.labels)
+            order: Any = gui.add_dropdown("Table by", ORDERS, initial_value=view.order)
+            states = stage.state_names
+            across: Any = gui.add_dropdown("Beliefs →", states, initial_value=states[view.pair[0]])
+            up: Any = gui.add_dropdown("Beliefs ↑", states, initial_value=states[view.pair[1]])
+            state: Any = gui.add_dropdown("State chart", states, initial_value=states[view.state])
+        self._bind(labels, "labels", bool)
+        self._bind(order, "order", str)
+        self._bind(across, "pair", lambda _: self._pair(across, up))
+        self._bind(up, "pair", lambda _: self._pair(across, up))
+        self._bind(state, "state", states.index)
+        self._bind(self.dark, "theme", lambda dark: DARK if dark else LIGHT)
+
+    def _pair(self, across: Any, up: Any) -> tuple[int, int]:
+        states = self._stage.state_names
+        return states.index(across.value), states.index(up.value)
+
+    def _bind(self, widget: Any, name: str, meaning: Callable[[Any], Any]) -> None:
+        def take(_: Any) -> None:
+            value = meaning(widget.value)
+            self._inputs.alter(lambda view: setattr(view, name, value))
+
+        widget.on_update(at_once(take))

@@ -1,0 +1,91 @@
+"""The command line: every `concord` command by its name."""
+
+import signal
+import sys
+from importlib import import_module
+from types import FrameType
+
+from tyro.extras import SubcommandApp
+
+from experiments.cli.standard_output import standard_output
+from experiments.user_errors import user_errors
+from runtime.disk import NotWritten
+from topology.names import unknown_name
+
+# File and function of each command. A file is loaded when its command is asked for: together they
+# take scipy, networkx and half a second, which most commands can do without.
+COMMANDS = {
+    "run": ("run", "run"),
+    "collect": ("collect", "collect"),
+    "dashboard": ("dashboard", "dashboard"),
+    "replay": ("replay", "replay"),
+    "control": ("control", "control"),
+    "list": ("list", "list_all"),
+    "agree": ("agree", "agree"),
+    "reproduce": ("reproduce", "reproduce"),
+    "identify": ("identify", "identify_tyres"),
+    "sweep": ("sweep", "sweep"),
+    "design": ("design", "design"),
+    "plot": ("plot", "plot"),
+    "report": ("report", "report"),
+    "keys": ("keys", "keys"),
+    "setup": ("hosts", "setup"),
+    "router": ("hosts", "router"),
+    "world": ("hosts", "world"),
+    "node": ("hosts", "node"),
+    "doctor": ("doctor", "doctor"),
+    "torture": ("torture", "torture"),
+}
+# Those that have commands of their own; beside the function stands their SUMMARY.
+GROUPS = {
+    "flexray": ("flexray", "flexray_commands"),
+    "topology": ("topology", "topology_commands"),
+}
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run one command; exit code 2 for a mistake of the user, 1 for a failed run, 130 on Ctrl-C,
+    141 if whoever reads what it prints has gone."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    try:
+        commands = _commands(arguments[:1])
+        # From here on there is something to clean up.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        # A polite end is an interruption: whatever cleans up after Ctrl-C cleans up then too.
+        signal.signal(signal.SIGTERM, _interrupt)
+        with standard_output():
+            commands.cli(
+                prog="concord",
+                description="Distributed consensus sensor networks on a FlexRay bus.",
+                args=arguments,
+            )
+    except NotWritten as error:
+        sys.stderr.write(f"concord: {error}\n")
+        sys.exit(1)
+    except KeyboardInterrupt:
+        # All is cleaned up; a second one, from here on, would only change how we end.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        sys.stderr.write("interrupted\n")
+        sys.exit(130)
+
+
+def _commands(asked: list[str]) -> SubcommandApp:
+    """Return the command that is asked for, alone; all of them where none or an option is."""
+    everything = COMMANDS | GROUPS
+    with user_errors():
+        if asked and asked[0] not in everything and not asked[0].startswith("-"):
+            raise unknown_name("command", asked[0], everything)
+    commands = SubcommandApp()
+    for name in [name for name in asked if name in everything] or everything:
+        file, function = everything[name]
+        module = import_module(f"experiments.cli.{file}")
+        command = getattr(module, function)
+        if name in GROUPS:
+            commands.command(command(), name=name, help=module.SUMMARY)
+        else:
+            commands.command(command, name=name)
+    return commands
+
+
+def _interrupt(_signal: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt

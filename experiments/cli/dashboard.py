@@ -1,0 +1,94 @@
+"""`concord dashboard`: a network that runs, in the browser; attaches and detaches unnoticed."""
+
+import sys
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from experiments.cli.page_options import PageOptions, check_place
+from experiments.monte_carlo.other_runs import OtherRuns
+from experiments.priority import give_way
+from experiments.user_errors import user_errors
+from runtime.network.links import watcher_keys
+from runtime.network.network_file import read_network
+
+if TYPE_CHECKING:
+    from dashboard.app import Dashboard
+
+_LONGEST_WAIT_S = 60.0
+_NICENESS = 10
+_FIRST_STEPS_PER_S = 5.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class AttachOptions:
+    """Which network."""
+
+    connect: tuple[str, ...] = ()
+    """All endpoints of the network, as network.json in the run's folder names them."""
+    folder: Path | None = None
+    """The folder of the run, in place of its endpoints."""
+    keys: Path | None = None
+    """For tls/ endpoints: monitor.json of `concord keys` to look on, operator.json to command."""
+    run: str | None = None
+    """The name of the run; the only one that answers when left out."""
+    with_launcher: bool = False
+    """End when standard input closes, and let the network go on once somebody looks: for whoever
+    starts network and page together."""
+
+
+def dashboard(
+    network: Annotated[AttachOptions, tyro.conf.arg(name="")],
+    options: Annotated[PageOptions, tyro.conf.arg(name="")],
+) -> None:
+    """Watch and control a network that runs, in the browser."""
+    # The network comes first, on a machine that has too little for both.
+    give_way(_NICENESS)
+    from dashboard.frames.live import LiveNetwork
+    from dashboard.serve import open_network
+
+    with user_errors():
+        check_place(options.host, options.http_port)
+        connect, run = network.connect, network.run
+        if network.folder is not None:
+            there = read_network(network.folder)
+            connect, run = tuple(there.connect), there.run
+        if not connect:
+            raise ValueError(
+                "--connect: there is no endpoint; give those of network.json in the folder of the "
+                "run, or --folder with that folder"
+            )
+        source = LiveNetwork(connect, run, watcher_keys(network.keys, connect))
+    others = OtherRuns(source.stage.setup, sparing=True)
+    page = open_network(
+        source, network.folder, options.host, options.http_port, options.light, others
+    )
+    sys.stderr.write(f"dashboard at http://{options.host}:{page.port}  (Ctrl-C leaves)\n")
+    sys.stderr.flush()
+    launcher_gone = threading.Event()
+    if network.with_launcher:
+        threading.Thread(target=_await_end, args=(launcher_gone,), daemon=True).start()
+        threading.Thread(target=_begin, args=(page,), daemon=True).start()
+    try:
+        page.run(launcher_gone.is_set)
+    finally:
+        others.close()
+        page.close()
+
+
+def _begin(page: "Dashboard") -> None:
+    """Let the network go on, slowly enough to see it, once there is somebody to see it."""
+    somebody = threading.Event()
+    # Called for those who have come already, too.
+    page.server.on_client_connect(lambda _: somebody.set())
+    if somebody.wait(_LONGEST_WAIT_S):
+        page.source.ask({"do": "speed", "steps_per_second": _FIRST_STEPS_PER_S})
+    page.source.ask({"do": "resume"})
+
+
+def _await_end(gone: threading.Event) -> None:
+    sys.stdin.buffer.read()
+    gone.set()

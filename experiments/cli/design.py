@@ -1,0 +1,173 @@
+"""`concord design`: the cheapest network that meets an error target, confirmed on fresh runs."""
+
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+import tyro
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from experiments.cli.scenario_flags import said_in
+from experiments.cli.sweep import FILE_WIDTH
+from experiments.design.candidates import COST_UNITS, Candidate, Refused
+from experiments.design.results import (
+    Design,
+    Tried,
+    check_place,
+    command_for,
+    design_of,
+    nearest,
+    write_design,
+)
+from experiments.design.search import Found, Task, search
+from experiments.design.space import space_of
+from experiments.design.target import parse_target
+from experiments.sweep.engines import engine_for
+from experiments.sweep.options import FieldOptions
+from experiments.sweep.specification import shown, specify
+from experiments.sweep.workers import WorkerLost
+from experiments.user_errors import user_errors
+
+
+@dataclass(frozen=True, kw_only=True)
+class DesignOptions:
+    """Target of the design, cost to minimise, and confidence."""
+
+    target_rmse: str
+    """Error to be met: 1.5x-centralised, 2x-bound, or a number in the scenario's unit."""
+    minimise: Literal["occupancy", "bytes", "energy"] = "occupancy"
+    """Cost to minimise: nodes that publish per cycle, bytes per step, or energy per step."""
+    runs: int = 100
+    """Fresh runs that confirm the recommended network."""
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """JSON file for the result; runs/design-<date>.json when left out. It must not exist."""
+    workers: int | None = None
+    """Processes on this machine; one per core when left out."""
+    dask: str | None = None
+    """Address of a Dask scheduler whose workers compute instead: tcp://HOST:8786."""
+    json: bool = False
+    """Print one JSON object instead of tables."""
+
+
+def design(
+    fields: Annotated[FieldOptions, tyro.conf.arg(name="")],
+    options: Annotated[DesignOptions, tyro.conf.arg(name="")],
+) -> None:
+    """Find the cheapest network that meets an error target. Fields given are settled, or are looked
+    for among the given values; graph, rule, weights, rounds, occupancy and schedule are open."""
+    out = options.out or Path("runs") / f"design-{time.strftime('%Y%m%d-%H%M%S')}.json"
+    with user_errors():
+        if out.exists():
+            raise ValueError(f"--out {out}: exists and is never written over; choose another name")
+        if options.runs < 2:
+            raise ValueError(f"--runs {options.runs}: an interval needs at least 2")
+        target = parse_target(options.target_rmse)
+        settled, space = space_of(specify(said_in(fields)))
+        engine = engine_for(options.workers, options.dask)
+        check_place(out)
+        task = Task(target, options.minimise, settled, space, options.runs, engine, _say)
+    kept: list[Candidate] = []
+    refused: list[Refused] = []
+    started = time.monotonic()
+    try:
+        with user_errors():
+            found = search(task, kept, refused)
+    except (KeyboardInterrupt, WorkerLost) as error:
+        if kept:
+            done = Found(kept, refused, [])
+            write_design(design_of(settled, target, options.minimise, done, False), out)
+            _say(f"interrupted; what was tried is in {out}")
+        if isinstance(error, WorkerLost):
+            sys.stderr.write(f"concord: {error}\n")
+            sys.exit(1)
+        raise
+    result = design_of(settled, target, options.minimise, found, True)
+    with user_errors():
+        write_design(result, out)
+    _show(result, options, out, time.monotonic() - started)
+    if result.recommended is None:
+        sys.exit(1)
+
+
+def _say(text: str) -> None:
+    sys.stderr.write(f"{text}\n")
+    sys.stderr.flush()
+
+
+def _show(result: Design, options: DesignOptions, out: Path, seconds: float) -> None:
+    if options.json:
+        brief = msgspec.structs.replace(result, tried=[one for one in result.tried if one.front])
+        whole = {**msgspec.to_builtins(brief), "result": str(out), "seconds": seconds}
+        sys.stdout.write(msgspec.json.encode(whole).decode() + "\n")
+        return
+    console = Console()
+    console = console if console.is_terminal else Console(width=FILE_WIDTH)
+    console.print(table(result))
+    for line in lines(result):
+        console.print(line, highlight=False, soft_wrap=True)
+    runs = sum(one.runs for one in (*result.tried, *result.attempts))
+    console.print(
+        f"{len(result.tried)} candidates, {runs} runs in {seconds:.0f} s, seed {result.seed}; "
+        f"result in {out}; `concord plot {out}` draws the front", highlight=False, soft_wrap=True,
+    )  # fmt: skip
+
+
+def table(result: Design) -> Table:
+    """Return the front: what no other candidate beats, the cheapest first."""
+    grid = Table(
+        title=f"front: {COST_UNITS[result.minimise]} against error, of {len(result.tried)} "
+        "candidates; ± half of the 95 % interval",
+        title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0),
+    )  # fmt: skip
+    line = sorted((one for one in result.tried if one.front), key=lambda one: -one.error.value)
+    fields = list(line[0].values) if line else []
+    for field in fields:
+        grid.add_column(field)
+    unit = result.unit if result.target.reference == "unit" else f"x {result.target.reference}"
+    for heading in (f"RMSE {unit}", "ANEES", "published", "B/step", "mJ/step", "runs"):
+        grid.add_column(heading, justify="right")
+    for one in line:
+        grid.add_row(*(shown(one.values[field]) for field in fields), *_figures(one))
+    return grid
+
+
+def _figures(one: Tried) -> tuple[str, ...]:
+    half = (one.error.high - one.error.low) / 2
+    return (
+        f"{one.error.value:.3g} ±{half:.2g}", f"{one.anees.value:.2f}", f"{one.occupancy:.3f}",
+        f"{one.bytes_per_step:.0f}", f"{one.energy_per_step_mj:.1f}", str(one.runs),
+    )  # fmt: skip
+
+
+def lines(result: Design) -> list[str]:
+    """Return the recommendation with its confidence, or the best that can be reached."""
+    target = result.target.shown(result.unit)
+    said = [
+        f"tried {command} on {one.runs} fresh runs: {one.error.value:.3g}, at most "
+        f"{one.error.high:.3g} with {100 * one.confidence:.4g} % confidence: "
+        f"{'meets' if one.meets else 'does not surely meet'} the target"
+        for one in result.attempts
+        for command in [", ".join(f"{field} {shown(v)}" for field, v in one.values.items())]
+    ]
+    if result.recommended is not None:
+        values = {**result.settled, **result.recommended.values}
+        again = command_for("sweep", {**values, "seed": result.seed + 1}, ["--runs 50"])
+        return [
+            *said,
+            f"recommended for {target}, sparing {result.minimise}:",
+            f"  {result.recommended.command}",
+            f"under another seed: {again}",
+        ]
+    best = nearest(result)
+    words = ", ".join(f"{field} {shown(value)}" for field, value in best.values.items())
+    interval = f"{best.error.value:.3g} ({best.error.low:.3g} to {best.error.high:.3g})"
+    return [
+        *said,
+        f"no candidate surely meets {target}; the best reached is {interval} in {best.runs} runs: "
+        f"{words}",
+    ]

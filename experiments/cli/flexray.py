@@ -1,0 +1,25 @@
+"""`concord flexray`: recordings, clusters and plans of a FlexRay bus."""
+
+from tyro.extras import SubcommandApp
+
+from experiments.flexray.clusters import convert, validate
+from experiments.flexray.plans import plan, show
+from experiments.flexray.recordings import decode, fit
+
+SUMMARY = "Recordings, clusters and plans of a FlexRay bus."
+_COMMANDS = {
+    "decode": decode,
+    "fit": fit,
+    "validate": validate,
+    "plan": plan,
+    "show": show,
+    "convert": convert,
+}
+
+
+def flexray_commands() -> SubcommandApp:
+    """Return the commands below `concord flexray`."""
+    commands = SubcommandApp()
+    for name, command in _COMMANDS.items():
+        commands.command(command, name=name)
+    return commands

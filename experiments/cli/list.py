@@ -1,0 +1,71 @@
+"""`concord list`: what there is to choose from."""
+
+import sys
+from dataclasses import dataclass
+from typing import Annotated
+
+import msgspec
+import tyro
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from experiments.scenario_options import offered_options
+from nodes.faults.vocabulary import EVERY_FAULT, usage
+from scenarios.bus_plan import arbiter_names, cluster_names, schedule_names
+from scenarios.catalogue import kinds
+from scenarios.types.rules import RULE_SUMMARIES
+from topology.choices import GRAPHS, WEIGHTS
+from topology.link_names import NAMES as LINK_NAMES
+
+
+@dataclass(frozen=True)
+class ListOptions:
+    """How to show it."""
+
+    json: bool = False
+    """Print one JSON object instead of tables."""
+
+
+def list_all(options: Annotated[ListOptions, tyro.conf.arg(name="")]) -> None:
+    """List scenarios, graphs, weights, rules, schedules, hold policies and faults."""
+    names = {
+        "graphs": list(GRAPHS),
+        "weights": list(WEIGHTS),
+        "links": list(LINK_NAMES),
+        "schedules": list(schedule_names()),
+        "clusters": list(cluster_names()),
+        "arbiters": list(arbiter_names()),
+        "holds": list(offered_options()["hold"].names),
+        "buses": list(offered_options()["bus"].names),
+    }
+    own = {name: kind.wiring.names for name, kind in kinds().items() if kind.wiring}
+    if options.json:
+        scenarios = {name: kind.defaults for name, kind in kinds().items()}
+        faults = {word: fault.summary for word, fault in EVERY_FAULT.items()}
+        everything = {
+            "scenarios": scenarios, "rules": RULE_SUMMARIES, **names, "own": own, "faults": faults,
+        }  # fmt: skip
+        sys.stdout.write(msgspec.json.encode(everything).decode() + "\n")
+        return
+    console = Console()
+    scenarios = Table("scenario", "what it is", "nodes", "graph", "steps")
+    for name, kind in kinds().items():
+        d = kind.defaults
+        scenarios.add_row(
+            name, type(d.plant).summary(), str(d.nodes), d.network.graph, str(d.steps)
+        )
+    console.print(scenarios)
+    rules = Table("rule", "what it promises")
+    for name, summary in RULE_SUMMARIES.items():
+        rules.add_row(name, summary)
+    console.print(rules)
+    faults = Table("fault", "what happens")
+    for word, fault in EVERY_FAULT.items():
+        faults.add_row(escape(usage(word)), fault.summary)
+    console.print(faults)
+    for what, values in names.items():
+        console.print(f"{what}: {', '.join(values)}", highlight=False, soft_wrap=True)
+    for name, of_option in own.items():
+        values = "; ".join(f"--{option} {', '.join(of)}" for option, of in of_option.items())
+        console.print(f"{name} has its own: {values}", highlight=False, soft_wrap=True)

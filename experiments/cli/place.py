@@ -1,0 +1,72 @@
+"""Common code of the commands for networks on several hosts: setup file, keys, end of the run."""
+
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from experiments.results.folder import Description, read_description_file
+from experiments.user_errors import user_errors
+from runtime.network.links import checked_endpoints, checked_run
+from runtime.processes.job import Happened, Job, Place
+from runtime.processes.launcher import NetworkFailed, run_job
+
+
+def key_files(folder: Path | None, names: Sequence[str]) -> dict[str, str]:
+    """Return the file of `concord keys` of each process, by name; none where there is no folder.
+
+    Raises:
+        ValueError: a file is missing.
+    """
+    if folder is None:
+        return {}
+    files = {name: folder / f"{_certificate(name)}.json" for name in names}
+    for name, file in files.items():
+        if not file.is_file():
+            raise ValueError(
+                f"--keys {folder}: there is no {file.name}, which {_in_words(name)} needs; copy it "
+                "from the folder that `concord keys` made"
+            )
+    return {name: str(file) for name, file in files.items()}
+
+
+def _certificate(name: str) -> str:
+    return f"node-{name}" if name.isdecimal() else name
+
+
+def _in_words(name: str) -> str:
+    return f"node {name}" if name.isdecimal() else f"the {name}"
+
+
+def read_setup(path: Path) -> Description:
+    """Read the file that `concord setup` has written, or the run.json of a run.
+
+    Raises:
+        ValueError: the file cannot be read, or is no setup.
+    """
+    description = read_description_file(path)
+    checked_run(description.run)
+    return description
+
+
+def place_of(
+    cast: Sequence[str], connect: Sequence[str], keys: Path | None, patience_s: float = 60.0
+) -> Place:
+    """Return the part of a network that is to be on this host.
+
+    Raises:
+        ValueError: endpoints or keys that cannot be.
+    """
+    if not patience_s > 0:
+        raise ValueError(f"--patience {patience_s:g}: must be above 0 seconds")
+    endpoints = checked_endpoints("--connect", connect, keys is not None)
+    return Place(list(cast), list(endpoints), key_files(keys, cast), patience_s)
+
+
+def take_part(job: Job, folder: Path | None, on_event: Callable[[Happened], None]) -> None:
+    """Run the processes of this host until the end of the network; exit code 1 if it breaks."""
+    try:
+        with user_errors():
+            run_job(job, folder, on_event)
+    except NetworkFailed as error:
+        sys.stderr.write(f"concord: {error}\n")
+        sys.exit(1)

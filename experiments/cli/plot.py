@@ -1,0 +1,75 @@
+"""`concord plot`: pictures of the result of a sweep, of a design, or of a run folder."""
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import msgspec
+import tyro
+from rich.console import Console
+
+from experiments.places import make_folder
+from experiments.results.palette import save, use_house_style
+from experiments.user_errors import user_errors
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True)
+class PlotOptions:
+    """Picture to draw, and its file."""
+
+    result: tyro.conf.Positional[Path]
+    """Result of `concord sweep` or `concord design`, or folder of a run."""
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """Folder for the pictures; beside the result, <name>-plots, when left out."""
+    format: Literal["png", "svg", "pdf"] = "png"
+    """Format of the pictures."""
+    json: bool = False
+    """Print one JSON object instead of lines."""
+
+
+def plot(options: Annotated[PlotOptions, tyro.conf.arg(name="")]) -> None:
+    """Draw a result."""
+    use_house_style()
+    with user_errors():
+        figures = figures_of(options.result)
+        folder = options.out or plots_of(options.result)
+        make_folder(folder, "--out")
+    written = []
+    for name, figure in figures.items():
+        path = folder / f"{name}.{options.format}"
+        save(figure, path)
+        written.append(str(path))
+    if options.json:
+        sys.stdout.write(msgspec.json.encode({"pictures": written}).decode() + "\n")
+        return
+    Console().print("\n".join(written), highlight=False, soft_wrap=True)
+
+
+def plots_of(result: Path) -> Path:
+    """Where the pictures of a result go."""
+    return result / "plots" if result.is_dir() else result.with_name(f"{result.stem}-plots")
+
+
+def figures_of(result: Path) -> "dict[str, Figure]":
+    """Return the pictures of a result by name.
+
+    Raises:
+        ValueError: it is no result of ours.
+    """
+    if result.is_dir():
+        from experiments.results.run_plots import run_figures
+
+        return run_figures(result)
+    if result.suffix == ".json":
+        from experiments.design.plots import design_figures
+        from experiments.design.results import read_design
+
+        return design_figures(read_design(result))
+    from experiments.sweep.plots import sweep_figures
+    from experiments.sweep.results import read_result
+
+    return sweep_figures(read_result(result))

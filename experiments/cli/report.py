@@ -1,0 +1,190 @@
+"""`concord report`: a result as one page with its tables, pictures, seeds and versions."""
+
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import msgspec
+import numpy as np
+import tyro
+from rich.console import Console
+
+from experiments.cli.plot import figures_of
+from experiments.monte_carlo.intervals import Interval
+from experiments.results.palette import use_house_style
+from experiments.results.report_page import (
+    Code,
+    Grid,
+    Heading,
+    Paragraph,
+    Part,
+    as_html,
+    as_markdown,
+    picture,
+)
+from experiments.sweep.specification import shown
+from experiments.user_errors import user_errors
+
+if TYPE_CHECKING:
+    import xarray
+
+
+@dataclass(frozen=True)
+class ReportOptions:
+    """Of what, and where to."""
+
+    result: tyro.conf.Positional[Path]
+    """Result of `concord sweep` or `concord design`, or folder of a run."""
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """The page: .html or .md; beside the result when left out. An older one is replaced."""
+    json: bool = False
+    """Print one JSON object instead of a line."""
+
+
+def report(options: Annotated[ReportOptions, tyro.conf.arg(name="")]) -> None:
+    """Write a result as one self-contained page."""
+    use_house_style()
+    with user_errors():
+        out = options.out or _beside(options.result)
+        if out.suffix not in (".html", ".md"):
+            raise ValueError(f"--out {out}: must end in .html or .md")
+        title, parts = page_of(options.result)
+        text = as_html(title, parts) if out.suffix == ".html" else as_markdown(parts)
+        try:
+            out.parent.mkdir(parents=True, exist_ok=True)
+            part = out.with_name(f"{out.name}.part")
+            part.write_text(text, encoding="utf-8")
+            part.replace(out)
+        except OSError as error:
+            raise ValueError(f"--out {out}: cannot be written ({error.strerror})") from None
+    if options.json:
+        sys.stdout.write(msgspec.json.encode({"page": str(out)}).decode() + "\n")
+        return
+    Console().print(str(out), highlight=False, soft_wrap=True)
+
+
+def page_of(result: Path) -> tuple[str, list[Part]]:
+    """Title and parts of the page of a result.
+
+    Raises:
+        ValueError: it is no result of ours.
+    """
+    figures = figures_of(result)
+    if result.is_dir():
+        title, parts = _of_run(result)
+    elif result.suffix == ".json":
+        title, parts = _of_design(result)
+    else:
+        title, parts = _of_sweep(result)
+    pictures: list[Part] = [Heading("Pictures")]
+    for name, figure in figures.items():
+        pictures.append(picture(name, figure))
+    return title, [Heading(title, 1), *parts[:-2], *pictures, *parts[-2:]]
+
+
+def _of_sweep(path: Path) -> tuple[str, list[Part]]:
+    from experiments.sweep.results import read_result, specification_of
+    from experiments.sweep.summary import figures_of as summary_of
+
+    dataset = read_result(path)
+    summary = summary_of(dataset)
+    fields = specification_of(dataset).dimensions
+    units = {"rmse": f" [{summary.unit}]", "disagreement": f" [{summary.unit}]"}
+    columns = [name for name in summary.cells[0].__struct_fields__ if name != "cell"]
+    rows = [
+        [
+            *(shown(cell.cell[field]) for field in fields),
+            *(_interval(getattr(cell, name)) for name in columns),
+        ]
+        for cell in summary.cells
+    ]
+    head = [*fields, *(f"{name.replace('_', ' ')}{units.get(name, '')}" for name in columns)]
+    return f"Sweep of {', '.join(fields) or 'one cell'}", [
+        Paragraph(
+            f"{len(summary.cells)} cells of {summary.runs} runs each, seed {summary.seed}. Each "
+            "figure is followed by its 95 % interval over the runs, which have the same noise in "
+            "every cell of one seed. docs/sweeps.md says what each figure is."
+        ),
+        Grid(head, rows, len(fields)),
+        *_provenance(_attributes(dataset), dataset.attrs["specification"]),
+    ]
+
+
+def _attributes(dataset: "xarray.Dataset") -> dict[str, str]:
+    versions = json.loads(dataset.attrs["versions"])
+    return {"commit": str(dataset.attrs["commit"]), **versions}
+
+
+def _of_design(path: Path) -> tuple[str, list[Part]]:
+    from experiments.cli.design import lines
+    from experiments.design.results import read_design
+
+    design = read_design(path)
+    unit = design.unit if design.target.reference == "unit" else f"x {design.target.reference}"
+    line = sorted((one for one in design.tried if one.front), key=lambda one: -one.error.value)
+    fields = list(line[0].values)
+    rows = [
+        [
+            *(shown(one.values[field]) for field in fields),
+            _interval(one.error), _interval(one.anees), f"{one.occupancy:.3g}",
+            f"{one.bytes_per_step:.0f}", f"{one.energy_per_step_mj:.3g}", str(one.runs),
+        ]
+        for one in line
+    ]  # fmt: skip
+    head = [*fields, f"RMSE {unit}", "ANEES", "published", "bytes/step", "mJ/step", "runs"]
+    names = ("scenario", "settled", "seed", "target", "minimise")
+    wanted = {name: msgspec.to_builtins(getattr(design, name)) for name in names}
+    return f"Design for {design.target.shown(design.unit)}", [
+        *(Paragraph(text) for text in lines(design)),
+        Heading("Front"),
+        Paragraph(f"What none of {len(design.tried)} candidates beats in cost and error."),
+        Grid(head, rows, len(fields)),
+        *_provenance({"commit": str(design.commit), **design.versions}, json.dumps(wanted)),
+    ]
+
+
+def _of_run(folder: Path) -> tuple[str, list[Part]]:
+    from experiments.cli.collect import completed
+    from experiments.results.folder import read_description
+    from experiments.results.summary import lines, summarise
+
+    description = read_description(folder)
+    figures = summarise(description.setup, completed(folder, description))
+    rows = [
+        [str(i), f"{n.rmse:.4g}", f"{n.rmse_local_only:.4g}", f"{n.anees:.4g}", str(n.sent),
+         str(n.heard), str(n.missed)]
+        for i, n in enumerate(figures.nodes)
+    ]  # fmt: skip
+    whole = (figures.rmse, figures.rmse_local_only, figures.anees)
+    rows.append(["all", *(f"{x:.4g}" for x in whole), str(figures.shares_sent), "",
+                 str(figures.shares_missed)])  # fmt: skip
+    unit = figures.unit
+    head = ["node", f"RMSE [{unit}]", f"alone [{unit}]", "ANEES", "sent", "heard", "missed"]
+    scenario = msgspec.json.encode(description.setup.scenario).decode()
+    return f"Run {description.run}", [
+        Paragraph(f"Driver {description.driver}, seed {description.seed}."),
+        *(Paragraph(text) for text in lines(figures)),
+        Grid(head, rows, 1),
+        *_provenance({"commit": str(description.commit), **description.versions}, scenario),
+    ]
+
+
+def _provenance(versions: Mapping[str, str], what: str) -> Sequence[Part]:
+    """Always two parts: what computed, and what exactly was asked for."""
+    said = ", ".join(f"{name} {version}" for name, version in versions.items())
+    return [Paragraph(f"Computed by {said}."), Code(json.dumps(json.loads(what), indent=2))]
+
+
+def _interval(interval: Interval) -> str:
+    value, low, high = interval
+    if np.isnan(value):
+        return "-"
+    text = f"{value:.4g}"
+    return text if np.isnan(low) else f"{text} ({low:.3g}..{high:.3g})"
+
+
+def _beside(result: Path) -> Path:
+    return result / "report.html" if result.is_dir() else result.with_suffix(".html")

@@ -1,0 +1,155 @@
+"""`concord run`: one scenario, one driver, one folder of results, one table of figures."""
+
+import sys
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from experiments.cli.collect import completed, finish
+from experiments.cli.page_options import LOOPBACK, check_place
+from experiments.cli.page_process import PageProcess
+from experiments.cli.scenario_flags import ScenarioFlags, resolved
+from experiments.monte_carlo.run_many import run_many
+from experiments.progress import progress
+from experiments.results.folder import (
+    RECORDING,
+    describe,
+    make_folder,
+    new_name,
+    write_description,
+)
+from experiments.user_errors import user_errors
+from nodes.tempo import Tempo
+from runtime.disk import NotWritten
+from runtime.drivers import DRIVERS, Pace, over_processes
+from runtime.network.links import names, ports_from
+from runtime.processes.launcher import NetworkFailed
+from scenarios.preparation import prepare
+from scenarios.scenario import require
+from scenarios.setup import Setup
+from scenarios.tempo import tempo_of
+from scenarios.warnings import warnings_of
+
+BATCHED, REALTIME = "batched", "realtime"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions:
+    """How and where to run."""
+
+    driver: Literal["in-process", "processes", "batched", "realtime"] = "in-process"
+    """in-process: everything in one process; processes: one per node, over zenoh, in lockstep;
+    batched: many runs at once as arrays; realtime: processes that keep the bus's time."""
+    cycle_stretch: float | None = None
+    """How many times longer a cycle lasts on the clock than on the bus, for --driver realtime; so
+    that it lasts 20 ms when left out."""
+    runs: int = 1
+    """Number of runs, from --run on, for --driver batched."""
+    covariances: bool = False
+    """Keep full covariances of many runs, and not their traces alone."""
+    out: Path | None = None
+    """Folder for the results; runs/<name> when left out. It must not exist."""
+    port: int | None = None
+    """First of consecutive loopback ports for --driver processes or realtime; free ones when left
+    out."""
+    dashboard: bool = False
+    """Show a run over processes in the browser; it waits for whoever opens the page, a minute."""
+    http_port: int = 8080
+    """Port of the dashboard; the next free one if it is taken, any free one for 0."""
+    json: bool = False
+    """Print one JSON object instead of a table."""
+
+
+def run(
+    scenario: Annotated[ScenarioFlags, tyro.conf.arg(name="")],
+    options: Annotated[RunOptions, tyro.conf.arg(name="")],
+) -> None:
+    """Run a scenario, once or many times, and print how well its nodes did."""
+    with user_errors():
+        _check(options)
+        setup = prepare(resolved(scenario))
+        if options.port is not None:
+            ports_from(options.port, names(setup.neighbours))
+        name = new_name(setup.scenario.name)
+        tempo = _tempo(options, setup)
+        description = describe(name, options.driver, setup, tempo)
+        # Described first: a folder is never without its description.
+        folder = make_folder(options.out, name)
+        write_description(folder, description)
+    sys.stderr.write(f"seed {setup.scenario.seed}; results in {folder}\n")
+    if tempo is not None:
+        sys.stderr.write(
+            f"real time: a cycle every {tempo.cycle_s * 1e3:.3g} ms ({tempo.stretch:.3g} x the "
+            f"bus's), a step every {tempo.step_s * 1e3:.4g} ms\n"
+        )
+    for warning in warnings_of(setup):
+        sys.stderr.write(f"warning: {warning}\n")
+    if options.driver == BATCHED:
+        many = options.covariances, options.json
+        run_many(setup, options.runs, folder, description, *many)
+        return
+    pace = Pace(None, None)
+    page = PageProcess(folder, options.http_port)
+    try:
+        with progress(f"{setup.scenario.name}", setup.scenario.steps) as on_step, user_errors():
+            driver = (
+                DRIVERS[options.driver] if tempo is None else partial(over_processes, tempo=tempo)
+            )
+            if options.dashboard:
+                on_step = page.beside(on_step)
+            pace = driver(setup, name, folder / RECORDING, options.port, on_step)
+            if options.dashboard:
+                # A network that waits for people has no pace of its own.
+                pace = pace._replace(steps_per_second=None)
+    except (NetworkFailed, NotWritten) as error:
+        sys.stderr.write(f"concord: {error}; `concord collect {folder}` shows what was done\n")
+        sys.exit(1)
+    except KeyboardInterrupt:
+        # After an interrupt, the user need not wait for arrays and figures.
+        sys.stderr.write(f"interrupted; `concord collect {folder}` shows what was done\n")
+        raise
+    finally:
+        page.close()
+    with user_errors():
+        trace = completed(folder, description)
+    finish(folder, description, trace, pace, options.json)
+
+
+def _tempo(options: RunOptions, setup: Setup) -> Tempo | None:
+    return tempo_of(setup, options.cycle_stretch) if options.driver == REALTIME else None
+
+
+def _check(options: RunOptions) -> None:
+    """Refuse options of another driver.
+
+    Raises:
+        ValueError: naming the option, its value and the cure.
+    """
+    require(options.runs >= 1, "runs", options.runs, "at least 1")
+    many = options.runs > 1 or options.covariances
+    if many and options.driver != BATCHED:
+        option = f"--runs {options.runs}" if options.runs > 1 else "--covariances"
+        raise ValueError(
+            f"{option} with --driver {options.driver}: it goes through one run, message by "
+            f"message; use --driver {BATCHED}, or leave it out"
+        )
+    if options.dashboard and options.driver != "processes":
+        raise ValueError(
+            f"--dashboard with --driver {options.driver}: only a network of processes can be "
+            "watched as it runs; use --driver processes, or show the run with concord replay"
+        )
+    if options.dashboard:
+        check_place(LOOPBACK, options.http_port)
+    if options.cycle_stretch is not None and options.driver != REALTIME:
+        raise ValueError(
+            f"--cycle-stretch {options.cycle_stretch:g} with --driver {options.driver}: nothing is "
+            f"timed there; use --driver {REALTIME}, or leave it out"
+        )
+    if options.port is not None and options.driver not in ("processes", REALTIME):
+        raise ValueError(
+            f"--port {options.port} with --driver {options.driver}: only processes talk over "
+            "ports; use --driver processes, or leave --port out"
+        )

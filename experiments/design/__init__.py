@@ -1,0 +1,1 @@
+"""The search for the cheapest network that meets an error target."""

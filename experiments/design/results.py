@@ -1,0 +1,178 @@
+"""The result of a design as one JSON file: everything that was tried, and what is recommended."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from experiments.design.candidates import Candidate, Cost, Refused
+from experiments.design.search import Confirmed, Found, on_front
+from experiments.design.space import Values
+from experiments.design.target import Target
+from experiments.monte_carlo.intervals import Interval, mean_t
+from experiments.results.folder import commit, versions
+from experiments.sweep.specification import FIELDS, shown
+from runtime.disk import writing
+from scenarios.catalogue import kind_of
+
+
+class Tried(msgspec.Struct, frozen=True):
+    """A candidate: its open fields, its error as the target measures it, and what it costs.
+
+    `error` and `anees` are [value, low, high] with 95 % intervals over `runs`; `front` says that no
+    other is cheaper and better.
+    """
+
+    values: Values
+    runs: int
+    error: Interval
+    anees: Interval
+    occupancy: float
+    bytes_per_step: float
+    energy_per_step_mj: float
+    front: bool
+
+
+class Attempt(msgspec.Struct, frozen=True):
+    """A candidate on `runs` fresh runs: `meets` if the upper bound, at `confidence`, is within."""
+
+    values: Values
+    runs: int
+    error: Interval
+    confidence: float
+    meets: bool
+    command: str
+
+
+class Design(msgspec.Struct, frozen=True, kw_only=True):
+    """Result of a design: the target, every candidate tried, and the recommendation or None.
+
+    `finished` is false if the search was interrupted.
+    """
+
+    scenario: str
+    settled: Values
+    seed: int
+    target: Target
+    unit: str
+    minimise: Cost
+    tried: list[Tried]
+    refused: list[Refused]
+    attempts: list[Attempt]
+    recommended: Attempt | None
+    finished: bool
+    versions: dict[str, str]
+    commit: str | None
+
+
+def design_of(
+    settled: Values, target: Target, minimise: Cost, found: Found, finished: bool
+) -> Design:
+    """Return the result of a search."""
+    scenario = found.candidates[0].cell.scenario
+    line = {one.cell.number for one in on_front(target, minimise, found.candidates)}
+    attempts = [_attempt(settled, one) for one in found.confirmed]
+    return Design(
+        scenario=scenario.name,
+        settled=settled,
+        seed=scenario.seed,
+        target=target,
+        unit=kind_of(scenario.name).score.unit,
+        minimise=minimise,
+        tried=[_tried(one, target, one.cell.number in line) for one in found.candidates],
+        refused=found.refused,
+        attempts=attempts,
+        recommended=next((one for one in attempts if one.meets), None),
+        finished=finished,
+        versions=versions(),
+        commit=commit(),
+    )
+
+
+def check_place(path: Path) -> None:
+    """Refuse a place that takes no file, before a search that is long; leaves its folder there.
+
+    Raises:
+        ValueError: naming the place and why.
+    """
+    part = _part_of(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.touch()
+        part.unlink()
+    except OSError as error:
+        raise ValueError(
+            f"--out {path}: cannot be written ({error.strerror}); choose another place"
+        ) from None
+
+
+def _part_of(path: Path) -> Path:
+    return path.with_name(f"{path.name}.part")
+
+
+def write_design(design: Design, path: Path) -> None:
+    """Write a design, whole or not at all, where `check_place` let it.
+
+    Raises:
+        NotWritten: the file cannot be written.
+    """
+    part = _part_of(path)
+    try:
+        with writing(path):
+            part.write_bytes(msgspec.json.format(msgspec.json.encode(design), indent=2) + b"\n")
+            part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def read_design(path: Path) -> Design:
+    """Read a design.
+
+    Raises:
+        ValueError: there is none, or it is not one of ours.
+    """
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=Design)
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read ({error.strerror})") from None
+    except msgspec.MsgspecError as error:
+        raise ValueError(f"{path}: not the result of `concord design` ({error})") from None
+
+
+def command_for(verb: str, values: Values, more: Sequence[str] = ()) -> str:
+    """Return the command that runs these fields."""
+    options = [
+        f"--{field.replace('_', '-')} {shown(values[field])}" for field in FIELDS if field in values
+    ]
+    return " ".join([f"concord {verb}", *options, *more])
+
+
+def nearest(design: Design) -> Tried:
+    """Return the least error of all candidates, for a target that no candidate meets."""
+    return min(design.tried, key=lambda one: (bool(np.isnan(one.error.value)), one.error.value))
+
+
+def _tried(one: Candidate, target: Target, front: bool) -> Tried:
+    return Tried(
+        values=one.cell.values,
+        runs=one.runs,
+        error=one.error(target, 0.95),
+        anees=mean_t(one.figures["anees"]),
+        occupancy=one.cost("occupancy")[0],
+        bytes_per_step=one.cost("bytes")[0],
+        energy_per_step_mj=one.cost("energy")[0],
+        front=front,
+    )
+
+
+def _attempt(settled: Values, one: Confirmed) -> Attempt:
+    values = {**settled, **one.candidate.cell.values}
+    return Attempt(
+        values=one.candidate.cell.values,
+        runs=one.candidate.runs,
+        error=one.error,
+        confidence=one.confidence,
+        meets=one.meets,
+        command=command_for("run", values),
+    )

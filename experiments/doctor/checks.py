@@ -1,0 +1,152 @@
+"""Checks of `concord doctor`, one function for each subject."""
+
+import importlib.util
+import os
+import platform
+import shutil
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+
+from experiments.doctor import machine
+from experiments.doctor.finding import Finding, Verdict
+from plants.recorded import mrclam_files
+from plants.vehicle import drive_log
+from runtime.network.links import LOOPBACK, Links, free_ports
+from runtime.network.zenoh_transport import LinkError, Transport
+from scenarios.definitions.mrclam import DATA_VARIABLE as MRCLAM_VARIABLE
+from topology import intel_lab
+
+PAGE_PORT = 8080
+_BROWSERS = ("firefox", "chromium", "chromium-browser", "google-chrome", "microsoft-edge", "safari")
+_ROUND_TRIPS = 50
+_ANSWER_S = 5.0
+# The module that tells whether an extra is there, and what it is for.
+EXTRAS = {
+    "convex": ("cvxpy", "the tight bounds of set-membership filters"),
+    "dask": ("distributed", "sweeps over Dask"),
+    "fast": ("concord_fast", "the compiled kernel of fusion"),
+    "secure": ("cryptography", "concord keys"),
+    "vehicle": ("vehiclemodels", "the simulated cars"),
+}
+# Some packages are not published; this table says how to build each.
+BUILT = {"fast": "make fast"}
+
+
+def look(nodes: int, data: Sequence[Path]) -> Iterator[Finding]:
+    """Everything, one finding at a time: for a network of `nodes`, and these folders of data."""
+    yield Finding("python", Verdict.OK, f"{platform.python_version()} on {platform.machine()}")
+    yield machine.ports(nodes)
+    yield machine.files(nodes)
+    yield zenoh(round_trip_s)
+    yield machine.memory(nodes, machine.available_memory_mb())
+    yield machine.blas(os.environ, os.cpu_count())
+    yield machine.clock(machine.measured_lateness_s(), datetime.now(UTC).year)
+    yield machine.disk(Path.cwd())
+    yield browser(shutil.which)
+    yield machine.page_port(PAGE_PORT)
+    for folder in (*data, *folders_of(os.environ)):
+        yield data_folder(folder)
+    for name in EXTRAS:
+        yield extra(name)
+
+
+def zenoh(measure: Callable[[], float]) -> Finding:
+    """Return whether two sessions hear each other on loopback."""
+    try:
+        seconds = measure()
+    except (LinkError, TimeoutError) as error:
+        cure = f"allow TCP between processes on {LOOPBACK}; look at firewall and sandbox"
+        return Finding("zenoh", Verdict.FAILING, str(error), cure)
+    return Finding("zenoh", Verdict.OK, f"there and back over {LOOPBACK} in {seconds * 1e6:.0f} µs")
+
+
+def round_trip_s() -> float:
+    """Median seconds of a message there and back between two sessions.
+
+    Raises:
+        LinkError: a session cannot be opened.
+        TimeoutError: nothing comes back.
+    """
+    endpoint = f"tcp/{LOOPBACK}:{free_ports(['doctor'])['doctor']}"
+    times: list[float] = []
+    echo = Transport("doctor", Links("peer", (endpoint,), ()), ["there"], 8)
+    caller = Transport("doctor", Links("peer", (), (endpoint,), _ANSWER_S), ["back"], 8)
+
+    def answer() -> None:
+        for _ in range(_ROUND_TRIPS):
+            echo.receive("there")
+            echo.send("back", b"!")
+
+    def call() -> None:
+        join = threading.Thread(target=echo.join, args=("echo", {"caller"}), daemon=True)
+        join.start()
+        caller.join("caller", {"echo"})
+        join.join()
+        threading.Thread(target=answer, daemon=True).start()
+        for _ in range(_ROUND_TRIPS):
+            began = time.perf_counter()
+            caller.send("there", b"?")
+            caller.receive("back")
+            times.append(time.perf_counter() - began)
+
+    calling = threading.Thread(target=call, daemon=True)
+    calling.start()
+    calling.join(_ANSWER_S)
+    if calling.is_alive():
+        raise TimeoutError(f"nothing comes back from {endpoint} in {_ANSWER_S:g} s")
+    caller.close()
+    echo.close()
+    return sorted(times)[len(times) // 2]
+
+
+def browser(which: Callable[[str], str | None]) -> Finding:
+    """Return whether the dashboard can be looked at on this machine."""
+    found = next((path for name in _BROWSERS if (path := which(name))), None)
+    if found is None:
+        cure = "install one, or look from another machine: ssh -L 8080:localhost:8080 THIS-ONE"
+        return Finding("browser", Verdict.WARNING, "none here for the dashboard", cure)
+    return Finding("browser", Verdict.OK, found)
+
+
+def folders_of(environment: Mapping[str, str]) -> list[Path]:
+    """Return the folders of data that the environment names."""
+    variables = (MRCLAM_VARIABLE, intel_lab.DATA_VARIABLE)
+    return [Path(environment[name]) for name in variables if environment.get(name)]
+
+
+def data_folder(folder: Path) -> Finding:
+    """Check a folder of recorded data, and read it to the end."""
+    readers = (
+        ("Barcodes.dat", "a MRCLAM recording", mrclam_files.read_recording),
+        (intel_lab.LOCATIONS, "the Intel lab", intel_lab.intel_lab),
+        (drive_log.DRIVE, "a drive", drive_log.read_folder),
+    )
+    name = f"data {folder}"
+    for mark, what, read in readers:
+        if (folder / mark).is_file():
+            return _read(name, what, partial(read, folder))
+    marks = ", ".join(mark for mark, _, _ in readers)
+    seen = "no known data there" if folder.is_dir() else "no such folder"
+    return Finding(name, Verdict.FAILING, seen, f"name a folder that holds one of {marks}")
+
+
+def _read(name: str, what: str, read: Callable[[], object]) -> Finding:
+    try:
+        read()
+    except (ValueError, OSError) as error:
+        return Finding(name, Verdict.FAILING, str(error), f"fetch {what} again")
+    return Finding(name, Verdict.OK, what)
+
+
+def extra(name: str) -> Finding:
+    """Return whether an optional part is installed."""
+    module, purpose = EXTRAS[name]
+    if importlib.util.find_spec(module) is None:
+        how = BUILT.get(name, f"pip install 'concord[{name}]'")
+        cure = f"{how} if you want {purpose}"
+        return Finding(f"extra {name}", Verdict.WARNING, "not installed", cure)
+    return Finding(f"extra {name}", Verdict.OK, f"installed: {purpose}")

@@ -1,0 +1,22 @@
+"""One line of `concord doctor`: what was looked at, how it stands, and what to do."""
+
+from enum import Enum
+
+import msgspec
+
+
+class Verdict(Enum):
+    """How something stands: a warning does not keep a network from running."""
+
+    OK = "ok"
+    WARNING = "warning"
+    FAILING = "failing"
+
+
+class Finding(msgspec.Struct, frozen=True):
+    """Finding: subject, status, observation, and remedy (empty if none is needed)."""
+
+    subject: str
+    verdict: Verdict
+    seen: str
+    cure: str = ""

@@ -1,0 +1,159 @@
+"""`concord flexray validate` and `convert`: the configuration of a cluster, from wherever it is."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from bus.flexray.cluster import Cluster
+from bus.flexray.cluster_files import FILE_ENDINGS, cluster_to_toml, read_cluster_file
+from bus.flexray.fibex import cluster_to_fibex
+from bus.flexray.presets import PRESETS, preset
+from bus.flexray.timing import SegmentTime, segments
+from experiments.user_errors import user_errors
+
+
+class Derived(msgspec.Struct, frozen=True):
+    """Values derived from a cluster's parameters; times in microseconds."""
+
+    cycle_us: float
+    cycles_repeat_ms: float
+    static_slot_us: float
+    static_frame_us: float
+    minislot_us: float
+    dynamic_frame_us: float
+    dynamic_frame_minislots: int
+    longest_dynamic_frames_per_cycle: int
+    segments: list[SegmentTime]
+
+
+def validate(
+    cluster: tyro.conf.Positional[str],
+    /,
+    *,
+    name: str | None = None,
+    json: bool = False,
+) -> None:
+    """Check a cluster against every range and constraint of FlexRay, and print its times.
+
+    Args:
+        cluster: A preset, a TOML file or a FIBEX (.xml) file.
+        name: Which cluster of a FIBEX file that has several.
+        json: Print one JSON object.
+    """
+    with user_errors():
+        checked = read_cluster(cluster, name)
+    times = derived(checked)
+    if json:
+        parts = [part._asdict() for part in times.segments]
+        result = {"cluster": checked, **msgspec.structs.asdict(times), "segments": parts}
+        sys.stdout.write(msgspec.json.encode(result).decode() + "\n")
+        return
+    sys.stdout.write(f"cluster {checked.name}: valid\n")
+    Console().print(_table(checked, times))
+
+
+def convert(
+    source: tyro.conf.Positional[str],
+    target: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="TARGET")],
+    /,
+    *,
+    name: str | None = None,
+    json: bool = False,
+) -> None:
+    """Write a cluster as TOML (.toml) or FIBEX (.xml); what TARGET is called decides.
+
+    Args:
+        source: A preset, a TOML file or a FIBEX (.xml) file.
+        target: The file to write. It must not exist.
+        name: Which cluster of a FIBEX file that has several.
+        json: Print one JSON object.
+    """
+    with user_errors():
+        if target.suffix not in FILE_ENDINGS:
+            raise ValueError(f"{target}: cannot tell the format; call it *.toml or *.xml (FIBEX)")
+        cluster = read_cluster(source, name)
+        text = cluster_to_toml(cluster) if target.suffix == ".toml" else cluster_to_fibex(cluster)
+        _write_new(target, text)
+    if json:
+        result = {"cluster": cluster, "target": str(target)}
+        sys.stdout.write(msgspec.json.encode(result).decode() + "\n")
+        return
+    sys.stdout.write(f"cluster {cluster.name} of {source} is in {target}\n")
+
+
+def read_cluster(source: str, name: str | None = None) -> Cluster:
+    """A preset by its name, or the cluster in a TOML or FIBEX file (there, the one called `name`).
+
+    Raises:
+        ValueError: there is no such preset, or the file is unreadable, or breaks a rule of FlexRay.
+    """
+    path = Path(source)
+    if source in PRESETS:
+        return preset(source)
+    if path.suffix not in FILE_ENDINGS:
+        raise ValueError(
+            f"no cluster preset {source!r}; there are {', '.join(PRESETS)}, or give a file *.toml "
+            "or *.xml (FIBEX)"
+        )
+    return read_cluster_file(path, name)
+
+
+def derived(cluster: Cluster) -> Derived:
+    """Return the values that follow from a cluster's parameters."""
+    minislots = cluster.dynamic_slot_minislots(cluster.dynamic_payload_bytes)
+    by_start = -(-cluster.latest_transmission_minislot // minislots)
+    return Derived(
+        cycle_us=cluster.cycle_us,
+        cycles_repeat_ms=cluster.number_of_cycles * cluster.cycle_us / 1e3,
+        static_slot_us=cluster.static_slot_us,
+        static_frame_us=cluster.frame_us(cluster.static_payload_bytes),
+        minislot_us=cluster.minislot_us,
+        dynamic_frame_us=cluster.frame_us(cluster.dynamic_payload_bytes),
+        dynamic_frame_minislots=minislots,
+        longest_dynamic_frames_per_cycle=min(by_start, cluster.minislots // minislots),
+        segments=list(segments(cluster)),
+    )
+
+
+def _table(cluster: Cluster, times: Derived) -> Table:
+    grid = Table("what", "time", "how", show_edge=False)
+    grid.columns[1].justify = "right"
+    static, dynamic = cluster.static_payload_bytes, cluster.dynamic_payload_bytes
+    rows = [
+        ("cycle", times.cycle_us, f"{cluster.macroticks_per_cycle} macroticks"),
+        ("macrotick", cluster.macrotick_us, f"bit rate {cluster.bit_rate_mbps:g} Mbit/s"),
+        ("static slot", times.static_slot_us, f"{cluster.static_slots} in a cycle"),
+        ("static frame", times.static_frame_us, f"{static} bytes"),
+        ("minislot", times.minislot_us, f"{cluster.minislots} in a cycle"),
+        (
+            "longest dynamic frame",
+            times.dynamic_frame_us,
+            f"{dynamic} bytes, {times.dynamic_frame_minislots} minislots, "
+            f"{times.longest_dynamic_frames_per_cycle} in a cycle",
+        ),
+    ]
+    for what, time_us, how in rows:
+        grid.add_row(what, f"{time_us:.2f} us", how)
+    grid.add_section()
+    for part in times.segments:
+        length_us = part.end_us - part.start_us
+        span = f"from {part.start_us:.1f} to {part.end_us:.1f} us"
+        grid.add_row(part.name, f"{length_us:.2f} us", span)
+    repeat = f"{cluster.number_of_cycles} cycles, then the cycle counter begins anew"
+    grid.add_row("counter", f"{times.cycles_repeat_ms:.0f} ms", repeat)
+    return grid
+
+
+def _write_new(path: Path, text: str) -> None:
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        raise ValueError(f"{path}: exists and is never written over; choose another name") from None
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be written ({error.strerror})") from None

@@ -1,0 +1,184 @@
+"""Answers of `concord flexray plan`: the requested plan, or the largest that fits."""
+
+import shlex
+from collections import defaultdict
+
+import msgspec
+
+from bus.bus import Bus
+from bus.flexray.cluster import Cluster
+from bus.flexray.flexray_bus import FlexRayBus
+from bus.flexray.slot_table import SlotTable, deviations
+from bus.flexray.timing import TimingError
+from experiments.flexray.rehearsal import (
+    Alternative,
+    alternatives,
+    changed,
+    prepare_without_bus,
+    rehearse,
+    shares_per_cycle,
+)
+from experiments.results.bus_report import BusFigures, bus_figures
+from experiments.scenario_options import in_options
+from scenarios.build import build_bus
+from scenarios.bus_plan import FITTED, build_schedule
+from scenarios.preparation import share_bytes
+from scenarios.scenario import Scenario
+from scenarios.setup import Setup
+from scenarios.types.assignment import check_ranges
+from scenarios.types.buses import occupancy_of, stretch_of
+from scenarios.types.rules import number_of
+
+MOST_REHEARSED_STEPS = 500
+
+
+class SlotRow(msgspec.Struct, frozen=True):
+    """Slots of one node: sent in the cycles with `cycle % repetition == base_cycle`."""
+
+    node: int
+    segment: str
+    frame_ids: list[int]
+    channel: str
+    base_cycle: int
+    repetition: int
+
+
+class PlanReport(msgspec.Struct, frozen=True):
+    """A schedule with its slots on a cluster, and its rehearsal.
+
+    `published` is the part of the nodes that publishes in a rehearsed cycle, on average;
+    `dynamic_slots` is how many contenders the schedule lets into a cycle, and `dynamic_room` how
+    many of them fit whoever wins. `time` and `remarks` are for people: whether the cycles of a step
+    fit into it, and what a FlexRay controller alone cannot do.
+    """
+
+    schedule: str
+    number: str
+    occupancy: float
+    shares_per_cycle: int
+    command: str
+    cluster: Cluster
+    share_bytes: int
+    static_payloads: list[int]
+    dynamic_payloads: list[int]
+    dynamic_slots: int
+    dynamic_room: int
+    time: str
+    fits_time: bool
+    remarks: list[str]
+    slots: list[SlotRow]
+    published: float
+    figures: BusFigures
+
+
+class Answer(msgspec.Struct, frozen=True):
+    """Answer of `concord flexray plan`.
+
+    `problem` says why the requested bus is impossible; it is None if the bus is possible. `shown`
+    is the requested bus if it is possible, otherwise the first of `alternatives`. `fitted_cycle_us`
+    is the cycle of a cluster that fits the request, None if there is none.
+    """
+
+    asked: Scenario
+    problem: str | None
+    fitted_cycle_us: float | None
+    shown: PlanReport
+    alternatives: list[PlanReport]
+
+
+def answer_plan(scenario: Scenario) -> Answer:
+    """Return the plan of a scenario's bus, or the best that its cluster holds.
+
+    Raises:
+        ValueError: the scenario cannot be, or its cluster does not hold a single share in a cycle.
+    """
+    check_ranges(scenario)
+    build_schedule(scenario)
+    setup = prepare_without_bus(scenario)
+    try:
+        bus = build_bus(setup)
+    except ValueError as error:
+        others = [_report(other) for other in alternatives(setup)]
+        if not others:
+            raise
+        return Answer(scenario, str(error), _fitted_cycle_us(setup), others[0], others)
+    timed = with_cluster(bus, scenario)
+    return Answer(scenario, None, None, _report(Alternative(setup, timed)), [])
+
+
+def with_cluster(bus: Bus, scenario: Scenario) -> FlexRayBus:
+    """Return the bus, if it has a cluster.
+
+    Raises:
+        ValueError: it has none.
+    """
+    if not isinstance(bus, FlexRayBus):
+        raise ValueError(
+            f"--bus {scenario.bus.name}: a bus without time has no plan; use --bus flexray"
+        )
+    return bus
+
+
+def slot_rows(table: SlotTable) -> list[SlotRow]:
+    """Return the slot table with the slots of one share in one row, in order of slots."""
+    ids: dict[tuple[int, str, str, int, int], list[int]] = defaultdict(list)
+    for slot in table.assignments:
+        segment = "static" if slot.frame_id < table.first_dynamic_id else "dynamic"
+        key = (slot.node, segment, slot.channel, slot.base_cycle, slot.repetition)
+        ids[key].append(slot.frame_id)
+    rows = [
+        SlotRow(node, segment, sorted(frame_ids), channel, base, repetition)
+        for (node, segment, channel, base, repetition), frame_ids in ids.items()
+    ]
+    return sorted(rows, key=lambda row: (row.frame_ids[0], row.base_cycle))
+
+
+def run_command(scenario: Scenario) -> str:
+    """Return the command line that runs a scenario."""
+    return shlex.join(["concord", "run", "--scenario", scenario.name, *in_options(scenario)])
+
+
+def _report(alternative: Alternative) -> PlanReport:
+    setup, bus = alternative
+    scenario, table, cluster = setup.scenario, bus.table, bus.cluster
+    rehearsal = rehearse(setup, bus, min(scenario.steps, MOST_REHEARSED_STEPS))
+    time, fits_time = _time(setup, bus)
+    return PlanReport(
+        schedule=scenario.bus.schedule.name,
+        number=number_of(scenario.rule),
+        occupancy=occupancy_of(scenario.bus.schedule),
+        shares_per_cycle=shares_per_cycle(bus.schedule),
+        command=run_command(scenario),
+        cluster=cluster,
+        share_bytes=share_bytes(setup),
+        static_payloads=list(table.static_payloads),
+        dynamic_payloads=list(table.dynamic_payloads),
+        dynamic_slots=max(bus.schedule.dynamic_slot_table),
+        dynamic_room=bus.dynamic_room(),
+        time=time,
+        fits_time=fits_time,
+        remarks=list(deviations(table.assignments, cluster)),
+        slots=slot_rows(table),
+        published=float(rehearsal.published.mean()),
+        figures=bus_figures(bus, rehearsal.payload_bytes, rehearsal.asked, rehearsal.ages.ravel()),
+    )
+
+
+def _time(setup: Setup, bus: Bus) -> tuple[str, bool]:
+    rounds, stretch = setup.scenario.rounds, stretch_of(setup.scenario.bus)
+    try:
+        bus.check_pace(rounds, setup.time_step_s, stretch)
+    except TimingError as error:
+        return f"does not fit the sampling time: {error}", False
+    step_ms = setup.time_step_s * stretch * 1e3
+    return (
+        f"{rounds} cycles of {bus.cycle_us / 1e3:.4g} ms are "
+        f"{rounds * bus.cycle_us / 1e3:.4g} ms of the {step_ms:g} ms of a step"
+    ), True
+
+
+def _fitted_cycle_us(setup: Setup) -> float | None:
+    try:
+        return build_bus(changed(setup, cluster=FITTED)).cycle_us
+    except ValueError:
+        return None

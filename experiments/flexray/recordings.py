@@ -1,0 +1,259 @@
+"""`concord flexray decode` and `fit`: the frames of a recorded waveform, and their cluster."""
+
+import sys
+from collections import defaultdict
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from bus.recordings.decoder import DecodedFrame, Decoding, decode_waveform, reencodes
+from bus.recordings.fit import Fit, Multiplex
+from bus.recordings.fit import fit as fit_cluster
+from bus.recordings.waveform import parse_waveform
+from experiments.user_errors import user_errors
+
+Waveform = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="WAVEFORM.csv")]
+
+_SHOWN_BYTES = 8
+_HEADING = (
+    f"{'start us':>12} {'cycle':>5} {'ID':>5} {'segment':<7} {'bytes':>5} {'kind':<12} "
+    f"{'wrong CRC':<12} payload"
+)
+
+
+class FrameRow(msgspec.Struct, frozen=True):
+    """One recorded frame; `payload` in hexadecimal, times in microseconds of the recording."""
+
+    start_us: float
+    end_us: float
+    cycle: int
+    frame_id: int
+    segment: str
+    null: bool
+    sync: bool
+    startup: bool
+    payload_preamble: bool
+    header_crc_ok: bool
+    frame_crc_ok: bool
+    payload: str
+
+
+class DecodeFigures(msgspec.Struct, frozen=True):
+    """Contents of a recording. `static`, `dynamic` and `null` count frames with a right header CRC.
+
+    `reencoded` frames give back their recorded bits when they are encoded anew; `rejected` counts
+    starts of frames that led to none, by reason.
+    """
+
+    frame_count: int
+    header_crc_ok: int
+    frame_crc_ok: int
+    static: int
+    dynamic: int
+    null: int
+    reencoded: int
+    rejected: dict[str, int]
+    glitches: int
+    unreadable_lines: int
+    bit_rate_mbps: float
+    channel: str
+    inverted: bool
+    static_slots: int
+
+
+def decode(waveform: Waveform, /, *, json: bool = False) -> None:
+    """List the frames of a recorded waveform and check every checksum.
+
+    Args:
+        waveform: CSV of time_ns,level with a line for every change of level.
+        json: Print one JSON object.
+    """
+    with user_errors():
+        decoding, unreadable = read_recorded(waveform)
+    figures, rows = summarise(decoding, unreadable), frame_rows(decoding)
+    if json:
+        result = {**msgspec.structs.asdict(figures), "frames": rows}
+        sys.stdout.write(msgspec.json.encode(result).decode() + "\n")
+        return
+    for line in (_HEADING, *map(_frame_line, rows), *_decode_lines(figures)):
+        sys.stdout.write(f"{line}\n")
+
+
+def fit(waveform: Waveform, /, *, json: bool = False) -> None:
+    """Infer the cluster behind a recorded waveform: slots, minislots, multiplexing, sync nodes.
+
+    Args:
+        waveform: CSV of time_ns,level with a line for every change of level.
+        json: Print one JSON object.
+    """
+    with user_errors():
+        decoding, _ = read_recorded(waveform)
+    fitted = fit_cluster(decoding)
+    if json:
+        ticks = fitted.macrotick
+        result = {
+            **fitted._asdict(),
+            "macrotick": None if ticks is None else ticks._asdict(),
+            "multiplexing": [entry._asdict() for entry in fitted.multiplexing],
+        }
+        sys.stdout.write(msgspec.json.encode(result).decode() + "\n")
+        return
+    for line in _fit_lines(fitted):
+        sys.stdout.write(f"{line}\n")
+    Console().print(_multiplex_table(fitted.multiplexing))
+
+
+def read_recorded(path: Path) -> tuple[Decoding, int]:
+    """Return the frames of a waveform file, and how many of its lines said nothing.
+
+    Raises:
+        ValueError: the file cannot be read, or holds no FlexRay frame.
+    """
+    try:
+        text = path.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read ({error.strerror}); name a CSV file") from None
+    try:
+        waveform, unreadable = parse_waveform(text)
+        return decode_waveform(waveform), unreadable
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def summarise(decoding: Decoding, unreadable_lines: int) -> DecodeFigures:
+    """Counts over the frames of a recording."""
+    sure = [frame for frame in decoding.frames if frame.header_crc_ok]
+    static = sum(decoding.segment(frame) == "static" for frame in sure)
+    return DecodeFigures(
+        frame_count=len(decoding.frames),
+        header_crc_ok=len(sure),
+        frame_crc_ok=sum(frame.frame_crc_ok for frame in decoding.frames),
+        static=static,
+        dynamic=len(sure) - static,
+        null=sum(frame.frame.null for frame in sure),
+        reencoded=sum(reencodes(frame, decoding.channel) for frame in decoding.frames),
+        rejected=decoding.rejected,
+        glitches=decoding.glitches,
+        unreadable_lines=unreadable_lines,
+        bit_rate_mbps=decoding.bit_rate_mbps,
+        channel=decoding.channel,
+        inverted=decoding.inverted,
+        static_slots=decoding.static_slots,
+    )
+
+
+def frame_rows(decoding: Decoding) -> list[FrameRow]:
+    """Return the frames of a recording in order."""
+    return [_row(decoding, decoded) for decoded in decoding.frames]
+
+
+def _row(decoding: Decoding, decoded: DecodedFrame) -> FrameRow:
+    frame = decoded.frame
+    return FrameRow(
+        start_us=decoded.start_us,
+        end_us=decoded.end_us,
+        cycle=frame.cycle_count,
+        frame_id=frame.frame_id,
+        segment=decoding.segment(decoded),
+        null=frame.null,
+        sync=frame.sync,
+        startup=frame.startup,
+        payload_preamble=frame.payload_preamble,
+        header_crc_ok=decoded.header_crc_ok,
+        frame_crc_ok=decoded.frame_crc_ok,
+        payload=frame.payload.hex(),
+    )
+
+
+def _frame_line(row: FrameRow) -> str:
+    marks = {"null": row.null, "sync": row.sync, "startup": row.startup}
+    kind = " ".join(name for name, there in marks.items() if there)
+    wrong = {"header": not row.header_crc_ok, "frame": not row.frame_crc_ok}
+    checks = "+".join(name for name, there in wrong.items() if there)
+    cut = "..." if len(row.payload) > 2 * _SHOWN_BYTES else ""
+    return (
+        f"{row.start_us:12.2f} {row.cycle:5d} {row.frame_id:5d} {row.segment:<7} "
+        f"{len(row.payload) // 2:5d} {kind:<12} {checks:<12} "
+        f"{row.payload[: 2 * _SHOWN_BYTES]}{cut}"
+    )
+
+
+def _decode_lines(figures: DecodeFigures) -> list[str]:
+    count = figures.frame_count
+    rejected = ", ".join(f"{n} {reason}" for reason, n in sorted(figures.rejected.items()))
+    text = [
+        f"{count} frames at {figures.bit_rate_mbps:g} Mbit/s on channel {figures.channel}: "
+        f"{figures.static} static (IDs up to {figures.static_slots}), {figures.dynamic} dynamic; "
+        f"{figures.null} null frames",
+        f"header CRC: {figures.header_crc_ok} correct, {count - figures.header_crc_ok} wrong; "
+        f"frame CRC: {figures.frame_crc_ok} correct, {count - figures.frame_crc_ok} wrong",
+        f"encoded anew, {figures.reencoded} of {count} frames give back their bits",
+        f"rejected: {rejected or 'none'}; low pulses that begin no frame: {figures.glitches}; "
+        f"unreadable lines: {figures.unreadable_lines}",
+    ]
+    if figures.inverted:
+        text.append("the recording is inverted (idle is low); it was decoded upside down")
+    return text
+
+
+def _fit_lines(fitted: Fit) -> list[str]:
+    counts = fitted.cycles
+    ticks = fitted.macrotick
+    jitter = fitted.start_jitter_us
+    slot = "" if ticks is None else f" ({ticks.static_slot_macroticks} macroticks)"
+    minislot = "" if ticks is None else f" ({ticks.minislot_macroticks} macroticks)"
+    pairs, right = fitted.dynamic_pairs, fitted.dynamic_pairs_explained
+    return [
+        f"{len(counts)} cycles, counters {_ranges(counts)}",
+        f"static slots: {fitted.static_slots} (the highest static ID that was seen)",
+        f"static slot pitch: {_us(fitted.static_slot_us)}{slot}",
+        f"minislot: {_us(fitted.minislot_us)}{minislot}",
+        f"macrotick: {_us(None if ticks is None else ticks.macrotick_us)}",
+        "start jitter of static frames: "
+        + ("unknown" if jitter is None else f"{jitter[0]:+.2f} to {jitter[1]:+.2f} us"),
+        f"sync frames: {_ranges(fitted.sync_ids) or 'none'}; "
+        f"startup frames: {_ranges(fitted.startup_ids) or 'none'}",
+        f"dynamic slots of ceil(frame / minislot) + 1 minislots: right for {right} of {pairs} "
+        "consecutive pairs",
+    ]
+
+
+def _multiplex_table(multiplexing: Iterable[Multiplex]) -> Table:
+    """Frame IDs with the same multiplexing in one row."""
+    groups: dict[tuple[str, str], list[int]] = defaultdict(list)
+    for entry in multiplexing:
+        groups[entry.segment, _pattern(entry)].append(entry.frame_id)
+    grid = Table("segment", "data in cycles", "frame IDs", show_edge=False)
+    for (segment, pattern), ids in groups.items():
+        grid.add_row(segment, pattern, _ranges(ids))
+    return grid
+
+
+def _pattern(entry: Multiplex) -> str:
+    if not entry.cycles:
+        return "none (null frames)"
+    if entry.repetition is None:
+        return "now and then (on events)"
+    if entry.repetition == 1:
+        return "all"
+    return f"{entry.base_cycle} modulo {entry.repetition}"
+
+
+def _us(time_us: float | None) -> str:
+    return "unknown" if time_us is None else f"{time_us:.2f} us"
+
+
+def _ranges(numbers: Iterable[int]) -> str:
+    """Rising numbers with runs drawn together: 4-6, 8."""
+    runs: list[list[int]] = []
+    for number in numbers:
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    return ", ".join(str(run[0]) if len(run) == 1 else f"{run[0]}-{run[-1]}" for run in runs)

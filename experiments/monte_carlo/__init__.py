@@ -1,0 +1,1 @@
+"""Many runs: simulation, figures and intervals."""

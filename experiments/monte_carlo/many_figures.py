@@ -1,0 +1,219 @@
+"""The figures of many runs: each with its interval over the runs, which alone are independent."""
+
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+from rich.markup import escape
+from rich.table import Table
+
+from experiments.monte_carlo.intervals import Interval, mean_t, ratio_t
+from experiments.monte_carlo.run_figures import scored_steps, traffic_of
+from experiments.monte_carlo.simulate import Histories
+from filters.gaussian import Gaussian
+from filters.metrics import largest_of_known, mean_of_known, nees, rmse
+from nodes.messages import Array
+from scenarios.baselines import centralised_of_runs, local_only_of_runs
+from scenarios.catalogue import kind_of
+from scenarios.rules import is_certain
+
+_TABLE_NODES = 60
+
+
+class ManyNode(msgspec.Struct, frozen=True):
+    """One node: errors and consistency with intervals, traffic in frames per run in the mean."""
+
+    rmse: Interval
+    rmse_local_only: Interval
+    anees: Interval
+    sent: float
+    heard: float
+    missed: float
+    rejected: float
+
+
+class ManyFigures(msgspec.Struct, frozen=True):
+    """Figures of R runs; RMSE and disagreement in `unit`.
+
+    Frames, and the events that nodes `noticed`, are means per run; the bus load is NaN on a bus
+    without time.
+    """
+
+    scenario: str
+    unit: str
+    runs: int
+    first_run: int
+    steps: int
+    rmse: Interval
+    rmse_local_only: Interval
+    rmse_centralised: Interval
+    to_centralised: Interval
+    worst_node_to_centralised: Interval
+    disagreement: Interval
+    anees: Interval
+    anees_centralised: Interval
+    shares_sent: float
+    shares_missed: float
+    bytes_per_step: Interval
+    bus_load: Interval
+    noticed: dict[str, float]
+    nodes: list[ManyNode]
+    seconds: float
+    node_updates_per_second: float
+    peak_memory_mb: float
+
+
+class Cost(NamedTuple):
+    """Cost of the runs."""
+
+    seconds: float
+    peak_memory_mb: float
+
+
+def summarise(histories: Histories, cost: Cost) -> ManyFigures:
+    """Return the figures of histories with their readings."""
+    setup, scenario = histories.setup, histories.setup.scenario
+    assert histories.readings is not None, "keep the readings"
+    score = kind_of(scenario.name).score
+    counted = scored_steps(score, histories.readings)
+    runs, nodes = histories.runs.tolist(), scenario.nodes
+    alone = local_only_of_runs(setup, runs, histories.readings, histories.control)
+    known = histories.truth[:, :, None]
+    of_node = _where(counted, histories.mean - known)[..., list(score.states)]
+    of_alone = _where(counted, alone.mean - known)[..., list(score.states)]
+    per_node, per_alone = rmse(of_node, (1,)), rmse(of_alone, (1,))
+    of_central, anees_central = _centralised(histories, counted)
+    central = rmse(of_central, (1,))
+    states = len(score.nees_states)
+    values = np.full_like(histories.nees, np.nan) if is_certain(scenario) else histories.nees
+    consistency = _where(counted, values) / states
+    spread = _where(counted, histories.mean)[..., list(score.states)]
+    # Of those nodes that believe something: some may be out.
+    spread = spread - mean_of_known(spread, (2,))[:, :, None]
+    whole = rmse(of_node, (1, 2))
+    carried = traffic_of(setup, histories)
+    return ManyFigures(
+        scenario=scenario.name,
+        unit=score.unit,
+        runs=len(runs),
+        first_run=runs[0],
+        steps=scenario.steps,
+        rmse=mean_t(whole),
+        rmse_local_only=mean_t(rmse(of_alone, (1, 2))),
+        rmse_centralised=mean_t(central),
+        to_centralised=ratio_t(whole**2, central**2),
+        worst_node_to_centralised=mean_t(largest_of_known(per_node) / central),
+        disagreement=mean_t(rmse(spread, (1, 2))),
+        anees=mean_t(mean_of_known(consistency, (1, 2))),
+        anees_centralised=mean_t(anees_central),
+        shares_sent=float(_frames(histories, "sent").sum()),
+        shares_missed=float(_frames(histories, "missed").sum()),
+        bytes_per_step=mean_t(carried["bytes_per_step"]),
+        bus_load=mean_t(carried["bus_load"]),
+        noticed={
+            name: float(count.sum(axis=1).mean())
+            for name, count in sorted(histories.counters.items())
+            if name not in ("sent", "heard", "missed")
+        },
+        nodes=[
+            ManyNode(
+                mean_t(per_node[:, node]),
+                mean_t(per_alone[:, node]),
+                mean_t(mean_of_known(consistency[:, :, node], (1,))),
+                *(float(_frames(histories, name)[node]) for name in _TRAFFIC),
+            )
+            for node in range(nodes)
+        ],
+        seconds=cost.seconds,
+        node_updates_per_second=histories.mean[..., 0].size / cost.seconds,
+        peak_memory_mb=cost.peak_memory_mb,
+    )
+
+
+_TRAFFIC = ("sent", "heard", "missed", "rejected")
+
+
+def _frames(histories: Histories, name: str) -> Array:
+    """Return each node's count under a name, or under names that begin with it, per run (N,)."""
+    none = np.zeros((len(histories.runs), histories.setup.scenario.nodes))
+    return sum((n for key, n in histories.counters.items() if key.startswith(name)), none).mean(0)
+
+
+def _centralised(histories: Histories, counted: np.ndarray) -> tuple[Array, Array]:
+    """Errors (R, S, m) of one filter that hears everything, and its ANEES (R,)."""
+    setup = histories.setup
+    score = kind_of(setup.scenario.name).score
+    shape = histories.truth.shape
+    assert histories.readings is not None, "keep the readings"
+    runs = histories.runs.tolist()
+    belief = centralised_of_runs(setup, runs, histories.readings, histories.control)
+    errors = _where(counted, belief.mean - histories.truth)
+    if is_certain(setup.scenario):
+        return errors[..., list(score.states)], np.full(shape[0], np.nan)
+    part = list(score.nees_states)
+    normalised = nees(errors[..., part], Gaussian(*belief).cov[..., part, :][..., part])
+    return errors[..., list(score.states)], mean_of_known(normalised, (1,)) / len(part)
+
+
+def _where(counted: np.ndarray, values: Array) -> Array:
+    """Values (R, S, ...), NaN in steps that do not count."""
+    return np.where(counted.reshape(*counted.shape, *(1,) * (values.ndim - 2)), values, np.nan)
+
+
+def table(figures: ManyFigures, title: str) -> Table:
+    """A row per node of a network that is not too large, then the network, then its frame."""
+    unit = escape(f"[{figures.unit}]")
+    grid = Table(title=title, title_justify="left")
+    for heading in ("node", f"RMSE {unit}", f"alone {unit}", "ANEES"):
+        grid.add_column(heading, justify="right")
+    for heading in _TRAFFIC:
+        grid.add_column(heading, justify="right")
+    if len(figures.nodes) <= _TABLE_NODES:
+        for number, node in enumerate(figures.nodes):
+            traffic = (node.sent, node.heard, node.missed, node.rejected)
+            grid.add_row(
+                str(number), *map(_middle, (node.rmse, node.rmse_local_only, node.anees)),
+                *(f"{count:,.0f}" for count in traffic),
+            )  # fmt: skip
+        grid.add_section()
+    grid.add_row(
+        "all", *map(shown, (figures.rmse, figures.rmse_local_only, figures.anees)),
+        f"{figures.shares_sent:,.0f}", "", f"{figures.shares_missed:,.0f}", "",
+    )  # fmt: skip
+    central = figures.rmse_centralised, figures.anees_centralised
+    grid.add_row("centralised", shown(central[0]), "", shown(central[1]))
+    return grid
+
+
+def lines(figures: ManyFigures) -> list[str]:
+    """Return the lines below the table: figures that have no column."""
+    ratios = figures.to_centralised, figures.worst_node_to_centralised
+    busy = figures.bus_load.value
+    load = "" if np.isnan(busy) else f", bus load {100 * busy:.3g} %"
+    framed = (
+        ""
+        if np.isnan(ratios[0].value)
+        else f"network {shown(ratios[0])} x centralised, worst node {shown(ratios[1])} x; "
+    )
+    counts = ", ".join(f"{name} {count:.4g}" for name, count in figures.noticed.items())
+    return [
+        f"{figures.runs} runs from run {figures.first_run} on; ± is the 95 % interval of the mean",
+        f"{framed}disagreement {shown(figures.disagreement)} {figures.unit}",
+        *([f"nodes noticed per run: {counts}"] if counts else []),
+        f"{shown(figures.bytes_per_step)} B per step on the wire{load}",
+        f"{figures.seconds:.2f} s, {figures.node_updates_per_second:,.0f} node updates per second, "
+        f"peak memory {figures.peak_memory_mb:.0f} MB",
+    ]
+
+
+def _middle(interval: Interval) -> str:
+    return shown(Interval(interval.value, np.nan, np.nan))
+
+
+def shown(interval: Interval) -> str:
+    """A figure and half the width of its interval."""
+    value, low, high = interval
+    if np.isnan(value):
+        return "-"
+    half = (high - low) / 2
+    return f"{value:.4g}" if np.isnan(half) else f"{value:.4g} ± {half:.2g}"

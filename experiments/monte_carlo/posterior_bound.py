@@ -1,0 +1,122 @@
+"""Posterior Cramer-Rao bound on the error of every filter that hears every node.
+
+Source: Tichavsky, Muravchik, Nehorai (1998), "Posterior Cramer-Rao bounds for discrete-time
+nonlinear filtering", IEEE Transactions on Signal Processing 46(5), equation 21. Equations 34 to 36
+give the terms for additive Gaussian noise, with F and H the Jacobians at the truth:
+
+    D11 = E[F' Q^-1 F],  D12 = -E[F'] Q^-1,  D22 = Q^-1
+    J[k+1] = D22 - D12' (J[k] + D11)^-1 D12 + E[sum over the readings of H' R^-1 H]
+
+The expectations are means over Monte-Carlo truths. The bound takes the set of readings as given. A
+missing reading of a sensor with a limited field of view also carries information, but no filter
+here uses it.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from filters.linalg import inverse_spd, symmetrise
+from filters.update import without_rows
+from nodes.messages import Array
+from nodes.rules.local_filter import Model, Sensor, StateNoise
+
+# Steps of the differences, in prior standard deviations: the scale on which beliefs see a model.
+STEP = 1e-4
+# A process noise with a smaller ratio of eigenvalues than this moves some direction not at all.
+SINGULAR = 1e-12
+
+
+class Truths(NamedTuple):
+    """Histories of R runs: truth (R, steps, n) and readings (R, steps, N, r, d), NaN without a
+    reading.
+
+    `control` (R, steps, p) acts into each step, or is None.
+    """
+
+    truth: Array
+    readings: Array
+    control: Array | None
+
+
+def posterior_bound(
+    truths: Truths, prior_cov: Array, model: Model, sensors: Sequence[Sensor | None]
+) -> Array:
+    """Return the bound (steps, n, n) on the error covariance after each step's readings.
+
+    All NaN where it is not defined: the truth is not known, noise depends on the state, or part of
+    a nonlinear model has no noise at all.
+    """
+    steps, n = truths.truth.shape[1:]
+    nothing = np.full((steps, n, n), np.nan)
+    if np.isnan(truths.truth).any() or any(isinstance(x, StateNoise) for x in (model, *sensors)):
+        return nothing
+    scale = STEP * np.sqrt(np.diag(prior_cov))
+    bound = prior_cov
+    bounds = nothing
+    for step in range(steps):
+        if step > 0:
+            bound = _predicted(bound, truths, model, scale, step - 1)
+        gained = _information(truths, sensors, scale, step)
+        bound = inverse_spd(symmetrise(inverse_spd(bound) + gained))
+        bounds[step] = bound
+    return bounds
+
+
+def _predicted(bound: Array, truths: Truths, model: Model, scale: Array, step: int) -> Array:
+    """Return the bound carried from `step` to the next, without its readings."""
+    noise_cov = model.process_noise_cov(step)
+    control = None if truths.control is None else truths.control[:, step + 1]
+    jacobians = _jacobian(
+        partial(model.transition, control=control, step=step), truths.truth[:, step], scale
+    )
+    mean = jacobians.mean(axis=0)
+    spread = np.abs(jacobians - mean).max()
+    if spread <= 1e-7 * np.abs(mean).max():
+        # A linear model: the same in covariances, which a singular noise does not stop.
+        return symmetrise(mean @ bound @ mean.T + noise_cov)
+    eigenvalues = np.linalg.eigvalsh(noise_cov)
+    if eigenvalues[0] <= SINGULAR * eigenvalues[-1]:
+        return np.full_like(bound, np.nan)
+    certain = inverse_spd(noise_cov)
+    crossed = certain @ mean
+    both = inverse_spd(bound) + (jacobians.mT @ certain @ jacobians).mean(axis=0)
+    return inverse_spd(symmetrise(certain - crossed @ inverse_spd(symmetrise(both)) @ crossed.T))
+
+
+def _information(
+    truths: Truths, sensors: Sequence[Sensor | None], scale: Array, step: int
+) -> Array:
+    """E[sum over the readings of H' R^-1 H] (n, n) at a step."""
+    runs, n = truths.truth.shape[0], truths.truth.shape[-1]
+    total = np.zeros((n, n))
+    taken = np.logical_not(np.isnan(truths.readings[:, step]).all(axis=-1))
+    for node in np.flatnonzero(taken.any(axis=(0, 2))).tolist():
+        sensor = sensors[node]
+        if sensor is None:
+            continue
+        for place in np.flatnonzero(taken[:, node].any(axis=0)).tolist():
+            which = np.flatnonzero(taken[:, node, place])
+            slopes = _slopes(sensor, truths.truth[which, step], scale, step)
+            read = [sensor.interpret(one) for one in truths.readings[which, step, node, place]]
+            missing = np.isnan([value for value, _ in read])
+            noise_cov = without_rows(np.array([cov for _, cov in read]), missing)
+            slopes = np.where(missing[..., None], 0.0, slopes)
+            total += (slopes.mT @ inverse_spd(noise_cov) @ slopes).sum(axis=0)
+    return symmetrise(total / runs)
+
+
+def _slopes(sensor: Sensor, states: Array, scale: Array, step: int) -> Array:
+    """Jacobians (R, m, n) of a sensor at states (R, n)."""
+    ahead, behind = (
+        sensor.measure(states + sign * np.diag(scale)[:, None], step) for sign in (1, -1)
+    )
+    return np.moveaxis(sensor.residual(ahead, behind) / (2 * scale)[:, None, None], 0, -1)
+
+
+def _jacobian(transition: Callable[[Array], Array], states: Array, scale: Array) -> Array:
+    """Jacobians (R, n, n) of a transition at states (R, n), by central differences."""
+    moved = [transition(states + sign * np.diag(scale)[:, None]) for sign in (1, -1)]
+    return np.moveaxis((moved[0] - moved[1]) / (2 * scale)[:, None, None], 0, -1)

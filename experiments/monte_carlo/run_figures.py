@@ -1,0 +1,196 @@
+"""The figures of a Monte Carlo, run by run: errors, consistency, agreement, traffic.
+
+Runs are the only thing here that is independent, so nothing is averaged over them: whoever wants an
+interval needs them one by one.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import chdtri
+
+from experiments.monte_carlo.energy import energy_per_bit_nj
+from experiments.monte_carlo.run_frame import Frame
+from experiments.monte_carlo.simulate import Histories
+from filters.linalg import symmetrise
+from filters.metrics import largest_of_known, mean_of_known, nees, rmse
+from nodes.messages import Array
+from runtime.batched.build import turnings_of
+from scenarios.build import build_bus
+from scenarios.bus_plan import frame_format
+from scenarios.catalogue import kind_of
+from scenarios.kind import Score
+from scenarios.rules import is_certain
+from scenarios.setup import Setup
+
+COVERED = 0.95
+
+
+class Figure(NamedTuple):
+    """Dimensions and unit of a variable ("score": the unit of the scenario's error)."""
+
+    dimensions: tuple[str, ...]
+    units: str
+    meaning: str
+
+
+_RUN, _STEP, _NODE = ("run",), ("run", "step"), ("run", "node")
+FIGURES = {
+    "rmse": Figure(_RUN, "score", "root mean square error of all nodes over the scored steps"),
+    "rmse_centralised": Figure(_RUN, "score", "the same of one filter that hears everything"),
+    "rmse_blind": Figure(_RUN, "score", "the same of nodes in steps in which they read nothing"),
+    "rmse_worst_node": Figure(_RUN, "score", "the same of the worst node of the run"),
+    "disagreement": Figure(_RUN, "score", "root mean square distance from the nodes' average"),
+    "anees": Figure(_RUN, "1", "normalised squared error per state; above 1 is overconfident"),
+    "anees_centralised": Figure(_RUN, "1", "the same of one filter that hears everything"),
+    "coverage": Figure(_RUN, "1", "share of the estimates whose 95 % ellipsoid holds the truth"),
+    "published": Figure(_RUN, "1", "share of the nodes that publish in a communication cycle"),
+    "bytes_per_step": Figure(_RUN, "B", "bytes of all frames of a step, frame overhead included"),
+    "energy_per_step": Figure(_RUN, "mJ", "first-order radio model, senders and hearers"),
+    "bus_load": Figure(_RUN, "1", "share of a cycle in which the channel carries frames"),
+    "delay_us": Figure(_RUN, "us", "from the measurement to the end of the last share of a step"),
+    "share_age": Figure(_RUN, "cycles", "mean age of the neighbours' shares behind an estimate"),
+    "share_age_max": Figure(_RUN, "cycles", "the oldest of them"),
+    "never_heard": Figure(_RUN, "1", "share of the neighbours of whom nothing is held"),
+    "rmse_state": Figure((*_RUN, "state"), "state", "root mean square error of each state"),
+    "rmse_node": Figure(_NODE, "score", "root mean square error of each node"),
+    "error": Figure(_STEP, "score", "root mean square error of all nodes at a step"),
+    "error_centralised": Figure(_STEP, "score", "error of the filter that hears everything"),
+    "spread": Figure(_STEP, "score", "root mean square distance from the nodes' average"),
+    "nees": Figure(_STEP, "1", "normalised squared error per state, mean over the nodes"),
+    "bound": Figure(("step",), "score", "posterior Cramer-Rao bound on the error"),
+    "bound_state": Figure(("step", "state"), "state", "the same of each state"),
+}
+
+
+def figures_of(setup: Setup, histories: Histories, frame: Frame) -> dict[str, Array]:
+    """Return the variables of `FIGURES`, with their dimensions."""
+    score = kind_of(setup.scenario.name).score
+    readings, _ = kept(histories)
+    counted = scored_steps(score, readings)
+    errors = histories.mean - histories.truth[:, :, None]
+    central = frame.mean - histories.truth
+    states = list(score.states)
+    # Steps that do not count are left out, as if the truth were unknown.
+    scored = np.where(counted[..., None, None], errors, np.nan)
+    spread = histories.mean - _average(histories.mean)
+    position = scored[..., states]
+    read = np.logical_not(np.isnan(readings).all(axis=(-1, -2)))
+    per_node = rmse(position, (1,))
+    figures = {
+        "rmse": rmse(position, (1, 2)),
+        "rmse_centralised": rmse(np.where(counted[..., None], central, np.nan)[..., states], (1,)),
+        "rmse_blind": rmse(np.where(read[..., None], np.nan, position), (1, 2)),
+        "rmse_worst_node": largest_of_known(per_node),
+        "disagreement": rmse(
+            np.where(counted[..., None, None], spread, np.nan)[..., states], (1, 2)
+        ),
+        "rmse_state": np.sqrt(mean_of_known(scored**2, (1, 2))),
+        "rmse_node": per_node,
+        "error": rmse(errors[..., states], (2,)),
+        "error_centralised": rmse(central[..., None, states], (2,)),
+        "spread": rmse(spread[..., states], (2,)),
+        "bound": np.sqrt(np.trace(_part(frame.bound, states), axis1=-2, axis2=-1)),
+        "bound_state": np.sqrt(np.diagonal(frame.bound, axis1=-2, axis2=-1)),
+    }
+    figures |= _consistency(setup, histories.nees, counted)
+    figures["anees_centralised"] = _anees_central(setup, central, frame.cov, counted)
+    return figures | traffic_of(setup, histories)
+
+
+def kept(histories: Histories) -> tuple[Array, np.ndarray]:
+    """Readings and ages, which every figure of a network needs."""
+    assert histories.readings is not None and histories.ages is not None, "keep both"
+    return histories.readings, histories.ages
+
+
+def scored_steps(score: Score, readings: Array) -> np.ndarray:
+    """Which steps (R, steps) count: from the scenario's on, but not before the first reading."""
+    steps = readings.shape[1]
+    seen = np.logical_not(np.isnan(readings).all(axis=(-1, -2, -3)))
+    # The first True; 0 where there is none.
+    first_seen = seen.argmax(axis=1)
+    first = np.minimum(np.maximum(score.first_step, first_seen), steps - 1)
+    return np.arange(steps) >= first[:, None]
+
+
+def _consistency(setup: Setup, values: Array, counted: np.ndarray) -> dict[str, Array]:
+    states = kind_of(setup.scenario.name).score.nees_states
+    if is_certain(setup.scenario):
+        nothing = np.full(len(values), np.nan)
+        return {"anees": nothing, "coverage": nothing, "nees": np.full(counted.shape, np.nan)}
+    within = np.where(np.isnan(values), np.nan, values <= chdtri(len(states), 1 - COVERED))
+    here = counted[..., None]
+    return {
+        "anees": mean_of_known(np.where(here, values, np.nan), (1, 2)) / len(states),
+        "coverage": mean_of_known(np.where(here, within, np.nan), (1, 2)),
+        "nees": mean_of_known(values, (2,)) / len(states),
+    }
+
+
+def _anees_central(setup: Setup, errors: Array, cov: Array, counted: np.ndarray) -> Array:
+    if is_certain(setup.scenario):
+        return np.full(len(errors), np.nan)
+    states = list(kind_of(setup.scenario.name).score.nees_states)
+    values = nees(errors[..., states], symmetrise(_part(cov, states)))
+    return mean_of_known(np.where(counted, values, np.nan), (1,)) / len(states)
+
+
+def traffic_of(setup: Setup, histories: Histories) -> dict[str, Array]:
+    """Return the traffic per node, its load on bus and batteries, and the ages of the shares."""
+    payload, form = histories.payload_bytes, frame_format(setup.scenario)
+    frames = np.ceil(payload / form.payload_limit_bytes)
+    sent = (payload + form.overhead_bytes * frames).sum(axis=2)
+    plant = kind_of(setup.scenario.name).plant(setup.scenario)
+    energy_nj = energy_per_bit_nj(setup.neighbours, plant.positions(0))
+    heard = kept(histories)[1].reshape(len(payload), -1)
+    load, delay_us = _bus(setup, payload)
+    return {
+        "published": (payload > 0).sum(axis=(1, 2, 3)) / (_cycles(setup) * payload.shape[-1]),
+        "bytes_per_step": sent.sum(axis=2).mean(axis=1),
+        "energy_per_step": (8 * sent * energy_nj).sum(axis=2).mean(axis=1) * 1e-6,
+        "bus_load": load,
+        "delay_us": delay_us,
+        "share_age": mean_of_known(np.where(heard < 0, np.nan, heard), (1,)),
+        "share_age_max": largest_of_known(np.where(heard < 0, np.nan, heard)),
+        "never_heard": (heard < 0).mean(axis=1) if heard.shape[1] else np.zeros(len(payload)),
+    }
+
+
+def _cycles(setup: Setup) -> int:
+    """Communication cycles of a run."""
+    steps, turnings = setup.scenario.steps, turnings_of(setup)
+    ends = [*(turning.step for turning in turnings[1:]), steps]
+    return sum(
+        (end - turning.step) * int(turning.standing.settings.get("rounds", setup.scenario.rounds))
+        for turning, end in zip(turnings, ends, strict=True)
+    )
+
+
+def _bus(setup: Setup, payload: np.ndarray) -> tuple[Array, Array]:
+    """Mean load (R,) and mean delay (R,); NaN on a bus without time, or of several settings."""
+    bus = build_bus(setup)
+    runs, steps, rounds, nodes = payload.shape
+    if not bus.has_time or any(turning.anew for turning in turnings_of(setup)):
+        return np.full(runs, np.nan), np.full(runs, np.nan)
+    cycles = np.arange(steps * rounds) % bus.schedule.period
+    rows = np.column_stack((np.tile(cycles, runs), payload.reshape(-1, nodes)))
+    # The same nodes in the same cycle of the schedule take the same time.
+    kinds, which = np.unique(rows, axis=0, return_inverse=True)
+    load, delay_us = np.empty(len(kinds)), np.empty(len(kinds))
+    for number, (cycle, *sizes) in enumerate(kinds.tolist()):
+        frames = bus.transmissions(cycle, sizes)
+        load[number] = bus.load(frames)
+        delay_us[number] = bus.fusion_delay_us(rounds, frames)
+    shape = (runs, steps, rounds)
+    last = delay_us[which].reshape(shape)[:, :, -1]
+    return load[which].reshape(shape).mean(axis=(1, 2)), last.mean(axis=1)
+
+
+def _part(cov: Array, states: list[int]) -> Array:
+    return cov[..., states, :][..., states]
+
+
+def _average(mean: Array) -> Array:
+    """Return the average of the nodes that believe something, over axis 2, kept."""
+    return mean_of_known(mean, (2,))[:, :, None]

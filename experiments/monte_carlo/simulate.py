@@ -1,0 +1,294 @@
+"""Many runs of a scenario at once: `simulate` is where experiments get their Monte Carlo from.
+
+    histories = simulate(prepare(scenario), range(200))
+    errors = histories.mean - histories.truth[:, :, None]
+
+Run r has the noise that `concord run --run r` has, and its numbers to 1e-10. Rules and scenarios
+without an array form run message by message, one run after the other, and give the same value.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from experiments.monte_carlo.spread_history import SpreadHistory
+from experiments.results.record_spread import RecordSpread
+from experiments.results.trace import read_trace
+from filters.gaussian import Gaussian
+from filters.metrics import nees
+from nodes.messages import Array
+from runtime.batched.build import build_network, without_array_form
+from runtime.batched.driver import Instant, run
+from runtime.batched.memory import keep_freed_memory
+from runtime.drivers import in_memory
+from scenarios.catalogue import kind_of
+from scenarios.preparation import setup_of_run
+from scenarios.setup import Setup
+
+# Runs are taken so many at a time that this many nodes are computed at once: enough that numpy is
+# worth its calls, little enough for caches and memory.
+LANES = 16_384
+# And no more than take some tens of seconds: what is interrupted keeps those that are complete.
+LANE_STEPS = 12_000_000
+
+READINGS, AGES, COV = "readings", "ages", "cov"
+OPTIONAL = frozenset((READINGS, AGES, COV))
+
+
+class Histories(NamedTuple):
+    """Histories of R runs of N nodes on E links, of n states, in S steps of L rounds.
+
+    Attributes:
+        setup: the setup of the runs.
+        runs: (R,), their numbers.
+        truth: (R, S, n), NaN where it is unknown.
+        control: (R, S, p) that drove the plant into a step, NaN for the first; None for a plant
+            that is not driven.
+        mean: (R, S, N, n), estimates after the last round of a step.
+        cov_trace: (R, S, N), of their covariances.
+        nees: (R, S, N), over the states `kind_of(...).score.nees_states`; NaN for unknown truth.
+        payload_bytes: (R, S, L, N), sent by a node in a communication cycle; 0 if it sent nothing.
+        asked: (R, S, L, N), True where a node bid for the dynamic segment.
+        counters: totals (R, N) by name, as nodes count them; what never happened has no name.
+        prior_mean: (R, n), where filters began.
+        readings: (R, S, N, r, d), NaN where none was taken. If kept.
+        ages: (R, S, E), cycles since what came over a link was sent, -1 never; links in order of
+            receiver and then sender, as in `setup.neighbours`. If kept.
+        cov: (R, S, N, n, n). If kept.
+        spreads: of labelled records, one of each run; empty for rules without.
+    """
+
+    setup: Setup
+    runs: np.ndarray
+    truth: Array
+    control: Array | None
+    mean: Array
+    cov_trace: Array
+    nees: Array
+    payload_bytes: np.ndarray
+    asked: np.ndarray
+    counters: dict[str, np.ndarray]
+    prior_mean: Array
+    readings: Array | None
+    ages: np.ndarray | None
+    cov: Array | None
+    spreads: tuple[RecordSpread, ...]
+
+
+class _Recorded(NamedTuple):
+    """One step of some runs: the axes of `Histories` without S."""
+
+    truth: Array
+    control: Array | None
+    belief: Gaussian
+    payload_bytes: np.ndarray
+    asked: np.ndarray
+    readings: Array
+    ages: np.ndarray
+
+
+def simulate(
+    setup: Setup,
+    runs: Sequence[int],
+    *,
+    keep: Iterable[str] = (READINGS, AGES),
+    on_progress: Callable[[int], None] = lambda done: None,
+) -> Histories:
+    """Run a setup under its seed with the noise of each of these run numbers.
+
+    Args:
+        setup: of any run; its own run number does not matter.
+        runs: numbers of runs, at least one, each once.
+        keep: which of `OPTIONAL` histories to keep beside means and traces: what the baselines need
+            (readings), what held shares were worth (ages), full covariances (cov).
+        on_progress: told how many steps of how many runs are done, added up.
+
+    Raises:
+        ValueError: no runs, or a name in `keep` that is none.
+        Interrupted: by Ctrl-C, with the runs that were complete.
+    """
+    if not len(runs) or len(set(runs)) < len(runs):
+        raise ValueError(f"runs {list(runs)[:9]}: give at least one number, each of them once")
+    if unknown := set(keep) - OPTIONAL:
+        raise ValueError(f"keep {sorted(unknown)}: choose from {sorted(OPTIONAL)}")
+    keep_freed_memory()
+    collected = _Collected(setup, runs, frozenset(keep))
+    first = 0
+    try:
+        while first < len(runs):
+            place = slice(first, first + _together(setup))
+            collected.take(place, on_progress)
+            first = place.stop
+    except KeyboardInterrupt:
+        raise Interrupted(collected.histories(first) if first else None) from None
+    return collected.histories(len(runs))
+
+
+def _together(setup: Setup) -> int:
+    """Return how many runs are taken at once."""
+    scenario = setup.scenario
+    if without_array_form(scenario) is not None:
+        return 1
+    lanes = min(LANES, LANE_STEPS // scenario.steps)
+    return max(1, lanes // scenario.nodes)
+
+
+class Interrupted(KeyboardInterrupt):
+    """Interrupt of a simulation.
+
+    `histories` are those of the first, complete runs; None if no run is complete.
+    """
+
+    def __init__(self, histories: Histories | None) -> None:
+        super().__init__()
+        self.histories = histories
+
+
+class _Collected:
+    """The histories of some runs, as they come to be known."""
+
+    def __init__(self, setup: Setup, runs: Sequence[int], keep: frozenset[str]) -> None:
+        self._setup, self._runs, self._keep = setup, runs, keep
+        self._arrays: dict[str, np.ndarray] = {}
+        self._counters: dict[str, np.ndarray] = {}
+        self._prior_mean = np.empty((len(runs), len(setup.prior_mean)))
+        self._spreads: list[RecordSpread] = []
+        self._done = 0
+
+    def take(self, place: slice, on_progress: Callable[[int], None]) -> None:
+        """Run those of a place, and keep their results."""
+        setup, runs = self._setup, self._runs[place]
+        messages = without_array_form(setup.scenario) is not None
+        part = (_replayed if messages else _driven)(setup, runs)
+        self._prior_mean[place] = part.prior_mean
+        for step, recorded in enumerate(part.steps):
+            at = (len(self._runs), place, step)
+            _write(setup, self._arrays, at, recorded, self._keep)
+            self._done += len(runs)
+            on_progress(self._done)
+        for name, counts in part.counters.items():
+            shape = (len(self._runs), setup.scenario.nodes)
+            self._counters.setdefault(name, np.zeros(shape, dtype=np.int64))[place] = counts
+        self._spreads += part.spreads()
+
+    def histories(self, count: int) -> Histories:
+        """Of the first so many runs."""
+        missing = dict.fromkeys(OPTIONAL | {"control"})
+        arrays = {name: values[:count] for name, values in self._arrays.items()}
+        fields: dict[str, Any] = {**missing, **arrays}
+        return Histories(
+            setup=self._setup,
+            runs=np.array(self._runs[:count]),
+            counters={name: counts[:count] for name, counts in self._counters.items()},
+            prior_mean=self._prior_mean[:count],
+            spreads=tuple(self._spreads[:count]),
+            **fields,
+        )
+
+
+class _Part(NamedTuple):
+    """Some runs: their steps, counters that are filled as the steps are taken, where they begin,
+    and how records spread once all steps are taken."""
+
+    steps: Iterable[_Recorded]
+    counters: dict[str, np.ndarray]
+    prior_mean: Array
+    spreads: Callable[[], Sequence[RecordSpread]]
+
+
+def _driven(setup: Setup, runs: Sequence[int]) -> _Part:
+    """Some runs at once."""
+    network = build_network(setup, runs)
+    most_rounds = max(era.regime.rounds for era in network.eras)
+    counters: dict[str, np.ndarray] = {}
+    # Nodes times nodes times steps: nothing that a rule without records could afford.
+    spreads: list[SpreadHistory] = []
+
+    def steps() -> Iterable[_Recorded]:
+        for instant in run(network):
+            counters.update(instant.counters)
+            if instant.spread is not None and not setup.scenario.changes:
+                spreads[:] = spreads or [SpreadHistory(setup, len(runs))]
+                spreads[0].add(instant)
+            yield _recorded(instant, most_rounds)
+
+    return _Part(
+        steps(), counters, network.prior.mean[:, 0], lambda: spreads[0].of_runs() if spreads else ()
+    )
+
+
+def _recorded(instant: Instant, rounds: int) -> _Recorded:
+    lacking = ((0, rounds - len(instant.payload_bytes)), (0, 0), (0, 0))
+    payload, asked = (np.pad(one, lacking) for one in (instant.payload_bytes, instant.asked))
+    return _Recorded(
+        instant.truth,
+        instant.control,
+        instant.belief,
+        payload.transpose(1, 0, 2),
+        asked.transpose(1, 0, 2),
+        instant.readings,
+        instant.ages,
+    )
+
+
+def _replayed(setup: Setup, runs: Sequence[int]) -> _Part:
+    """One run, message by message."""
+    own = setup_of_run(setup, runs[0])
+    trace = read_trace(own, in_memory(own))
+    names = {name for counters in trace.counters for name in counters}
+    counters = {
+        name: np.array([[counted.get(name, 0) for counted in trace.counters]]) for name in names
+    }
+    receiver = np.repeat(np.arange(own.scenario.nodes), [len(heard) for heard in own.neighbours])
+    sender = np.array([j for heard in own.neighbours for j in heard], dtype=int)
+
+    def steps() -> Iterable[_Recorded]:
+        for step in range(trace.steps):
+            yield _Recorded(
+                trace.truth[None, step],
+                None if trace.control is None or step == 0 else trace.control[None, step],
+                Gaussian(trace.mean[None, step], trace.cov[None, step]),
+                trace.payload_bytes[None, step],
+                trace.asked[None, step],
+                trace.readings[None, step],
+                trace.ages[None, step, receiver, sender],
+            )
+
+    spreads = [] if trace.spread is None else [trace.spread]
+    return _Part(steps(), counters, np.array(own.prior_mean), lambda: spreads)
+
+
+def _write(
+    setup: Setup,
+    arrays: dict[str, np.ndarray],
+    at: tuple[int, slice, int],
+    recorded: _Recorded,
+    keep: frozenset[str],
+) -> None:
+    """Put one step of some runs in its place, `at` (number of all runs, which, step)."""
+    runs, place, step = at
+    belief, truth = recorded.belief, recorded.truth
+    states = list(kind_of(setup.scenario.name).score.nees_states)
+    errors = (belief.mean - truth[:, None])[..., states]
+    values: dict[str, np.ndarray | None] = {
+        "truth": truth,
+        "control": recorded.control,
+        "mean": belief.mean,
+        "cov_trace": np.trace(belief.cov, axis1=-2, axis2=-1),
+        "nees": nees(errors, belief.cov[..., states, :][..., states]),
+        "payload_bytes": recorded.payload_bytes.astype(np.int32),
+        "asked": recorded.asked,
+        READINGS: recorded.readings if READINGS in keep else None,
+        AGES: recorded.ages.astype(np.int32) if AGES in keep else None,
+        COV: belief.cov if COV in keep else None,
+    }
+    for name, value in values.items():
+        if value is not None:
+            shape = (runs, setup.scenario.steps, *value.shape[1:])
+            if name not in arrays:
+                arrays[name] = np.empty(shape, value.dtype)
+                if step:
+                    # Nothing drives the plant into the first step.
+                    arrays[name][:, :step] = np.nan
+            arrays[name][place, step] = value

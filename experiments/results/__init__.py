@@ -1,0 +1,1 @@
+"""Results of a run: arrays, figures, tables and pictures."""

@@ -1,0 +1,250 @@
+"""Bus report of a run: frames in microseconds, load, delay, starvation, ages of shares.
+
+All values follow from the slot table and the publishers of each cycle, so plans and runs have the
+same report.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+
+from bus.bus import Bus, Transmission
+from bus.recordings.pcap import Captured
+from experiments.results.trace import Trace
+from nodes.messages import Array
+from runtime.recorded import SharedFrame, meaning
+from scenarios.build import build_bus
+from scenarios.setup import Setup
+from scenarios.types.buses import stretch_of
+
+
+class BusFigures(msgspec.Struct, frozen=True):
+    """Bus figures of a run.
+
+    Attributes:
+        load_mean, load_max: share of a cycle in which the busier channel carries frames.
+        wire_bytes_per_step, wire_us_per_step: of all frames with their headers, checksums and
+            padding, and how long they keep the bus busy.
+        delay_us_mean, delay_us_max: from a measurement to the last share of its step.
+        contenders: nodes that asked for the dynamic segment; `starved` of them never got it.
+        longest_wait_cycles: most contended cycles in a row in which `longest_wait_node` asked in
+            vain; None where nobody ever did.
+        share_ages: how many of the neighbours' shares behind the estimates were 0, 1, 2, ... cycles
+            old after the last round of a step; `never_heard` were not there yet.
+    """
+
+    cluster: str
+    cycle_us: float
+    frames: int
+    frames_per_cycle_mean: float
+    frames_per_cycle_max: int
+    load_mean: float
+    load_max: float
+    wire_bytes_per_step: float
+    wire_us_per_step: float
+    delay_us_mean: float
+    delay_us_max: float
+    contenders: int
+    starved: list[int]
+    longest_wait_cycles: int
+    longest_wait_node: int | None
+    share_ages: list[int]
+    never_heard: int
+
+
+class BusTimes(NamedTuple):
+    """Times on the bus.
+
+    `load` (steps, rounds) is that of the busier channel. `delay_us` (steps,) counts from the
+    measurement to the last share. `share_start_us` and `share_end_us` (steps, rounds, N) are the
+    times of a share's first and last bit. They count from the start of the cycle; NaN means that no
+    share was sent.
+    """
+
+    load: Array
+    delay_us: Array
+    share_start_us: Array
+    share_end_us: Array
+
+
+def figures_of(setup: Setup, trace: Trace) -> BusFigures | None:
+    """The figures of a run's bus; None where the bus has no time, or was another in the run."""
+    bus = build_bus(setup)
+    if not (bus.has_time and trace.history.one_bus):
+        return None
+    tables = (*bus.schedule.static_table, *bus.schedule.contender_table)
+    publishers = {node for row in tables for node in row}
+    heard = [
+        trace.ages[:, node, [j for j in neighbours if j in publishers]].ravel()
+        for node, neighbours in enumerate(setup.neighbours)
+    ]
+    return bus_figures(bus, trace.payload_bytes, trace.asked, np.concatenate(heard))
+
+
+def times_of(setup: Setup, trace: Trace) -> BusTimes | None:
+    """When what was on the bus in a run; None where the bus has no time, or was another."""
+    bus = build_bus(setup)
+    timed = bus.has_time and trace.history.one_bus
+    return bus_times(bus, trace.payload_bytes) if timed else None
+
+
+def timetable(bus: Bus, payload_bytes: np.ndarray) -> list[tuple[Transmission, ...]]:
+    """Return the frames of every cycle; `payload_bytes` (..., N) has one row per cycle from cycle 0
+    on, of what each node sends (`Bus.transmissions`)."""
+    rows = payload_bytes.reshape(-1, bus.schedule.nodes).tolist()
+    return [bus.transmissions(cycle, sizes) for cycle, sizes in enumerate(rows)]
+
+
+def bus_figures(
+    bus: Bus, payload_bytes: np.ndarray, asked: np.ndarray, ages: np.ndarray
+) -> BusFigures:
+    """Return the figures of a bus with time.
+
+    `payload_bytes` (steps, rounds, N) say who sent how much, `asked` who asked for the dynamic
+    segment; `ages` (any,) are those of the shares behind the estimates, -1 where there was none.
+    """
+    cycles = timetable(bus, payload_bytes)
+    rounds, nodes = payload_bytes.shape[1:]
+    frames = [len(cycle) for cycle in cycles]
+    load = [bus.load(cycle) for cycle in cycles]
+    delay_us = [bus.fusion_delay_us(rounds, last) for last in cycles[rounds - 1 :: rounds]]
+    sent_frames = [frame for cycle in cycles for frame in cycle]
+    wire_bytes_per_step, wire_us_per_step = _on_the_wire(bus, sent_frames, len(cycles) / rounds)
+    asked, sent = asked.reshape(-1, nodes), payload_bytes.reshape(-1, nodes) > 0
+    waits = longest_waits(asked, sent)
+    starved = np.flatnonzero(asked.any(axis=0) & ~(asked & sent).any(axis=0))
+    return BusFigures(
+        cluster=bus.name,
+        cycle_us=bus.cycle_us,
+        frames=sum(frames),
+        frames_per_cycle_mean=float(np.mean(frames)),
+        frames_per_cycle_max=max(frames),
+        load_mean=float(np.mean(load)),
+        load_max=max(load),
+        wire_bytes_per_step=wire_bytes_per_step,
+        wire_us_per_step=wire_us_per_step,
+        delay_us_mean=float(np.mean(delay_us)),
+        delay_us_max=max(delay_us),
+        contenders=int(asked.any(axis=0).sum()),
+        starved=starved.tolist(),
+        longest_wait_cycles=int(waits.max()),
+        longest_wait_node=int(waits.argmax()) if waits.any() else None,
+        share_ages=np.bincount(ages[ages >= 0]).tolist(),
+        never_heard=int((ages < 0).sum()),
+    )
+
+
+def wire_per_step(bus: Bus, payload_bytes: np.ndarray) -> tuple[float, float]:
+    """Bytes of all frames with headers and padding, and microseconds, per step: of a bus with time
+    on which was sent what `payload_bytes` (steps, rounds, N) says."""
+    cycles = timetable(bus, payload_bytes)
+    return _on_the_wire(bus, [frame for cycle in cycles for frame in cycle], len(payload_bytes))
+
+
+def _on_the_wire(bus: Bus, frames: Sequence[Transmission], steps: float) -> tuple[float, float]:
+    overhead_bytes = bus.frame_format.overhead_bytes
+    wire_bytes = sum(frame.payload_bytes + overhead_bytes for frame in frames)
+    return wire_bytes / steps, sum(frame.end_us - frame.start_us for frame in frames) / steps
+
+
+def bus_times(bus: Bus, payload_bytes: np.ndarray) -> BusTimes:
+    """When what is on a bus with time; `payload_bytes` (steps, rounds, N) say who sends what."""
+    cycles = timetable(bus, payload_bytes)
+    rounds, nodes = payload_bytes.shape[1:]
+    start_us = np.full((len(cycles), nodes), np.nan)
+    end_us = np.full((len(cycles), nodes), np.nan)
+    for number, cycle in enumerate(cycles):
+        for frame in cycle:
+            start_us[number, frame.node] = np.fmin(start_us[number, frame.node], frame.start_us)
+            end_us[number, frame.node] = np.fmax(end_us[number, frame.node], frame.end_us)
+    return BusTimes(
+        np.array([bus.load(cycle) for cycle in cycles]).reshape(-1, rounds),
+        np.array([bus.fusion_delay_us(rounds, last) for last in cycles[rounds - 1 :: rounds]]),
+        start_us.reshape(payload_bytes.shape),
+        end_us.reshape(payload_bytes.shape),
+    )
+
+
+def longest_waits(asked: np.ndarray, sent: np.ndarray) -> np.ndarray:
+    """Per node (N,): most cycles in a row in which it asked and did not send.
+
+    `asked`, `sent` are (cycles, N). Cycles in which nobody asks have no dynamic segment, and do not
+    count.
+    """
+    wait = longest = np.zeros(asked.shape[1], dtype=int)
+    for wanted, got in zip(asked[asked.any(axis=1)], sent[asked.any(axis=1)], strict=True):
+        wait = np.where(wanted & ~got, wait + 1, 0)
+        longest = np.maximum(longest, wait)
+    return longest
+
+
+def capture(
+    setup: Setup, trace: Trace, messages: Iterable[tuple[str, bytes]]
+) -> list[Captured] | None:
+    """The frames of a recording in the order and at the time of the bus; None for one without time,
+    or for one that was replaced by another in the run.
+
+    Frames of steps that not every node completed are left out, and so are frames of shares of which
+    the recording has lost a part. A cluster with two channels carries each frame on both.
+    """
+    bus = build_bus(setup)
+    if not (bus.has_time and trace.history.one_bus):
+        return None
+    rounds, frames = setup.scenario.rounds, bus.frame_format
+    step_us = setup.time_step_s * stretch_of(setup.scenario.bus) * 1e6
+    placed = [
+        {(frame.node, frame.frame_id): frame for frame in cycle}
+        for cycle in timetable(bus, trace.payload_bytes)
+    ]
+    captured: list[Captured] = []
+    for topic, data in messages:
+        sent = meaning(topic, data, setup.scenario.nodes, frames)
+        if not isinstance(sent, SharedFrame) or sent.fragment.cycle >= len(placed):
+            continue
+        fragment = sent.fragment
+        frame = placed[fragment.cycle].get((sent.node, fragment.frame_id))
+        if frame is None:
+            continue
+        step, number = divmod(fragment.cycle, rounds)
+        time_us = step * step_us + number * bus.cycle_us + frame.start_us
+        captured += [
+            Captured(time_us, frames.on_channel(data, channel), channel)
+            for channel in frame.channel
+        ]
+    return sorted(captured, key=lambda one: (one.time_us, one.channel))
+
+
+def lines(figures: BusFigures) -> list[str]:
+    """Return the figures in words."""
+    ages = np.repeat(np.arange(len(figures.share_ages)), figures.share_ages)
+    text = [
+        f"bus {figures.cluster}: {figures.frames_per_cycle_mean:.1f} frames in a cycle of "
+        f"{figures.cycle_us / 1e3:.4g} ms (most {figures.frames_per_cycle_max}), load "
+        f"{100 * figures.load_mean:.1f} % (most {100 * figures.load_max:.1f} %), measurement to "
+        f"estimate {figures.delay_us_mean / 1e3:.4g} ms (most {figures.delay_us_max / 1e3:.4g} ms)",
+        f"on the wire {figures.wire_bytes_per_step:.0f} bytes and {figures.wire_us_per_step:.0f} "
+        "us per step",
+    ]
+    if len(ages):
+        known = len(ages) + figures.never_heard
+        unheard = f", {100 * figures.never_heard / known:.1f} % never heard"
+        text.append(
+            f"shares in estimates: {100 * figures.share_ages[0] / known:.0f} % fresh, median age "
+            f"{np.median(ages):g} cycles, oldest {ages[-1]}{unheard if figures.never_heard else ''}"
+        )
+    if figures.contenders:
+        text.append(f"dynamic segment: {figures.contenders} contenders, {starvation(figures)}")
+    return text
+
+
+def starvation(figures: BusFigures) -> str:
+    """Return the waits of nodes for the dynamic segment, in words."""
+    if figures.longest_wait_node is None:
+        return "nobody asked in vain"
+    cycles = figures.longest_wait_cycles
+    wait = f"longest wait {cycles} cycle{'s' * (cycles > 1)} (node {figures.longest_wait_node})"
+    if not figures.starved:
+        return f"{wait}, nobody starved"
+    return f"{wait}, starved (never sent): nodes {', '.join(map(str, figures.starved))}"

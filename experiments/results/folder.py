@@ -1,0 +1,213 @@
+"""Folder of a run's results, with run.json, run.mcap, run.nc and bus.pcap."""
+
+import platform
+import secrets
+import subprocess
+import time
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+
+from experiments.results.bus_report import times_of
+from experiments.results.netcdf_file import write_dataset
+from experiments.results.record_spread import record_ages
+from experiments.results.trace import Trace
+from filters.metrics import consensus, nees
+from nodes.tempo import Tempo
+from runtime.disk import writing
+from scenarios.catalogue import kind_of
+from scenarios.rules import is_certain
+from scenarios.setup import Setup
+
+if TYPE_CHECKING:
+    import xarray
+
+RECORDING, ARRAYS, DESCRIPTION, CAPTURE = "run.mcap", "run.nc", "run.json", "bus.pcap"
+_VERSIONED = ("concord", "numpy", "scipy", "networkx", "eclipse-zenoh", "msgspec")
+
+
+class Description(msgspec.Struct, frozen=True):
+    """Description of a run and its versions, enough to repeat it; `tempo` only in real time."""
+
+    run: str
+    driver: str
+    seed: int
+    setup: Setup
+    versions: dict[str, str]
+    commit: str | None
+    tempo: Tempo | None = None
+
+
+def new_name(scenario: str) -> str:
+    """A unique name for a run."""
+    # Local time to the second reads well in a listing; the suffix makes it unique.
+    return f"{scenario}-{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(3)}"
+
+
+def new_folder(out: Path | None, scenario: str) -> tuple[str, Path]:
+    """A unique name for a run and its folder, which is made: `out`, or one below runs/.
+
+    Raises:
+        ValueError: `out` exists, or cannot be made.
+    """
+    run = new_name(scenario)
+    return run, make_folder(out, run)
+
+
+def make_folder(out: Path | None, run: str) -> Path:
+    """Make the folder of a run: `out`, or one of its name below runs/.
+
+    Raises:
+        ValueError: `out` exists, or cannot be made.
+    """
+    folder = out if out is not None else Path("runs") / run
+    try:
+        folder.mkdir(parents=True)
+    except FileExistsError:
+        raise ValueError(
+            f"--out {folder}: the folder exists and a run is never written over; "
+            "choose another name or remove it"
+        ) from None
+    except OSError as error:
+        raise ValueError(
+            f"--out {folder}: cannot be made ({error.strerror}); choose another place"
+        ) from None
+    return folder
+
+
+def describe(run: str, driver: str, setup: Setup, tempo: Tempo | None = None) -> Description:
+    """Return the description of a run by this version of the program."""
+    return Description(run, driver, setup.scenario.seed, setup, versions(), commit(), tempo)
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of this program, Python and the libraries that affect its numbers."""
+    found = {name: version(name) for name in _VERSIONED}
+    return {**found, "python": platform.python_version()}
+
+
+def commit() -> str | None:
+    """Return the commit of the program's own checkout, or None for an installed one."""
+    root = Path(__file__).resolve().parents[2]
+    if not (root / ".git").exists():
+        return None
+    asked = subprocess.run(
+        ["git", "-C", str(root), "rev-parse", "HEAD"], capture_output=True, text=True, check=False
+    )
+    return asked.stdout.strip() or None
+
+
+def write_description(folder: Path, description: Description) -> None:
+    """Write run.json."""
+    text = msgspec.json.format(msgspec.json.encode(description), indent=2)
+    with writing(folder / DESCRIPTION):
+        (folder / DESCRIPTION).write_bytes(text + b"\n")
+
+
+def read_description(folder: Path) -> Description:
+    """Read run.json.
+
+    Raises:
+        ValueError: there is none, or it is not one of ours.
+    """
+    return read_description_file(folder / DESCRIPTION)
+
+
+def read_description_file(path: Path) -> Description:
+    """Read what run.json holds from a file of any name.
+
+    Raises:
+        ValueError: there is none, or it is not one of ours.
+    """
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=Description)
+    except OSError as error:
+        raise ValueError(
+            f"{path}: cannot be read ({error.strerror}); name a run folder, or for a host the file "
+            "that `concord setup` has made"
+        ) from None
+    except msgspec.MsgspecError as error:
+        raise ValueError(f"{path}: not the description of a run ({error})") from None
+
+
+def write_arrays(folder: Path, description: Description, trace: Trace) -> None:
+    """Write run.nc: the trace with named dimensions and units, errors and NEES beside it."""
+    # Loading xarray can take longer than a run, so it is loaded only to write a file.
+    import xarray
+
+    setup = description.setup
+    kind = kind_of(setup.scenario.name)
+    plant = kind.plant(setup.scenario)
+    names = list(plant.state_names)
+    truth = trace.truth[:, None, :]
+    state = ("step", "node", "state")
+    score = list(kind.score.nees_states)
+    errors = trace.mean - truth
+    variables: dict[str, Any] = {
+        "truth": (("step", "state"), trace.truth),
+        "mean": (state, trace.mean),
+        "cov": ((*state, "other_state"), trace.cov),
+        "error": (state, errors),
+        "nees": (
+            ("step", "node"),
+            nees(errors[..., score], trace.cov[..., score, :][..., score]),
+            {"states": [names[i] for i in score], **_meaning(setup)},
+        ),
+        "disagreement": (state, trace.mean - consensus(trace.mean)),
+        "readings": (("step", "node", "reading", "channel"), trace.readings),
+        "published": (("step", "round", "node"), trace.published.astype(np.int8)),
+        "ages": (("step", "node", "neighbour"), trace.ages, {"units": "communication cycles"}),
+        "missed": (("node",), np.array([c.get("missed", 0) for c in trace.counters])),
+    }
+    if trace.control is not None:
+        variables["control"] = (("step", "input"), trace.control)
+    if trace.spread is not None:
+        ages = record_ages(trace.spread).swapaxes(0, 1)
+        variables["record_age"] = (("step", "node", "source"), ages, {"units": "steps"})
+    variables |= _bus_variables(setup, trace)
+    coordinates = {
+        "step": np.arange(trace.steps),
+        "time": ("step", np.arange(trace.steps) * setup.time_step_s, {"units": "s"}),
+        "state": names,
+        "state_unit": ("state", list(plant.state_units)),
+    }
+    write_whole(folder, xarray.Dataset(variables, coordinates), description)
+
+
+def write_whole(folder: Path, dataset: "xarray.Dataset", description: Description) -> None:
+    """Write run.nc with what was run, or leave none."""
+    dataset = dataset.assign_attrs(
+        title=f"concord run {description.run}",
+        scenario=msgspec.json.encode(description.setup.scenario).decode(),
+        driver=description.driver,
+        seed=description.setup.scenario.seed,
+        versions=msgspec.json.encode(description.versions).decode(),
+        commit=description.commit or "unknown",
+    )
+    write_dataset(dataset, folder / ARRAYS)
+
+
+def _meaning(setup: Setup) -> dict[str, str]:
+    """Return the meanings of cov and nees for set-valued estimates."""
+    if not is_certain(setup.scenario):
+        return {}
+    return {"meaning": "cov is the shape matrix P of a set e' P^-1 e <= 1 that holds the truth"}
+
+
+def _bus_variables(setup: Setup, trace: Trace) -> dict[str, Any]:
+    """Times on the bus as variables; none where the bus has no time."""
+    times = times_of(setup, trace)
+    if times is None:
+        return {}
+    per_share = ("step", "round", "node")
+    in_cycle = {"units": "us", "origin": "beginning of the communication cycle"}
+    return {
+        "asked": (per_share, trace.asked.astype(np.int8)),
+        "bus_load": (("step", "round"), times.load, {"units": "1"}),
+        "delay_us": (("step",), times.delay_us, {"units": "us"}),
+        "share_start_us": (per_share, times.share_start_us, in_cycle),
+        "share_end_us": (per_share, times.share_end_us, in_cycle),
+    }

@@ -1,0 +1,59 @@
+"""Difference between the batched driver and a run that exchanged messages.
+
+Sums in another order differ in their last bits, so equality here means equality to 1e-10 of the
+scale. The scale of a mean is its size or its standard deviation. The scale of a covariance is the
+product of its standard deviations.
+"""
+
+import numpy as np
+
+from experiments.monte_carlo.simulate import OPTIONAL, simulate
+from experiments.results.trace import Trace
+from nodes.messages import Array
+from scenarios.setup import Setup
+
+TOLERANCE = 1e-10
+# A value that is zero up to rounding takes the scale of its neighbours.
+_LEAST = 1e-3
+
+
+def departures(setup: Setup, trace: Trace) -> dict[str, tuple[np.ndarray, Array, Array]]:
+    """Where the batched driver departs from a trace of the same run by more than that.
+
+    Returns:
+        By quantity, those that depart alone: where (index of the first, step first), the value of
+        the trace there, and that of the batched driver.
+    """
+    histories = simulate(setup, [setup.scenario.run], keep=OPTIONAL)
+    assert histories.readings is not None
+    assert histories.cov is not None and histories.ages is not None
+    receiver = np.repeat(np.arange(len(setup.neighbours)), [len(some) for some in setup.neighbours])
+    sender = np.array([j for some in setup.neighbours for j in some], dtype=np.int64)
+    sd = np.sqrt(np.abs(np.diagonal(trace.cov, axis1=-2, axis2=-1)))
+    compared = {
+        "truth": (trace.truth, histories.truth[0], np.abs(trace.truth)),
+        "readings": (trace.readings, histories.readings[0], np.abs(trace.readings)),
+        "payload_bytes": (trace.payload_bytes, histories.payload_bytes[0], _exact),
+        "mean": (trace.mean, histories.mean[0], np.maximum(np.abs(trace.mean), sd)),
+        "cov": (trace.cov, histories.cov[0], sd[..., :, None] * sd[..., None, :]),
+        "ages": (trace.ages[:, receiver, sender], histories.ages[0], _exact),
+    }
+    found = {}
+    for name, (expected, value, scale) in compared.items():
+        departs = np.argwhere(_departs(expected, value, scale))
+        if len(departs):
+            where = tuple(departs[0])
+            found[name] = (departs[0], expected[where], value[where])
+    return found
+
+
+_exact = np.zeros(())
+
+
+def _departs(expected: Array, value: Array, scale: Array) -> np.ndarray:
+    if scale is _exact:
+        return expected != value
+    limit = TOLERANCE * np.maximum(scale, _LEAST * np.nanmax(scale, initial=0.0))
+    missing = np.isnan(expected)
+    beyond = np.abs(np.where(missing, 0.0, value - expected)) > np.where(missing, 0.0, limit)
+    return beyond | (missing != np.isnan(value))

@@ -1,0 +1,83 @@
+"""The look of every picture: colours that most people can tell apart, and room to read."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from runtime.disk import writing
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# Okabe and Ito (2008), Color universal design; black last, yellow left out: too pale for a line.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+GREY = "#777777"
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
+DASHES = ("-", "--", ":", "-.")
+# Runs evenly from dark to light, also in grey and for the colour blind.
+SEQUENTIAL = "cividis"
+
+
+class Style(NamedTuple):
+    """How one value of a field is drawn everywhere in a picture."""
+
+    colour: str
+    marker: str
+    dash: str
+
+
+def styles(values: Sequence[object]) -> dict[str, Style]:
+    """A style for each value, by its text; marker and dash tell apart what colour does not."""
+    return {
+        str(value): Style(
+            COLOURS[place % len(COLOURS)],
+            MARKERS[place % len(MARKERS)],
+            DASHES[place // len(COLOURS) % len(DASHES)],
+        )
+        for place, value in enumerate(values)
+    }
+
+
+def use_house_style() -> None:
+    """Set matplotlib up; nothing is drawn on a screen."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    matplotlib.rcParams.update(
+        {
+            "figure.dpi": 130,
+            "savefig.dpi": 130,
+            "font.size": 9,
+            "axes.titlesize": 9,
+            "axes.spines.top": False,
+            "axes.spines.right": False,
+            "axes.grid": True,
+            "grid.color": "#DDDDDD",
+            "grid.linewidth": 0.6,
+            "axes.axisbelow": True,
+            "legend.frameon": False,
+            "lines.linewidth": 1.5,
+            "lines.markersize": 5,
+            # Equal results give equal files.
+            "svg.hashsalt": "concord",
+        }
+    )
+
+
+def plain_numbers(axis: Any) -> None:
+    """Ticks of a logarithmic axis at 1, 2 and 5 of each decade, written out."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.6g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def save(figure: "Figure", path: Path) -> None:
+    """Write a figure in the format of the name's ending, without the date."""
+    import matplotlib.pyplot as plt
+
+    dateless = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+    with writing(path):
+        figure.savefig(path, metadata=dateless.get(path.suffix[1:]))
+    plt.close(figure)

@@ -1,0 +1,268 @@
+"""The figures of one run: a value for machines, a table for people."""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+
+import msgspec
+import numpy as np
+from rich.markup import escape
+from rich.table import Table
+
+from experiments.results import bus_report, record_spread, timing_figures
+from experiments.results.bus_report import BusFigures
+from experiments.results.containment import Containment, containment
+from experiments.results.record_spread import SpreadFigures
+from experiments.results.timing_figures import TimingFigures
+from experiments.results.trace import Trace
+from filters.gaussian import Gaussian
+from filters.metrics import anees, disagreement, largest_of_known, rmse
+from nodes.messages import Array
+from scenarios.baselines import centralised, local_only
+from scenarios.catalogue import kind_of
+from scenarios.kind import Score
+from scenarios.rules import is_certain
+from scenarios.setup import Setup
+
+_TRAFFIC = ("sent", "heard", "missed")
+
+
+class NodeFigures(msgspec.Struct, frozen=True):
+    """One node: its error in the network and alone, its consistency, and its traffic in frames.
+
+    Where estimates are sets, `containment` stands in place of `anees`, which is NaN.
+    """
+
+    rmse: float
+    rmse_local_only: float
+    anees: float
+    sent: int
+    heard: int
+    missed: int
+    rejected: int
+    containment: Containment | None = None
+
+
+class Figures(msgspec.Struct, frozen=True):
+    """Figures of a run. RMSE and disagreement are in `unit`, from step `first_step` on.
+
+    `bus` is None on a bus without time; `timing` is None except in real time. `noticed` sums the
+    nodes' counters other than traffic: frames lost, late, repeated, rejected and why.
+    """
+
+    scenario: str
+    unit: str
+    steps: int
+    first_step: int
+    rmse: float
+    rmse_local_only: float
+    rmse_centralised: float
+    worst_node_to_centralised: float
+    disagreement: float
+    anees: float
+    anees_centralised: float
+    near_s: float | None
+    rmse_near: list[float]
+    rmse_near_local_only: list[float]
+    rmse_near_centralised: float
+    shares_sent: int
+    shares_missed: int
+    noticed: dict[str, int]
+    bus: BusFigures | None
+    nodes: list[NodeFigures]
+    containment: Containment | None = None
+    containment_centralised: Containment | None = None
+    spread: SpreadFigures | None = None
+    timing: TimingFigures | None = None
+    steps_per_second: float | None = None
+    ready_s: float | None = None
+
+
+def summarise(setup: Setup, trace: Trace) -> Figures:
+    """The figures of a trace with at least one complete step."""
+    score = kind_of(setup.scenario.name).score
+    first = _first_scored(score, trace)
+    alone = local_only(setup, trace.readings, trace.control)
+    central = centralised(setup, trace.readings, trace.control)
+    network = Gaussian(trace.mean, trace.cov)
+    of_node = _errors(network.mean, trace.truth, score, first)
+    of_alone = _errors(alone.mean, trace.truth, score, first)
+    of_central = _errors(central.mean, trace.truth, score, first)
+    per_node, per_alone = rmse(of_node, (0,)), rmse(of_alone, (0,))
+    # The sensors of a measurement bus believe nothing, and do not count among those that estimate.
+    believers = ~np.isnan(network.mean).all(axis=(0, 2))
+    who = slice(None) if believers.all() else np.flatnonzero(believers)
+    central_rmse = float(rmse(of_central, (0,)))
+    near = _near(score, trace, setup.time_step_s)[first:]
+    consistency = _consistency(network, trace.truth, score, first, (0,))
+    counters = trace.counters
+    certain = is_certain(setup.scenario)
+    if certain:
+        consistency = np.full_like(consistency, np.nan)
+    return Figures(
+        scenario=setup.scenario.name,
+        unit=score.unit,
+        steps=trace.steps,
+        first_step=first,
+        rmse=float(rmse(of_node, (0, 1))),
+        rmse_local_only=float(rmse(of_alone[:, who], (0, 1))),
+        rmse_centralised=central_rmse,
+        worst_node_to_centralised=float(largest_of_known(per_node[who]) / central_rmse),
+        disagreement=disagreement(network.mean[first:, who][..., list(score.states)]),
+        anees=_unless(certain, _consistency(network, trace.truth, score, first, (0, 1))),
+        anees_centralised=_unless(certain, _consistency(central, trace.truth, score, first, (0,))),
+        near_s=score.near_s,
+        rmse_near=[float(x) for x in rmse(of_node[near], (0,))],
+        rmse_near_local_only=[float(x) for x in rmse(of_alone[near], (0,))],
+        rmse_near_centralised=float(rmse(of_central[near], (0,))),
+        shares_sent=sum(c.get("sent", 0) for c in counters),
+        shares_missed=sum(c.get("missed", 0) for c in counters),
+        noticed=noticed(counters),
+        bus=bus_report.figures_of(setup, trace),
+        nodes=[
+            NodeFigures(
+                rmse=float(per_node[i]),
+                rmse_local_only=float(per_alone[i]),
+                anees=float(consistency[i]),
+                sent=c.get("sent", 0),
+                heard=c.get("heard", 0),
+                missed=c.get("missed", 0),
+                rejected=sum(n for name, n in c.items() if name.startswith("rejected")),
+                containment=_contained(certain, _of_node(network, i), trace.truth),
+            )
+            for i, c in enumerate(counters)
+        ],
+        containment=_contained(certain, network, trace.truth),
+        containment_centralised=_contained(certain, central, trace.truth),
+        spread=None if trace.spread is None else record_spread.figures_of(trace.spread),
+    )
+
+
+def noticed(counters: Iterable[Mapping[str, int]]) -> dict[str, int]:
+    """Return the sums of all counters by name, except shares sent, heard and missed."""
+    total = sum((Counter(one) for one in counters), Counter())
+    return {name: total[name] for name in sorted(total) if name not in _TRAFFIC}
+
+
+def _unless(certain: bool, anees_: Array) -> float:
+    return float("nan") if certain else float(anees_)
+
+
+def _contained(certain: bool, bounds: Gaussian, truth: Array) -> Containment | None:
+    return containment(bounds, truth) if certain else None
+
+
+def _of_node(network: Gaussian, node: int) -> Gaussian:
+    return Gaussian(network.mean[:, node], network.cov[:, node])
+
+
+def _first_scored(score: Score, trace: Trace) -> int:
+    """The step from which errors count: the scenario's, but not before the first reading."""
+    seen = ~np.isnan(trace.readings).all((1, 2, 3))
+    first_seen = int(np.argmax(seen)) if seen.any() else 0
+    return min(max(score.first_step, first_seen), trace.steps - 1)
+
+
+def _near(score: Score, trace: Trace, time_step_s: float) -> np.ndarray:
+    """Which steps (steps,) are at most `near_s` after a reading by any node."""
+    if score.near_s is None:
+        return np.ones(trace.steps, dtype=bool)
+    seen = ~np.isnan(trace.readings).all((1, 2, 3))
+    reach = round(score.near_s / time_step_s)
+    return np.convolve(seen, np.ones(reach + 1))[: trace.steps] > 0.5
+
+
+def _errors(mean: Array, truth: Array, score: Score, first: int) -> Array:
+    """Errors (steps, ..., m) of the scored states of mean (steps, ..., n)."""
+    states = list(score.states)
+    known = truth[first:][:, states]
+    return mean[first:][..., states] - known.reshape(len(known), *(1,) * (mean.ndim - 2), -1)
+
+
+def _consistency(
+    belief: Gaussian, truth: Array, score: Score, first: int, axes: tuple[int, ...]
+) -> Array:
+    states = list(score.nees_states)
+    errors = _errors(belief.mean, truth, score._replace(states=score.nees_states), first)
+    return anees(errors, belief.cov[first:][..., states, :][..., states], axes)
+
+
+def table(figures: Figures, title: str) -> Table:
+    """The figures as a table: one row per node, then the network, then what frames it."""
+    # Rich would take [m] for a style.
+    unit = escape(f"[{figures.unit}]")
+    grid = Table(title=title, title_justify="left")
+    certain = figures.containment is not None
+    shown = ("out", "largest", "√tr P") if certain else (f"alone {unit}", "ANEES")
+    for heading in ("node", f"RMSE {unit}", *shown):
+        grid.add_column(heading, justify="right")
+    for heading in ("sent", "heard", "missed", "rejected"):
+        grid.add_column(heading, justify="right")
+    for i, node in enumerate(figures.nodes):
+        traffic = (node.sent, node.heard, node.missed, node.rejected)
+        grid.add_row(
+            str(i), _short(node.rmse),
+            *_consistent(node.rmse_local_only, node.anees, node.containment), *map(str, traffic),
+        )  # fmt: skip
+    grid.add_section()
+    grid.add_row(
+        "all", _short(figures.rmse),
+        *_consistent(figures.rmse_local_only, figures.anees, figures.containment),
+        str(figures.shares_sent), "", str(figures.shares_missed), "",
+    )  # fmt: skip
+    grid.add_row(
+        "centralised", _short(figures.rmse_centralised),
+        *_consistent(None, figures.anees_centralised, figures.containment_centralised),
+    )  # fmt: skip
+    return grid
+
+
+def _consistent(
+    alone: float | None, anees_: float, contained: Containment | None
+) -> tuple[str, ...]:
+    """The columns between error and traffic: for sets whether they hold, and how large they are."""
+    if contained is None:
+        return ("" if alone is None else _short(alone), _short(anees_))
+    return (str(contained.violations), _short(contained.largest), _short(contained.half_width))
+
+
+def lines(figures: Figures) -> list[str]:
+    """Return the lines below the table: figures that have no column."""
+    ratio, unit = figures.rmse / figures.rmse_centralised, figures.unit
+    text = [
+        f"network {ratio:.2f} x centralised, worst node {figures.worst_node_to_centralised:.2f} x; "
+        f"disagreement {_short(figures.disagreement)} {unit}; "
+        f"scored from step {figures.first_step} of {figures.steps}"
+    ]
+    if figures.containment is not None:
+        held = figures.containment
+        text.append(
+            f"sets: {held.violations} of {figures.steps * len(figures.nodes)} do not hold the "
+            f"truth; e' P^-1 e is at most {held.largest:.12g}, and 1 is the edge; half-width "
+            f"√tr P in the mean {_short(held.half_width)}; nodes alone: RMSE "
+            f"{_short(figures.rmse_local_only)} {unit}"
+        )
+    if figures.noticed:
+        counts = ", ".join(f"{name} {count}" for name, count in figures.noticed.items())
+        text.append(f"nodes noticed: {counts}")
+    if figures.near_s is not None:
+        central = figures.rmse_near_centralised
+        text.append(
+            f"within {figures.near_s:g} s after a reading: nodes "
+            f"{', '.join(map(_short, figures.rmse_near))} {unit}, centralised {_short(central)}, "
+            f"worst node {max(figures.rmse_near) / central:.2f} x"
+        )
+    if figures.bus is not None:
+        text += bus_report.lines(figures.bus)
+    if figures.spread is not None:
+        text += record_spread.lines(figures.spread)
+    if figures.timing is not None:
+        text += timing_figures.lines(figures.timing)
+    if figures.ready_s is not None:
+        text.append(f"ready after {figures.ready_s:.2f} s")
+    if figures.steps_per_second is not None:
+        text.append(f"{figures.steps_per_second:.1f} steps per second")
+    return text
+
+
+def _short(value: float) -> str:
+    return "-" if np.isnan(value) else f"{value:.4g}"

@@ -1,0 +1,96 @@
+"""How well a run in real time kept its time, from what its nodes said of every step."""
+
+from collections.abc import Iterable, Sequence
+
+import msgspec
+import numpy as np
+
+from nodes.messages import Grant, Timing
+from nodes.tempo import Tempo
+from runtime.recorded import message_of
+
+
+class Spread(msgspec.Struct, frozen=True):
+    """Of what was timed at all nodes and steps, in milliseconds."""
+
+    p50_ms: float
+    p99_ms: float
+    largest_ms: float
+
+
+class TimingFigures(msgspec.Struct, frozen=True):
+    """Deadlines of a run, and how well the run met them.
+
+    `cycles` are counted at each node. `deadline_misses` is the sum of two counts: `incomplete`
+    cycles ended without an expected message, `overrun` cycles began after their own deadline.
+    `late_shares` came after their cycle; `late_bids` came after the environment had granted the
+    slots. `lost_heartbeats` counts steps that began without readings. `cycle_jitter` is the
+    lateness of cycle starts, `heartbeat` the lateness of readings. `delay` is the time from the
+    sampling instant to the estimate.
+    """
+
+    cycle_stretch: float
+    cycle_ms: float
+    step_ms: float
+    cycles: int
+    deadline_misses: int
+    incomplete: int
+    overrun: int
+    late_shares: int
+    late_bids: int
+    cycle_jitter: Spread
+    heartbeat: Spread
+    lost_heartbeats: int
+    delay: Spread
+
+
+def figures_of(
+    tempo: Tempo, messages: Iterable[tuple[str, bytes]], counters: Sequence[dict[str, int]]
+) -> TimingFigures:
+    """The figures of recorded (topic, bytes), of a step at least, and of each node's counters."""
+    wanted = (one for one in messages if one[0] == "grant" or one[0].startswith("timing/"))
+    read = [message_of(*one, len(counters)) for one in wanted]
+    said = [one for one in read if isinstance(one, Timing)]
+    grants = [one for one in read if isinstance(one, Grant)]
+    incomplete = sum(timing.incomplete for timing in said)
+    overrun = sum(timing.overrun for timing in said)
+    came = [late for timing in said if (late := timing.heartbeat_late_s) is not None]
+    late = [late_s for timing in said for late_s in timing.cycle_late_s]
+    return TimingFigures(
+        cycle_stretch=tempo.stretch,
+        cycle_ms=tempo.cycle_s * 1e3,
+        step_ms=tempo.step_s * 1e3,
+        cycles=len(late),
+        deadline_misses=incomplete + overrun,
+        incomplete=incomplete,
+        overrun=overrun,
+        late_shares=sum(c.get("late", 0) for c in counters),
+        late_bids=sum(len(grant.unheard) for grant in grants if grant.unheard),
+        cycle_jitter=_spread(late),
+        heartbeat=_spread(came),
+        lost_heartbeats=len(said) - len(came),
+        delay=_spread([timing.delay_s for timing in said]),
+    )
+
+
+def _spread(times_s: Sequence[float]) -> Spread:
+    middle, high, largest = np.quantile(times_s, [0.5, 0.99, 1.0]) * 1e3
+    return Spread(float(middle), float(high), float(largest))
+
+
+def lines(figures: TimingFigures) -> list[str]:
+    """The figures in words."""
+    return [
+        f"real time: a cycle every {figures.cycle_ms:.3g} ms ({figures.cycle_stretch:.3g} x the "
+        f"bus's), a step every {figures.step_ms:.4g} ms",
+        f"deadline misses {figures.deadline_misses} of {figures.cycles} cycles "
+        f"({figures.incomplete} lacked something, {figures.overrun} began too late); "
+        f"late shares {figures.late_shares}, bids {figures.late_bids}; steps without readings "
+        f"{figures.lost_heartbeats}",
+        f"p50/p99/largest in ms: cycles begin {_words(figures.cycle_jitter)} late, readings come "
+        f"{_words(figures.heartbeat)} late, measurement to estimate {_words(figures.delay)}",
+    ]
+
+
+def _words(spread: Spread) -> str:
+    return f"{spread.p50_ms:.3g}/{spread.p99_ms:.3g}/{spread.largest_ms:.3g}"

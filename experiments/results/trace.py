@@ -1,0 +1,161 @@
+"""A run as arrays: what its recording says, step by step."""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from bus.bus import Fragment
+from experiments.results.record_spread import RecordSpread, record_spread
+from filters.linalg import unpack_upper
+from nodes.changes import Event
+from nodes.history import History, history_of, with_holes, without_lost_words
+from nodes.messages import Array, Bid, Estimate, Measured, Timing, Truth, from_wire
+from runtime.recorded import SharedFrame, meaning
+from scenarios.bus_plan import frame_format
+from scenarios.setup import Setup
+
+
+class Trace(NamedTuple):
+    """Histories of a run of N nodes, cut to the `steps` that every participating node completed.
+
+    While a node was out, its entries are NaN, its ages -1, and it sent nothing.
+
+    Attributes:
+        truth: (steps, n), NaN where it is unknown. readings: (steps, N, r, d), NaN where a node
+        took none. control: (steps, p) that drove the plant into a step, or None for a plant that is
+        not driven. mean, cov: estimates (steps, N, n) and (steps, N, n, n). ages: cycles since what
+        i holds of j was sent: (steps, N, N), -1 never, 0 for itself. payload_bytes: (steps, rounds,
+        N), what a node sent in a communication cycle, all its frames together; 0 where it was
+        silent. asked: (steps, rounds, N), which node asked for the dynamic segment. counters: per
+        node, totals at its last estimate. history: who took part when, and in how many rounds; a
+        step with fewer than the most leaves the last ones empty. spread: of labelled records; None
+        for rules without, and where the network changed.
+    """
+
+    truth: Array
+    readings: Array
+    control: Array | None
+    mean: Array
+    cov: Array
+    ages: np.ndarray
+    payload_bytes: np.ndarray
+    asked: np.ndarray
+    counters: list[dict[str, int]]
+    history: History
+    spread: RecordSpread | None = None
+
+    @property
+    def steps(self) -> int:
+        """Number of complete steps."""
+        return len(self.truth)
+
+    @property
+    def published(self) -> np.ndarray:
+        """Which node sent in which communication cycle (steps, rounds, N)."""
+        return self.payload_bytes > 0
+
+
+def read_trace(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> Trace:
+    """The trace of recorded (topic, bytes); the order of messages does not matter."""
+    nodes = setup.scenario.nodes
+    truths: dict[int, Truth] = {}
+    measured: dict[tuple[int, int], Measured] = {}
+    estimates: dict[tuple[int, int], Estimate] = {}
+    sent: list[tuple[int, Fragment, int]] = []
+    asked: list[tuple[int, int, int]] = []
+    events: list[Event] = []
+    last: dict[int, int] = {}
+    timed, frames = False, frame_format(setup.scenario)
+    for topic, data in messages:
+        match meaning(topic, data, nodes, frames):
+            case SharedFrame(node, fragment):
+                sent.append((node, fragment, len(data) - frames.overhead_bytes))
+            case Truth() as message:
+                truths[message.step] = message
+            case Bid() as message if message.bid is not None:
+                asked.append((message.cycle, message.node, 1))
+            case Measured() as message:
+                measured[message.step, message.node] = message
+            case Estimate() as message:
+                estimates[message.step, message.node] = message
+            case Event() as message:
+                events.append(message)
+            case Timing():
+                timed = True
+    history = without_lost_words(history_of(setup.scenario.rounds, events), estimates)
+    # Only in real time does anybody go on without what was lost.
+    for step, node in estimates if timed else ():
+        last[node] = max(step, last.get(node, -1))
+    history = with_holes(history, estimates.keys() & measured.keys(), last)
+    steps = 0
+    while steps in truths and all(
+        (steps, node) in kept
+        for kept in (measured, estimates)
+        for node in range(nodes)
+        if history.is_in(node, steps)
+    ):
+        steps += 1
+    return _assemble(setup, history, steps, truths, measured, estimates, sent, asked)
+
+
+def _assemble(
+    setup: Setup,
+    history: History,
+    steps: int,
+    truths: dict[int, Truth],
+    measured: dict[tuple[int, int], Measured],
+    estimates: dict[tuple[int, int], Estimate],
+    sent: list[tuple[int, Fragment, int]],
+    asked: list[tuple[int, int, int]],
+) -> Trace:
+    nodes, n = setup.scenario.nodes, len(setup.prior_mean)
+    mean = np.full((steps, nodes, n), np.nan)
+    packed = np.full((steps, nodes, n * (n + 1) // 2), np.nan)
+    ages = np.full((steps, nodes, nodes), -1)
+    delivered = [from_wire(measured[k, i].readings) for k, i in sorted(measured)[:1]]
+    readings = np.full((steps, nodes, *(delivered[0].shape if delivered else (0, 0))), np.nan)
+    counters: list[dict[str, int]] = [{} for _ in range(nodes)]
+    controls: list[list[float] | None] = [None] * steps
+    for k, i in np.ndindex(steps, nodes):
+        if not history.is_in(i, k):
+            continue
+        estimate = estimates[k, i]
+        mean[k, i], packed[k, i] = from_wire(estimate.mean), from_wire(estimate.cov)
+        ages[k, i, i] = 0
+        ages[k, i, setup.neighbours[i]] = estimate.ages
+        counters[i] = estimate.counters
+        readings[k, i] = from_wire(measured[k, i].readings)
+        controls[k] = measured[k, i].control
+    control = None
+    if any(u is not None for u in controls):
+        size = max(len(u) for u in controls if u is not None)
+        control = np.array([np.full(size, np.nan) if u is None else u for u in controls])
+    truth = np.array([from_wire(truths[k].state) for k in range(steps)])
+    lengths = [(fragment.cycle, node, size) for node, fragment, size in sent]
+    fragments = [(node, fragment) for node, fragment, _ in sent]
+    return Trace(
+        truth=truth.reshape(steps, len(setup.initial_state)),
+        readings=readings,
+        control=control,
+        mean=mean,
+        cov=unpack_upper(packed),
+        ages=ages,
+        payload_bytes=_summed(lengths, steps, history, nodes),
+        asked=_summed(asked, steps, history, nodes) > 0,
+        counters=counters,
+        history=history,
+        spread=record_spread(setup, fragments, readings) if steps and not history.changed else None,
+    )
+
+
+def _summed(
+    counted: list[tuple[int, int, int]], steps: int, history: History, nodes: int
+) -> np.ndarray:
+    """Counts (steps, rounds, N) of (cycle, node, count) in complete steps, added up."""
+    total = np.zeros((steps, history.rounds, nodes), dtype=np.int64)
+    for cycle, node, count in counted:
+        step, place = history.place(cycle)
+        if step < steps:
+            total[step, place, node] += count
+    return total

@@ -1,0 +1,158 @@
+"""The options of a scenario: generated from the types that declare them, and what they mean."""
+
+from collections.abc import Iterator
+from functools import cache
+from typing import Any, NamedTuple
+
+from scenarios.catalogue import kind_of, kinds
+from scenarios.scenario import Scenario
+from scenarios.script import with_files
+from scenarios.types.assignment import flat, refuse_left
+from scenarios.types.declarations import Declaration, Owned, every_option
+
+DEFAULT_SCENARIO = "target-tracking"
+
+
+class OfferedOption(NamedTuple):
+    """An option by its name, with the declarations of all values that have it."""
+
+    name: str
+    owned: tuple[Owned, ...]
+
+    @property
+    def declaration(self) -> Declaration:
+        """The first declaration; others differ in their names or defaults alone."""
+        return self.owned[0].declaration
+
+    @property
+    def group(self) -> str:
+        """The heading under which `--help` shows the option."""
+        return self.owned[0].group
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All names that the option takes; empty for numbers and free texts."""
+        return tuple(dict.fromkeys(name for one in self.owned for name in one.declaration.names))
+
+    @property
+    def kinds(self) -> tuple[Any, ...]:
+        """The types that its value may have."""
+        return (str,) if self.names else self.declaration.kinds
+
+    @property
+    def owners(self) -> str:
+        """The choices that have the option: "--rule ci, wac"; "" where every scenario has it."""
+        found: dict[str, list[str]] = {}
+        for one in self.owned:
+            if not one.owners:
+                return ""
+            choice, name = one.owners[-1]
+            found.setdefault(choice, [])
+            if name not in found[choice]:
+                found[choice].append(name)
+        if all(
+            len(names) == len(offered_options()[choice].names) for choice, names in found.items()
+        ):
+            return ""
+        return "; ".join(f"--{choice} {', '.join(names)}" for choice, names in found.items())
+
+    @property
+    def default(self) -> Any:
+        """Its value when nothing is said, in the default scenario where that has the option."""
+        usual = flat(kind_of(DEFAULT_SCENARIO).defaults)
+        return usual.get(self.name, self.declaration.default)
+
+    @property
+    def varies(self) -> bool:
+        """Whether the scenarios have several defaults for it."""
+        if self.name == "scenario":
+            return False
+        values = {
+            str(chosen[self.name])
+            for chosen in (flat(kind.defaults) for kind in kinds().values())
+            if self.name in chosen
+        }
+        return len(values) > 1
+
+    @property
+    def help(self) -> str:
+        """Meaning, names, unit, range and owners of the option."""
+        says = self.declaration.says
+        text = says.text.removesuffix(".")
+        if self.names and not says.text.count(","):
+            text += f": {', '.join(self.names)}"
+        facts = [f"in {says.unit}"] if says.unit else []
+        if says.range != "finite":
+            facts.append(says.range)
+        if self.owners:
+            facts.append(f"for {self.owners}")
+        return f"{text}." + (f" ({'; '.join(facts)})" if facts else "")
+
+    @property
+    def default_in_words(self) -> str:
+        """Its default as `--help` shows it."""
+        value = self.default
+        shown = {None: "computed", (): "none"}.get(value, value)
+        is_usual = self.name in flat(kind_of(DEFAULT_SCENARIO).defaults)
+        varies = f" for {DEFAULT_SCENARIO}" if is_usual and self.varies else ""
+        return f"(default: {shown}{varies})"
+
+
+@cache
+def offered_options() -> dict[str, OfferedOption]:
+    """Every option of a scenario by its name, in the order of declaration."""
+    found: dict[str, list[Owned]] = {}
+    for one in every_option(Scenario):
+        found.setdefault(one.declaration.name, []).append(one)
+    return {name: OfferedOption(name, tuple(owned)) for name, owned in found.items()}
+
+
+def scenario_of(scenario: str = DEFAULT_SCENARIO, **options: Any) -> Scenario:
+    """The scenario of that name with the options that were asked for, nothing left open.
+
+    Raises:
+        ValueError: there is no such scenario or option, a value that is not chosen has the option,
+            or its data cannot be read.
+    """
+    found, left = scenario_with_known(scenario, **options)
+    refuse_left(found, left)
+    return found
+
+
+def scenario_with_known(
+    scenario: str = DEFAULT_SCENARIO, **options: Any
+) -> tuple[Scenario, dict[str, Any]]:
+    """As `scenario_of`, and the options that no chosen value has.
+
+    Raises:
+        ValueError: there is no such scenario, or its data cannot be read.
+    """
+    kind = kind_of(scenario)
+    if "changes" in options:
+        options = {**options, "changes": with_files(options["changes"])}
+    found, left = kind.defaults.with_known(**options)
+    if kind.all_steps is not None and "steps" not in options:
+        found = found.with_(steps=kind.all_steps(found))
+    return found, left
+
+
+def in_options(scenario: Scenario) -> list[str]:
+    """The words of the command line that say a scenario of a name, without its defaults."""
+    usual, chosen = kind_of(scenario.name).defaults, flat(scenario)
+    is_choice = {name: bool(offered_options()[name].declaration.members) for name in chosen}
+    choices = {name: value for name, value in chosen.items() if is_choice[name]}
+    before, with_choices = flat(usual), flat(usual.with_known(**choices)[0])
+    words: list[str] = []
+    for name, value in chosen.items():
+        if value != (before if is_choice[name] else with_choices).get(name):
+            words += _said(name, value)
+    return words
+
+
+def _said(name: str, value: Any) -> Iterator[str]:
+    option = name.replace("_", "-")
+    if isinstance(value, bool):
+        yield f"--{option}" if value else f"--no-{option}"
+        return
+    yield f"--{option}"
+    yield from value if isinstance(value, tuple) else (str(value),)

@@ -1,0 +1,1 @@
+"""Random scenarios under random faults, checked against an independent ledger."""

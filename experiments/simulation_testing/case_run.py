@@ -1,0 +1,106 @@
+"""Run one case of simulation testing, with and without faults, and check the invariants."""
+
+from collections import Counter
+from functools import partial
+from typing import NamedTuple
+
+import msgspec
+
+from experiments.simulation_testing.bound import check_bound
+from experiments.simulation_testing.broken import Broken
+from experiments.simulation_testing.case import Case
+from experiments.simulation_testing.ledger import Books
+from experiments.simulation_testing.script import is_harmless
+from experiments.simulation_testing.verdict import (
+    History,
+    check_consistency,
+    check_return,
+    history_of_run,
+)
+from experiments.simulation_testing.watch import watched
+from experiments.simulation_testing.wire import LOSING, Wire, read_wire
+from nodes.commands import Configure
+from runtime import in_process
+from scenarios.build import build_environment, build_node
+from scenarios.preparation import complete_settings, prepare
+from scenarios.script import script_of
+
+
+class Outcome(NamedTuple):
+    """Outcome of a case.
+
+    Attributes:
+        broken: the invariant that broke; None if all held. seen: the observation that broke it.
+        injected: how often each word occurs in the scripts, and how often the wire acted.
+        struck: number of frames and turns that each fault word affected.
+    """
+
+    seed: int
+    broken: str | None
+    seen: str
+    injected: Counter[str]
+    struck: Counter[str]
+
+
+def torture(case: Case) -> Outcome:
+    """Run a case to its end or to the first invariant that breaks."""
+    injected = Counter(line.split()[1] for line in case.scenario.changes)
+    struck: Counter[str] = Counter()
+    try:
+        calm = _run(_without_faults(case), Counter(), Counter())
+        tried = _run(case, injected, struck)
+        for run in (calm, tried):
+            check_consistency(run)
+            check_bound(run)
+        check_return(tried, calm, case.calm_step)
+        if _is_harmless(case) and not tried.same_bits(calm):
+            raise Broken("what does no harm changes nothing", "estimates are not the same bits")
+    except Broken as broken:
+        return Outcome(case.seed, broken.invariant, broken.seen, injected, struck)
+    except Exception as error:  # whatever a node raises is what is looked for
+        seen = f"{type(error).__name__}: {error}"
+        return Outcome(case.seed, "nothing is raised", seen, injected, struck)
+    return Outcome(case.seed, None, "", injected, struck)
+
+
+def _run(case: Case, injected: Counter[str], struck: Counter[str]) -> History:
+    """One run, looked at after every event."""
+    setup = prepare(case.scenario)
+    configs = [build_node(setup, node) for node in range(case.scenario.nodes)]
+    faults, calm_step = read_wire(case.wire), case.calm_step
+    bus, loses_frames = configs[0].bus, bool({*faults} & {*LOSING})
+    books = Books(bus, case.scenario.rounds, len(configs), loses_frames)
+    wire = Wire(
+        case.seed, faults, lambda cycle: books.step_of(cycle) >= calm_step, bus.frame_format
+    )
+    try:
+        in_process.run(
+            build_environment(setup),
+            [watched(config, books, case.scenario) for config in configs],
+            books,
+            link=wire.carry,
+            pick=wire.pick,
+            watch=books.watch,
+            script=script_of(case.scenario),
+            check=partial(complete_settings, setup),
+        )
+    finally:
+        injected.update(wire.injected)
+        struck.update(books.struck)
+    return history_of_run(setup, books)
+
+
+def _without_faults(case: Case) -> Case:
+    """Return the same network without faults; only its settings change."""
+    settings = tuple(
+        f"{one.step} set " + " ".join(f"{k}={v}" for k, v in one.command.settings.items())
+        for one in script_of(case.scenario)
+        if isinstance(one.command, Configure)
+    )
+    scenario = msgspec.structs.replace(case.scenario, changes=settings)
+    return msgspec.structs.replace(case, scenario=scenario, wire=())
+
+
+def _is_harmless(case: Case) -> bool:
+    """Return whether no fault may change an estimate."""
+    return not {*read_wire(case.wire)} & {*LOSING} and is_harmless(script_of(case.scenario))

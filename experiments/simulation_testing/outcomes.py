@@ -1,0 +1,196 @@
+"""Outcome of a frame at a receiver, computed from the announced faults.
+
+Both accounts must use the same random draws, so the draws are those of `nodes/faults/active.py`.
+Their consequences are computed here anew from docs/faults.md, not by `nodes/faults` and
+`nodes/inbox.py`.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from nodes.faults.active import EVERYBODY, Faults
+from nodes.faults.links import Passage
+from nodes.faults.vocabulary import PASSING
+
+
+class Fate(NamedTuple):
+    """Outcome of a frame at one receiver.
+
+    Attributes:
+        counts: counters that increase at once. later: (cycle, counter that increases at its start).
+        is_usable: the share may use the frame. is_overtaken: the frame comes after all others.
+        struck: the fault words that caused the outcome.
+    """
+
+    counts: tuple[str, ...]
+    later: tuple[tuple[int, str], ...]
+    is_usable: bool
+    is_overtaken: bool
+    struck: tuple[str, ...]
+
+
+def fate_of(faults: Faults, way: Passage, frame: bytes, has_slot: Callable[[int], bool]) -> Fate:
+    """The fate of a frame that its sender meant to send; `has_slot(node)` says who has a slot in
+    its cycle."""
+    for word, counted in _obstacles(faults, way):
+        return Fate((counted,), (), False, False, (word,))
+    reading, struck = _reading(faults, way, frame)
+    later, late_words = _late(faults, way)
+    again = [later]
+    replay = _at(faults, "replay", way.step, way.sender)
+    if replay is not None and _strikes(faults, "replay", way, way.receiver):
+        struck = (*struck, "replay")
+        again.append(later + int(replay[1]))
+    if later:
+        # Outside of its slot it is no frame of this cycle, and of an earlier one when it comes.
+        counted = reading or "late"
+        comes = tuple((way.cycle + cycles, counted) for cycles in again)
+        return Fate((), comes, False, False, struck + late_words)
+    counts = [reading] if reading else []
+    if _strikes_link(faults, "duplicate", way):
+        counts.append(reading or "repeated")
+        struck = (*struck, "duplicate")
+    victims = _victims(faults, way, has_slot)
+    counts += ["rejected"] * len(victims)
+    is_overtaken = _strikes_link(faults, "reorder", way)
+    counts += ["reordered"] * is_overtaken
+    struck += ("spoof",) * len(victims) + ("reorder",) * is_overtaken
+    comes = tuple((way.cycle + cycles, reading or "late") for cycles in again[1:])
+    return Fate(tuple(counts), comes, not reading, is_overtaken, struck)
+
+
+def must_be_silent(faults: Faults, step: int, cycle: int, node: int) -> str:
+    """Return the word that keeps a node from saying anything in its turn; "" for none."""
+    if _stands_still(faults, step, node):
+        return "hang"
+    missing = _at(faults, "missing", step, node)
+    strikes = missing is not None and faults.draw("missing", cycle, node, EVERYBODY) < missing[0]
+    return "missing" if strikes else ""
+
+
+def _at(faults: Faults, kind: str, step: int, *nodes: int) -> tuple[float, ...] | None:
+    """Return the numbers of a fault of a node, link, channel or the bus; None without a fault."""
+    # A fault of one link takes precedence over a fault of all links.
+    fault = faults.standing.get((kind, nodes)) or faults.standing.get((kind, ()))
+    if fault is None or fault.numbers[0] == 0:
+        return None
+    is_over = kind in PASSING and step - fault.first_step >= fault.numbers[0]
+    return None if is_over else fault.numbers
+
+
+def _stands_still(faults: Faults, step: int, node: int) -> bool:
+    return _at(faults, "hang", step, node) is not None
+
+
+def _obstacles(faults: Faults, way: Passage) -> list[tuple[str, str]]:
+    """Return the faults that keep a frame from being read, with their counters.
+
+    The first entry decides.
+    """
+    found = []
+    if _stands_still(faults, way.step, way.receiver):
+        found.append(("hang", "lost"))
+    apart_us = abs(_ahead_us(faults, way, way.sender) - _ahead_us(faults, way, way.receiver))
+    if apart_us > faults.equipment.precision_us:
+        found.append(("drift", "rejected"))
+    if not _at(faults, "guardian", way.step) and any(
+        _makes_noise(faults, way, nodes[0]) for kind, nodes in faults.standing if kind == "babble"
+    ):
+        found.append(("babble", "rejected"))
+    fails = [_at(faults, "channel", way.step, place) for place in range(len(_channels(faults)))]
+    if all(
+        chance is not None
+        and faults.draw("channel", way.cycle, way.sender, EVERYBODY + 1 + place, way.number)
+        < chance[0]
+        for place, chance in enumerate(fails)
+    ):
+        found.append(("channel", "lost"))
+    return found
+
+
+def _channels(faults: Faults) -> str:
+    return faults.equipment.channels
+
+
+def _ahead_us(faults: Faults, way: Passage, node: int) -> float:
+    """Return the lead of a node's clock at the end of the frame's cycle."""
+    drift = _at(faults, "drift", way.step, node)
+    if drift is None:
+        return 0.0
+    cycles = way.cycle - faults.first_cycle("drift", node) + 1
+    return cycles * faults.equipment.cycle_us * drift[0] / 1e6
+
+
+def _makes_noise(faults: Faults, way: Passage, node: int) -> bool:
+    babble = _at(faults, "babble", way.step, node)
+    if babble is None or node == way.sender or _stands_still(faults, way.step, node):
+        return False
+    return faults.draw("babble", way.cycle, node, EVERYBODY, way.frame_id) < babble[0]
+
+
+def _reading(faults: Faults, way: Passage, frame: bytes) -> tuple[str, tuple[str, ...]]:
+    """Return the counter of a frame that was altered ("" if unaltered), and the fault words."""
+    last_bit = 8 * (len(frame) - 1)
+    crc = {last_bit} if _strikes(faults, "crc", way, EVERYBODY) else set()
+    corrupt = _flipped(faults, way, len(frame))
+    struck = ("crc",) * bool(crc) + ("corrupt",) * bool(corrupt)
+    is_null = _strikes(faults, "null", way, EVERYBODY)
+    wrong = _at(faults, "wrong-step", way.step, way.sender)
+    is_old = wrong is not None and _strikes(faults, "wrong-step", way, EVERYBODY)
+    struck += ("null",) * is_null + ("wrong-step",) * is_old
+    # A bit that is flipped twice keeps its value.
+    if is_null or crc ^ corrupt:
+        return "rejected", struck
+    earlier = wrong is not None and is_old and min(int(wrong[1]), way.cycle) > 0
+    return ("late" if earlier else ""), struck
+
+
+def _flipped(faults: Faults, way: Passage, length: int) -> set[int]:
+    if not _strikes_link(faults, "corrupt", way):
+        return set()
+
+    def drawn(what: str, below: int) -> int:
+        return int(below * faults.draw(what, way.cycle, way.sender, way.receiver, way.number))
+
+    flips = 1 + drawn("corrupted bits", faults.equipment.noticed_bits)
+    return {drawn(f"corrupted bit {place}", 8 * length) for place in range(flips)}
+
+
+def _late(faults: Faults, way: Passage) -> tuple[int, tuple[str, ...]]:
+    """By how many cycles a frame is late, and why."""
+    why = {}
+    if slow := _at(faults, "slow", way.step, way.sender):
+        why["slow"] = int(slow[0])
+    delay = _at(faults, "delay", way.step, way.sender, way.receiver)
+    if delay is not None and _strikes_link(faults, "delay", way):
+        why["delay"] = int(delay[1])
+    if jitter := _at(faults, "jitter", way.step, way.sender, way.receiver):
+        draw = faults.draw("jitter", way.cycle, way.sender, way.receiver, way.number)
+        why["jitter"] = int((jitter[0] + 1) * draw)
+    return sum(why.values()), tuple(word for word, cycles in why.items() if cycles)
+
+
+def _victims(faults: Faults, way: Passage, has_slot: Callable[[int], bool]) -> list[int]:
+    """In whose names the sender also says it."""
+    named = [nodes for kind, nodes in faults.standing if kind == "spoof"]
+    found = []
+    for node, victim in named:
+        spoof = _at(faults, "spoof", way.step, node, victim)
+        if node == way.sender and spoof is not None and has_slot(victim):
+            draw = faults.draw("spoof", way.cycle, node, victim, way.number)
+            found += [victim] * (draw < spoof[0])
+    return found
+
+
+def _strikes(faults: Faults, kind: str, way: Passage, receiver: int) -> bool:
+    """Return whether a sender's fault affects this frame, for all receivers."""
+    numbers = _at(faults, kind, way.step, way.sender)
+    draw = faults.draw(kind, way.cycle, way.sender, receiver, way.number)
+    return numbers is not None and draw < numbers[0]
+
+
+def _strikes_link(faults: Faults, kind: str, way: Passage) -> bool:
+    """Return whether a link's fault affects this frame."""
+    numbers = _at(faults, kind, way.step, way.sender, way.receiver)
+    draw = faults.draw(kind, way.cycle, way.sender, way.receiver, way.number)
+    return numbers is not None and draw < numbers[0]

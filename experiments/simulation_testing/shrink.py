@@ -1,0 +1,135 @@
+"""A case that breaks an invariant, made as small as it goes while it still breaks the same one."""
+
+import shlex
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import msgspec
+
+from experiments.scenario_options import in_options
+from experiments.simulation_testing.case import Case, check_case, differences, with_fields
+from experiments.simulation_testing.draw import draw_case
+from scenarios.preparation import prepare
+
+MOST_TRIES = 200
+FEWEST_NODES = 2
+
+# Plain values in the order of trial: one value of each field, so that the search ends.
+_PLAIN: tuple[dict[str, Any], ...] = (
+    {"scenario": "oscillator"},
+    {"rule": "ci"},
+    {"links": "static"},
+    {"loss": 0.0},
+    {"schedule": "full"},
+    {"relay": False},
+    {"cluster": "fitted"},
+    {"arbiter": "wtod"},
+    {"trigger": 0.0},
+    {"rounds": 1},
+    {"graph": "path"},
+    {"weights": "metropolis"},
+    {"hold": "decayed"},
+    {"decay": 0.5},
+    {"determinant_weights": True},
+    {"number": "float64"},
+    {"window_steps": None},
+    {"digest_steps": None},
+    {"record_number": "int16"},
+    {"payload_bytes": 254},
+    {"seed": 1},
+)  # fmt: skip
+
+
+def shrink(case: Case, breaks: Callable[[Case], bool]) -> Case:
+    """Return the smallest case found in which the invariant still breaks; `breaks` runs one."""
+    tries = 0
+    progress = True
+    while progress:
+        progress = False
+        for smaller in _smaller(case):
+            if smaller == case or not _is_possible(smaller):
+                continue
+            if tries == MOST_TRIES:
+                return case
+            tries += 1
+            if breaks(smaller):
+                case, progress = smaller, True
+                break
+    return case
+
+
+def _smaller(case: Case) -> Iterator[Case]:
+    """Cases with less in them, those with much less first."""
+    scenario = case.scenario
+    # Steps come first: whatever is tried after them takes no longer than they do.
+    for steps in _between(1, scenario.steps):
+        yield _shorter(case, steps)
+    for nodes in _between(FEWEST_NODES, scenario.nodes):
+        yield _with(case, "nodes", nodes)
+    yield from (_with(case, "changes", kept) for kept in _fewer(scenario.changes))
+    yield from (_with(case, "wire", kept) for kept in _fewer(case.wire))
+    for fields in _PLAIN:
+        yield with_fields(case, fields)
+
+
+def _fewer(values: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
+    """Without a part of them: halves, then quarters, down to single ones."""
+    size = len(values)
+    while size:
+        for first in range(0, len(values), size):
+            yield values[:first] + values[first + size :]
+        size //= 2
+
+
+def _between(least: int, value: int) -> Iterator[int]:
+    """Numbers below a value, the least first, in ever smaller steps."""
+    gap = value - least
+    while gap:
+        yield value - gap
+        gap //= 2
+
+
+def _shorter(case: Case, steps: int) -> Case:
+    changes = tuple(line for line in case.scenario.changes if int(line.split()[0]) < steps)
+    return with_fields(case, {"steps": steps, "changes": changes})
+
+
+def _with(case: Case, field: str, value: Any) -> Case:
+    return with_fields(case, {field: value})
+
+
+def _is_possible(case: Case) -> bool:
+    try:
+        prepare(case.scenario)
+        check_case(case)
+    except ValueError:
+        return False
+    return True
+
+
+def replay_command(case: Case) -> str:
+    """Return the command that repeats a case exactly."""
+    said: dict[str, Any] = {}
+    while case != (drawn := draw_case(case.seed, said)):
+        # A given field may change the fields that are drawn after it.
+        said |= differences(case, drawn)
+    words = ["concord", "torture", "--seeds", str(case.seed)]
+    for name, value in said.items():
+        words += ["--" + name.replace("_", "-"), written(value)]
+    return shlex.join(words)
+
+
+def run_command(case: Case) -> str:
+    """Return the command that runs and records the scenario of a case, in any driver.
+
+    The command leaves out the faults of the wire, which only simulation testing can produce.
+    """
+    scenario = case.scenario
+    return shlex.join(["concord", "run", "--scenario", scenario.name, *in_options(scenario)])
+
+
+def written(value: object) -> str:
+    """A value as the options of the command read it."""
+    if isinstance(value, tuple):
+        return ", ".join(value)
+    return value if isinstance(value, str) else msgspec.json.encode(value).decode()

@@ -1,0 +1,191 @@
+"""Invariants of a whole run: no node is overconfident, and all nodes recover after `calm`."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import chdtri
+
+from experiments.simulation_testing.broken import Broken
+from experiments.simulation_testing.ledger import Books
+from experiments.simulation_testing.promises import (
+    CERTAIN,
+    CONSISTENT,
+    GAUSSIAN,
+    MATCHED,
+    RETURNING,
+    brings_back,
+    nodes_are_honest,
+    promises,
+    sensors_are_honest,
+)
+from filters.linalg import unpack_upper
+from nodes.messages import Array, from_wire
+from scenarios.scenario import Scenario
+from scenarios.setup import Setup
+from scenarios.types.plants import noise_of
+
+# An error beyond this has a chance of 2e-12. A thousand seeds judge half a million errors, so that
+# all of them together raise a false alarm in one of a million such commands.
+IMPROBABLE = 2e-12
+SETTLING_STEPS = 20
+LEVEL_STEPS = 10
+RECOVERY_STEPS = SETTLING_STEPS + LEVEL_STEPS
+
+_SET_TOLERANCE = 1e-6
+# How much more of an error or disagreement than in the run without faults is none, in variances:
+# a factor, and a part of the variance itself.
+_FACTOR, _PART = 2.0, 1.0
+_SIZE = np.log(2.0)
+
+
+class History(NamedTuple):
+    """Estimates of a run: mean (steps, N, n), cov (steps, N, n, n), NaN where a node was out.
+
+    The truth is (steps, n); the readings are (steps, N, r, d), NaN without a reading. The control
+    is (steps, p) or None.
+    """
+
+    setup: Setup
+    truth: Array
+    mean: Array
+    cov: Array
+    readings: Array
+    control: Array | None
+
+    def same_bits(self, other: "History") -> bool:
+        """Return whether all estimates are equal, bit for bit."""
+        return (
+            self.mean.tobytes() == other.mean.tobytes()
+            and self.cov.tobytes() == other.cov.tobytes()
+        )
+
+    @property
+    def errors(self) -> Array:
+        """(steps, N, n)."""
+        return self.mean - self.truth[:, None]
+
+
+def history_of_run(setup: Setup, books: Books) -> History:
+    """Return the arrays of a run that came to its end.
+
+    Raises:
+        Broken: a node that was in said nothing, or one that was out did.
+    """
+    scenario = setup.scenario
+    shape = (scenario.steps, scenario.nodes, len(setup.prior_mean))
+    mean = np.full(shape, np.nan)
+    cov = np.full((*shape, shape[-1]), np.nan)
+    for step in range(scenario.steps):
+        for node in range(scenario.nodes):
+            said = books.estimates.get((step, node))
+            if (said is not None) != books.history.is_in(node, step):
+                what = "no" if said is None else "an"
+                raise Broken("one estimate a step", f"node {node} gave {what} estimate of {step}")
+            if said is not None:
+                mean[step, node] = from_wire(said.mean)
+                cov[step, node] = unpack_upper(from_wire(said.cov))
+    truth = np.array([from_wire(books.truths[step].state) for step in range(scenario.steps)])
+    return History(setup, truth, mean, cov, *_told(scenario, books))
+
+
+def _told(scenario: Scenario, books: Books) -> tuple[Array, Array | None]:
+    """Return the readings and control that the environment has sent to the nodes."""
+    some = next(iter(books.measured.values()))
+    came = {
+        place: np.array([from_wire(reading) for reading in measured.readings])
+        for place, measured in books.measured.items()
+    }
+    shape = next(iter(came.values())).shape
+    readings = np.full((scenario.steps, scenario.nodes, *shape), np.nan)
+    for place, arrays in came.items():
+        readings[place] = arrays
+    if some.control is None:
+        return readings, None
+    first = {step: measured.control for (step, _), measured in books.measured.items()}
+    return readings, np.array([first[step] for step in range(scenario.steps)], dtype=float)
+
+
+def check_consistency(run: History) -> None:
+    """No error lies beyond what its covariance allows, where the rule promises so.
+
+    Raises:
+        Broken: one does.
+    """
+    scenario = run.setup.scenario
+    if not (sensors_are_honest(scenario) and nodes_are_honest(scenario)):
+        return
+    if promises(scenario, CERTAIN) and noise_of(scenario.plant) == "matched":
+        most, invariant = 1.0 + _SET_TOLERANCE, "a set holds the truth"
+    elif promises(scenario, CONSISTENT) and scenario.name in MATCHED:
+        most, invariant = float(chdtri(run.mean.shape[-1], IMPROBABLE)), "errors are as believed"
+    else:
+        return
+    squares = _squares(run.errors, run.cov)
+    worst = float(np.nanmax(squares))
+    if worst > most:
+        step, node = np.unravel_index(np.nanargmax(squares), squares.shape)
+        raise Broken(
+            invariant,
+            f"node {node} in step {step} errs by {worst:.4g} squared, at most {most:.4g}",
+        )
+
+
+def check_return(run: History, calm: History, calm_step: int) -> None:
+    """After calm all are back: they err, disagree and doubt as they do where nothing was wrong.
+
+    The level is that of `LEVEL_STEPS` steps, `SETTLING_STEPS` after the last fault, in units of the
+    covariance without faults; nothing is asked of runs that end before.
+
+    Raises:
+        Broken: a node is missing, or its error exceeds the level.
+    """
+    scenario = run.setup.scenario
+    level = slice(calm_step + SETTLING_STEPS, calm_step + RECOVERY_STEPS)
+    if level.stop > scenario.steps:
+        return
+    out = np.flatnonzero(np.isnan(run.mean[level]).any(axis=(0, 2)))
+    if len(out):
+        raise Broken("who was restarted is back", f"node {out[0]} is out {SETTLING_STEPS} steps on")
+    honest = sensors_are_honest(scenario)
+    # A set that a false reading has parted from the truth has nothing to find it again.
+    if not promises(scenario, RETURNING if honest else GAUSSIAN):
+        return
+    if not brings_back(run.setup):
+        return
+    # How long a filter remembers what a sensor said falsely is a matter of its plant alone.
+    compared = (("errors come back", _error), ("nodes agree again", _disagreement))
+    for invariant, of in compared if honest else ():
+        now, then = of(run, calm, level), of(calm, calm, level)
+        if now > _FACTOR * then + _PART:
+            raise Broken(invariant, f"{now:.4g} variances, and {then:.4g} without faults")
+    grown = (_size(run, level) - _size(calm, level)).max(initial=0.0)
+    if grown > _SIZE:
+        raise Broken(
+            "covariances come back", f"variances of a node are {np.exp(grown):.3g} times as large"
+        )
+
+
+def _squares(errors: Array, covs: Array) -> Array:
+    """e' P^-1 e (...) of errors (..., n); NaN where one is."""
+    there = np.isfinite(errors).all(axis=-1) & np.isfinite(covs).all(axis=(-1, -2))
+    squares = np.full(there.shape, np.nan)
+    solved = np.linalg.solve(covs[there], errors[there][..., None])[..., 0]
+    squares[there] = (errors[there] * solved).sum(axis=-1)
+    return squares
+
+
+def _error(run: History, calm: History, level: slice) -> float:
+    """Mean square error over nodes and steps, per state, in variances of the calm run."""
+    return float(_squares(run.errors[level], calm.cov[level]).mean()) / run.mean.shape[-1]
+
+
+def _disagreement(run: History, calm: History, level: slice) -> float:
+    """Return the same of what nodes differ by from their mean."""
+    mean = run.mean[level]
+    apart = mean - mean.mean(axis=1, keepdims=True)
+    return float(_squares(apart, calm.cov[level]).mean()) / mean.shape[-1]
+
+
+def _size(run: History, level: slice) -> Array:
+    """Mean logarithm of the variances of each node (N,)."""
+    return np.linalg.slogdet(run.cov[level])[1].mean(axis=0) / run.mean.shape[-1]

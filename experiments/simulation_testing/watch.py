@@ -1,0 +1,249 @@
+"""An estimator that is looked at after every cycle, and otherwise does what another does."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from experiments.simulation_testing.broken import Broken
+from experiments.simulation_testing.ledger import Books
+from experiments.simulation_testing.promises import nodes_are_honest, sensors_are_honest
+from experiments.simulation_testing.trimmed import broken_promise
+from experiments.simulation_testing.weights import promised_weights
+from filters.fusion.averaging import Averaged, Fused
+from filters.gaussian import Gaussian, joined
+from nodes.belief_codec import belief_of
+from nodes.changes import Standing
+from nodes.estimator import Estimator, Rejected
+from nodes.messages import Array, Measured
+from nodes.node_state import NodeConfig
+from nodes.rules import information_rounds
+from nodes.rules.at_node import AtNode
+from nodes.rules.belief_consensus import BeliefConsensus
+from nodes.rules.fresh_consensus import FreshConsensus
+from nodes.rules.information_rounds import InformationRounds
+from nodes.rules.novelty_rounds import NoveltyRounds
+from nodes.rules.set_membership import SetAtNode
+from scenarios.scenario import Scenario
+from scenarios.types.rules import TrimmedCovarianceIntersection
+
+_ROUNDING = 1e-9
+_REFUSALS = ("rejected not-positive-definite", "rejected unsound")
+_CONTRADICTIONS = ("contradicting-share", "contradicting-reading")
+
+
+class _Share(NamedTuple):
+    """Share as an estimator decoded it, with its body."""
+
+    meaning: Any
+    body: bytes
+
+
+def watched(config: NodeConfig, books: Books, scenario: Scenario) -> NodeConfig:
+    """Return the same node, and every node that it becomes, with an eye on its estimator."""
+    rebuild = config.rebuild
+
+    def rebuilt(standing: Standing, step: int, belief: Gaussian | None) -> NodeConfig:
+        assert rebuild is not None, "a node of a scenario can be rebuilt"
+        changed, _ = scenario.with_known(**standing.settings)
+        return watched(rebuild(standing, step, belief), books, changed)
+
+    return replace(config, estimator=Watched(config, books, scenario), rebuild=rebuilt)
+
+
+class _ShownRule(NamedTuple):
+    """A rule of averages whose weights are shown to `check`, as they are used."""
+
+    rule: Averaged
+    check: Callable[[Gaussian, Array, Gaussian], None]
+
+    def fuse(self, own: Gaussian, others: Gaussian, weights: Array, by_sharpness: bool) -> Fused:
+        """Fuse the beliefs by the rule, and check the result."""
+        fused = self.rule.fuse(own, others, weights, by_sharpness)
+        # If a share is no belief, the estimator calls the rule again without it.
+        if not np.isnan(fused.sharpness[1:]).any():
+            self.check(joined(own, others), fused.weights, fused.belief)
+        return fused
+
+
+class Watched:
+    """Estimator of a node, with the invariants that must hold after every cycle.
+
+    A broken invariant raises `Broken`.
+    """
+
+    def __init__(self, config: NodeConfig, books: Books, scenario: Scenario) -> None:
+        self._config, self._books, self._scenario = config, books, scenario
+        self._inner = self._with_weights_shown(config.estimator)
+        self._cycle = self._group = -1
+        self._heard: dict[int, int] = {}
+        self._used: set[tuple[int, int]] = set()
+        self._honest = sensors_are_honest(scenario) and nodes_are_honest(scenario)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._inner, name)
+
+    def begin_step(self, content: Any, measured: Measured) -> tuple[Any, tuple[str, ...]]:
+        """Begin a step; check that the last step had all cycles, and each cycle all groups."""
+        config = self._config
+        cycle = config.first_cycle + (measured.step - config.first_step) * config.rounds
+        if (self._cycle, self._group) not in ((-1, -1), (cycle, 0)):
+            raise self._broken("every cycle is gone through", f"step {measured.step} began")
+        self._cycle, self._group = cycle, 0
+        content, troubles = self._inner.begin_step(content, measured)
+        self._check_belief(self._inner.belief(content), _ROUNDING)
+        self._check_troubles(troubles)
+        return content, troubles
+
+    def accept(self, body: bytes) -> _Share:
+        """Decode a body into a share that keeps the body."""
+        try:
+            meaning = self._inner.accept(body)
+        except Rejected:
+            self._books.rejected(self._config.index, body)
+            raise
+        self._books.accepted(self._config.index, body)
+        return _Share(meaning, body)
+
+    def fuse(self, content: Any, shares: tuple[_Share | None, ...]) -> tuple[Any, tuple[str, ...]]:
+        """Fuse the shares; check that they belong to this cycle and that the result is valid."""
+        near = self._config.neighbours
+        came = {j: share for j, share in zip(near, shares, strict=True) if share is not None}
+        for sender, share in came.items():
+            self._check_share(sender, share)
+        self._books.missed(self._config, self._cycle, self._group, {*near} - {*came})
+        self._check_mixing(content, [j in came for j in near])
+        meanings = tuple(None if share is None else share.meaning for share in shares)
+        content, troubles = self._inner.fuse(content, meanings)
+        refused = {j for j, share in came.items() if self._is_indefinite(share.body)}
+        self._check_refusals(len(refused), sum(trouble in _REFUSALS for trouble in troubles))
+        self._heard.update(dict.fromkeys({*came} - refused, self._cycle))
+        if "contradicting-share" in troubles:
+            self._forget_refused(self._inner.ages(content))
+        self._check_troubles(troubles)
+        self._check_belief(self._inner.belief(content), 0.0)
+        self._group += 1
+        if self._group == len(self._config.schedule.groups(self._cycle)):
+            self._check_ages(self._inner.ages(content))
+            self._cycle, self._group = self._cycle + 1, 0
+        return content, troubles
+
+    def _forget_refused(self, ages: Array) -> None:
+        """A set that has nothing in common with the own one is not held."""
+        for sender, age in zip(self._config.neighbours, ages.tolist(), strict=True):
+            if age < 0:
+                self._heard.pop(sender, None)
+
+    def _is_indefinite(self, body: bytes) -> bool:
+        """Return whether a share is a belief with a variance that is negative."""
+        if not isinstance(self._inner, AtNode) or self._inner.codec.what != "belief":
+            return False
+        belief = belief_of(self._inner.codec.decode(body), len(self._inner.prior.mean))
+        return bool((np.diagonal(belief.cov) < 0).any())
+
+    def _check_refusals(self, indefinite: int, refused: int) -> None:
+        """Check that each indefinite covariance is refused, and no other share."""
+        if indefinite != refused:
+            raise self._broken(
+                "a covariance that is none is refused", f"{refused} shares for {indefinite}"
+            )
+        self._books.refused(self._config.index, refused)
+
+    def _check_share(self, sender: int, share: _Share) -> None:
+        label = (sender, self._cycle)
+        if label in self._used:
+            raise self._broken("no share used twice", f"that of node {sender} was used again")
+        self._used.add(label)
+        if self._books.body(*label) != share.body:
+            raise self._broken(
+                "a share is used in its own cycle", f"node {sender} has not said that in it"
+            )
+        self._books.used(self._config.index, *label)
+
+    def _check_belief(self, belief: Gaussian, rounding: float) -> None:
+        mean, cov = belief
+        if not (np.isfinite(mean).all() and np.isfinite(cov).all()):
+            raise self._broken("estimates are finite", f"mean {mean.tolist()}")
+        spread = np.sqrt(np.abs(np.diagonal(cov)))
+        if (np.abs(cov - cov.T) > rounding * np.outer(spread, spread)).any():
+            raise self._broken("covariances are symmetric", f"by {np.abs(cov - cov.T).max():.3g}")
+        try:
+            np.linalg.cholesky(cov)
+        except np.linalg.LinAlgError:
+            least = np.linalg.eigvalsh(cov).min()
+            raise self._broken(
+                "covariances are positive definite", f"least eigenvalue {least:.3g}"
+            ) from None
+
+    def _check_troubles(self, troubles: tuple[str, ...]) -> None:
+        """Sets that hold the truth have it in common, if no sensor says what it does not read."""
+        certain = isinstance(self._inner, SetAtNode) and self._honest
+        bad = [trouble for trouble in troubles if certain and trouble in _CONTRADICTIONS]
+        if bad:
+            raise self._broken("sets of the truth meet", bad[0])
+
+    def _with_weights_shown(self, estimator: Estimator) -> Estimator:
+        """Return the same estimator, with an eye on its weights over fresh and held beliefs."""
+        if not (isinstance(estimator, AtNode) and isinstance(estimator.rule, BeliefConsensus)):
+            return estimator
+        rule = estimator.rule
+        weigh = rule.hold.weigh
+
+        def shown(base: Array, ages: Array, sharpness: Array, cycles: int) -> Array:
+            weights = weigh(base, ages, sharpness, cycles)
+            promised = promised_weights(self._scenario, base, ages, sharpness, cycles)
+            if np.abs(weights - promised).max() > _ROUNDING:
+                raise self._broken(
+                    "weights are those of the hold policy", f"{weights.tolist()} for {promised}"
+                )
+            return weights
+
+        watched_rule = replace(
+            rule,
+            hold=rule.hold._replace(weigh=shown),
+            average=_ShownRule(rule.average, self._check_average),
+        )
+        return replace(estimator, rule=watched_rule)
+
+    def _check_average(self, beliefs: Gaussian, weights: Array, fused: Gaussian) -> None:
+        self._check_weights(weights)
+        liars = [1 + n for n, j in enumerate(self._config.neighbours) if j in self._books.liars]
+        rule = self._scenario.rule
+        if isinstance(rule, TrimmedCovarianceIntersection) and np.isfinite(fused.mean).all():
+            seen = broken_promise(beliefs, weights, fused, liars, rule.liars)
+            if seen:
+                raise self._broken("liars move nobody beyond what honest nodes say", seen)
+
+    def _check_weights(self, weights: Array) -> None:
+        if (weights < 0).any() or abs(weights.sum() - 1) > _ROUNDING:
+            raise self._broken("weights sum to one", f"{weights.tolist()}")
+
+    def _check_mixing(self, content: Any, came: list[bool]) -> None:
+        """Check that a round keeps a value on which all agree: the used weights sum to one."""
+        inner = self._inner
+        if not (isinstance(inner, AtNode) and isinstance(inner.rule, FreshConsensus)):
+            return
+        rule, weights = inner.rule.exchange, inner.place.weights
+        said = np.where([True, *came], 1.0, np.nan)[:, None]
+        if isinstance(rule, InformationRounds):
+            mixed = information_rounds.average(said, weights)
+        elif isinstance(rule, NoveltyRounds):
+            mixed = rule.mix(said * np.ones(len(inner.prior.mean)), weights)
+        else:
+            return
+        if np.abs(mixed - 1).max() > _ROUNDING:
+            raise self._broken("weights sum to one", f"a round makes {mixed.tolist()} of ones")
+
+    def _check_ages(self, ages: Array) -> None:
+        expected = [
+            self._cycle - self._heard[j] if j in self._heard else -1
+            for j in self._config.neighbours
+        ]
+        if ages.tolist() != expected:
+            raise self._broken(
+                "shares grow older by one a cycle", f"ages {ages.tolist()} for {expected}"
+            )
+
+    def _broken(self, invariant: str, seen: str) -> Broken:
+        return Broken(invariant, f"node {self._config.index} in cycle {self._cycle}: {seen}")

@@ -1,0 +1,1 @@
+"""Sweeps: cells, pieces, workers, results and plots."""

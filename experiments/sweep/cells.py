@@ -1,0 +1,58 @@
+"""The cells of a sweep, all checked before the first one runs."""
+
+from collections.abc import Sequence
+
+import msgspec
+
+from experiments.sweep.specification import Cell, Specification, cells_of, shown
+from scenarios.preparation import prepare
+
+
+def checked_cells(specification: Specification) -> list[Cell]:
+    """All cells of a sweep, each of which can run.
+
+    Raises:
+        ValueError: naming the first cell that cannot, why, and how many more there are.
+    """
+    good, bad = sorted_out(cells_of(specification))
+    if bad:
+        cell, reason = bad[0]
+        more = f"; {len(bad) - 1} more of its cells cannot run" if len(bad) > 1 else ""
+        raise ValueError(f"cell {cell.name} ({cell.number + 1} of {len(good) + len(bad)}): "
+                         f"{reason}{more}")  # fmt: skip
+    return good
+
+
+def sorted_out(cells: Sequence[Cell]) -> tuple[list[Cell], list[tuple[Cell, ValueError]]]:
+    """Return the cells that can run, and those that cannot with the reason."""
+    good: list[Cell] = []
+    bad: list[tuple[Cell, ValueError]] = []
+    for cell in cells:
+        try:
+            prepare(cell.scenario)
+        except ValueError as error:
+            bad.append((cell, error))
+        else:
+            good.append(cell)
+    return good, bad
+
+
+def difference(before: Specification, now: Specification) -> str:
+    """In which words two specifications differ; empty if they do not."""
+    old, new = (msgspec.to_builtins(one) for one in (before, now))
+    said = []
+    for part in ("base", "levels", "ranges"):
+        for field in {**old.pop(part), **new.pop(part)}:
+            was, wants = (_words(one, field) for one in (before, now))
+            if was != wants and (field, was, wants) not in said:
+                said.append((field, was, wants))
+    said += [(name, str(old[name]), str(new[name])) for name in old if old[name] != new[name]]
+    return "; ".join(f"{field} was {was} and is {wants}" for field, was, wants in said)
+
+
+def _words(specification: Specification, field: str) -> str:
+    if field in specification.ranges:
+        between = specification.ranges[field]
+        return f"{between.low:g}..{between.high:g}"
+    values = specification.levels.get(field, [specification.base.get(field, "the default")])
+    return ",".join(map(shown, values))

@@ -1,0 +1,26 @@
+"""The engine that computes the pieces of a sweep, as the options ask for it."""
+
+import os
+from functools import partial
+
+from experiments.sweep.dask_workers import connect
+from experiments.sweep.workers import Engine, in_processes
+
+
+def engine_for(workers: int | None, dask: str | None) -> Engine:
+    """Return the engine of so many processes here, or of the Dask scheduler at an address.
+
+    Raises:
+        ValueError: fewer than one worker, both asked for, or Dask is not there.
+    """
+    if dask is not None:
+        if workers is not None:
+            raise ValueError(
+                "--workers and --dask: Dask has its own workers; leave one of them out"
+            )
+        return connect(dask)
+    if workers is not None and workers < 1:
+        raise ValueError(f"--workers {workers}: must be at least 1")
+    # The cores that this process may use, which a container may have limited.
+    available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return partial(in_processes, workers or available or 1)

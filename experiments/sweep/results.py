@@ -1,0 +1,202 @@
+"""The result of a sweep: one xarray data set, one dimension per swept field, and the runs.
+
+Cells of a Latin hypercube have one dimension, `cell`, along which the fields are coordinates.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+
+from experiments.monte_carlo.run_figures import FIGURES
+from experiments.results.folder import commit, versions
+from experiments.results.netcdf_file import write_dataset
+from experiments.sweep.specification import Cell, Specification, Value, cells_of
+from nodes.messages import Array
+from scenarios.catalogue import kind_of
+from scenarios.kind import Kind
+
+if TYPE_CHECKING:
+    import xarray
+
+SPECIFICATION = "specification"
+
+
+def assemble(
+    specification: Specification, cells: Sequence[Cell], figures: Mapping[int, dict[str, Array]]
+) -> "xarray.Dataset":
+    """Return the data set of a sweep from the figures of its cells; what a cell has not is NaN.
+
+    Raises:
+        ValueError: errors of different units, which cannot stand in one table.
+    """
+    import xarray
+
+    fields = _fields(specification, cells)
+    shape = tuple(len(values) for values in fields.values())
+    kinds = [kind_of(cell.scenario.name) for cell in cells]
+    states = _states(cells, kinds)
+    sizes = {
+        "run": specification.runs,
+        "step": max(cell.scenario.steps for cell in cells),
+        "node": max(cell.scenario.nodes for cell in cells),
+        "state": len(states),
+    }
+    unit = score_unit(kinds)
+    variables: dict[str, Any] = {}
+    for name, figure in FIGURES.items():
+        whole = np.full((*shape, *(sizes[d] for d in figure.dimensions)), np.nan)
+        for cell in cells:
+            place = np.unravel_index(cell.number, shape) if shape else ()
+            part = _placed(figures[cell.number][name], figure.dimensions, cell, states)
+            whole[(*place, *(slice(length) for length in part.shape))] = part
+        units = {"score": unit, "state": "as state_unit"}.get(figure.units, figure.units)
+        variables[name] = (
+            (*fields, *figure.dimensions), whole, {"units": units, "long_name": figure.meaning}
+        )  # fmt: skip
+    return xarray.Dataset(variables, _coordinates(specification, cells, fields, sizes, states),
+                          _provenance(specification, cells))  # fmt: skip
+
+
+def score_unit(kinds: Sequence[Kind]) -> str:
+    """Return the one unit in which the errors of all cells are.
+
+    Raises:
+        ValueError: there are several.
+    """
+    units = sorted({kind.score.unit for kind in kinds})
+    if len(units) > 1:
+        raise ValueError(
+            f"the swept scenarios measure their errors in {' and '.join(units)}, which cannot "
+            "stand in one table; sweep them apart"
+        )
+    return units[0]
+
+
+def write_result(dataset: "xarray.Dataset", path: Path) -> None:
+    """Write a result as netCDF, whole or not at all."""
+    packed = {str(name): {"zlib": True, "complevel": 4} for name, v in dataset.items() if v.ndim}
+    write_dataset(dataset, path, packed)
+
+
+def read_result(path: Path) -> "xarray.Dataset":
+    """Return the data set of a finished sweep.
+
+    Raises:
+        ValueError: it cannot be read, or is none of ours.
+    """
+    import xarray
+
+    if not path.is_file():
+        there = "is a folder" if path.is_dir() else "does not exist"
+        raise ValueError(
+            f"{path} {there}; name the file that `concord sweep` has made, or is to make"
+        )
+    try:
+        dataset = xarray.load_dataset(path, engine="h5netcdf")
+    except (OSError, ValueError, KeyError) as error:
+        raise ValueError(f"{path}: cannot be read as netCDF ({error})") from None
+    if SPECIFICATION not in dataset.attrs:
+        raise ValueError(f"{path}: not the result of `concord sweep`: it has no specification")
+    return dataset
+
+
+def specification_of(dataset: "xarray.Dataset") -> Specification:
+    """Return the specification of the sweep."""
+    return msgspec.json.decode(dataset.attrs[SPECIFICATION], type=Specification)
+
+
+def dimensions_of(dataset: "xarray.Dataset") -> tuple[str, ...]:
+    """Return the dimensions of its cells: the swept fields, or `cell` for a Latin hypercube."""
+    return tuple(str(d) for d in dataset["rmse"].dims if d != "run")
+
+
+def flattened(dataset: "xarray.Dataset") -> list[tuple[Cell, "xarray.Dataset"]]:
+    """Each cell with its part of the data."""
+    dimensions = dimensions_of(dataset)
+    cells = cells_of(specification_of(dataset))
+    shape = tuple(dataset.sizes[d] for d in dimensions)
+    parts = []
+    for cell in cells:
+        place = np.unravel_index(cell.number, shape) if shape else ()
+        parts.append((cell, dataset.isel(dict(zip(dimensions, map(int, place), strict=True)))))
+    return parts
+
+
+# --- parts of the data set -----------------------------------------------------------------------
+
+
+def _fields(specification: Specification, cells: Sequence[Cell]) -> dict[str, Sequence[Value]]:
+    """Return the dimensions of the cells and their values."""
+    if specification.samples:
+        return {"cell": [cell.number for cell in cells]}
+    return dict(specification.levels)
+
+
+def _states(cells: Sequence[Cell], kinds: Sequence[Kind]) -> dict[str, str]:
+    """Names of all states and their units, in order."""
+    states: dict[str, str] = {}
+    for kind, scenario in {cell.scenario.name: (kind, cell.scenario)
+                           for cell, kind in zip(cells, kinds, strict=True)}.values():  # fmt: skip
+        plant = kind.plant(scenario)
+        states |= dict(zip(plant.state_names, plant.state_units, strict=True))
+    return states
+
+
+def _placed(
+    values: Array, dimensions: Sequence[str], cell: Cell, states: Mapping[str, str]
+) -> Array:
+    """Values of a cell, its states put where the data set has them."""
+    if "state" not in dimensions:
+        return values
+    names = kind_of(cell.scenario.name).plant(cell.scenario).state_names
+    wide = np.full((*values.shape[:-1], len(states)), np.nan)
+    wide[..., [list(states).index(name) for name in names]] = values
+    return wide
+
+
+def _coordinates(
+    specification: Specification,
+    cells: Sequence[Cell],
+    fields: Mapping[str, Sequence[Value]],
+    sizes: Mapping[str, int],
+    states: Mapping[str, str],
+) -> dict[str, Any]:
+    first = specification.first_run
+    coordinates: dict[str, Any] = {
+        **{field: _plain(values) for field, values in fields.items()},
+        "run": np.arange(first, first + sizes["run"]),
+        "step": np.arange(sizes["step"]),
+        "node": np.arange(sizes["node"]),
+        "state": list(states),
+        "state_unit": ("state", list(states.values())),
+    }
+    if specification.samples:
+        coordinates |= {
+            field: ("cell", _plain([cell.values[field] for cell in cells]))
+            for field in specification.dimensions
+        }
+    plants = {cell.scenario.name: cell.scenario for cell in cells}.values()
+    lengths = {kind_of(one.name).plant(one).time_step_s for one in plants}
+    if len(lengths) == 1:
+        coordinates["time"] = ("step", np.arange(sizes["step"]) * lengths.pop(), {"units": "s"})
+    return coordinates
+
+
+def _plain(values: Sequence[Value]) -> list[Any]:
+    """Values as netCDF can hold them: numbers, or text."""
+    if all(isinstance(value, int | float) and not isinstance(value, bool) for value in values):
+        return list(values)
+    return [str(value) for value in values]
+
+
+def _provenance(specification: Specification, cells: Sequence[Cell]) -> dict[str, Any]:
+    return {
+        "title": f"concord sweep of {', '.join(specification.dimensions) or 'one cell'}",
+        SPECIFICATION: msgspec.json.encode(specification).decode(),
+        "seed": cells[0].scenario.seed if "seed" not in specification.dimensions else "swept",
+        "versions": msgspec.json.encode(versions()).decode(),
+        "commit": commit() or "unknown",
+    }

@@ -1,0 +1,1 @@
+"""Computations of the `concord topology` commands."""

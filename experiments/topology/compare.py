@@ -1,0 +1,110 @@
+"""Graphs and weights side by side; families that are drawn at random with intervals over seeds."""
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+
+import msgspec
+import numpy as np
+
+from experiments.topology.convergence import predicted_factor
+from experiments.topology.subject import Subject, SubjectOptions, subject_of
+from topology.adjacency import nodes_of
+from topology.analysis import analyse, rounds_to
+from topology.graphs import is_random
+
+
+class Spread(msgspec.Struct, frozen=True):
+    """The mean over graphs and its 95 % interval (Student's t); both ends equal for one graph. None
+    where some graph has no such figure."""
+
+    mean: float | None
+    low: float | None
+    high: float | None
+
+    def text(self) -> str:
+        """For a table."""
+        if self.mean is None or self.low is None or self.high is None:
+            return "-"
+        half = (self.high - self.low) / 2
+        return f"{self.mean:.4g}" + (f" ± {half:.2g}" if half else "")
+
+
+class Row(msgspec.Struct, frozen=True):
+    """Figures of one graph, or over several of one random family."""
+
+    graph: str
+    weights: str
+    links: str
+    graphs: int
+    nodes: int
+    degree: Spread
+    diameter: Spread
+    cut_nodes: Spread
+    gap: Spread
+    factor: Spread
+    rounds_to_one_percent: Spread
+
+
+def compared(
+    sources: list[str],
+    options: SubjectOptions,
+    by_weights: Sequence[str | None],
+    seeds: int,
+    on_row: Callable[[int], None],
+) -> list[Row]:
+    """A row for each graph and each weights.
+
+    Raises:
+        ValueError: anything that cannot be, the graph and weights named.
+    """
+    # All are made before any is analysed: what cannot be is said at once.
+    families = [
+        _family(source, dataclasses.replace(options, weights=weights), seeds)
+        for source in sources
+        for weights in by_weights
+    ]
+    rows: list[Row] = []
+    for family in families:
+        rows.append(_row(family))
+        on_row(len(rows))
+    return rows
+
+
+def _family(source: str, options: SubjectOptions, seeds: int) -> list[Subject]:
+    """Return the graph of each seed; one where the seed decides nothing."""
+    drawn = seeds if is_random(source) else 1
+    try:
+        return [
+            subject_of(source, dataclasses.replace(options, seed=seed), connected=True)
+            for seed in range(options.seed, options.seed + drawn)
+        ]
+    except ValueError as error:
+        raise ValueError(f"graph {source}: {error}") from None
+
+
+def _row(family: list[Subject]) -> Row:
+    figures: list[tuple[float | None, ...]] = []
+    for subject in family:
+        a = analyse(subject.network.adjacency, subject.weights)
+        _, factor = predicted_factor(subject)
+        rounds = None if factor is None else rounds_to(0.01, factor)
+        gap = 1 - a.second_eigenvalue_modulus
+        figures.append((a.degree_mean, a.diameter, len(a.cut_nodes), gap, factor, rounds))
+    spreads = [_spread(column) for column in zip(*figures, strict=True)]
+    first = family[0]
+    nodes = nodes_of(first.weights)
+    return Row(first.name, first.weights_name, first.links, len(family), nodes, *spreads)
+
+
+def _spread(values: tuple[float | None, ...]) -> Spread:
+    known = np.array([value for value in values if value is not None], dtype=float)
+    if len(known) < len(values):
+        return Spread(None, None, None)
+    mean = float(known.mean())
+    if len(known) == 1:
+        return Spread(mean, mean, mean)
+    from scipy.stats import t  # only here: it is slow to load
+
+    half = float(t.ppf(0.975, len(known) - 1) * known.std(ddof=1) / math.sqrt(len(known)))
+    return Spread(mean, mean - half, mean + half)

@@ -1,0 +1,1 @@
+"""Filters that learn the noise of their sensors."""

@@ -1,0 +1,1 @@
+"""Fusion of beliefs whose errors are correlated in an unknown way."""

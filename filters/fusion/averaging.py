@@ -1,0 +1,195 @@
+"""Rules that fuse the beliefs of several nodes whose errors are correlated in an unknown way."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from filters.fusion.hold import check_weights, sharpened, sharpness
+from filters.fusion.packed import concluded, informed, pack, packed_sharpness, unpack
+from filters.gaussian import Gaussian, Information, joined
+from filters.kernels import compiled
+from filters.linalg import multiply, symmetrise
+
+
+class Fused(NamedTuple):
+    """Result of averaging a node's own belief with the beliefs of J others.
+
+    `belief` (..., n) is the average, NaN where none exists; its covariance is symmetric to the last
+    bit. `weights` (..., 1 + J) are the weights used, the own first. `sharpness` (..., 1 + J) is
+    `hold.sharpness` of each belief, NaN where a covariance is not positive definite.
+    """
+
+    belief: Gaussian
+    weights: np.ndarray
+    sharpness: np.ndarray
+
+
+class Averaged(Protocol):
+    """A rule that averages beliefs, as a node goes through it that has several at hand."""
+
+    def fuse(
+        self, own: Gaussian, others: Gaussian, weights: np.ndarray, by_sharpness: bool, /
+    ) -> Fused:
+        """Average the own belief (..., n) with others (..., J, n) under weights (..., 1 + J).
+
+        With `by_sharpness`, multiply each weight by the belief's inverse volume (`hold.sharpened`).
+        """
+        ...
+
+
+class Directly(NamedTuple):
+    """A rule that is given as a function of beliefs and weights, such as those of this file."""
+
+    of: Callable[[Gaussian, np.ndarray], Gaussian]
+
+    def fuse(
+        self, own: Gaussian, others: Gaussian, weights: np.ndarray, by_sharpness: bool
+    ) -> Fused:
+        """Implement `Averaged.fuse`."""
+        beliefs = joined(own, others)
+        sharp = sharpness(beliefs.cov)
+        used = sharpened(weights, sharp) if by_sharpness else weights
+        mean, cov = self.of(beliefs, used)
+        return Fused(Gaussian(mean, symmetrise(cov)), used, sharp)
+
+
+@dataclass(frozen=True, slots=True)
+class Averaging:
+    """A rule as what it averages: numbers (..., m) that a belief is turned into and back.
+
+    `weigh_up(belief, origin)` returns the numbers and the `hold.sharpness` (...) of a belief.
+    `conclude(numbers, origin)` returns the belief that an average of such numbers stands for.
+    `sharpness(numbers)` returns the inverse volume of that belief. Means are taken about an
+    `origin` (..., n), any point near them, which preserves their digits. Beliefs that are averaged
+    must have the same origin.
+    """
+
+    weigh_up: Callable[[Gaussian, np.ndarray], tuple[np.ndarray, np.ndarray]]
+    conclude: Callable[[np.ndarray, np.ndarray], Gaussian]
+    sharpness: Callable[[np.ndarray], np.ndarray]
+
+    def average(self, numbers: np.ndarray, weights: np.ndarray, origin: np.ndarray) -> Gaussian:
+        """The belief that numbers (..., J, m) about one origin come to with weights (..., J).
+
+        Numbers of weight zero may be anything, NaN included.
+        """
+        if np.count_nonzero(weights) < weights.size:
+            # 0 * NaN would let them through.
+            numbers = np.where((weights == 0)[..., None], 0.0, numbers)
+        return self.conclude(multiply(numbers.mT, weights), origin)
+
+    def fuse(
+        self, own: Gaussian, others: Gaussian, weights: np.ndarray, by_sharpness: bool
+    ) -> Fused:
+        """Implement `Averaged.fuse`."""
+        numbers, sharp = self.weigh_up(joined(own, others), own.mean[..., None, :])
+        used = sharpened(weights, sharp) if by_sharpness else weights
+        mean, cov = self.average(numbers, used, own.mean)
+        return Fused(Gaussian(mean, symmetrise(cov)), used, sharp)
+
+
+class _Intersection(Averaging):
+    """Averages of information, for which there is a kernel."""
+
+    def fuse(
+        self, own: Gaussian, others: Gaussian, weights: np.ndarray, by_sharpness: bool
+    ) -> Fused:
+        """Implement `Averaged.fuse`."""
+        if own.mean.ndim > 1 or not compiled.serves(own.mean.shape[-1]):
+            return Averaging.fuse(self, own, others, weights, by_sharpness)
+        mean, cov, used, sharp = compiled.fused(*own, *others, weights, by_sharpness)
+        return Fused(Gaussian(mean, cov), used, sharp)
+
+
+def weighted_average(beliefs: Gaussian, weights: np.ndarray) -> Gaussian:
+    """Weighted averages of means and of covariances ("WAC"): x = sum w_j x_j, P = sum w_j P_j.
+
+    Promises: if every P_j bounds its node's error covariance, P bounds the fused one, however the
+    errors are correlated, because (sum w e)(sum w e)' <= sum w e e' (Jensen). Needs no inverse, so
+    singular covariances pass.
+
+    Fails: it is never tighter than `covariance_intersection`, and a node that sees nothing keeps
+    its vote. On an unstable plant the network diverges even though some nodes see everything. Take
+    a scalar plant F, weight matrix Pi, L rounds a step and D = diag(1 for blind nodes, 0 for nearly
+    perfect sensors). The mean diverges if |F| rho(Pi^L D) > 1, the covariance if
+    F^2 rho(Pi^L D) > 1. The promise assumes weights that do not depend on the errors.
+
+    Source: Widjiantoro et al., weighted-average consensus UKF, step beta 3.
+
+    Args:
+        beliefs: mean (..., J, n), cov (..., J, n, n). Entries of weight zero may be anything, NaN
+            included.
+        weights: (..., J), not negative, sum 1.
+
+    Returns:
+        mean (..., n), cov (..., n, n).
+
+    Raises:
+        ValueError: a weight is negative, or they do not sum to 1.
+    """
+    return _averaged(MOMENTS, beliefs, weights)
+
+
+def covariance_intersection(beliefs: Gaussian, weights: np.ndarray) -> Gaussian:
+    """Weighted averages of information ("CI"): P^-1 = sum w_j P_j^-1, P^-1 x = sum w_j P_j^-1 x_j.
+
+    Promises: consistent under the same condition as `weighted_average`, and never less tight, since
+    the inverse is operator convex: P_CI <= P_WAC. A node that sees nothing loses its vote as its
+    covariance grows, so the fused belief stays bounded where the average diverges.
+
+    Fails: it gains nothing from errors that are in fact independent (equal beliefs give the same
+    belief back), and a lane with a covariance of positive weight that is not positive definite is
+    NaN. The promise assumes weights that do not depend on the errors.
+
+    Sources: Julier and Uhlmann (1997), A non-divergent estimation algorithm in the presence of
+    unknown correlations; Battistelli and Chisci (2014), Kullback-Leibler average.
+
+    Args, returns and raises as `weighted_average`.
+    """
+    return _averaged(INFORMATION, beliefs, weights)
+
+
+def _moments(belief: Gaussian, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return pack(Information(belief.mean - origin, belief.cov)), sharpness(belief.cov)
+
+
+def _of_moments(numbers: np.ndarray, origin: np.ndarray) -> Gaussian:
+    offset, cov = unpack(numbers)
+    return Gaussian(origin + offset, cov)
+
+
+def _information(belief: Gaussian, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return informed(Gaussian(belief.mean - origin, belief.cov))
+
+
+def _of_information(numbers: np.ndarray, origin: np.ndarray) -> Gaussian:
+    offset, cov = concluded(numbers)
+    return Gaussian(origin + offset, cov)
+
+
+MOMENTS = Averaging(_moments, _of_moments, packed_sharpness)
+INFORMATION = _Intersection(
+    _information, _of_information, lambda numbers: 1.0 / packed_sharpness(numbers)
+)
+
+
+def _averaged(rule: Averaging, beliefs: Gaussian, weights: np.ndarray) -> Gaussian:
+    check_weights(weights)
+    beliefs = _without_unweighted(beliefs, weights)
+    origin = beliefs.mean[..., 0, :]
+    numbers, _ = rule.weigh_up(beliefs, origin[..., None, :])
+    return rule.average(numbers, weights, origin)
+
+
+def _without_unweighted(beliefs: Gaussian, weights: np.ndarray) -> Gaussian:
+    """Harmless stand-ins for entries of weight zero, of which nothing may come through."""
+    unused = weights == 0
+    if not unused.any():
+        return beliefs
+    n = beliefs.mean.shape[-1]
+    return Gaussian(
+        np.where(unused[..., None], 0.0, beliefs.mean),
+        np.where(unused[..., None, None], np.eye(n), beliefs.cov),
+    )

@@ -1,0 +1,1 @@
+"""Faster ways through the unscented transform, by the size of the batch."""

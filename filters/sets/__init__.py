@@ -1,0 +1,1 @@
+"""Sets that contain the state with certainty: ellipsoids and zonotopes."""

@@ -1,0 +1,161 @@
+"""Ellipsoids as sets that hold a state for certain, and what keeps them so in floating point.
+
+An ellipsoid is kept as its centre and a factor, never as an inverse shape: a flat one (a state that
+is known exactly in some direction) is as good as any other. A function that computes a new
+ellipsoid grows it by a bound on its own rounding (`rounding_bound`, `grow`). The result therefore
+holds the true state and not only the state of exact arithmetic.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from filters.lanes import join_columns
+from filters.linalg import multiply
+
+UNIT_ROUNDOFF = 2.0**-53
+
+
+class Ellipsoid(NamedTuple):
+    """{centre + factor u : |u| <= 1} per lane: centre (..., n), factor (..., n, r), any r >= 1.
+
+    Its shape matrix is P = factor factor'; where P can be inverted the set is e' P^-1 e <= 1.
+    """
+
+    centre: np.ndarray
+    factor: np.ndarray
+
+
+def from_shape(centre: np.ndarray, shape: np.ndarray) -> Ellipsoid:
+    """The ellipsoid with a shape matrix (..., n, n), which may be singular; factor (..., n, n)."""
+    values, vectors = np.linalg.eigh(shape)
+    return Ellipsoid(centre, vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :])
+
+
+def shape_matrix(ellipsoid: Ellipsoid) -> np.ndarray:
+    """P (..., n, n)."""
+    return ellipsoid.factor @ ellipsoid.factor.mT
+
+
+def half_widths(ellipsoid: Ellipsoid) -> np.ndarray:
+    """Largest distance (..., n) from the centre along each axis: the roots of P's diagonal."""
+    return np.sqrt((ellipsoid.factor**2).sum(-1))
+
+
+def squared_radius(ellipsoid: Ellipsoid, point: np.ndarray) -> np.ndarray:
+    """|u|^2 (...) of the shortest u with centre + factor u = point (..., n): e' P^+ e.
+
+    At most 1 inside. A direction in which the ellipsoid is exactly flat admits no deviation, not
+    even one of rounding: infinite there.
+    """
+    lost = is_lost(ellipsoid)
+    factor = np.where(lost[..., None, None], 0.0, ellipsoid.factor)
+    left, singular, _ = np.linalg.svd(factor, full_matrices=True)
+    along = multiply(left.mT, point - ellipsoid.centre)
+    flat = np.zeros(along.shape)
+    flat[..., : singular.shape[-1]] = singular
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        ratio = np.where((flat == 0.0) & (along == 0.0), 0.0, along / flat)
+        return np.where(lost, np.nan, (ratio**2).sum(-1))
+
+
+def is_lost(ellipsoid: Ellipsoid) -> np.ndarray:
+    """Lanes (...) in which an ellipsoid is not a number."""
+    finite_centre = np.isfinite(ellipsoid.centre).all(-1)
+    finite_factor = np.isfinite(ellipsoid.factor).all((-1, -2))
+    return np.logical_not(np.logical_and(finite_centre, finite_factor))
+
+
+def replace_lost(ellipsoid: Ellipsoid, value: float) -> Ellipsoid:
+    """With lanes that are not a number all of this value, so that they do not spoil the others."""
+    lost = is_lost(ellipsoid)
+    if not lost.any():
+        return ellipsoid
+    return Ellipsoid(
+        np.where(lost[..., None], value, ellipsoid.centre),
+        np.where(lost[..., None, None], value, ellipsoid.factor),
+    )
+
+
+def lose(ellipsoid: Ellipsoid, lanes: np.ndarray) -> Ellipsoid:
+    """With NaN throughout in these lanes (...)."""
+    if not lanes.any():
+        return ellipsoid
+    return Ellipsoid(
+        np.where(lanes[..., None], np.nan, ellipsoid.centre),
+        np.where(lanes[..., None, None], np.nan, ellipsoid.factor),
+    )
+
+
+def image(ellipsoid: Ellipsoid, matrix: np.ndarray) -> Ellipsoid:
+    """Return the image under a linear map (..., k, n); a projection picks coordinates."""
+    return Ellipsoid(multiply(matrix, ellipsoid.centre), matrix @ ellipsoid.factor)
+
+
+def sum_factor(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Factor (..., n, r + s) of the smallest ellipsoid, by trace, around a sum of two.
+
+    Of the ellipsoids (1 + b) P1 + (1 + 1/b) P2, all of which hold the sum, b^2 = tr P2 / tr P1 has
+    the smallest trace (Kurzhanski and Valyi (1997), Ellipsoidal calculus, section 2.2).
+    """
+    sizes = [np.sqrt((factor**2).sum((-1, -2)))[..., None, None] for factor in (first, second)]
+    total = sizes[0] + sizes[1]
+    # A point has size zero and takes no share.
+    shares = [
+        np.sqrt(np.divide(total, size, out=np.zeros_like(total), where=size > 0)) for size in sizes
+    ]
+    return join_columns(shares[0] * first, shares[1] * second)
+
+
+def moved(
+    ellipsoid: Ellipsoid, centre: np.ndarray, transition: np.ndarray, noise: np.ndarray
+) -> Ellipsoid:
+    """The ellipsoid of least trace around where x' = A x + B v takes it, |v| <= 1.
+
+    Args:
+        ellipsoid: of x, factor (..., n, n).
+        centre: (..., n), where the plant takes the centre, known inputs included.
+        transition: A (n, n). noise: B (n, q), scaled to the bound of the noise.
+    """
+    spread = transition @ ellipsoid.factor
+    reach = np.abs(ellipsoid.centre) + half_widths(ellipsoid)
+    largest = multiply(np.abs(transition), reach) + np.sqrt((noise**2).sum(-1)) + np.abs(centre)
+    rounding = rounding_bound(spread.shape[-1] + noise.shape[-1])
+    margin = np.broadcast_to(rounding * largest.max(-1, keepdims=True), centre.shape)
+    return grow(Ellipsoid(centre, sum_factor(spread, noise)), margin)
+
+
+def grow(ellipsoid: Ellipsoid, margin: np.ndarray) -> Ellipsoid:
+    """An ellipsoid around the sum with the box of half-widths `margin` (..., n): factor (n, n)."""
+    n = margin.shape[-1]
+    # The smallest ellipsoid around a box has its half-widths times the root of n.
+    box = math.sqrt(n) * margin[..., None] * np.eye(n)
+    return Ellipsoid(ellipsoid.centre, squared(sum_factor(ellipsoid.factor, box)))
+
+
+def squared(factor: np.ndarray) -> np.ndarray:
+    """A factor (..., n, min(n, r)), lower triangular, of the same shape matrix as (..., n, r)."""
+    upper: np.ndarray = np.asarray(np.linalg.qr(factor.mT, mode="r"))
+    return upper.mT
+
+
+def outline(ellipsoid: Ellipsoid, states: tuple[int, int], points: int = 65) -> np.ndarray:
+    """Boundary (..., points, 2) of the projection onto two of the states, closed, for plots."""
+    rows = list(states)
+    plane = from_shape(
+        ellipsoid.centre[..., rows], shape_matrix(ellipsoid)[..., rows, :][..., rows]
+    )
+    angles = np.linspace(0.0, 2.0 * np.pi, points)
+    circle = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return plane.centre[..., None, :] + circle @ plane.factor.mT
+
+
+def rounding_bound(terms: int) -> float:
+    """Relative error of everything that a step computes from sums of `terms` products.
+
+    One such sum is off by at most terms * 2^-53 times the sum of the absolute products (Higham
+    (2002), Accuracy and stability of numerical algorithms, section 3.1). The truth is computed with
+    rounding too, and a step is a chain of a few such sums: eight times that holds all of them.
+    """
+    return 8 * terms * UNIT_ROUNDOFF

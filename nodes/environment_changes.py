@@ -1,0 +1,74 @@
+"""Changes of the network as the environment applies them: between two steps."""
+
+from collections.abc import Sequence
+
+from bus.arbitration import begin_arbitration
+from nodes.changes import Change, Event, Joined, Set, Settings, Welcome, after
+from nodes.environment import skip_quiet_cycles
+from nodes.environment_state import EnvironmentConfig, EnvironmentState
+from nodes.messages import EnvironmentMessage, Estimate
+
+
+def apply(
+    config: EnvironmentConfig, state: EnvironmentState, changes: Sequence[Change]
+) -> tuple[EnvironmentConfig, EnvironmentState, list[EnvironmentMessage]]:
+    """Apply changes that hold from the next step on; also return messages that tell of them."""
+    resets = any(isinstance(change, Set) for change in changes)
+    assert state.idle or not resets, "another bus begins when no step is under way"
+    standing = state.standing
+    for change in changes:
+        standing = after(standing, state.released, change)
+    joined = {change.node: state.released for change in changes if isinstance(change, Joined)}
+    state = state._replace(
+        standing=standing,
+        announced=(*state.announced, *changes),
+        since={**state.since, **joined},
+    )
+    if resets:
+        assert config.rebuild is not None, "whoever changes settings can rebuild"
+        config = config.rebuild(standing)
+        state = state._replace(
+            next_cycle=config.first_cycle,
+            next_group=0,
+            won=(),
+            bids={},
+            arbiter=begin_arbitration(config.nodes),
+        )
+        state = skip_quiet_cycles(config, state)
+    outbox: list[EnvironmentMessage] = [Event(state.released, change) for change in changes]
+    outbox += [
+        Welcome(change.node, state.released, standing, change)
+        for change in changes
+        if isinstance(change, Joined)
+    ]
+    return config, state, outbox
+
+
+def setting(config: EnvironmentConfig, state: EnvironmentState, settings: Settings) -> Set:
+    """The change after which these fields of the scenario are set, and no others."""
+    return Set(settings, config.cycle_of(state.released))
+
+
+def joining(config: EnvironmentConfig, state: EnvironmentState, node: int) -> Joined | None:
+    """How a node comes back: with the belief of the first of its neighbours that has one.
+
+    None while no neighbour can say anything. Before the first step, and where neighbours are
+    sensors that believe nothing, the scenario's prior does. When no node is left, a node goes on
+    from what it said last itself.
+    """
+    if state.released == 0:
+        return Joined(node)
+    absent = state.standing.absent
+    there = [j for j in config.neighbours[node] if j not in absent]
+    latest = [state.latest[j] for j in there if j in state.latest]
+    if len(absent) == config.nodes:
+        latest = [state.latest[node]] if node in state.latest else []
+    for estimate in latest:
+        if _whole(estimate):
+            return Joined(node, estimate.mean, estimate.cov)
+    believes_nothing = there and len(latest) == len(there)
+    return Joined(node) if believes_nothing or len(absent) == config.nodes else None
+
+
+def _whole(estimate: Estimate) -> bool:
+    return None not in estimate.mean and None not in estimate.cov

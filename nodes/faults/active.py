@@ -1,0 +1,102 @@
+"""Active faults of a network at a moment, and the draws that decide which frames they strike.
+
+Like the fate of a frame (`nodes/faults/losses.py`) a fault is decided by a hash of (cycle, sender,
+receiver, frame) under a key of the run and the fault word. So every caller gets the same answer,
+and a receiver knows of a slot that stays empty without waiting for it.
+"""
+
+import zlib
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import NamedTuple
+
+from nodes.belief_codec import BeliefCodec
+from nodes.changes import Fault, Standing
+from nodes.faults.losses import fraction
+from nodes.faults.vocabulary import PASSING
+
+# In the place of a receiver: the fault strikes a frame before any node hears it.
+EVERYBODY = (1 << 16) + 1
+
+
+class Equipment(NamedTuple):
+    """Properties of a network that its faults need.
+
+    Attributes:
+        channels: of the cluster. cycle_us: length of a cycle, 0 on a bus without time.
+        precision_us: how far two clocks may be apart before a frame leaves its slot.
+        number: the numpy type code of the numbers in a share; "" for shares of something else.
+        codec: of shares that are beliefs.
+        noticed_bits: a receiver finds any this many wrong bits in a frame.
+    """
+
+    channels: str = "A"
+    cycle_us: float = 0.0
+    precision_us: float = 0.0
+    number: str = ""
+    codec: BeliefCodec | None = None
+    noticed_bits: int = 1
+
+
+PLAIN = Equipment()
+
+
+class Faults(NamedTuple):
+    """Active faults, by fault word and place; `key` belongs to (seed, run)."""
+
+    key: tuple[int, int] = (0, 0)
+    equipment: Equipment = PLAIN
+    standing: Mapping[tuple[str, tuple[int, ...]], Fault] = {}
+
+    def stand(self, standing: Standing) -> "Faults":
+        """Return the faults of a network in this state; absent nodes do no harm."""
+        return self._replace(
+            standing={
+                (fault.kind, fault.nodes): fault
+                for fault in standing.faults
+                if fault.kind != "babble" or fault.nodes[0] not in standing.absent
+            }
+        )
+
+    def at(self, kind: str, step: int, *nodes: int) -> tuple[float, ...] | None:
+        """The numbers of a fault that befalls these nodes in a step; None for no fault.
+
+        A fault of one link takes precedence over a fault of all links.
+        """
+        fault = self.standing.get((kind, nodes)) or self.standing.get((kind, ()))
+        if fault is None or not fault.numbers[0]:
+            return None
+        passed = kind in PASSING and step >= fault.first_step + fault.numbers[0]
+        return None if passed else fault.numbers
+
+    def first_cycle(self, kind: str, *nodes: int) -> int:
+        """The cycle with which a fault that stands has begun."""
+        return self.standing[kind, nodes].first_cycle
+
+    def draw(self, kind: str, cycle: int, sender: int, receiver: int, number: int = 0) -> float:
+        """In [0, 1); of 16 bits each are sender, receiver and number."""
+        return fraction(_salted(self.key, kind), cycle, sender, receiver, number)
+
+
+HEALTHY = Faults()
+
+
+def is_silent(faults: Faults, step: int, cycle: int, node: int) -> bool:
+    """Whether a node that may send in a cycle leaves its slots empty."""
+    if not faults.standing:
+        return False
+    if hangs(faults, step, node):
+        return True
+    missing = faults.at("missing", step, node)
+    return missing is not None and faults.draw("missing", cycle, node, EVERYBODY) < missing[0]
+
+
+def hangs(faults: Faults, step: int, node: int) -> bool:
+    """Whether a node stands still."""
+    return faults.at("hang", step, node) is not None
+
+
+@lru_cache
+def _salted(key: tuple[int, int], kind: str) -> tuple[int, int]:
+    # A word's number does not depend on which words there are.
+    return key[0] ^ zlib.crc32(kind.encode()) << 32, key[1]

@@ -1,0 +1,1 @@
+"""The array forms of the rules, for all nodes of many runs."""

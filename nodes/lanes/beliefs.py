@@ -1,0 +1,324 @@
+"""Consensus on beliefs in arrays: `nodes.rules.belief_consensus` for all nodes of all runs at once.
+
+Held shares are kept in slots (`links.Links`), as the numbers that the rule averages. A share is
+expressed in them once, and not by each node that hears it. Between the rounds of a step the own
+beliefs stay such numbers too, where no caller asks for the beliefs.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from filters.fusion.averaging import INFORMATION, Averaging
+from filters.gaussian import Gaussian
+from nodes.lanes.filter import (
+    Counters,
+    LocalFilters,
+    Published,
+    added,
+    nothing_published,
+    received,
+    traffic,
+    with_lanes,
+)
+from nodes.lanes.links import Links, Shares, unheard
+from nodes.lanes.mixing import Mixing, mixed, summed, weighed
+from nodes.messages import Array
+from nodes.rules.belief_consensus import HoldPolicy
+from nodes.rules.local_filter import carry, finite_lanes, where
+
+_ALIKE = np.ones(1)
+
+
+class Numbers(NamedTuple):
+    """Beliefs as the numbers (R, K, m) that a rule averages, and how sharp they are (R, K): NaN
+    where one is not positive definite.
+
+    `rounds` (K, K) is a product of rounds of which the values are still to be taken.
+    """
+
+    values: Array
+    sharpness: Array
+    rounds: Array | None = None
+
+    def taken(self) -> "Numbers":
+        """With the rounds taken."""
+        if self.rounds is None:
+            return self
+        return Numbers(summed(self.rounds, self.values), self.sharpness)
+
+
+class Content(NamedTuple):
+    """Knowledge of all nodes in a step.
+
+    belief: the own ones; within a step those before its rounds, where the rule is not `eager`.
+    own, held: the own ones and what is held, by slot, about `origin` and `held_origin` (R, 1, n).
+    ages: (R, E) by link, or (1, E) where they are those of all runs.
+    """
+
+    belief: Gaussian
+    own: Numbers
+    held: Numbers
+    origin: Array
+    held_origin: Array
+    ages: np.ndarray
+    published: Published
+    step: int
+    control: Array | None
+    cycles_in_step: int
+    counters: Counters
+
+
+@dataclass(frozen=True)
+class BatchedBeliefs:
+    """All nodes of a network under a rule that averages beliefs, in so many rounds a step.
+
+    `base` are the weights of one run; `contenders` (C,) the nodes that may ask
+    for the dynamic segment.
+    """
+
+    filters: LocalFilters
+    averaging: Averaging
+    hold: HoldPolicy
+    links: Links
+    base: Shares
+    rounds: int
+    contenders: np.ndarray
+    number: str
+    trigger: float
+
+    @property
+    def eager(self) -> bool:
+        """Whether beliefs must be known after every round: for bids, for the wire, or because the
+        rule's numbers do not tell whether an average went well."""
+        lazy = self.averaging is INFORMATION and self.number == "<f8"
+        return len(self.contenders) > 0 or not lazy
+
+    def start(self, prior: Gaussian) -> Content:
+        """The priors, and neighbours never heard."""
+        origin = prior.mean.mean(axis=1, keepdims=True)
+        own = self._expressed(prior, origin)
+        runs, slots = len(prior.mean), len(self.links.source)
+        nothing = np.broadcast_to(0.0, (runs, slots, own.values.shape[-1]))
+        nobody = Numbers(nothing, nothing[..., 0])
+        ages = np.full((runs, len(self.links.sender)), -1)
+        published = nothing_published(self.contenders, prior)
+        return Content(prior, own, nobody, origin, origin, ages, published, 0, None, 0, {})
+
+    def restarted(self, content: Content, nodes: np.ndarray, belief: Gaussian) -> Content:
+        """Let nodes begin anew, without the shares that they held of others."""
+        return content._replace(
+            belief=with_lanes(content.belief, nodes, belief),
+            ages=unheard(self.links, content.ages, nodes),
+            published=content.published.forgotten(nodes),
+        )
+
+    def begin_step(
+        self, content: Content, readings: Array, control: Array | None, step: int
+    ) -> Content:
+        """Predict, take the own readings. Held shares follow once the silent nodes are known."""
+        belief, published, counters = content.belief, content.published, content.counters
+        if step > 0:
+            belief, sound = self.filters.carry(belief, control, step)
+            counters = added(counters, {"predict-failed": ~sound})
+            if self.hold.carried:
+                published = published.carried(self.filters, control, step)
+        belief, troubles = self.filters.take(belief, readings, step)
+        origin = belief.mean.mean(axis=1, keepdims=True)
+        return content._replace(
+            belief=belief,
+            own=self._expressed(belief, origin),
+            origin=origin,
+            published=published,
+            step=step,
+            control=control,
+            cycles_in_step=0,
+            counters=added(counters, troubles),
+        )
+
+    def bids(self, content: Content, nodes: np.ndarray) -> np.ndarray:
+        """How far beliefs have moved since they were last published."""
+        return content.published.bids_of(nodes, content.belief, self.trigger)
+
+    def exchange(self, content: Content, sends: np.ndarray, lost: np.ndarray | None) -> Content:
+        """Nodes `sends` (R, N) publish; all average what they hear and hold with their own."""
+        shared, readable = self._shared(content)
+        sound = readable & np.isfinite(shared.sharpness)
+        counters = added(content.counters, self._traffic(sends, lost, readable, sound))
+        fresh = self.links.in_slots(sends & sound, lost)
+        held, ages = content.held, content.ages
+        if fresh.all():
+            ages = np.zeros((1, ages.shape[1]), dtype=ages.dtype)
+        else:
+            content = content._replace(own=content.own.taken(), held=held.taken())
+            held, shared = content.held, shared.taken()
+            if content.cycles_in_step == 0 and content.step > 0:
+                held, ages = self._caught_up(content, fresh)
+            ages = np.where(fresh[:, self.links.slot], 0, np.where(ages < 0, -1, ages + 1))
+        content = content._replace(
+            held=self._refreshed(held, shared, fresh),
+            held_origin=content.origin,
+            ages=ages,
+            published=content.published.sent(content.belief, sends),
+            cycles_in_step=content.cycles_in_step + 1,
+            counters=counters,
+        )
+        return self._settled(content, self._fused(content))
+
+    def _fused(self, content: Content) -> Numbers:
+        """Return the numbers after averaging at all nodes."""
+        own, held = content.own, content.held
+        mixing = self._mixing(content.ages, content.cycles_in_step - 1)
+        together = own is held and isinstance(mixing.whole, np.ndarray)
+        if together and not (self.hold.by_sharpness or self.eager):
+            # No caller needs the result of a single round.
+            rounds = mixing.whole if own.rounds is None else mixing.whole @ own.rounds
+            return own._replace(rounds=rounds)
+        same, own = own is held, own.taken()
+        held = own if same else held.taken()
+        if not self.hold.by_sharpness:
+            values = mixed(mixing, _usable(own, mixing, own.values), held.values)
+            return Numbers(values, np.where(np.isfinite(values.sum(axis=-1)), 1.0, np.nan))
+        # By weights w_j s_j, where w_j are those of all runs: sums of w_j s_j v_j over w_j s_j.
+        heard = _times_sharpness(held)
+        known = heard if same else _usable(own, mixing, _times_sharpness(own))
+        sums = mixed(mixing, known, heard)
+        return Numbers(sums[..., :-1] / sums[..., -1:], own.sharpness)
+
+    @cached_property
+    def _mixing_of_one(self) -> Callable[[bytes, int], Mixing]:
+        # Kept: few patterns of ages come again and again.
+        @lru_cache(maxsize=16)
+        def mixing(ages: bytes, turn: int) -> Mixing:
+            return self._mixing_of(np.frombuffer(ages, dtype=np.int64)[None], turn)
+
+        return mixing
+
+    def _mixing(self, ages: np.ndarray, turn: int) -> Mixing:
+        """The weights in a turn of the step, beliefs as sharp as each other."""
+        one = len(ages) == 1
+        return self._mixing_of_one(ages.tobytes(), turn) if one else self._mixing_of(ages, turn)
+
+    def _mixing_of(self, ages: np.ndarray, turn: int) -> Mixing:
+        def weigh(base: Array, ages: np.ndarray) -> Array:
+            return self.hold.weigh(base, ages, _ALIKE, turn)
+
+        return weighed(self.links, self.base, ages, weigh)
+
+    def _settled(self, content: Content, fused: Numbers) -> Content:
+        """With the fused beliefs where fusion went well."""
+        belief, last = content.belief, content.cycles_in_step == self.rounds
+        if self.eager or (self.hold.by_sharpness and not last):
+            fused = fused._replace(sharpness=self.averaging.sharpness(fused.values))
+        sound = np.isfinite(fused.sharpness)
+        if self.eager or last:
+            fused = fused.taken()
+            after = self.averaging.conclude(fused.values, content.origin)
+            sound = finite_lanes(after)
+            belief = where(sound, after, belief)
+        counters = added(content.counters, {"fuse-failed": ~sound})
+        if not sound.all():
+            before = content.own.taken()
+            fused = Numbers(
+                np.where(sound[..., None], fused.values, before.values),
+                np.where(sound, fused.sharpness, before.sharpness),
+            )
+        return content._replace(belief=belief, own=fused, counters=counters)
+
+    def _shared(self, content: Content) -> tuple[Numbers, np.ndarray]:
+        """Return the contents of the frames of all nodes, and which (R, N) can be read."""
+        if self.number == "<f8":
+            return content.own, np.ones(content.own.sharpness.shape, dtype=bool)
+        belief = Gaussian(*(received(values, self.number) for values in content.belief))
+        return self._expressed(belief, content.origin), finite_lanes(belief)
+
+    def _expressed(self, belief: Gaussian, origin: Array) -> Numbers:
+        return Numbers(*self.averaging.weigh_up(belief, origin))
+
+    def _caught_up(self, content: Content, fresh: np.ndarray) -> tuple[Numbers, np.ndarray]:
+        """Return the held shares without a replacement now, at this step and about its origin."""
+        held = content.held
+        ages = np.broadcast_to(content.ages, (len(fresh), content.ages.shape[1]))
+        known = np.zeros(fresh.shape, dtype=bool)
+        known[:, self.links.slot] = ages >= 0
+        runs, slots = np.nonzero(known & ~fresh)
+        if not len(runs):
+            return held, ages
+        origin = content.held_origin[runs, 0]
+        old = self.averaging.conclude(held.values[runs, slots], origin)
+        if self.hold.carried:
+            control = None if content.control is None else content.control[runs]
+            filters = self.filters
+            moved, sound = carry(old, control, content.step, filters.model, filters.points)
+            old = where(sound, moved, old)
+            forgotten = np.zeros(fresh.shape, dtype=bool)
+            forgotten[runs, slots] = ~sound
+            ages = np.where(forgotten[:, self.links.slot], -1, ages)
+        values, sharpness = held.values.copy(), held.sharpness.copy()
+        now = self._expressed(old, content.origin[runs, 0])
+        values[runs, slots], sharpness[runs, slots] = now.values, now.sharpness
+        return Numbers(values, sharpness), ages
+
+    def _by_slot(self, numbers: Numbers) -> Numbers:
+        """Return the numbers of nodes in the order of slots."""
+        if self.links.perfect:
+            return numbers
+        source = self.links.source
+        return Numbers(numbers.values[:, source], numbers.sharpness[:, source])
+
+    def _refreshed(self, held: Numbers, shared: Numbers, fresh: np.ndarray) -> Numbers:
+        """Return the held shares after the slots that are `fresh` (R, K) have been filled."""
+        shared = self._by_slot(shared)
+        if fresh.all():
+            return shared
+        return Numbers(
+            np.where(fresh[..., None], shared.values, held.values),
+            np.where(fresh, shared.sharpness, held.sharpness),
+        )
+
+    def _traffic(
+        self, sends: np.ndarray, lost: np.ndarray | None, readable: np.ndarray, sound: np.ndarray
+    ) -> dict[str, np.ndarray]:
+        counts = traffic(self.links, sends & readable, sends & ~readable, lost, "belief-not-finite")
+        if sound.all():
+            return counts
+        unsound = self.links.arriving(sends & readable & ~sound, lost)
+        refused = {"rejected not-positive-definite": self.links.per_receiver(unsound)}
+        return {**counts, **refused}
+
+    def belief(self, content: Content) -> Gaussian:
+        """The own pairs, after the last round of a step."""
+        return content.belief
+
+    def ages(self, content: Content) -> np.ndarray:
+        """Cycles since the held pairs were sent."""
+        return np.broadcast_to(content.ages, (len(content.origin), content.ages.shape[1]))
+
+    def counters(self, content: Content) -> Counters:
+        """Return the totals."""
+        return content.counters
+
+    def spread(self, content: Content) -> None:
+        """Shares have one length."""
+        return
+
+
+def _usable(own: Numbers, mixing: Mixing, values: Array) -> Array:
+    """Values of the own numbers, 0 where they are of no belief and weigh nothing."""
+    unsound = np.isnan(own.sharpness)
+    if not unsound.any():
+        return values
+    # 0 * NaN would let them through.
+    return np.where((unsound & (mixing.own == 0))[..., None], 0.0, values)
+
+
+def _times_sharpness(numbers: Numbers) -> Array:
+    """Numbers times their inverse volume, and that volume: (R, K, m + 1), lanes last in memory."""
+    runs, slots, m = numbers.values.shape
+    product = np.empty((m + 1, runs, slots)).transpose(1, 2, 0)
+    np.multiply(numbers.values, numbers.sharpness[..., None], out=product[..., :-1])
+    product[..., -1] = numbers.sharpness
+    return product

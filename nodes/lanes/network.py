@@ -1,0 +1,144 @@
+"""Input of the batched driver: a network as arrays, its rule and bus, and its changes."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+
+from bus.arbitration import ArbiterState
+from bus.schedule import Schedule
+from filters.gaussian import Gaussian
+from nodes.environment_state import Controller, Delivery, Plant
+from nodes.lanes.filter import Counters
+from nodes.messages import Array
+
+Contest = Callable[
+    [ArbiterState, int, int, np.ndarray, np.ndarray], tuple[ArbiterState, np.ndarray]
+]
+"""The arbiter of all runs: (memory, cycle, group of it, nodes (C,) that may ask, bids (R, C)) ->
+(memory, wins (R, C)); `bids.NO_BID` does not ask."""
+
+Framed = Callable[[int, np.ndarray, np.ndarray | None], tuple[np.ndarray, np.ndarray]]
+"""(cycle, who sends (R, N), bytes of each share (R, N); None where all have one length) -> frames,
+and bytes of their payload (R, N)."""
+
+
+class Spread(NamedTuple):
+    """Contents of a step's shares, for a rule that passes on records.
+
+    body_bytes, checkpoints, records: (rounds, R, N), of what a node sent in a cycle. held: (R, N,
+    W, N) bool, whether a node holds what a source took in each of the last W steps, this one last.
+    """
+
+    body_bytes: np.ndarray
+    checkpoints: np.ndarray
+    records: np.ndarray
+    held: np.ndarray
+
+
+class BatchedRule(Protocol):
+    """A fusion rule at all nodes of all runs: `nodes.estimator.Estimator` in arrays.
+
+    Contents are values that only the rule reads. Links are those of its network, in its order.
+    """
+
+    def start(self, prior: Gaussian) -> Any:
+        """The content before the first step, of priors (R, N, n), (R, N, n, n)."""
+        ...
+
+    def begin_step(self, content: Any, readings: Array, control: Array | None, step: int) -> Any:
+        """Carry everything to `step` under control (R, p); take readings (R, N, r, d)."""
+        ...
+
+    def bids(self, content: Any, nodes: np.ndarray) -> np.ndarray:
+        """How urgent a dynamic slot is to these nodes (C,): integers (R, C)."""
+        ...
+
+    def exchange(self, content: Any, sends: np.ndarray, lost: np.ndarray | None) -> Any:
+        """A communication cycle, or with relays a part of one, in which nodes `sends` (R, N) share
+        and all fuse.
+
+        `lost` (R, E) counts the frames that each link loses of a share; None where none does.
+        """
+        ...
+
+    def belief(self, content: Any) -> Gaussian:
+        """Return the current beliefs of the nodes: (R, N, n), (R, N, n, n)."""
+        ...
+
+    def ages(self, content: Any) -> np.ndarray:
+        """Cycles since what came over each link was sent (R, E); -1 is never."""
+        ...
+
+    def counters(self, content: Any) -> Counters:
+        """Return the totals since the start."""
+        ...
+
+    def spread(self, content: Any) -> Spread | None:
+        """Return the contents of the step's shares; None if the rule's shares have one length."""
+        ...
+
+
+@runtime_checkable
+class RuleWithReturns(BatchedRule, Protocol):
+    """One whose nodes may die and come back; records of nodes that began apart have no arrays."""
+
+    def restarted(self, content: Any, nodes: np.ndarray, belief: Gaussian) -> Any:
+        """Between two steps: nodes (J,) begin anew with beliefs (R, J, n), and hold nothing."""
+        ...
+
+
+class Regime(NamedTuple):
+    """Rule and bus, until the settings change: communication cycles of step k, `rounds` of
+    them, begin at `first_cycle + (k - first_step) * rounds`."""
+
+    first_step: int
+    first_cycle: int
+    rounds: int
+    schedule: Schedule
+    contest: Contest
+    contest_memory: ArbiterState
+    framed: Framed
+    rule: BatchedRule
+
+    def cycles(self, step: int) -> range:
+        """Return the cycles of a step."""
+        first = self.first_cycle + (step - self.first_step) * self.rounds
+        return range(first, first + self.rounds)
+
+
+class Era(NamedTuple):
+    """Segment of a run: the settings from `first_step` on, until the next segment begins.
+
+    present: (N,) bool, which nodes take part. joined: (node, whose belief it begins with). lost:
+    (step, cycle) -> how many frames of a share each link loses (R, E); None where no frame is lost.
+    Where the settings differ from those before, all nodes begin anew with their own beliefs.
+    """
+
+    first_step: int
+    regime: Regime
+    present: np.ndarray
+    joined: tuple[tuple[int, int], ...]
+    lost: Callable[[int, int], np.ndarray] | None
+
+
+@dataclass(frozen=True)
+class Network:
+    """Everything about R runs of a network.
+
+    initial_state: (R, n). prior: (R, N, n), (R, N, n, n). process: normals (steps, R, q).
+    measurement: (steps, R, N, r, d). receivers: (E,) of all links. `eras`: the segments of the run;
+    the first begins at 0.
+    """
+
+    plant: Plant
+    initial_state: Array
+    prior: Gaussian
+    process: Array
+    measurement: Array
+    steps: int
+    controller: Controller | None
+    delivery: Delivery | None
+    receivers: np.ndarray
+    eras: tuple[Era, ...]

@@ -1,0 +1,1 @@
+"""Fusion rules: what a node computes from its belief and the shares it holds."""

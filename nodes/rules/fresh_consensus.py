@@ -1,0 +1,187 @@
+"""Consensus on fresh shares alone: rules that use what was heard in a round, and hold nothing.
+
+Nodes exchange content that is made of this step's readings. Held over into the next step it would
+bring the same readings again, as if they were new.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from filters.gaussian import Gaussian
+from filters.linalg import cholesky, symmetrise
+from nodes.messages import Array
+from nodes.rules.lane_rule import (
+    Failures,
+    LaneContent,
+    LocalStep,
+    Place,
+    Published,
+    nothing_published,
+    older,
+)
+from nodes.rules.local_filter import finite_lanes, where
+
+
+class Exchange(Protocol):
+    """Content that nodes exchange: vectors of numbers (..., m), one of each lane.
+
+    `cycle` counts the communication cycles in a step from 0; `prior` is the belief before the
+    node's own readings of the step.
+    """
+
+    def begin(self, node: np.ndarray, prior: Gaussian, posterior: Gaussian) -> Array:
+        """What nodes (...) know (..., m) after their own readings."""
+        ...
+
+    def say(self, cycle: int, known: Array, belief: Gaussian) -> Array:
+        """Return the content to share (..., m) in a round."""
+        ...
+
+    def sound(self, shares: Array) -> np.ndarray:
+        """Which of shares (..., m) any node can use: (...) bool; False where one is NaN."""
+        ...
+
+    def usable(self, prior: Gaussian, shares: Array) -> np.ndarray | None:
+        """Which of shares (..., J, m) can be used beside the own prior: (..., J) bool; None for a
+        rule to which the prior does not matter."""
+        ...
+
+    def fuse(
+        self,
+        cycle: int,
+        weights: Array,
+        prior: Gaussian,
+        known: Array,
+        belief: Gaussian,
+        shares: Array,
+    ) -> tuple[Array, Gaussian]:
+        """Return the content (..., m) and the belief after a round.
+
+        Shares (..., 1 + J, m) are the node's own and those of its neighbours, NaN where nothing
+        came; so are the weights (..., 1 + J). A belief that is not finite, or not positive
+        definite, says that it went wrong.
+        """
+        ...
+
+
+class FreshOwn(NamedTuple):
+    """A node's knowledge: beliefs before and after the readings of the step (..., n), and what it
+    shares (..., m)."""
+
+    prior: Gaussian
+    belief: Gaussian
+    known: Array
+    published: Published
+
+
+class LastUsed(NamedTuple):
+    """Cycles since a share of each neighbour was used (..., J), -1 for never."""
+
+    ages: np.ndarray
+
+
+FreshContent = LaneContent[FreshOwn, LastUsed]
+
+
+@dataclass(frozen=True)
+class FreshConsensus:
+    """The rules that exchange fresh shares, as a `LaneRule`."""
+
+    exchange: Exchange
+    trigger: float = 0.0
+    contends: bool = True
+
+    def start(self, node: np.ndarray, prior: Gaussian, held: Gaussian) -> FreshContent:
+        """The prior, and neighbours never heard."""
+        known = self.exchange.begin(node, prior, prior)
+        own = FreshOwn(prior, prior, known, nothing_published(prior))
+        return LaneContent(own, LastUsed(np.full(held.mean.shape[:-1], -1)), 0)
+
+    def begin_step(
+        self, node: np.ndarray, content: FreshContent, now: LocalStep
+    ) -> tuple[FreshContent, Failures]:
+        """Predict, then take the own readings one by one."""
+        prior, published = content.own.belief, content.own.published
+        failures: dict[str, np.ndarray] = {}
+        if now.step > 0:
+            (moved, sound), *others = now.predict(*(prior, published.belief)[: 1 + self.contends])
+            prior = where(sound, moved, prior)
+            failures = {} if sound.all() else {"predict-failed": ~sound}
+            if others:
+                published = published.moved(others[0])
+        belief, failed = now.update(prior)
+        known = self.exchange.begin(node, prior, belief)
+        own = FreshOwn(prior, belief, known, published)
+        return LaneContent(own, content.held, 0), {**failures, **failed}
+
+    def bid(self, content: FreshContent) -> np.ndarray:
+        """How far the belief has moved since it was last published."""
+        return content.own.published.bid(content.own.belief, self.trigger)
+
+    def say(self, content: FreshContent) -> Array:
+        """Return the content to share in this round."""
+        return self.exchange.say(content.cycles_in_step, content.own.known, content.own.belief)
+
+    def sent(self, content: FreshContent, sends: np.ndarray) -> FreshContent:
+        """The node remembers what it believed then."""
+        own = content.own
+        if not self.contends:
+            return content
+        published = own.published.sent(own.belief, sends)
+        return content._replace(own=own._replace(published=published))
+
+    def read(self, numbers: Array) -> tuple[Array, np.ndarray, str]:
+        """The numbers themselves."""
+        return numbers, self.exchange.sound(numbers), "unsound"
+
+    def fuse(
+        self, place: Place, content: FreshContent, said: Array, heard: np.ndarray
+    ) -> tuple[FreshContent, Failures]:
+        """One round of the rule with what was heard, in sender order."""
+        own, _, cycle = content
+        failures: dict[str, np.ndarray] = {}
+        usable = self.exchange.usable(own.prior, np.where(heard[..., None], said, 0.0))
+        if usable is not None and (refused := heard & ~usable).any():
+            failures = {"rejected unsound": refused.sum(axis=-1)}
+            heard = heard & usable
+        everyone = np.concatenate(
+            (self.say(content)[..., None, :], np.where(heard[..., None], said, np.nan)), axis=-2
+        )
+        known, belief = self.exchange.fuse(
+            cycle, place.weights, own.prior, own.known, own.belief, everyone
+        )
+        content, failed = self.settled(content, known, belief, heard)
+        return content, {**failures, **failed}
+
+    def settled(
+        self, content: FreshContent, known: Array, belief: Gaussian, heard: np.ndarray
+    ) -> tuple[FreshContent, Failures]:
+        """The content after a round that came to this, where it is a belief; `heard` as in `fuse`,
+        or (R, E) of links."""
+        own, (ages,), cycle = content
+        belief = Gaussian(belief.mean, symmetrise(belief.cov))
+        sound = believable(belief)
+        own = own._replace(
+            belief=where(sound, belief, own.belief),
+            known=known if sound.all() else np.where(sound[..., None], known, own.known),
+        )
+        failures = {} if sound.all() else {"fuse-failed": ~sound}
+        used = LastUsed(np.where(heard, 0, older(ages)))
+        return LaneContent(own, used, cycle + 1), failures
+
+    def belief(self, content: FreshContent) -> Gaussian:
+        """Return the rule's belief from all shares heard so far in this step."""
+        return content.own.belief
+
+    def ages(self, content: FreshContent) -> np.ndarray:
+        """Cycles since a share of each neighbour was last used."""
+        return content.held.ages
+
+
+def believable(belief: Gaussian) -> np.ndarray:
+    """Whether beliefs (..., n) that a rule came to are finite and positive definite: (...) bool."""
+    # Numbers near the largest that there are can leave a covariance of zero.
+    definite = np.logical_not(np.isnan(cholesky(belief.cov)[..., 0, 0]))
+    return np.logical_and(finite_lanes(belief), definite)

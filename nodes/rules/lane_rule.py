@@ -1,0 +1,175 @@
+"""The one form of a fusion rule: pure functions over lanes, with an explicit axis of neighbours.
+
+A lane is a node of a run. The knowledge of a rule has two parts: `own` values (...), one for each
+lane, and `held` values (..., J), one for each neighbour of a lane. A node is batch (): its own
+values have no leading axis, its held values have the axis J alone (`nodes.rules.at_node`). The
+batched driver has lanes (R, N) and holds one value for each link, (R, E); it gathers the links of
+each node before it calls `fuse` (`nodes.lanes.batch`). All other functions treat held values one by
+one, so that they take both.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Generic, NamedTuple, Protocol, TypeVar, cast
+
+import numpy as np
+
+from filters.gaussian import Gaussian
+from nodes.bids import FIRST_BID, bid_for_change
+from nodes.messages import Array
+from nodes.rules.local_filter import Carried, LocalFilters, carry, where
+
+Failures = Mapping[str, np.ndarray]
+"""How often what went wrong, by name: (...) booleans or integers."""
+
+Own = TypeVar("Own")
+Held = TypeVar("Held")
+Said = TypeVar("Said")
+Tree = TypeVar("Tree")
+
+
+class Place(NamedTuple):
+    """The place of lanes in the network.
+
+    Attributes:
+        node: which node each lane is, integers (...).
+        weights: (..., 1 + J), the own first; 0 for a neighbour that a lane does not have.
+    """
+
+    node: np.ndarray
+    weights: Array
+
+
+class LaneContent(NamedTuple, Generic[Own, Held]):
+    """Knowledge of lanes: named tuples of arrays; `cycles_in_step` counts the closed cycles."""
+
+    own: Own
+    held: Held
+    cycles_in_step: int
+
+
+class LocalStep(NamedTuple):
+    """A step as the local filters of lanes take it: readings (..., r, d), control (..., p)."""
+
+    filters: LocalFilters
+    readings: Array
+    control: Array | None
+    step: int
+
+    def predict(self, *beliefs: Gaussian) -> tuple[Carried, ...]:
+        """Beliefs of the step before, own and held ones, at this step."""
+        model, points = self.filters.model, self.filters.points
+        if beliefs[0].mean.ndim > 1:
+            return tuple(carry(one, self.control, self.step, model, points) for one in beliefs)
+        # The plant's functions cost a node more to enter than to evaluate.
+        n = beliefs[0].mean.shape[-1]
+        means = [one.mean.reshape(-1, n) for one in beliefs]
+        together = Gaussian(
+            np.concatenate(means), np.concatenate([one.cov.reshape(-1, n, n) for one in beliefs])
+        )
+        moved, sound = carry(together, self.control, self.step, model, points)
+        found, first = [], 0
+        for one, part in zip(beliefs, means, strict=True):
+            lanes = slice(first, first := first + len(part))
+            here = Gaussian(
+                moved.mean[lanes].reshape(one.mean.shape), moved.cov[lanes].reshape(one.cov.shape)
+            )
+            found.append(Carried(here, sound[lanes].reshape(one.mean.shape[:-1])))
+        return tuple(found)
+
+    def update(self, belief: Gaussian) -> tuple[Gaussian, Failures]:
+        """Own beliefs (..., n) after the own readings, and what went wrong."""
+        return self.filters.take(belief, self.readings, self.step)
+
+
+class LaneRule(Protocol[Own, Held, Said]):
+    """A fusion rule. Its shares travel as one vector of numbers (..., m)."""
+
+    @property
+    def contends(self) -> bool:
+        """Return whether bids are asked for; without them no node must remember its shares."""
+        ...
+
+    def start(self, node: np.ndarray, prior: Gaussian, held: Gaussian) -> LaneContent[Own, Held]:
+        """The content before the first step: priors (..., n), and the same (..., J, n) for each
+        place of a neighbour."""
+        ...
+
+    def begin_step(
+        self, node: np.ndarray, content: LaneContent[Own, Held], now: LocalStep
+    ) -> tuple[LaneContent[Own, Held], Failures]:
+        """Carry everything to this step and take the own readings."""
+        ...
+
+    def bid(self, content: LaneContent[Own, Held]) -> np.ndarray:
+        """How urgent a dynamic slot is: integers (...), `NO_BID` for nothing to send."""
+        ...
+
+    def say(self, content: LaneContent[Own, Held]) -> Array:
+        """The numbers (..., m) to share now."""
+        ...
+
+    def sent(self, content: LaneContent[Own, Held], sends: np.ndarray) -> LaneContent[Own, Held]:
+        """After lanes `sends` (...) have shared."""
+        ...
+
+    def read(self, numbers: Array) -> tuple[Said, np.ndarray | None, str]:
+        """Decode finite numbers (..., m).
+
+        Return the content, which (...) can be used (None for all), and why the others cannot.
+        """
+        ...
+
+    def fuse(
+        self, place: Place, content: LaneContent[Own, Held], said: Said, heard: np.ndarray
+    ) -> tuple[LaneContent[Own, Held], Failures]:
+        """End a cycle with what neighbours said (..., J), where `heard` (..., J) says that."""
+        ...
+
+    def belief(self, content: LaneContent[Own, Held]) -> Gaussian:
+        """The beliefs now: (..., n), (..., n, n)."""
+        ...
+
+    def ages(self, content: LaneContent[Own, Held]) -> np.ndarray:
+        """Cycles since the share of each neighbour was sent (..., J); -1 is never."""
+        ...
+
+
+def mapped(function: Callable[..., np.ndarray], first: Tree, *others: Tree) -> Tree:
+    """The function of the arrays of one or several trees of named tuples, array by array."""
+    if isinstance(first, tuple):
+        parts = zip(first, *(cast(tuple, other) for other in others), strict=True)
+        return type(first)(*(mapped(function, *part) for part in parts))
+    return cast(Tree, function(first, *others))
+
+
+class Published(NamedTuple):
+    """Beliefs that lanes last sent, predicted to the present; `known` (...) where they exist."""
+
+    belief: Gaussian
+    known: np.ndarray
+
+    def moved(self, carried: Carried) -> "Published":
+        """At this step; what could not be carried is forgotten."""
+        return Published(
+            where(carried.sound, carried.beliefs, self.belief), self.known & carried.sound
+        )
+
+    def sent(self, belief: Gaussian, sends: np.ndarray) -> "Published":
+        """After lanes `sends` (...) have sent their belief."""
+        return Published(where(sends, belief, self.belief), self.known | sends)
+
+    def bid(self, belief: Gaussian, trigger: float) -> np.ndarray:
+        """How far beliefs have moved since they were published (`bids.bid_for_change`)."""
+        if not self.known.any():
+            return np.full(self.known.shape, FIRST_BID)
+        return np.where(self.known, bid_for_change(belief, self.belief, trigger), FIRST_BID)
+
+
+def nothing_published(prior: Gaussian) -> Published:
+    """Before lanes have sent; their priors fill the places."""
+    return Published(prior, np.zeros(prior.mean.shape[:-1], dtype=bool))
+
+
+def older(ages: np.ndarray) -> np.ndarray:
+    """Ages one cycle later; -1 is never."""
+    return np.where(ages < 0, -1, ages + 1)

@@ -1,0 +1,253 @@
+"""The part of every rule before any share is heard: predict, and take the node's own readings."""
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from typing import NamedTuple, Protocol, cast, runtime_checkable
+
+import numpy as np
+
+from filters.gaussian import Gaussian
+from filters.sigma_points import SigmaPointRule
+from filters.ukf import predict, update
+from filters.update import Update
+from nodes.messages import Array, Measured, from_wire
+
+
+class Model(Protocol):
+    """A filter's model of the plant."""
+
+    def transition(self, state: Array, control: Array | None, step: int) -> Array:
+        """State (..., n) at `step + 1` from the state at `step`."""
+        ...
+
+    def process_noise_cov(self, step: int) -> Array:
+        """Covariance (n, n) of what the transition from `step` does not know."""
+        ...
+
+
+class Sensor(Protocol):
+    """A node's model of its own readings."""
+
+    @property
+    def gate(self) -> float | None:
+        """Chi-square threshold beyond which a reading is refused; None takes every reading."""
+        ...
+
+    def measure(self, state: Array, step: int) -> Array:
+        """The reading (..., m) that a state (..., n) gives."""
+        ...
+
+    def residual(self, value: Array, predicted: Array, /) -> Array:
+        """The difference of two readings (..., m), angles wrapped."""
+        ...
+
+    def interpret(self, delivered: Array) -> tuple[Array, Array]:
+        """Value (m,) and noise covariance (m, m) of a delivered reading (d,)."""
+        ...
+
+
+@runtime_checkable
+class StateNoise(Protocol):
+    """A model or a sensor with more noise the larger the state is: stochastic nonlinearities."""
+
+    def state_noise_cov(self, belief: Gaussian, step: int) -> Array:
+        """Covariance (..., d, d) that comes to the noise that does not depend on the state."""
+        ...
+
+
+class Carried(NamedTuple):
+    """Beliefs (K, n) at this step; `sound` (K,) is False where one could not be carried there."""
+
+    beliefs: Gaussian
+    sound: np.ndarray
+
+
+def carry(
+    beliefs: Gaussian, control: Array | None, step: int, model: Model, points: SigmaPointRule
+) -> Carried:
+    """Beliefs (..., n) of the step before, predicted to `step`, into which `control` drove."""
+    noise_cov = with_state_noise(model.process_noise_cov(step - 1), model, beliefs, step - 1)
+    transition = partial(model.transition, control=control, step=step - 1)
+    moved = predict(beliefs, transition, noise_cov, points)
+    return Carried(moved, finite_lanes(moved))
+
+
+def at(beliefs: Gaussian, place: int) -> Gaussian:
+    """One (n,) of beliefs (K, n)."""
+    return Gaussian(beliefs.mean[place], beliefs.cov[place])
+
+
+def control_of(measured: Measured) -> Array | None:
+    """Return the control that drove the plant into the step, (p,)."""
+    return None if measured.control is None else np.array(measured.control)
+
+
+def take_readings(
+    belief: Gaussian, readings: Array, step: int, sensor: Sensor, points: SigmaPointRule
+) -> tuple[Gaussian, dict[str, np.ndarray]]:
+    """Beliefs (..., n) after their readings (..., r, d), one by one.
+
+    Returns them and how often what went wrong, by name: (...) integers. A reading that is NaN
+    throughout was not taken.
+    """
+    troubles: dict[str, np.ndarray] = {}
+    for place in range(readings.shape[-2]):
+        delivered = readings[..., place, :]
+        if np.isnan(delivered).all():
+            continue
+        result = take_reading(
+            belief, sensor.interpret(delivered), step, sensor, points, sensor.gate
+        )
+        sound = finite_lanes(result.belief)
+        _count(troubles, "update-failed", ~sound)
+        if sensor.gate is not None:
+            _count(troubles, "gated", sound & (result.normalised_innovation_squared > sensor.gate))
+        belief = where(sound, result.belief, belief)
+    return belief, troubles
+
+
+def take_reading(
+    belief: Gaussian,
+    interpreted: tuple[Array, Array],
+    step: int,
+    sensor: Sensor,
+    points: SigmaPointRule,
+    gate: float | None = None,
+) -> Update:
+    """Beliefs (..., n) after one reading of values (..., m) and noise covariances (..., m, m),
+    unless it lies beyond the gate."""
+    value, noise_cov = interpreted
+    return update(
+        belief,
+        value,
+        partial(sensor.measure, step=step),
+        with_state_noise(noise_cov, sensor, belief, step),
+        points,
+        residual=sensor.residual,
+        gate=gate,
+    )
+
+
+def take_own(
+    belief: Gaussian, measured: Measured, sensor: Sensor | None, points: SigmaPointRule
+) -> tuple[Gaussian, tuple[str, ...]]:
+    """One node's belief (n,) after its readings, and the names of what went wrong."""
+    # Mostly nothing was taken, and to find that out in an array takes longer.
+    taken = [reading for reading in measured.readings if any(v is not None for v in reading)]
+    if sensor is None or not taken:
+        return belief, ()
+    belief, troubles = take_readings(belief, from_wire(taken), measured.step, sensor, points)
+    return belief, tuple(name for name, count in troubles.items() for _ in range(int(count)))
+
+
+class SensorGroup(NamedTuple):
+    """Nodes that one sensor value serves, an index into the second axis of the lanes; its arrays
+    have one entry for each of them. All lanes where the index is `slice(None)`."""
+
+    nodes: slice | np.ndarray
+    sensor: Sensor
+
+    @property
+    def whole(self) -> bool:
+        """Whether the group has all lanes."""
+        return isinstance(self.nodes, slice) and self.nodes == slice(None)
+
+    def of(self, values: Array) -> Array:
+        """The values (R, K, ...) of the group, of those of all lanes (R, N, ...)."""
+        return values if self.whole else values[:, self.nodes]
+
+    def put(self, values: Array, part: Array) -> Array:
+        """The values (R, N, ...) of all lanes with those of the group (R, K, ...) replaced."""
+        if self.whole:
+            return part
+        changed = values.copy()
+        changed[:, self.nodes] = part
+        return changed
+
+
+@dataclass(frozen=True)
+class LocalFilters:
+    """The nodes' models of plant and sensors; nodes in no group are blind."""
+
+    model: Model
+    groups: tuple[SensorGroup, ...]
+    points: SigmaPointRule
+
+    def carry(
+        self, belief: Gaussian, control: Array | None, step: int
+    ) -> tuple[Gaussian, np.ndarray]:
+        """Beliefs (R, N, n) of the step before at `step`, and where that went well (R, N)."""
+        driven = None if control is None else control[:, None, :]
+        moved, sound = carry(belief, driven, step, self.model, self.points)
+        return where(sound, moved, belief), sound
+
+    def take(
+        self, belief: Gaussian, readings: Array, step: int
+    ) -> tuple[Gaussian, dict[str, np.ndarray]]:
+        """Beliefs (..., n) after each node's own readings (..., r, d), and what went wrong.
+
+        The last axis of the lanes is that of the nodes where groups divide them.
+        """
+        if not self.groups:
+            return belief, {}
+        if len(self.groups) == 1 and self.groups[0].whole:
+            sensor = self.groups[0].sensor
+            return take_readings(belief, readings, step, sensor, self.points)
+        mean, cov = belief.mean.copy(), belief.cov.copy()
+        counted: dict[str, np.ndarray] = {}
+        for nodes, sensor in self.groups:
+            own = Gaussian(belief.mean[:, nodes], belief.cov[:, nodes])
+            after, troubles = take_readings(own, readings[:, nodes], step, sensor, self.points)
+            mean[:, nodes], cov[:, nodes] = after
+            for name, count in troubles.items():
+                total = counted.setdefault(name, np.zeros(mean.shape[:2], dtype=int))
+                total[:, nodes] += count
+        return Gaussian(mean, cov), counted
+
+
+def _count(troubles: dict[str, np.ndarray], name: str, lanes: np.ndarray) -> None:
+    if lanes.any():
+        troubles[name] = troubles.get(name, 0) + lanes.astype(int)
+
+
+def where(chosen: np.ndarray, one: Gaussian, other: Gaussian) -> Gaussian:
+    """`one` in the lanes (...) that are chosen, `other` elsewhere."""
+    if chosen.all():
+        return one
+    return Gaussian(
+        np.where(chosen[..., None], one.mean, other.mean),
+        np.where(chosen[..., None, None], one.cov, other.cov),
+    )
+
+
+def finite_lanes(beliefs: Gaussian) -> np.ndarray:
+    """Where every number of a belief is finite: (...) bool."""
+    if finite(beliefs):
+        return np.ones(beliefs.mean.shape[:-1], dtype=bool)
+    finite_mean = np.isfinite(beliefs.mean).all(axis=-1)
+    return np.logical_and(finite_mean, np.isfinite(beliefs.cov).all(axis=(-1, -2)))
+
+
+def finite(belief: Gaussian) -> bool:
+    """Whether every number of all beliefs (..., n) is finite."""
+    return _all_finite(belief.mean) and _all_finite(belief.cov)
+
+
+def _all_finite(values: Array) -> bool:
+    # A sum of squares takes a third of the time, and is infinite for large numbers as well.
+    flat = values.ravel(order="K")  # in the order of memory: nothing is copied
+    return math.isfinite(flat.dot(flat)) or bool(np.isfinite(flat).all())
+
+
+def with_state_noise(noise_cov: Array, owner: object, belief: Gaussian, step: int) -> Array:
+    """Noise covariance of a model or a sensor, with what comes to it at a belief."""
+    if _has_state_noise(type(owner)):
+        return noise_cov + cast(StateNoise, owner).state_noise_cov(belief, step)
+    return noise_cov
+
+
+@lru_cache
+def _has_state_noise(kind: type) -> bool:
+    # Kept: to ask a protocol takes longer than to add the noise.
+    return issubclass(kind, StateNoise)

@@ -1,0 +1,63 @@
+"""Rules that exchange their novelty once, then average means (diffusion, KCF, centralised)."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from filters.fusion.packed import packed_length, unpack
+from filters.gaussian import Gaussian
+from filters.linalg import cholesky, inverse_spd
+from nodes.messages import Array
+
+
+class NoveltyRounds(NamedTuple):
+    """Round 0 absorbs the shares of all neighbours, later ones mix their means.
+
+    `open(prior, posterior)` is what a node says first (..., m), its packed novelty in front;
+    `absorb(prior, shares (..., 1 + J, m))` the belief after round 0; `mix(means (..., 1 + J, n),
+    weights (..., 1 + J))` the mean after a later one. The node's own comes first; NaN was not
+    heard. Means travel in vectors of the same length, as a bus slot has one. It is an `Exchange` of
+    `fresh_consensus`.
+    """
+
+    open: Callable[[Gaussian, Gaussian], Array]
+    absorb: Callable[[Gaussian, Array], Gaussian]
+    mix: Callable[[Array, Array], Array]
+
+    def begin(self, node: np.ndarray, prior: Gaussian, posterior: Gaussian) -> Array:
+        """Return the node's share of the first round (..., m)."""
+        return self.open(prior, posterior)
+
+    def say(self, cycle: int, known: Array, belief: Gaussian) -> Array:
+        """First what the own readings brought, then the mean, padded."""
+        if cycle == 0:
+            return known
+        said = np.zeros_like(known)
+        said[..., : belief.mean.shape[-1]] = belief.mean
+        return said
+
+    def sound(self, shares: Array) -> np.ndarray:
+        """Every share, as far as it alone can tell."""
+        return np.ones(shares.shape[:-1], dtype=bool)
+
+    def usable(self, prior: Gaussian, shares: Array) -> np.ndarray:
+        """Which of shares (..., J, m) leave the own information positive definite: (..., J)."""
+        packed = shares[..., : packed_length(prior.mean.shape[-1])]
+        together = inverse_spd(prior.cov)[..., None, :, :] + unpack(packed).matrix
+        return np.isfinite(cholesky(together)[..., -1, -1])
+
+    def fuse(
+        self,
+        cycle: int,
+        weights: Array,
+        prior: Gaussian,
+        known: Array,
+        belief: Gaussian,
+        shares: Array,
+    ) -> tuple[Array, Gaussian]:
+        """The prior with all novelties, then the mixed mean with the covariance that it had."""
+        if cycle == 0:
+            return known, self.absorb(prior, shares)
+        means = shares[..., : belief.mean.shape[-1]]
+        return known, Gaussian(self.mix(means, weights), belief.cov)

@@ -1,0 +1,151 @@
+"""A node's readings of one step as the bytes of a record: quantised, the same for every reader.
+
+Every node that uses a record uses these bytes, the source too. So all nodes count the rounding
+error as the same noise.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from nodes.messages import Array
+from nodes.rules.local_filter import Sensor
+
+# Steps of quantisation in a standard deviation of the noise.
+_STEPS_PER_DEVIATION = 16
+
+
+@runtime_checkable
+class Calibrated(Protocol):
+    """A sensor whose reading is the measurement itself, with noise known before it is taken."""
+
+    @property
+    def noise_std(self) -> Array:
+        """Standard deviation of each entry, () or (m,); a delivery beyond m is NaN."""
+        ...
+
+
+@dataclass(frozen=True)
+class RecordCodec:
+    """How the readings (r, d) of a node at a step are written.
+
+    The first `channels` of d entries are what the node measures; `padding` more, for which others
+    have sensors, are always NaN and not written. `number` is a numpy type code; with an integer one
+    an entry is a multiple of its `resolution` (channels,), and the least integer stands for NaN.
+    """
+
+    readings: int
+    channels: int
+    number: str
+    resolution: Array | None
+    padding: int = 0
+
+    @property
+    def size_max(self) -> int:
+        """Length in bytes of a record of which no reading is missing."""
+        return self._mask_bytes + self.readings * self._reading_bytes
+
+    @cached_property
+    def rounding_cov(self) -> Array | None:
+        """Covariance (channels, channels) of what rounding does, uniform errors: step^2 / 12."""
+        return None if self.resolution is None else np.diag(self.resolution**2 / 12)
+
+    def encode(self, delivered: Array) -> bytes | None:
+        """The record of readings (r, d); None where nothing was taken, or nothing can be said.
+
+        An entry beyond the range of an integer is left out, as if it had not been taken.
+        """
+        entries, taken = self._entries(delivered)
+        if not taken.any():
+            return None
+        mask = b"" if self.readings == 1 else np.packbits(taken, bitorder="little").tobytes()
+        return mask + entries[taken].astype(self.number).tobytes()
+
+    def received(self, delivered: Array) -> Array:
+        """Return the readings (..., r, d) that readers of the record get: NaN if not written."""
+        entries, taken = self._entries(delivered)
+        found = np.full(delivered.shape, np.nan)
+        data = np.where(taken[..., None], entries, 0).astype(self.number)
+        found[..., : self.channels] = np.where(taken[..., None], self._values(data), np.nan)
+        return found
+
+    def _entries(self, delivered: Array) -> tuple[Array, np.ndarray]:
+        """Return the entries written of readings (..., r, d), and of which readings (..., r)."""
+        delivered = delivered[..., : self.channels]
+        if self.resolution is None:
+            return delivered, np.asarray(~np.isnan(delivered).all(axis=-1))
+        most = np.iinfo(self.number).max
+        codes = np.round(delivered / self.resolution)
+        entries = np.where(np.abs(codes) <= most, codes, -most - 1)
+        return entries, np.asarray((entries >= -most).any(axis=-1))
+
+    def _values(self, data: np.ndarray) -> Array:
+        """Return the values of written entries (..., channels)."""
+        values = data.astype(np.float64)
+        if self.resolution is None:
+            return values
+        return np.where(data == np.iinfo(self.number).min, np.nan, values) * self.resolution
+
+    def beyond(self, delivered: Array) -> np.ndarray:
+        """How many entries of readings (..., r, d) no integer can say, (...)."""
+        if self.resolution is None:
+            return np.zeros(delivered.shape[:-2], dtype=np.int64)
+        codes = np.abs(np.round(delivered[..., : self.channels] / self.resolution))
+        return (codes > np.iinfo(self.number).max).sum(axis=(-1, -2))
+
+    def decode(self, record: bytes) -> Array:
+        """The readings (r, d) that a whole record means."""
+        data = np.frombuffer(record, self.number, offset=self._mask_bytes)
+        values = self._values(data.reshape(-1, self.channels))
+        if self.readings == 1 and not self.padding:
+            return values
+        delivered = np.full((self.readings, self.channels + self.padding), np.nan)
+        taken = slice(None) if self.readings == 1 else self._taken(record)
+        delivered[taken, : self.channels] = values
+        return delivered
+
+    def length(self, data: bytes) -> int:
+        """Length of the record that `data` begins with; more than that of `data` if it is cut."""
+        if self.readings == 1:
+            return self._reading_bytes
+        if len(data) < self._mask_bytes:
+            return self._mask_bytes
+        return self._mask_bytes + int(self._taken(data).sum()) * self._reading_bytes
+
+    @cached_property
+    def _mask_bytes(self) -> int:
+        return 0 if self.readings == 1 else -(-self.readings // 8)
+
+    @cached_property
+    def _reading_bytes(self) -> int:
+        return self.channels * np.dtype(self.number).itemsize
+
+    def _taken(self, record: bytes) -> np.ndarray:
+        """Which of several readings (r,) a record has."""
+        mask = np.frombuffer(record[: self._mask_bytes], np.uint8)
+        return np.unpackbits(mask, count=self.readings, bitorder="little").astype(bool)
+
+
+def record_codec(sensor: Sensor | None, shape: tuple[int, int], number: str) -> RecordCodec | None:
+    """How the readings (r, d) = `shape` of a node with this sensor are written; None without one.
+
+    Readings of a sensor that is not `Calibrated` mean what they mean together (a sighting from a
+    moving robot): they go as float32 where an integer is asked for.
+    """
+    if sensor is None:
+        return None
+    readings, delivered = shape
+    whole = "<f4" if np.dtype(number).kind == "i" else number
+    if not isinstance(sensor, Calibrated):
+        return RecordCodec(readings, delivered, whole, None)
+    deviation = np.asarray(sensor.noise_std, dtype=float)
+    deviation = np.broadcast_to(deviation, deviation.shape or (delivered,))
+    channels = len(deviation)
+    padding = delivered - channels
+    if np.dtype(number).kind != "i":
+        return RecordCodec(readings, channels, number, None, padding)
+    # An entry that there is nothing to measure with is NaN in every reading, whatever its step.
+    deviation = np.where(np.isnan(deviation), 1.0, deviation)
+    return RecordCodec(readings, channels, number, deviation / _STEPS_PER_DEVIATION, padding)

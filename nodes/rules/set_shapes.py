@@ -1,0 +1,230 @@
+"""The two shapes of set that a node can keep, ellipsoid and zonotope, and how each travels.
+
+The set on the wire contains the set that was kept. A sender grows its set by the loss of the number
+format, a receiver by the loss of decoding. All functions take sets of many lanes (...).
+"""
+
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+import numpy as np
+
+from filters.gaussian import Gaussian
+from filters.linalg import cholesky
+from filters.sets import ellipsoid, zonotope
+from filters.sets.ellipsoid import Ellipsoid, rounding_bound
+from filters.sets.ellipsoid_intersection import intersection, strip_intersection
+from filters.sets.zonotope import Zonotope
+from nodes.belief_codec import belief_numbers, belief_of
+from nodes.messages import Array
+from nodes.rules.lane_rule import mapped
+
+HeldSet = TypeVar("HeldSet")
+_UNITS = {"<f8": 0.0, "<f4": 2.0**-24}
+
+
+class Shape(Protocol[HeldSet]):
+    """Operations on a node's sets. Each result holds the truth if its operands do."""
+
+    def around(self, prior: Gaussian) -> HeldSet:
+        """The ellipsoids with these means (..., n) and these shape matrices (..., n, n)."""
+        ...
+
+    def centres(self, sets: HeldSet) -> Array:
+        """Their centres (..., n)."""
+        ...
+
+    def moved(self, sets: HeldSet, centres: Array, transition: Array, noise: Array) -> HeldSet:
+        """Sets one step later under x' = A x + B v, |v| <= 1; their centres go to (..., n)."""
+        ...
+
+    def cut(
+        self, own: HeldSet, row: Array, value: Array, half_width: float
+    ) -> tuple[HeldSet, np.ndarray]:
+        """Around own and |value - row x| <= half_width; False (...) where they have nothing in
+        common, and the set is anything."""
+        ...
+
+    def meet(self, own: HeldSet, other: HeldSet) -> tuple[HeldSet, np.ndarray]:
+        """Around own and other, not larger than own; False (...) as for `cut`."""
+        ...
+
+    def bounds(self, own: HeldSet) -> Gaussian:
+        """Centre and shape matrix of an ellipsoid around it."""
+        ...
+
+    def generators_of(self, own: HeldSet) -> Array | None:
+        """The generators (n, q) of one zonotope; None of another shape."""
+        ...
+
+    def size(self, own: HeldSet) -> Array:
+        """Sum of the squared half-widths (...)."""
+        ...
+
+    def numbers_of(self, own: HeldSet) -> Array:
+        """The numbers (..., m) of sets around these."""
+        ...
+
+    def read(self, numbers: Array) -> tuple[HeldSet, np.ndarray]:
+        """Sets around those whose numbers (..., m) were sent; False (...) where these are none."""
+        ...
+
+
+def chosen_sets(chosen: np.ndarray, one: HeldSet, other: HeldSet) -> HeldSet:
+    """`one` in the lanes (...) that are chosen, `other` elsewhere."""
+    if chosen.all():
+        return one
+
+    def pick(first: Array, second: Array) -> Array:
+        return np.where(
+            chosen.reshape(chosen.shape + (1,) * (first.ndim - chosen.ndim)), first, second
+        )
+
+    return mapped(pick, one, other)
+
+
+@dataclass(frozen=True)
+class Ellipsoids:
+    """Sets of `states` dimensions as centre and shape matrix; `number` is "<f8" or "<f4"."""
+
+    states: int
+    number: str = "<f8"
+
+    def around(self, prior: Gaussian) -> Ellipsoid:
+        """The ellipsoid itself."""
+        return _from_shape(prior)
+
+    def centres(self, sets: Ellipsoid) -> Array:
+        """Their centres."""
+        return sets.centre
+
+    def moved(self, sets: Ellipsoid, centres: Array, transition: Array, noise: Array) -> Ellipsoid:
+        """The ellipsoids of least trace."""
+        return ellipsoid.moved(sets, centres, transition, noise)
+
+    def cut(
+        self, own: Ellipsoid, row: Array, value: Array, half_width: float
+    ) -> tuple[Ellipsoid, np.ndarray]:
+        """The ellipsoid of least trace around both."""
+        return _found(strip_intersection(own, row, value, np.asarray(half_width)))
+
+    def meet(self, own: Ellipsoid, other: Ellipsoid) -> tuple[Ellipsoid, np.ndarray]:
+        """The ellipsoid of least trace around both."""
+        return _found(intersection(own, other))
+
+    def bounds(self, own: Ellipsoid) -> Gaussian:
+        """Its own centre and shape matrix."""
+        return Gaussian(own.centre, _rounded_up(ellipsoid.shape_matrix(own), 0.0))
+
+    def generators_of(self, own: Ellipsoid) -> None:
+        """It has none."""
+
+    def size(self, own: Ellipsoid) -> Array:
+        """The trace of the shape matrix."""
+        return (own.factor**2).sum(axis=(-2, -1))
+
+    def numbers_of(self, own: Ellipsoid) -> Array:
+        """Centre and shape matrix, grown by what they lose in this number format."""
+        unit = _UNITS[self.number]
+        if unit > 0.0:
+            own = ellipsoid.grow(own, unit * np.abs(own.centre))
+        return belief_numbers(Gaussian(own.centre, _rounded_up(ellipsoid.shape_matrix(own), unit)))
+
+    def read(self, numbers: Array) -> tuple[Ellipsoid, np.ndarray]:
+        """False where the shape is not positive definite."""
+        return _found(_from_shape(belief_of(numbers, self.states)))
+
+
+@dataclass(frozen=True)
+class Zonotopes:
+    """Sets of `states` dimensions with `generators`, some of them zero; shared as parallelotopes.
+
+    All have as many columns, so that the sets of many lanes are one array.
+    """
+
+    states: int
+    number: str = "<f8"
+    generators: int = 20
+
+    def around(self, prior: Gaussian) -> Zonotope:
+        """The box around the ellipsoid along its own axes."""
+        return self._reduced(zonotope.around(_from_shape(prior)))
+
+    def centres(self, sets: Zonotope) -> Array:
+        """Their centres."""
+        return sets.centre
+
+    def _reduced(self, own: Zonotope) -> Zonotope:
+        return zonotope.reduced_to(own, self.generators)
+
+    def moved(self, sets: Zonotope, centres: Array, transition: Array, noise: Array) -> Zonotope:
+        """The sums, reduced."""
+        return self._reduced(zonotope.moved(sets, centres, transition, noise))
+
+    def cut(
+        self, own: Zonotope, row: Array, value: Array, half_width: float
+    ) -> tuple[Zonotope, np.ndarray]:
+        """Around both; False where the strip misses the zonotope."""
+        seen = np.abs((row[..., None] * own.generators).sum(axis=-2)).sum(axis=-1) + half_width
+        extent = np.abs(own.centre) + zonotope.half_widths(own)
+        reach = (np.abs(row) * extent).sum(axis=-1) + np.abs(value)
+        missed = np.abs(value - (row * own.centre).sum(axis=-1))
+        meets = missed <= seen + rounding_bound(self.generators) * reach
+        both = zonotope.strip_intersection(own, row, value, np.asarray(half_width))
+        return self._reduced(both), meets
+
+    def meet(self, own: Zonotope, other: Zonotope) -> tuple[Zonotope, np.ndarray]:
+        """Around both; False where their boxes have nothing in common."""
+        gap = np.abs(own.centre - other.centre)
+        widths = zonotope.half_widths(own) + zonotope.half_widths(other)
+        largest = widths + np.abs(own.centre) + np.abs(other.centre)
+        meets = (gap <= widths + rounding_bound(self.generators) * largest).all(axis=-1)
+        return self._reduced(zonotope.intersection(own, other)), meets
+
+    def bounds(self, own: Zonotope) -> Gaussian:
+        """An ellipsoid around it."""
+        around = zonotope.enclosing_ellipsoid(own)
+        return Gaussian(around.centre, _rounded_up(ellipsoid.shape_matrix(around), 0.0))
+
+    def generators_of(self, own: Zonotope) -> Array:
+        """Its own, but for those that are zero."""
+        return own.generators[:, own.generators.any(axis=0)]
+
+    def size(self, own: Zonotope) -> Array:
+        """Sum of the squared half-widths."""
+        return (zonotope.half_widths(own) ** 2).sum(axis=-1)
+
+    def numbers_of(self, own: Zonotope) -> Array:
+        """A parallelotope around it."""
+        box = zonotope.parallelotope(own)
+        flat = box.generators.reshape(*box.centre.shape[:-1], self.states**2)
+        return np.concatenate((box.centre, flat), axis=-1)
+
+    def read(self, numbers: Array) -> tuple[Zonotope, np.ndarray]:
+        """Any finite numbers are a zonotope."""
+        n, unit = self.states, _UNITS[self.number]
+        came = Zonotope(numbers[..., :n], numbers[..., n:].reshape(*numbers.shape[:-1], n, n))
+        if unit > 0.0:
+            # Every number that was rounded was within this of the one that came.
+            lost = 2.0 * unit * (np.abs(came.centre) + zonotope.half_widths(came))
+            came = zonotope.grown(came, lost)
+        return self._reduced(came), np.ones(numbers.shape[:-1], dtype=bool)
+
+
+def _found(sets: Ellipsoid) -> tuple[Ellipsoid, np.ndarray]:
+    return sets, ~np.isnan(sets.factor).any(axis=(-2, -1))
+
+
+def _rounded_up(shape: Array, unit: float) -> Array:
+    """Shape matrices (..., n, n) above all that rounding, of their own or by `unit`, makes of them.
+
+    An error of at most e sqrt(P_ii P_jj) in every entry is at most n e diag P.
+    """
+    n = shape.shape[-1]
+    diagonal = np.diagonal(shape, axis1=-2, axis2=-1)
+    return shape + np.eye(n) * (n * (2.0 * unit + rounding_bound(n)) * diagonal)[..., None]
+
+
+def _from_shape(belief: Gaussian) -> Ellipsoid:
+    """Ellipsoids around these, by Cholesky factors; NaN where a shape is not positive definite."""
+    return Ellipsoid(belief.mean, cholesky(_rounded_up(belief.cov, 0.0)))

@@ -1,0 +1,51 @@
+"""Outliers are judged once, by the node that took them, before any other node hears of them.
+
+Were each receiver to judge by its own belief, some would take a record and some refuse it. A record
+that its source refused does not exist: it is refused alike everywhere.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from filters.gaussian import Gaussian
+from filters.sigma_points import SigmaPointRule
+from nodes.messages import Array
+from nodes.rules.local_filter import Sensor, finite_lanes, take_reading, where
+
+
+def without_outliers(
+    belief: Gaussian,
+    delivered: Array,
+    sensor: Sensor,
+    step: int,
+    points: SigmaPointRule,
+    gates: Sequence[float] = (),
+) -> tuple[Array, np.ndarray]:
+    """Readings (..., r, d) with NaN for those beyond the gate, and how many (...) those are.
+
+    The gate is the sensor's own, else that of `gates` for as many entries as were taken.
+    `belief` (..., n) is that before the readings; each is judged given the ones before it that
+    passed.
+    """
+    kept = delivered.copy()
+    gated = np.zeros(delivered.shape[:-2], dtype=np.int64)
+    for place in range(delivered.shape[-2]):
+        reading = delivered[..., place, :]
+        if np.isnan(reading).all():
+            continue
+        interpreted = sensor.interpret(reading)
+        result = take_reading(belief, interpreted, step, sensor, points)
+        refused = result.normalised_innovation_squared > _gates(interpreted[0], sensor, gates)
+        kept[..., place, :] = np.where(refused[..., None], np.nan, reading)
+        gated += refused
+        belief = where(~refused & finite_lanes(result.belief), result.belief, belief)
+    return kept, gated
+
+
+def _gates(value: Array, sensor: Sensor, gates: Sequence[float]) -> Array:
+    """The threshold (...) for each of some readings (..., m); what was not taken passes."""
+    taken = np.count_nonzero(~np.isnan(value), axis=-1)
+    if sensor.gate is not None:
+        return np.where(taken > 0, sensor.gate, np.inf)
+    return np.array([np.inf, *gates])[taken] if len(gates) else np.full(np.shape(taken), np.inf)

@@ -1,0 +1,1 @@
+"""The papers that concord reproduces; only the `reproduce` command imports this package."""

@@ -1,0 +1,1 @@
+"""The adaptive dual-layer UKF for vehicles."""

@@ -1,0 +1,57 @@
+"""Measure one step of each filter: evaluations of the models, and time on this machine."""
+
+import time
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from filters.gaussian import Gaussian
+from filters.moments import Model
+from nodes.messages import Array
+from papers.adlukf.filters import CONTESTANTS, Contestant, Task
+from papers.adlukf.study import PRIOR_COV, Study
+
+STEPS = 300
+
+
+class Cost(NamedTuple):
+    """Sigma points that went through a model in a step, and seconds per step."""
+
+    evaluations: float
+    seconds: float
+
+
+def costs(study: Study) -> dict[str, Cost]:
+    """The cost of every filter on one lane of a study.
+
+    The time is the least of three runs, and belongs to this machine.
+    """
+    return {name: _cost(study, contestant) for name, contestant in CONTESTANTS.items()}
+
+
+def _cost(study: Study, contestant: Contestant) -> Cost:
+    points = 0
+
+    def counted(model: Model, states: Array) -> Array:
+        nonlocal points
+        points += states.size // states.shape[-1]
+        return model(states)
+
+    def run(wrap: bool) -> float:
+        belief = Gaussian(study.start[0, 0, 0], PRIOR_COV)
+        Q = study.model.process_noise_cov(0)
+        memory = contestant.begin(Q, study.believed[0, 0, 0])
+        started = time.perf_counter()
+        for k in range(1, STEPS + 1):
+            f = partial(study.model.transition, control=study.controls[k - 1, 0, 0, 0], step=k - 1)
+            h = partial(study.model.measure, control=study.controls[k, 0, 0, 0])
+            if wrap:
+                f, h = partial(counted, f), partial(counted, h)
+            task = Task(f, h, study.measurements[k, 0, 0, 0], Q)
+            belief, memory = contestant.step(belief, memory, task)
+        assert np.isfinite(belief.mean).all(), f"{contestant.name} failed while it was timed"
+        return (time.perf_counter() - started) / STEPS
+
+    run(wrap=True)
+    return Cost(points / STEPS, min(run(wrap=False) for _ in range(3)))

@@ -1,0 +1,97 @@
+"""Logged drives of another car, for Figure 9 and for what a better model brings.
+
+The paper drove a Volkswagen Santana and published no data. In its place this module
+simulates a Ford Escort with 29 states and writes its drives as logs with sensor noise. From there
+on it treats each log as a user's real drive: it reads the log, identifies the tyres and estimates
+the states.
+"""
+
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+
+from nodes.messages import Array
+from papers.adlukf.filters import CONTESTANTS
+from papers.adlukf.study import (
+    CASES,
+    CHANNELS,
+    PROCESS_VARIANCES,
+    START_ERROR,
+    TIME_STEP_S,
+    Study,
+    estimate,
+    quantities,
+)
+from plants.vehicle.drive import Drive
+from plants.vehicle.drive_log import LoggedDrive, read_folder, write_drive
+from plants.vehicle.manoeuvres import MANOEUVRES
+from plants.vehicle.model import Tyre, linear_tyre, single_track, tanh_tyre
+from plants.vehicle.parameters import Car
+from plants.vehicle.sensors import TEST_CAR, logged
+from plants.vehicle.truth import ESCORT, data_sheet, simulate
+from plants.vehicle.tyre_identification import Identified, identify
+
+DRIVEN = ("double-lane-change", "serpentine")
+IDENTIFIED_FROM = "ramp-steer"
+GUESS_N_RAD = 100e3
+"""Stiffness of an axle that identification starts from, as if nothing were known."""
+
+
+class Logged(NamedTuple):
+    """Logged drives by manoeuvre, and what identification says of the car for either tyre."""
+
+    drives: dict[str, LoggedDrive]
+    linear: Identified
+    tanh: Identified
+
+
+def log_drives(folder: Path, seed: int) -> Logged:
+    """Drive the Escort, write the logs below `folder`, read them again and identify the tyres."""
+    sheet = data_sheet(ESCORT)
+    guess = msgspec.structs.replace(
+        sheet, front_stiffness_n_rad=GUESS_N_RAD, rear_stiffness_n_rad=GUESS_N_RAD
+    )
+    drives = {}
+    for number, name in enumerate((*DRIVEN, IDENTIFIED_FROM)):
+        truth = simulate(MANOEUVRES[name], ESCORT, TIME_STEP_S)
+        place = folder / f"drive-{name}"
+        place.mkdir()
+        generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(9, number)))
+        write_drive(place, logged(truth, TEST_CAR, generator), guess)
+        drives[name] = read_folder(place)
+    drive, car = drives[IDENTIFIED_FROM]
+    return Logged(
+        drives,
+        identify(drive, car, linear_tyre),
+        identify(drive, car, tanh_tyre, seek_friction=True),
+    )
+
+
+def estimates(drive: Drive, car: Car, tyre: Tyre, filters: tuple[str, ...]) -> dict[str, Array]:
+    """Return the estimates of each filter for one logged drive: `quantities` (steps, 4)."""
+    model = single_track(car, tyre, drive.time_step_s, np.diag(PROCESS_VARIANCES))
+    readings = np.stack(
+        [drive.lateral_acceleration_m_s2, drive.yaw_rate_rad_s, drive.speed_m_s], axis=-1
+    )
+    variances = np.array([error.std**2 for error in CHANNELS.values()])
+    lane = (slice(None), None, None, None)
+    study = Study(
+        model=model,
+        cases=(CASES["true R"],),
+        controls=drive.inputs[lane],
+        measurements=readings[lane],
+        believed=np.broadcast_to(variances, (1, 1, 1, 3)),
+        start=np.broadcast_to(np.array([0.0, 0.0, drive.speed_m_s[0]]) + START_ERROR, (1, 1, 1, 3)),
+        truth=drive.states[lane],
+    )
+    run = partial(estimate, study)
+    return {name: quantities(run(CONTESTANTS[name]).mean[:, 0, 0, 0]) for name in filters}
+
+
+def side_slip_rmse_deg(drive: Drive, estimate_: Array) -> float:
+    """RMSE against the logged side slip, from the second step on."""
+    error = estimate_[1:, 2] - np.degrees(drive.side_slip_rad[1:])
+    return float(np.sqrt(np.nanmean(error**2)))

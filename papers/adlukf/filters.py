@@ -1,0 +1,168 @@
+"""The filters that the ADLUKF study compares, all behind one face: belief and memory in and out."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from filters import ukf
+from filters.adaptive import correntropy, sage_husa
+from filters.gaussian import Gaussian
+from filters.moments import Model
+from filters.sigma_points import SigmaPointRule, cubature, scaled_unscented
+from nodes.messages import Array
+from papers.adlukf import adaptive_filters as adaptive
+from papers.adlukf import dual_layer, fuzzy_noise
+from papers.adlukf import sage_husa_as_printed as sage_husa_literal
+
+Memory = Any
+
+UNSCENTED = scaled_unscented(3, alpha=0.1, beta=2.0, kappa=0.0)
+"""The paper's rule: kappa is 0 from three states on; alpha and beta are chosen here."""
+CUBATURE = cubature(3)
+BANDWIDTH = 3.0
+"""Of the maximum-correntropy filter, in standard deviations."""
+
+
+class Task(NamedTuple):
+    """Input of a filter in one step: models, reading (..., 3) and process noise (..., 3, 3)."""
+
+    transition: Model
+    measure: Model
+    measurement: Array
+    process_noise_cov: Array
+
+
+class Contestant(NamedTuple):
+    """A filter: `begin(Q (..., 3, 3), R0 (..., 3))` makes its memory, `step` takes one reading."""
+
+    name: str
+    what: str
+    begin: Callable[[Array, Array], Memory]
+    step: Callable[[Gaussian, Memory, Task], tuple[Gaussian, Memory]]
+
+
+def _fixed(rule: SigmaPointRule) -> Callable[[Gaussian, Memory, Task], tuple[Gaussian, Memory]]:
+    """A filter whose memory is R."""
+
+    def step(belief: Gaussian, noise_cov: Memory, task: Task) -> tuple[Gaussian, Memory]:
+        moved = ukf.predict(belief, task.transition, task.process_noise_cov, rule)
+        taken = ukf.update(moved, task.measurement, task.measure, noise_cov, rule)
+        return taken.belief, noise_cov
+
+    return step
+
+
+def _adaptive(belief: Gaussian, noise: Memory, task: Task) -> tuple[Gaussian, Memory]:
+    moved = ukf.predict(belief, task.transition, task.process_noise_cov, UNSCENTED)
+    taken, noise = adaptive.update(moved, noise, task.measurement, task.measure, UNSCENTED)
+    return taken.belief, noise
+
+
+def _limited(belief: Gaussian, noise: Memory, task: Task) -> tuple[Gaussian, Memory]:
+    moved = ukf.predict(belief, task.transition, task.process_noise_cov, UNSCENTED)
+    taken, noise = adaptive.update(
+        moved, noise, task.measurement, task.measure, UNSCENTED, outlier_limit=9.0
+    )
+    return taken.belief, noise
+
+
+def _fuzzy(belief: Gaussian, noise: Memory, task: Task) -> tuple[Gaussian, Memory]:
+    moved = ukf.predict(belief, task.transition, task.process_noise_cov, UNSCENTED)
+    taken, noise = adaptive.fuzzy_update(moved, noise, task.measurement, task.measure, UNSCENTED)
+    return taken.belief, noise
+
+
+def _robust(belief: Gaussian, noise_cov: Memory, task: Task) -> tuple[Gaussian, Memory]:
+    moved = ukf.predict(belief, task.transition, task.process_noise_cov, UNSCENTED)
+    taken = correntropy.update(
+        moved, task.measurement, task.measure, noise_cov, UNSCENTED, BANDWIDTH
+    )
+    return taken.belief, noise_cov
+
+
+def _dual(form: Any) -> Callable[[Gaussian, Memory, Task], tuple[Gaussian, Memory]]:
+    """A form of the dual-layer filter whose memory is R."""
+
+    def step(belief: Gaussian, noise_cov: Memory, task: Task) -> tuple[Gaussian, Memory]:
+        f, h, z, Q = task
+        return form(belief, z, f, h, Q, noise_cov, UNSCENTED).update.belief, noise_cov
+
+    return step
+
+
+def _dual_adaptive(belief: Gaussian, noise: Memory, task: Task) -> tuple[Gaussian, Memory]:
+    f, h, z, Q = task
+    taken, noise = adaptive.dual_layer_step(belief, noise, z, f, h, Q, UNSCENTED)
+    return taken.belief, noise
+
+
+def _dual_printed(
+    means: bool,
+) -> Callable[[Gaussian, Memory, Task], tuple[Gaussian, Memory]]:
+    """The paper's filter; `means` adapts q and r too."""
+
+    def step(belief: Gaussian, noise: Memory, task: Task) -> tuple[Gaussian, Memory]:
+        f, h, z, _ = task
+        taken, noise = adaptive.dual_layer_literal_step(
+            belief, noise, z, f, h, UNSCENTED, means=means
+        )
+        return taken.belief, noise
+
+    return step
+
+
+def _noise_cov(_: Array, variances: Array) -> Array:
+    return variances[..., None] * np.eye(variances.shape[-1])
+
+
+def _sage_husa(_: Array, variances: Array) -> Memory:
+    return sage_husa.begin(variances)
+
+
+def _fuzzy_noise(_: Array, variances: Array) -> Memory:
+    return fuzzy_noise.begin(variances)
+
+
+def _statistics(process_noise_cov: Array, variances: Array) -> Memory:
+    return sage_husa_literal.begin(np.diagonal(process_noise_cov, axis1=-2, axis2=-1), variances)
+
+
+CONTESTANTS = {
+    contestant.name: contestant
+    for contestant in (
+        Contestant("CKF", "cubature Kalman filter", _noise_cov, _fixed(CUBATURE)),
+        Contestant("UKF", "unscented Kalman filter", _noise_cov, _fixed(UNSCENTED)),
+        Contestant("FAUKF", "UKF, R by fuzzy covariance matching", _fuzzy_noise, _fuzzy),
+        Contestant(
+            "ADLUKF",
+            "dual layer, R alone by Sage-Husa in residual form",
+            _sage_husa,
+            _dual_adaptive,
+        ),
+        Contestant(
+            "ADLUKF printed",
+            "the paper's: dual layer, Q and R by Sage-Husa, absolute values, bounds",
+            _statistics,
+            _dual_printed(means=False),
+        ),
+        Contestant(
+            "ADLUKF printed, q r",
+            "the same with the means q and r",
+            _statistics,
+            _dual_printed(means=True),
+        ),
+        Contestant("DLUKF", "dual layer without adaptation", _noise_cov, _dual(dual_layer.literal)),
+        Contestant(
+            "DLUKF consistent",
+            "dual layer that counts a reading once",
+            _noise_cov,
+            _dual(dual_layer.consistent),
+        ),
+        Contestant("AUKF", "ADLUKF's adaptation on a plain UKF", _sage_husa, _adaptive),
+        Contestant(
+            "AUKF limited", "AUKF, a reading counts as 3 sigma at most", _sage_husa, _limited
+        ),
+        Contestant("MCUKF", "maximum-correntropy UKF", _noise_cov, _robust),
+    )
+}

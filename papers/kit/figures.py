@@ -1,0 +1,42 @@
+"""Figures of a report: each is saved as PNG and as SVG."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+# Okabe and Ito's colours, which most people can tell apart.
+BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
+BLUE, VERMILION, PURPLE, GREY = "#0072B2", "#D55E00", "#CC79A7", "#999999"
+
+
+def save(figure: Figure, folder: Path, name: str, dpi: int = 150) -> str:
+    """Write `name`.png and `name`.svg; returns the name of the PNG."""
+    # Fixed identifiers and no date: the same figures give the same bytes.
+    with mpl.rc_context({"svg.hashsalt": name}):
+        figure.savefig(folder / f"{name}.svg", metadata={"Date": None})
+    figure.savefig(folder / f"{name}.png", dpi=dpi)
+    return f"{name}.png"
+
+
+def save_all(figures: Mapping[str, Figure], folder: Path, first: int, dpi: int = 150) -> str:
+    """Write figures by caption as figure-`first` and so on; returns their Markdown."""
+    return "\n\n".join(
+        shown(caption, save(figure, folder, f"figure-{number}", dpi))
+        for number, (caption, figure) in enumerate(figures.items(), start=first)
+    )
+
+
+def shown(caption: str, file: str) -> str:
+    """The Markdown of one figure with its caption below."""
+    return f"![{caption}]({file})\n\n*{caption.rstrip('.')}.*"
+
+
+def one_axes(height_inches: float, width_inches: float = 7.5) -> tuple[Figure, Axes]:
+    """A figure with one pair of axes, open above and to the right."""
+    figure = Figure(figsize=(width_inches, height_inches), layout="constrained")
+    axes = figure.subplots()
+    axes.spines[["top", "right"]].set_visible(False)
+    return figure, axes

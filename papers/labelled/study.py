@@ -1,0 +1,205 @@
+"""Labelled measurements beside consensus on beliefs, on TRACK: the jobs, and what becomes of them.
+
+Every form hears the same noise in the same run, so that ratios are of pairs.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from experiments.monte_carlo.simulate import COV, READINGS, simulate
+from experiments.progress import progress
+from experiments.results.bus_report import wire_per_step
+from experiments.results.record_spread import figures_of
+from experiments.scenario_options import scenario_of
+from filters.gaussian import Gaussian
+from filters.metrics import nees
+from nodes.messages import Array
+from scenarios.baselines import centralised_of_runs
+from scenarios.build import build_bus
+from scenarios.catalogue import kind_of
+from scenarios.preparation import prepare, share_bytes
+from scenarios.setup import Setup
+
+OCCUPANCIES = (1.0, 0.5, 0.25, 0.1)
+CONFIDENCE = 0.95
+
+
+class Form(NamedTuple):
+    """A rule with its options, by the name it has in a table."""
+
+    name: str
+    options: dict[str, Any]
+
+    @property
+    def labelled(self) -> bool:
+        """Whether measurements travel."""
+        return self.options["rule"] == "labelled"
+
+
+_NEAR = {"rule": "labelled"}
+FORMS = (
+    Form("labelled, hybrid", {**_NEAR, "schedule": "hybrid"}),
+    Form("labelled, hybrid-leaves", {**_NEAR, "schedule": "hybrid-leaves"}),
+    Form("labelled, dynamic", {**_NEAR, "schedule": "dynamic"}),
+    Form("labelled relay, hybrid", {**_NEAR, "schedule": "hybrid", "relay": True}),
+    Form("labelled relay, dynamic", {**_NEAR, "schedule": "dynamic", "relay": True}),
+    Form("ci", {"rule": "ci", "schedule": "hybrid", "number": "float32"}),
+    Form("hcmci", {"rule": "hcmci", "schedule": "hybrid", "number": "float32"}),
+    Form("wac", {"rule": "wac", "schedule": "hybrid", "number": "float32"}),
+)
+
+
+class Job(NamedTuple):
+    """Runs 0, 1, ... of one cell of the table."""
+
+    form: Form
+    occupancy: float
+    seed: int
+    runs: int
+
+
+class Outcome(NamedTuple):
+    """Figures of one run.
+
+    Mean squared errors are those of the network and of the centralised filter. Mean NEES over
+    dimension is given for each node (N,) and for the centralised filter. Per step: the bytes sent,
+    the bytes of all frames with headers and padding, and the microseconds of all frames. The last
+    two exist for labelled shares only.
+    """
+
+    squared: float
+    squared_centralised: float
+    consistency: Array
+    consistency_centralised: float
+    said_bytes: float
+    wire_bytes: float
+    wire_us: float
+    coverage: float
+    checkpoint_share: float
+
+
+class Cell(NamedTuple):
+    """A form at an occupancy, over all runs.
+
+    `ratio` is the RMSE over that of the centralised filter, `half_width` that of its interval; so
+    are `excess` and `excess_half_width` of the worst node's ANEES minus the centralised one.
+    """
+
+    ratio: float
+    half_width: float
+    anees: float
+    excess: float
+    excess_half_width: float
+    said_bytes: float
+    wire_bytes: float
+    wire_us: float
+    coverage: float
+    checkpoint_share: float
+
+
+def outcomes(job: Job) -> list[Outcome]:
+    """Return the figures of each run of a cell."""
+    options = scenario_of(
+        scenario="target-tracking", nodes=20, seed=job.seed, occupancy=job.occupancy,
+        **job.form.options,
+    )  # fmt: skip
+    setup = prepare(options)
+    histories = simulate(setup, range(job.runs), keep=(READINGS, COV))
+    assert histories.readings is not None and histories.cov is not None
+    central = centralised_of_runs(setup, range(job.runs), histories.readings, histories.control)
+    central = Gaussian(central.mean[:, :, None], central.cov[:, :, None])
+    network = Gaussian(histories.mean, histories.cov)
+    scores = (_scored(setup, histories.truth, belief) for belief in (network, central))
+    (squared, consistency), (squared_central, consistency_central) = scores
+    bus = build_bus(setup)
+    found = []
+    for run in range(job.runs):
+        spread = figures_of(histories.spreads[run]) if job.form.labelled else None
+        sent = histories.payload_bytes[run]
+        shares = np.count_nonzero(sent) * share_bytes(setup) / setup.scenario.steps
+        found.append(
+            Outcome(
+                squared[run].mean(),
+                squared_central[run].mean(),
+                consistency[run],
+                consistency_central[run].mean(),
+                shares if spread is None else spread.body_bytes_per_step,
+                *wire_per_step(bus, sent),
+                np.nan if spread is None else spread.coverage,
+                np.nan if spread is None else spread.checkpoint_share,
+            )
+        )
+    return found
+
+
+def cells(forms: Sequence[Form], seed: int, runs: int) -> Iterator[tuple[Form, float, Cell]]:
+    """All cells of the table, one after the other, as they get ready."""
+    jobs = [Job(form, part, seed, runs) for form in forms for part in OCCUPANCIES]
+    for job, found in zip(jobs, side_by_side("errors and bytes", outcomes, jobs), strict=True):
+        yield job.form, job.occupancy, cell(found)
+
+
+def side_by_side(title: str, work: Callable[[Any], Any], jobs: Sequence[Any]) -> Iterator[Any]:
+    """Yield the result of each job, in the order of the jobs. The jobs use all processors."""
+    with (
+        progress(title, len(jobs)) as on_done,
+        ProcessPoolExecutor(mp_context=get_context("spawn")) as pool,
+    ):
+        for done, result in enumerate(pool.map(work, jobs), start=1):
+            on_done(done)
+            yield result
+
+
+def cell(outcomes: Sequence[Outcome]) -> Cell:
+    """From the runs of a cell, at least two."""
+    squared = np.array([[o.squared, o.squared_centralised] for o in outcomes])
+    consistency = np.array([o.consistency - o.consistency_centralised for o in outcomes])
+    worst = int(consistency.mean(axis=0).argmax())
+    ratio, half_width = jackknife(squared)
+    spread = consistency[:, worst].std(ddof=1) / np.sqrt(len(outcomes))
+    return Cell(
+        ratio,
+        half_width,
+        float(np.mean([o.consistency for o in outcomes])),
+        float(consistency[:, worst].mean()),
+        float(_quantile(len(outcomes)) * spread),
+        *(
+            float(np.mean([getattr(o, name) for o in outcomes]))
+            for name in ("said_bytes", "wire_bytes", "wire_us", "coverage", "checkpoint_share")
+        ),
+    )
+
+
+def _scored(setup: Setup, truth: Array, belief: Gaussian) -> tuple[Array, Array]:
+    """Mean squared error and mean NEES over dimension of each node (R, N) of beliefs (R, steps, N,
+    n), against the truth (R, steps, n)."""
+    score = kind_of(setup.scenario.name).score
+    scored = slice(score.first_step, None)
+    errors = belief.mean[:, scored] - truth[:, scored, None]
+    states = list(score.nees_states)
+    squared = (errors[..., list(score.states)] ** 2).sum(-1)
+    values = nees(errors[..., states], belief.cov[:, scored][..., states, :][..., states])
+    return squared.mean(1), values.mean(1) / len(states)
+
+
+def jackknife(squared: Array) -> tuple[float, float]:
+    """Ratio of the RMSE over runs (R, 2), and half the width of its interval.
+
+    Source: Efron (1982), The jackknife, the bootstrap and other resampling plans, chapter 3.
+    """
+    runs = len(squared)
+    total = squared.sum(axis=0)
+    ratio = np.sqrt(total[0] / total[1])
+    left = total - squared
+    without = np.sqrt(left[:, 0] / left[:, 1])
+    error = np.sqrt((runs - 1) / runs * ((without - without.mean()) ** 2).sum())
+    return float(ratio), float(_quantile(runs) * error)
+
+
+def _quantile(runs: int) -> float:
+    return float(stats.t.ppf(0.5 + CONFIDENCE / 2, runs - 1))

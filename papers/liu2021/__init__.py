@@ -1,0 +1,1 @@
+"""Set-membership estimation over FlexRay (Liu et al., 2021)."""

@@ -1,0 +1,79 @@
+"""The paper's estimator without the terms of the losers: a closed form in one multiplier.
+
+With rho = 0 two multipliers are left, a for the ellipsoid before and (1 - a) / g for the noise. One
+eigendecomposition makes every P(a) diagonal; its trace is convex in a, so Newton's method on one
+number ends it. The same guarantee as `recursive_estimator`, some hundred times faster.
+
+Source: Liu et al. (2021), theorem 1 with rho_j = 0; a sum of two ellipsoids after the feedback.
+"""
+
+import numpy as np
+
+from filters.sets.ellipsoid import Ellipsoid, replace_lost, rounding_bound
+from papers.liu2021.cycle import Cycle, Step, follow, turned, unknowns
+
+_ITERATIONS = 60
+_EDGE = 1e-12
+_RANK_TOLERANCE = 1e-9
+
+
+def closed_form_step(before: Ellipsoid, cycle: Cycle, received: np.ndarray) -> Step:
+    """The ellipsoid after a cycle in which `received` (..., m) came."""
+    position = turned(replace_lost(before, 0.0).factor, cycle)
+    of = unknowns(position, cycle)
+    samples, seen = cycle.noise.shape[-2], position.shape[-1]
+    size = of.image.shape[-1] - 1
+    # All noise together lies in a ball of radius sqrt(g); a hair more for what is rounded out.
+    radius = np.where(np.arange(size) < seen, 1.0, np.sqrt(samples))
+    radius = radius * np.sqrt(1.0 + rounding_bound(size))
+    image, known = of.image[..., 1:] * radius, of.known[..., 1:] * radius
+    share = _best_share(image, known, seen)[..., None]
+    # Any share and any gain would do; with these the trace is least.
+    stretch = 1.0 / np.sqrt(np.where(np.arange(size) < seen, share, 1.0 - share))
+    image, known = image * stretch[..., None, :], known * stretch[..., None, :]
+    gain = image @ np.linalg.pinv(known, rcond=_RANK_TOLERANCE)
+    return follow(before, cycle, received, image - gain @ known, gain)
+
+
+def _best_share(image: np.ndarray, known: np.ndarray, seen: int) -> np.ndarray:
+    """a (...) in (0, 1) at which the trace of P(a) is least.
+
+    On the null space of what is known P(a) = H (a U + (1 - a) V)^-1 H' with U + V = I.
+    """
+    free = _null_space(known)
+    values, vectors = np.linalg.eigh(free[..., :seen, :].mT @ free[..., :seen, :])
+    values = np.clip(values, 0.0, 1.0)
+    sizes = ((image @ free @ vectors) ** 2).sum(-2)
+    return _least_sum(sizes, values)
+
+
+def _least_sum(sizes: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """argmin (...) over a in (0, 1) of sum sizes / (a values + (1 - a)(1 - values)), convex.
+
+    Newton's method, halving the interval where it would leave it.
+    """
+    low, high = np.zeros(sizes.shape[:-1]), np.ones(sizes.shape[:-1])
+    slope = 2.0 * values - 1.0
+    share = np.full(low.shape, 0.5)
+    for _ in range(_ITERATIONS):
+        ratio = slope / (1.0 - values + share[..., None] * slope)
+        parts = sizes * ratio / (1.0 - values + share[..., None] * slope)
+        first, second = -parts.sum(-1), 2.0 * (parts * ratio).sum(-1)
+        low, high = np.where(first < 0, share, low), np.where(first > 0, share, high)
+        following = share - first / np.maximum(second, np.finfo(float).tiny)
+        inside = (following > low) & (following < high)
+        following = np.where(inside, following, 0.5 * (low + high))
+        change, share = np.abs(following - share), np.clip(following, _EDGE, 1.0 - _EDGE)
+        # The trace is flat there: its error is the square of this.
+        if (change <= 1e-6 * share * (1.0 - share)).all():
+            break
+    return share
+
+
+def _null_space(matrix: np.ndarray) -> np.ndarray:
+    """Columns (..., d, d) that span the null space of matrix (..., m, d); zero columns fill up."""
+    _, singular, rows = np.linalg.svd(matrix, full_matrices=True)
+    kept = np.zeros(rows.shape[:-1], dtype=bool)
+    strongest = singular.max(-1, keepdims=True, initial=0.0)
+    kept[..., : singular.shape[-1]] = singular > _RANK_TOLERANCE * strongest
+    return rows.mT * ~kept[..., None, :]

@@ -1,0 +1,171 @@
+"""A plant seen through FlexRay cycles: l outputs in turn, then one of the others, the most changed.
+
+A cycle has g = l + 1 steps. In step r < l the bus sends output r (round robin). In step l it sends
+one of the other outputs (try once discard): the one that differs most, by weight, from its last
+sent value. The last values of these outputs are held. Outputs, cycles and steps count from 0.
+
+The estimator works once per cycle. `lift` turns g steps of the plant into one, and `augment` adds
+the held values to the state. A cycle is then exactly one step of a time-varying linear system.
+
+Source: Liu et al. (2021), equations (3) to (16), read with the phase of a cycle as its step modulo
+l + 1 (printed: modulo l) and with arg max in (5).
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plants.bounded import BoundedSystem
+from plants.draws import Array
+
+Weights = Callable[[int], Array]
+Select = Callable[[Array, Array, Array], NDArray[np.int_]]
+
+
+class Received(NamedTuple):
+    """Values that the bus delivers.
+
+    Attributes:
+        values: (..., cycles, m), ybar(t_k): the outputs sent in cycle k, held ones where not sent.
+        held: (..., cycles, m - l), of the contending outputs before each cycle.
+        winner: (..., cycles), which of the contending outputs was sent, 0..m-l-1.
+    """
+
+    values: Array
+    held: Array
+    winner: NDArray[np.int_]
+
+
+class LiftedCycle(NamedTuple):
+    """One cycle as one step; noise (rows, g, q) acts on the g samples v, each |v| <= 1.
+
+    states (g n, n): x in steps 1..g of the cycle, one after the other, from x at its beginning.
+    outputs (m, n): each output in the step in which it would be sent. weights (m - l,): of (5).
+    """
+
+    states: Array
+    states_noise: Array
+    outputs: Array
+    outputs_noise: Array
+    weights: Array
+
+
+class AugmentedCycle(NamedTuple):
+    """(16): z = (x in the g steps before the cycle, held), N = g n + m - l, and v as above.
+
+        z+ = transition z + noise v,   ybar = output z + output_noise v
+
+    candidates (m - l, N) and candidates_noise: change of each contending output since it was sent.
+    """
+
+    transition: Array
+    noise: Array
+    output: Array
+    output_noise: Array
+    candidates: Array
+    candidates_noise: Array
+    weights: Array
+    winner: NDArray[np.int_]
+
+
+def largest_change(values: Array, held: Array, weights: Array) -> NDArray[np.int_]:
+    """The winner (...) by (5): the largest weighted squared change, the first among equals."""
+    return np.argmax(weights * (values - held) ** 2, axis=-1)
+
+
+def transmit(
+    outputs: Array, static_outputs: int, weights: Weights, select: Select = largest_change
+) -> Received:
+    """Send outputs (..., cycles (l + 1), m) over the bus; what is held begins at zero.
+
+    Args:
+        static_outputs: l, the outputs sent in turn, 0 to m; the others contend.
+        weights: step -> (m - l,), positive.
+        select: picks the winner, of values (..., m - l), held (..., m - l) and weights.
+
+    Raises:
+        ValueError: l does not fit the outputs, or the outputs do not fill whole cycles.
+    """
+    length, m = static_outputs + 1, outputs.shape[-1]
+    if not 0 <= static_outputs <= m:
+        raise ValueError(
+            f"{static_outputs} of {m} outputs sent in turn; take a number from 0 to {m}"
+        )
+    if outputs.shape[-2] % length:
+        raise ValueError(
+            f"{outputs.shape[-2]} steps do not fill cycles of {length}; simulate a multiple of it"
+        )
+    held = np.zeros((*outputs.shape[:-2], m - static_outputs))
+    values, before, winners = [], [], []
+    for first in range(0, outputs.shape[-2], length):
+        last = first + static_outputs
+        contending = outputs[..., last, static_outputs:]
+        winner = np.zeros(held.shape[:-1], dtype=int)
+        if held.shape[-1]:
+            winner = select(contending, held, weights(last))
+        sent = np.arange(m - static_outputs) == winner[..., None]
+        before.append(held)
+        winners.append(winner)
+        held = np.where(sent, contending, held)
+        turns = [outputs[..., first + output, output] for output in range(static_outputs)]
+        values.append(np.concatenate([np.stack(turns, -1), held], -1) if turns else held)
+    return Received(np.stack(values, -2), np.stack(before, -2), np.stack(winners, -1))
+
+
+def lift(system: BoundedSystem, static_outputs: int, weights: Weights, cycle: int) -> LiftedCycle:
+    """Lemmas 1 and 2: the plant over the l + 1 steps of a cycle."""
+    length = static_outputs + 1
+    first = cycle * length
+    noise = system.scaled_noise_input(first)
+    n, q = noise.shape
+    m = len(system.output(first))
+    state, state_noise = np.eye(n), np.zeros((n, length, q))
+    states, states_noise, outputs, outputs_noise = [], [], [], []
+    for r in range(length):
+        step = first + r
+        rows = [r] if r < static_outputs else list(range(static_outputs, m))
+        output = system.output(step)[rows]
+        disturbed = np.tensordot(output, state_noise, 1)
+        disturbed[:, r] += system.scaled_feedthrough(step)[rows]
+        outputs.append(output @ state)
+        outputs_noise.append(disturbed)
+        transition = system.transition(step)
+        state = transition @ state
+        state_noise = np.tensordot(transition, state_noise, 1)
+        state_noise[:, r] += system.scaled_noise_input(step)
+        states.append(state)
+        states_noise.append(state_noise)
+    parts = (states, states_noise, outputs, outputs_noise)
+    lifted, lifted_noise, seen, seen_noise = (np.concatenate(part) for part in parts)
+    return LiftedCycle(lifted, lifted_noise, seen, seen_noise, weights(first + static_outputs))
+
+
+def augment(cycle: LiftedCycle, winner: NDArray[np.int_]) -> AugmentedCycle:
+    """(12) and (16) of a cycle in which `winner` (...) of the contending outputs was sent."""
+    span, n = cycle.states.shape
+    m, contending = len(cycle.outputs), len(cycle.weights)
+    static, size = m - contending, span + contending
+    last, held = np.arange(span - n, span), np.arange(span, size)
+    sent = (np.arange(contending) == np.asarray(winner)[..., None]).astype(float)
+    lanes = sent.shape[:-1]
+    output = np.zeros((*lanes, m, size))
+    output[..., :static, last] = cycle.outputs[:static]
+    output[..., static:, last] = sent[..., None] * cycle.outputs[static:]
+    output[..., static + np.arange(contending), held] = 1.0 - sent
+    output_noise = np.broadcast_to(cycle.outputs_noise, (*lanes, *cycle.outputs_noise.shape)).copy()
+    output_noise[..., static:, :, :] *= sent[..., None, None]
+    transition = np.zeros((*lanes, size, size))
+    transition[..., :span, last] = cycle.states
+    transition[..., span:, :] = output[..., static:, :]
+    noise = np.zeros((*lanes, size, *cycle.states_noise.shape[1:]))
+    noise[..., :span, :, :] = cycle.states_noise
+    noise[..., span:, :, :] = output_noise[..., static:, :, :]
+    candidates = np.zeros((contending, size))
+    candidates[:, last] = cycle.outputs[static:]
+    candidates[:, held] = -np.eye(contending)
+    return AugmentedCycle(
+        transition, noise, output, output_noise,
+        candidates, cycle.outputs_noise[static:], cycle.weights, np.asarray(winner),
+    )  # fmt: skip

@@ -1,0 +1,51 @@
+"""The paper's estimator with one mistake planted: the test of the guarantee must notice."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from nodes.messages import Array
+from papers.liu2021.recursive_estimator import optimal_step
+from papers.liu2021.runs import Batch, Outcome, by_cycle, paper, simulate
+
+
+class Mutant(NamedTuple):
+    """Effect of a planted mistake on the same kind of sequences.
+
+    Attributes:
+        outside: instants at which the truth is outside the ellipsoid.
+        contradicted: instants with no ellipsoid left: the terms contradict each other.
+        sequences: how many sequences are touched by either. instants, of: how many there are.
+    """
+
+    outside: int
+    contradicted: int
+    sequences: int
+    instants: int
+    of: int
+
+
+def mutant_of_sign(batch: Batch) -> Mutant:
+    """The sign of Xi in (20) flipped, which is the same as negative weights."""
+    return _mutant(by_cycle(optimal_step, batch, lambda c: c._replace(weights=-c.weights)))
+
+
+def mutant_of_rule(seed: int, sequences: int, cycles: int) -> Mutant:
+    """Winners by Q y^2, as the tables suggest, and the estimator believing in (5)."""
+    return _mutant(paper(simulate(seed, sequences, cycles, _largest_value)))
+
+
+def _largest_value(values: Array, held: Array, weights: Array) -> np.ndarray:
+    return np.argmax(weights * values**2, axis=-1)
+
+
+def _mutant(outcome: Outcome) -> Mutant:
+    contradicted = np.isnan(outcome.radius)
+    hurt = outcome.violations
+    return Mutant(
+        outside=int((hurt & ~contradicted).sum()),
+        contradicted=int(contradicted.sum()),
+        sequences=int(hurt.any(0).sum()),
+        instants=hurt.size,
+        of=hurt.shape[1],
+    )

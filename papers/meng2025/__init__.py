@@ -1,0 +1,1 @@
+"""The UKF under the FlexRay protocol (Meng et al., 2025)."""

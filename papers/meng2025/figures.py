@@ -1,0 +1,90 @@
+"""Figures 2 to 5 of Meng et al. (2025), with the recommended filter beside the printed one."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from papers.kit.figures import one_axes
+from papers.meng2025.runs import Batch, Outcome
+from papers.meng2025.table import mse_by_step, trace_by_step
+from plants import meng2025
+
+TRUE, OURS, PRINTED, DYNAMIC = "0.15", "C0", "C3", "C1"
+_TWO_SIGMA = 2.0
+
+
+def figures(batch: Batch, recommended: Outcome, printed: Outcome) -> dict[str, Figure]:
+    """Figures 2 to 5 by caption, of run 0 (4: of all runs)."""
+    return {
+        "Figure 2: state x1 and its estimate, run 0": _states(batch, recommended, printed, 0),
+        "Figure 3: state x2 and its estimate, run 0": _states(batch, recommended, printed, 1),
+        f"Figure 4: mean square error over {batch.runs} runs, and what the filters report": _errors(
+            batch, recommended, printed
+        ),
+        "Figure 5: the sensor that has access to the bus, run 0": _access(recommended),
+    }
+
+
+def _states(batch: Batch, recommended: Outcome, printed: Outcome, state: int) -> Figure:
+    figure, axes = one_axes(3.6)
+    steps = np.arange(len(batch.truth))
+    mean = recommended.mean[:, 0, state]
+    half = _TWO_SIGMA * np.sqrt(recommended.cov[:, 0, state, state])
+    axes.fill_between(steps, mean - half, mean + half, color=OURS, alpha=0.15, lw=0)
+    for values, label, style in (
+        (batch.truth[:, 0, state], "state", {"color": TRUE, "lw": 1.6, "zorder": 3}),
+        (
+            mean,
+            "estimate, recommended (± 2 sigma)",
+            {"color": OURS, "lw": 1.6, "ls": "--", "zorder": 4},
+        ),
+        (printed.mean[:, 0, state], "estimate, paper-literal", {"color": PRINTED, "lw": 1}),
+    ):
+        axes.plot(steps, values, label=label, **style)
+    axes.set(xlabel="step s", ylabel=f"$x_{state + 1}$", xlim=(0, steps[-1]))
+    axes.legend(frameon=False, loc="upper right")
+    return figure
+
+
+def _errors(batch: Batch, recommended: Outcome, printed: Outcome) -> Figure:
+    figure, axes = one_axes(4.2)
+    steps = np.arange(len(batch.truth))
+    for outcome, colour, name in (
+        (printed, PRINTED, "paper-literal"),
+        (recommended, OURS, "recommended"),
+    ):
+        axes.semilogy(
+            steps[1:], mse_by_step(batch, outcome)[1:], color=colour, lw=1.6, label=f"MSE, {name}"
+        )
+        axes.semilogy(
+            steps[1:],
+            trace_by_step(outcome)[1:],
+            color=colour,
+            lw=1.2,
+            ls=":",
+            label=f"tr P, {name}: the filter's estimate of it, no bound",
+        )
+    axes.set(xlabel="step s", ylabel="MSE and tr P (log scale)", xlim=(0, steps[-1]))
+    axes.legend(frameon=False, loc="upper right")
+    return figure
+
+
+def _access(outcome: Outcome) -> Figure:
+    figure, axes = one_axes(3.0)
+    sent = outcome.sent[:, 0]
+    for sensors, colour, label in (
+        (range(meng2025.STATIC_SLOTS), OURS, "static slot (round robin)"),
+        (range(meng2025.STATIC_SLOTS, sent.shape[-1]), DYNAMIC, "dynamic slot (contended for)"),
+    ):
+        slot, place = np.nonzero(sent[:, list(sensors)])
+        axes.plot(slot + 1, place + sensors[0] + 1, "s", ms=4, color=colour, label=label)
+    axes.set(
+        xlabel="step s",
+        ylabel="sensor",
+        xlim=(0, len(sent) + 1),
+        ylim=(0.4, sent.shape[-1] + 0.6),
+        yticks=range(1, sent.shape[-1] + 1),
+    )
+    axes.grid(axis="y", color="0.9", lw=0.6)
+    axes.set_axisbelow(True)
+    axes.legend(frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
+    return figure

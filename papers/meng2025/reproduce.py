@@ -1,0 +1,154 @@
+"""`concord reproduce meng2025`: the UKF under the FlexRay protocol, its figures and its claims."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from experiments.monte_carlo.intervals import Interval
+from papers.kit.checks import Check, above, agrees, at_most, below
+from papers.kit.figures import save_all
+from papers.kit.report import Paper, Section, markdown_table
+from papers.kit.traces import write_traces
+from papers.meng2025.claims import claims, gather
+from papers.meng2025.errata import errata, order_of_slots
+from papers.meng2025.figures import figures
+from papers.meng2025.particles import PARTICLES, track
+from papers.meng2025.runs import Batch, Outcome, carry_out, methods, simulate
+from papers.meng2025.table import Row, row
+
+RUNS, STEPS = 200, 100
+# Number of runs of an independent implementation, and the rounding of its printed figures.
+_STUDY_RUNS, _ROUNDING = 200, {"RMSE": 0.0005, "ANEES": 0.005}
+RECOMMENDED_RMSE, RECOMMENDED_ANEES, PARTICLE_RMSE = (0.243, 0.220), 2.06, (0.237, 0.215)
+REFERENCE = "recommended"
+
+
+def _sections(folder: Path, seed: int, runs: int) -> Iterator[Section]:
+    batch = simulate(seed, runs, STEPS)
+    compared = methods()
+    outcomes = {name: carry_out(batch, method) for name, method in compared.items()}
+    labels = {name: method.label for name, method in compared.items()}
+    drawn = figures(batch, outcomes[REFERENCE], outcomes["paper-literal"])
+    yield Section(3, "Figures", save_all(drawn, folder, first=2))
+    outcomes["particles"] = track(batch, compared[REFERENCE].schedule)
+    labels["particles"] = f"FlexRay, particle filter ({PARTICLES})"
+    _write(folder, batch, outcomes)
+    reference = outcomes[REFERENCE]
+    rows = {
+        name: row(name, labels[name], batch, outcome, None if outcome is reference else reference)
+        for name, outcome in outcomes.items()
+    }
+    # A cloud that is down to a few particles has a covariance of next to nothing.
+    rows["particles"] = msgspec.structs.replace(
+        rows["particles"], anees=None, coverage=None, mse_to_trace=None
+    )
+    yield _comparison(batch, rows)
+    yield Section(1, "Claims", claims=claims(gather(batch, outcomes, rows)))
+    yield Section(2, "Errata", errata=errata(reference, rows))
+    order = order_of_slots(reference, 10)
+    slots = Check("order of the first slots", _ORDER, order, order == _ORDER)
+    yield Section(5, "Checks", checks=[*checks_of(runs, rows), slots])
+
+
+PAPER = Paper(
+    "Unscented Kalman filtering under the FlexRay protocol (Meng et al. 2025)",
+    seed=1,
+    runs=RUNS,
+    least_runs=2,
+    because="so that runs can be compared",
+    sections=_sections,
+)
+
+
+def _write(folder: Path, batch: Batch, outcomes: dict[str, Outcome]) -> None:
+    axes = ("step", "run", "state")
+    write_traces(
+        folder,
+        {
+            "truth": (axes, batch.truth),
+            "measurement": (("step", "run", "sensor"), batch.measurement),
+            "mean": (("estimator", *axes), np.stack([one.mean for one in outcomes.values()])),
+            "cov": (
+                ("estimator", *axes, "state_too"), np.stack([one.cov for one in outcomes.values()])
+            ),
+        },
+        {"estimator": list(outcomes)},
+    )  # fmt: skip
+
+
+# --- the comparison ------------------------------------------------------------------------------
+
+_EXPLAINED = """\
+{runs} runs of {steps} steps, all rows on the same noise, with 95 % intervals over runs. ANEES is 2
+for a consistent filter, coverage the share of errors inside the 95 % ellipse. Runs that diverged
+(an error above 1000) are counted and left out. The last column is the mean square error minus that
+of the first row, run by run: an interval without 0 is a significant difference.
+"""
+
+
+def _comparison(batch: Batch, rows: dict[str, Row]) -> Section:
+    head = (
+        "estimator", "RMSE x1", "RMSE x2", "ANEES", "coverage", "diverged", "MSE / tr P",
+        "largest error", "MSE difference",
+    )  # fmt: skip
+    table = markdown_table(head, [_cells(one) for one in rows.values()])
+    text = _EXPLAINED.format(runs=batch.runs, steps=STEPS) + "\n" + table
+    data = {name: msgspec.to_builtins(one) for name, one in rows.items()}
+    return Section(4, "Comparison", text, data={"rows": data})
+
+
+def _cells(one: Row) -> tuple[str, ...]:
+    return (
+        one.label,
+        *(_words(rmse, 3) for rmse in one.rmse),
+        _words(one.anees, 2),
+        _words(one.coverage, 3),
+        f"{one.diverged:.1%}",
+        "" if one.mse_to_trace is None else f"{one.mse_to_trace:.3f}",
+        f"{one.largest_error:.1f}",
+        _words(one.difference, 4, sign="+"),
+    )
+
+
+def _words(one: Interval | None, decimals: int, sign: str = "") -> str:
+    if one is None:
+        return ""
+    return f"{one.value:{sign}.{decimals}f} ± {(one.high - one.low) / 2:.{decimals}f}"
+
+
+# --- what must hold ------------------------------------------------------------------------------
+
+
+def checks_of(runs: int, rows: dict[str, Row]) -> list[Check]:
+    """The figures of the independent implementation, in bands of the runs' own intervals."""
+    ours, particles = rows[REFERENCE], rows["particles"]
+    known = {
+        f"{what} RMSE x{state + 1}": (one.rmse[state], value, _ROUNDING["RMSE"])
+        for what, one, values in (
+            ("recommended:", ours, RECOMMENDED_RMSE),
+            ("particle filter:", particles, PARTICLE_RMSE),
+        )
+        for state, value in enumerate(values)
+    }
+    assert ours.anees is not None, "it reports a covariance"
+    known["recommended: ANEES"] = (ours.anees, RECOMMENDED_ANEES, _ROUNDING["ANEES"])
+    wtodp = rows["wtodp"].difference
+    assert wtodp is not None, "the reference is the first row"
+    return [
+        *(
+            agrees(name, figure, runs, value, of_runs=_STUDY_RUNS, rounding=rounding)
+            for name, (figure, value, rounding) in known.items()
+        ),
+        at_most("recommended: share of runs that diverged", ours.diverged, 0.0),
+        above(
+            "paper-literal: MSE against that of prediction only",
+            rows["paper-literal"].mse.value,
+            rows["prediction"].mse.value,
+        ),
+        below("WTODP on 1..6 minus FlexRay, MSE, upper end of the interval", wtodp.high, 0.0),
+    ]
+
+
+_ORDER = "1 2 3 4 d 1 2 3 4 d"

@@ -1,0 +1,148 @@
+"""The runs behind `reproduce meng2025`: all at once, as arrays over (steps, runs).
+
+Run r has the noise that `concord run --scenario meng2025 --seed SEED --run r` has.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from bus.measurement_bus import (
+    MeasurementBus,
+    Slot,
+    all_at_once,
+    flexray,
+    nobody,
+    round_robin,
+    try_once_discard,
+)
+from bus.schedule import Schedule
+from filters.gaussian import Gaussian
+from filters.stochastic_ukf import RECOMMENDED, MeasurementFilter, Received
+from nodes.messages import Array
+from papers.kit.plant_runs import plant_runs
+from papers.meng2025.filter_as_printed import (
+    PAPER_LITERAL,
+    PAPER_LITERAL_R,
+    on_fresh_rows,
+    pseudo_inverse,
+    update,
+)
+from plants import meng2025
+from plants.stochastic import StochasticNonlinearity, StochasticSystem
+from scenarios.definitions.measurement_runs import Estimator, estimate, first_received, slots_of
+from scenarios.definitions.meng2025 import KIND, SENSORS, SYSTEM, paper_points
+
+EVERYBODY = range(1, SENSORS + 1)
+STATIC = range(1, meng2025.STATIC_SLOTS + 1)
+
+
+class Batch(NamedTuple):
+    """Truth (S + 1, R, n) and what all sensors measure (S + 1, R, m), NaN at step 0."""
+
+    seed: int
+    truth: Array
+    measurement: Array
+
+    @property
+    def runs(self) -> int:
+        """How many there are."""
+        return self.truth.shape[1]
+
+
+class Outcome(NamedTuple):
+    """Results of an estimator: mean (S + 1, R, n), cov, and the sensors that sent (S, R, N)."""
+
+    mean: Array
+    cov: Array
+    sent: np.ndarray
+
+
+class Method(NamedTuple):
+    """A row of the comparison: the schedule of the slot, the filter and its system."""
+
+    label: str
+    schedule: Schedule
+    filter: MeasurementFilter = RECOMMENDED
+    system: StochasticSystem = SYSTEM
+    alpha: float = 1.0
+
+
+def methods() -> dict[str, Method]:
+    """Return the compared methods. The first one is the reference for the others."""
+    bus = flexray(SENSORS, meng2025.STATIC_SLOTS)
+    return {
+        "recommended": Method("FlexRay, recommended", bus),
+        "paper-literal": Method("FlexRay, paper-literal (pseudo-inverse)", bus, PAPER_LITERAL),
+        "paper-literal-R": Method("FlexRay, paper-literal-R", bus, PAPER_LITERAL_R),
+        "ignorant": Method("FlexRay, g and b ignored", bus, system=deterministic()),
+        "alpha": Method("FlexRay, alpha = 0.1", bus, alpha=0.1),
+        "all": Method("all sensors, every step", all_at_once(SENSORS)),
+        "wtodp": Method("WTODP on 1..6", try_once_discard(SENSORS, EVERYBODY)),
+        "round-robin": Method("round robin on 1..6", round_robin(SENSORS, EVERYBODY)),
+        "rrp": Method("RRP on 1..4", round_robin(SENSORS, STATIC)),
+        "prediction": Method("prediction only", nobody(SENSORS)),
+    }
+
+
+def deterministic() -> StochasticSystem:
+    """Return the system as a filter that ignores the stochastic nonlinearities assumes it."""
+    return StochasticSystem(
+        SYSTEM.transition,
+        SYSTEM.measure,
+        SYSTEM.sizes,
+        SYSTEM.process_noise_cov,
+        SYSTEM.measurement_noise_cov,
+        lambda _: StochasticNonlinearity(meng2025.STATES, meng2025.STATES),
+        lambda _: StochasticNonlinearity(SENSORS, meng2025.STATES),
+    )
+
+
+def simulate(seed: int, runs: int, steps: int) -> Batch:
+    """Runs 0, 1, ... under a seed, for steps 0..steps."""
+    driven = plant_runs(KIND.defaults.with_(seed=seed, steps=steps + 1), range(runs))
+    measurement = driven.readings[:, :, 1:, 0].copy()
+    measurement[0] = np.nan
+    return Batch(seed, driven.truth, measurement)
+
+
+def transmit(batch: Batch, schedule: Schedule) -> Slot:
+    """Return the receiver's values after each slot, (S, R, ...)."""
+    start = first_received(SYSTEM, meng2025.PRIOR_MEAN)
+    return slots_of(
+        MeasurementBus(SYSTEM.sizes, schedule),
+        batch.measurement,
+        np.broadcast_to(start, (batch.runs, SYSTEM.entries)),
+    )
+
+
+def prior_of(runs: int) -> Gaussian:
+    """The prior of every run."""
+    n = meng2025.STATES
+    return Gaussian(
+        np.broadcast_to(meng2025.PRIOR_MEAN, (runs, n)),
+        np.broadcast_to(meng2025.PRIOR_COV, (runs, n, n)),
+    )
+
+
+def carry_out(batch: Batch, method: Method) -> Outcome:
+    """One row of the comparison."""
+    slots = transmit(batch, method.schedule)
+    points = paper_points(method.alpha)
+    estimator = Estimator(method.system, method.filter, points, prior_of(batch.runs))
+    beliefs = estimate(estimator, Received(slots.received, slots.fresh))
+    return Outcome(*beliefs, slots.sent)
+
+
+def ranks_of_printed_cov(batch: Batch) -> np.ndarray:
+    """Rank (S, R) of Pyy of (19) in the printed algorithm, zero as the pseudo-inverse has it."""
+    ranks: list[np.ndarray] = []
+
+    def watch(matrix: Array) -> Array:
+        ranks.append(np.linalg.matrix_rank(matrix, hermitian=True, rtol=1e-10))
+        return pseudo_inverse(matrix)
+
+    watched = PAPER_LITERAL._replace(update=partial(update, watch, on_fresh_rows))
+    carry_out(batch, methods()["paper-literal"]._replace(filter=watched))
+    return np.stack(ranks)

@@ -1,0 +1,1 @@
+"""The weighted-average consensus UKF (Widjiantoro et al.)."""

@@ -1,0 +1,132 @@
+"""A scenario of the consensus study with its runs, on which rules are tried and scored.
+
+The network runs as lanes of one array program. Its slots hold any share, however many FlexRay
+frames that takes. Intervals are of 95 %, by the bootstrap over runs.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from filters.gaussian import Gaussian
+from filters.metrics import nees
+from nodes.messages import Array
+from nodes.rules.belief_consensus import HoldPolicy
+from papers.wac.lanes import averaging_of, centralised, estimate, wire
+from papers.wac.runs import Runs, simulate
+from scenarios.bus_plan import build_schedule
+from scenarios.catalogue import kind_of
+from scenarios.preparation import prepare
+from scenarios.scenario import Scenario
+
+RESAMPLES = 2000
+
+
+class Study(NamedTuple):
+    """A scenario of section 4. Errors count from `first_step` on. `position_only`: of the position,
+    relative to the centralised filter; else of all states, each in its standard deviation there."""
+
+    name: str
+    scenario: Scenario
+    runs: int
+    first_step: int
+    position_only: bool
+
+
+class Cell(NamedTuple):
+    """One variant at one occupancy: RMSE with its interval, disagreement, ANEES of the network and
+    of its worst node."""
+
+    rmse: float
+    low: float
+    high: float
+    disagreement: float
+    anees: float
+    anees_worst: float
+
+
+class Bench(NamedTuple):
+    """A study, its weights (N, N), its runs, and what the network is measured against.
+
+    scale: (n,), what squared errors of the states are multiplied by; central_squared: (runs,), the
+    mean squared error that 1 stands for; central_rmse, central_anees: of the centralised filter.
+    """
+
+    study: Study
+    weights: Array
+    runs: Runs
+    scale: Array
+    central_squared: Array
+    central_rmse: float
+    central_anees: float
+
+
+def bench_of(study: Study) -> Bench:
+    """Simulate a study, and run the centralised filter on it."""
+    setup = prepare(study.scenario)
+    weights = np.zeros((study.scenario.nodes,) * 2)
+    for node, heard in enumerate(setup.neighbours):
+        weights[node, [node, *heard]] = setup.weights[node]
+    runs = simulate(study.scenario, range(study.runs))
+    central = centralised(runs)
+    errors = (central.mean - runs.truth)[study.first_step :]
+    scale = _scale(study, central)
+    squared = (errors**2 * scale).sum(axis=-1).mean(axis=0)
+    consistency = nees(errors, central.cov[study.first_step :]).mean() / errors.shape[-1]
+    return Bench(
+        study,
+        weights,
+        runs,
+        scale,
+        squared if study.position_only else np.ones(study.runs),
+        float(np.sqrt(squared.mean())),
+        float(consistency),
+    )
+
+
+def attempt(
+    bench: Bench, rule: str, policy: HoldPolicy, occupancy: float, rounds: int, schedule: str
+) -> Cell:
+    """One rule with one hold policy at one occupancy."""
+    scenario = bench.study.scenario.with_(rounds=rounds, occupancy=occupancy, schedule=schedule)
+    wiring = wire(bench.weights, rounds, build_schedule(scenario), policy)
+    states = bench.runs.prior.mean.shape[-1]
+    belief = estimate(bench.runs, wiring, averaging_of(rule, scenario.nodes, states))
+    return _score(bench, belief)
+
+
+def bootstrap(squared: Array, reference: Array) -> tuple[float, float]:
+    """The 95 % interval of the root of mean(squared) / mean(reference), both (runs,) and paired."""
+    generator = np.random.default_rng(0)
+    chosen = generator.integers(len(squared), size=(RESAMPLES, len(squared)))
+    ratios = np.sqrt(squared[chosen].mean(axis=1) / reference[chosen].mean(axis=1))
+    low, high = np.quantile(ratios, [0.025, 0.975])
+    return float(low), float(high)
+
+
+def _scale(study: Study, central: Gaussian) -> Array:
+    n = central.mean.shape[-1]
+    if study.position_only:
+        scored = kind_of(study.scenario.name).score.states
+        return np.isin(np.arange(n), scored).astype(np.float64)
+    return 1 / (n * np.asarray(np.diagonal(central.cov[-1, 0])))
+
+
+def _score(bench: Bench, belief: Gaussian) -> Cell:
+    first = bench.study.first_step
+    mean, cov = belief.mean[first:], belief.cov[first:]
+    errors = mean - bench.runs.truth[first:, :, None]
+    spread = mean - mean.mean(axis=2, keepdims=True)
+    squared = (errors**2 * bench.scale).sum(axis=-1).mean(axis=(0, 2))
+    apart = (spread**2 * bench.scale).sum(axis=-1).mean(axis=(0, 2))
+    consistency = nees(errors, cov).mean(axis=(0, 1)) / errors.shape[-1]
+    low, high = bootstrap(squared, bench.central_squared)
+    reference = bench.central_squared.mean()
+    return Cell(
+        float(np.sqrt(squared.mean() / reference)),
+        low,
+        high,
+        float(np.sqrt(apart.mean() / reference)),
+        float(consistency.mean()),
+        float(consistency.max()),
+    )

@@ -1,0 +1,179 @@
+"""Section 4 of the consensus study: what a bus that limits who may publish does to each rule.
+
+The scenarios TRACK (`target-tracking`) and MOTOR (`dc-motor-position`, driven from the true state).
+Every rule may hold old shares here: the network itself refuses that to hcmci and icf.
+"""
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from itertools import count
+from typing import NamedTuple
+
+import numpy as np
+
+from experiments.progress import progress
+from filters.fusion import hold
+from nodes.messages import Array
+from nodes.rules.belief_consensus import HoldPolicy
+from papers.wac.bench import Bench, Cell, Study, attempt, bench_of
+from scenarios.catalogue import kind_of
+from topology.spectrum import second_eigenvalue_modulus
+
+
+class Variant(NamedTuple):
+    """A row of a table: a rule, and one of HOLDS, what becomes of the shares of the silent."""
+
+    rule: str
+    hold: str
+
+    @property
+    def title(self) -> str:
+        """How the study calls it."""
+        return f"{_RULE_NAMES[self.rule]} {self.hold}"
+
+
+Table = dict[tuple[Variant, float], Cell]
+
+
+class Occupancy(NamedTuple):
+    """All tables; `central_rmse_m` and `central_anees` of TRACK, `track_slem` of its weights."""
+
+    track: Table
+    track_one_round: Table
+    motor: Table
+    motor_one_round: Table
+    schedules: dict[tuple[Variant, str, float], Cell]
+    central_rmse_m: float
+    central_anees: float
+    track_slem: float
+
+
+_RULE_NAMES = {"wac": "WAC", "ci": "CI", "hcmci": "HCMCI-safe", "icf": "ICF"}
+
+
+def _by_age(
+    weigh: Callable[[Array, np.ndarray], Array],
+    base: Array,
+    ages: np.ndarray,
+    _sharpness: Array,
+    _turn: int,
+) -> Array:
+    return weigh(base, ages)
+
+
+def _decayed(base: Array, ages: np.ndarray, sharpness: Array, _turn: int) -> Array:
+    return hold.held_weights(base, ages, DECAY, sharpness)
+
+
+def _in_step(base: Array, ages: np.ndarray, _sharpness: Array, turn: int) -> Array:
+    return hold.in_step(base, ages, turn)
+
+
+DECAY = 0.5
+PLAIN, SHARP = "(D) rho=.5", "(D) rho=.5 + det"
+HOLDS = {
+    "raw": HoldPolicy(partial(_by_age, hold.full), carried=False),
+    "predict": HoldPolicy(partial(_by_age, hold.full), carried=True),
+    "drop": HoldPolicy(partial(_by_age, hold.drop), carried=False),
+    "renorm": HoldPolicy(partial(_by_age, hold.renormalise), carried=False),
+    "instep": HoldPolicy(_in_step, carried=False),
+    PLAIN: HoldPolicy(_decayed, carried=True),
+    SHARP: HoldPolicy(_decayed, carried=True, by_sharpness=True),
+}
+HELD = [
+    *(Variant("wac", name) for name in ("raw", "predict", "drop", "renorm", SHARP)),
+    *(Variant("ci", name) for name in HOLDS),
+    *(Variant("hcmci", name) for name in ("renorm", "drop", "raw")),
+    *(Variant("icf", name) for name in ("drop", "renorm")),
+]
+ONE_ROUND = [
+    *(Variant("ci", name) for name in ("raw", "predict", "drop", "renorm", SHARP)),
+    Variant("hcmci", "renorm"),
+    Variant("icf", "drop"),
+    Variant("wac", "predict"),
+]
+MOTOR_ONE_ROUND = [Variant("ci", name) for name in ("predict", "renorm", SHARP)]
+FULL = 1.0
+LIMITED = (0.5, 0.25, 0.1)
+SCHEDULES = ("round-robin", "hybrid", "dynamic")
+
+
+def track(seed: int, runs: int = 24) -> Study:
+    """Twenty nodes follow a turning target."""
+    scenario = kind_of("target-tracking").defaults.with_(seed=seed, rounds=3)
+    return Study("TRACK", scenario, runs, 20, position_only=True)
+
+
+def motor(seed: int, runs: int = 12) -> Study:
+    """Eight nodes on a ring watch a motor's position."""
+    default = kind_of("dc-motor-position").defaults
+    scenario = default.with_(seed=seed, rounds=3, control="truth")
+    return Study("MOTOR", scenario, runs, 60, position_only=False)
+
+
+def measure(tracking: Study, turning: Study) -> Occupancy:
+    """Run everything."""
+    schedules = [
+        (variant, schedule, occupancy)
+        for variant in (Variant("ci", "renorm"), Variant("ci", "predict"))
+        for schedule in SCHEDULES
+        for occupancy in LIMITED[1:]
+    ]
+    tables = (
+        (tracking, HELD, 3, True),
+        (tracking, ONE_ROUND, 1, False),
+        (turning, HELD, 3, True),
+        (turning, MOTOR_ONE_ROUND, 1, False),
+    )
+    total = len(schedules) + sum(len(list(_cells(rows, full))) for _, rows, _, full in tables)
+    with progress("limited bus", total) as done:
+        counted = count(1)
+
+        def tell(cell: Cell) -> Cell:
+            done(next(counted))
+            return cell
+
+        benches = {study.name: bench_of(study) for study in (tracking, turning)}
+        filled = [
+            _table(benches[study.name], rows, rounds, full=full, tell=tell)
+            for study, rows, rounds, full in tables
+        ]
+        on_track = benches[tracking.name]
+        by_schedule = {
+            (variant, schedule, occupancy): tell(_try(on_track, variant, occupancy, 3, schedule))
+            for variant, schedule, occupancy in schedules
+        }
+    return Occupancy(
+        *filled,
+        schedules=by_schedule,
+        central_rmse_m=on_track.central_rmse,
+        central_anees=on_track.central_anees,
+        track_slem=second_eigenvalue_modulus(on_track.weights),
+    )
+
+
+def _cells(variants: list[Variant], full: bool) -> Iterator[tuple[Variant, float]]:
+    """Variants and occupancies; at full occupancy all variants of a rule are one, but for det."""
+    for variant in variants:
+        if full and _differs_when_full(variant, variants):
+            yield variant, FULL
+        yield from ((variant, occupancy) for occupancy in LIMITED)
+
+
+def _differs_when_full(variant: Variant, variants: list[Variant]) -> bool:
+    """Return whether the variant is the first of its rule, or weighs by determinant."""
+    return variant.hold == SHARP or next(v for v in variants if v.rule == variant.rule) == variant
+
+
+def _table(
+    bench: Bench, variants: list[Variant], rounds: int, *, full: bool, tell: Callable[[Cell], Cell]
+) -> Table:
+    return {
+        (variant, occupancy): tell(_try(bench, variant, occupancy, rounds, "hybrid"))
+        for variant, occupancy in _cells(variants, full)
+    }
+
+
+def _try(bench: Bench, variant: Variant, occupancy: float, rounds: int, schedule: str) -> Cell:
+    named = "full" if occupancy == FULL else schedule
+    return attempt(bench, variant.rule, HOLDS[variant.hold], occupancy, rounds, named)

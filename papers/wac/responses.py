@@ -1,0 +1,194 @@
+"""What Figs. 10-14 of the consensus paper show: the plants in their loops, seen by a network.
+
+The paper names neither network nor noise. Here eight nodes on a ring run its rule, the weighted
+average, with three rounds per step and matched noise. The loop is closed through the true state, as
+in the paper's design; the estimate shown is that of a node that measures nothing.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from bus.schedule import full_publish
+from experiments.progress import progress
+from filters.fusion import hold
+from filters.gaussian import Gaussian
+from nodes.messages import Array
+from nodes.rules.belief_consensus import HoldPolicy
+from papers.wac.lanes import averaging_of, centralised, estimate, wire
+from papers.wac.runs import Runs
+from plants.control import cruise, motor, pitch, suspension
+from plants.control.closed_loop import Controller, closed_loop
+from plants.control.controllers import StateFeedback
+from plants.control.design import placed_feedback
+from plants.control.references import Staircase, constant
+from plants.draws import Draws, standard_draws
+from plants.linear import LinearPlant, Signal
+from topology.graphs import ring
+from topology.weights import metropolis
+
+NODES = 8
+ROUNDS = 3
+MEASURING_NODE = 0  # it measures the controlled output, on every plant
+BLIND_NODE = 3
+
+# Which state is the controlled output.
+OUTPUT = {"cruise": 0, "bus": 2, "pitch": 2, "speed": 0, "position": 0}
+
+# The paper shows two references for each motor, without numbers.
+STAIRS = Staircase(((0.5,), (1.5,), (1.0,)), (100, 100, 100))
+
+
+class Trial(NamedTuple):
+    """One control loop over T times.
+
+    times_s (T,); reference (T,), or None if the loop follows no reference. truth, estimated and
+    central (T, n): of the plant, of the blind node, of a filter that has all readings. measured
+    (T,) by the measuring node. integral (T,) of the controlled output, in its unit times s.
+    """
+
+    times_s: Array
+    reference: Array | None
+    truth: Array
+    measured: Array
+    estimated: Array
+    central: Array
+    integral: Array
+
+
+class Loop(NamedTuple):
+    """A controller, and whether what it follows is a reference for the output."""
+
+    controller: Controller
+    follows: bool
+
+
+def measure(seed: int) -> dict[str, dict[str, Trial]]:
+    """All trials, by plant and by loop."""
+    plants = {
+        "cruise": (cruise.cruise(), _cruise_loops(), 50.0),
+        "bus": (suspension.suspension(road=suspension.ROAD_STEP), _bus_loops(), 5.0),
+        "pitch": (pitch.pitch(), _pitch_loops(), 7.0),
+        "speed": (motor.motor_speed(), _speed_loops(), 3.0),
+        "position": (motor.motor_position(), _position_loops(), 3.0),
+    }
+    trials = {}
+    with progress("responses", len(plants)) as done:
+        for count, (name, (plant, loops, seconds)) in enumerate(plants.items(), start=1):
+            steps = round(seconds / plant.time_step_s)
+            trials[name] = _trials(plant, loops, OUTPUT[name], steps, seed)
+            done(count)
+    return trials
+
+
+def rmse(trial: Trial, values: Array, output: int, skip: float = 0.5) -> float:
+    """Root mean square error of values (T,) of the output, without the first part of the trial."""
+    first = round(skip * len(values))
+    return float(np.sqrt(np.mean((values - trial.truth[:, output])[first:] ** 2)))
+
+
+def _drive(gain: float, signal: Signal, states: int) -> StateFeedback:
+    """No feedback: the control is gain times the signal."""
+    return StateFeedback(np.zeros((1, states)), np.array([[gain]]), signal)
+
+
+def _cruise_loops() -> dict[str, Loop]:
+    # The nominal 500 N of the paper are what 10 m/s need at rest.
+    nominal = _drive(cruise.DAMPING_N_S_PER_M, cruise.REFERENCE, 1)
+    return {
+        "closed loop": Loop(cruise.cruise_controller(), follows=True),
+        "open loop: 500 N, then 350 N": Loop(nominal, follows=True),
+    }
+
+
+def _bus_loops() -> dict[str, Loop]:
+    return {
+        "open loop": Loop(_drive(0.0, constant(0.0), 4), follows=False),
+        "closed loop": Loop(suspension.suspension_controller(), follows=True),
+    }
+
+
+def _pitch_loops() -> dict[str, Loop]:
+    designed = pitch.pitch_controller()
+    loops = {
+        f"closed loop, to {level} rad": Loop(
+            StateFeedback(designed.gain, designed.precompensation, constant(level)), follows=True
+        )
+        for level in (0.2, 0.5)
+    }
+    return loops | {
+        "open loop: elevator at 0.2 rad": Loop(_drive(1.0, constant(0.2), 3), follows=False)
+    }
+
+
+def _speed_loops() -> dict[str, Loop]:
+    plant, step_s = motor.speed_dynamics(), motor.TIME_STEP_S
+
+    def feedback(signal: Signal) -> Loop:
+        return Loop(placed_feedback(plant, step_s, motor.SPEED_POLES, signal), follows=True)
+
+    at_rest = motor.speed_transfer_function()(0)
+    return {
+        "closed loop, square": feedback(motor.REFERENCE),
+        "closed loop, stairs": feedback(STAIRS),
+        "open loop: 10.01 V per rad/s": Loop(_drive(1 / float(at_rest), STAIRS, 2), follows=True),
+    }
+
+
+def _position_loops() -> dict[str, Loop]:
+    plant, step_s = motor.position_dynamics(), motor.TIME_STEP_S
+
+    def feedback(signal: Signal) -> Loop:
+        return Loop(placed_feedback(plant, step_s, motor.POSITION_POLES, signal), follows=True)
+
+    return {
+        "closed loop, square": feedback(motor.REFERENCE),
+        "closed loop, stairs": feedback(STAIRS),
+        "open loop: 5 V": Loop(_drive(1.0, constant(5.0), 3), follows=False),
+    }
+
+
+def _trials(
+    plant: LinearPlant, loops: dict[str, Loop], output: int, steps: int, seed: int
+) -> dict[str, Trial]:
+    """All loops of a plant, each with noise of its own, as lanes of one computation."""
+    # With one noise for all, the errors of linear loops would be equal, whatever the control.
+    draws = [_draws(plant, steps, seed, lane) for lane in range(len(loops))]
+    responses = [
+        closed_loop(plant, loop.controller, noise)
+        for loop, noise in zip(loops.values(), draws, strict=True)
+    ]
+    _, prior_mean, prior_cov = plant.initial(np.stack([noise.initial for noise in draws]))
+    runs = Runs(
+        truth=np.stack([response.states for response in responses], axis=1),
+        readings=np.stack([response.delivered[..., 0, :] for response in responses], axis=1),
+        controls=np.stack([response.controls for response in responses], axis=1),
+        prior=Gaussian(prior_mean, prior_cov),
+        model=plant.model,
+        sensors=plant.sensors,
+    )
+    fresh = HoldPolicy(lambda base, ages, covs, cycle: hold.renormalise(base, ages), carried=False)
+    wiring = wire(metropolis(ring(NODES)).toarray(), ROUNDS, full_publish(NODES), fresh)
+    network = estimate(runs, wiring, averaging_of("wac", NODES, len(plant.state_names)))
+    central = centralised(runs)
+    return {
+        title: Trial(
+            times_s=plant.time_step_s * np.arange(steps, dtype=np.float64),
+            reference=response.references[:, 0] if loop.follows else None,
+            truth=response.states,
+            measured=response.delivered[:, MEASURING_NODE, 0, 0],
+            estimated=network.mean[:, lane, BLIND_NODE],
+            central=central.mean[:, lane],
+            integral=plant.time_step_s * np.cumsum(response.states[:, output]),
+        )
+        for lane, ((title, loop), response) in enumerate(zip(loops.items(), responses, strict=True))
+    }
+
+
+def _draws(plant: LinearPlant, steps: int, seed: int, lane: int) -> Draws:
+    def stream(purpose: str, node: int) -> np.random.Generator:
+        key = (lane, ("initial", "process", "measurement").index(purpose), node)
+        return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+
+    n, q = plant.noise_factor.shape
+    return standard_draws(stream, n, q, (NODES, 1, 1), steps)

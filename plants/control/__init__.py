@@ -1,0 +1,1 @@
+"""Plants with a controller, and the design of their controllers."""

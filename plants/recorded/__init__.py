@@ -1,0 +1,1 @@
+"""Plants whose truth was recorded: readers of data sets."""

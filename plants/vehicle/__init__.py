@@ -1,0 +1,1 @@
+"""A car: its model, its sensors, its drives."""

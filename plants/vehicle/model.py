@@ -1,0 +1,131 @@
+"""The single-track model with three degrees of freedom that estimators use, and its tyres.
+
+State [yaw rate rad/s, side slip rad, speed m/s], control [steering rad, acceleration m/s^2], where
+the acceleration is the body accelerometer's, vx' - yaw rate vy. Side slips are small angles.
+
+Source: the 3-DOF model that the ADLUKF paper names (its references 21 and 22), as reconstructed in
+docs/vehicle.md, equations 1-5.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plants.vehicle.parameters import Car
+
+Array = NDArray[np.float64]
+Tyre = Callable[[Array, Array | float, Array | float], Array]
+"""Lateral force of an axle (...) in N by slip angle rad, stiffness N/rad and friction limit N."""
+
+MIN_SPEED_M_S = 1.0
+"""Slip angles are divided by no less: the model is not for standing cars."""
+
+YAW_RATE, SIDE_SLIP, SPEED = range(3)
+STEERING, ACCELERATION = range(2)
+
+
+def linear_tyre(slip: Array, stiffness: Array | float, limit: Array | float) -> Array:
+    """Force proportional to slip, without limit: (3)."""
+    return -stiffness * slip
+
+
+def tanh_tyre(slip: Array, stiffness: Array | float, limit: Array | float) -> Array:
+    """Force that saturates at the friction limit, of the same slope at no slip."""
+    return -limit * np.tanh(stiffness * slip / limit)
+
+
+class Axles(NamedTuple):
+    """Stiffness N/rad and greatest force N of both axles; floats, or arrays of one shape (...)."""
+
+    front_stiffness: Array | float
+    rear_stiffness: Array | float
+    front_limit: Array | float
+    rear_limit: Array | float
+
+
+@dataclass(frozen=True, eq=False)
+class SingleTrack:
+    """A model as filters take it; one explicit Euler step per sample.
+
+    Attributes:
+        car: mass and geometry; its tyres are in `axles`.
+        axles: of the car, or arrays of candidates, one per lane.
+        tyre: law of the lateral force.
+        time_step_s: the sampling time.
+        noise_cov: (3, 3), what a step does not know.
+    """
+
+    car: Car
+    axles: Axles
+    tyre: Tyre
+    time_step_s: float
+    noise_cov: Array
+
+    def transition(self, state: Array, control: Array | None, step: int) -> Array:
+        """State (..., 3) one step later under control (..., 2)."""
+        assert control is not None, "a car is driven: give steering and acceleration"
+        car = self.car
+        yaw_rate, side_slip, speed = (state[..., i] for i in range(3))
+        front, rear = self.axle_forces(state, control[..., STEERING])
+        moment = car.front_axle_m * front - car.rear_axle_m * rear
+        forward = np.maximum(speed, MIN_SPEED_M_S)
+        after = np.empty_like(state)
+        after[..., YAW_RATE] = yaw_rate + self.time_step_s * moment / car.yaw_inertia_kg_m2
+        turning = (front + rear) / (car.mass_kg * forward) - yaw_rate
+        after[..., SIDE_SLIP] = side_slip + self.time_step_s * turning
+        driving = yaw_rate * side_slip * speed + control[..., ACCELERATION]
+        after[..., SPEED] = speed + self.time_step_s * driving
+        return after
+
+    def process_noise_cov(self, step: int) -> Array:
+        """Covariance (3, 3) of what a step does not know; the same at every step."""
+        return self.noise_cov
+
+    def axle_forces(self, state: Array, steering: Array) -> tuple[Array, Array]:
+        """Lateral forces (...) of front and rear axle in N: (3) and (4)."""
+        forward = np.maximum(state[..., SPEED], MIN_SPEED_M_S)
+        turn = state[..., YAW_RATE] / forward
+        front_slip = state[..., SIDE_SLIP] + self.car.front_axle_m * turn - steering
+        rear_slip = state[..., SIDE_SLIP] - self.car.rear_axle_m * turn
+        axles = self.axles
+        return (
+            self.tyre(front_slip, axles.front_stiffness, axles.front_limit),
+            self.tyre(rear_slip, axles.rear_stiffness, axles.rear_limit),
+        )
+
+    def lateral_acceleration(self, state: Array, steering: Array) -> Array:
+        """Return the reading of a lateral accelerometer (...), m/s^2."""
+        front, rear = self.axle_forces(state, steering)
+        return (front + rear) / self.car.mass_kg
+
+    def measure(self, state: Array, control: Array) -> Array:
+        """Lateral acceleration, yaw rate and speed (..., 3) of states (..., 3): z of (5)."""
+        value = np.empty_like(state)
+        value[..., 0] = self.lateral_acceleration(state, control[..., STEERING])
+        value[..., 1] = state[..., YAW_RATE]
+        value[..., 2] = state[..., SPEED]
+        return value
+
+
+def axles_of(car: Car) -> Axles:
+    """Return the tyres that a car's parameters describe."""
+    return Axles(
+        car.front_stiffness_n_rad,
+        car.rear_stiffness_n_rad,
+        car.friction * car.front_load_n,
+        car.friction * car.rear_load_n,
+    )
+
+
+def single_track(car: Car, tyre: Tyre, time_step_s: float, noise_cov: Array) -> SingleTrack:
+    """Return the model of a car.
+
+    Raises:
+        ValueError: the time step is not positive.
+    """
+    if not time_step_s > 0:
+        raise ValueError(f"time_step_s is {time_step_s}, but a sampling time is positive")
+    return SingleTrack(car, axles_of(car), tyre, time_step_s, noise_cov)

@@ -1,0 +1,289 @@
+"""A car whose sensors are nodes on its bus: wheel speeds, inertial unit, steering, satellites.
+
+Every node estimates the whole motion, so that what one sensor lacks another can tell: state [yaw
+rate, side slip, speed, heading, steering, acceleration]. Steering and acceleration, inputs of the
+single-track model, are random walks here: only their sensors know them.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plants.angles import wrapped
+from plants.draws import Draws, GeneratorFor
+from plants.vehicle.drive import FRONT_LEFT, REAR_LEFT, Drive
+from plants.vehicle.model import SingleTrack
+from plants.vehicle.parameters import Car
+from plants.vehicle.sensors import SensorError, contaminated, noise_std
+
+Array = NDArray[np.float64]
+
+STATE_NAMES = ("yaw rate", "side slip", "speed", "heading", "steering", "acceleration")
+STATE_UNITS = ("rad/s", "rad", "m/s", "rad", "rad", "m/s^2")
+YAW_RATE, SIDE_SLIP, SPEED, HEADING, STEERING, ACCELERATION = range(6)
+
+NODES = ("wheel speeds", "inertial unit", "steering", "satellites")
+CHANNELS = 3
+"""Of a reading, filled up with NaN: the inertial unit has most."""
+
+SATELLITE_PERIOD_S = 0.1
+
+PRIOR_STD = (0.02, 0.01, 0.5, 0.02, 0.01, 0.3)
+
+ERRORS: tuple[tuple[SensorError, ...], ...] = (
+    (SensorError(0.1), SensorError(0.1)),
+    (SensorError(0.005), SensorError(0.1), SensorError(0.05)),
+    (SensorError(0.0005),),
+    (SensorError(0.05), SensorError(0.003)),
+)
+"""Data sheets of each node's channels, in SI: the two wheels that are not driven; yaw rate,
+lateral and longitudinal acceleration; steering; speed and course over ground."""
+
+BELIEVED_STD = ((0.1, 0.1), (0.005, 1.0, 0.05), (0.0005,), (0.05, 0.003))
+"""Noise that the filters assume. The values are those of the data sheets, except the lateral
+acceleration, whose value covers the error of the single-track model."""
+
+
+@dataclass(frozen=True, eq=False)
+class DrivenCar:
+    """Model of every node: the single-track model, driven by the inputs that the node has.
+
+    walk_std: of steering rad and acceleration m/s^2 in a step.
+    """
+
+    single_track: SingleTrack
+    walk_std: tuple[float, float] = (0.0015, 0.02)
+
+    @property
+    def time_step_s(self) -> float:
+        return self.single_track.time_step_s
+
+    def transition(self, state: Array, control: Array | None, step: int) -> Array:
+        """State (..., 6) one step later; nothing outside it drives the car."""
+        after = np.empty_like(state)
+        moving, inputs = state[..., :HEADING], state[..., STEERING:]
+        after[..., :HEADING] = self.single_track.transition(moving, inputs, step)
+        after[..., HEADING] = state[..., HEADING] + self.time_step_s * state[..., YAW_RATE]
+        after[..., STEERING:] = inputs
+        return after
+
+    def process_noise_cov(self, step: int) -> Array:
+        """Covariance (6, 6) of what a step does not know; the same at every step."""
+        return self._noise_cov
+
+    @cached_property
+    def _noise_cov(self) -> Array:
+        variances = np.concatenate(
+            [np.diag(self.single_track.noise_cov), [1e-10], np.square(self.walk_std)]
+        )
+        return np.diag(variances)
+
+
+@dataclass(frozen=True, eq=False)
+class CarSensor:
+    """A node's sensor: `read` maps states (..., 6) to its channels (..., m).
+
+    noise_std: (m,), what the node believes at the start. course: the channel that is an angle.
+    """
+
+    read: Callable[[Array], Array]
+    noise_std: tuple[float, ...]
+    course: int | None = None
+    gate: float | None = None
+
+    def measure(self, state: Array, step: int) -> Array:
+        """Channels (..., m) of states (..., 6), without noise."""
+        return self.read(state)
+
+    def residual(self, a: Array, b: Array) -> Array:
+        """a - b (..., m), a course within (-pi, pi]."""
+        difference = a - b
+        if self.course is not None:
+            difference[..., self.course] = wrapped(difference[..., self.course])
+        return difference
+
+    def interpret(self, delivered: Array) -> tuple[Array, Array]:
+        """The node's channels (..., m) of a delivery (..., 3), and their covariance (..., m, m)."""
+        m = len(self.noise_std)
+        return delivered[..., :m], np.broadcast_to(self._noise_cov, (*delivered.shape[:-1], m, m))
+
+    @cached_property
+    def _noise_cov(self) -> Array:
+        return np.diag(np.square(self.noise_std))
+
+
+def sensor(node: int, single_track: SingleTrack) -> CarSensor:
+    """Return the sensor of one of `NODES`."""
+
+    car = single_track.car
+
+    def rear_wheels(state: Array) -> Array:
+        side = 0.5 * car.rear_track_m * state[..., YAW_RATE]
+        return np.stack([state[..., SPEED] - side, state[..., SPEED] + side], axis=-1)
+
+    def front_wheels(state: Array) -> Array:
+        side = 0.5 * car.front_track_m * state[..., YAW_RATE]
+        across = state[..., SPEED] * state[..., SIDE_SLIP]
+        across = across + car.front_axle_m * state[..., YAW_RATE]
+        cosine, sine = np.cos(state[..., STEERING]), np.sin(state[..., STEERING])
+        along = [(state[..., SPEED] + way * side) * cosine + across * sine for way in (-1.0, 1.0)]
+        return np.stack(along, axis=-1)
+
+    def inertial(state: Array) -> Array:
+        lateral = single_track.lateral_acceleration(state, state[..., STEERING])
+        return np.stack([state[..., YAW_RATE], lateral, state[..., ACCELERATION]], axis=-1)
+
+    def steering(state: Array) -> Array:
+        return state[..., STEERING : STEERING + 1]
+
+    def satellites(state: Array) -> Array:
+        over_ground = state[..., SPEED] / np.cos(state[..., SIDE_SLIP])
+        course = state[..., HEADING] + state[..., SIDE_SLIP]
+        return np.stack([over_ground, course], axis=-1)
+
+    free_wheels = rear_wheels if car.driven_axle == "front" else front_wheels
+    read = (free_wheels, inertial, steering, satellites)[node]
+    return CarSensor(read, BELIEVED_STD[node], course=1 if read is satellites else None)
+
+
+@dataclass(frozen=True, eq=False)
+class DrivenOnce:
+    """A plant that replays a drive, one row of its arrays per step.
+
+    Attributes:
+        time_step_s: of the arrays.
+        truth: (steps, 6), NaN where it is unknown.
+        exact: (steps, 4, 1, 3), what the sensors would deliver without error, NaN for nothing.
+        prior_mean: (6,), what the nodes start from, less the error of a run.
+        errors: of each node's channels, on top of `exact`.
+        prior_error: whether the start errs by `PRIOR_STD`; a log knows its own start.
+    """
+
+    time_step_s: float
+    truth: Array
+    exact: Array
+    prior_mean: Array
+    errors: tuple[tuple[SensorError, ...], ...]
+    prior_error: bool = True
+
+    state_names = STATE_NAMES
+    state_units = STATE_UNITS
+
+    @property
+    def nodes(self) -> int:
+        return len(NODES)
+
+    @property
+    def steps(self) -> int:
+        """Return the number of instants there are."""
+        return len(self.truth)
+
+    def positions(self, step: int) -> None:
+        """The nodes sit in one car: nothing to draw on a map."""
+
+    def draw(self, generator_for: GeneratorFor, steps: int) -> Draws:
+        """Return the noise of one run, outliers among it.
+
+        Raises:
+            ValueError: for more steps than there are.
+        """
+        if steps > self.steps:
+            raise ValueError(
+                f"{steps} steps, but the drive has {self.steps} of {1e3 * self.time_step_s:g} ms; "
+                f"ask for {self.steps} or fewer"
+            )
+        measurement = np.zeros((steps, self.nodes, 1, CHANNELS))
+        for node, channels in enumerate(self.errors):
+            generator = generator_for("measurement", node)
+            for channel, error in enumerate(channels):
+                drawn = contaminated(error, generator, (self.steps,))
+                measurement[:, node, 0, channel] = drawn[:steps]
+        initial = generator_for("initial", 0).standard_normal(len(PRIOR_STD))
+        return Draws(initial, np.empty((steps, 0)), measurement)
+
+    def initial(self, noise: Array) -> tuple[Array, Array, Array]:
+        """True state (..., 6), prior mean (..., 6) and prior cov (6, 6) for noise (..., 6)."""
+        error = np.array(PRIOR_STD) * noise if self.prior_error else np.zeros_like(noise)
+        truth = np.broadcast_to(self.truth[0], error.shape)
+        return truth, self.prior_mean + error, np.diag(np.square(PRIOR_STD))
+
+    def advance(self, state: Array, control: Array | None, noise: Array, step: int) -> Array:
+        """Return the state of the next step for states (..., 6), NaN after the end."""
+        after = self.truth[step + 1] if step + 1 < self.steps else np.nan
+        return np.broadcast_to(after, state.shape)
+
+    def observe(self, state: Array, noise: Array, step: int) -> Array:
+        """Return the sensors' readings at a step for noise (..., 4, 1, 3)."""
+        return self.exact[step] + self._bias + self._std[step] * noise
+
+    @cached_property
+    def _std(self) -> Array:
+        """(steps, 4, 1, 3)."""
+        time_s = self.time_step_s * np.arange(self.steps, dtype=np.float64)
+        std = np.zeros((self.steps, self.nodes, 1, CHANNELS))
+        for node, channels in enumerate(self.errors):
+            for channel, error in enumerate(channels):
+                std[:, node, 0, channel] = noise_std(error, time_s)
+        return std
+
+    @cached_property
+    def _bias(self) -> Array:
+        bias = np.zeros((self.nodes, 1, CHANNELS))
+        for node, channels in enumerate(self.errors):
+            bias[node, 0, : len(channels)] = [error.bias for error in channels]
+        return bias
+
+
+def simulated(
+    drive: Drive, car: Car, errors: tuple[tuple[SensorError, ...], ...] = ERRORS
+) -> DrivenOnce:
+    """Return the plant of a drive whose truth is known, with sensors that err so."""
+    truth = np.stack(
+        [
+            drive.yaw_rate_rad_s,
+            drive.side_slip_rad,
+            drive.speed_m_s,
+            drive.heading_rad,
+            drive.steering_rad,
+            drive.longitudinal_acceleration_m_s2,
+        ],
+        axis=-1,
+    )
+    over_ground = np.hypot(drive.speed_m_s, drive.lateral_speed_m_s)
+    exact = _readings(drive, car)
+    due = np.arange(drive.steps) % round(SATELLITE_PERIOD_S / drive.time_step_s) == 0
+    exact[due, 3, 0, 0] = over_ground[due]
+    exact[due, 3, 0, 1] = (drive.heading_rad + drive.side_slip_rad)[due]
+    return DrivenOnce(drive.time_step_s, truth, exact, truth[0], errors)
+
+
+def replayed(drive: Drive, car: Car, time_step_s: float) -> DrivenOnce:
+    """The plant of a logged drive: its readings at the step next to each sample, its noise its own.
+
+    The truth is what the log says of the side slip, and NaN otherwise; no satellites.
+    """
+    steps = int((drive.steps - 1) * drive.time_step_s / time_step_s) + 1
+    at = np.minimum(np.round(drive.time_s / time_step_s).astype(int), steps - 1)
+    exact = np.full((steps, len(NODES), 1, CHANNELS), np.nan)
+    exact[at] = _readings(drive, car)
+    truth = np.full((steps, len(STATE_NAMES)), np.nan)
+    truth[at, SIDE_SLIP] = drive.side_slip_rad
+    start = np.array([drive.yaw_rate_rad_s[0], 0.0, drive.speed_m_s[0], 0.0, 0.0, 0.0])
+    start[STEERING] = drive.steering_rad[0]
+    quiet = tuple(tuple(SensorError(0.0) for _ in channels) for channels in ERRORS)
+    return DrivenOnce(time_step_s, truth, exact, np.nan_to_num(start), quiet, prior_error=False)
+
+
+def _readings(drive: Drive, car: Car) -> Array:
+    """Return the readings (steps, 4, 1, 3) of all sensors except satellite navigation."""
+    readings = np.full((drive.steps, len(NODES), 1, CHANNELS), np.nan)
+    free = REAR_LEFT if car.driven_axle == "front" else FRONT_LEFT
+    readings[:, 0, 0, :2] = drive.wheel_speed_m_s[:, free : free + 2]
+    readings[:, 1, 0, 0] = drive.yaw_rate_rad_s
+    readings[:, 1, 0, 1] = drive.lateral_acceleration_m_s2
+    readings[:, 1, 0, 2] = drive.longitudinal_acceleration_m_s2
+    readings[:, 2, 0, 0] = drive.steering_rad
+    return readings

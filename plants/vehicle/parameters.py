@@ -1,0 +1,107 @@
+"""A car as the single-track model sees it, from a TOML file or one of those known here."""
+
+import json
+import math
+import tomllib
+from typing import Literal
+
+import msgspec
+
+GRAVITY_M_S2 = 9.81
+
+
+class CarError(ValueError):
+    """Parameters that no car can have, or a file that holds none."""
+
+
+class Car(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Mass, geometry and tyres of one car, in ISO 8855 axes (x forward, y left, yaw to the left).
+
+    Attributes:
+        name: for reports.
+        mass_kg, yaw_inertia_kg_m2: of the whole car.
+        front_axle_m, rear_axle_m: from the centre of mass to either axle.
+        front_stiffness_n_rad, rear_stiffness_n_rad: cornering stiffness of an axle, positive; the
+            paper's k1 and k2 are these with a minus sign.
+        friction: of tyre and road; where a tyre saturates.
+        front_track_m, rear_track_m: between the wheels of an axle.
+        driven_axle: front or rear; the wheels of the other tell the speed better.
+        steering_ratio: steering-wheel angle over road-wheel angle.
+
+    Raises CarError for a value that is not positive.
+    """
+
+    name: str
+    mass_kg: float
+    yaw_inertia_kg_m2: float
+    front_axle_m: float
+    rear_axle_m: float
+    front_stiffness_n_rad: float
+    rear_stiffness_n_rad: float
+    friction: float = 1.0
+    front_track_m: float = 1.5
+    rear_track_m: float = 1.5
+    driven_axle: Literal["front", "rear"] = "front"
+    steering_ratio: float = 1.0
+
+    def __post_init__(self) -> None:
+        for field, value in msgspec.structs.asdict(self).items():
+            if isinstance(value, float | int) and not 0 < value < math.inf:
+                raise CarError(
+                    f"car {self.name!r}: {field} is {value}, but must be above 0 and finite"
+                )
+
+    @property
+    def wheelbase_m(self) -> float:
+        return self.front_axle_m + self.rear_axle_m
+
+    @property
+    def front_load_n(self) -> float:
+        """Weight on the front axle at rest."""
+        return self.mass_kg * GRAVITY_M_S2 * self.rear_axle_m / self.wheelbase_m
+
+    @property
+    def rear_load_n(self) -> float:
+        """Weight on the rear axle at rest."""
+        return self.mass_kg * GRAVITY_M_S2 * self.front_axle_m / self.wheelbase_m
+
+
+def car_from_toml(text: str) -> Car:
+    """Return the car that a TOML text describes, one line per field.
+
+    Raises:
+        CarError: the text is not TOML, or a field is missing, unknown or out of range.
+    """
+    try:
+        return msgspec.convert(tomllib.loads(text), Car)
+    except tomllib.TOMLDecodeError as error:
+        raise CarError(f"the car file is not TOML: {error}") from error
+    except msgspec.ValidationError as error:
+        raise CarError(f"the car file is not valid: {error}") from error
+
+
+def car_to_toml(car: Car) -> str:
+    """Return the TOML text of a car."""
+    lines = [
+        # A JSON string without escapes of its own is a TOML string; names are printable text.
+        f"{field} = {json.dumps(value, ensure_ascii=False) if isinstance(value, str) else value}"
+        for field, value in msgspec.structs.asdict(car).items()
+    ]
+    return "\n".join(lines) + "\n"
+
+
+BMW_320I = Car(
+    name="BMW 320i",
+    mass_kg=1093.2952334674046,
+    yaw_inertia_kg_m2=1791.5995300122856,
+    front_axle_m=1.1561957064,
+    rear_axle_m=1.4227170936,
+    # 21.92 per rad times the load of the axle: the slope of the data sheet's tyre at no slip.
+    front_stiffness_n_rad=129697.0,
+    rear_stiffness_n_rad=105400.0,
+    friction=1.0489,
+    front_track_m=1.38684,
+    rear_track_m=1.36398,
+    driven_axle="rear",
+)
+"""Vehicle 2 of the CommonRoad vehicle models (Althoff and Wuersching, 2020, tables 6 and 7)."""

@@ -1,0 +1,201 @@
+"""Cornering stiffness of a car's axles from one of its drives, by output error.
+
+The steering and the speed of the log drive the single-track model. The fit varies the stiffnesses,
+and the friction for a tyre that saturates. It minimises the squared errors of yaw rate, lateral
+acceleration and, where it is known, side slip. The fit also estimates constant offsets of steering,
+lateral acceleration and side slip, because every log has them. It assumes a zeroed gyroscope, as
+cars zero theirs at standstill; the steering's offset could not otherwise be separated from the
+gyroscope's.
+
+Source: Ljung (1999), System identification, chapter 7 (prediction-error methods; with no noise
+model, output error). Standard errors are those of least squares with white residuals; residuals of
+a drive are not white but model error, so the true errors are larger.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from msgspec import structs
+
+from plants.vehicle.drive import Drive
+from plants.vehicle.model import Array, Axles, SingleTrack, Tyre, tanh_tyre
+from plants.vehicle.parameters import Car
+
+MODEL_STEP_S = 0.005
+"""Of the model; drives are interpolated to it, for slow cars are stiff."""
+
+_SCALES = (0.01, 0.2, 0.002)
+"""Of the residuals: yaw rate rad/s, lateral acceleration m/s^2, side slip rad."""
+
+_LEAST_CORNERING_M_S2 = 1.5
+
+_STEP = 1e-4  # of the finite differences, in the logarithm of a parameter or in units of a scale
+
+
+class Identified(NamedTuple):
+    """Parameters of a car, identified from a drive.
+
+    Attributes:
+        car: with the stiffnesses found (and friction, if it was sought).
+        stiffness_std_n_rad: standard errors (2,) of front and rear.
+        friction_std: that of the friction, NaN if it was not sought.
+        steering_offset_rad: to be added to the logged steering.
+        residual_rms: of yaw rate rad/s, lateral acceleration m/s^2 and side slip rad, NaN where
+            nothing was logged.
+        condition: of the scaled problem; above some 1e3 the drive says too little.
+    """
+
+    car: Car
+    stiffness_std_n_rad: Array
+    friction_std: float
+    steering_offset_rad: float
+    residual_rms: Array
+    condition: float
+
+
+def identify(
+    drive: Drive,
+    car: Car,
+    tyre: Tyre = tanh_tyre,
+    *,
+    seek_friction: bool = False,
+    min_speed_m_s: float = 5.0,
+) -> Identified:
+    """Return the tyres of a car that fit a drive best, starting from the car's own.
+
+    Args:
+        drive: steering, speed and yaw rate must be known, lateral acceleration and side slip may.
+        car: mass, geometry, and the tyres to start from.
+        tyre: law of the lateral force.
+        seek_friction: whether the friction is sought too; only a drive near the limit tells it.
+        min_speed_m_s: slower parts are driven through and not compared; there wheels roll where
+            they point, whatever their stiffness.
+
+    Raises:
+        ValueError: a drive that is too short or too straight to tell, or never fast enough.
+    """
+    from scipy.optimize import least_squares  # here, so that a node process never loads scipy
+
+    driven = _resampled(drive)
+    outputs = np.stack(
+        [driven.yaw_rate_rad_s, driven.lateral_acceleration_m_s2, driven.side_slip_rad], axis=-1
+    )
+    compared = np.isfinite(outputs) & (driven.speed_m_s >= min_speed_m_s)[:, None]
+    _require_told(drive, driven, compared, min_speed_m_s)
+    # The fit has no offset for an output that was not logged.
+    sought = np.concatenate(([True, True, True], compared[:, 1:].any(axis=0), [seek_friction]))
+
+    def residuals(parameters: Array) -> Array:
+        """Scaled residuals (lanes, values) of the parameters sought (lanes, p)."""
+        complete = np.zeros((len(parameters), len(sought)))
+        complete[:, sought] = parameters
+        left = (_outputs(driven, car, tyre, complete) - outputs[:, None, :]) / np.array(_SCALES)
+        return np.moveaxis(left, 1, 0)[:, compared]
+
+    def jacobian(parameters: Array) -> Array:
+        steps = _STEP * np.eye(len(parameters))
+        both = residuals(np.concatenate([parameters + steps, parameters - steps]))
+        return ((both[: len(steps)] - both[len(steps) :]) / (2 * _STEP)).T
+
+    jac: Any = jacobian  # scipy's types know the names of methods only
+    found = least_squares(lambda p: residuals(p[None])[0], np.zeros(sought.sum()), jac=jac)
+    return _identified(car, sought, found.x, found.fun, found.jac, compared)
+
+
+# Parameters: log of front and rear stiffness over the car's; offsets of steering, lateral
+# acceleration and side slip in units of _OFFSETS; log of the friction over the car's.
+_OFFSETS = np.array([1e-3, *_SCALES[1:]])
+_FRONT, _REAR, _STEERING_OFFSET, _FRICTION = 0, 1, 2, 5
+
+
+def _outputs(driven: Drive, car: Car, tyre: Tyre, parameters: Array) -> Array:
+    """Yaw rate, lateral acceleration and side slip (steps, lanes, 3) of the model."""
+    limit = car.friction * np.exp(parameters[:, _FRICTION])
+    axles = Axles(
+        car.front_stiffness_n_rad * np.exp(parameters[:, _FRONT]),
+        car.rear_stiffness_n_rad * np.exp(parameters[:, _REAR]),
+        limit * car.front_load_n,
+        limit * car.rear_load_n,
+    )
+    model = SingleTrack(car, axles, tyre, driven.time_step_s, np.zeros((3, 3)))
+    steering_offset, *offsets = (_OFFSETS * parameters[:, _STEERING_OFFSET:_FRICTION]).T
+    state = np.zeros((len(parameters), 3))
+    state[:, 0] = np.nan_to_num(driven.yaw_rate_rad_s[0])
+    control = np.zeros((len(parameters), 2))
+    predicted = np.empty((driven.steps, len(parameters), 3))
+    for k, speed in enumerate(driven.speed_m_s):
+        state[:, 2] = speed  # as logged: only the lateral motion is compared
+        control[:, 0] = driven.steering_rad[k] + steering_offset
+        predicted[k, :, 0] = state[:, 0]
+        predicted[k, :, 1] = model.lateral_acceleration(state, control[:, 0])
+        predicted[k, :, 2] = state[:, 1]
+        state = model.transition(state, control, k)
+    predicted[..., 1:] += np.stack(offsets, axis=-1)
+    return predicted
+
+
+def _identified(
+    car: Car,
+    sought: np.ndarray,
+    parameters: Array,
+    residuals: Array,
+    jacobian: Array,
+    compared: np.ndarray,
+) -> Identified:
+    values, std = np.zeros(len(sought)), np.full(len(sought), np.nan)
+    values[sought] = parameters
+    degrees = max(1, len(residuals) - len(parameters))
+    cov = np.linalg.pinv(jacobian.T @ jacobian) * (residuals @ residuals) / degrees
+    std[sought] = np.sqrt(cov.diagonal())
+    front = float(car.front_stiffness_n_rad * np.exp(values[_FRONT]))
+    rear = float(car.rear_stiffness_n_rad * np.exp(values[_REAR]))
+    friction = float(car.friction * np.exp(values[_FRICTION]))
+    squared = np.zeros(compared.shape)
+    squared[compared] = residuals**2
+    count = compared.sum(axis=0)
+    mean_squared = squared.sum(axis=0) / np.where(count > 0, count, np.nan)
+    return Identified(
+        car=structs.replace(
+            car, front_stiffness_n_rad=front, rear_stiffness_n_rad=rear, friction=friction
+        ),
+        stiffness_std_n_rad=np.array([front, rear]) * std[[_FRONT, _REAR]],
+        friction_std=friction * float(std[_FRICTION]),
+        steering_offset_rad=float(_OFFSETS[0] * values[_STEERING_OFFSET]),
+        residual_rms=np.sqrt(mean_squared) * np.array(_SCALES),
+        condition=float(np.linalg.cond(jacobian / np.linalg.norm(jacobian, axis=0))),
+    )
+
+
+def _resampled(drive: Drive) -> Drive:
+    """Return the drive at the model's step, what is not known of it still NaN."""
+    if drive.time_step_s <= MODEL_STEP_S:
+        return drive
+    time_s = MODEL_STEP_S * np.arange(round((drive.steps - 1) * drive.time_step_s / MODEL_STEP_S))
+
+    def at(values: Array) -> Array:
+        if values.ndim == 2:
+            return np.stack([at(column) for column in values.T], axis=-1)
+        return np.interp(time_s, drive.time_s, values)
+
+    return Drive(MODEL_STEP_S, *(at(values) for values in drive[1:]))
+
+
+def _require_told(drive: Drive, driven: Drive, compared: np.ndarray, min_speed_m_s: float) -> None:
+    for name, values in (("steering", driven.steering_rad), ("speed", driven.speed_m_s)):
+        if not np.isfinite(values).all():
+            raise ValueError(
+                f"the drive has gaps in its {name} at {int((~np.isfinite(values)).sum())} of "
+                f"{driven.steps} instants; cut the log to a part without gaps"
+            )
+    if compared[:, 0].sum() < 100:
+        raise ValueError(
+            f"the drive has {int(compared[:, 0].sum())} yaw rates at {min_speed_m_s:g} m/s or more "
+            f"in {drive.steps} samples; give at least half a second of them"
+        )
+    cornering = np.abs(driven.yaw_rate_rad_s * driven.speed_m_s)[compared[:, 0]].max()
+    if cornering < _LEAST_CORNERING_M_S2:
+        raise ValueError(
+            f"from {min_speed_m_s:g} m/s on the car corners with {cornering:.1f} m/s^2 at most, "
+            "which tells nothing of the tyres; give a drive with fast curves of "
+            f"{_LEAST_CORNERING_M_S2:g} m/s^2 or more"
+        )

@@ -1,0 +1,1 @@
+"""Drivers of nodes and environment: in process, batched, or as processes over zenoh."""

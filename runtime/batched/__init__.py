@@ -1,0 +1,1 @@
+"""The batched driver: all nodes of many runs as arrays."""

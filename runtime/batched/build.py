@@ -1,0 +1,236 @@
+"""From a setup to what the batched driver runs: many runs of it as one value."""
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+
+import msgspec
+import numpy as np
+
+from bus.arbitration import ArbiterState, begin_arbitration
+from bus.bus import Bus
+from filters.gaussian import Gaussian
+from filters.sigma_points import scaled_unscented
+from nodes.changes import UNCHANGED, Standing
+from nodes.commands import Configure, Inject
+from nodes.faults.losses import LinkState, hears_all
+from nodes.lanes.links import Links, Shares, links_of, places
+from nodes.lanes.network import Era, Network, Regime
+from nodes.node import contenders_left
+from nodes.node_changes import with_standing
+from nodes.rules.local_filter import LocalFilters, SensorGroup
+from runtime.batched.changes import Turning, foreseen
+from runtime.batched.streams import streams_of
+from scenarios.build import build_bus, build_controller, everybody_of, rule_context
+from scenarios.catalogue import kind_of
+from scenarios.links import link_state
+from scenarios.preparation import complete_settings, share_bytes, with_settings
+from scenarios.rules import rule_of
+from scenarios.scenario import Scenario
+from scenarios.script import script_of
+from scenarios.seat import BatchSeat
+from scenarios.setup import Setup
+from scenarios.types.plants import VehicleNetwork
+
+
+def without_array_form(scenario: Scenario) -> str | None:
+    """Return the part of a scenario that can only run message by message; None if none."""
+    kind = kind_of(scenario.name)
+    if kind.wiring is not None:
+        return f"scenario {scenario.name}"
+    if isinstance(scenario.plant, VehicleNetwork) and scenario.plant.adaptive:
+        return "noise that nodes learn (--adaptive)"
+    if any(isinstance(one.command, Inject) for one in script_of(scenario)):
+        return "faults but kills, cuts and losses (--changes)"
+    for held in (scenario, *_set_in(scenario)):
+        rule = rule_of(held)
+        if (lacking := rule.lacking(held)) is not None:
+            return lacking
+    return None
+
+
+def _set_in(scenario: Scenario) -> Iterator[Scenario]:
+    """The scenario each time that its changes have set something."""
+    for _, command in script_of(scenario):
+        if isinstance(command, Configure):
+            scenario, _ = scenario.with_known(**command.settings)
+            yield scenario
+
+
+def turnings_of(setup: Setup) -> tuple[Turning, ...]:
+    """Return the changes to the network of a setup, from its first step on."""
+    scenario = setup.scenario
+    turnings = foreseen(
+        script_of(scenario),
+        setup.neighbours,
+        scenario.steps,
+        scenario.rounds,
+        partial(complete_settings, setup),
+    )
+    if turnings and turnings[0].step == 0:
+        return turnings
+    return (Turning(0, UNCHANGED, (), False), *turnings)
+
+
+def build_network(setup: Setup, runs: Sequence[int]) -> Network:
+    """The runs of these numbers under the seed of a setup, with all their randomness drawn.
+
+    Raises:
+        ValueError: the scenario has no array form (`without_array_form`).
+    """
+    if (lacking := without_array_form(setup.scenario)) is not None:
+        raise ValueError(f"{lacking} has no array form; use --driver in-process")
+    scenarios = [msgspec.structs.replace(setup.scenario, run=run) for run in runs]
+    scenario = setup.scenario
+    kind = kind_of(scenario.name)
+    plant = kind.plant(scenario)
+    stream = streams_of(scenario, runs)
+    draws = [plant.draw(partial(stream, which), scenario.steps) for which in range(len(runs))]
+    states, means, covs = zip(*(plant.initial(one.initial) for one in draws), strict=True)
+    n, nodes = len(setup.prior_mean), scenario.nodes
+    prior = Gaussian(
+        np.repeat(np.stack(means)[:, None], nodes, axis=1),
+        np.broadcast_to(covs[0], (len(runs), nodes, n, n)),
+    )
+    # A returned node has forgotten shares that others still hold, so links to one node differ.
+    links = links_of(setup.neighbours, link_state(setup).perfect and not scenario.changes)
+    return Network(
+        plant=plant,
+        initial_state=np.stack(states),
+        prior=prior,
+        process=np.stack([one.process for one in draws], axis=1),
+        measurement=np.stack([one.measurement for one in draws], axis=1),
+        steps=scenario.steps,
+        controller=build_controller(scenario),
+        delivery=kind.delivery(scenario) if kind.delivery else None,
+        receivers=links.receiver,
+        eras=tuple(_eras(setup, scenarios, links)),
+    )
+
+
+def _eras(setup: Setup, scenarios: Sequence[Scenario], links: Links) -> Iterator[Era]:
+    """Yield the segments of runs of these scenarios."""
+    scenario = setup.scenario
+    states = [link_state(msgspec.structs.replace(setup, scenario=one)) for one in scenarios]
+    changed, bus, regime = setup, build_bus(setup), None
+    for step, standing, joined, anew in turnings_of(setup):
+        if regime is None or anew:
+            changed = with_settings(setup, standing.settings)
+            bus = build_bus(changed)
+            regime = _regime(changed, bus, links, standing, len(scenarios))
+        present = np.ones(scenario.nodes, dtype=bool)
+        present[list(standing.absent)] = False
+        standing_states = [with_standing(state, standing) for state in states]
+        lost = None
+        if not standing_states[0].perfect:
+            lost = partial(_lost, standing_states, links, partial(frames_of, changed, bus))
+        yield Era(step, regime, present, joined, lost)
+
+
+def _regime(setup: Setup, bus: Bus, links: Links, standing: Standing, runs: int) -> Regime:
+    """Rule and bus of a setup whose settings are those that stand."""
+    rule = rule_of(setup.scenario)
+    return Regime(
+        standing.first_step,
+        standing.first_cycle,
+        setup.scenario.rounds,
+        bus.schedule,
+        partial(_contest, setup, bus),
+        begin_arbitration(setup.scenario.nodes, (runs,)),
+        partial(framed, setup, bus),
+        rule.batched(_seat(setup, bus, links)),
+    )
+
+
+def _seat(setup: Setup, bus: Bus, links: Links) -> BatchSeat:
+    scenario = setup.scenario
+    kind = kind_of(scenario.name)
+    own = np.array([row[0] for row in setup.weights])
+    link = np.array([weight for row in setup.weights for weight in row[1:]])
+    points = kind.points(scenario) if kind.points else scaled_unscented(len(setup.prior_mean))
+    contenders = {node for row in bus.schedule.contender_table for node in row}
+    return BatchSeat(
+        rule_context(setup, bool(contenders)),
+        LocalFilters(kind.model(scenario), sensor_groups(scenario), points),
+        links,
+        Shares(own[None], link[None]),
+        scenario.rounds,
+        np.array(sorted(contenders), dtype=np.int64),
+        partial(everybody_of, setup, bus.schedule),
+    )
+
+
+def sensor_groups(scenario: Scenario) -> tuple[SensorGroup, ...]:
+    """The sensors of all nodes: one for all where the scenario has such, else one for each."""
+    kind = kind_of(scenario.name)
+    if kind.sensors is not None:
+        return (SensorGroup(slice(None), kind.sensors(scenario)),)
+    single = ((node, kind.sensor(scenario, node)) for node in range(scenario.nodes))
+    return tuple(SensorGroup(slice(i, i + 1), one) for i, one in single if one is not None)
+
+
+# --- the bus -------------------------------------------------------------------------------------
+
+
+def frames_of(setup: Setup, bus: Bus, cycle: int) -> tuple[np.ndarray, np.ndarray]:
+    """How many frames a share of each node takes in a cycle, and the payload in bytes of all of
+    them together, (N,) each; 0 for nodes that have no slot. For rules whose shares have one length.
+    """
+    frames, payload = np.zeros((2, bus.schedule.nodes), dtype=np.int64)
+    static = bus.schedule.static_senders(cycle)
+    for nodes in (static, contenders_left(bus.schedule, cycle, ())):
+        if nodes:
+            # All static slots of a cluster are alike, and so are the dynamic ones of all nodes.
+            lengths = bus.payloads(nodes[0], cycle, share_bytes(setup))
+            owners = places(nodes)
+            frames[owners], payload[owners] = len(lengths), sum(lengths)
+    return frames, payload
+
+
+def framed(
+    setup: Setup, bus: Bus, cycle: int, sends: np.ndarray, body_bytes: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Number of frames and bytes of payload (R, N) of those that send (R, N) in a cycle, shares of
+    `body_bytes` (R, N); None where all have one length."""
+    if body_bytes is None:
+        frames, payload = frames_of(setup, bus, cycle)
+        return np.where(sends, frames, 0), np.where(sends, payload, 0)
+    frames = np.zeros(sends.shape, dtype=np.int64)
+    payload = np.zeros_like(frames)
+    for node in np.flatnonzero(sends.any(axis=0)).tolist():
+        lengths, which = np.unique(body_bytes[:, node], return_inverse=True)
+        made = [bus.payloads(node, cycle, length) for length in lengths.tolist()]
+        frames[:, node] = np.array([len(sizes) for sizes in made])[which]
+        payload[:, node] = np.array([sum(sizes) for sizes in made])[which]
+    return np.where(sends, frames, 0), np.where(sends, payload, 0)
+
+
+def _lost(
+    states: list[LinkState],
+    links: Links,
+    frames_in: Callable[[int], tuple[np.ndarray, np.ndarray]],
+    step: int,
+    cycle: int,
+) -> np.ndarray:
+    """How many frames of a share each link loses in a cycle, (R, E)."""
+    of_sender = frames_in(cycle)[0][links.sender]
+    lost = np.zeros((len(states), len(links.sender)), dtype=np.int64)
+    part = (np.array(step), np.array(cycle), links.sender, links.receiver)
+    for number in range(int(of_sender.max(initial=0))):
+        for run, state in enumerate(states):
+            arrives = hears_all(state, *part, number)
+            lost[run] += ~arrives & (number < of_sender)
+    return lost
+
+
+def _contest(
+    setup: Setup,
+    bus: Bus,
+    state: ArbiterState,
+    cycle: int,
+    group: int,
+    nodes: np.ndarray,
+    bids: np.ndarray,
+) -> tuple[ArbiterState, np.ndarray]:
+    """The arbiter of all runs."""
+    payload = np.broadcast_to(frames_of(setup, bus, cycle)[1][nodes], bids.shape)
+    return bus.arbitrate(state, cycle, group, nodes, bids, payload)

@@ -1,0 +1,202 @@
+"""The batched driver: all nodes of many runs as arrays (runs, nodes, ...), step by step.
+
+This driver does for environment, bus and nodes what `nodes.environment` and `nodes.node` do by
+messages, with the same functions: run r has the numbers that the in-process driver gives it to
+1e-10. The driver passes no messages, so nothing can be late, repeated or malformed.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from filters.gaussian import Gaussian
+from nodes.bids import NO_BID
+from nodes.environment_state import Delivery
+from nodes.lanes.filter import Counters, with_lanes
+from nodes.lanes.links import places
+from nodes.lanes.network import Era, Network, Regime, RuleWithReturns, Spread
+from nodes.messages import Array
+from nodes.node import contenders_left
+from runtime.batched.tally import Tally, masked
+
+
+class Instant(NamedTuple):
+    """Results of a step; for an absent node NaN, age -1, and nothing sent.
+
+    truth: (R, n). readings: (R, N, r, d). control: (R, p) that drove into the step. belief: after
+    the last round, (R, N, n), (R, N, n, n). ages: (R, E). payload_bytes, asked: (rounds, R, N), of
+    what a node sent in a cycle and whether it asked for the dynamic segment. counters: totals
+    (R, N) by name, of a node that came back since then. spread: what shares carried, where they
+    have no length of their own.
+    """
+
+    step: int
+    truth: Array
+    readings: Array
+    control: Array | None
+    belief: Gaussian
+    ages: np.ndarray
+    payload_bytes: np.ndarray
+    asked: np.ndarray
+    counters: Counters
+    spread: Spread | None
+
+
+class _Said(NamedTuple):
+    """Publications in a step: which nodes sent and which asked (rounds, R, N)."""
+
+    sends: np.ndarray
+    asked: np.ndarray
+
+
+def run(network: Network) -> Iterator[Instant]:
+    """The steps of all runs, one after the other."""
+    plant, eras = network.plant, {era.first_step: era for era in network.eras}
+    truth, control, tally = network.initial_state, None, Tally({}, {})
+    memory = network.controller.memory if network.controller else None
+    deliver = _delivery(network.delivery, len(truth))
+    era = eras[0]
+    content, arbiter = era.regime.rule.start(network.prior), era.regime.contest_memory
+    for step in range(network.steps):
+        if step > 0:
+            believed = era.regime.rule.belief(content)
+            control, memory = _steer(network, era, believed, truth, control, memory, step - 1)
+            truth = plant.advance(truth, control, network.process[step - 1], step - 1)
+            if step in eras:
+                before, era = era, eras[step]
+                content, arbiter, tally = _turned(before, era, content, arbiter, tally)
+        rule = era.regime.rule
+        readings = deliver(plant.observe(truth, network.measurement[step], step), step)
+        # An absent node runs on and no node hears it, so that its numbers stay finite.
+        content = rule.begin_step(content, readings, control, step)
+        content, arbiter, said = _communicated(era, content, arbiter, step)
+        spread = rule.spread(content)
+        frames, payload = _framed(era.regime, step, said.sends, spread)
+        tally = tally.after(rule.counters(content), frames, era.present)
+        here, heard = era.present, era.present[network.receivers]
+        yield Instant(
+            step,
+            truth,
+            masked(here, readings),
+            control,
+            Gaussian(*(masked(here, values) for values in rule.belief(content))),
+            rule.ages(content) if heard.all() else np.where(heard, rule.ages(content), -1),
+            payload,
+            said.asked,
+            tally.shown,
+            spread,
+        )
+
+
+def _turned(
+    before: Era, era: Era, content: Any, arbiter: Any, tally: Tally
+) -> tuple[Any, Any, Tally]:
+    """Return the rule's content, the arbiter's state, and the counters, as the segment begins."""
+    nodes = np.array([node for node, _ in era.joined], dtype=np.int64)
+    sources = np.array([source for _, source in era.joined], dtype=np.int64)
+    believed = before.regime.rule.belief(content)
+    told = Gaussian(believed.mean[:, sources], believed.cov[:, sources])
+    tally = tally.forgetting(nodes)
+    if era.regime is not before.regime:
+        content = era.regime.rule.start(with_lanes(believed, nodes, told))
+        return content, era.regime.contest_memory, tally._replace(seen={})
+    if len(nodes):
+        rule = era.regime.rule
+        assert isinstance(rule, RuleWithReturns), "the scenario goes message by message"
+        content = rule.restarted(content, nodes, told)
+    return content, arbiter, tally
+
+
+def _steer(
+    network: Network,
+    era: Era,
+    belief: Gaussian,
+    truth: Array,
+    control: Array | None,
+    memory: Any,
+    last: int,
+) -> tuple[Array | None, Any]:
+    """Return the control from step `last` on (R, p), and the controller's memory."""
+    if network.controller is None:
+        return None, memory
+    law, _, node = network.controller
+    if node is not None and not era.present[node]:
+        # A node that is out leaves the actuator where it was.
+        return control, memory
+    return law(truth if node is None else belief.mean[:, node], memory, last)
+
+
+def _delivery(delivery: Delivery | None, runs: int) -> Callable[[Array, int], Array]:
+    """Return the delivery between sensors and nodes, with a memory for each run."""
+    if delivery is None:
+        return lambda readings, step: readings
+    memories = [delivery.memory] * runs
+
+    def deliver(readings: Array, step: int) -> Array:
+        delivered = []
+        for run_, taken in enumerate(readings):
+            memories[run_], arrived = delivery.transmit(memories[run_], taken, step)
+            delivered.append(arrived)
+        return np.stack(delivered)
+
+    return deliver
+
+
+def _communicated(era: Era, content: Any, arbiter: Any, step: int) -> tuple[Any, Any, _Said]:
+    """Run all cycles of a step."""
+    sends, asked = [], []
+    for cycle in era.regime.cycles(step):
+        lost = None if era.lost is None else era.lost(step, cycle)
+        content, arbiter, speak, ask = _cycle(era, content, arbiter, cycle, lost)
+        sends.append(speak)
+        asked.append(ask)
+    return content, arbiter, _Said(np.stack(sends), np.stack(asked))
+
+
+def _cycle(
+    era: Era, content: Any, arbiter: Any, cycle: int, lost: np.ndarray | None
+) -> tuple[Any, Any, np.ndarray, np.ndarray]:
+    """Run a cycle, group by group; return which nodes sent in it and which asked: (R, N) each."""
+    rule, schedule = era.regime.rule, era.regime.schedule
+    shape = rule.belief(content).mean.shape[:2]
+    spoke, asked = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
+    for number in range(len(schedule.groups(cycle))):
+        arbiter, speak, ask = _access(era, arbiter, content, (cycle, number), spoke)
+        content = rule.exchange(content, speak, lost)
+        spoke, asked = spoke | speak, asked | ask
+    return content, arbiter, spoke, asked
+
+
+def _access(
+    era: Era, arbiter: Any, content: Any, part: tuple[int, int], spoke: np.ndarray
+) -> tuple[Any, np.ndarray, np.ndarray]:
+    """Return which nodes send in a group (cycle, group) and which ask for its dynamic slots.
+
+    Both are (R, N). No node sends twice in a cycle; nodes `spoke` (R, N) have sent already.
+    """
+    cycle, number = part
+    schedule = era.regime.schedule
+    group = schedule.groups(cycle)[number]
+    sends, asked = np.zeros((2, *spoke.shape), dtype=bool)
+    sends[:, places(group.senders)] = True
+    sends &= era.present
+    contenders = places(contenders_left(schedule, cycle, ()))
+    if group.dynamic_slots and len(contenders):
+        bids = era.regime.rule.bids(content, contenders)
+        silent = spoke[:, contenders] | ~era.present[contenders]
+        bids = np.where(silent, NO_BID, bids)
+        arbiter, wins = era.regime.contest(arbiter, cycle, number, contenders, bids)
+        asked[:, contenders] = bids != NO_BID
+        sends[:, contenders] = wins
+    return arbiter, sends, asked
+
+
+def _framed(
+    regime: Regime, step: int, sends: np.ndarray, spread: Spread | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Frames of a step (R, N), and bytes of payload in each cycle (rounds, R, N)."""
+    bodies = [None] * len(sends) if spread is None else spread.body_bytes
+    cycles = zip(regime.cycles(step), sends, bodies, strict=True)
+    frames, payload = zip(*(regime.framed(*cycle) for cycle in cycles), strict=True)
+    return np.sum(frames, axis=0), np.stack(payload)

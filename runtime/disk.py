@@ -1,0 +1,30 @@
+"""Files that a disk does not take: it is full, a quota or a limit is reached, or it is gone."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+
+class NotWritten(Exception):
+    """A file could not be written to its end; the message names it, and why."""
+
+    def __init__(self, path: Path, error: OSError) -> None:
+        # HDF5 puts a page of its own words behind the number.
+        why = os.strerror(error.errno) if error.errno else str(error)
+        super().__init__(
+            f"{path} cannot be written ({why}); make room, or name a folder on another disk"
+        )
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """A writer of files that names the file where it fails.
+
+    Raises:
+        NotWritten: it cannot be written.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise NotWritten(path, error) from error

@@ -1,0 +1,100 @@
+"""The ways to run a setup: each leaves the messages of the run in a recorder or a file."""
+
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+from nodes.tempo import Tempo
+from runtime import in_process
+from runtime.processes.job import Happened
+from runtime.processes.launcher import run_processes
+from runtime.recording import McapRecorder, MemoryRecorder, Recorder
+from scenarios.build import build_environment, build_node
+from scenarios.bus_plan import frame_format
+from scenarios.preparation import complete_settings
+from scenarios.script import script_of
+from scenarios.setup import Setup
+
+
+class Pace(NamedTuple):
+    """How fast a run went; `ready_s` from the first fork to the first heartbeat, for processes."""
+
+    steps_per_second: float | None
+    ready_s: float | None
+
+
+Driver = Callable[[Setup, str, Path, int | None, Callable[[int], None]], Pace]
+
+
+def in_this_process(
+    setup: Setup, _run: str, recording: Path, _port: int | None, on_step: Callable[[int], None]
+) -> Pace:
+    """Run all nodes and the environment in this process."""
+    recorder = McapRecorder(
+        recording, setup.scenario.rounds, setup.time_step_s, frame_format(setup.scenario)
+    )
+    started = time.monotonic()
+    try:
+        drive(setup, recorder, on_step)
+    finally:
+        recorder.close()
+    return Pace(setup.scenario.steps / (time.monotonic() - started), None)
+
+
+def in_memory(setup: Setup) -> list[tuple[str, bytes]]:
+    """The messages of an in-process run."""
+    recorder = MemoryRecorder()
+    drive(setup, recorder, lambda _: None)
+    return recorder.messages
+
+
+def drive(setup: Setup, recorder: Recorder, on_step: Callable[[int], None]) -> None:
+    """Run a setup in this process."""
+    nodes = [build_node(setup, node) for node in range(setup.scenario.nodes)]
+    in_process.run(
+        build_environment(setup),
+        nodes,
+        recorder,
+        on_step=on_step,
+        script=script_of(setup.scenario),
+        check=partial(complete_settings, setup),
+    )
+
+
+def over_processes(
+    setup: Setup,
+    run: str,
+    recording: Path,
+    port: int | None,
+    on_step: Callable[[int], None],
+    tempo: Tempo | None = None,
+) -> Pace:
+    """One operating-system process per node, messages over zenoh, in lockstep; with a
+    `tempo` in real time.
+
+    Raises:
+        NetworkFailed: a process died.
+        ValueError: the port cannot be used.
+    """
+    ready_s = last_s = 0.0
+
+    def on_event(happened: Happened) -> None:
+        nonlocal ready_s, last_s
+        match happened.what:
+            case "ready":
+                ready_s = happened.seconds
+            case "step":
+                last_s = happened.seconds
+                on_step(happened.step)
+            case "ended":
+                sys.stderr.write(f"{happened.detail}; the others go on\n")
+
+    run_processes(setup, run, recording, port, on_event, tempo)
+    return Pace(setup.scenario.steps / (last_s - ready_s), ready_s)
+
+
+# Drivers that give equal bits.
+DRIVERS: dict[str, Driver] = {"in-process": in_this_process, "processes": over_processes}

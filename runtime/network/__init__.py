@@ -1,0 +1,1 @@
+"""The zenoh network of a run: links, transport, access control."""

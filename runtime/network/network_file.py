@@ -1,0 +1,43 @@
+"""Addresses of a network of processes, written by the launcher for subscribers."""
+
+from pathlib import Path
+
+import msgspec
+
+from runtime.disk import writing
+
+NETWORK = "network.json"
+
+
+class Network(msgspec.Struct, frozen=True):
+    """Addresses of a network: subscribers connect to all of `connect`; `pids` are processes."""
+
+    run: str
+    connect: list[str]
+    pids: dict[str, int] = {}
+
+
+def write_network(folder: Path, network: Network) -> None:
+    """Write network.json whole, over an older one."""
+    part = folder / f"{NETWORK}.part"
+    with writing(folder / NETWORK):
+        part.write_bytes(msgspec.json.format(msgspec.json.encode(network), indent=2) + b"\n")
+        part.rename(folder / NETWORK)
+
+
+def read_network(folder: Path) -> Network:
+    """Where the network of a run folder is, or was.
+
+    Raises:
+        ValueError: the folder says nothing of it.
+    """
+    path = folder / NETWORK
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=Network)
+    except OSError as error:
+        raise ValueError(
+            f"{path}: cannot be read ({error.strerror}); name the folder of a run with --driver "
+            "processes that has not ended"
+        ) from None
+    except msgspec.MsgspecError as error:
+        raise ValueError(f"{path}: not what a launcher has written ({error})") from None

@@ -1,0 +1,291 @@
+"""The only file that knows zenoh: sessions, links, the readiness barrier, sending and receiving.
+
+Sparse graphs get a mesh of peers with one explicit loopback link per edge of the sensor graph.
+Peers do not forward, so the zenoh topology is the sensor graph. Dense graphs go through one router.
+No multicast, no gossip: two runs on one machine never find each other.
+"""
+
+import os
+import re
+import threading
+from collections.abc import Callable, Collection, Sequence
+from contextlib import suppress
+
+import msgspec
+import zenoh
+
+from runtime.network.links import Links
+
+# One worker thread per process instead of one per core and role; a router needs the default.
+_ONE_THREAD = (
+    "(rx:(handover:app),acc:(handover:app),tx:(handover:app),net:(handover:app),"
+    "app:(worker_threads:1))"
+)
+# A process that answers queries does so in its receive thread. That thread must not also send, or a
+# full queue blocks both for ever.
+_TWO_THREADS = _ONE_THREAD.replace("tx:(handover:app)", "tx:(worker_threads:1)")
+_LEASE_MS = 2000
+# Larger messages are dropped (zenoh would assemble up to 1 GiB). A large network's
+# description takes some MB.
+_MOST_BYTES = 1 << 26
+# Largest number of messages taken from a queue together.
+_AT_ONCE = 256
+
+
+class LinkError(Exception):
+    """A session could not be opened: a port is taken or a peer does not answer."""
+
+
+def _config(links: Links) -> zenoh.Config:
+    settings = {
+        "mode": links.mode,
+        "listen/endpoints": list(links.listen),
+        "connect/endpoints": list(links.connect),
+        "connect/timeout_ms": -1 if links.connect_s is None else round(links.connect_s * 1000),
+        "connect/exit_on_failure": links.connect_s is not None,
+        "connect/retry": {
+            "period_init_ms": 20,
+            "period_max_ms": 200,
+            "period_increase_factor": 1.5,
+        },
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "scouting/delay": 0,
+        "transport/shared_memory/enabled": False,
+        "transport/link/rx/max_message_size": _MOST_BYTES,
+        "transport/link/tx/lease": _LEASE_MS,
+        "transport/link/tx/keep_alive": 4,
+        # A droppable message waits this long for room, once; later ones drop until there is room.
+        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 10_000,
+        "transport/link/tx/queue/size/data": 16,
+        # Nothing waits to travel with what may follow it.
+        "transport/link/tx/queue/batching/time_limit": 0,
+    }
+    if links.mode == "router":
+        # One host that is out of reach holds up all others as long as this.
+        settings["transport/link/tx/queue/congestion_control/block/wait_before_close"] = 1_000_000
+    config = zenoh.Config.from_file(links.keys) if links.keys else zenoh.Config()
+    for key, value in settings.items():
+        config.insert_json5(key, msgspec.json.encode(value).decode())
+    return config
+
+
+def _open(links: Links) -> zenoh.Session:
+    zenoh.init_log_from_env_or("off")
+    try:
+        return zenoh.open(_config(links))
+    except zenoh.ZError as error:
+        where = ", ".join(links.listen + links.connect)
+        # The position in zenoh's own source is of no use here.
+        why = re.sub(r" at /\S+?\.rs:\d+", "", str(error))
+        raise LinkError(f"cannot join the network at {where}: {why}") from None
+
+
+def start_router(
+    endpoint: str, keys: str | None = None, others: Sequence[str] = ()
+) -> zenoh.Session:
+    """A router that listens at `endpoint`; keep the session for as long as it shall run.
+
+    `keys`: its file of `concord keys`, with which it lets nobody in that cannot prove who it is;
+    `others`: endpoints of routers to which it keeps a link, whenever they are there.
+
+    Raises:
+        LinkError: the port is taken.
+    """
+    # With a single worker thread a router was seen to hang at the start of a network.
+    os.environ.pop("ZENOH_RUNTIME", None)
+    return _open(Links("router", (endpoint,), tuple(others), None if others else 60.0, keys))
+
+
+class Transport:
+    """One process's place in the network of a run: topics below `concord/<run>/`.
+
+    Each subscription has its own queue, so a node can wait for exactly the neighbour it needs.
+    """
+
+    def __init__(
+        self,
+        run: str,
+        links: Links,
+        subscriptions: Sequence[str],
+        queue: int,
+        answers: bool = False,
+    ) -> None:
+        """Open a session and subscribe.
+
+        Args:
+            run: name of the run; the first part of every key.
+            links: how to join.
+            subscriptions: topics, or patterns such as `estimate/*`.
+            queue: messages that may wait in each subscription before senders are held up.
+            answers: whether this process will answer questions; the first of a process decides.
+
+        Raises:
+            LinkError: a port is taken or a peer does not answer.
+        """
+        os.environ.setdefault("ZENOH_RUNTIME", _TWO_THREADS if answers else _ONE_THREAD)
+        self._prefix = f"concord/{run}/"
+        self._session = _open(links)
+        self._queues = {
+            topic: self._session.declare_subscriber(
+                self._prefix + topic, zenoh.handlers.FifoChannel(queue)
+            )
+            for topic in subscriptions
+        }
+        self._publishers: dict[tuple[str, bool], zenoh.Publisher] = {}
+        # A declaration with a callback lives as long as a reference to it.
+        self._declared: list[object] = []
+        self._present: set[str] = set()
+        self._presence = threading.Condition()
+        self._told = lambda name, is_there: None
+
+    def join(self, name: str, awaited: Collection[str]) -> None:
+        """Say that this process is ready, and wait until all of `awaited` have said so.
+
+        Declarations keep their order on a link: a peer that sees our token also has our
+        subscriptions.
+        """
+        liveliness = self._session.liveliness()
+        key = self._prefix + "ready/"
+        seen = zenoh.handlers.Callback(self._see, indirect=False)
+        self._declared.append(liveliness.declare_subscriber(key + "*", seen, history=True))
+        self._declared.append(liveliness.declare_token(key + name))
+        self.await_present(awaited)
+
+    def await_present(self, names: Collection[str], seconds: float | None = None) -> bool:
+        """Wait until all of `names` are ready: whether they are, after `seconds` at most."""
+        with self._presence:
+            return self._presence.wait_for(lambda: self._present.issuperset(names), seconds)
+
+    def missing(self, names: Collection[str]) -> list[str]:
+        """Return those of `names` that are not ready, in order."""
+        with self._presence:
+            return [name for name in names if name not in self._present]
+
+    def watch(self, told: Callable[[str, bool], None]) -> None:
+        """Have `told(name, is_there)` called, in another thread, when a process comes or goes."""
+        self._told = told
+
+    def _see(self, sample: zenoh.Sample) -> None:
+        name = str(sample.key_expr).removeprefix(self._prefix + "ready/")
+        is_there = sample.kind == zenoh.SampleKind.PUT
+        with self._presence:
+            (self._present.add if is_there else self._present.discard)(name)
+            self._presence.notify_all()
+        self._told(name, is_there)
+
+    def listen(self, topic: str, heard: Callable[[str, bytes], None]) -> Callable[[], None]:
+        """Have `heard(topic, bytes)` called, in another thread, for every message of a topic.
+
+        Returns what ends it.
+        """
+
+        def take(sample: zenoh.Sample) -> None:
+            heard(self._topic(sample), sample.payload.to_bytes())
+
+        callback = zenoh.handlers.Callback(take, indirect=False)
+        subscriber = self._session.declare_subscriber(self._prefix + topic, callback)
+        self._declared.append(subscriber)
+
+        def stop() -> None:
+            self._declared.remove(subscriber)
+            subscriber.undeclare()
+
+        return stop
+
+    def answer(self, topic: str, reply: Callable[[bytes], bytes]) -> None:
+        """Answer questions on a topic with `reply(payload)`, in another thread."""
+        key = self._prefix + topic
+
+        def take(query: zenoh.Query) -> None:
+            query.reply(key, reply(query.payload.to_bytes() if query.payload else b""))
+
+        callback = zenoh.handlers.Callback(take, indirect=True)
+        self._declared.append(self._session.declare_queryable(key, callback))
+
+    def ask(self, topic: str, payload: bytes = b"", seconds: float = 2.0) -> bytes | None:
+        """The first answer to a question on a topic; None if there is none in time."""
+        for answer in self._session.get(self._prefix + topic, payload=payload, timeout=seconds):
+            if answer.ok is not None:
+                return answer.ok.payload.to_bytes()
+        return None
+
+    def send(self, topic: str, data: bytes) -> None:
+        """Publish; waits rather than loses when a receiver is slow."""
+        self._publisher(topic, waits=True).put(data)
+
+    def offer(self, topic: str, data: bytes) -> None:
+        """Publish to subscribers; drop rather than wait. Without a subscriber it costs nothing."""
+        self._publisher(topic, waits=False).put(data)
+
+    def _publisher(self, topic: str, *, waits: bool) -> zenoh.Publisher:
+        publisher = self._publishers.get((topic, waits))
+        if publisher is None:
+            # None is sent by itself ("express"): what follows at once shares the room that a link
+            # has. Sixteen by themselves fill it, and a link that breaks while somebody waits for
+            # room holds up all others of its process for longer than their lease.
+            control = zenoh.CongestionControl.BLOCK if waits else zenoh.CongestionControl.DROP
+            publisher = self._publishers[topic, waits] = self._session.declare_publisher(
+                self._prefix + topic, congestion_control=control
+            )
+        return publisher
+
+    def listened(self, topic: str, told: Callable[[bool], None]) -> None:
+        """Have `told(whether)` called, also in another thread, when somebody listens to a topic, or
+        a part of a pattern, and when nobody does any more."""
+        publisher = self._session.declare_publisher(self._prefix + topic)
+
+        def see(status: zenoh.MatchingStatus) -> None:
+            told(status.matching)
+
+        callback = zenoh.handlers.Callback(see, indirect=False)
+        self._declared += [publisher, publisher.declare_matching_listener(callback)]
+
+    def receive(self, subscription: str) -> tuple[str, bytes] | None:
+        """Wait for the next message of one subscription: (topic, bytes); None if woken up."""
+        sample = self._queues[subscription].recv()
+        data = sample.payload.to_bytes()
+        if not data:
+            return None
+        # Only a pattern leaves open which topic it was; to ask zenoh costs more than to take it.
+        return (self._topic(sample) if "*" in subscription else subscription), data
+
+    def receive_all(self, subscription: str) -> tuple[list[tuple[str, bytes]], bool]:
+        """Wait for messages of one subscription and take those that are there, (topic, bytes), but
+        none that came after a call of `wake`: whether there was one is told with them."""
+        queue = self._queues[subscription]
+        came: list[tuple[str, bytes]] = []
+        sample: zenoh.Sample | None = queue.recv()
+        while sample is not None:
+            data = sample.payload.to_bytes()
+            if not data:
+                return came, True
+            came.append((self._topic(sample), data))
+            sample = queue.try_recv() if len(came) < _AT_ONCE else None
+        return came, False
+
+    def receive_at_once(self, subscription: str) -> tuple[str, bytes] | None:
+        """Return the next message of one subscription if it is there; None after leaving."""
+        with suppress(zenoh.ZError):
+            while (sample := self._queues[subscription].try_recv()) is not None:
+                data = sample.payload.to_bytes()
+                if data:
+                    return self._topic(sample), data
+        return None
+
+    def wake(self, subscription: str) -> None:
+        """Wake the thread of this process that waits for this subscription."""
+        # To this process only: an empty message is no message. A closed session needs no wake-up.
+        with suppress(zenoh.ZError):
+            self._session.put(
+                self._prefix + subscription.replace("*", "-"),
+                b"",
+                allowed_destination=zenoh.Locality.SESSION_LOCAL,
+            )
+
+    def _topic(self, sample: zenoh.Sample) -> str:
+        return str(sample.key_expr)[len(self._prefix) :]
+
+    def close(self) -> None:
+        """Leave the network."""
+        self._session.close()

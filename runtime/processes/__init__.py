@@ -1,0 +1,1 @@
+"""Nodes, environment and recorder as operating-system processes."""

@@ -1,0 +1,1 @@
+"""The environment process: plant, sensors and arbiter of a network of processes."""

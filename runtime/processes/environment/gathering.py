@@ -1,0 +1,40 @@
+"""Before the first step: the environment process waits until all others are ready."""
+
+import sys
+from collections.abc import Sequence
+
+from nodes.commands import Answer
+from runtime.network.zenoh_transport import Transport
+from runtime.processes.environment.failures import compare
+from runtime.processes.environment.inbox import EnvironmentInbox
+from runtime.processes.environment.notices import Asked, Hello, Presence
+from runtime.processes.environment.reports import in_words
+
+# How often the process says which others it waits for.
+_TELL_S = 10.0
+
+
+def await_processes(transport: Transport, names: Sequence[str]) -> None:
+    """Wait until processes of all these names are there."""
+    while not transport.await_present(names, _TELL_S):
+        missing = transport.missing(names)
+        sys.stderr.write(f"the world waits for {in_words(missing)}\n")
+
+
+def await_hellos(inbox: EnvironmentInbox, nodes: int, fingerprint: str) -> None:
+    """Wait until all nodes have said hello, with our setup.
+
+    Raises:
+        Disagreement: a node's setup is another.
+    """
+    missing = set(range(nodes))
+    while missing:
+        match inbox.next_notice():
+            case Hello() as hello:
+                compare(hello, fingerprint)
+                missing.discard(hello.node)
+            case Presence(node, False):
+                # Its next life has to say hello again.
+                missing.add(node)
+            case Asked(_, answer):
+                answer.put(Answer(False, "the run has not begun; try again"))

@@ -1,0 +1,67 @@
+"""Notices to the loop of the environment process, and its answer to how the network stands."""
+
+from queue import SimpleQueue
+from typing import NamedTuple
+
+import msgspec
+
+from nodes.changes import Standing
+from nodes.commands import Answer
+from nodes.messages import Bid, BidsClosed, Estimate, StepClosed, Unreachable
+from runtime.processes.environment.timetable import Beat
+
+
+class Presence(NamedTuple):
+    """A node's process has come, or is gone."""
+
+    node: int
+    is_there: bool
+
+
+class Hello(NamedTuple):
+    """A node says that it is ready, and with which configuration."""
+
+    node: int
+    fingerprint: str
+
+
+class Repeated(NamedTuple):
+    """A node repeats a message."""
+
+    event: Bid | Estimate
+
+
+class Recorded(NamedTuple):
+    """The recorder has kept all messages of a node that leaves on command."""
+
+    node: int
+
+
+class Asked(NamedTuple):
+    """A command came; the answer goes to a queue."""
+
+    payload: bytes
+    answer: SimpleQueue[Answer]
+
+
+Notice = (
+    Presence | Hello | Repeated | Recorded | Asked | Beat | Unreachable | BidsClosed | StepClosed
+)
+
+
+class State(msgspec.Struct, frozen=True):
+    """The answer to the question how the network stands.
+
+    `refused` counts messages that could not be decoded or used.
+    """
+
+    run: str
+    setup: msgspec.Raw
+    begun: bool
+    completed: int
+    released: int
+    paused: bool
+    steps_per_second: float
+    members: list[int]
+    standing: Standing
+    refused: int

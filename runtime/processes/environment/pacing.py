@@ -1,0 +1,194 @@
+"""The two ways to pace the environment process: by its nodes (lockstep), or by the clock."""
+
+import dataclasses
+import time
+from collections.abc import Callable, Collection, Sequence
+from typing import NamedTuple, Protocol
+
+from nodes.changes import Gone, Welcome
+from nodes.command_checks import check_timely
+from nodes.commands import Command, Speed
+from nodes.environment_state import EnvironmentConfig, EnvironmentState
+from nodes.messages import EnvironmentMessage, Start, StepClosed, encode, topic
+from nodes.run_controller import RunController
+from nodes.tempo import Tempo
+from runtime.network.zenoh_transport import Transport
+from runtime.processes.environment.metronome import Metronome, tell_on_time
+from runtime.processes.environment.notices import Notice
+from runtime.processes.environment.reports import waits_for
+from runtime.processes.environment.timetable import Beat, timetable
+from runtime.processes.republisher import Republisher
+
+# From the announcement of the common start to the start: every node must have heard it.
+_HEAD_START_S = 0.2
+
+
+class Lines(NamedTuple):
+    """The ways out of the environment process; `notify` gives its own loop a notice."""
+
+    transport: Transport
+    republisher: Republisher
+    notify: Callable[[Notice], None]
+
+
+class EnvironmentPacing(Protocol):
+    """When steps begin and end, and which messages may be lost."""
+
+    @property
+    def timed(self) -> bool:
+        """Whether changes hold from the step that begins next, whatever is under way."""
+        ...
+
+    @property
+    def start_s(self) -> float | None:
+        """When step 0 begins on this process's monotonic clock; None where no clock decides."""
+        ...
+
+    def configured(self, config: EnvironmentConfig) -> EnvironmentConfig:
+        """The configuration of an environment that is paced so."""
+        ...
+
+    def begin(self, controller: RunController, lines: Lines) -> list[EnvironmentMessage]:
+        """Begin the first step, or announce when it begins."""
+        ...
+
+    def close(self) -> None:
+        """The last step is over."""
+        ...
+
+    def send(self, message: EnvironmentMessage, lines: Lines) -> None:
+        """Publish a message of the environment."""
+        ...
+
+    def check(self, command: Command) -> None:
+        """Refuse a command that cannot be obeyed at this pace.
+
+        Raises:
+            ValueError: it cannot.
+        """
+        ...
+
+    def follow(self, steps_per_second: float) -> None:
+        """Keep to the rate that a command has set; 0 is as fast as possible."""
+        ...
+
+    def remind(self, absent: Collection[int], lines: Lines) -> None:
+        """Tell nodes that are back and were given up; called at each beat."""
+        ...
+
+    def repeated(self, absent: Sequence[int]) -> list[tuple[str, bytes]]:
+        """Messages (topic, bytes) that hold now and are repeated while nothing goes on."""
+        ...
+
+    def without_nodes(self, released: int) -> StepClosed | None:
+        """The event that follows when no node is left on any host."""
+        ...
+
+    def waits_for(self, config: EnvironmentConfig, state: EnvironmentState) -> str:
+        """The processes that a step waits for, in words; empty for none."""
+        ...
+
+
+class Lockstep:
+    """A step begins when all nodes have estimated the steps before, and no message may be lost."""
+
+    timed = False
+    start_s = None
+
+    def __init__(self) -> None:
+        self._beats: Callable[[float], None] = lambda steps_per_second: None
+
+    def configured(self, config: EnvironmentConfig) -> EnvironmentConfig:
+        """The same."""
+        return config
+
+    def begin(self, controller: RunController, lines: Lines) -> list[EnvironmentMessage]:
+        """Begin the first step."""
+        self._beats = Metronome(lambda: lines.notify(Beat())).set
+        return controller.begin()
+
+    def close(self) -> None:
+        """End the beats of a limited speed."""
+        self._beats(0)
+
+    def send(self, message: EnvironmentMessage, lines: Lines) -> None:
+        """Publish, and keep the message for a repetition."""
+        lines.republisher.say(topic(message), encode(message))
+
+    def check(self, command: Command) -> None:
+        """Every command can be obeyed."""
+
+    def follow(self, steps_per_second: float) -> None:
+        """Have a step released at each beat."""
+        self._beats(steps_per_second)
+
+    def remind(self, absent: Collection[int], lines: Lines) -> None:
+        """A node that is back hears it when its liveliness token appears."""
+
+    def repeated(self, absent: Sequence[int]) -> list[tuple[str, bytes]]:
+        """The ends of nodes: a node that was told of a return after the end would wait for it."""
+        return [("gone", encode(Gone(node))) for node in absent]
+
+    def without_nodes(self, released: int) -> StepClosed | None:
+        """The open step ends with what has come, and the environment stands still."""
+        return StepClosed(released - 1)
+
+    def waits_for(self, config: EnvironmentConfig, state: EnvironmentState) -> str:
+        """The recorder, or the nodes whose estimates are missing."""
+        return waits_for(config, state, timed=False)
+
+
+class RealTime:
+    """A step begins at its time, and what a slow link cannot take is lost."""
+
+    timed = True
+
+    def __init__(self, tempo: Tempo) -> None:
+        self.start_s: float | None = None
+        self._tempo = tempo
+
+    def configured(self, config: EnvironmentConfig) -> EnvironmentConfig:
+        """With a lead over the estimates that never ends."""
+        return dataclasses.replace(config, lead=config.steps)
+
+    def begin(self, controller: RunController, lines: Lines) -> list[EnvironmentMessage]:
+        """Announce the common start; from then on a step begins at each beat."""
+        start = Start(time.monotonic() + _HEAD_START_S)
+        self.start_s = start.at_s
+        tell_on_time(start.at_s, timetable(self._tempo, controller.config), lines.notify)
+        lines.transport.send(topic(start), encode(start))
+        return controller.command(Speed(1 / self._tempo.step_s))
+
+    def close(self) -> None:
+        """The timetable ends by itself."""
+
+    def send(self, message: EnvironmentMessage, lines: Lines) -> None:
+        """Offer it: a link that stands still must not hold up the clock. A welcome waits."""
+        waits = isinstance(message, Welcome)
+        publish = lines.transport.send if waits else lines.transport.offer
+        publish(topic(message), encode(message))
+
+    def check(self, command: Command) -> None:
+        """Refuse a command that needs a step that all nodes have ended."""
+        check_timely(command)
+
+    def follow(self, steps_per_second: float) -> None:
+        """The timetable gives the rate."""
+
+    def remind(self, absent: Collection[int], lines: Lines) -> None:
+        """Tell each node that is there and was given up."""
+        names = [str(node) for node in absent]
+        for node in set(names) - set(lines.transport.missing(names)):
+            lines.transport.offer(f"gone/{node}", encode(Gone(int(node))))
+
+    def repeated(self, absent: Sequence[int]) -> list[tuple[str, bytes]]:
+        """Nothing: no node waits."""
+        return []
+
+    def without_nodes(self, released: int) -> StepClosed | None:
+        """The timetable closes the step."""
+        return None
+
+    def waits_for(self, config: EnvironmentConfig, state: EnvironmentState) -> str:
+        """The recorder after the last step, and no process before."""
+        return waits_for(config, state, timed=True)

@@ -1,0 +1,74 @@
+"""Reports of the environment process: its state, the processes it waits for, its last message."""
+
+from collections.abc import Sequence
+
+import msgspec
+
+from nodes import environment
+from nodes.environment_state import EnvironmentConfig, EnvironmentState
+from nodes.run_controller import RunController
+from runtime.processes.environment.notices import State
+from runtime.processes.recorder.process import Finished
+
+
+def in_words(names: Sequence[str]) -> str:
+    """Processes by their names."""
+    return ", ".join(f"node {name}" if name.isdecimal() else f"the {name}" for name in names)
+
+
+def standing(
+    run: str, setup: bytes, controller: RunController, *, begun: bool, refused: int
+) -> bytes:
+    """Encode how the network stands."""
+    state = controller.state
+    return msgspec.json.encode(
+        State(
+            run,
+            msgspec.Raw(setup),
+            begun,
+            state.completed,
+            state.released,
+            controller.paused,
+            controller.steps_per_second,
+            environment.members(controller.config, state),
+            state.standing,
+            refused,
+        )
+    )
+
+
+def last_words(config: EnvironmentConfig, state: EnvironmentState) -> bytes:
+    """Return the message that tells the recorder that nothing more will come."""
+    # In real time the others may still be on their way, or lost.
+    last = config.steps - 1
+    members = sorted(node for node, latest in state.latest.items() if latest.step == last)
+    return msgspec.json.encode(Finished(last, members))
+
+
+def waits_for(config: EnvironmentConfig, state: EnvironmentState, *, timed: bool) -> str:
+    """Name the processes that the network waits for, and the cure; empty for none.
+
+    A `timed` network waits for the recorder alone.
+    """
+    if environment.finished(config, state):
+        return "the recorder, which has not kept everything yet"
+    if timed:
+        return ""
+    late = [str(node) for node in _late(config, state)]
+    if not late:
+        return ""
+    return (
+        f"the estimates of step {state.completed} of {in_words(late)}; kill and restart who does "
+        "not go on (concord control), or end the run"
+    )
+
+
+def _late(config: EnvironmentConfig, state: EnvironmentState) -> list[int]:
+    """The nodes that have not estimated the oldest step under way, ascending."""
+    number = state.completed
+    came = state.estimates.get(number, {})
+    return [
+        node
+        for node in environment.members(config, state)
+        if not state.idle and state.since.get(node, 0) <= number and node not in came
+    ]

@@ -1,0 +1,58 @@
+"""The messages between a launcher and its launcher process, one JSON object a line."""
+
+import msgspec
+
+from nodes.tempo import Tempo
+from scenarios.setup import Setup
+
+
+class Place(msgspec.Struct, frozen=True):
+    """The part of a network that is on this host.
+
+    Attributes:
+        cast: the names of its processes: environment and recorder, or numbers of nodes.
+        connect: endpoints of routers, of which each process takes the first that answers.
+        keys: the file of `concord keys` of each process, where they prove their identity.
+        patience_s: how long a node goes on without the environment process.
+    """
+
+    cast: list[str]
+    connect: list[str]
+    keys: dict[str, str] = {}
+    patience_s: float = 60.0
+
+
+class Job(msgspec.Struct, frozen=True):
+    """A run that the launcher asks for.
+
+    `port` is the first of the user's choice, None for free ones. `tempo` is that of real time, None
+    for lockstep. `place` is None where all is on this machine.
+    """
+
+    setup: Setup
+    run: str
+    recording: str
+    port: int | None
+    tempo: Tempo | None = None
+    place: Place | None = None
+
+
+class Happened(msgspec.Struct, frozen=True, omit_defaults=True):
+    """A report to the launcher: started, ready, step, ended, done, refused or failed.
+
+    `pids` are all that live, by name; subscribers connect to all of `connect`.
+    """
+
+    what: str
+    step: int = 0
+    seconds: float = 0.0
+    pids: dict[str, int] = {}
+    connect: list[str] = []
+    detail: str = ""
+
+
+class Order(msgspec.Struct, frozen=True):
+    """The environment process asks the launcher process: tolerate ends of nodes, kill, or start."""
+
+    what: str
+    node: int = 0

@@ -1,0 +1,116 @@
+"""A run over operating-system processes: start the launcher process, follow its reports, end it.
+
+The launcher process (`launcher_process.py`) is a fresh Python process, so that forking is clean
+whatever this one has imported. Its standard input is its lifeline: it ends everything when that
+closes.
+"""
+
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+
+from nodes.tempo import Tempo
+from runtime.interpreter import fresh_command, fresh_variables
+from runtime.network.network_file import Network, write_network
+from runtime.processes.job import Happened, Job
+from scenarios.setup import Setup
+
+_STOP_TIMEOUT_S = 3.0
+
+
+class NetworkFailed(Exception):
+    """A process of the network ended before the run did."""
+
+
+def run_processes(
+    setup: Setup,
+    run: str,
+    recording: Path,
+    port: int | None,
+    on_event: Callable[[Happened], None],
+    tempo: Tempo | None = None,
+) -> None:
+    """Run `setup` with one process per node; its messages are in `recording` when this returns.
+
+    Args:
+        setup: the compiled scenario.
+        run: unique name of the run, part of every zenoh key.
+        recording: the MCAP file to write.
+        port: first of consecutive loopback ports, or None for free ones.
+        on_event: told when the network is ready and as steps complete.
+        tempo: that of real time, None for lockstep.
+
+    Raises:
+        NetworkFailed: a process died; its last words are on standard error.
+        ValueError: `port` cannot be used.
+    """
+    run_job(Job(setup, run, str(recording), port, tempo), recording.parent, on_event)
+
+
+def run_job(job: Job, folder: Path | None, on_event: Callable[[Happened], None]) -> None:
+    """Run the processes of a job until the end; where the network is stands in `folder`.
+
+    Raises:
+        NetworkFailed: a process died; its last words are on standard error.
+        ValueError: the job cannot be done.
+    """
+    child = subprocess.Popen(
+        fresh_command("runtime.processes.launcher_process"),
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        # A network of many small processes: one BLAS thread each, or they fight for the cores.
+        env=fresh_variables(OPENBLAS_NUM_THREADS="1"),
+        # Ctrl-C is for us; the launcher process ends by its lifeline.
+        start_new_session=True,
+    )
+    assert child.stdin is not None and child.stdout is not None
+    is_loaded = False
+
+    def hear(happened: Happened) -> None:
+        nonlocal is_loaded
+        is_loaded = True
+        _note(job.run, folder, on_event, happened)
+
+    try:
+        child.stdin.write(msgspec.json.encode(job) + b"\n")
+        child.stdin.flush()
+        _follow(child.stdout, hear)
+    finally:
+        if not is_loaded:
+            # While the process loads its modules it does not read its lifeline. Children that it
+            # has forked by now watch their own lifeline.
+            child.terminate()
+        child.stdin.close()
+        child.stdout.close()
+        try:
+            child.wait(_STOP_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            child.kill()
+            child.wait()
+
+
+def _note(
+    run: str, folder: Path | None, on_event: Callable[[Happened], None], happened: Happened
+) -> None:
+    """Write the addresses of the network, for subscribers."""
+    if happened.connect and folder is not None:
+        write_network(folder, Network(run, happened.connect, happened.pids))
+    on_event(happened)
+
+
+def _follow(lines, on_event: Callable[[Happened], None]) -> None:
+    decoder = msgspec.json.Decoder(Happened)
+    for line in lines:
+        happened = decoder.decode(line)
+        match happened.what:
+            case "done":
+                return
+            case "refused":
+                raise ValueError(happened.detail)
+            case "failed":
+                raise NetworkFailed(happened.detail)
+            case _:
+                on_event(happened)
+    raise NetworkFailed("the parent of the network's processes is gone; its last words are above")

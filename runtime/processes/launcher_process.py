@@ -1,0 +1,225 @@
+"""The clean parent of a network's processes on this host, started as a module: it forks them.
+
+It reads a `Job` from standard input and forks recorder, environment and nodes, or those that belong
+on this host. It reports on standard output, one JSON object a line. When standard input closes, it
+ends everything.
+"""
+
+import contextlib
+import gc
+import os
+import sys
+import time
+from collections.abc import Iterator
+from enum import Enum
+from functools import partial
+
+import msgspec
+
+from nodes.node_state import NodeConfig
+from runtime.network.links import (
+    RECORDER,
+    ROUTER,
+    WATCH,
+    WORLD,
+    Links,
+    free_ports,
+    links_to_routers,
+    names,
+    plan_links,
+    ports_from,
+    subscribers_endpoints,
+)
+from runtime.processes.job import Happened, Job, Order, Place
+from runtime.processes.roles import be_environment, be_node, be_recorder, be_router
+from runtime.processes.supervisor import TRY_AGAIN, Ended, Supervisor
+from scenarios.build import build_node
+
+_LAUNCH_TRIES = 3
+_LEAVE_S = 1.0
+_PORT_WAIT_S = 0.05
+
+
+def tell(happened: Happened) -> None:
+    """One line on standard output, written at once and whole."""
+    # A launcher that was killed listens no more; the lifeline ends us then.
+    with contextlib.suppress(BrokenPipeError):
+        os.write(sys.stdout.fileno(), msgspec.json.encode(happened) + b"\n")
+
+
+def main() -> None:
+    """Serve one job."""
+    line = sys.stdin.buffer.readline()
+    if not line.endswith(b"\n"):
+        # The launcher is gone before it said what to do.
+        return
+    job = msgspec.json.decode(line, type=Job)
+    try:
+        for plan in _plans(job):
+            if _serve(job, plan) is not End.TRY_AGAIN:
+                return
+        if job.place is None:
+            tell(Happened("failed", detail=f"no free ports in {_LAUNCH_TRIES} tries"))
+        else:
+            tell(Happened("failed", detail=f"no router answers at {', '.join(job.place.connect)}"))
+    except ValueError as error:
+        tell(Happened("refused", detail=str(error)))
+
+
+class _Plan(msgspec.Struct):
+    """The processes of this host, the links of each, and where subscribers connect."""
+
+    cast: list[str]
+    links: dict[str, Links]
+    connect: list[str]
+    router: str | None = None
+
+
+def _plans(job: Job) -> Iterator[_Plan]:
+    """One after the other, until one can be carried out."""
+    if job.place is not None:
+        yield _at(job.place)
+        return
+    everybody = [RECORDER, WORLD, *map(str, range(job.setup.scenario.nodes))]
+    wanted = names(job.setup.neighbours)
+    for _ in range(_LAUNCH_TRIES):
+        ports = free_ports(wanted) if job.port is None else ports_from(job.port, wanted)
+        links = plan_links(job.setup.neighbours, ports)
+        router = f"tcp/127.0.0.1:{ports[ROUTER]}" if ROUTER in ports else None
+        yield _Plan(everybody, links, subscribers_endpoints(ports), router)
+
+
+def _at(place: Place) -> _Plan:
+    """Plan one of several hosts, where every process is a client of a router."""
+    links = {
+        name: links_to_routers(place.connect, place.keys.get(name))
+        for name in (*place.cast, RECORDER)
+    }
+    return _Plan(place.cast, {**links, WATCH: links[RECORDER]}, place.connect)
+
+
+class End(Enum):
+    """How one try at running the network ended."""
+
+    DONE = "done"
+    BROKEN = "broken"
+    TRY_AGAIN = "a link could not be opened"
+
+
+def _serve(job: Job, plan: _Plan) -> End:
+    """Run the network, or its part that is here, once."""
+    # Built before the fork, so that the children share the pages.
+    nodes = {name: build_node(job.setup, int(name)) for name in plan.cast if name.isdigit()}
+    # A collection in a child would write into all of them.
+    gc.freeze()
+    supervisor = Supervisor()
+    orders, give_orders = os.pipe()
+    end = End.BROKEN
+    try:
+        if plan.router is not None:
+            supervisor.start(ROUTER, partial(be_router, plan.router))
+        for name in plan.cast:
+            if name == RECORDER:
+                supervisor.start(name, partial(be_recorder, job, plan.links, tell))
+            elif name == WORLD:
+                link = plan.links[name]
+                supervisor.start(name, partial(be_environment, job, link, tell, give_orders))
+            else:
+                # On another host the network may run already.
+                late = job.place is not None
+                work = partial(be_node, job, plan.links[name], nodes[name], late)
+                supervisor.start(name, work)
+        tell(Happened("started", pids=supervisor.pids, connect=plan.connect))
+        end = _Watch(supervisor, orders, job, plan, nodes).keep()
+        return end
+    finally:
+        supervisor.stop(_LEAVE_S if end is End.DONE else 0.0)
+        os.close(orders)
+        os.close(give_orders)
+
+
+class _Watch:
+    """Waits for the recorder's end or a failure, and obeys the environment process."""
+
+    def __init__(
+        self,
+        supervisor: Supervisor,
+        orders: int,
+        job: Job,
+        plan: _Plan,
+        nodes: dict[str, NodeConfig],
+    ) -> None:
+        self._supervisor, self._orders = supervisor, orders
+        self._job, self._plan, self._nodes = job, plan, nodes
+        # Until the network is ready it needs every node; on one of several hosts that is unknown.
+        self._tolerant = WORLD not in plan.cast
+
+    def keep(self) -> End:
+        """Run until the network ends."""
+        while True:
+            happened = self._supervisor.wait(sys.stdin.fileno(), self._orders)
+            if happened == self._orders:
+                self._obey()
+                continue
+            if isinstance(happened, int):
+                return End.BROKEN
+            end = self._judge(happened)
+            if end is not None:
+                return end
+
+    def _judge(self, ended: Ended) -> End | None:
+        """Judge the end of a child: how the network ends, or None if it goes on."""
+        is_node = ended.name.isdigit()
+        if is_node and self._tolerant and ended.code == TRY_AGAIN and self._job.place is None:
+            # Its port was not free yet.
+            time.sleep(_PORT_WAIT_S)
+            self._start(int(ended.name))
+            return None
+        if ended.code == TRY_AGAIN:
+            return End.TRY_AGAIN
+        nobody_left = not self._supervisor.pids
+        if ended.code != 0:
+            who = f"node {ended.name}" if is_node else f"the {ended.name}"
+            detail = f"{who} ended with {_in_words(ended.code)}"
+            # A node that was killed is a loss; one that has failed is a mistake of ours.
+            if is_node and self._tolerant and ended.code < 0 and not nobody_left:
+                self._tell("ended", detail)
+                return None
+            tell(Happened("failed", detail=detail))
+            return End.BROKEN
+        if ended.name == RECORDER or nobody_left:
+            tell(Happened("done"))
+            return End.DONE
+        return None
+
+    def _obey(self) -> None:
+        for line in os.read(self._orders, 4096).splitlines():
+            order = msgspec.json.decode(line, type=Order)
+            match order.what:
+                case "tolerate":
+                    self._tolerant = True
+                case "kill":
+                    self._supervisor.kill(str(order.node))
+                case "start":
+                    self._start(order.node)
+
+    def _tell(self, what: str, detail: str = "") -> None:
+        pids = self._supervisor.pids
+        tell(Happened(what, pids=pids, connect=self._plan.connect, detail=detail))
+
+    def _start(self, node: int) -> None:
+        name = str(node)
+        # It may be there still, and hang.
+        self._supervisor.kill(name)
+        links = self._plan.links[name]._replace(connect_s=None)
+        work = partial(be_node, self._job, links, self._nodes[name], late=True)
+        self._supervisor.start(name, work)
+        self._tell("started")
+
+
+def _in_words(code: int) -> str:
+    return f"signal {-code}" if code < 0 else f"exit code {code}"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""The process of one node, in lockstep or in real time."""

@@ -1,0 +1,32 @@
+"""How the process of a node belongs to a network of processes."""
+
+import math
+from collections.abc import Collection
+
+import msgspec
+
+from nodes.node_state import NodeConfig
+from runtime.network.links import Links
+
+
+class Membership(msgspec.Struct, frozen=True):
+    """Everything that the process of a node is told, at any pace.
+
+    Attributes:
+        run: the name of the run, below which all its topics lie.
+        links: how this process connects.
+        config: what the node is.
+        peers: nodes that it hears or that hear it; all must be there before the first share.
+        fingerprint: digest of the setup; the environment process refuses another than its own.
+        late: it joins a network that may run already.
+        peer_timeout_s: the process ends when it has been without the environment process for so
+            long; infinite where a launcher process ends it.
+    """
+
+    run: str
+    links: Links
+    config: NodeConfig
+    peers: Collection[int]
+    fingerprint: str
+    late: bool = False
+    peer_timeout_s: float = math.inf

@@ -1,0 +1,232 @@
+"""Real time at a node: it goes on when the clock says so, with whatever has come.
+
+Each node keeps a timetable (`nodes/tempo.py`) from a common start that the environment process
+announces. A group of a cycle ends at its time; no node waits for a neighbour, and no share waits
+for a receiver that is slow. A node that hears no heartbeat goes on without readings. A node that is
+told that it was given up asks to be let in again. A `Timing` tells of each
+step what the timetable cost.
+"""
+
+import dataclasses
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from queue import Empty
+
+from nodes import node as state_machine
+from nodes import node_changes
+from nodes.changes import Gone, Welcome
+from nodes.messages import (
+    CycleClosed,
+    Estimate,
+    MalformedMessage,
+    Measured,
+    NodeEvent,
+    NodeMessage,
+    ShareHeard,
+    decode,
+    encode,
+    topic,
+)
+from nodes.node_state import NodeConfig, NodeState, Phase, count
+from nodes.tempo import Tempo
+from runtime.network.links import WORLD
+from runtime.network.zenoh_transport import Transport
+from runtime.processes.node.entry import await_links
+from runtime.processes.node.heartbeats import Heartbeats
+from runtime.processes.node.mailbox import Mailbox
+from runtime.processes.node.membership import Membership
+from runtime.processes.node.start_time import StartTime
+from runtime.processes.node.timing_records import TimingRecords
+from runtime.processes.peer_timeout import PeerTimeout
+
+# A node that asks to be let in again does not ask twice in this time.
+_ASK_AGAIN_S = 1.0
+
+
+class RealTimeNode:
+    """Paces a node by the clock: what does not come in time is missed."""
+
+    def __init__(self, membership: Membership, tempo: Tempo) -> None:
+        self._membership, self._tempo = membership, tempo
+        self._index = membership.config.index
+        self._heartbeats = Heartbeats()
+        self._records = TimingRecords(tempo.cycle_s)
+        # Messages that came before the deadline and are still to be taken, once it is over.
+        self._is_over, self._in_time = False, 0
+        self._counted: list[str] = []
+        self._late_welcomes: list[Welcome] = []
+        self._start_s = self._asked_s = 0.0
+        self._first_step = 0
+        self._cycle_of = membership.config.bus.frame_format.cycle_of
+        self.transport = Transport(membership.run, membership.links, [], 1)
+        self.transport.watch(PeerTimeout(WORLD, membership.peer_timeout_s).see)
+        self._start = StartTime(self.transport)
+        own = ("measured", "gone", "welcome")
+        shares = (f"share/{j}" for j in membership.config.neighbours)
+        topics = ["grant", "gone", *(f"{kind}/{self._index}" for kind in own), *shares]
+        self._mailbox = Mailbox(self.transport, topics)
+
+    def configured(self, config: NodeConfig) -> NodeConfig:
+        """The configuration of a node whose groups end by the clock."""
+        return dataclasses.replace(config, timed=True)
+
+    def say_hello(self) -> None:
+        """Tell the environment process that this node is ready."""
+        self.transport.send(f"hello/{self._index}", self._membership.fingerprint.encode())
+
+    def enter(self) -> tuple[NodeConfig, NodeState]:
+        """Ask to be let in, and wait until the node is, where the network runs already."""
+        begun = await_links(self.transport, self._membership.peers)
+        self._start.compare_clocks()
+        self.say_hello()
+        config = self.configured(self._membership.config)
+        if not begun:
+            return config, state_machine.initial_state(config)
+        welcome = self._await_welcome()
+        config, state = node_changes.begin_late(config, welcome)
+        self._first_step = welcome.step
+        # Up to now the environment process said that this node is out.
+        self._asked_s = time.monotonic()
+        return self.configured(config), state
+
+    def _await_welcome(self) -> Welcome:
+        while True:
+            name, data = self._mailbox.get()
+            if name.startswith("welcome/"):
+                with suppress(MalformedMessage):
+                    return decode(name, data)
+
+    def begin(self) -> None:
+        """Wait for the common start."""
+        self._start_s = self._start.wait()
+
+    def next_events(self, config: NodeConfig, state: NodeState) -> Sequence[NodeEvent]:
+        """Wait for a message, or until the time of the heartbeat or the open group is over."""
+        if state.phase is Phase.MEASUREMENT:
+            return self._await_heartbeat(config, state)
+        if not self._is_over:
+            with suppress(Empty):
+                left_s = self._deadline_s(config, state) - self._now_s()
+                return self._take(state, *self._mailbox.get_within(left_s))
+            # Messages that are there already count, and no more: a flood must not hold a node up.
+            self._is_over, self._in_time = True, self._mailbox.waiting()
+        if self._in_time:
+            self._in_time -= 1
+            return self._take(state, *self._mailbox.get())
+        self._is_over = False
+        complete = state_machine.is_complete(config, state)
+        self._records.end_group(state.step, state.cycle, complete)
+        return (CycleClosed(state.cycle, state.group),)
+
+    def _await_heartbeat(self, config: NodeConfig, state: NodeState) -> Sequence[NodeEvent]:
+        """Wait for readings until the first cycle is over.
+
+        A node that had none in the step before waits for half of the first group, so that
+        neighbours that hear no environment process still hear each other.
+        """
+        if not self._heartbeats.are_known:
+            return self._take(state, *self._mailbox.get())
+        groups = len(config.schedule.groups(state.cycle))
+        is_alone = self._heartbeats.was_blank(state.step)
+        wait_s = self._tempo.cycle_s / (2 * groups if is_alone else 1)
+        step = state.step + 1
+        left_s = self._tempo.step_begins_s(step) + wait_s - self._now_s()
+        try:
+            late = left_s <= 0
+            came = self._mailbox.get_waiting() if late else self._mailbox.get_within(left_s)
+        except Empty:
+            return self._go_without(step)
+        return self._take(state, *came)
+
+    def _go_without(self, step: int) -> Sequence[NodeEvent]:
+        self._records.hear_heartbeat(step, None)
+        self._counted.append("missed readings")
+        return (self._heartbeats.blank(step),)
+
+    def _deadline_s(self, config: NodeConfig, state: NodeState) -> float:
+        """When the open group of the cycle ends, on the timetable."""
+        groups = len(config.schedule.groups(state.cycle))
+        cycle = (state.cycle - config.first_cycle) % config.rounds
+        return self._tempo.group_ends_s(state.step, cycle, state.group, groups)
+
+    def _take(self, state: NodeState, name: str, data: bytes) -> Sequence[NodeEvent]:
+        """Return the events that a message means to the node now."""
+        kind, _, owner = name.partition("/")
+        if kind == "share":
+            if state.step < self._first_step and self._cycle_of(data) < state.cycle:
+                # It was for the nodes that took part then.
+                return ()
+            return (ShareHeard(int(owner), data),)
+        try:
+            event = decode(name, data)
+        except MalformedMessage:
+            self._counted.append("rejected message")
+            return ()
+        match event:
+            case Gone(node) if node == self._index:
+                if owner:
+                    self._ask_to_be_let_in()
+                return ()
+            case Welcome():
+                self._late_welcomes.append(event)
+                return ()
+            case Measured():
+                return self._take_measured(state, event)
+        return (event,)
+
+    def _take_measured(self, state: NodeState, event: Measured) -> Sequence[NodeEvent]:
+        if event.step <= state.step:
+            self._heartbeats.miss(event)
+            return (event,)
+        if not state_machine.fits(state, event):
+            return (event,)
+        late_s = self._now_s() - self._tempo.step_begins_s(event.step)
+        self._records.hear_heartbeat(event.step, late_s)
+        return (self._heartbeats.opening(event),)
+
+    def _ask_to_be_let_in(self) -> None:
+        """The others have given this node up, which has gone on by itself."""
+        now_s = time.monotonic()
+        if now_s - self._asked_s > _ASK_AGAIN_S:
+            self._asked_s = now_s
+            self.say_hello()
+
+    def settle(self, config: NodeConfig, state: NodeState) -> tuple[NodeConfig, NodeState]:
+        """Count messages that could not be used, and apply a late welcome."""
+        if self._counted:
+            state = count(state, *self._counted)
+            self._counted.clear()
+        while self._late_welcomes:
+            config, state = node_changes.restore(config, state, self._late_welcomes.pop(0))
+        return config, state
+
+    def send(self, state: NodeState, messages: Sequence[NodeMessage]) -> None:
+        """Offer messages: a node that waits for a link that stands still misses its own times."""
+        for message in messages:
+            if isinstance(message, Estimate):
+                # Before the estimate: with the last estimate the recorder has all.
+                delay_s = self._now_s() - self._tempo.step_begins_s(message.step)
+                timing = self._records.take(self._index, message.step, delay_s)
+                self.transport.offer(topic(timing), encode(timing))
+            self.transport.offer(topic(message), encode(message))
+
+    def await_joined(self, state: NodeState) -> None:
+        """The clock waits for no node."""
+
+    def note(self, config: NodeConfig, before: NodeState, after: NodeState) -> None:
+        """Record when a cycle begins: when its share has been sent."""
+        is_open = after.phase in (Phase.GRANT, Phase.SHARES)
+        if is_open and (after.cycle, after.step) != (before.cycle, before.step):
+            cycle = (after.cycle - config.first_cycle) % config.rounds
+            late_s = self._now_s() - self._tempo.cycle_begins_s(after.step, cycle)
+            self._records.begin_cycle(after.step, late_s)
+
+    def leave(self) -> None:
+        """Wait until the recorder has kept everything, and leave the network."""
+        self._mailbox.ended.wait()
+        self.transport.close()
+
+    def _now_s(self) -> float:
+        """The time on the timetable."""
+        return time.monotonic() - self._start_s

@@ -1,0 +1,1 @@
+"""The recorder process: it keeps all messages, and lets others watch."""

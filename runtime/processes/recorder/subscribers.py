@@ -1,0 +1,63 @@
+"""Subscribers of the recorder hear each message, and as many whole steps as an eye follows."""
+
+import math
+import threading
+import time
+from collections.abc import Callable, Sequence
+
+import msgspec
+
+from runtime.network.zenoh_transport import Transport
+from runtime.processes.recorder.throttled_feed import ThrottledFeed
+from runtime.whole_steps import WholeStep, WholeSteps
+
+
+class Subscribers:
+    """The subscribers of a network; `wake()` makes the recorder call `look`."""
+
+    def __init__(self, offered: Transport, steps: WholeSteps, wake: Callable[[], None]) -> None:
+        self._offered, self._steps, self._wake = offered, steps, wake
+        self._feed = ThrottledFeed()
+        self._alarm: threading.Timer | None = None
+        self._are_there = False
+        offered.listened("watch/**", self._see)
+
+    def _see(self, are_there: bool) -> None:
+        """In zenoh's thread."""
+        self._are_there = are_there
+
+    def tell(self, messages: Sequence[tuple[str, bytes]]) -> None:
+        """Messages were recorded."""
+        for topic, data in messages:
+            whole = self._steps.take(topic, data)
+            if not self._are_there:
+                continue
+            self._offered.offer(f"watch/{topic}", data)
+            for step in whole:
+                self._offer(self._feed.take(step, time.monotonic()))
+
+    def look(self) -> None:
+        """The time may have come for a step that was kept."""
+        self._offer(self._feed.due(time.monotonic()))
+
+    def close(self) -> None:
+        """Nothing more will be recorded."""
+        if self._alarm is not None:
+            self._alarm.cancel()
+        self._offer(self._feed.due(math.inf))
+        self._offered.close()
+
+    def _offer(self, step: WholeStep | None) -> None:
+        if step is not None:
+            self._offered.offer("watch/steps", msgspec.msgpack.encode(step))
+        if self._feed.keeps_one and self._alarm is None:
+            # If nothing more comes, it is the step at which the network stands.
+            rest_s = self._feed.rest_s(time.monotonic())
+            self._alarm = threading.Timer(rest_s, self._ring)
+            self._alarm.daemon = True
+            self._alarm.start()
+
+    def _ring(self) -> None:
+        """In a thread of its own."""
+        self._alarm = None
+        self._wake()

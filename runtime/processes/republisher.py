@@ -1,0 +1,177 @@
+"""The republisher keeps the latest messages of a process, and repeats them after a loss.
+
+zenoh loses nothing on a link that stands. A link that breaks loses the messages under way, and a
+process that was held up for longer than the lease breaks its own links. In lockstep a node would
+wait for a lost message for ever. So a process repeats its messages of the last steps below `again/`
+in two cases: it has sent nothing new for a second, or a link has come back. That is enough: if one
+process cannot go on, all wait, also the sender of the lost message. The sender still has it, as no
+process is further behind than `EARLY_STEPS`. A receiver takes the messages that it lacks
+(`runtime/processes/retransmissions.py`).
+
+No process waits for the recorder, so the network would go on while the recorder loses messages.
+While its link is away publishers pause. When it is back, they first repeat their buffers below
+`keep/`.
+"""
+
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+
+from nodes.inbox import EARLY_STEPS
+from runtime.network.links import RECORDER
+from runtime.network.zenoh_transport import Transport
+
+AGAIN, KEEP = "again", "keep"
+# A process that has sent nothing for so long repeats: at first, and later.
+_AGAIN_S, _AT_MOST_S = 1.0, 10.0
+# Messages of the last seconds may be under way: a link that stands still for longer than the
+# lease is broken.
+_UNDER_WAY_S = 6.0
+# How often a process says which others it waits for.
+_TELL_S = 10.0
+# Messages of a former life of a node are for the recorder alone.
+_ANEW = ("", b"")
+
+
+class Republisher:
+    """Publishes messages that others wait for, and repeats them.
+
+    `last` is the kind of message that ends a step, `kept` the number of messages that are kept at
+    least. `waiting()` names the processes that this one waits for. `standing()` are messages that
+    hold now, and are repeated after all others.
+    """
+
+    def __init__(
+        self,
+        transport: Transport,
+        who: str,
+        last: str,
+        kept: int,
+        waiting: Callable[[], str],
+        standing: Callable[[], list[tuple[str, bytes]]] = list,
+    ) -> None:
+        self._transport, self._who, self._last = transport, who, last
+        self._waiting, self._standing = waiting, standing
+        self._kept: deque[tuple[str, bytes]] = deque()
+        self._at_least, self._dropped = kept, 0
+        # How much had been said when.
+        self._marks: deque[tuple[float, int]] = deque()
+        # A repetition comes after what it repeats.
+        self._order = threading.Lock()
+        self._links = threading.Lock()
+        self._lost: set[str] = set()
+        self._back: set[str] = set()
+        self._is_cut = False
+        self._linked, self._ring = threading.Event(), threading.Event()
+        self._closed = False
+        self._thread = threading.Thread(target=self._look, daemon=True)
+
+    def begin(self) -> None:
+        """From now on look whether something must be said again."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Nothing more is said again; before the transport is closed."""
+        self._closed = True
+        self._ring.set()
+        self._thread.join()
+
+    def say(self, topic: str, data: bytes) -> None:
+        """Publish, and keep it; waits for a recorder that is out of reach."""
+        if self._is_cut:
+            self._linked.wait()
+        with self._order:
+            self._transport.send(topic, data)
+            self._kept.append((topic, data))
+
+    def begin_anew(self) -> None:
+        """From here on earlier messages concern the recorder alone."""
+        self._kept.append(_ANEW)
+
+    def see(self, name: str, is_there: bool) -> bool:
+        """In zenoh's thread: a link is broken, or there; whether it had been broken and is back."""
+        with self._links:
+            if not is_there:
+                self._lost.add(name)
+                if name == RECORDER:
+                    self._linked.clear()
+                    self._is_cut = True
+            is_back = is_there and name in self._lost
+            if is_back:
+                self._lost.discard(name)
+                self._back.add(name)
+                self._ring.set()
+        return is_back
+
+    def _look(self) -> None:
+        """In a thread of its own."""
+        latest, since, pause_s, told = None, time.monotonic(), _AGAIN_S, 0
+        while True:
+            self._ring.wait(pause_s)
+            if self._closed:
+                return
+            self._ring.clear()
+            with self._links:
+                back, self._back = self._back, set()
+            if RECORDER in back:
+                self._tell_recorder()
+            self._forget(time.monotonic())
+            before, latest = latest, (self._kept[-1] if self._kept else None)
+            if latest is not before:
+                since, pause_s, told = time.monotonic(), _AGAIN_S, 0
+            if back or latest is before:
+                self._repeat(f"{AGAIN}/", self._recent())
+                # Nothing is said between a look at what holds and the saying of it.
+                with self._order:
+                    self._repeat("", self._standing())
+                pause_s = min(2 * pause_s, _AT_MOST_S)
+            waited_s = time.monotonic() - since
+            if waited_s > (told + 1) * _TELL_S:
+                told += 1
+                self._tell(waited_s)
+
+    def _tell(self, waited_s: float) -> None:
+        for_whom = "the recorder, which is out of reach" if self._is_cut else self._waiting()
+        if for_whom:
+            sys.stderr.write(f"{self._who} has waited {waited_s:.0f} s for {for_whom}\n")
+
+    def _tell_recorder(self) -> None:
+        """Its link is back: all that it may have lost, before anything new."""
+        self._repeat(f"{KEEP}/", list(self._copy()))
+        with self._links:
+            if RECORDER not in self._lost:
+                self._is_cut = False
+                self._linked.set()
+
+    def _copy(self) -> deque[tuple[str, bytes]]:
+        with self._order:
+            return self._kept.copy()
+
+    def _forget(self, now_s: float) -> None:
+        """Drop what has arrived for certain; nothing while the recorder is out of reach."""
+        # Never both locks at once: a publisher may wait for the thread that sees links.
+        with self._order:
+            self._marks.append((now_s, self._dropped + len(self._kept)))
+            while not self._is_cut and self._marks[0][0] < now_s - _UNDER_WAY_S:
+                published = self._marks.popleft()[1]
+                while self._dropped < published and len(self._kept) > self._at_least:
+                    self._kept.popleft()
+                    self._dropped += 1
+
+    def _recent(self) -> list[tuple[str, bytes]]:
+        """The messages of the last steps, in order."""
+        recent: list[tuple[str, bytes]] = []
+        steps = 0
+        for message in reversed(self._copy()):
+            if message is _ANEW or steps > EARLY_STEPS:
+                break
+            recent.append(message)
+            steps += message[0].partition("/")[0] == self._last
+        return recent[::-1]
+
+    def _repeat(self, below: str, messages: list[tuple[str, bytes]]) -> None:
+        for topic, data in messages:
+            if topic:
+                self._transport.send(below + topic, data)

@@ -1,0 +1,116 @@
+"""The roles of forked processes: router, recorder, environment and node."""
+
+import math
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import msgspec
+
+from nodes.node_state import NodeConfig
+from runtime.disk import NotWritten
+from runtime.network.links import RECORDER, WATCH, Links, peers_of
+from runtime.network.zenoh_transport import LinkError, start_router
+from runtime.processes.environment.failures import Deserted, Disagreement
+from runtime.processes.environment.management import Management
+from runtime.processes.environment.pacing import Lockstep, RealTime
+from runtime.processes.environment.process import run_environment
+from runtime.processes.job import Happened, Job, Order
+from runtime.processes.node.lockstep import LockstepNode
+from runtime.processes.node.membership import Membership
+from runtime.processes.node.process import run_node
+from runtime.processes.node.real_time import RealTimeNode
+from runtime.processes.recorder.process import run_recorder
+from runtime.processes.supervisor import TRY_AGAIN
+from runtime.recording import McapRecorder
+from runtime.whole_steps import WholeSteps
+from scenarios.build import build_environment
+from scenarios.bus_plan import frame_format
+from scenarios.preparation import complete_settings, fingerprint
+from scenarios.script import script_of
+
+_PROGRESS_PERIOD_S = 0.05
+
+
+def be_router(endpoint: str) -> None:
+    """Pass on what others say, until the supervisor ends it."""
+
+    def route() -> None:
+        session = start_router(endpoint)
+        signal.pause()
+        session.close()
+
+    _joining(route)
+
+
+def be_recorder(job: Job, links: dict[str, Links], tell: Callable[[Happened], None]) -> None:
+    """Keep what is said, and let others hear it."""
+    scenario = job.setup.scenario
+    try:
+        frames = frame_format(scenario)
+        recorder = McapRecorder(Path(job.recording), scenario.rounds, job.setup.time_step_s, frames)
+        steps = WholeSteps(scenario.nodes, scenario.rounds, frames)
+        _joining(partial(run_recorder, job.run, links[RECORDER], links[WATCH], recorder, steps))
+    except NotWritten as error:
+        tell(Happened("failed", detail=str(error)))
+        sys.exit(1)
+
+
+def be_environment(job: Job, links: Links, tell: Callable[[Happened], None], orders: int) -> None:
+    """Run the environment; orders to the launcher process go to the pipe `orders`."""
+    started, told = time.monotonic(), 0.0
+
+    def give(order: Order) -> None:
+        os.write(orders, msgspec.json.encode(order) + b"\n")
+
+    def on_step(step: int) -> None:
+        nonlocal told
+        now = time.monotonic()
+        if step == 0:
+            give(Order("tolerate"))
+            tell(Happened("ready", seconds=now - started))
+        elif now - told > _PROGRESS_PERIOD_S or step == job.setup.scenario.steps:
+            told = now
+            tell(Happened("step", step=step, seconds=now - started))
+
+    # Built here: the design of a controller loads much that no node needs.
+    config = build_environment(job.setup)
+    management = Management(
+        kill=lambda node: give(Order("kill", node)),
+        start=lambda node: give(Order("start", node)),
+        keeps_nodes=job.place is None,
+        check=partial(complete_settings, job.setup),
+        on_step=on_step,
+        setup=msgspec.json.encode(job.setup),
+    )
+    script = script_of(job.setup.scenario)
+    pacing = Lockstep() if job.tempo is None else RealTime(job.tempo)
+    known = (config, fingerprint(job.setup), management, pacing, script)
+    work = partial(run_environment, job.run, links, *known)
+    try:
+        _joining(work)
+    except (Deserted, Disagreement) as end:
+        tell(Happened("failed", detail=str(end)))
+        sys.exit(1)
+
+
+def be_node(job: Job, links: Links, config: NodeConfig, late: bool = False) -> None:
+    """Be one node; `late` where the network may run already."""
+    peers = peers_of(config.index, job.setup.neighbours)
+    timeout_s = math.inf if job.place is None else job.place.patience_s
+    membership = Membership(job.run, links, config, peers, fingerprint(job.setup), late, timeout_s)
+    paced = LockstepNode if job.tempo is None else partial(RealTimeNode, tempo=job.tempo)
+    _joining(lambda: run_node(membership, paced(membership)))
+
+
+def _joining(work: Callable[[], None]) -> None:
+    """Do `work`; a link that cannot be opened means that a port was taken: try again."""
+    try:
+        work()
+    except LinkError as error:
+        sys.stderr.write(f"{error}\n")
+        sys.exit(TRY_AGAIN)

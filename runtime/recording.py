@@ -1,0 +1,218 @@
+"""The log of a run: every message as it travelled, in memory or in an MCAP file.
+
+A file is written without chunks, so that it can be read up to the last message after a crash. Times
+are the plant's, not the clock's.
+"""
+
+import os
+import struct
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from io import BufferedReader, BytesIO
+from pathlib import Path
+from typing import Protocol
+
+import msgspec
+from mcap.exceptions import EndOfFile, McapError
+from mcap.records import Channel
+from mcap.records import Message as McapMessage
+from mcap.stream_reader import StreamReader
+from mcap.writer import MCAP0_MAGIC, Writer
+
+from bus.bus import FrameFormat
+from nodes.bounds import UNREADABLE, Instant
+from nodes.history import history_of, with_event
+from nodes.messages import MalformedMessage, decode, message_types
+from runtime.disk import NotWritten, writing
+
+_RECORD_HEADER = struct.Struct("<BQ")
+
+
+class Recorder(Protocol):
+    """Keeps messages as they travelled; closes what it opened."""
+
+    def record(self, messages: Sequence[tuple[str, bytes]]) -> None:
+        """Keep messages, (topic, bytes), in this order."""
+        ...
+
+    def close(self) -> None:
+        """Nothing more will come."""
+        ...
+
+
+class MemoryRecorder:
+    """Keeps messages in a list of (topic, bytes)."""
+
+    def __init__(self) -> None:
+        self.messages: list[tuple[str, bytes]] = []
+
+    def record(self, messages: Sequence[tuple[str, bytes]]) -> None:
+        """Keep messages, (topic, bytes), in this order."""
+        self.messages.extend(messages)
+
+    def close(self) -> None:
+        """Nothing to do: memory needs no end."""
+
+
+class _Stamp(msgspec.Struct):
+    """The time of any JSON message; a message without one counts as current."""
+
+    step: Instant | None = None
+    cycle: Instant | None = None
+
+
+_stamp = msgspec.json.Decoder(_Stamp)
+
+
+class McapRecorder:
+    """Keeps messages in an MCAP file; Foxglove opens it.
+
+    Raises a `NotWritten` where the disk is full, and is closed then; what is whole stays in the
+    file.
+    """
+
+    def __init__(
+        self, path: Path, rounds: int, time_step_s: float, frame_format: FrameFormat
+    ) -> None:
+        self._frames = frame_format
+        self._history = history_of(rounds, ())
+        self._last_ns = 0
+        self._step_ns = round(time_step_s * 1e9)
+        self._path = path
+        with writing(path):
+            self._begin()
+
+    def _begin(self) -> None:
+        self._file = self._path.open("wb")
+        self._writer = Writer(self._file, use_chunking=False)
+        self._writer.start(profile="", library="concord")
+        self._schemas = {
+            topic: self._writer.register_schema(
+                name=type_.__name__,
+                encoding="jsonschema",
+                data=msgspec.json.encode(msgspec.json.schema(type_)),
+            )
+            for topic, type_ in message_types().items()
+        }
+        self._channels: dict[str, int] = {}
+        self._sequence = 0
+        self._file.flush()
+        self._is_whole = True
+
+    def record(self, messages: Sequence[tuple[str, bytes]]) -> None:
+        """Keep messages, (topic, bytes), in this order."""
+        try:
+            # Ctrl-C may strike between any two of these lines: what it leaves is not whole.
+            self._is_whole = False
+            for topic, data in messages:
+                self._append(topic, data)
+            # Flushed messages survive the death of this process.
+            self._file.flush()
+            self._is_whole = True
+        except OSError as error:
+            self.close()
+            raise NotWritten(self._path, error) from error
+
+    def _append(self, topic: str, data: bytes) -> None:
+        channel = self._channels.get(topic)
+        if channel is None:
+            channel = self._channels[topic] = self._register(topic)
+        time_ns = self._time_ns(topic, data)
+        self._writer.add_message(channel, time_ns, data, time_ns, self._sequence)
+        self._sequence += 1
+
+    def _register(self, topic: str) -> int:
+        schema = self._schemas.get(topic.partition("/")[0], 0)
+        encoding = "json" if schema else self._frames.name
+        return self._writer.register_channel(topic, encoding, schema)
+
+    def _time_ns(self, topic: str, data: bytes) -> int:
+        if topic.startswith("share/"):
+            return self._history.place(self._frames.cycle_of(data))[0] * self._step_ns
+        try:
+            if topic == "event":
+                self._history = with_event(self._history, decode(topic, data))
+            stamp = _stamp.decode(data)
+        except (*UNREADABLE, MalformedMessage):
+            # Kept as received, for a search of its sender; its time is unknown.
+            return 0
+        if stamp.step is not None:
+            self._last_ns = stamp.step * self._step_ns
+        elif stamp.cycle is not None:
+            self._last_ns = self._history.place(stamp.cycle)[0] * self._step_ns
+        return self._last_ns
+
+    def close(self) -> None:
+        """Write the index and close the file; what was interrupted is cut off instead."""
+        if self._file.closed:
+            return
+        whole_bytes: int | None = None
+        try:
+            if self._is_whole:
+                self._is_whole = False
+                whole_bytes = self._file.tell()
+                with writing(self._path):
+                    self._writer.finish()
+                    self._file.flush()
+                whole_bytes = self._file.tell()
+        finally:
+            with suppress(OSError):
+                # Data that a full disk refuses here did not belong to a whole record.
+                self._file.close()
+            with suppress(FileNotFoundError):
+                # Another process may have removed the file meanwhile.
+                os.truncate(self._path, whole_bytes or self._whole_on_disk())
+
+    def _whole_on_disk(self) -> int:
+        """Length of the file up to its last whole record."""
+        with self._path.open("rb") as file:
+            return _whole_bytes(file)
+
+
+def read_recording(path: Path) -> Iterator[tuple[str, bytes]]:
+    """The (topic, bytes) of a recording in file order; a torn last record is left out.
+
+    Raises:
+        ValueError: the file is not an MCAP recording.
+    """
+    with path.open("rb") as file:
+        start = file.read(len(MCAP0_MAGIC))
+        if not MCAP0_MAGIC.startswith(start):
+            raise ValueError(
+                f"{path}: not a recording of concord; name the run.mcap of a run folder"
+            )
+        whole = BytesIO(file.read(_whole_bytes(file)))
+    if len(start) < len(MCAP0_MAGIC):
+        return
+    topics: dict[int, str] = {}
+    try:
+        for record in StreamReader(whole).records:
+            if isinstance(record, Channel):
+                topics[record.id] = record.topic
+            elif isinstance(record, McapMessage):
+                yield topics[record.channel_id], record.data
+    except EndOfFile:
+        # The writer died before its closing words; everything before them has been read.
+        pass
+    except McapError as error:
+        raise ValueError(f"{path}: not a recording of concord ({error})") from None
+
+
+def _whole_bytes(file: BufferedReader) -> int:
+    """Length of the file up to its last whole record; the file is left at its beginning.
+
+    Source: MCAP format specification, records: opcode (1 byte), length (8 bytes), content.
+    """
+    size = file.seek(0, os.SEEK_END)
+    end = len(MCAP0_MAGIC)
+    while end + _RECORD_HEADER.size <= size:
+        file.seek(end)
+        _, length = _RECORD_HEADER.unpack(file.read(_RECORD_HEADER.size))
+        if end + _RECORD_HEADER.size + length > size:
+            break
+        end += _RECORD_HEADER.size + length
+    # A file that was closed in order ends with the magic again, which is no record.
+    file.seek(end)
+    closed = file.read() == MCAP0_MAGIC
+    file.seek(0)
+    return end + len(MCAP0_MAGIC) if closed else end

@@ -1,0 +1,138 @@
+"""Messages put together by steps: what was said of each, once it is over.
+
+A step is over when all its participants have estimated it, or when the plant is so much further
+that the network has gone on without the rest. Within a step the order of messages does not matter.
+"""
+
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import msgspec
+
+from bus.bus import FrameFormat
+from nodes.bounds import UNREADABLE, Instant, node_of
+from nodes.history import history_of, with_event
+from nodes.messages import MalformedMessage, decode
+
+# More than the environment ever runs ahead of the slowest estimate.
+_PATIENCE_STEPS = 8
+# A cycle may seem to be far ahead until it is told that steps have more cycles from now on.
+_FAR_STEPS = 100
+
+
+class WholeStep(NamedTuple):
+    """A step that is over: its truth, measurements, shares and estimates as (topic, bytes)."""
+
+    number: int
+    messages: list[tuple[str, bytes]]
+
+
+class _Told(msgspec.Struct):
+    step: Instant
+
+
+@dataclass
+class _Step:
+    """Messages of a step received so far, in which `members` take part."""
+
+    members: set[int]
+    messages: list[tuple[str, bytes]] = field(default_factory=list)
+    measured: set[int] = field(default_factory=set)
+    estimated: set[int] = field(default_factory=set)
+    has_truth: bool = False
+
+    def is_complete(self) -> bool:
+        """Whether nothing more will come of it."""
+        # Counted first: to compare sets with every estimate would cost the square of the nodes.
+        counted = len(self.estimated) >= len(self.members) and self.has_truth
+        return counted and self.members <= self.estimated and self.members <= self.measured
+
+
+class WholeSteps:
+    """Takes the messages of a run one by one, from the first on, and gives its steps in order."""
+
+    def __init__(self, nodes: int, rounds: int, frame_format: FrameFormat) -> None:
+        """A network of so many nodes that begins with so many rounds per step, on a bus with frames
+        of this format."""
+        self._cycle_of = frame_format.cycle_of
+        self.nodes = nodes
+        self._everybody = frozenset(range(nodes))
+        self._history = history_of(rounds, ())
+        self._steps: dict[int, _Step] = {}
+        # By cycle: which step that belongs to may be told a little later.
+        self._shares: list[tuple[int, tuple[str, bytes]]] = []
+        self._next, self._reached = 0, 0
+
+    def take(self, topic: str, data: bytes) -> list[WholeStep]:
+        """Take one message; return the steps over now. Ignore bytes that are no message."""
+        kind, _, name = topic.partition("/")
+        node = node_of(name, self.nodes)
+        if kind == "event":
+            self._hear(data)
+            return self._over()
+        if kind == "share":
+            self._shares.append((self._cycle_of(data), (topic, data)))
+            return []
+        number = self._step_of(kind, data)
+        # Only the plant's truth may be further ahead than the messages under way.
+        soon = kind == "truth" or (number or 0) <= self._reached + _PATIENCE_STEPS
+        if number is None or number < self._next or not soon:
+            return []
+        step = self._steps.get(number)
+        if step is None:
+            step = self._steps[number] = _Step(self._members(number))
+        step.messages.append((topic, data))
+        if kind == "truth":
+            step.has_truth = True
+            self._reached = max(self._reached, number)
+        elif node is not None:
+            (step.measured if kind == "measured" else step.estimated).add(node)
+        return self._over()
+
+    def _step_of(self, kind: str, data: bytes) -> int | None:
+        """The step of a message that is drawn."""
+        if kind not in ("truth", "measured", "estimate"):
+            return None
+        with suppress(*UNREADABLE):
+            return msgspec.json.decode(data, type=_Told).step
+        return None
+
+    def _hear(self, event: bytes) -> None:
+        """Apply an event to the history, and to the steps that are under way."""
+        with suppress(MalformedMessage):
+            self._history = with_event(self._history, decode("event", event))
+        for number, step in self._steps.items():
+            step.members = self._members(number)
+
+    def _members(self, number: int) -> set[int]:
+        out = {
+            absence.node
+            for absence in self._history.absences
+            if absence.first_step <= number
+            and (absence.end_step is None or number < absence.end_step)
+        }
+        return set(self._everybody - out)
+
+    def _over(self) -> list[WholeStep]:
+        """The steps that are over, from the oldest on; one without a truth cannot be shown."""
+        over: list[WholeStep] = []
+        while self._steps:
+            number = min(self._steps)
+            step = self._steps[number]
+            is_next = number == self._next and step.is_complete()
+            if not is_next and self._reached <= number + _PATIENCE_STEPS:
+                break
+            shares = self._shares_of(number)
+            if step.has_truth:
+                over.append(WholeStep(number, step.messages + shares))
+            del self._steps[number]
+            self._next = number + 1
+        return over
+
+    def _shares_of(self, number: int) -> list[tuple[str, bytes]]:
+        """Return the shares sent in a step, and forget them."""
+        placed = [(self._history.place(cycle)[0], cycle, told) for cycle, told in self._shares]
+        ahead = range(number + 1, self._reached + _FAR_STEPS)
+        self._shares = [(cycle, told) for step, cycle, told in placed if step in ahead]
+        return [told for step, _, told in placed if step == number]

@@ -1,0 +1,61 @@
+"""A measurement bus and a filter behind it over all steps at once, in batches of runs.
+
+The same functions as in `nodes.rules.measurement_bus`, so a lane here and a network of nodes agree.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.measurement_bus import MeasurementBus, Slot
+from filters.gaussian import Gaussian
+from filters.sigma_points import SigmaPointRule
+from filters.stochastic_ukf import MeasurementFilter, Received
+from nodes.rules.measurement_bus import System, dynamics, observation
+
+Array = NDArray[np.float64]
+
+
+class Estimator(NamedTuple):
+    """A filter behind a measurement bus: what it knows, how it computes, where it starts.
+
+    prior: mean (..., n), cov (..., n, n) at step 0.
+    """
+
+    system: System
+    filter: MeasurementFilter
+    points: SigmaPointRule
+    prior: Gaussian
+
+
+def first_received(system: System, prior_mean: Array) -> Array:
+    """ybar_0 (..., m): what the prior mean (..., n) would measure at step 0."""
+    return system.measure(prior_mean, 0)
+
+
+def slots_of(bus: MeasurementBus, measurement: Array, received: Array) -> Slot:
+    """Return the receiver's slots 1..S for measurements (S + 1, ..., m), stacked: S first.
+
+    The first measurement, at step 0, is not looked at; `received` (..., m) is ybar_0.
+    """
+    slots: list[Slot] = []
+    for number, measured in enumerate(measurement[1:], start=1):
+        slots.append(bus.transmit(number, measured, received))
+        received = slots[-1].received
+    return Slot(*(np.stack(parts) for parts in zip(*slots, strict=True)))
+
+
+def estimate(estimator: Estimator, received: Received) -> Gaussian:
+    """Beliefs at steps 0..S, mean (S + 1, ..., n) and cov (S + 1, ..., n, n), of what was received
+    in slots 1..S, values and fresh (S, ..., m)."""
+    system, method, points, prior = estimator
+    state = method.start(prior, observation(system, 0), points)
+    beliefs = [state.belief]
+    for step, slot in enumerate(zip(*received, strict=True), start=1):
+        state = method.predict(state, dynamics(system, None, step - 1), points)
+        state = method.update(state, Received(*slot), observation(system, step), points)
+        beliefs.append(state.belief)
+    return Gaussian(
+        np.stack([belief.mean for belief in beliefs]), np.stack([belief.cov for belief in beliefs])
+    )

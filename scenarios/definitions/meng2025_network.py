@@ -1,0 +1,89 @@
+"""`meng2025-network`: every node estimates behind a measurement bus of its own; they run consensus.
+
+Each node has a cluster of the six sensors of the paper and a FlexRay bus to them. The environment
+delivers to a node at each step the measurement that the node's bus transmitted in that slot. The
+buses are not synchronised: that of node i is i slots ahead. Between the nodes there is the estimate
+bus as in any network, with any rule. The paper names distributed estimation as its future work.
+"""
+
+from collections.abc import Sequence
+from functools import cache, partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.measurement_bus import MeasurementBus, flexray
+from filters.gaussian import Gaussian
+from filters.stochastic_ukf import RECOMMENDED, Received
+from nodes.environment_state import Delivery
+from plants import meng2025
+from plants.sensed import SensedPlant, clusters
+from plants.stochastic import replicated
+from scenarios.definitions.measurement_runs import Estimator, estimate, first_received
+from scenarios.definitions.meng2025 import SENSORS, SYSTEM, paper_points, static_slots_of
+from scenarios.definitions.stochastic_models import SystemModel, SystemSensor
+from scenarios.kind import Kind, Score
+from scenarios.scenario import Scenario
+from scenarios.setup import Setup
+from scenarios.types.network import SensorNetwork
+from scenarios.types.plants import StochasticNetwork
+
+Array = NDArray[np.float64]
+
+
+@cache
+def _plant(nodes: int) -> SensedPlant:
+    return meng2025.plant(clusters(nodes))
+
+
+def _transmit(
+    bus: MeasurementBus, received: Array, readings: Array, step: int
+) -> tuple[Array, Array]:
+    """One slot of every node's bus: ybar (nodes, m) after it, and what was sent (nodes, 1, m)."""
+    if step == 0:
+        return received, readings
+    slots = [
+        bus.transmit(step + node, reading, held)
+        for node, (reading, held) in enumerate(zip(readings[:, 0], received, strict=True))
+    ]
+    fresh = np.stack([slot.fresh for slot in slots])
+    after = np.stack([slot.received for slot in slots])
+    return after, np.where(fresh, after, np.nan)[:, None, :]
+
+
+def _delivery(scenario: Scenario) -> Delivery:
+    bus = MeasurementBus(SYSTEM.sizes, flexray(SENSORS, static_slots_of(scenario)))
+    received = np.tile(first_received(SYSTEM, meng2025.PRIOR_MEAN), (scenario.nodes, 1))
+    return Delivery(partial(_transmit, bus), received)
+
+
+def _listen(setup: Setup, nodes: Sequence[int], readings: Array) -> Gaussian:
+    """The recommended filter with what the buses of some nodes delivered (steps, N, 1, m).
+
+    All of it at once: how one filter took them one by one would hang on their order.
+    """
+    values = readings[1:, nodes, 0].reshape(len(readings) - 1, -1)
+    prior = Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov))
+    everything = replicated(SYSTEM, len(nodes))
+    estimator = Estimator(everything, RECOMMENDED, paper_points(), prior)
+    return estimate(estimator, Received(values, ~np.isnan(values)))
+
+
+def _check(scenario: Scenario) -> None:
+    static_slots_of(scenario)
+
+
+KIND = Kind(
+    defaults=Scenario(
+        plant=StochasticNetwork(), network=SensorNetwork(nodes=8, graph="ring"), steps=101
+    ),
+    check=_check,
+    plant=lambda scenario: _plant(scenario.nodes),
+    model=lambda _: SystemModel(SYSTEM),
+    sensor=lambda _scenario, _node: SystemSensor(SYSTEM, slice(None)),
+    sensors=lambda _: SystemSensor(SYSTEM, slice(None)),
+    score=Score(states=(0, 1), unit="1", nees_states=(0, 1), first_step=1),
+    points=lambda _: paper_points(),
+    delivery=_delivery,
+    listen=_listen,
+)

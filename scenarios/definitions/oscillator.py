@@ -1,0 +1,41 @@
+"""`oscillator`: a linear plant, on which every filter can be checked against the Kalman filter."""
+
+from functools import cache
+
+from plants.oscillator import Oscillation, Oscillator, ScalarSensor
+from scenarios.kind import Kind, Score
+from scenarios.scenario import Scenario
+from scenarios.types.network import SensorNetwork
+from scenarios.types.plants import DampedOscillator
+
+DEFAULTS = Scenario(
+    plant=DampedOscillator(), network=SensorNetwork(nodes=8, graph="ring"), steps=200
+)
+
+
+@cache
+def _plant(nodes: int) -> Oscillator:
+    return Oscillator(nodes)
+
+
+def _model(_: Scenario) -> Oscillation:
+    return Oscillation()
+
+
+def _sensor(scenario: Scenario, node: int) -> ScalarSensor:
+    return _plant(scenario.nodes).sensor(node)
+
+
+def _check(_: Scenario) -> None:
+    """Any number of nodes will do."""
+
+
+KIND = Kind(
+    defaults=DEFAULTS,
+    check=_check,
+    plant=lambda scenario: _plant(scenario.nodes),
+    model=_model,
+    sensor=_sensor,
+    sensors=lambda scenario: _plant(scenario.nodes).sensors,
+    score=Score(states=(0,), unit="m", nees_states=(0, 1), first_step=20),
+)

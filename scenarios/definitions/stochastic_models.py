@@ -1,0 +1,61 @@
+"""A node's model of a system with stochastic nonlinearities: its noise grows with the state."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from filters.gaussian import Gaussian
+from filters.stochastic_ukf import expected_cov
+from plants.stochastic import StochasticSystem
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class SystemModel:
+    """f, Q and E{g g'} of a system."""
+
+    system: StochasticSystem
+
+    def transition(self, state: Array, control: Array | None, step: int) -> Array:
+        """State (..., n) at `step + 1` from the state at `step`."""
+        return self.system.transition(state, control, step)
+
+    def process_noise_cov(self, step: int) -> Array:
+        """Q (n, n) of the step."""
+        return self.system.process_noise_cov(step)
+
+    def state_noise_cov(self, belief: Gaussian, step: int) -> Array:
+        """E{g g'} (..., n, n) over beliefs at `step`."""
+        return expected_cov(self.system.process_moment(step), belief)
+
+
+@dataclass(frozen=True, eq=False)
+class SystemSensor:
+    """Some rows of h, R and E{b b'} of a system whose R does not vary.
+
+    A delivered reading is the measurement of those rows, NaN where none was transmitted.
+    """
+
+    system: StochasticSystem
+    rows: slice
+    gate: None = None
+
+    def measure(self, state: Array, step: int) -> Array:
+        """The measurement (..., m) of a state (..., n), without noise."""
+        return self.system.measure(state, step)[..., self.rows]
+
+    def residual(self, value: Array, predicted: Array) -> Array:
+        """value - predicted (..., m)."""
+        return value - predicted
+
+    def interpret(self, delivered: Array) -> tuple[Array, Array]:
+        """The first m entries (..., m) of what was delivered, and R (m, m)."""
+        noise_cov = self.system.measurement_noise_cov(0)[self.rows, self.rows]
+        return delivered[..., : len(noise_cov)], noise_cov
+
+    def state_noise_cov(self, belief: Gaussian, step: int) -> Array:
+        """E{b b'} (..., m, m) over beliefs at `step`."""
+        every_row = expected_cov(self.system.measurement_moment(step), belief)
+        return every_row[..., self.rows, self.rows]

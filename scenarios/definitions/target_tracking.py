@@ -1,0 +1,58 @@
+"""`target-tracking`: range-bearing sensors with a limited field of view follow one target.
+
+The turning target is the scenario TRACK of the consensus study: 20 nodes on a square kilometre,
+each sees a target within 350 m, radio reaches 330 m. `target-crossing` is its straight relative.
+"""
+
+from collections.abc import Callable
+from functools import cache
+
+from plants.placement import place_sensors
+from plants.range_bearing import RangeBearing
+from plants.targets import Target, straight_target, turning_target
+from scenarios.kind import Kind, Score
+from scenarios.scenario import Scenario
+from scenarios.types.network import SensorNetwork
+from scenarios.types.plants import TargetCrossing, TargetTracking
+
+RADIO_RANGE_M = 330.0
+
+
+@cache
+def _target(make: Callable[..., Target], nodes: int) -> Target:
+    return make(place_sensors(nodes, radio_range_m=RADIO_RANGE_M))
+
+
+def _check(scenario: Scenario) -> None:
+    # Placing the sensors is what can fail, and says why.
+    _target(turning_target, scenario.nodes)
+
+
+def _kind(plant: TargetTracking | TargetCrossing, make: Callable[..., Target], states: int) -> Kind:
+    def sensor(scenario: Scenario, node: int) -> RangeBearing:
+        return _target(make, scenario.nodes).sensor(node)
+
+    return Kind(
+        defaults=Scenario(
+            plant=plant, network=SensorNetwork(nodes=20, graph="geometric"), steps=120
+        ),
+        check=_check,
+        plant=lambda scenario: _target(make, scenario.nodes),
+        model=lambda scenario: _target(make, scenario.nodes).model,
+        sensor=sensor,
+        sensors=lambda scenario: _target(make, scenario.nodes).sensors,
+        score=Score(states=(0, 2), unit="m", nees_states=tuple(range(states)), first_step=20),
+        radio_range_m=RADIO_RANGE_M,
+    )
+
+
+TURNING = _kind(
+    TargetTracking(),
+    turning_target,
+    states=5,
+)
+CROSSING = _kind(
+    TargetCrossing(),
+    straight_target,
+    states=4,
+)

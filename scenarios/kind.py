@@ -1,0 +1,122 @@
+"""A scenario definition: the functions that build its parts, and how errors are scored."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bus.schedule import Schedule
+from filters.gaussian import Gaussian
+from filters.sigma_points import SigmaPointRule
+from nodes.environment_state import Delivery
+from nodes.estimator import Estimator
+from nodes.rules.local_filter import Model, Sensor
+from scenarios.scenario import Scenario
+from scenarios.seat import Seat
+from scenarios.setup import Setup
+
+Array = NDArray[np.float64]
+
+
+class ScenarioPlant(Protocol):
+    """A plant as a scenario needs it; `nodes.environment.Plant` is the environment's part."""
+
+    @property
+    def time_step_s(self) -> float: ...
+
+    @property
+    def state_names(self) -> tuple[str, ...]: ...
+
+    @property
+    def state_units(self) -> tuple[str, ...]: ...
+
+    def draw(self, generator_for: Callable[[str, int], np.random.Generator], steps: int) -> Any: ...
+
+    def initial(self, noise: Array) -> tuple[Array, Array, Array]: ...
+
+    def advance(self, state: Array, control: Array | None, noise: Array, step: int) -> Array: ...
+
+    def observe(self, state: Array, noise: Array, step: int) -> Array: ...
+
+    def positions(self, step: int) -> Array | None: ...
+
+
+class ControlLaw(Protocol):
+    """A controller: `control(state_estimate (n,), memory, step) -> (control (p,), memory)`."""
+
+    @property
+    def initial_memory(self) -> Array: ...
+
+    def control(self, state_estimate: Array, memory: Array, step: int) -> tuple[Array, Array]: ...
+
+
+class Score(NamedTuple):
+    """States on which errors are scored: `states` for RMSE, in `unit`; `nees_states` for NEES.
+
+    Scored from `first_step` on, but not before the first reading of any node. Where `near_s` is
+    given, also scored for the steps at most that long after a reading by any node.
+    """
+
+    states: tuple[int, ...]
+    unit: str
+    nees_states: tuple[int, ...]
+    first_step: int
+    near_s: float | None = None
+
+
+class Wiring(NamedTuple):
+    """Building blocks of a network in which not every node filters and fuses.
+
+    Attributes:
+        schedule: which nodes may publish in which cycle.
+        share_bytes: length of a share.
+        estimator: that of a node.
+        names: what the options rule, schedule and hold may be here.
+    """
+
+    schedule: Callable[[Scenario], Schedule]
+    share_bytes: Callable[[Scenario], int]
+    estimator: Callable[[Setup, int], Estimator]
+    names: dict[str, tuple[str, ...]]
+
+
+class Kind(NamedTuple):
+    """One named scenario.
+
+    Attributes:
+        defaults: the scenario when nothing is asked for.
+        check: raises ValueError for what this scenario cannot be.
+        plant, model: of a scenario.
+        sensor: of a scenario and a node; None for a blind node.
+        sensors: those of all nodes as one value whose arrays have the nodes' axis; None where they
+            are too unlike for that.
+        score: how its errors are measured.
+        controller: of a scenario, None where nothing drives the plant.
+        warnings: what a user must be told of the plant before a run.
+        radio_range_m: reach of a node in the geometric graph, for plants that have positions.
+        all_steps: how many steps recorded data hold; None where any number will do.
+        points: the sigma-point rule of the filters, None for that of the house.
+        wiring: of a network in which not every node filters and fuses.
+        delivery: what lies between sensors and their nodes, None where readings arrive as taken.
+        listen: (setup, nodes, readings (steps, N, r, d)) -> beliefs (steps,) of one filter that
+            takes the readings of these nodes; None for the one that model and sensors give.
+        around: what a node puts around its rule's estimator, None for nothing.
+    """
+
+    defaults: Scenario
+    check: Callable[[Scenario], None]
+    plant: Callable[[Scenario], ScenarioPlant]
+    model: Callable[[Scenario], Model]
+    sensor: Callable[[Scenario, int], Sensor | None]
+    score: Score
+    controller: Callable[[Scenario], ControlLaw | None] = lambda _: None
+    warnings: Callable[[Scenario], tuple[str, ...]] = lambda _: ()
+    radio_range_m: float | None = None
+    all_steps: Callable[[Scenario], int] | None = None
+    points: Callable[[Scenario], SigmaPointRule] | None = None
+    wiring: Wiring | None = None
+    delivery: Callable[[Scenario], Delivery] | None = None
+    listen: Callable[[Setup, Sequence[int], Array], Gaussian] | None = None
+    around: Callable[[Scenario, Seat, Estimator], Estimator] | None = None
+    sensors: Callable[[Scenario], Sensor] | None = None

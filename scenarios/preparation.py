@@ -1,0 +1,169 @@
+"""Work a scenario out: check it, draw its network, and change the settings of one that runs."""
+
+import hashlib
+import os
+from functools import partial
+from importlib.metadata import version
+
+import msgspec
+
+from filters.kernels import compiled
+from nodes.bounds import MAX_ROUNDS
+from nodes.changes import Settings
+from nodes.faults.active import Equipment
+from nodes.messages import to_wire
+from scenarios.bus_plan import plan_bus
+from scenarios.catalogue import kind_of
+from scenarios.equipment import equipment_of
+from scenarios.links import losses_of, network_of
+from scenarios.rules import check_rule, is_certain, share_size
+from scenarios.scenario import SETTINGS, Scenario, require
+from scenarios.script import check_script
+from scenarios.setup import Setup
+from scenarios.streams import generator
+from scenarios.types.assignment import check_ranges, refuse_left
+from scenarios.types.buses import stretch_of
+from scenarios.types.filters import UnscentedFilter
+from topology.names import unknown_name
+
+
+def prepare(scenario: Scenario) -> Setup:
+    """Check a scenario and work it out.
+
+    Raises:
+        ValueError: anything that cannot run, named with its value, the rule and the cure.
+    """
+    # Only here: a process of the network is handed the graph and need not know how to draw it.
+    from topology.adjacency import neighbours_of
+    from topology.analysis import require_connected
+    from topology.graphs import build_network
+    from topology.intel_lab import DATA_VARIABLE
+    from topology.network import Network
+    from topology.weights import build_weights, check_weights, per_node
+
+    check_ranges(scenario)
+    kind = kind_of(scenario.name)
+    kind.check(scenario)
+    plant = kind.plant(scenario)
+    positions = plant.positions(0)
+    radius = kind.radio_range_m if positions is not None else None
+    data = os.environ.get(DATA_VARIABLE)
+
+    def build(name: str) -> Network:
+        return build_network(name, scenario.nodes, scenario.seed, positions, radius, data)
+
+    network, phases = network_of(scenario, build)
+    adjacency = network.adjacency
+    require_connected(adjacency)
+    weights = build_weights(scenario.network.weights, adjacency)
+    check_weights(weights, adjacency)
+    neighbours = neighbours_of(adjacency)
+    rows = per_node(weights, neighbours)
+    losses = losses_of(scenario, network, neighbours)
+    turns = [neighbours_of(phase) for phase in phases] or None
+    unborn = Setup(scenario, neighbours, rows, [], [], [], plant.time_step_s, losses, turns)
+    setup = setup_of_run(unborn, scenario.run)
+    check_network(setup)
+    check_script(
+        scenario, neighbours, partial(complete_settings, setup), partial(_equipment, setup)
+    )
+    return setup
+
+
+def _equipment(setup: Setup, settings: Settings) -> Equipment:
+    """Return the network's equipment when these fields of its scenario are set."""
+    changed = with_settings(setup, settings)
+    bus = plan_bus(changed.scenario, share_bytes(changed), changed.neighbours)
+    return equipment_of(changed, bus)
+
+
+def setup_of_run(setup: Setup, run: int) -> Setup:
+    """The same network in the run of that number: where truth and filters begin is drawn anew."""
+    scenario = msgspec.structs.replace(setup.scenario, run=run)
+    plant = kind_of(scenario.name).plant(scenario)
+    draws = plant.draw(partial(generator, scenario), scenario.steps)
+    initial_state, prior_mean, prior_cov = plant.initial(draws.initial)
+    return msgspec.structs.replace(
+        setup,
+        scenario=scenario,
+        initial_state=to_wire(initial_state),
+        prior_mean=prior_mean.tolist(),
+        prior_cov=prior_cov.tolist(),
+    )
+
+
+def check_network(setup: Setup) -> None:
+    """Refuse values, a rule or a bus that this network cannot have.
+
+    Raises:
+        ValueError: naming the field, its value, the rule and the cure.
+    """
+    # Only here, as in `prepare`.
+    from topology.weights import from_per_node
+
+    scenario = setup.scenario
+    check_ranges(scenario)
+    kind = kind_of(scenario.name)
+    kind.check(scenario)
+    if kind.wiring is None:
+        _check_filter(scenario)
+        check_rule(scenario, setup.neighbours, from_per_node(setup.weights, setup.neighbours))
+    bus = plan_bus(scenario, share_bytes(setup), setup.neighbours)
+    bus.check_pace(scenario.rounds, setup.time_step_s, stretch_of(scenario.bus))
+
+
+def _check_filter(scenario: Scenario) -> None:
+    """Refuse a filter that belongs to the receiver of a measurement bus."""
+    if not isinstance(scenario.filter, UnscentedFilter):
+        raise ValueError(
+            f"--filter {scenario.filter.name}: it is for --scenario meng2025; leave it out"
+        )
+
+
+def complete_settings(setup: Setup, before: Settings, asked: Settings) -> Settings:
+    """Return all settings of a network that runs, of which some were set before.
+
+    A setting from before is dropped where what is asked chooses a value without that option.
+
+    Raises:
+        ValueError: naming the option, its value, the rule and the cure.
+    """
+    scenario = setup.scenario
+    for name in asked:
+        if name not in SETTINGS:
+            raise unknown_name("setting", name, SETTINGS)
+    if kind_of(scenario.name).wiring is not None:
+        raise ValueError(f"set: {scenario.name} has one rule and schedule of its own; leave it out")
+    settings = {**before, **asked}
+    changed, left = scenario.with_known(**settings)
+    refuse_left(changed, {name: value for name, value in left.items() if name in asked})
+    require(changed.rounds <= MAX_ROUNDS, "rounds", changed.rounds, f"at most {MAX_ROUNDS} here")
+    check_network(msgspec.structs.replace(setup, scenario=changed))
+    if is_certain(changed) != is_certain(scenario):
+        raise ValueError(
+            f"set rule={changed.rule.name}: {scenario.rule.name} keeps "
+            f"{'sets' if is_certain(scenario) else 'covariances'}, which the other cannot take over"
+        )
+    return {name: value for name, value in settings.items() if name not in left}
+
+
+def with_settings(setup: Setup, settings: Settings) -> Setup:
+    """The setup of the same network and plant with other values for options of its scenario."""
+    scenario, _ = setup.scenario.with_known(**settings)
+    return msgspec.structs.replace(setup, scenario=scenario)
+
+
+def share_bytes(setup: Setup) -> int:
+    """Length of the longest share in the network of this setup."""
+    wiring = kind_of(setup.scenario.name).wiring
+    if wiring is not None:
+        return wiring.share_bytes(setup.scenario)
+    return share_size(setup.scenario, len(setup.prior_mean))
+
+
+def fingerprint(setup: Setup) -> str:
+    """Digest of a setup, and of the version and the kernels that run it: equal where two processes
+    agree to the last bit."""
+    kernels = "numpy" if compiled.KERNELS is None else "compiled"
+    data = msgspec.json.encode(setup) + f"{version('concord')} {kernels}".encode()
+    return hashlib.sha256(data).hexdigest()

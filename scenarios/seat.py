@@ -1,0 +1,85 @@
+"""Node context: a node's place in its network, from which its estimator is built."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from bus.schedule import Schedule
+from filters.gaussian import Gaussian
+from filters.sigma_points import SigmaPointRule
+from nodes.lanes.links import Links, Shares
+from nodes.messages import Array
+from nodes.rules.belief_consensus import HoldPolicy
+from nodes.rules.local_filter import LocalFilters, Model, Sensor
+from scenarios.scenario import Scenario
+from scenarios.types.rules import CovarianceIntersection, FusionRule
+
+
+class Everybody(NamedTuple):
+    """Knowledge that all nodes have of all nodes.
+
+    `sensors` has one entry per node; readings of each are of shape `readings_shape` (r, d).
+    """
+
+    scenario: Scenario
+    schedule: Schedule
+    sensors: tuple[Sensor | None, ...]
+    readings_shape: tuple[int, int]
+
+
+class Beginning(NamedTuple):
+    """The first step of an estimator, and the communication cycle with which it begins."""
+
+    step: int = 0
+    cycle: int = 0
+
+
+class RuleContext(NamedTuple):
+    """Input of a rule, the same for one node and for all.
+
+    `neighbours` are those that each node of the network hears; `number` is "<f8" or "<f4"; `rule`
+    is that of the scenario; without `contends` no node asks for dynamic slots.
+    """
+
+    states: int
+    neighbours: Sequence[Sequence[int]]
+    hold: HoldPolicy
+    trigger: float
+    number: str
+    rule: FusionRule = CovarianceIntersection()
+    contends: bool = True
+
+
+class Seat(NamedTuple):
+    """A node's place in the network: all that its estimator is built from.
+
+    `weights` (1 + J,) are the node's own weight, then those of its neighbours; `everybody` tells
+    what rules need to know that use the readings of others.
+    """
+
+    node: int
+    context: RuleContext
+    weights: Array
+    model: Model
+    sensor: Sensor | None
+    prior: Gaussian
+    points: SigmaPointRule
+    everybody: Callable[[], Everybody] | None = None
+    beginning: Beginning = Beginning()
+
+
+class BatchSeat(NamedTuple):
+    """Input of a rule at all nodes of many runs.
+
+    `base` are the weights of a run, `contenders` (C,) the nodes that may ask for the dynamic
+    segment; `everybody` as in `Seat`.
+    """
+
+    context: RuleContext
+    filters: LocalFilters
+    links: Links
+    base: Shares
+    rounds: int
+    contenders: np.ndarray
+    everybody: Callable[[], Everybody]

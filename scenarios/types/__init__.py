@@ -1,0 +1,1 @@
+"""The typed values that a scenario is composed of; these files import none of the tables."""

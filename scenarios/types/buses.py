@@ -1,0 +1,123 @@
+"""Buses as values: which nodes may publish in which cycle, and on what kind of bus."""
+
+from typing import Annotated
+
+from scenarios.types.option import Choice, Option
+
+
+class BusSchedule(Choice, frozen=True, kw_only=True):
+    """Which nodes may publish in a communication cycle."""
+
+
+class FullSchedule(BusSchedule, frozen=True, kw_only=True, tag="full"):
+    """Every node publishes in every cycle."""
+
+
+class PartialSchedule(BusSchedule, frozen=True, kw_only=True):
+    """A schedule in which a part of the nodes publishes in a cycle."""
+
+    occupancy: Annotated[
+        float,
+        Option("Share of the nodes that publish in a cycle.", above=0, at_most=1, is_setting=True),
+    ] = 1.0
+
+
+class RoundRobinSchedule(PartialSchedule, frozen=True, kw_only=True, tag="round-robin"):
+    """Nodes publish in turns of fixed order."""
+
+
+class ContendedSchedule(PartialSchedule, frozen=True, kw_only=True):
+    """A schedule with nodes that contend for slots of the dynamic segment."""
+
+    arbiter: Annotated[
+        str,
+        Option("Who wins the dynamic segment: wtod, minislot, round-robin.", is_setting=True),
+    ] = "wtod"
+    trigger: Annotated[
+        float,
+        Option("Ask for a dynamic slot only after a change of the estimate larger than this, as a "
+               "squared distance in units of its covariance; 0 asks always.", at_least=0,
+               is_setting=True),
+    ] = 0.0  # fmt: skip
+
+
+class HybridSchedule(ContendedSchedule, frozen=True, kw_only=True, tag="hybrid"):
+    """Half of the slots are static and the nodes without one contend for the others."""
+
+
+class LeavesSchedule(ContendedSchedule, frozen=True, kw_only=True, tag="hybrid-leaves"):
+    """hybrid in which the nodes with the fewest neighbours own the static slots."""
+
+
+class DynamicSchedule(ContendedSchedule, frozen=True, kw_only=True, tag="dynamic"):
+    """All nodes contend for all slots."""
+
+
+class SensorSlots(BusSchedule, frozen=True, kw_only=True, tag="flexray"):
+    """Some sensors of a measurement bus own a slot each, the others contend for one (meng2025)."""
+
+
+class SilentSchedule(BusSchedule, frozen=True, kw_only=True, tag="none"):
+    """No sensor of a measurement bus ever sends (meng2025)."""
+
+
+ScheduleChoice = (
+    FullSchedule
+    | RoundRobinSchedule
+    | HybridSchedule
+    | LeavesSchedule
+    | DynamicSchedule
+    | SensorSlots
+    | SilentSchedule
+)
+TimelessSchedule = FullSchedule | RoundRobinSchedule
+SCHEDULE = Option("Who may publish in a cycle.", group="bus", is_setting=True)
+
+
+class SharedBus(Choice, frozen=True, kw_only=True):
+    """A bus that all nodes share."""
+
+
+class FlexRay(SharedBus, frozen=True, kw_only=True, tag="flexray"):
+    """FlexRay: static and dynamic slots of a cluster, with times."""
+
+    schedule: Annotated[ScheduleChoice, SCHEDULE] = FullSchedule()
+    cluster: Annotated[
+        str,
+        Option("FlexRay cluster: fitted (the shortest cycle that holds the schedule), fitted-ab "
+               "(on both channels), a preset (audi, bosch, ...), a TOML or a FIBEX file."),
+    ] = "fitted"  # fmt: skip
+    stretch: Annotated[
+        float,
+        Option("Stretch the plant's sampling time by this factor to hold the bus cycles.",
+               at_least=1),
+    ] = 1.0  # fmt: skip
+
+
+class Ideal(SharedBus, frozen=True, kw_only=True, tag="ideal"):
+    """Slots without time: whatever the schedule allows is transmitted."""
+
+    schedule: Annotated[TimelessSchedule, SCHEDULE] = FullSchedule()
+
+
+BusChoice = FlexRay | Ideal
+
+
+def occupancy_of(schedule: BusSchedule) -> float:
+    """The share of the nodes that publish in a cycle; 1 where the schedule lets all publish."""
+    return schedule.occupancy if isinstance(schedule, PartialSchedule) else 1.0
+
+
+def arbiter_of(schedule: BusSchedule) -> str:
+    """The arbiter of the dynamic segment; the usual one where no node contends."""
+    return schedule.arbiter if isinstance(schedule, ContendedSchedule) else "wtod"
+
+
+def stretch_of(bus: SharedBus) -> float:
+    """The factor by which the plant's sampling time is stretched; 1 on a bus without time."""
+    return bus.stretch if isinstance(bus, FlexRay) else 1.0
+
+
+def trigger_of(schedule: BusSchedule) -> float:
+    """The change of an estimate from which a contender asks; 0 where no node contends."""
+    return schedule.trigger if isinstance(schedule, ContendedSchedule) else 0.0

@@ -1,0 +1,111 @@
+"""Read the declarations of options out of the classes of values that own them."""
+
+import types
+import typing
+from collections.abc import Iterator
+from functools import cache
+from typing import Any, NamedTuple
+
+import msgspec
+
+from scenarios.types.option import Option, name_of
+
+Struct = msgspec.Struct
+
+
+class Declaration(NamedTuple):
+    """One field of one class of values.
+
+    Attributes:
+        name: name of the option, without dashes in front.
+        field: name of the field in its class.
+        annotation: type of the field, without its description.
+        members: the classes of a choice; empty for a plain value.
+        says: meaning, range, unit and group.
+        default: value of the field when nothing is said; `msgspec.NODEFAULT` where there is none.
+    """
+
+    name: str
+    field: str
+    annotation: Any
+    members: tuple[type[Struct], ...]
+    says: Option
+    default: Any
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names that a choice takes, or the words that a plain value may be."""
+        if self.members:
+            return tuple(name_of(member) for member in self.members)
+        if typing.get_origin(self.annotation) is typing.Literal:
+            return tuple(typing.get_args(self.annotation))
+        return ()
+
+    @property
+    def kinds(self) -> tuple[Any, ...]:
+        """The types that a plain value may have."""
+        if isinstance(self.annotation, types.UnionType):
+            return typing.get_args(self.annotation)
+        return (self.annotation,)
+
+
+@cache
+def declarations(owner: type[Struct]) -> tuple[Declaration, ...]:
+    """The options that a class of values declares itself, in order; nested values count as its own
+    unless they are a choice."""
+    found: list[Declaration] = []
+    for info in msgspec.structs.fields(owner):
+        annotation, says = _described(info.type)
+        members = _members(annotation)
+        default = info.default
+        if default is msgspec.NODEFAULT and info.default_factory is not msgspec.NODEFAULT:
+            default = info.default_factory()
+        name = says.flag or info.name
+        found.append(Declaration(name, info.name, annotation, members, says, default))
+    return tuple(found)
+
+
+class Owned(NamedTuple):
+    """A declaration with the choices that lead to it: (option, name of the value) each."""
+
+    declaration: Declaration
+    owners: tuple[tuple[str, str], ...]
+    group: str
+
+
+def every_option(root: type[Struct], group: str = "run") -> Iterator[Owned]:
+    """All options below a class, those of a choice before those of its values. An option of several
+    values is there once for each."""
+    yield from _below(root, (), group)
+
+
+def _below(owner: type[Struct], owners: tuple[tuple[str, str], ...], group: str) -> Iterator[Owned]:
+    for declared in declarations(owner):
+        own = declared.says.group or group
+        if is_nested(declared):
+            yield from _below(declared.members[0], owners, own)
+            continue
+        yield Owned(declared, owners, own)
+        for member in declared.members:
+            yield from _below(member, (*owners, (declared.name, name_of(member))), own)
+
+
+def is_nested(declared: Declaration) -> bool:
+    """Whether the field is a value that has no other to choose from, and no name."""
+    return len(declared.members) == 1 and declared.members[0].__struct_config__.tag is None
+
+
+def _described(annotation: Any) -> tuple[Any, Option]:
+    if typing.get_origin(annotation) is not typing.Annotated:
+        return annotation, Option()
+    plain, *described = typing.get_args(annotation)
+    return plain, next(one for one in described if isinstance(one, Option))
+
+
+def _members(annotation: Any) -> tuple[type[Struct], ...]:
+    parts = (
+        typing.get_args(annotation) if isinstance(annotation, types.UnionType) else (annotation,)
+    )
+    if all(isinstance(part, type) and issubclass(part, Struct) for part in parts):
+        return tuple(parts)
+    return ()

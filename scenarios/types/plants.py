@@ -1,0 +1,124 @@
+"""Plants as values: which plant with its sensors and models is simulated, with its own options."""
+
+from typing import Annotated, Literal
+
+from scenarios.types.option import Choice, Option
+
+DATA = Option("Folder of recorded data.")
+
+
+class SensedPlantChoice(Choice, frozen=True, kw_only=True):
+    """A plant, what its sensors measure and what its filters believe."""
+
+
+class TargetTracking(SensedPlantChoice, frozen=True, kw_only=True, tag="target-tracking"):
+    """A turning target seen by range-bearing sensors with a limited field of view."""
+
+
+class TargetCrossing(SensedPlantChoice, frozen=True, kw_only=True, tag="target-crossing"):
+    """A target on a straight course seen by the same sensors."""
+
+
+class DampedOscillator(SensedPlantChoice, frozen=True, kw_only=True, tag="oscillator"):
+    """Lightly damped oscillator; nodes see position, velocity or nothing."""
+
+
+class RecordedRobots(SensedPlantChoice, frozen=True, kw_only=True, tag="mrclam"):
+    """Four real robots track the fifth; needs --data and --target."""
+
+    target: Annotated[int, Option("The robot to be tracked, 1 to 5.")] = 1
+    data: Annotated[str | None, DATA] = None
+
+
+class ControlledPlant(SensedPlantChoice, frozen=True, kw_only=True):
+    """A plant under a controller."""
+
+    control: Annotated[
+        str,
+        Option("Whose knowledge closes the loop of the plant: a node's number, truth, or open."),
+    ] = "0"
+    noise: Annotated[
+        Literal["matched", "paper"],
+        Option("What the sensors really do: matched (as the filters believe) or paper (as "
+               "printed)."),
+    ] = "matched"  # fmt: skip
+
+
+class CruiseControl(ControlledPlant, frozen=True, kw_only=True, tag="cruise-control"):
+    """Speed of a car under cruise control."""
+
+
+class Suspension(ControlledPlant, frozen=True, kw_only=True, tag="suspension"):
+    """Quarter-bus suspension under integral control."""
+
+
+class AircraftPitch(ControlledPlant, frozen=True, kw_only=True, tag="aircraft-pitch"):
+    """Pitch of an aircraft under linear-quadratic control."""
+
+
+class MotorSpeed(ControlledPlant, frozen=True, kw_only=True, tag="dc-motor-speed"):
+    """Speed of a DC motor under state feedback."""
+
+
+class MotorPosition(ControlledPlant, frozen=True, kw_only=True, tag="dc-motor-position"):
+    """Position of a DC motor under state feedback."""
+
+
+class UnstableBounded(ControlledPlant, frozen=True, kw_only=True, tag="liu2021-network"):
+    """An unstable plant under bounded noise, for sets that hold the truth for certain."""
+
+
+class MeasuredPlantChoice(SensedPlantChoice, frozen=True, kw_only=True):
+    """A plant whose sensors reach their estimators over a measurement bus."""
+
+    static_slots: Annotated[
+        int,
+        Option("Sensors with a static slot of their own on a measurement bus.", at_least=0),
+    ] = 4
+
+
+class StochasticReceiver(MeasuredPlantChoice, frozen=True, kw_only=True, tag="meng2025"):
+    """Six sensors share one slot per step to an estimator (Meng et al. 2025)."""
+
+
+class StochasticNetwork(MeasuredPlantChoice, frozen=True, kw_only=True, tag="meng2025-network"):
+    """A network of estimators as in meng2025, each behind a measurement bus of its own."""
+
+
+class VehicleNetwork(SensedPlantChoice, frozen=True, kw_only=True, tag="vehicle-network"):
+    """A car's sensors on its FlexRay bus estimate its motion; learns its sensors' noise."""
+
+    car: Annotated[
+        str, Option("Which car is simulated: bmw-320i, bmw-320i-soft, ford-escort or vw-vanagon.")
+    ] = "bmw-320i"
+    manoeuvre: Annotated[
+        str, Option("What the driver does: double-lane-change, serpentine, ramp-steer, ...")
+    ] = "serpentine"
+    noise: Annotated[
+        Literal["matched", "growing", "small", "outliers", "biased"],
+        Option("What the sensors of the car really do."),
+    ] = "growing"
+    adaptive: Annotated[bool, Option("Let nodes learn the noise of their own sensors.")] = True
+    data: Annotated[str | None, DATA] = None
+
+
+PlantChoice = (
+    TargetTracking
+    | TargetCrossing
+    | DampedOscillator
+    | RecordedRobots
+    | CruiseControl
+    | Suspension
+    | AircraftPitch
+    | MotorSpeed
+    | MotorPosition
+    | StochasticReceiver
+    | StochasticNetwork
+    | UnstableBounded
+    | VehicleNetwork
+)
+
+
+def noise_of(plant: SensedPlantChoice) -> str:
+    """Return the true noise of a plant's sensors; "matched" where the plant has no choice."""
+    return plant.noise if isinstance(plant, ControlledPlant | VehicleNetwork) else "matched"

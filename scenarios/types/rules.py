@@ -1,0 +1,182 @@
+"""Fusion rules as values: which rule the nodes use, with the rule's own options."""
+
+from typing import Annotated, Literal, get_args
+
+from scenarios.types.holds import (
+    BeliefHold,
+    Decayed,
+    Fading,
+    Hold,
+    Predicted,
+    SensorHold,
+    SetHold,
+    TrimmedHold,
+    ZeroOrder,
+)
+from scenarios.types.option import Choice, Option, name_of
+
+Number = Literal["float64", "float32"]
+HOLD = Option(
+    "What becomes of the last share of a silent neighbour.", group="rule", is_setting=True
+)
+
+
+class FusionRule(Choice, frozen=True, kw_only=True):
+    """A fusion rule of the network."""
+
+
+class NumberRule(FusionRule, frozen=True, kw_only=True):
+    """A rule whose shares are numbers of one format."""
+
+    number: Annotated[Number, Option("Format of numbers on the wire.")] = "float64"
+
+
+class AverageRule(NumberRule, frozen=True, kw_only=True):
+    """A rule that averages beliefs, fresh ones and held ones."""
+
+    hold: Annotated[BeliefHold, HOLD] = Decayed()
+
+
+class CovarianceIntersection(AverageRule, frozen=True, kw_only=True, tag="ci"):
+    """Covariance intersection: consistent for any correlation, never less tight than wac."""
+
+
+class WeightedAverage(AverageRule, frozen=True, kw_only=True, tag="wac"):
+    """Weighted average of means and covariances (the paper's): no inverse, may diverge."""
+
+
+class TrimmedCovarianceIntersection(NumberRule, frozen=True, kw_only=True, tag="trimmed-ci"):
+    """ci that --liars of a node's neighbours cannot drag away; needs twice as many neighbours."""
+
+    hold: Annotated[TrimmedHold, HOLD] = Fading()
+    liars: Annotated[
+        int, Option("How many of a node's neighbours may say anything at all.", at_least=0)
+    ] = 1
+
+
+class HybridConsensus(NumberRule, frozen=True, kw_only=True, tag="hcmci"):
+    """Consensus on prior and novelty, safe gain: consistent, near centralised with more rounds."""
+
+
+class ClassicalHybridConsensus(NumberRule, frozen=True, kw_only=True, tag="hcmci-classical"):
+    """hcmci with the number of nodes as gain: overconfident before the rounds converge."""
+
+
+class InformationConsensus(NumberRule, frozen=True, kw_only=True, tag="icf"):
+    """Information-weighted consensus: hcmci-classical in the bytes of ci, as overconfident."""
+
+
+class DiffusionRule(NumberRule, frozen=True, kw_only=True, tag="diffusion"):
+    """Readings of the neighbours, then averaged means; covariance not fused: not consistent."""
+
+
+class KalmanConsensus(NumberRule, frozen=True, kw_only=True, tag="kcf"):
+    """Readings of the neighbours, then a pull to their means: not consistent, takes no weights."""
+
+
+class LocalRule(NumberRule, frozen=True, kw_only=True, tag="local"):
+    """Every node alone: publishes, but fuses nothing."""
+
+
+class CentralisedRule(NumberRule, frozen=True, kw_only=True, tag="centralised"):
+    """All readings at every node: the optimum; complete graph, full schedule, one round."""
+
+
+class SetRule(NumberRule, frozen=True, kw_only=True):
+    """A rule of sets that hold the truth for certain."""
+
+    hold: Annotated[SetHold, HOLD] = Predicted()
+
+
+class EllipsoidIntersection(SetRule, frozen=True, kw_only=True, tag="ellipsoid"):
+    """Ellipsoids that intersect and hold the truth for certain; needs bounded noise."""
+
+
+class ZonotopeIntersection(SetRule, frozen=True, kw_only=True, tag="zonotope"):
+    """ellipsoid with zonotopes: tighter prediction, wider shares; needs bounded noise."""
+
+
+class MeasurementFlooding(FusionRule, frozen=True, kw_only=True, tag="labelled"):
+    """Measurements with labels, each counted once: near centralised in a fraction of the bytes."""
+
+    window_steps: Annotated[
+        int | None,
+        Option("How late a record may come; the latency of the schedule when left out.",
+               unit="steps"),
+    ] = None  # fmt: skip
+    digest_steps: Annotated[
+        int | None,
+        Option("Say in each share what is held of so many steps, so that what links lose is sent "
+               "again; 8 where links lose frames when left out.", unit="steps", at_least=0),
+    ] = None  # fmt: skip
+    gate_probability: Annotated[
+        float,
+        Option("Do not pass on own readings that are less likely than this; 0 passes all on.",
+               at_least=0, below=1),
+    ] = 0.0  # fmt: skip
+    record_number: Annotated[
+        Literal["int16", "float32", "float64"], Option("Format of readings on the wire.")
+    ] = "int16"
+    payload_bytes: Annotated[
+        int,
+        Option("Longest payload of a frame.", unit="bytes", at_least=16, at_most=254,
+               even=True),
+    ] = 254  # fmt: skip
+    relay: Annotated[
+        bool,
+        Option("Compose each share at its slot, with what earlier slots of the cycle brought."),
+    ] = False
+    latch_delay_us: Annotated[
+        float,
+        Option("What a host needs to relay, from the last bit of a frame to the first of its own.",
+               unit="us", at_least=0, needs="relay"),
+    ] = 5.0  # fmt: skip
+
+
+class Reception(NumberRule, frozen=True, kw_only=True, tag="reception"):
+    """One node estimates what the others send over a measurement bus (meng2025)."""
+
+    hold: Annotated[SensorHold, HOLD] = ZeroOrder()
+
+
+RuleChoice = (
+    CovarianceIntersection
+    | TrimmedCovarianceIntersection
+    | WeightedAverage
+    | HybridConsensus
+    | ClassicalHybridConsensus
+    | InformationConsensus
+    | DiffusionRule
+    | KalmanConsensus
+    | MeasurementFlooding
+    | LocalRule
+    | CentralisedRule
+    | EllipsoidIntersection
+    | ZonotopeIntersection
+    | Reception
+)
+RULE_SUMMARIES = {name_of(rule): rule.summary() for rule in get_args(RuleChoice)}
+
+
+def hold_of(rule: FusionRule) -> Hold | None:
+    """The hold policy of a rule; None for one that uses only fresh shares."""
+    match rule:
+        case AverageRule() | TrimmedCovarianceIntersection() | SetRule() | Reception():
+            return rule.hold
+    return None
+
+
+def latch_delay_of(rule: FusionRule) -> float | None:
+    """Return the time that a host needs to relay, in us; None for a rule that does not relay."""
+    is_relayed = isinstance(rule, MeasurementFlooding) and rule.relay
+    return rule.latch_delay_us if is_relayed else None
+
+
+def number_of(rule: FusionRule) -> str:
+    """The format of numbers in a share; that of its readings for a rule that floods these."""
+    match rule:
+        case NumberRule():
+            return rule.number
+        case MeasurementFlooding():
+            return rule.record_number
+    return "float64"

@@ -1,0 +1,1 @@
+"""Networks of processes under kills, hangs and malformed messages, for minutes or hours."""

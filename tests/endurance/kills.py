@@ -1,0 +1,266 @@
+"""Deaths and hangs in a network of processes: `python -m tests.endurance.kills`.
+
+The script kills and restarts random nodes of sixteen in lockstep, and stops them for a while in
+real time. It prints the cost to the other nodes, and whether any process or port was left behind.
+"""
+
+import os
+import signal
+import socket
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from queue import Empty, SimpleQueue
+
+import msgspec
+import numpy as np
+import tyro
+
+from experiments.results.trace import Trace, read_trace
+from nodes.commands import Restart, Speed
+from nodes.tempo import Tempo
+from runtime.network.network_file import read_network
+from scenarios.catalogue import kind_of
+from scenarios.preparation import prepare
+from scenarios.setup import Setup
+from scenarios.tempo import tempo_of
+from tests.endurance.running import PROC, Running
+
+NODES, RATE = 16, 40.0
+SHORT_S, LONG_S = 0.3, 2.6
+# A process may take this long to end.
+LEAVE_S = 10.0
+
+
+@dataclass(frozen=True)
+class Options:
+    """How often, and from which seed."""
+
+    kills: int = 300
+    """Kills and restarts in lockstep."""
+    hangs: int = 100
+    """Stops in real time: short ones, and ones beyond the lease."""
+    seed: int = 1
+    """Which nodes, when."""
+    graph: str = "4-regular"
+    """Links of their own where it is sparse; `complete` goes through a router."""
+
+
+class Network:
+    """A network that runs, what is told of it, and when."""
+
+    def __init__(self, setup: Setup, folder: Path, tempo: Tempo | None) -> None:
+        self.setup, self.folder = setup, folder
+        self._running = Running(setup, "kills", folder, tempo=tempo)
+        self.client = self._running.client
+        # When each step began, as a watcher hears it.
+        self.heard_s: list[float] = []
+        self.client.listen("truth", lambda topic, data: self.heard_s.append(time.monotonic()))
+        # Each announced change, with the time at which it was heard.
+        self._told: SimpleQueue[tuple[float, dict]] = SimpleQueue()
+        self.client.listen("event", self._hear)
+
+    def _hear(self, _topic: str, data: bytes) -> None:
+        self._told.put((time.monotonic(), msgspec.json.decode(data)["change"]))
+
+    @property
+    def pids(self) -> dict[str, int]:
+        """Those that live, as the launcher says."""
+        return self._running.pids
+
+    def await_told(self, what: str, node: int, since_s: float, seconds: float = 60.0) -> float:
+        """How long after a time it was told that a node is `gone` or has `joined`."""
+        while True:
+            try:
+                told_s, change = self._told.get(timeout=seconds)
+            except Empty:
+                raise RuntimeError(f"nobody told in {seconds} s that {node} {what}") from None
+            if told_s >= since_s and change["what"] == what and change["node"] == node:
+                return told_s - since_s
+
+    def end(self) -> str:
+        """End it by the death of its world; says which processes and ports are left."""
+        pids, connect = list(self.pids.values()), read_network(self.folder).connect
+        self.client.close()
+        os.kill(self.pids["world"], signal.SIGKILL)
+        self._running.ended_within(60)
+        deadline_s = time.monotonic() + LEAVE_S
+        while (left := [pid for pid in pids if lives(pid)]) and time.monotonic() < deadline_s:
+            time.sleep(0.01)
+        taken = [endpoint for endpoint in connect if listens(endpoint)]
+        return f"processes left {left}, ports that still answer {taken}"
+
+    def recorded(self) -> list[tuple[str, bytes]]:
+        """Return the recorded messages."""
+        return self._running.recorded()
+
+    def trace(self) -> Trace:
+        """Return the recording as arrays."""
+        return read_trace(self.setup, self.recorded())
+
+
+def lives(pid: int) -> bool:
+    """Whether a process is there."""
+    return (PROC / str(pid)).exists()
+
+
+def listens(endpoint: str) -> bool:
+    """Whether anybody answers at tcp/HOST:PORT."""
+    host, _, port = endpoint.partition("/")[2].rpartition(":")
+    with suppress(OSError), socket.create_connection((host, int(port)), 1):
+        return True
+    return False
+
+
+def open_files(pids: dict[str, int], names: tuple[str, ...]) -> dict[str, int]:
+    """How many files and sockets these processes have open."""
+    return {name: len(list((PROC / str(pids[name]) / "fd").iterdir())) for name in names}
+
+
+def launcher_process_of(pids: dict[str, int]) -> int:
+    """The parent of all."""
+    return int((PROC / str(pids["world"]) / "stat").read_text().rpartition(")")[2].split()[1])
+
+
+def say(text: str) -> None:
+    """One line."""
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+def kill_in_lockstep(network: Network, count: int, rng: np.random.Generator) -> None:
+    """Kill and restart, one after the other."""
+    client = network.client
+    client.command(Speed(RATE))
+    pids = network.pids
+    family = {**pids, "launcher process": launcher_process_of(pids)}
+    watched = ("launcher process", "world", "recorder")
+    before = open_files(family, watched)
+    gone_s, back_s = [], []
+    for number in range(count):
+        node = int(rng.integers(NODES))
+        time.sleep(float(rng.uniform(0, 0.1)))
+        pid, killed_s = network.pids[str(node)], time.monotonic()
+        os.kill(pid, signal.SIGKILL)
+        gone_s.append(network.await_told("gone", node, killed_s))
+        asked_s = time.monotonic()
+        client.command(Restart(node))
+        back_s.append(network.await_told("joined", node, asked_s))
+        if number % 50 == 49:
+            sys.stderr.write(f"{number + 1} kills\n")
+    after = open_files(family, watched)
+    living = sorted(network.pids)
+    stalls = np.diff(network.heard_s) - 1 / RATE
+    left = network.end()
+    trace = network.trace()
+    graph = network.setup.scenario.network.graph
+    say(f"{count} kills and restarts, {NODES} processes, {graph}, lockstep at {RATE:g} steps/s")
+    say(f"  told to be gone after {spread(gone_s)} s")
+    say(f"  longest stall of the others {max(stalls):.3f} s")
+    say(f"  rejoined {spread(back_s)} s after the command; processes at the end {len(living)}")
+    say(f"  files open before {before}, after {after}; {left}")
+    account(network, trace)
+
+
+def hang_in_real_time(network: Network, count: int, rng: np.random.Generator) -> None:
+    """Stop and continue, one after the other, half of them beyond the lease."""
+    back_s = []
+    for number in range(count):
+        node = int(rng.integers(NODES))
+        pid = network.pids[str(node)]
+        is_long = number % 2 == 0
+        os.kill(pid, signal.SIGSTOP)
+        time.sleep(LONG_S if is_long else SHORT_S)
+        continued_s = time.monotonic()
+        os.kill(pid, signal.SIGCONT)
+        # After a short one it was never out.
+        if is_long:
+            back_s.append(network.await_told("joined", node, continued_s))
+        time.sleep(float(rng.uniform(0, 0.2)))
+    stalls = np.diff(network.heard_s)
+    left = network.end()
+    trace = network.trace()
+    say(f"{count} hangs of {SHORT_S:g} and {LONG_S:g} s, {NODES} processes, real time")
+    say(f"  longest time between two steps {max(stalls):.3f} s; back after {spread(back_s)} s")
+    say(f"  {left}")
+    account(network, trace)
+
+
+def spread(values: list[float] | np.ndarray, digits: int = 3) -> str:
+    """Median, 99th percentile and largest."""
+    return "/".join(f"{q:.{digits}f}" for q in np.quantile(values, [0.5, 0.99, 1.0]))
+
+
+def account(network: Network, trace: Trace) -> None:
+    """Where the estimates and shares are that were not recorded, and whether all agree."""
+    changes = Counter(
+        msgspec.json.decode(data)["change"]["what"]
+        for topic, data in network.recorded()
+        if topic == "event"
+    )
+    out = np.isnan(trace.mean[:, :, 0])
+    taking_part = np.array(
+        [[trace.history.is_in(i, k) for i in range(NODES)] for k in range(trace.steps)]
+    )
+    silent = ~trace.published[: trace.steps].all(axis=1)
+    say(
+        f"  {trace.steps} steps; told: {dict(changes)}; estimates missing {int(out.sum())}, while "
+        f"out {int((~taking_part).sum())}, not accounted for {int((out & taking_part).sum())}"
+    )
+    say(
+        f"  (node, step) without all its shares {int(silent.sum())}, not accounted for by being "
+        f"out {int((silent & taking_part).sum())}"
+    )
+    apart = np.sqrt(np.nanvar(trace.mean, axis=1).mean(axis=-1))
+    say(f"  disagreement: median {np.median(apart):.4g}, last step {apart[-1]:.4g}")
+    cycles = cycles_to_agree(trace.mean, network.setup.scenario.rounds)
+    agreed = cycles[np.isfinite(cycles)]
+    say(
+        f"  as near to the others as usual (95 % of the time) {spread(agreed, 0)} cycles after it "
+        f"was let in; out again before that {len(cycles) - len(agreed)} times of {len(cycles)}"
+    )
+
+
+def cycles_to_agree(mean: np.ndarray, rounds: int) -> np.ndarray:
+    """Return for each return of a node the number of cycles until it agrees with the others.
+
+    A node agrees when its distance from the average of all nodes is at most the distance that
+    nodes keep in 95 of 100 steps. The number is infinite where the node was out again before.
+    The means are (steps, N, n).
+    """
+    away = np.linalg.norm(mean - np.nanmean(mean, axis=1, keepdims=True), axis=-1)
+    usual = np.nanquantile(away, 0.95)
+    is_out = np.isnan(away)
+    cycles = []
+    for step, node in np.argwhere(is_out[:-1] & ~is_out[1:]):
+        life = away[step + 1 :, node]
+        life = life[: np.argmax(np.isnan(life))] if np.isnan(life).any() else life
+        near = life <= usual
+        cycles.append((1 + np.argmax(near)) * rounds if near.any() else np.inf)
+    return np.array(cycles)
+
+
+def main(options: Options) -> None:
+    """Both, one after the other."""
+    defaults = kind_of("oscillator").defaults
+    wanted = {"nodes": NODES, "graph": options.graph, "steps": 1_000_000}
+    setup = prepare(defaults.with_(**wanted))
+    rng = np.random.default_rng(options.seed)
+    plays: list[tuple[int, Tempo | None, Callable]] = [
+        (options.kills, None, kill_in_lockstep),
+        (options.hangs, tempo_of(setup, None), hang_in_real_time),
+    ]
+    for count, tempo, play in plays:
+        if count:
+            with tempfile.TemporaryDirectory() as folder:
+                partial(play, Network(setup, Path(folder), tempo), count, rng)()
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))

@@ -1,0 +1,1 @@
+"""House rules over the whole product: circles, folders, names, dead functions, large classes."""

@@ -1,0 +1,97 @@
+"""Rules against dead code: no module, public function or public method is used by tests alone."""
+
+import ast
+import re
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+
+from tests.house.sources import ROOT, Source, imported_modules
+
+# Entry points: files that a user, the Makefile or another process starts by name.
+_STARTED = re.compile(
+    r"(.*/__main__|launch_local|concord/.*|experiments/cli/.*|papers/\w+/reproduce|benchmarks/.*"
+    r"|docs/.*|examples/.*)\.py"
+)
+# A class with another base may have methods that the library of this base calls.
+_PLAIN_BASES = {"NamedTuple", "Protocol", "Generic", "Struct", "msgspec.Struct", "ValueError"}
+
+
+def pages() -> str:
+    """Return the text of all pages and scripts that name public functions to users."""
+    names = [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("examples/*")]
+    names += [ROOT / "pyproject.toml", ROOT / "Makefile", *ROOT.glob("docs/*.py")]
+    return "\n".join(file.read_text(encoding="utf-8") for file in names if file.is_file())
+
+
+def modules_are_reached(sources: Sequence[Source]) -> Iterator[str]:
+    """Refuse a module that no command, benchmark, page or script reaches."""
+    by_name = {file.module: file for file in sources}
+    text = pages()
+    reached = set[str]()
+    waiting = [
+        file.module
+        for file in sources
+        if _STARTED.fullmatch(str(file.path)) or re.search(rf"\b{re.escape(file.module)}\b", text)
+    ]
+    # A process is started by the name of its module, which stands in a string.
+    named = {
+        node.value
+        for file in sources
+        for node in ast.walk(file.tree)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    }
+    waiting += [module for module in by_name if module in named]
+    while waiting:
+        module = waiting.pop()
+        if module in by_name and module not in reached:
+            reached.add(module)
+            waiting += imported_modules(by_name[module], set(by_name))
+    for file in sources:
+        if file.module not in reached and file.path.name != "__init__.py":
+            yield f"{file.path}:1: no command reaches this file; delete it, or make it reachable"
+
+
+def functions_are_called(sources: Sequence[Source]) -> Iterator[str]:
+    """Refuse a public function or method that only tests call.
+
+    Names decide: a function counts as called where its name is read anywhere in the product
+    outside its own body, or stands in a page.
+    """
+    text = set(re.findall(r"\w+", pages()))
+    uses: dict[str, set[int]] = defaultdict(set)
+    definitions: list[tuple[Source, ast.FunctionDef | ast.AsyncFunctionDef]] = []
+    for file in sources:
+        for name, node in _uses(file.tree):
+            uses[name].add(id(node))
+        definitions += [(file, node) for node in _public(file.tree)]
+    for file, node in definitions:
+        inside = {id(child) for child in ast.walk(node)}
+        if node.name not in text and not uses[node.name] - inside:
+            yield (
+                f"{file.path}:{node.lineno}: only tests call {node.name}; delete it, move it to "
+                "the tests, or make it reachable"
+            )
+
+
+def _uses(tree: ast.AST) -> Iterator[tuple[str, ast.AST]]:
+    for node in ast.walk(tree):
+        match node:
+            case ast.Name(id=name) | ast.Attribute(attr=name):
+                yield name, node
+            case ast.keyword(arg=str(name)):
+                yield name, node
+            case ast.Constant(value=str(name)) if name.isidentifier():
+                yield name, node
+
+
+def _public(tree: ast.Module) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
+    """Yield public functions, and public methods of classes that no library calls."""
+    for node in tree.body:
+        body: Sequence[ast.stmt] = [node]
+        if isinstance(node, ast.ClassDef):
+            bases = {ast.unparse(base).partition("[")[0] for base in node.bases}
+            body = node.body if bases <= _PLAIN_BASES else []
+        for child in body:
+            is_function = isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef)
+            if is_function and not child.name.startswith("_"):
+                yield child

@@ -1,0 +1,143 @@
+"""Filters with noise adapted as they go: on a car whose readings obey the model."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+from filters import ukf
+from filters.adaptive import sage_husa
+from filters.gaussian import Gaussian
+from filters.sigma_points import cubature, scaled_unscented
+from papers.adlukf import adaptive_filters as adaptive
+from papers.adlukf import fuzzy_noise
+from papers.adlukf import sage_husa_as_printed as sage_husa_literal
+from plants.vehicle.model import linear_tyre, single_track
+from plants.vehicle.parameters import BMW_320I
+
+Q = np.diag([1e-5, 1e-8, 1e-5])
+STD = np.array([0.1, 0.005, 0.1])
+MODEL = single_track(BMW_320I, linear_tyre, 0.01, Q)
+RULE = scaled_unscented(3, alpha=0.1, kappa=0.0)
+LANES, STEPS = 8, 400
+PRIOR = Gaussian(
+    np.broadcast_to([0.0, 0.0, 20.3], (LANES, 3)),
+    np.broadcast_to(np.diag([1e-3, 1e-3, 0.25]), (LANES, 3, 3)),
+)
+
+
+def drive(seed: int = 1):
+    """Truth (STEPS, LANES, 3), steering and acceleration (STEPS, 2), readings (STEPS, LANES, 3)."""
+    generator = np.random.default_rng(seed)
+    time_s = 0.01 * np.arange(STEPS)
+    controls = np.stack([0.03 * np.sin(4 * time_s), 0.2 * np.cos(time_s)], axis=-1)
+    state, states, readings = np.broadcast_to([0.0, 0.0, 20.0], (LANES, 3)), [], []
+    for control in controls:
+        states.append(state)
+        readings.append(MODEL.measure(state, control) + STD * generator.standard_normal((LANES, 3)))
+        noise = generator.standard_normal((LANES, 3)) * np.sqrt(np.diag(Q))
+        state = MODEL.transition(state, control, 0) + noise
+    return np.array(states), controls, np.array(readings)
+
+
+TRUTH, CONTROLS, READINGS = drive()
+
+
+def plain(rule, belief, noise, f, h, z):
+    return ukf.update(ukf.predict(belief, f, Q, rule), z, h, noise, rule).belief, noise
+
+
+def learning(belief, noise, f, h, z):
+    update, noise = adaptive.update(ukf.predict(belief, f, Q, RULE), noise, z, h, RULE)
+    return update.belief, noise
+
+
+def fuzzy(belief, noise, f, h, z):
+    update, noise = adaptive.fuzzy_update(ukf.predict(belief, f, Q, RULE), noise, z, h, RULE)
+    return update.belief, noise
+
+
+def dual(belief, noise, f, h, z):
+    update, noise = adaptive.dual_layer_step(belief, noise, z, f, h, Q, RULE)
+    return update.belief, noise
+
+
+def printed(belief, noise, f, h, z):
+    update, noise = adaptive.dual_layer_literal_step(belief, noise, z, f, h, RULE)
+    return update.belief, noise
+
+
+def run(step, belief, noise, first=1, last=STEPS):
+    means = []
+    for k in range(first, last):
+        f = partial(MODEL.transition, control=CONTROLS[k - 1], step=k - 1)
+        h = partial(MODEL.measure, control=CONTROLS[k])
+        belief, noise = step(belief, noise, f, h, READINGS[k])
+        means.append(belief.mean)
+    return np.array(means), belief, noise
+
+
+def rmse(means):
+    return np.sqrt(((means - TRUTH[1:]) ** 2).mean(axis=(0, 1)))
+
+
+MEMORIES = {
+    learning: sage_husa.begin,
+    fuzzy: fuzzy_noise.begin,
+    dual: sage_husa.begin,
+    printed: lambda variances: sage_husa_literal.begin(np.diag(Q), variances),
+}
+
+
+def test_unscented_and_cubature_are_one_filter_here():
+    noise_cov = np.diag(STD**2)
+    ukf_means, _, _ = run(partial(plain, RULE), PRIOR, noise_cov)
+    ckf_means, _, _ = run(partial(plain, cubature(3)), PRIOR, noise_cov)
+    assert np.abs(ukf_means - ckf_means).max() < 1e-7
+
+
+@pytest.mark.parametrize("start", [0.01, 2.0])
+@pytest.mark.parametrize("step", [learning, fuzzy, dual])
+def test_they_get_over_a_wrong_start(step, start):
+    """The CKF does not: its yaw rate is at least a third worse for it."""
+    variances = np.full((LANES, 3), start)
+    right, _, _ = run(partial(plain, RULE), PRIOR, np.diag(STD**2))
+    wrong, _, _ = run(partial(plain, RULE), PRIOR, start * np.eye(3))
+    adapted, _, noise = run(step, PRIOR, MEMORIES[step](variances))
+    assert rmse(wrong)[0] > 1.3 * rmse(right)[0]
+    assert rmse(adapted)[0] < 0.85 * rmse(wrong)[0]
+    # The gyroscope, of which the model says most, is found out within a factor of two and a half.
+    ratio = noise.variances.mean(axis=0)[1] / STD[1] ** 2
+    assert 0.4 < ratio < 2.5
+
+
+@pytest.mark.parametrize("step", MEMORIES)
+def test_the_memory_is_a_value_that_can_be_put_away(step):
+    """A run in two halves is the run, bit for bit: nothing is kept anywhere else."""
+    start = MEMORIES[step](np.broadcast_to(STD**2, (LANES, 3)))
+    means, _, _ = run(step, PRIOR, start, last=60)
+    _, belief, noise = run(step, PRIOR, start, last=30)
+    rest, _, _ = run(step, belief, noise, first=30, last=60)
+    np.testing.assert_array_equal(means[29:], rest)
+
+
+@pytest.mark.parametrize("step", MEMORIES)
+def test_lanes_do_not_touch_each_other(step):
+    variances = np.full((LANES, 3), 0.5)
+    together, _, _ = run(step, PRIOR, MEMORIES[step](variances), last=40)
+    belief, noise = Gaussian(PRIOR.mean[2], PRIOR.cov[2]), MEMORIES[step](variances[2])
+    for k in range(1, 40):
+        f = partial(MODEL.transition, control=CONTROLS[k - 1], step=k - 1)
+        h = partial(MODEL.measure, control=CONTROLS[k])
+        belief, noise = step(belief, noise, f, h, READINGS[k, 2])
+    np.testing.assert_allclose(belief.mean, together[-1, 2], rtol=1e-7, atol=1e-9)
+
+
+def test_a_gated_reading_still_teaches_the_noise():
+    """Else a filter that starts with too small an R would shut its sensor out for good."""
+    z = READINGS[5] + 100 * STD
+    h = partial(MODEL.measure, control=CONTROLS[5])
+    noise = sage_husa.begin(np.broadcast_to(STD**2, (LANES, 3)))
+    update, learnt = adaptive.update(PRIOR, noise, z, h, RULE, gate=16.0)
+    np.testing.assert_array_equal(update.belief.mean, PRIOR.mean)
+    assert (learnt.variances > noise.variances).all()

@@ -1,0 +1,99 @@
+"""The plant over a FlexRay cycle: round robin, try once discard, lifted and augmented, exactly."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from papers.liu2021.bus import MeasuredPlant
+from papers.liu2021.flexray_cycle import augment, largest_change, lift, transmit
+from plants import liu2021
+from tests.bounded_systems import Sizes, on_the_sphere, random_plant, sizes
+
+EXAMPLE = MeasuredPlant(liu2021.SYSTEM, liu2021.STATIC_OUTPUTS, liu2021.weights)
+
+
+def rolled_out(plant: MeasuredPlant, noise: np.ndarray, start: np.ndarray):
+    states, outputs = plant.system.simulate(start, noise)
+    return states, outputs, transmit(outputs, plant.static_outputs, plant.weights)
+
+
+@settings(max_examples=40)
+@given(of=sizes(), seed=st.integers(0, 2**32 - 1))
+def test_augmented_cycles_are_the_plant_and_the_bus_exactly(of: Sizes, seed: int):
+    rng = np.random.default_rng(seed)
+    plant = random_plant(rng, of, steps=20)
+    cycles, length, n = 3, plant.length, of.states
+    noise = on_the_sphere(rng, 5, cycles * length, of.noises)
+    states, outputs, received = rolled_out(plant, noise, rng.standard_normal((5, n)))
+    static = of.static
+    first = np.zeros((5, (length - 1) * n))
+    z = np.concatenate([first, states[:, 0], np.zeros((5, of.outputs - static))], axis=-1)
+    for cycle in range(cycles):
+        lifted = lift(plant.system, static, plant.weights, cycle)
+        model = augment(lifted, received.winner[:, cycle])
+        v = noise[:, cycle * length : (cycle + 1) * length]
+        change = z @ model.candidates.T + np.einsum("rgq,bgq->br", model.candidates_noise, v)
+        last = outputs[:, (cycle + 1) * length - 1, static:]
+        np.testing.assert_allclose(change, last - received.held[:, cycle], atol=1e-12)
+        ybar = np.einsum("bmn,bn->bm", model.output, z)
+        ybar += np.einsum("bmgq,bgq->bm", model.output_noise, v)
+        np.testing.assert_allclose(ybar, received.values[:, cycle], atol=1e-12)
+        z = np.einsum("bmn,bn->bm", model.transition, z)
+        z += np.einsum("bmgq,bgq->bm", model.noise, v)
+        block = states[:, cycle * length + 1 : (cycle + 1) * length + 1].reshape(5, -1)
+        np.testing.assert_allclose(z[:, : length * n], block, atol=1e-12)
+        np.testing.assert_allclose(z[:, length * n :], received.values[:, cycle, static:])
+
+
+def test_lifted_matrices_are_products_of_the_steps():
+    # Lemma 1 by its printed products, for the example: Phi_i and what noise of sample j leaves.
+    cycle = 2
+    lifted = lift(EXAMPLE.system, 2, liu2021.weights, cycle)
+    a = [liu2021.transition(3 * cycle + i) for i in range(3)]
+    b = [liu2021.noise_input(3 * cycle + i) * liu2021.NOISE_BOUND for i in range(3)]
+    zero = np.zeros((4, 1))
+    np.testing.assert_allclose(lifted.states, np.vstack([a[0], a[1] @ a[0], a[2] @ a[1] @ a[0]]))
+    rows = [
+        [b[0], zero, zero],
+        [a[1] @ b[0], b[1], zero],
+        [a[2] @ a[1] @ b[0], a[2] @ b[1], b[2]],
+    ]
+    np.testing.assert_allclose(lifted.states_noise[..., 0], np.block(rows))
+
+
+def test_static_outputs_are_of_their_own_step_and_losers_are_held():
+    outputs = np.arange(24.0).reshape(6, 4)
+    received = transmit(outputs, 2, lambda _: np.array([1.0, 1.0]))
+    np.testing.assert_array_equal(received.values[0], [outputs[0, 0], outputs[1, 1], 0.0, 11.0])
+    # Held are 0 and 11; now they measure 22 and 23: output 3 has changed more.
+    np.testing.assert_array_equal(received.held[1], [0.0, 11.0])
+    np.testing.assert_array_equal(received.values[1], [outputs[3, 0], outputs[4, 1], 22.0, 11.0])
+    np.testing.assert_array_equal(received.winner, [1, 0])
+
+
+def test_weights_decide_and_the_first_wins_among_equals():
+    held = np.zeros(3)
+    assert largest_change(np.array([2.0, -2.0, 2.0]), held, np.ones(3)) == 0
+    assert largest_change(np.array([2.0, -2.0, 1.0]), held, np.array([1.0, 1.0, 5.0])) == 2
+
+
+def test_the_rule_gives_the_known_winners_on_the_papers_noise():
+    # spec of the paper, A9: 4,3,3,3,4,4,3,3,3,4,3,3,3.
+    noise = liu2021.printed_noise(liu2021.STEPS)
+    _, _, received = rolled_out(EXAMPLE, noise, liu2021.INITIAL_STATE)
+    winners = [4, 3, 3, 3, 4, 4, 3, 3, 3, 4, 3, 3, 3]
+    np.testing.assert_array_equal(received.winner + 3, winners)
+
+
+def test_the_example_is_unstable_and_as_large_as_reported():
+    noise = liu2021.printed_noise(liu2021.STEPS)
+    states, _ = liu2021.SYSTEM.simulate(liu2021.INITIAL_STATE, noise)
+    np.testing.assert_allclose(np.abs(states[-1, 0]), 41.8, atol=0.05)
+
+
+def test_a_bus_that_cannot_be_is_refused():
+    with pytest.raises(ValueError, match="from 0 to 4"):
+        transmit(np.zeros((6, 4)), 5, lambda _: np.ones(0))
+    with pytest.raises(ValueError, match="cycles of 3"):
+        transmit(np.zeros((7, 4)), 2, lambda _: np.ones(2))

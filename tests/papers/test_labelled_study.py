@@ -1,0 +1,97 @@
+"""The study of labelled measurements: its statistics, its cases, and its report."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from experiments.cli.reproduce import carry_out
+from experiments.scenario_options import scenario_of
+from papers.labelled.cases import Case, CaseOutcome, halves, runs_of_case
+from papers.labelled.cases_section import CASES, cases_section
+from papers.labelled.reproduce import PAPER, error_section, figure_of
+from papers.labelled.study import FORMS, OCCUPANCIES, Form, Job, Outcome, cell
+from papers.labelled.study import outcomes as runs_of
+from scenarios.preparation import prepare
+
+
+def outcomes(generator: np.random.Generator, runs: int) -> list[Outcome]:
+    central = generator.chisquare(20, runs) / 20
+    network = central * generator.normal(1.44, 0.1, runs)
+    return [
+        Outcome(n, c, np.array([1.0, 1.1]) + c, 1.0 * c, 100.0, 200.0, 300.0, 0.9, 0.1)
+        for n, c in zip(network, central, strict=True)
+    ]
+
+
+def test_the_interval_is_that_of_the_delta_method():
+    found = outcomes(np.random.default_rng(0), 400)
+    squared = np.array([[o.squared, o.squared_centralised] for o in found])
+    mean, cov = squared.mean(0), np.cov(squared.T) / len(found)
+    ratio = np.sqrt(mean[0] / mean[1])
+    slope = 0.5 * ratio / mean * [1, -1]
+    expected = stats.t.ppf(0.975, 399) * np.sqrt(slope @ cov @ slope)
+    result = cell(found)
+    assert result.ratio == pytest.approx(ratio)
+    assert result.half_width == pytest.approx(expected, rel=0.02)
+    # The worst node is 0.1 above the centralised filter, which is paired with it.
+    assert result.excess == pytest.approx(1.1) and result.excess_half_width < 1e-9
+
+
+def test_a_run_is_what_a_summary_would_say():
+    form = Form("labelled", {"rule": "labelled", "schedule": "dynamic", "steps": 30})
+    (found, _) = runs_of(Job(form, 0.25, 1, 2))
+    assert 1.0 < np.sqrt(found.squared / found.squared_centralised) < 3.0
+    assert found.consistency.shape == (20,)
+    # Fifteen frames a step at most, each of at least ten bytes and at most 254, and 8 around.
+    assert 0 < found.said_bytes < found.wire_bytes <= 15 * 262
+    assert found.wire_us > 0.8 * found.wire_bytes
+
+
+def test_the_halves_of_the_cut_hang_together():
+    setup = prepare(scenario_of(scenario="target-tracking", nodes=20))
+    side = halves(setup)
+    assert side.sum() == 8
+    for part in (side, ~side):
+        members = set(np.flatnonzero(part).tolist())
+        reached, frontier = set(), [min(members)]
+        while frontier:
+            node = frontier.pop()
+            reached.add(node)
+            frontier += [j for j in setup.neighbours[node] if j in members - reached]
+        assert reached == members
+
+
+def test_a_case_loses_what_it_says():
+    options = {"occupancy": 1.0, "steps": 12}
+    (clean,), (lossy,) = (runs_of_case(Case({**options, "loss": loss}), 1) for loss in (0.0, 0.8))
+    assert lossy.squared[6:].mean() > 1.5 * clean.squared[6:].mean()
+    np.testing.assert_array_equal(clean.squared_centralised, lossy.squared_centralised)
+
+
+def test_the_report_has_a_picture_and_a_row_for_every_cell(tmp_path: Path):
+    generator = np.random.default_rng(1)
+    table = {(f.name, part): cell(outcomes(generator, 5)) for f in FORMS for part in OCCUPANCIES}
+    figure_of(table).savefig(tmp_path / "labelled.png")
+    assert (tmp_path / "labelled.png").stat().st_size > 10_000
+    section = error_section(table, 5)
+    assert section.text.count("\n| ") == 1 + 1 + len(table)
+    assert not all(check.ok for check in section.checks)
+    squared = generator.chisquare(2, (120, 20))
+    squared[70, 13] = np.nan
+    one = CaseOutcome(squared, squared / 2, squared.mean(1), 400.0, 80, 75, 1500, 2)
+    section = cases_section({name: [one, one] for name in CASES})
+    assert not all(check.ok for check in section.checks)
+    text = section.text
+    assert all(name in text for name in CASES) and "| - |" in text
+
+
+@pytest.mark.slow
+def test_the_command_does_all_of_it(tmp_path: Path):
+    """Two runs say little of errors; what is exact must hold all the same."""
+    report = carry_out("labelled", PAPER, tmp_path, PAPER.seed, 2)
+    assert report.complete and [section.place for section in report.sections] == [1, 2, 3]
+    assert all(check.ok for check in report.sections[0].checks)
+    assert (tmp_path / "labelled.png").exists()
+    assert all(form.name in (tmp_path / "report.md").read_text() for form in FORMS)

@@ -1,0 +1,361 @@
+"""`concord reproduce wac`: the array program against the network, verdicts that follow the numbers,
+pictures with something in them."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from msgspec.structs import replace
+
+from experiments.__main__ import main
+from experiments.results.trace import read_trace
+from papers.wac import bench, occupancy
+from papers.wac import bus as reproduce_wac_bus
+from papers.wac import exact as reproduce_wac_exact
+from papers.wac import figures as reproduce_wac_figures
+from papers.wac import loci as reproduce_wac_loci
+from papers.wac import loops as reproduce_wac_loops
+from papers.wac import unstable as reproduce_wac_unstable
+from papers.wac.claims import judge
+from papers.wac.errata import ERRATA
+from papers.wac.evidence import Evidence, gather
+from papers.wac.lanes import averaging_of, centralised, estimate, wire
+from papers.wac.loop_checks import checks_of as loop_checks_of
+from papers.wac.loops import Loops
+from papers.wac.responses import OUTPUT, Trial
+from papers.wac.runs import simulate
+from runtime.drivers import in_memory
+from scenarios.baselines import centralised as centralised_alone
+from scenarios.bus_plan import build_schedule
+from scenarios.catalogue import kind_of
+from scenarios.preparation import prepare
+from scenarios.rules import hold_policy
+from scenarios.scenario import Scenario
+from scenarios.setup import Setup
+from tests.papers.support import every_claim_can_fail
+
+# --- the array program ---------------------------------------------------------------------------
+
+
+def weights_of(setup: Setup) -> np.ndarray:
+    weights = np.zeros((setup.scenario.nodes,) * 2)
+    for node, heard in enumerate(setup.neighbours):
+        weights[node, [node, *heard]] = setup.weights[node]
+    return weights
+
+
+def small(name: str, **changes) -> Scenario:
+    sizes = {"target-tracking": {"nodes": 8}, "dc-motor-position": {"control": "truth"}}
+    return kind_of(name).defaults.with_(steps=15, seed=5, **sizes[name], **changes)
+
+
+HALF = {"schedule": "hybrid", "occupancy": 0.5}
+
+
+@pytest.mark.parametrize(
+    "scenario",
+    [
+        small("target-tracking", rule="ci", hold="decayed", **HALF),
+        small("target-tracking", rule="wac", hold="raw", **HALF),
+        small("target-tracking", rule="ci", hold="in-step", **HALF),
+        small("dc-motor-position", rule="wac", hold="predict", **HALF),
+        small("dc-motor-position", rule="ci", hold="drop", schedule="dynamic", occupancy=0.25),
+        small("dc-motor-position", rule="hcmci", **HALF),
+        small("dc-motor-position", rule="icf"),
+    ],
+    ids=lambda scenario: f"{scenario.name} {scenario.rule.name}",
+)
+def test_every_lane_is_the_network_that_runs(scenario: Scenario):
+    runs = simulate(scenario, [0, 3])
+    setup = prepare(replace(scenario, run=3))
+    trace = read_trace(setup, in_memory(setup))
+    assert runs.truth[:, 1] == pytest.approx(trace.truth, rel=1e-12)
+    wiring = wire(
+        weights_of(setup), scenario.rounds, build_schedule(scenario), hold_policy(scenario)
+    )
+    rule = averaging_of(scenario.rule.name, scenario.nodes, trace.mean.shape[-1])
+    belief = estimate(runs, wiring, rule)
+    deviations = np.sqrt(np.diagonal(trace.cov, axis1=-2, axis2=-1))
+    assert np.abs((belief.mean[:, 1] - trace.mean) / deviations).max() < 1e-9
+    assert np.abs(belief.cov[:, 1] - trace.cov).max() < 1e-9 * np.abs(trace.cov).max()
+
+
+@pytest.mark.parametrize("name", ["target-tracking", "dc-motor-position"])
+def test_centralised_lanes_are_the_baseline(name: str):
+    scenario = small(name, run=2)
+    setup = prepare(scenario)
+    trace = read_trace(setup, in_memory(setup))
+    alone = centralised_alone(setup, trace.readings, trace.control)
+    together = centralised(simulate(scenario, [2, 4]))
+    assert together.mean[:, 0] == pytest.approx(alone.mean, rel=1e-9, abs=1e-9)
+    assert together.cov[:, 0] == pytest.approx(alone.cov, rel=1e-7, abs=1e-12)
+
+
+def test_the_interval_covers_as_often_as_it_says():
+    # Squared errors of 40 runs with 20 degrees of freedom each, and half of that as reference.
+    generator = np.random.default_rng(4)
+    covered = 0
+    for _ in range(150):
+        squared, reference = generator.chisquare(20, (2, 40)) / [[20], [40]]
+        low, high = bench.bootstrap(squared, reference)
+        covered += low <= np.sqrt(2) <= high
+    # 95 % of 150 is 142.5; 4 binomial deviations are 10.7, and the bootstrap of 40 is a bit narrow.
+    assert covered >= 128
+
+
+def test_a_small_study_has_the_order_of_the_large_one():
+    few = bench.bench_of(occupancy.track(seed=2, runs=4))
+    raw, held, sharp = (
+        bench.attempt(few, "ci", occupancy.HOLDS[hold], 0.25, 3, "hybrid")
+        for hold in ("raw", "predict", occupancy.SHARP)
+    )
+    assert sharp.rmse < held.rmse < raw.rmse
+    assert raw.anees > 10 > 1 > sharp.anees_worst > 0.3
+    assert raw.low < raw.rmse < raw.high
+
+
+# --- verdicts follow the numbers -----------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def loops() -> Loops:
+    return reproduce_wac_loops.measure()
+
+
+def trial(scale: float = 1.0, states: int = 5) -> Trial:
+    """A sine, seen with noise of 0.1, estimated with an error of 0.01 times the scale."""
+    times = np.linspace(0, 10, 500)
+    truth = np.stack([np.sin(times + phase) for phase in range(states)], axis=-1)
+    noise = np.random.default_rng(0).standard_normal((500, states))
+    return Trial(
+        times_s=times,
+        reference=np.sign(np.sin(times)),
+        truth=truth,
+        measured=truth[:, 0] + 0.1 * noise[:, 0],
+        estimated=truth + 0.01 * scale * noise,
+        central=truth + 0.005 * noise,
+        integral=1 - np.cos(times),
+    )
+
+
+def trials_of(**scales: float) -> dict[str, dict[str, Trial]]:
+    found = {}
+    for name, output in OUTPUT.items():
+        one = trial(scales.get(name, 1.0))
+        one = one._replace(measured=one.measured - one.truth[:, 0] + one.truth[:, output])
+        found[name] = {"closed loop": one, "open loop": one}
+    return found
+
+
+def exact_of(rmse: float, largest: float) -> reproduce_wac_exact.Exact:
+    """Only what is read of it: WAC's relative RMSE and its largest lambda_max."""
+    figures = np.full((4, 5, 4), rmse)
+    return reproduce_wac_exact.Exact(
+        after={"cruise": {"wac": figures}},
+        settled_bus={},
+        worst={"cruise": {"wac": np.full((4, 5), largest)}},
+        alone={},
+        slem={},
+    )
+
+
+@pytest.fixture(scope="module")
+def evidence(loops: Loops) -> Evidence:
+    unstable = reproduce_wac_unstable.measure()
+    return gather(loops, exact_of(1.3, 0.9), unstable, trials_of())
+
+
+def verdicts(evidence: Evidence) -> dict[str, str]:
+    return {claim.says: claim.verdict for claim in judge(evidence)}
+
+
+def test_closed_loops_have_the_printed_figures(loops: Loops):
+    failed = [check for check in loop_checks_of(loops) if not check.ok]
+    assert not failed
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "name"),
+    [
+        ("cruise_gain", 1460.0, "cruise: gain K"),
+        ("bus_settling_s", 1.5, "bus, road step: below 2 % of peak"),
+        ("pitch_gain", np.array([-0.643457, 169.71, 7.07107]), "pitch, p = 50: K[2]"),
+        ("position_largest_pole", 0.99, "position, this K at 10 ms: largest |z|"),
+        ("position_gain", np.array([2000.0, 50.0, 1.0]), "position, this K at 10 ms"),
+        ("speed_start_v", np.nan, "speed: first voltage"),
+    ],
+)
+def test_another_loop_fails_its_check(loops: Loops, field: str, value, name: str):
+    checks = loop_checks_of(loops._replace(**{field: value}))
+    assert name in [check.name for check in checks if not check.ok]
+
+
+def test_what_the_paper_gets_right_and_wrong(evidence: Evidence):
+    found = [(claim.verdict, claim.erratum) for claim in judge(evidence)]
+    assert {number for verdict, number in found if verdict == "does not hold"} == {
+        None, 2, 8, 9, 18, 19, 20, 22,
+    }  # fmt: skip
+    assert [number for verdict, number in found if verdict == "contradicts itself"] == [7]
+    counts = [verdict for verdict, _ in found]
+    assert counts.count("holds") >= 8
+    assert counts.count("not comparable") == 2
+
+
+def test_every_claim_can_fail(evidence: Evidence):
+    every_claim_can_fail(judge, evidence)
+
+
+HIDDEN = {"pitch": (0.2, 0.1, 0.9), "position": (0.9, 0.1, 0.1)}
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "claim", "verdict"),
+    [
+        ("bus_realisation_error", 0.1, "has the transfer functions", "does not hold"),
+        ("bus_travel_away", 0.0, "and their derivatives", "holds"),
+        ("speed_gain_ratio", 1.0, "is -R/J", "holds"),
+        ("full_ranks", 4, "full rank", "does not hold"),
+        ("loops.cruise_limited_speed", 9.9, "nominal control", "holds"),
+        ("loops.bus_settling_s", 6.0, "in less than 5 s", "does not hold"),
+        ("loops.position_largest_pole", 0.9, "motor's position", "holds"),
+        ("rightmost_poles", {"lag": 1.0, "PID": -1.0}, "stabilise", "not comparable"),
+        ("lag_loop_error", 0.5, "lag compensator", "does not hold"),
+        ("printed_noise_gains", HIDDEN, "touch the hidden states", "holds"),
+        ("prior_away_from_riccati", 0.0, "Riccati", "holds"),
+        ("rest_error_m_s", 0.0, "converges to zero", "holds"),
+        ("limit_away_from_first_weight", 0.0, "weight v1", "holds"),
+        ("wac_lambda_max", 1.1, "is consistent", "does not hold"),
+        ("radii", (0.9, 0.8), "error is bounded", "holds"),
+        ("wac_rmse_least", 1.01, "almost identical", "not comparable"),
+        ("hidden_rmse_to_spread", 0.9, "free state", "does not hold"),
+    ],
+)
+def test_another_number_gives_another_verdict(
+    evidence: Evidence, field: str, value, claim: str, verdict: str
+):
+    name = field.removeprefix("loops.")
+    if name == field:
+        changed = evidence._replace(**{name: value})
+    else:
+        changed = evidence._replace(loops=evidence.loops._replace(**{name: value}))
+    before, after = verdicts(evidence), verdicts(changed)
+    (says,) = [one for one in before if claim in one]
+    assert before.pop(says) != verdict
+    assert after.pop(says) == verdict
+    assert before == after
+
+
+def test_a_blind_node_worse_than_a_measurement_is_told(loops: Loops):
+    unstable = reproduce_wac_unstable.measure()[:1]
+    bad = gather(loops, exact_of(1.3, 0.9), unstable, trials_of(speed=50.0))
+    assert verdicts(bad)["the estimate tracks the true output"] == "does not hold"
+
+
+def test_every_erratum_has_its_number_and_every_claim_a_known_one(evidence: Evidence):
+    assert [erratum.number for erratum in ERRATA] == list(range(1, 24))
+    assert {claim.erratum for claim in judge(evidence)} <= {None, *range(1, 24)}
+
+
+def test_the_spectral_condition_tells_where_wac_diverges():
+    outcomes = reproduce_wac_unstable.measure()
+    assert all(check.ok for check in reproduce_wac_unstable.checks_of(outcomes))
+    assert {outcome.cov_radius > 1 for outcome in outcomes} == {True, False}
+    wrong = outcomes[0]._replace(mean_radius=0.5)
+    assert not reproduce_wac_unstable.checks_of([wrong])[0].ok
+
+
+def test_exact_checks_notice_a_digit_and_an_overconfident_rule():
+    study = reproduce_wac_exact
+    after = {rule: np.ones((4, 5, 4)) for rule in study.FUSED}
+    for line, count in zip(study.PRINTED_RING["cruise"], study.PRINTED_ROUNDS, strict=True):
+        for rule, figures in zip(study.FUSED, study.printed(line), strict=True):
+            after[rule][0, study.ROUNDS.index(count), :3] = figures
+    worst = {rule: np.full((4, 5), 0.9) for rule in study.FUSED}
+    exact = study.Exact(
+        after={"cruise": after, "position": after},
+        settled_bus={},
+        worst={"cruise": worst},
+        alone={name: np.ones(4) for name in ("cruise", "position")},
+        slem=study.PRINTED_SLEM,
+    )
+
+    def failed(beginning: str) -> bool:
+        checks = [check for check in study.checks_of(exact) if check.name.startswith(beginning)]
+        assert len(checks) == 1
+        return not checks[0].ok
+
+    assert not failed("exact, cruise, ring")
+    after["wac"][0, 0, 0] += 0.006
+    assert failed("exact, cruise, ring")
+    assert not failed("consistent: largest lambda_max of ci")
+    worst["ci"][2, 3] = 1.00001
+    assert failed("consistent: largest lambda_max of ci")
+
+
+# --- pictures ------------------------------------------------------------------------------------
+
+
+def colours(path: Path) -> int:
+    return len(np.unique(imread(path).reshape(-1, imread(path).shape[-1]), axis=0))
+
+
+def has_colour(path: Path, hexadecimal: str) -> bool:
+    wanted = np.array([int(hexadecimal[i : i + 2], 16) / 255 for i in (1, 3, 5)])
+    return bool((np.abs(imread(path)[..., :3] - wanted).max(axis=-1) < 0.02).sum() > 50)
+
+
+def test_pictures_show_truth_estimate_and_measurement(tmp_path: Path):
+    names = reproduce_wac_figures.draw(trials_of(), tmp_path)
+    assert len(names) == 5
+    for name in names:
+        for colour in (
+            reproduce_wac_figures.BLACK,
+            reproduce_wac_figures.ORANGE,
+            reproduce_wac_figures.SKY,
+        ):
+            assert has_colour(tmp_path / name, colour), (name, colour)
+
+
+def test_root_loci_have_twelve_panels_with_branches(tmp_path: Path, monkeypatch):
+    monkeypatch.setattr(reproduce_wac_loci, "GAINS", 60)
+    picture = imread(tmp_path / reproduce_wac_loci.draw(tmp_path))
+    blue = np.array([0x00, 0x72, 0xB2]) / 255
+    height, width = picture.shape[0] // 3, picture.shape[1] // 4
+    for row in range(3):
+        for column in range(4):
+            panel = picture[
+                row * height : (row + 1) * height, column * width : (column + 1) * width
+            ]
+            drawn = np.abs(panel[..., :3] - blue).max(axis=-1) < 0.02
+            assert drawn.sum() > 40, (row, column)
+
+
+def test_printed_values_inside_and_outside_are_told_apart():
+    variant = occupancy.Variant("ci", "renorm")
+    cell = bench.Cell(2.5, 2.4, 2.6, 1.0, 0.6, 0.7)
+    table = {(variant, 0.5): cell, (variant, 0.25): cell}
+    printed = {"CI renorm": ("-", "2.42/1/.5", "2.78/1/.5", "-")}
+    assert reproduce_wac_bus.coverage(table, printed) == (1, 2, ["CI renorm at 25 %"])
+
+
+# --- all of it -----------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_the_whole_paper(tmp_path: Path, capsys):
+    main(["reproduce", "wac", "--out", str(tmp_path / "wac"), "--json"])
+    told = json.loads(capsys.readouterr().out)
+    assert told["ok"]
+    names = [part["title"] for part in told["sections"]]
+    assert names[:2] == ["Claims of the paper", "Errata"]
+    assert len(names) == 7
+    exact = next(part["data"] for part in told["sections"] if "largest_lambda_max" in part["data"])
+    assert exact["unequal_cells"] == []
+    assert max(exact["largest_lambda_max"][rule] for rule in ("wac", "ci", "hcmci")) <= 1 + 1e-6
+    text = (tmp_path / "wac" / "report.md").read_text(encoding="utf-8")
+    for file in next(part["data"]["files"] for part in told["sections"] if "files" in part["data"]):
+        assert f"({file})" in text
+        assert colours(tmp_path / "wac" / file) > 100
+    assert "180 of 180 cells round to the printed digits" in text

@@ -1,0 +1,97 @@
+"""Findings of the prose rules in files, each with its file, its line and the rule."""
+
+import ast
+import re
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from tests.prose.blocks import Block, blocks
+from tests.prose.names import defined, retired_in_identifier, retired_in_prose
+
+ROOT = Path(__file__).resolve().parents[2]
+MOST_WORDS = 35
+SUFFIXES = (".py", ".md", ".cpp", ".h")
+# Names are retired in the product and its pages; a test may use a retired word to look for it.
+_UNNAMED = ("tests/",)
+_OPENING = re.compile(
+    r"(?:Who|Whoever|Nobody|Somebody|What|All that|Such|One that)\b", re.IGNORECASE
+)
+_ABBREVIATION = re.compile(r"\b(?:e\.g|i\.e|cf|vs|al|eq|eqs|fig|sec|no|pp?|resp|approx)\.$", re.I)
+_END = re.compile(r"(?<=[.!?])[)\]*]*\s+(?=[\w(\[*-])")
+
+
+class Finding(NamedTuple):
+    """A sentence or a name that breaks a rule."""
+
+    path: str
+    line: int
+    rule: str
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.path}:{self.line}: {self.rule}: {self.text}"
+
+
+def sentences(text: str) -> Iterator[str]:
+    """Split a block into sentences; an abbreviation ends none."""
+    begun = 0
+    for end in _END.finditer(text):
+        if not _ABBREVIATION.search(text[begun : end.start()]):
+            yield text[begun : end.end()].strip()
+            begun = end.end()
+    if text[begun:].strip():
+        yield text[begun:].strip()
+
+
+def words(sentence: str) -> list[str]:
+    """Return the words of a sentence; signs and operators are none."""
+    return [word for word in sentence.split() if re.search(r"\w", word)]
+
+
+def sentence_findings(path: str, block: Block) -> Iterator[Finding]:
+    """Yield sentences that open with a banned pronoun or are too long; a question may open so."""
+    for sentence in sentences(block.text):
+        count = len(words(sentence))
+        opening = _OPENING.match(sentence)
+        if opening and count > 2 and not sentence.endswith("?"):
+            rule = f"opens with '{opening[0]}'; name the subject"
+            yield Finding(path, block.line, rule, sentence)
+        if count > MOST_WORDS:
+            rule = f"{count} words, at most {MOST_WORDS}; one fact a sentence"
+            yield Finding(path, block.line, rule, sentence)
+
+
+def name_findings(path: str, text: str, prose: Iterable[Block]) -> Iterator[Finding]:
+    """Yield retired words in prose, in the file's own name and in the names that it defines."""
+    for block in prose:
+        for retired in retired_in_prose(path, block.text):
+            rule = f"'{retired.word}' is retired; write '{retired.becomes}'"
+            yield Finding(path, block.line, rule, block.text)
+    if not path.endswith(".py"):
+        return
+    named = {*defined(ast.parse(text)), (1, Path(path).stem)}
+    for line, name in sorted(named):
+        for retired in retired_in_identifier(path, name):
+            rule = f"'{retired.word}' is retired; name it '{retired.becomes}'"
+            yield Finding(path, line, rule, name)
+
+
+def findings(file: Path, root: Path = ROOT) -> list[Finding]:
+    """Return every finding in one file, by line."""
+    path = file.relative_to(root).as_posix()
+    prose = blocks(file)
+    found = [finding for block in prose for finding in sentence_findings(path, block)]
+    if not path.startswith(_UNNAMED):
+        found += name_findings(path, file.read_text(encoding="utf-8"), prose)
+    return sorted(found, key=lambda finding: finding.line)
+
+
+def files(paths: Iterable[Path]) -> Iterator[Path]:
+    """Yield the checked files at or below paths, without hidden folders and results of runs."""
+    for path in paths:
+        for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
+            parts = file.relative_to(ROOT).parts
+            hidden = any(part.startswith(".") or part in ("runs", "build") for part in parts)
+            if file.suffix in SUFFIXES and file.is_file() and not hidden:
+                yield file

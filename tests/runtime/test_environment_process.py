@@ -1,0 +1,140 @@
+"""Test the environment process.
+
+A bid that arrived in time counts, even if the process reads it late. Lasting facts are sent again
+where no step goes on.
+"""
+
+import threading
+from collections import deque
+
+import pytest
+
+from nodes.changes import Gone
+from nodes.commands import Kill, Restart, Speed
+from nodes.environment_state import EnvironmentConfig
+from nodes.messages import Bid, BidsClosed, Grant, decode, encode, topic
+from nodes.tempo import Tempo
+from runtime.network.links import Links
+from runtime.processes import republisher as said
+from runtime.processes.environment import inbox
+from runtime.processes.environment import process as environment_process
+from runtime.processes.environment.management import Management
+from runtime.processes.environment.notices import Hello, Presence, Recorded
+from runtime.processes.environment.pacing import EnvironmentPacing, Lockstep, RealTime
+from runtime.processes.environment.process import EnvironmentProcess
+from runtime.processes.environment.timetable import Beat
+from scenarios.build import build_environment
+from tests.experiments.support import small
+
+
+class Wire:
+    """A transport that brings what a test lays on it, and keeps what is sent."""
+
+    def __init__(self, *_: object, **__: object) -> None:
+        self.waiting: dict[str, deque[tuple[str, bytes]]] = {
+            "bid/*": deque(),
+            "estimate/*": deque(),
+        }
+        self.sent: list[tuple[str, bytes]] = []
+        # Set when "gone" is said among what is said again.
+        self.spoken = threading.Event()
+
+    def listen(self, *_: object) -> None: ...
+
+    def answer(self, *_: object) -> None: ...
+
+    def wake(self, _: str) -> None: ...
+
+    def missing(self, names: list[str]) -> list[str]:
+        return names
+
+    def receive_at_once(self, subscription: str) -> tuple[str, bytes] | None:
+        waiting = self.waiting[subscription]
+        return waiting.popleft() if waiting else None
+
+    def send(self, name: str, data: bytes) -> None:
+        self.sent.append((name, data))
+        if name == "gone":
+            self.spoken.set()
+
+    offer = send
+
+
+class Aside:
+    """Nothing was ever too much for a queue."""
+
+    def __init__(self, *_: object) -> None: ...
+
+    def take(self) -> list[tuple[str, bytes]]:
+        return []
+
+
+def process_of(
+    monkeypatch: pytest.MonkeyPatch, config: EnvironmentConfig, pacing: EnvironmentPacing
+) -> tuple[EnvironmentProcess, Wire]:
+    """An environment process that no node has joined, and its transport."""
+    monkeypatch.setattr(environment_process, "Transport", Wire)
+    monkeypatch.setattr(inbox, "Overflow", Aside)
+    nobody = Management(
+        lambda node: None, lambda node: None, lambda given: given, lambda step: None, b"{}"
+    )
+    links = Links("peer", (), (), 1.0)
+    process = EnvironmentProcess("run", links, config, "a" * 64, nobody, pacing, ())
+    wire = process.transport
+    assert isinstance(wire, Wire)
+    return process, wire
+
+
+def test_the_world_says_again_who_is_gone_where_nobody_goes_on(monkeypatch: pytest.MonkeyPatch):
+    process, wire = process_of(monkeypatch, build_environment(small(steps=3)), Lockstep())
+    monkeypatch.setattr(said, "_AGAIN_S", 0.01)
+    process.attend(Presence(2, False))
+    wire.sent.clear()
+    wire.spoken.clear()
+    process.republisher.begin()
+    assert wire.spoken.wait(20)
+    process.republisher.close()
+    assert ("gone", encode(Gone(2))) in wire.sent
+
+
+@pytest.mark.parametrize("came", [0, 1, 2])
+def test_bids_that_are_there_when_the_world_looks_are_in_time(
+    monkeypatch: pytest.MonkeyPatch, came: int
+):
+    """The process was busy until bidding ended; the grant names contenders without a bid."""
+    config = build_environment(small(schedule="hybrid", occupancy=0.5, steps=3))
+    process, wire = process_of(monkeypatch, config, RealTime(Tempo(1.0, 0.02, 0.1)))
+    process.controller.command(Speed(10.0))
+    process.attend(Beat())
+    state = process.controller.state
+    cycle, group = state.next_cycle, state.next_group
+    contenders = config.schedule.contenders(cycle)
+    for node in contenders[:came]:
+        bid = Bid(node, cycle, 1, 30, group)
+        wire.waiting["bid/*"].append((topic(bid), encode(bid)))
+    process.attend(BidsClosed(cycle, group))
+    [grant] = [decode(*one) for one in wire.sent if one[0] == "grant"]
+    assert isinstance(grant, Grant)
+    assert (grant.cycle, grant.group) == (cycle, group)
+    assert set(grant.winners) <= set(contenders[:came])
+    assert bool(grant.winners) == bool(came)
+    assert list(grant.unheard or ()) == list(contenders[came:])
+
+
+def test_a_killed_node_is_not_let_in_before_it_is_restarted(monkeypatch: pytest.MonkeyPatch):
+    """Its process lives until the recorder has its last message, and hears that it is gone."""
+    config = build_environment(small(steps=9))
+    process, _ = process_of(monkeypatch, config, RealTime(Tempo(1.0, 0.02, 0.1)))
+    controller, hello = process.controller, Hello(2, "a" * 64)
+    controller.command(Speed(10.0))
+    controller.command(Kill(2))
+    process.attend(Beat())
+    assert list(controller.state.standing.absent) == [2]
+    # The kill is ordered when the recorder has kept all, and carried out a little later.
+    for notice in (hello, Recorded(2), hello):
+        process.attend(notice)
+        assert not controller._ready
+    process.attend(Presence(2, False))
+    controller.command(Restart(2))
+    process.attend(hello)
+    assert controller._ready == {2}

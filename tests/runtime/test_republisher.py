@@ -1,0 +1,96 @@
+"""Test the republisher beside a transport that stands still."""
+
+import threading
+import time
+from typing import cast
+
+import pytest
+
+from runtime.network.links import RECORDER, WORLD
+from runtime.network.zenoh_transport import Transport
+from runtime.processes import republisher
+
+
+class Standing:
+    """A transport that publishes nothing until it may."""
+
+    def __init__(self) -> None:
+        self.may, self.sent = threading.Event(), list[tuple[str, bytes]]()
+
+    def send(self, topic: str, data: bytes) -> None:
+        self.may.wait(20)
+        self.sent.append((topic, data))
+
+
+def test_who_sees_links_break_never_waits_for_one_that_stands_still(
+    monkeypatch: pytest.MonkeyPatch,
+):
+    """That thread is the one that sends: zenoh has no other."""
+    monkeypatch.setattr(republisher, "_AGAIN_S", 0.01)
+    transport = Standing()
+    speaker = republisher.Republisher(
+        cast(Transport, transport), "node 0", "estimate", 8, lambda: ""
+    )
+    speaker.begin()
+    speaking = threading.Thread(target=speaker.say, args=("share/0", b"a"))
+    speaking.start()
+    time.sleep(0.1)  # By now it has looked what it may forget.
+    seeing = threading.Thread(target=speaker.see, args=("1", False))
+    seeing.start()
+    seeing.join(5)
+    is_waiting = seeing.is_alive()
+    transport.may.set()
+    for thread in (speaking, seeing):
+        thread.join()
+    speaker.close()
+    assert not is_waiting
+
+
+def test_a_link_is_back_that_was_broken_and_not_one_that_is_there_at_first():
+    """A process that confused the two cases sent its hello twice and then stood still."""
+    speaker = republisher.Republisher(
+        cast(Transport, Standing()), "node 0", "estimate", 8, lambda: ""
+    )
+    assert not speaker.see(WORLD, True)
+    assert not speaker.see(WORLD, False)
+    assert speaker.see(WORLD, True)
+    assert not speaker.see(WORLD, True)
+
+
+def test_nothing_new_is_said_to_a_recorder_before_what_it_has_lost():
+    transport = Standing()
+    transport.may.set()
+    speaker = republisher.Republisher(
+        cast(Transport, transport), "node 0", "estimate", 8, lambda: ""
+    )
+    speaker.begin()
+    speaker.say("share/0", b"a")
+    speaker.see(RECORDER, False)
+    speaking = threading.Thread(target=speaker.say, args=("share/0", b"b"))
+    speaking.start()
+    speaking.join(0.05)
+    assert speaking.is_alive()
+    speaker.see(RECORDER, True)
+    speaking.join()
+    speaker.close()
+    assert [one for one in transport.sent if not one[0].startswith("again/")] == [
+        ("share/0", b"a"),
+        ("keep/share/0", b"a"),
+        ("share/0", b"b"),
+    ]
+
+
+def test_what_holds_is_said_where_nobody_goes_on(monkeypatch: pytest.MonkeyPatch):
+    """Lasting facts, such as departed nodes, are sent again: one process may lack the last news."""
+    monkeypatch.setattr(republisher, "_AGAIN_S", 0.01)
+    transport = Standing()
+    transport.may.set()
+    speaker = republisher.Republisher(
+        cast(Transport, transport), "the world", "truth", 8, lambda: "", lambda: [("gone", b"3")]
+    )
+    speaker.begin()
+    deadline_s = time.monotonic() + 20
+    while ("gone", b"3") not in transport.sent and time.monotonic() < deadline_s:
+        time.sleep(0.01)
+    speaker.close()
+    assert ("gone", b"3") in transport.sent

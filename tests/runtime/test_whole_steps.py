@@ -1,0 +1,158 @@
+"""Test that steps are delivered whole, in order and once, in whatever order their messages arrive.
+
+Subscribers are offered each step of a slow network, and a limited number of a fast one.
+"""
+
+import math
+import random
+from collections import defaultdict
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bus.flexray.share_frames import SHARE_FRAMES
+from nodes.messages import decode
+from runtime.drivers import in_memory
+from runtime.processes.recorder.throttled_feed import STEPS_PER_S, ThrottledFeed
+from runtime.whole_steps import WholeStep, WholeSteps
+from scenarios.catalogue import kind_of
+from scenarios.preparation import prepare
+
+NODES, STEPS, ROUNDS = 5, 24, 3
+CHANGES = ("6 kill 2", "10 restart 2", "13 set rounds=1", "17 kill 4", "19 set rounds=20")
+SETUP = prepare(
+    kind_of("oscillator").defaults.with_(nodes=NODES, steps=STEPS, rounds=ROUNDS, changes=CHANGES)
+)
+MESSAGES = in_memory(SETUP)
+Said = tuple[str, bytes]
+
+
+def sources(messages: list[Said]) -> dict[str, list[tuple[int, Said]]]:
+    """Return the messages of each process in order, with their steps.
+
+    A share has the step of the next estimate.
+    """
+    said: dict[str, list[tuple[int, Said]]] = defaultdict(list)
+    for topic, data in messages:
+        kind, _, node = topic.partition("/")
+        if kind in ("bid", "grant", "welcome"):
+            continue
+        source = node if kind in ("share", "estimate") else "world"
+        said[source].append((-1 if kind == "share" else decode(topic, data).step, (topic, data)))
+    for mine in said.values():
+        step = STEPS
+        for place in reversed(range(len(mine))):
+            step = step if mine[place][0] < 0 else mine[place][0]
+            mine[place] = step, mine[place][1]
+    return said
+
+
+def steps_of(messages: list[Said]) -> list[WholeStep]:
+    together = WholeSteps(NODES, ROUNDS, SHARE_FRAMES)
+    return [step for message in messages for step in together.take(*message)]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_processes_may_overtake_each_other(seed: int):
+    said = sources(MESSAGES)
+    expected: dict[int, set[Said]] = defaultdict(set)
+    for mine in said.values():
+        for step, message in mine:
+            if message[0] != "event":
+                expected[step].add(message)
+    order = random.Random(seed)
+    mixed: list[Said] = []
+    while said:
+        slowest = min(mine[0][0] for mine in said.values())
+        heard = said["world"][0][0] if "world" in said else STEPS
+        # The environment begins a step before the nodes; its message may still arrive after theirs.
+        soon = min(slowest + 4, heard + 1)
+        source = order.choice([name for name, mine in said.items() if mine[0][0] <= soon])
+        mixed.append(said[source].pop(0)[1])
+        if not said[source]:
+            del said[source]
+    steps = steps_of(mixed)
+    assert [step.number for step in steps] == list(range(STEPS))
+    for step in steps:
+        assert len(step.messages) == len(expected[step.number])
+        assert set(step.messages) == expected[step.number]
+
+
+def test_a_step_is_given_with_the_last_word_of_those_who_are_in():
+    together = WholeSteps(NODES, ROUNDS, SHARE_FRAMES)
+    waiting: set[str] = set()
+    for topic, data in MESSAGES:
+        given_now = together.take(topic, data)
+        if topic.startswith("measured/"):
+            waiting.add(f"{topic.removeprefix('measured/')} {decode(topic, data).step}")
+        elif topic.startswith("estimate/"):
+            step = decode(topic, data).step
+            waiting.discard(f"{topic.removeprefix('estimate/')} {step}")
+            is_last = not any(one.endswith(f" {step}") for one in waiting)
+            assert [one.number for one in given_now] == ([step] if is_last else [])
+
+
+@pytest.mark.parametrize("lost", ["estimate/1", "measured/3", "truth"])
+def test_what_was_lost_on_its_way_holds_up_one_step_and_not_for_ever(lost: str):
+    kept = [
+        (topic, data)
+        for topic, data in MESSAGES
+        if topic != lost or decode(topic, data).step not in (7, 8)
+    ]
+    numbers = [step.number for step in steps_of(kept)]
+    without = {7, 8} if lost == "truth" else set()
+    assert numbers == [number for number in range(STEPS) if number not in without]
+
+
+@pytest.mark.parametrize(
+    "rubbish",
+    [
+        ("estimate/1", b"{"), ("estimate/77", b'{"step":3}'), ("estimate/x", b'{"step":3}'),
+        ("estimate/1", b'{"step":1000000000}'), ("measured/1", b'{"step":-3}'), ("event", b"[]"),
+        ("share/1", b""), ("share/1", b"\xff" * 60), ("unheard/of", b"x"), ("truth", b"[" * 9999),
+    ],
+)  # fmt: skip
+def test_rubbish_holds_up_nothing(rubbish: Said):
+    mixed = [one for message in MESSAGES for one in (rubbish, message)]
+    assert [step.number for step in steps_of(mixed)] == list(range(STEPS))
+
+
+def offered(times_s: list[float]) -> list[tuple[float, int]]:
+    """When which step is offered, of steps that are over at these times, and asked for after."""
+    offering, told = ThrottledFeed(), []
+    for number, now_s in enumerate(times_s):
+        if (step := offering.take(WholeStep(number, []), now_s)) is not None:
+            told.append((now_s, step.number))
+    if offering.keeps_one:
+        later_s = times_s[-1] + offering.rest_s(times_s[-1])
+        step = offering.due(later_s + 1e-9)
+        assert step is not None
+        told.append((later_s, step.number))
+    return told
+
+
+GAPS = st.lists(st.floats(0, 0.5) | st.floats(0, 0.02), min_size=1, max_size=80)
+
+
+@given(gaps=GAPS)
+def test_no_more_steps_are_offered_than_an_eye_can_follow(gaps: list[float]):
+    times_s = [sum(gaps[: number + 1]) for number in range(len(gaps))]
+    told = offered(times_s)
+    numbers = [number for _, number in told]
+    assert numbers == sorted(set(numbers))
+    for first, (begin_s, _) in enumerate(told):
+        for last, (end_s, _) in enumerate(told[first:], first):
+            most = 5 + math.floor(STEPS_PER_S * (end_s - begin_s) + 1e-6)
+            assert last - first + 1 <= most
+    # Wherever the network stands still, that is what is seen.
+    assert numbers[-1] == len(gaps) - 1
+
+
+@given(hurries=st.lists(st.floats(0, 4 / STEPS_PER_S), min_size=1, max_size=80))
+def test_every_step_of_a_slow_network_is_offered(hurries: list[float]):
+    beats = [number / STEPS_PER_S for number in range(len(hurries))]
+    times_s: list[float] = []
+    for beat, late in zip(beats, hurries, strict=True):
+        times_s.append(max(beat + late, *times_s[-1:]) if times_s else beat + late)
+    assert [number for _, number in offered(times_s)] == list(range(len(hurries)))

@@ -1,0 +1,142 @@
+"""One table, one test: each entry of a table runs in every driver, or is refused in a sentence.
+
+The test reads the declarations of a scenario and the tables of names, so a new entry is tried
+without a new line here. Drivers that pass messages give equal bits, the batched one agrees to
+1e-10. One entry of each group of options also runs over processes.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from bus.arbitration import ARBITERS
+from experiments.cli.agree import first_difference
+from experiments.results.near_agreement import departures
+from experiments.results.trace import read_trace
+from nodes.faults.vocabulary import EVERY_FAULT
+from runtime.batched.build import without_array_form
+from runtime.drivers import DRIVERS, in_memory
+from scenarios.bus_plan import cluster_names
+from scenarios.catalogue import kinds
+from scenarios.preparation import prepare
+from scenarios.scenario import Scenario
+from scenarios.setup import Setup
+from scenarios.types.declarations import every_option
+from tests.experiments.support import scenario, trace_of
+from topology.choices import GRAPHS, WEIGHTS
+from topology.link_names import EXAMPLES as LINK_EXAMPLES
+
+STEPS, NODES = 6, 4
+FIRST = "oscillator"
+
+
+class Entry(NamedTuple):
+    """An entry of a table, the group of its option, and the options that choose it."""
+
+    group: str
+    table: str
+    name: str
+    options: dict[str, Any]
+
+
+def entries() -> Iterator[Entry]:
+    """Yield every entry of every table."""
+    for owned in every_option(Scenario):
+        declared = owned.declaration
+        names: tuple[Any, ...] = (False, True) if declared.annotation is bool else declared.names
+        owner = "".join(f"{name}." for _, name in owned.owners)
+        for name in names:
+            options = {**dict(owned.owners), declared.name: name}
+            yield Entry(owned.group, f"{owner}{declared.name}", str(name), options)
+    tables: dict[str, tuple[str, tuple[str, ...], dict[str, Any]]] = {
+        "arbiter": ("bus", tuple(ARBITERS), {"schedule": "hybrid", "occupancy": 0.5}),
+        "cluster": ("bus", cluster_names(), {}),
+        "graph": ("network", GRAPHS, {}),
+        "weights": ("network", WEIGHTS, {}),
+        "links": ("faults", tuple(" or ".join(LINK_EXAMPLES.values()).split(" or ")), {}),
+    }
+    for table, (group, names, beside) in tables.items():
+        for name in names:
+            yield Entry(group, table, name, {**beside, table: name})
+    for word, fault in EVERY_FAULT.items():
+        changes = [f"2 {fault.example}", *([f"4 {fault.withdrawal}"] if fault.withdrawal else [])]
+        yield Entry("faults", "fault", word, {"changes": tuple(changes)})
+
+
+ENTRIES = list(entries())
+
+
+def prepared(entry: Entry, folder: Path) -> Setup:
+    """Return a network with this entry, on the first plant that allows it.
+
+    Raises:
+        ValueError: no plant allows the entry; the message is that of the first one.
+    """
+    options = dict(entry.options)
+    named = options.pop("scenario", None)
+    if named is not None:
+        return prepare(scenario(named, **{"steps": STEPS, **options}))
+    edges = folder / "path.edges"
+    edges.write_text("0 1\n1 2\n2 3\n")
+    if "graph" in options:
+        options["graph"] = options["graph"].replace("K-", "2-").replace("PATH", str(edges))
+    small = {"nodes": NODES, "graph": "ring", "rounds": 1}
+    refusals = []
+    for name in (FIRST, *kinds()):
+        for network in (small, {}):
+            try:
+                return prepare(scenario(name, **{"steps": STEPS, **network, **options}))
+            except ValueError as refusal:
+                refusals.append(refusal)
+    raise refusals[0]
+
+
+@pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: f"{entry.table} {entry.name}")
+def test_an_entry_runs_in_process_and_batched(entry: Entry, tmp_path: Path):
+    try:
+        setup = prepared(entry, tmp_path)
+    except ValueError as refusal:
+        assert "\n" not in str(refusal) and 20 < len(str(refusal)) < 400
+        return
+    trace = read_trace(setup, in_memory(setup))
+    assert np.isfinite(trace.mean).any()
+    lacking = without_array_form(setup.scenario)
+    assert lacking is None or "\n" not in lacking
+    assert not departures(setup, trace)
+
+
+@pytest.mark.zenoh
+@pytest.mark.parametrize("group", dict.fromkeys(entry.group for entry in ENTRIES))
+def test_an_entry_of_each_group_gives_equal_bits_over_processes(group: str, tmp_path: Path):
+    setup = next(_running(group, tmp_path))
+    traces = {}
+    for driver, run in DRIVERS.items():
+        recording = tmp_path / f"{driver}.mcap"
+        run(setup, f"table-{group}", recording, None, lambda _: None)
+        traces[driver] = trace_of(setup, recording)
+    reference, *others = traces.values()
+    assert all(first_difference(reference, other, "processes") is None for other in others)
+
+
+def _running(group: str, folder: Path) -> Iterator[Setup]:
+    """Yield networks with the entries of a group, the last first, without those refused."""
+    for entry in reversed(ENTRIES):
+        if entry.group == group:
+            try:
+                yield prepared(entry, folder)
+            except ValueError:
+                continue
+
+
+def test_most_entries_run(tmp_path: Path):
+    """A table of refusals alone would pass every other test."""
+    refused = []
+    for entry in ENTRIES:
+        try:
+            prepared(entry, tmp_path)
+        except ValueError as refusal:
+            refused.append(f"{entry.table} {entry.name}: {refusal}")
+    assert len(refused) < len(ENTRIES) / 5, "\n".join(refused)
