@@ -136,7 +136,7 @@ class _Messages:
         return encode(Estimate(node, step, mean, cov, self._ages[node], self._counters))
 
     def hear_shares(self, cycle: int, came: Sequence[tuple[int, bytes]]) -> None:
-        codec, bodies = self._codec, []
+        codec, bodies = self._codec.vector, []
         for node, data in came:
             body = self._bus.due_body(data, node, cycle, codec.size)
             assert body is not None, "what is sent is what is due"

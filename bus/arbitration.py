@@ -149,5 +149,5 @@ def _remembered(
     last_frame_id = np.where(ranked.any(axis=-1), latest, state.last_frame_id)
     waits = np.zeros_like(state.waits)
     waits[..., nodes] = np.where(asks & ~wins, state.waits[..., nodes] + 1, 0)
-    contested = asks.any(axis=-1)
-    return ArbiterState(last_frame_id, np.where(contested[..., None], waits, state.waits))
+    contested = asks.any(axis=-1, keepdims=True)
+    return ArbiterState(last_frame_id, np.where(contested, waits, state.waits))

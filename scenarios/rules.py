@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from nodes.rules.belief_consensus import HoldPolicy
 from nodes.rules.set_shapes import Ellipsoids, Zonotopes
 from scenarios import set_rules
 from scenarios.estimators import (
+    BuildRule,
     alone_in_batch,
     at_node,
     averages_in_batch,
@@ -239,52 +240,74 @@ def _require_all_at_once(
         )
 
 
+def _once(
+    share_numbers: Callable[[int, int], int],
+    build: BuildRule,
+    what: str,
+    batched: Callable[[BatchSeat], BatchedRule] | None = None,
+    **properties: Any,
+) -> Rule:
+    """A rule that is written once: `build` serves one node and all nodes of many runs.
+
+    `what` its shares are appears in reports of those that cannot be used. `batched` is a faster
+    form for many runs.
+    """
+    at_one = partial(at_node, build, what)
+    at_all = batched or partial(in_batch, build, what)
+    return Rule(share_numbers, at_one, at_all, **properties)
+
+
 _RULES: dict[str, Rule] = {
-    "ci": Rule(
+    "ci": _once(
         lambda n, _: packed_length(n),
-        partial(at_node, partial(averaging, INFORMATION), "belief"),
+        partial(averaging, INFORMATION),
+        "belief",
         partial(beliefs_in_batch, INFORMATION),
         shares_beliefs=True,
     ),
-    "trimmed-ci": Rule(
+    "trimmed-ci": _once(
         lambda n, _: packed_length(n),
-        partial(at_node, trimmed, "belief"),
-        partial(in_batch, trimmed, "belief"),
+        trimmed,
+        "belief",
         check=_require_honest_majorities,
         shares_beliefs=True,
     ),
-    "wac": Rule(
+    "wac": _once(
         lambda n, _: packed_length(n),
-        partial(at_node, partial(averaging, MOMENTS), "belief"),
+        partial(averaging, MOMENTS),
+        "belief",
         partial(beliefs_in_batch, MOMENTS),
         shares_beliefs=True,
     ),
-    "hcmci": Rule(
+    "hcmci": _once(
         lambda n, nodes: 2 * packed_length(n) + nodes,
-        partial(at_node, partial(hybrid, safe_gain), "share"),
+        partial(hybrid, safe_gain),
+        "share",
         partial(averages_in_batch, partial(hybrid, safe_gain), "share"),
     ),
-    "hcmci-classical": Rule(
+    "hcmci-classical": _once(
         lambda n, nodes: 2 * packed_length(n) + nodes,
-        partial(at_node, partial(hybrid, classical_gain), "share"),
+        partial(hybrid, classical_gain),
+        "share",
         partial(averages_in_batch, partial(hybrid, classical_gain), "share"),
         check=_require_the_average,
     ),
-    "icf": Rule(
+    "icf": _once(
         lambda n, _: packed_length(n),
-        partial(at_node, weighted_information, "share"),
+        weighted_information,
+        "share",
         partial(averages_in_batch, weighted_information, "share"),
         check=_require_the_average,
     ),
-    "diffusion": Rule(
+    "diffusion": _once(
         lambda n, _: packed_length(n),
-        partial(at_node, diffused, "share"),
-        partial(in_batch, diffused, "share"),
+        diffused,
+        "share",
     ),
-    "kcf": Rule(
+    "kcf": _once(
         lambda n, _: packed_length(n) + n,
-        partial(at_node, pulled, "share"),
-        partial(in_batch, pulled, "share"),
+        pulled,
+        "share",
         weighted=False,
     ),
     "labelled": Rule(
@@ -295,17 +318,18 @@ _RULES: dict[str, Rule] = {
         lacking=without_arrays,
         weighted=False,
     ),
-    "local": Rule(
+    "local": _once(
         lambda n, _: packed_length(n),
-        partial(at_node, partial(averaging, Directly(keep_own)), "belief"),
+        partial(averaging, Directly(keep_own)),
+        "belief",
         alone_in_batch,
         shares_beliefs=True,
         weighted=False,
     ),
-    "centralised": Rule(
+    "centralised": _once(
         lambda n, _: packed_length(n),
-        partial(at_node, diffused, "share"),
-        partial(in_batch, diffused, "share"),
+        diffused,
+        "share",
         check=_require_all_at_once,
         weighted=False,
     ),

@@ -57,7 +57,7 @@ class Plot:
         for index in self._present:
             line = self._chart.lines[index]
             dash: dict[str, Any] = {"dash": (5, 4)} if line.dashed else {}
-            stroke, points = css(line.colour(self._theme)), {"show": False}
+            stroke, points = css(line.colour(self._theme)), uplot.Series_Points(show=False)
             drawn.append(
                 uplot.Series(label=line.name, stroke=stroke, width=1.6, **dash, points=points)
             )

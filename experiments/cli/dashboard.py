@@ -45,11 +45,6 @@ def dashboard(
     options: Annotated[PageOptions, tyro.conf.arg(name="")],
 ) -> None:
     """Watch and control a network that runs, in the browser."""
-    # The network comes first, on a machine that has too little for both.
-    give_way(_NICENESS)
-    from dashboard.frames.live import LiveNetwork
-    from dashboard.serve import open_network
-
     with user_errors():
         check_place(options.host, options.http_port)
         connect, run = network.connect, network.run
@@ -61,6 +56,11 @@ def dashboard(
                 "--connect: there is no endpoint; give those of network.json in the folder of the "
                 "run, or --folder with that folder"
             )
+        # The network comes first, on a machine that has too little for both.
+        give_way(_NICENESS)
+        from dashboard.frames.live import LiveNetwork
+        from dashboard.serve import open_network
+
         source = LiveNetwork(connect, run, watcher_keys(network.keys, connect))
     others = OtherRuns(source.stage.setup, sparing=True)
     page = open_network(

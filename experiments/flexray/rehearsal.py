@@ -147,7 +147,7 @@ def _fitting(setup: Setup) -> Alternative | None:
         bus = build_bus(setup)
     except ValueError:
         return None
-    fits = isinstance(bus, FlexRayBus) and bus.dynamic_room() >= max(
-        bus.schedule.dynamic_slot_table
-    )
+    if not isinstance(bus, FlexRayBus):
+        return None
+    fits = bus.dynamic_room() >= max(bus.schedule.dynamic_slot_table)
     return Alternative(setup, bus) if fits else None

@@ -24,7 +24,7 @@ from nodes.rules.lane_rule import (
 from nodes.rules.local_filter import LocalFilters, Model, Sensor, SensorGroup, control_of
 from nodes.vector_codec import VectorCodec
 
-_SENDS = np.True_
+_SENDS = np.array(True)
 
 
 @dataclass(frozen=True)

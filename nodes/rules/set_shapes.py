@@ -178,8 +178,8 @@ class Zonotopes:
         gap = np.abs(own.centre - other.centre)
         widths = zonotope.half_widths(own) + zonotope.half_widths(other)
         largest = widths + np.abs(own.centre) + np.abs(other.centre)
-        meets = (gap <= widths + rounding_bound(self.generators) * largest).all(axis=-1)
-        return self._reduced(zonotope.intersection(own, other)), meets
+        meets = np.all(gap <= widths + rounding_bound(self.generators) * largest, axis=-1)
+        return self._reduced(zonotope.intersection(own, other)), np.asarray(meets)
 
     def bounds(self, own: Zonotope) -> Gaussian:
         """An ellipsoid around it."""
@@ -212,7 +212,7 @@ class Zonotopes:
 
 
 def _found(sets: Ellipsoid) -> tuple[Ellipsoid, np.ndarray]:
-    return sets, ~np.isnan(sets.factor).any(axis=(-2, -1))
+    return sets, np.asarray(~np.isnan(sets.factor).any(axis=(-2, -1)))
 
 
 def _rounded_up(shape: Array, unit: float) -> Array:

@@ -64,7 +64,8 @@ PAPER = Paper(
 
 
 def _write(folder: Path, table: Table) -> None:
-    forms, parts = ([*dict.fromkeys(key[i] for key in table)] for i in (0, 1))
+    forms = list(dict.fromkeys(form for form, _ in table))
+    parts = list(dict.fromkeys(part for _, part in table))
     variables = {
         name: (
             ("form", "occupancy"),

@@ -168,8 +168,9 @@ def hold_of(rule: FusionRule) -> Hold | None:
 
 def latch_delay_of(rule: FusionRule) -> float | None:
     """Return the time that a host needs to relay, in us; None for a rule that does not relay."""
-    is_relayed = isinstance(rule, MeasurementFlooding) and rule.relay
-    return rule.latch_delay_us if is_relayed else None
+    if isinstance(rule, MeasurementFlooding) and rule.relay:
+        return rule.latch_delay_us
+    return None
 
 
 def number_of(rule: FusionRule) -> str:

@@ -29,7 +29,8 @@ def chart(title: str, *columns: np.ndarray) -> Drawn:
         Curve(f"line {number}", (230, 159, 0), False, column)
         for number, column in enumerate(columns)
     )
-    return Drawn(title, np.arange(len(columns[0])) * 0.1, tuple(curves))
+    times_s = np.linspace(0.0, 0.1 * (len(columns[0]) - 1), len(columns[0]))
+    return Drawn(title, times_s, tuple(curves))
 
 
 def plain(name: str, unit: str) -> Chart:

@@ -168,6 +168,7 @@ def test_a_bid_is_the_squared_change_in_units_of_the_covariance(a: float, b: flo
 
 def test_below_its_trigger_a_node_asks_for_nothing():
     plain = estimator()
+    assert isinstance(plain.rule, BeliefConsensus)
     rule = replace(plain, rule=replace(plain.rule, trigger=4.0))
     step = np.linalg.cholesky(PRIOR.cov) @ np.array([1.0, 0.0])
     assert rule.bid(moved_by(rule, 1.9 * step)) is None

@@ -28,7 +28,7 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> Iterator[Seen]:
     """Transitions that nodes make from here on, as (phase, event or condition, phase)."""
     made: Seen = set()
 
-    def noted(phase: Phase, name: str, act: Callable[..., Any], leads_to: tuple[Phase, ...]):
+    def noted(phase: Phase, name: str, act: Callable[..., Any], leads_to: tuple[Any, ...]):
         def do(*arguments: Any) -> Any:
             after = act(*arguments)
             assert after.phase in leads_to, f"{phase}, {name}: leads to {after.phase}"

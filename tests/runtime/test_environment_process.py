@@ -76,7 +76,7 @@ def process_of(
     monkeypatch.setattr(environment_process, "Transport", Wire)
     monkeypatch.setattr(inbox, "Overflow", Aside)
     nobody = Management(
-        lambda node: None, lambda node: None, lambda given: given, lambda step: None, b"{}"
+        lambda node: None, lambda node: None, lambda _, given: given, lambda step: None, b"{}"
     )
     links = Links("peer", (), (), 1.0)
     process = EnvironmentProcess("run", links, config, "a" * 64, nobody, pacing, ())
