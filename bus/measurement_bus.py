@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 
 from bus.schedule import Schedule
 
-Array = NDArray[np.float64]
-
 RECEIVER = 0
 # Fine enough to order any two readings a sensor can tell apart, too coarse for the last bit.
 BID_RESOLUTION = 2.0**-20
@@ -27,12 +25,12 @@ BID_RESOLUTION = 2.0**-20
 LARGEST_BID = 2**53
 
 
-def zero_order_hold(received: Array) -> Array:
+def zero_order_hold(received: np.ndarray) -> np.ndarray:
     """Return the assumed measurement of a silent sensor: the last value that it sent."""
     return received
 
 
-def zero_input(received: Array) -> Array:
+def zero_input(received: np.ndarray) -> np.ndarray:
     """Return the assumed measurement of a silent sensor: zero."""
     return np.zeros_like(received)
 
@@ -48,7 +46,7 @@ class Slot(NamedTuple):
 
     sent: NDArray[np.bool_]
     fresh: NDArray[np.bool_]
-    received: Array
+    received: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +62,8 @@ class MeasurementBus:
 
     sizes: tuple[int, ...]
     schedule: Schedule
-    weights: tuple[Array, ...] = ()
-    silent: Callable[[Array], Array] = zero_order_hold
+    weights: tuple[np.ndarray, ...] = ()
+    silent: Callable[[np.ndarray], np.ndarray] = zero_order_hold
 
     def __post_init__(self) -> None:
         if not self.sizes or min(self.sizes) < 1:
@@ -100,7 +98,7 @@ class MeasurementBus:
         """Where the measurement of a sensor (1..N) is among all."""
         return list(_slices(self.sizes))[sensor - 1]
 
-    def transmit(self, slot: int, measurement: Array, received: Array) -> Slot:
+    def transmit(self, slot: int, measurement: np.ndarray, received: np.ndarray) -> Slot:
         """One slot of the bus: (2) to (5).
 
         Args:
@@ -124,7 +122,7 @@ class MeasurementBus:
         fresh = np.repeat(sent, self.sizes, axis=-1)
         return Slot(sent, fresh, np.where(fresh, measurement, self.silent(received)))
 
-    def bids(self, measurement: Array, received: Array) -> Array:
+    def bids(self, measurement: np.ndarray, received: np.ndarray) -> np.ndarray:
         """The bid of every sensor (..., N), whole numbers; -1 where it has nothing to send."""
         change = measurement - received
         return np.stack(
@@ -136,11 +134,11 @@ class MeasurementBus:
         )
 
     @property
-    def _weights(self) -> tuple[Array, ...]:
+    def _weights(self) -> tuple[np.ndarray, ...]:
         return self.weights or tuple(np.eye(size) for size in self.sizes)
 
 
-def bid(change: Array, weight: Array) -> Array:
+def bid(change: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """The bid (...) of a change (..., m_j) since the last transmission: change' Q_j change,
     rounded down to units of BID_RESOLUTION; -1 where an entry of the change is NaN.
 

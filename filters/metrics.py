@@ -1,14 +1,11 @@
 """How good estimates are: error, consistency, agreement. Leading axes are free."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from filters.linalg import cholesky, inverse_of_triangle, multiply
 
-Array = NDArray[np.float64]
 
-
-def mean_of_known(values: Array, axes: tuple[int, ...]) -> Array:
+def mean_of_known(values: np.ndarray, axes: tuple[int, ...]) -> np.ndarray:
     """Mean over `axes` of what is not NaN; NaN where nothing is."""
     known = np.logical_not(np.isnan(values))
     count = known.sum(axes)
@@ -16,14 +13,14 @@ def mean_of_known(values: Array, axes: tuple[int, ...]) -> Array:
     return np.divide(total, count, out=np.full(np.shape(total), np.nan), where=count > 0)
 
 
-def largest_of_known(values: Array) -> Array:
+def largest_of_known(values: np.ndarray) -> np.ndarray:
     """Largest over the last axis of what is not NaN; NaN where nothing is."""
     known = np.logical_not(np.isnan(values))
     largest = np.where(known, values, -np.inf).max(axis=-1, initial=-np.inf)
     return np.where(known.any(axis=-1), largest, np.nan)
 
 
-def rmse(errors: Array, axes: tuple[int, ...]) -> Array:
+def rmse(errors: np.ndarray, axes: tuple[int, ...]) -> np.ndarray:
     """Root mean square length of error vectors (..., m) over `axes`; unknown truth left out.
 
     A vector with a NaN entry says nothing; where no vector is left the result is NaN.
@@ -31,7 +28,7 @@ def rmse(errors: Array, axes: tuple[int, ...]) -> Array:
     return np.sqrt(mean_of_known((errors**2).sum(-1), axes))
 
 
-def nees(errors: Array, cov: Array) -> Array:
+def nees(errors: np.ndarray, cov: np.ndarray) -> np.ndarray:
     """Normalised estimation error squared e' P^-1 e of errors (..., m) with cov (..., m, m).
 
     Source: Bar-Shalom, Li, Kirubarajan (2001), Estimation with Applications to Tracking and
@@ -43,16 +40,16 @@ def nees(errors: Array, cov: Array) -> Array:
     return np.where(known, np.vecdot(whitened, whitened), np.nan)
 
 
-def anees(errors: Array, cov: Array, axes: tuple[int, ...]) -> Array:
+def anees(errors: np.ndarray, cov: np.ndarray, axes: tuple[int, ...]) -> np.ndarray:
     """Average NEES over `axes` divided by the dimension: 1 is consistent, above overconfident."""
     return mean_of_known(nees(errors, cov) / errors.shape[-1], axes)
 
 
-def consensus(mean: Array) -> Array:
+def consensus(mean: np.ndarray) -> np.ndarray:
     """The average (steps, 1, m) of the estimates (steps, N, m) of the nodes that have one."""
     return mean_of_known(mean, (1,))[:, None]
 
 
-def disagreement(mean: Array) -> float:
+def disagreement(mean: np.ndarray) -> float:
     """Root mean square distance of the nodes' estimates (steps, N, m) from their average."""
     return float(rmse(mean - consensus(mean), (0, 1)))

@@ -7,16 +7,15 @@ import numpy as np
 
 from filters.gaussian import Gaussian
 from filters.linalg import pack_upper, unpack_upper
-from nodes.messages import Array
 from nodes.vector_codec import VectorCodec
 
 
-def belief_numbers(belief: Gaussian) -> Array:
+def belief_numbers(belief: Gaussian) -> np.ndarray:
     """The numbers (..., m) of beliefs (..., n): mean, then upper triangle."""
     return np.concatenate((belief.mean, pack_upper(belief.cov)), axis=-1)
 
 
-def belief_of(numbers: Array, states: int) -> Gaussian:
+def belief_of(numbers: np.ndarray, states: int) -> Gaussian:
     """The beliefs (..., n) of numbers (..., m)."""
     return Gaussian(numbers[..., :states], unpack_upper(numbers[..., states:]))
 

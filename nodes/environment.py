@@ -19,7 +19,6 @@ from nodes.faults.active import hangs
 from nodes.faults.sensors import delivered as delivered_by_faulty
 from nodes.messages import (
     Allowed,
-    Array,
     Bid,
     BidsClosed,
     EnvironmentEvent,
@@ -263,7 +262,7 @@ def _release(
     return _grant(config, state, outbox)
 
 
-def _read_sensors(config: EnvironmentConfig, state: EnvironmentState) -> Array:
+def _read_sensors(config: EnvironmentConfig, state: EnvironmentState) -> np.ndarray:
     """Read the sensors of all nodes (nodes, r, d) in the step that is released next."""
     step = state.released
     readings = config.plant.observe(state.truth, config.draws.measurement[step], step)

@@ -12,7 +12,7 @@ from bus.bus import Bus
 from bus.schedule import Schedule
 from nodes.changes import Change, Standing
 from nodes.faults.active import HEALTHY, Faults
-from nodes.messages import Array, Bid, Estimate
+from nodes.messages import Bid, Estimate
 
 
 class EnvironmentPhase(Enum):
@@ -33,20 +33,22 @@ class Draws(Protocol):
     """The randomness of one run: process (steps, q) and measurement (steps, ...), for `Plant`."""
 
     @property
-    def process(self) -> Array: ...
+    def process(self) -> np.ndarray: ...
 
     @property
-    def measurement(self) -> Array: ...
+    def measurement(self) -> np.ndarray: ...
 
 
 class Plant(Protocol):
     """The truth and what its sensors deliver."""
 
-    def advance(self, state: Array, control: Array | None, noise: Array, step: int) -> Array:
+    def advance(
+        self, state: np.ndarray, control: np.ndarray | None, noise: np.ndarray, step: int
+    ) -> np.ndarray:
         """The state (..., n) at `step + 1` from the state at `step`."""
         ...
 
-    def observe(self, state: Array, noise: Array, step: int) -> Array:
+    def observe(self, state: np.ndarray, noise: np.ndarray, step: int) -> np.ndarray:
         """Read the sensors: (..., nodes, readings, d), NaN where a node sees nothing."""
         ...
 
@@ -57,7 +59,7 @@ class Controller(NamedTuple):
     It sees the estimate of `node`; None lets it see the true state.
     """
 
-    law: Callable[[Array, Any, int], tuple[Array, Any]]
+    law: Callable[[np.ndarray, Any, int], tuple[np.ndarray, Any]]
     memory: Any
     node: int | None
 
@@ -68,11 +70,11 @@ class Delivery(NamedTuple):
     `transmit(memory, readings (nodes, r, d), step) -> (memory, delivered (nodes, r, d))`.
     """
 
-    transmit: Callable[[Any, Array, int], tuple[Any, Array]]
+    transmit: Callable[[Any, np.ndarray, int], tuple[Any, np.ndarray]]
     memory: Any
 
 
-def _exact(readings: Array) -> Array:
+def _exact(readings: np.ndarray) -> np.ndarray:
     return np.zeros_like(readings)
 
 
@@ -87,7 +89,7 @@ class EnvironmentConfig:
     """
 
     plant: Plant
-    initial_state: Array
+    initial_state: np.ndarray
     draws: Draws
     nodes: int
     steps: int
@@ -102,7 +104,7 @@ class EnvironmentConfig:
     first_cycle: int = 0
     rebuild: "Callable[[Standing], EnvironmentConfig] | None" = None
     faults: Faults = HEALTHY
-    spread: Callable[[Array], Array] = _exact
+    spread: Callable[[np.ndarray], np.ndarray] = _exact
 
     @property
     def schedule(self) -> Schedule:
@@ -125,9 +127,9 @@ class EnvironmentState(NamedTuple):
 
     released: int
     completed: int
-    truth: Array
+    truth: np.ndarray
     memory: Any
-    control: Array | None
+    control: np.ndarray | None
     estimates: dict[int, dict[int, Estimate]]
     next_cycle: int
     next_group: int
@@ -139,7 +141,7 @@ class EnvironmentState(NamedTuple):
     latest: dict[int, Estimate]
     standing: Standing
     announced: tuple[Change, ...]
-    delivered: Array | None
+    delivered: np.ndarray | None
     since: dict[int, int]
 
     @property

@@ -7,9 +7,11 @@ only the estimator reads.
 
 from typing import Any, Protocol, runtime_checkable
 
+import numpy as np
+
 from bus.bus import Rejected as Rejected
 from filters.gaussian import Gaussian
-from nodes.messages import Array, Measured
+from nodes.messages import Measured
 
 Content = Any
 Share = Any
@@ -60,7 +62,7 @@ class Estimator(Protocol):
         """The node's belief now: mean (n,), cov (n, n)."""
         ...
 
-    def ages(self, content: Content) -> Array:
+    def ages(self, content: Content) -> np.ndarray:
         """Communication cycles since the last share of each neighbour was sent; -1 is never."""
         ...
 
@@ -69,6 +71,6 @@ class Estimator(Protocol):
 class KeepsZonotope(Protocol):
     """An estimator that may keep a zonotope around the centre that `belief` tells."""
 
-    def generators(self, content: Content) -> Array | None:
+    def generators(self, content: Content) -> np.ndarray | None:
         """Its generators (n, q); None of another set."""
         ...

@@ -12,7 +12,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from nodes.bounds import (
     MAX_MESSAGE_BYTES,
@@ -26,7 +25,6 @@ from nodes.bounds import (
 )
 from nodes.changes import Change, Event, Gone, Set, Welcome
 
-Array = NDArray[np.float64]
 # Recorder to all: all messages are kept, and every process may leave.
 END = b"{}"
 
@@ -270,13 +268,13 @@ def _has_rounds(change: Set) -> bool:
     return change.settings.get("rounds", 1) in range(1, MAX_ROUNDS + 1)
 
 
-def to_wire(values: Array) -> list[Any]:
+def to_wire(values: np.ndarray) -> list[Any]:
     """Nested lists of floats with None for NaN, as JSON has no NaN."""
     if values.ndim > 1:
         return [to_wire(row) for row in values]
     return [None if math.isnan(value) else value for value in values.tolist()]
 
 
-def from_wire(values: list[Any]) -> Array:
+def from_wire(values: list[Any]) -> np.ndarray:
     """The array that `to_wire` wrote; None becomes NaN."""
     return np.array(values, dtype=np.float64)

@@ -8,7 +8,6 @@ from functools import cached_property
 import numpy as np
 
 from nodes.estimator import Rejected
-from nodes.messages import Array
 
 
 @dataclass(frozen=True)
@@ -35,7 +34,7 @@ class VectorCodec:
     def _numbers(self) -> struct.Struct:
         return struct.Struct(f"<{self.length}{self._dtype.char}")
 
-    def encode(self, vector: Array) -> bytes:
+    def encode(self, vector: np.ndarray) -> bytes:
         """The bytes of a vector (length,)."""
         return vector.astype(self._dtype, copy=False).tobytes()
 
@@ -56,12 +55,12 @@ class VectorCodec:
             raise Rejected(f"{self.what}-not-finite")
         return body
 
-    def unpack(self, *bodies: bytes) -> Array:
+    def unpack(self, *bodies: bytes) -> np.ndarray:
         """The vectors (K, length) in K bodies that were checked."""
         numbers = np.frombuffer(b"".join(bodies), self._dtype).astype(np.float64, copy=False)
         return numbers.reshape(len(bodies), self.length)
 
-    def decode(self, body: bytes) -> Array:
+    def decode(self, body: bytes) -> np.ndarray:
         """The vector (length,) that `encode` wrote.
 
         Raises:

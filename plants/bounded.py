@@ -14,9 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plants.draws import Array
-
-MatrixAt = Callable[[int], Array]
+MatrixAt = Callable[[int], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,28 +27,30 @@ class BoundedSystem:
     feedthrough: MatrixAt
     noise_shape: MatrixAt
 
-    def scaled_noise_input(self, step: int) -> Array:
+    def scaled_noise_input(self, step: int) -> np.ndarray:
         """B F (n, q): what noise in units of its bound does to the state."""
         return self.noise_input(step) @ self.noise_factor(step)
 
-    def scaled_feedthrough(self, step: int) -> Array:
+    def scaled_feedthrough(self, step: int) -> np.ndarray:
         """D F (m, q): what it does to the outputs."""
         return self.feedthrough(step) @ self.noise_factor(step)
 
-    def noise_factor(self, step: int) -> Array:
+    def noise_factor(self, step: int) -> np.ndarray:
         """F (q, q), lower triangular, with F F' = W."""
         return np.linalg.cholesky(self.noise_shape(step)).astype(np.float64)
 
-    def advance(self, state: Array, noise: Array, step: int) -> Array:
+    def advance(self, state: np.ndarray, noise: np.ndarray, step: int) -> np.ndarray:
         """States (..., n) one step later, under noise (..., q) in units of its bound."""
         moved = state @ self.transition(step).T
         return moved + noise @ self.scaled_noise_input(step).T
 
-    def observe(self, state: Array, noise: Array, step: int) -> Array:
+    def observe(self, state: np.ndarray, noise: np.ndarray, step: int) -> np.ndarray:
         """Outputs (..., m) of states (..., n), disturbed by the same noise (..., q)."""
         return state @ self.output(step).T + noise @ self.scaled_feedthrough(step).T
 
-    def simulate(self, initial_state: Array, noise: Array) -> tuple[Array, Array]:
+    def simulate(
+        self, initial_state: np.ndarray, noise: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """States (..., steps + 1, n) from (..., n) on and outputs (..., steps, m).
 
         Args:

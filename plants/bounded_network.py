@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from plants.bounded import BoundedSystem
-from plants.draws import Array, Draws, GeneratorFor
+from plants.draws import Draws, GeneratorFor
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,18 +18,18 @@ class BoundedModel:
     """Model of the filters: the system, and how a known control (p,) enters, by G (n, p)."""
 
     system: BoundedSystem
-    control_matrix: Array
+    control_matrix: np.ndarray
 
-    def transition(self, state: Array, control: Array | None, step: int) -> Array:
+    def transition(self, state: np.ndarray, control: np.ndarray | None, step: int) -> np.ndarray:
         """State (..., n) at step to step + 1, without noise."""
         moved = state @ self.system.transition(step).T
         return moved if control is None else moved + control @ self.control_matrix.T
 
-    def motion(self, step: int) -> tuple[Array, Array]:
+    def motion(self, step: int) -> tuple[np.ndarray, np.ndarray]:
         """A (n, n) and B (n, q) for noise in units of its bound."""
         return self.system.transition(step), self.system.scaled_noise_input(step)
 
-    def process_noise_cov(self, step: int) -> Array:
+    def process_noise_cov(self, step: int) -> np.ndarray:
         """B W B' (n, n), for filters that know covariances only."""
         noise = self.system.scaled_noise_input(step)
         return noise @ noise.T
@@ -45,21 +45,21 @@ class OutputSensor:
     noise_bound: float
     gate: None = None
 
-    def strips(self, step: int) -> tuple[Array, Array]:
+    def strips(self, step: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the row (1, n) and how far the reading may be off (1,) at this step."""
         disturbance = self.system.scaled_feedthrough(step)[self.output]
         row = self.system.output(step)[self.output]
         return row[None], np.sqrt(disturbance @ disturbance)[None]
 
-    def measure(self, state: Array, step: int) -> Array:
+    def measure(self, state: np.ndarray, step: int) -> np.ndarray:
         """State (..., n) to the undisturbed reading (..., 1)."""
         return state @ self.system.output(step)[self.output][:, None]
 
-    def residual(self, left: Array, right: Array) -> Array:
+    def residual(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
         """left - right (..., 1)."""
         return left - right
 
-    def interpret(self, delivered: Array) -> tuple[Array, Array]:
+    def interpret(self, delivered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Value (..., 1), and the squared bound as a variance, for filters that know those only."""
         cov = np.full((1, 1), self.noise_bound**2)
         return delivered, np.broadcast_to(cov, (*delivered.shape, 1))
@@ -78,10 +78,10 @@ class BoundedNetwork:
     system: BoundedSystem
     model: BoundedModel
     nodes: int
-    noise_bounds: Array
-    prior_shape: Array
-    noise: Callable[[np.random.Generator, int], Array]
-    start: Callable[[Array], Array]
+    noise_bounds: np.ndarray
+    prior_shape: np.ndarray
+    noise: Callable[[np.random.Generator, int], np.ndarray]
+    start: Callable[[np.ndarray], np.ndarray]
     state_names: tuple[str, ...]
     state_units: tuple[str, ...]
     time_step_s: float = 1.0
@@ -103,17 +103,19 @@ class BoundedNetwork:
         initial = generator_for("initial", 0).standard_normal(len(self.prior_shape))
         return Draws(initial, process, np.array(everywhere))
 
-    def initial(self, noise: Array) -> tuple[Array, Array, Array]:
+    def initial(self, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """True state (n,), and centre (n,) and shape (n, n) of the ellipsoid that holds it."""
         state = np.linalg.cholesky(self.prior_shape) @ self.start(noise)
         return state, np.zeros_like(state), self.prior_shape
 
-    def advance(self, state: Array, control: Array | None, noise: Array, step: int) -> Array:
+    def advance(
+        self, state: np.ndarray, control: np.ndarray | None, noise: np.ndarray, step: int
+    ) -> np.ndarray:
         """States (..., n) one step later, under noise (..., q)."""
         moved = self.model.transition(state, control, step)
         return moved + noise @ self.system.scaled_noise_input(step).T
 
-    def observe(self, state: Array, noise: Array, step: int) -> Array:
+    def observe(self, state: np.ndarray, noise: np.ndarray, step: int) -> np.ndarray:
         """Return the nodes' readings (..., nodes, 1, 1) of state (..., n), noise (..., nodes, 1,
         q)."""
         dealt = np.arange(self.nodes) % len(self.noise_bounds)
@@ -122,7 +124,7 @@ class BoundedNetwork:
         return (exact[..., None] + (noise * disturbance).sum(-1))[..., None]
 
 
-def on_the_bound(generator: np.random.Generator, steps: int, size: int) -> Array:
+def on_the_bound(generator: np.random.Generator, steps: int, size: int) -> np.ndarray:
     """Noise (steps, size) as large as its bound allows, in random directions."""
     directions = generator.standard_normal((steps, size))
     return directions / np.linalg.norm(directions, axis=-1, keepdims=True)

@@ -6,14 +6,13 @@ Closed form instead of a matrix exponential, so that a node process needs numpy 
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plants.checks import require_positive
 
-Array = NDArray[np.float64]
 
-
-def oscillation_transition(frequency_rad_s: float, damping_1_s: float, time_step_s: float) -> Array:
+def oscillation_transition(
+    frequency_rad_s: float, damping_1_s: float, time_step_s: float
+) -> np.ndarray:
     """Matrix (2, 2) that carries [x - c, x'] by one step.
 
     `frequency_rad_s` is the undamped w, `damping_1_s` is g.
@@ -42,12 +41,12 @@ def oscillation_transition(frequency_rad_s: float, damping_1_s: float, time_step
     )
 
 
-def stationary_cov(frequency_rad_s: float, velocity_std: float) -> Array:
+def stationary_cov(frequency_rad_s: float, velocity_std: float) -> np.ndarray:
     """Covariance (2, 2) of [x, x'] in the long run: each holds half of the mean energy."""
     return np.diag([(velocity_std / frequency_rad_s) ** 2, velocity_std**2])
 
 
-def oscillation_noise_cov(transition: Array, stationary: Array) -> Array:
+def oscillation_noise_cov(transition: np.ndarray, stationary: np.ndarray) -> np.ndarray:
     """Covariance (2, 2) that a step adds: what keeps the stationary covariance stationary.
 
     It belongs to white noise of spectral density 2 g velocity_std^2.

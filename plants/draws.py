@@ -4,9 +4,6 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 GeneratorFor = Callable[[str, int], np.random.Generator]
 """The stream of a purpose ("initial", "process", "measurement") and a node."""
@@ -15,9 +12,9 @@ GeneratorFor = Callable[[str, int], np.random.Generator]
 class Draws(NamedTuple):
     """One run's noise in units of its standard deviation."""
 
-    initial: Array  # (p,)
-    process: Array  # (steps, q)
-    measurement: Array  # (steps, nodes, readings, d)
+    initial: np.ndarray  # (p,)
+    process: np.ndarray  # (steps, q)
+    measurement: np.ndarray  # (steps, nodes, readings, d)
 
 
 def standard_draws(

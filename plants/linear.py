@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from plants.draws import Array, Draws, GeneratorFor, standard_draws
+from plants.draws import Draws, GeneratorFor, standard_draws
 
-Signal = Callable[[int], Array]
+Signal = Callable[[int], np.ndarray]
 
 
 class Drift(NamedTuple):
@@ -23,10 +23,10 @@ class Drift(NamedTuple):
     matrix: (n, r), the sampled input matrix; signal: step -> (r,).
     """
 
-    matrix: Array
+    matrix: np.ndarray
     signal: Signal
 
-    def __call__(self, step: int) -> Array:
+    def __call__(self, step: int) -> np.ndarray:
         """Return the input's contribution to the state between step and step + 1: (n,)."""
         return self.matrix @ self.signal(step)
 
@@ -35,19 +35,19 @@ class Drift(NamedTuple):
 class LinearModel:
     """Model of a filter: F (n, n), G (n, p), Q (n, n), and the known drift."""
 
-    transition_matrix: Array
-    control_matrix: Array
-    noise_cov: Array
+    transition_matrix: np.ndarray
+    control_matrix: np.ndarray
+    noise_cov: np.ndarray
     drift: Drift | None = None
 
-    def transition(self, state: Array, control: Array | None, step: int) -> Array:
+    def transition(self, state: np.ndarray, control: np.ndarray | None, step: int) -> np.ndarray:
         """State (..., n) at step to step + 1, without noise; control (..., p), None for none."""
         moved = state @ self.transition_matrix.T
         if control is not None:
             moved = moved + control @ self.control_matrix.T
         return moved if self.drift is None else moved + self.drift(step)
 
-    def process_noise_cov(self, step: int) -> Array:
+    def process_noise_cov(self, step: int) -> np.ndarray:
         """Covariance (n, n) of what the transition leaves out; the same at every step."""
         return self.noise_cov
 
@@ -60,19 +60,19 @@ class LinearSensor:
     sensor for that row.
     """
 
-    rows: Array
-    noise_std: Array
+    rows: np.ndarray
+    noise_std: np.ndarray
     gate: None = None
 
-    def measure(self, state: Array, step: int) -> Array:
+    def measure(self, state: np.ndarray, step: int) -> np.ndarray:
         """State (..., n) to the noiseless measurement (..., m)."""
         return (self.rows * state[..., None, :]).sum(-1)
 
-    def residual(self, left: Array, right: Array) -> Array:
+    def residual(self, left: np.ndarray, right: np.ndarray) -> np.ndarray:
         """left - right (..., m): no entry is an angle that wraps."""
         return left - right
 
-    def interpret(self, delivered: Array) -> tuple[Array, Array]:
+    def interpret(self, delivered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Delivered (..., m) to value (..., m) and noise covariance (..., m, m).
 
         A blind entry stays NaN, missing; its variance is set to 1 and means nothing.
@@ -99,10 +99,10 @@ class LinearPlant:
     state_names: tuple[str, ...]
     state_units: tuple[str, ...]
     model: LinearModel
-    noise_factor: Array
+    noise_factor: np.ndarray
     sensors: LinearSensor
-    initial_state: Array
-    prior_cov: Array
+    initial_state: np.ndarray
+    prior_cov: np.ndarray
     unknown_drift: Drift | None = None
     warning: str = ""
 
@@ -125,7 +125,7 @@ class LinearPlant:
         n, q = self.noise_factor.shape
         return standard_draws(generator_for, n, q, (nodes, 1, outputs), steps)
 
-    def initial(self, noise: Array) -> tuple[Array, Array, Array]:
+    def initial(self, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Standard normals (..., n) to truth (..., n), prior mean (..., n), prior cov (n, n).
 
         The prior mean is truth + N(0, prior_cov), one for all nodes.
@@ -134,12 +134,14 @@ class LinearPlant:
         state = np.broadcast_to(self.initial_state, error.shape)
         return state, state + error, self.prior_cov
 
-    def advance(self, state: Array, control: Array | None, noise: Array, step: int) -> Array:
+    def advance(
+        self, state: np.ndarray, control: np.ndarray | None, noise: np.ndarray, step: int
+    ) -> np.ndarray:
         """The truth (..., n) from step to step + 1 under control (..., p), normals (..., q)."""
         moved = self.model.transition(state, control, step) + noise @ self.noise_factor.T
         return moved if self.unknown_drift is None else moved + self.unknown_drift(step)
 
-    def observe(self, state: Array, noise: Array, step: int) -> Array:
+    def observe(self, state: np.ndarray, noise: np.ndarray, step: int) -> np.ndarray:
         """State (..., n), normals (..., nodes, 1, d) to delivered (..., nodes, 1, d).
 
         NaN where a node is blind.

@@ -11,7 +11,6 @@ import numpy as np
 
 from plants.bounded import BoundedSystem
 from plants.bounded_network import BoundedModel, BoundedNetwork, on_the_bound
-from plants.draws import Array
 
 STATES, OUTPUTS, STATIC_OUTPUTS = 4, 4, 2
 STEPS = 39
@@ -19,7 +18,7 @@ INITIAL_STATE = np.array([0.15, 0.16, 0.1, -0.2])
 NOISE_BOUND = np.sqrt(10.0)
 
 
-def transition(step: int) -> Array:
+def transition(step: int) -> np.ndarray:
     """A (4, 4)."""
     return np.array(
         [
@@ -31,28 +30,28 @@ def transition(step: int) -> Array:
     )
 
 
-def noise_input(step: int) -> Array:
+def noise_input(step: int) -> np.ndarray:
     """B (4, 1)."""
     first, second = 0.13 + 0.2 * np.sin(10 * step), 0.15 - 0.2 * np.cos(2 * step)
     return np.array([[first], [second], [0.2], [-0.15]])
 
 
-def output(step: int) -> Array:
+def output(step: int) -> np.ndarray:
     """C (4, 4)."""
     return np.diag([9 + 0.3 * np.cos(-2 * step), 1.8 - 0.1 * np.cos(3 * step), 6.0, 8.0])
 
 
-def feedthrough(step: int) -> Array:
+def feedthrough(step: int) -> np.ndarray:
     """D (4, 1)."""
     return np.array([[0.12], [0.17 + 0.27 * np.cos(step)], [0.2], [-0.2]])
 
 
-def weights(step: int) -> Array:
+def weights(step: int) -> np.ndarray:
     """Q_3 and Q_4 (2,), of the outputs that contend."""
     return np.array([2.0, 1.0])
 
 
-def printed_noise(steps: int) -> Array:
+def printed_noise(steps: int) -> np.ndarray:
     """w = 0.3 sin(-T) (steps, 1) in units of its bound."""
     return 0.3 * np.sin(-np.arange(steps, dtype=float))[:, None] / NOISE_BOUND
 
@@ -75,7 +74,9 @@ class Stabiliser:
 
     initial_memory = np.zeros(0)
 
-    def control(self, state_estimate: Array, memory: Array, step: int) -> tuple[Array, Array]:
+    def control(
+        self, state_estimate: np.ndarray, memory: np.ndarray, step: int
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return the control (1,) for an estimate (4,); nothing is remembered."""
         return -(state_estimate @ _FEEDBACK.T), memory
 
@@ -102,6 +103,6 @@ def network(nodes: int, noise: str) -> BoundedNetwork:
     )
 
 
-def _inside(direction: Array) -> Array:
+def _inside(direction: np.ndarray) -> np.ndarray:
     """Return the direction, as long as the unit ball allows."""
     return direction / np.linalg.norm(direction)

@@ -6,7 +6,6 @@ The paper says where the estimate starts and not where the state does: here in t
 
 import numpy as np
 
-from plants.draws import Array
 from plants.sensed import Placement, SensedPlant
 from plants.stochastic import StochasticNonlinearity, StochasticSystem, Term
 
@@ -24,7 +23,7 @@ _MEASUREMENT = StochasticNonlinearity(
 )
 
 
-def transition(state: Array, control: Array | None, step: int) -> Array:
+def transition(state: np.ndarray, control: np.ndarray | None, step: int) -> np.ndarray:
     """f: states (..., 2) at `step` to the next, without noise."""
     first, second = state[..., 0], state[..., 1]
     after = np.empty_like(state)
@@ -33,7 +32,7 @@ def transition(state: Array, control: Array | None, step: int) -> Array:
     return after
 
 
-def measure(state: Array, step: int) -> Array:
+def measure(state: np.ndarray, step: int) -> np.ndarray:
     """h: measurements (..., 6) of states (..., 2) at `step`, without noise."""
     first, second = state[..., 0], state[..., 1]
     product = first * second

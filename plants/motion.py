@@ -10,11 +10,8 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plants.checks import require_positive
-
-Array = NDArray[np.float64]
 
 _RATE_FLOOR_RAD_S = 1e-6
 
@@ -28,11 +25,11 @@ class Motion(Protocol):
     def state_names(self) -> tuple[str, ...]: ...
     @property
     def state_units(self) -> tuple[str, ...]: ...
-    def transition(self, state: Array, control: Array | None, step: int) -> Array:
+    def transition(self, state: np.ndarray, control: np.ndarray | None, step: int) -> np.ndarray:
         """States (..., n) -> (..., n), one step later."""
         ...
 
-    def process_noise_cov(self, step: int) -> Array:
+    def process_noise_cov(self, step: int) -> np.ndarray:
         """Covariance (n, n) that the step adds."""
         ...
 
@@ -58,7 +55,7 @@ class ConstantVelocity:
             acceleration_density_m2_s3=self.acceleration_density_m2_s3,
         )
 
-    def transition(self, state: Array, control: Array | None, step: int) -> Array:
+    def transition(self, state: np.ndarray, control: np.ndarray | None, step: int) -> np.ndarray:
         """States (..., 4) -> (..., 4), one step later."""
         after = np.empty_like(state)
         velocities = after[..., 1::2] = state[..., 1::2]
@@ -67,12 +64,12 @@ class ConstantVelocity:
         positions += state[..., ::2]
         return after
 
-    def process_noise_cov(self, step: int) -> Array:
+    def process_noise_cov(self, step: int) -> np.ndarray:
         """Covariance (4, 4) of the integrated white acceleration over a step."""
         return self._process_noise_cov
 
     @cached_property
-    def _process_noise_cov(self) -> Array:
+    def _process_noise_cov(self) -> np.ndarray:
         return _plane_noise(self.time_step_s, self.acceleration_density_m2_s3)
 
 
@@ -101,7 +98,7 @@ class CoordinatedTurn:
             turn_rate_drift_rad_s=self.turn_rate_drift_rad_s,
         )
 
-    def transition(self, state: Array, control: Array | None, step: int) -> Array:
+    def transition(self, state: np.ndarray, control: np.ndarray | None, step: int) -> np.ndarray:
         """States (..., 5) -> (..., 5), one step later."""
         vx, vy, rate = state[..., 1], state[..., 3], state[..., 4]
         moving_rate = np.where(np.abs(rate) < _RATE_FLOOR_RAD_S, _RATE_FLOOR_RAD_S, rate)
@@ -119,19 +116,19 @@ class CoordinatedTurn:
         after[..., 4] = rate
         return after
 
-    def process_noise_cov(self, step: int) -> Array:
+    def process_noise_cov(self, step: int) -> np.ndarray:
         """Covariance (5, 5): white acceleration on both axes, a random walk of the rate."""
         return self._process_noise_cov
 
     @cached_property
-    def _process_noise_cov(self) -> Array:
+    def _process_noise_cov(self) -> np.ndarray:
         cov = np.zeros((5, 5))
         cov[:4, :4] = _plane_noise(self.time_step_s, self.acceleration_density_m2_s3)
         cov[4, 4] = self.turn_rate_drift_rad_s**2 * self.time_step_s
         return cov
 
 
-def _plane_noise(time_step_s: float, density: float) -> Array:
+def _plane_noise(time_step_s: float, density: float) -> np.ndarray:
     """Covariance (4, 4) of [x, vx, y, vy] after a step under white acceleration of this density."""
     dt = time_step_s
     cov = np.zeros((4, 4))

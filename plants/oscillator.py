@@ -18,8 +18,6 @@ from plants.damped_oscillation import (
 )
 from plants.draws import Draws, GeneratorFor, standard_draws
 
-Array = NDArray[np.float64]
-
 
 class Output(NamedTuple):
     """Output that a node measures: `row` (2,) times the state, with noise of `noise_std`."""
@@ -50,16 +48,16 @@ class Oscillation:
         _ = self.transition_matrix  # refuses the rest
 
     @cached_property
-    def transition_matrix(self) -> Array:
+    def transition_matrix(self) -> np.ndarray:
         """Return the transition (2, 2)."""
         return oscillation_transition(self.frequency_rad_s, self.damping_1_s, self.time_step_s)
 
     @cached_property
-    def stationary_cov(self) -> Array:
+    def stationary_cov(self) -> np.ndarray:
         """Covariance (2, 2) in the long run."""
         return stationary_cov(self.frequency_rad_s, self.velocity_std_m_s)
 
-    def transition(self, state: Array, control: Array | None, step: int) -> Array:
+    def transition(self, state: np.ndarray, control: np.ndarray | None, step: int) -> np.ndarray:
         """States (..., 2) -> (..., 2), one step later."""
         matrix = self.transition_matrix
         after = np.empty_like(state)
@@ -67,12 +65,12 @@ class Oscillation:
         after[..., 1] = matrix[1, 0] * state[..., 0] + matrix[1, 1] * state[..., 1]
         return after
 
-    def process_noise_cov(self, step: int) -> Array:
+    def process_noise_cov(self, step: int) -> np.ndarray:
         """Covariance (2, 2) that the step adds."""
         return self._process_noise_cov
 
     @cached_property
-    def _process_noise_cov(self) -> Array:
+    def _process_noise_cov(self) -> np.ndarray:
         return oscillation_noise_cov(self.transition_matrix, self.stationary_cov)
 
 
@@ -80,24 +78,24 @@ class Oscillation:
 class ScalarSensor:
     """One number per node: `row` (2,) or (nodes, 2) times the state, `noise_std` () or (nodes,)."""
 
-    row: Array
-    noise_std: Array
+    row: np.ndarray
+    noise_std: np.ndarray
     gate: float | None = None
 
     def for_node(self, node: int) -> "ScalarSensor":
         """Return the sensor of one of the nodes."""
         return replace(self, row=self.row[node], noise_std=self.noise_std[node])
 
-    def measure(self, state: Array, step: int) -> Array:
+    def measure(self, state: np.ndarray, step: int) -> np.ndarray:
         """Return the number (..., 1) of states (..., 2), without noise."""
         value = self.row[..., 0] * state[..., 0] + self.row[..., 1] * state[..., 1]
         return value[..., None]
 
-    def residual(self, a: Array, b: Array) -> Array:
+    def residual(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """a - b (..., 1)."""
         return a - b
 
-    def interpret(self, delivered: Array) -> tuple[Array, Array]:
+    def interpret(self, delivered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the delivered (..., 1) as it is, and its noise covariance (..., 1, 1)."""
         noise_cov = (self.noise_std**2)[..., None, None]
         return delivered, np.broadcast_to(noise_cov, (*delivered.shape, 1))
@@ -154,18 +152,20 @@ class Oscillator:
         """Return the noise of one run."""
         return standard_draws(generator_for, 2, 2, (self.nodes, 1, 1), steps)
 
-    def initial(self, noise: Array) -> tuple[Array, Array, Array]:
+    def initial(self, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """True state (..., 2), prior mean (..., 2) and prior cov (2, 2) for noise (..., 2)."""
         prior_cov = self.model.stationary_cov
         state = noise * np.sqrt(prior_cov.diagonal())
         return state, np.zeros_like(state), prior_cov
 
-    def advance(self, state: Array, control: Array | None, noise: Array, step: int) -> Array:
+    def advance(
+        self, state: np.ndarray, control: np.ndarray | None, noise: np.ndarray, step: int
+    ) -> np.ndarray:
         """True states (..., 2) one step later, for noise (..., 2)."""
         factor = np.linalg.cholesky(self.model.process_noise_cov(step))
         return self.model.transition(state, control, step) + noise @ factor.T
 
-    def observe(self, state: Array, noise: Array, step: int) -> Array:
+    def observe(self, state: np.ndarray, noise: np.ndarray, step: int) -> np.ndarray:
         """Return the nodes' readings (..., nodes, 1, 1) of states (..., 2) for this noise."""
         exact = self.sensors.measure(state[..., None, :], step)
         delivered = exact + noise[..., 0, :] * self.sensors.noise_std[:, None]

@@ -5,12 +5,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plants.angles import wrapped
 from plants.checks import require_positive
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +21,7 @@ class RangeBearing:
         ValueError: for positions of another shape or deviations that are not positive.
     """
 
-    position_m: Array
+    position_m: np.ndarray
     range_std_m: float = 10.0
     bearing_std_rad: float = math.radians(2)
     gate: float | None = None  # greatest normalised innovation squared that a filter accepts
@@ -41,7 +38,7 @@ class RangeBearing:
         """Return the sensor of one of the nodes."""
         return replace(self, position_m=self.position_m[node])
 
-    def measure(self, state: Array, step: int) -> Array:
+    def measure(self, state: np.ndarray, step: int) -> np.ndarray:
         """Range and bearing (..., 2) of states (..., n), without noise."""
         dx = state[..., 0] - self.position_m[..., 0]
         dy = state[..., 2] - self.position_m[..., 1]
@@ -50,21 +47,21 @@ class RangeBearing:
         value[..., 1] = np.arctan2(dy, dx)
         return value
 
-    def residual(self, a: Array, b: Array) -> Array:
+    def residual(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """a - b (..., 2), its bearing within (-pi, pi]."""
         difference = a - b
         difference[..., 1] = wrapped(difference[..., 1])
         return difference
 
-    def interpret(self, delivered: Array) -> tuple[Array, Array]:
+    def interpret(self, delivered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the delivered (..., 2) as it is, and its noise covariance (..., 2, 2)."""
         return delivered, np.broadcast_to(self._noise_cov, (*delivered.shape, 2))
 
     @property
-    def noise_std(self) -> Array:
+    def noise_std(self) -> np.ndarray:
         """Standard deviations (2,) in m and rad."""
         return np.array([self.range_std_m, self.bearing_std_rad])
 
     @cached_property
-    def _noise_cov(self) -> Array:
+    def _noise_cov(self) -> np.ndarray:
         return np.diag(self.noise_std**2)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from plants.draws import Array, Draws, GeneratorFor
+from plants.draws import Draws, GeneratorFor
 from plants.stochastic import StochasticSystem
 
 SHARED = "shared measurement"
@@ -28,8 +28,8 @@ class Placement(NamedTuple):
     """
 
     nodes: int
-    draw: Callable[[StochasticSystem, GeneratorFor, int], Array]
-    observe: Callable[[StochasticSystem, Array, Array, int], Array]
+    draw: Callable[[StochasticSystem, GeneratorFor, int], np.ndarray]
+    observe: Callable[[StochasticSystem, np.ndarray, np.ndarray, int], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +37,8 @@ class SensedPlant:
     """The plant: prior_mean (n,) and prior_cov (n, n) are where truth starts."""
 
     system: StochasticSystem
-    prior_mean: Array
-    prior_cov: Array
+    prior_mean: np.ndarray
+    prior_cov: np.ndarray
     state_names: tuple[str, ...]
     state_units: tuple[str, ...]
     placement: Placement
@@ -57,16 +57,18 @@ class SensedPlant:
             self.placement.draw(self.system, generator_for, steps),
         )
 
-    def initial(self, noise: Array) -> tuple[Array, Array, Array]:
+    def initial(self, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """True state (..., n), prior mean (..., n) and prior cov (n, n) for noise (..., n)."""
         state = self.prior_mean + noise @ np.linalg.cholesky(self.prior_cov).T
         return state, np.broadcast_to(self.prior_mean, state.shape), self.prior_cov
 
-    def advance(self, state: Array, control: Array | None, noise: Array, step: int) -> Array:
+    def advance(
+        self, state: np.ndarray, control: np.ndarray | None, noise: np.ndarray, step: int
+    ) -> np.ndarray:
         """True states (..., n) one step later."""
         return self.system.advance(state, control, noise, step)
 
-    def observe(self, state: Array, noise: Array, step: int) -> Array:
+    def observe(self, state: np.ndarray, noise: np.ndarray, step: int) -> np.ndarray:
         """Return the nodes' readings (..., nodes, 1, d); NaN without a reading, as at step 0."""
         delivered = self.placement.observe(self.system, state, noise, step)
         return delivered if step > 0 else np.full_like(delivered, np.nan)
@@ -90,7 +92,7 @@ def clusters(nodes: int) -> Placement:
 
 def draw_sensors(
     system: StochasticSystem, generator_for: GeneratorFor, steps: int, first: int
-) -> Array:
+) -> np.ndarray:
     """Noise (steps, m + numbers of b) of the sensors of a system, numbered from `first` on."""
     own = [
         generator_for("measurement", first + place).standard_normal((steps, size))
@@ -102,7 +104,7 @@ def draw_sensors(
 
 def _draw_clusters(
     system: StochasticSystem, generator_for: GeneratorFor, steps: int, nodes: int
-) -> Array:
+) -> np.ndarray:
     sensors = len(system.sizes)
     return np.stack(
         [draw_sensors(system, generator_for, steps, 1 + node * sensors) for node in range(nodes)],
@@ -110,7 +112,9 @@ def _draw_clusters(
     )
 
 
-def _one_sensor_each(system: StochasticSystem, state: Array, noise: Array, step: int) -> Array:
+def _one_sensor_each(
+    system: StochasticSystem, state: np.ndarray, noise: np.ndarray, step: int
+) -> np.ndarray:
     measured = system.observe(state, noise, step)
     ends = np.cumsum(system.sizes)[:-1]
     nodes = 1 + len(system.sizes)
@@ -120,5 +124,7 @@ def _one_sensor_each(system: StochasticSystem, state: Array, noise: Array, step:
     return delivered
 
 
-def _all_sensors_each(system: StochasticSystem, state: Array, noise: Array, step: int) -> Array:
+def _all_sensors_each(
+    system: StochasticSystem, state: np.ndarray, noise: np.ndarray, step: int
+) -> np.ndarray:
     return system.observe(state[..., None, :], noise, step)[..., None, :]

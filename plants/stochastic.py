@@ -16,21 +16,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from plants.draws import Array
-
 
 class Term(NamedTuple):
     """A Z B x: A (d, p) and B (q, n)."""
 
-    outer: Array
-    inner: Array
+    outer: np.ndarray
+    inner: np.ndarray
 
     @property
     def numbers(self) -> int:
         """Return how many normal numbers p q it consumes."""
         return self.outer.shape[-1] * self.inner.shape[0]
 
-    def value(self, state: Array, noise: Array) -> Array:
+    def value(self, state: np.ndarray, noise: np.ndarray) -> np.ndarray:
         """Return the term (..., d) at states (..., n) for noise (..., p q)."""
         matrix = noise.reshape(*noise.shape[:-1], self.outer.shape[-1], self.inner.shape[0])
         return ((matrix @ (state @ self.inner.T)[..., None])[..., 0]) @ self.outer.T
@@ -39,8 +37,8 @@ class Term(NamedTuple):
 class SecondMoment(NamedTuple):
     """sum_t pi_t x' gamma_t x: pi (terms, d, d), gamma (terms, n, n)."""
 
-    pi: Array
-    gamma: Array
+    pi: np.ndarray
+    gamma: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +78,7 @@ class StochasticNonlinearity:
             ),
         )
 
-    def value(self, state: Array, noise: Array) -> Array:
+    def value(self, state: np.ndarray, noise: np.ndarray) -> np.ndarray:
         """Return the sum (..., d) at states (..., n) for standard normal noise (..., numbers)."""
         total = np.zeros((*np.broadcast_shapes(state.shape[:-1], noise.shape[:-1]), self.size))
         first = 0
@@ -102,11 +100,11 @@ class StochasticSystem:
         process, measurement: step -> g, b; the numbers they consume must not vary.
     """
 
-    transition: Callable[[Array, Array | None, int], Array]
-    measure: Callable[[Array, int], Array]
+    transition: Callable[[np.ndarray, np.ndarray | None, int], np.ndarray]
+    measure: Callable[[np.ndarray, int], np.ndarray]
     sizes: tuple[int, ...]
-    process_noise_cov: Callable[[int], Array]
-    measurement_noise_cov: Callable[[int], Array]
+    process_noise_cov: Callable[[int], np.ndarray]
+    measurement_noise_cov: Callable[[int], np.ndarray]
     process: Callable[[int], StochasticNonlinearity]
     measurement: Callable[[int], StochasticNonlinearity]
 
@@ -123,7 +121,9 @@ class StochasticSystem:
         """Length m of a measurement."""
         return sum(self.sizes)
 
-    def advance(self, state: Array, control: Array | None, noise: Array, step: int) -> Array:
+    def advance(
+        self, state: np.ndarray, control: np.ndarray | None, noise: np.ndarray, step: int
+    ) -> np.ndarray:
         """States (..., n) one step later, for standard normal noise (..., n + numbers of g)."""
         n = state.shape[-1]
         factor = np.linalg.cholesky(self.process_noise_cov(step))
@@ -133,7 +133,7 @@ class StochasticSystem:
             + noise[..., :n] @ factor.T
         )
 
-    def observe(self, state: Array, noise: Array, step: int) -> Array:
+    def observe(self, state: np.ndarray, noise: np.ndarray, step: int) -> np.ndarray:
         """Measurements (..., m) of states (..., n), for noise (..., m + numbers of b)."""
         m = self.entries
         factor = np.linalg.cholesky(self.measurement_noise_cov(step))
@@ -146,7 +146,7 @@ class StochasticSystem:
 
 def replicated(system: StochasticSystem, copies: int) -> StochasticSystem:
     """A system whose sensors are there several times over, each set with noise of its own."""
-    identity: Array = np.eye(copies)
+    identity: np.ndarray = np.eye(copies)
 
     def measurement(step: int) -> StochasticNonlinearity:
         once = system.measurement(step)

@@ -7,15 +7,12 @@ same sensors and a state without a rate of turn.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plants.angles import wrapped
 from plants.checks import require_positive
 from plants.draws import Draws, GeneratorFor, standard_draws
 from plants.motion import ConstantVelocity, CoordinatedTurn, Motion
 from plants.range_bearing import RangeBearing
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +64,7 @@ class Target:
         """Return the sensor of one node."""
         return self.sensors.for_node(node)
 
-    def positions(self, step: int) -> Array:
+    def positions(self, step: int) -> np.ndarray:
         """Where the nodes are: (nodes, 2) in m."""
         return self.sensors.position_m
 
@@ -76,18 +73,20 @@ class Target:
         states = len(self.start)
         return standard_draws(generator_for, states, states, (self.nodes, 1, 2), steps)
 
-    def initial(self, noise: Array) -> tuple[Array, Array, Array]:
+    def initial(self, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """True state (..., n), prior mean (..., n) and prior cov (n, n) for noise (..., n)."""
         start_std = np.asarray(self.start_std)
         state = np.broadcast_to(self.start, noise.shape).copy()
         return state, state + noise * start_std, np.diag(start_std**2)
 
-    def advance(self, state: Array, control: Array | None, noise: Array, step: int) -> Array:
+    def advance(
+        self, state: np.ndarray, control: np.ndarray | None, noise: np.ndarray, step: int
+    ) -> np.ndarray:
         """True states (..., n) one step later, for noise (..., n)."""
         factor = np.linalg.cholesky(self.model.process_noise_cov(step))
         return self.model.transition(state, control, step) + noise @ factor.T
 
-    def observe(self, state: Array, noise: Array, step: int) -> Array:
+    def observe(self, state: np.ndarray, noise: np.ndarray, step: int) -> np.ndarray:
         """Return the nodes' readings (..., nodes, 1, 2) of states (..., n) for this noise."""
         exact = self.sensors.measure(state[..., None, :], step)
         delivered = exact + noise[..., 0, :] * self.sensors.noise_std
@@ -96,7 +95,7 @@ class Target:
         return delivered[..., None, :]
 
 
-def turning_target(positions_m: Array) -> Target:
+def turning_target(positions_m: np.ndarray) -> Target:
     """TRACK: a target on a circle of 250 m radius, seen from `positions_m` (nodes, 2)."""
     return Target(
         model=CoordinatedTurn(),
@@ -106,7 +105,7 @@ def turning_target(positions_m: Array) -> Target:
     )
 
 
-def straight_target(positions_m: Array) -> Target:
+def straight_target(positions_m: np.ndarray) -> Target:
     """A target that crosses the square of TRACK in two minutes, seen from `positions_m`."""
     return Target(
         model=ConstantVelocity(),

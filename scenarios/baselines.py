@@ -13,7 +13,6 @@ import numpy as np
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule, scaled_unscented
 from filters.ukf import predict, update
-from nodes.messages import Array
 from nodes.rules.local_filter import LocalFilters, Sensor, SensorGroup, take_readings
 from scenarios.catalogue import kind_of
 from scenarios.preparation import setup_of_run
@@ -25,22 +24,22 @@ from scenarios.setup import Setup
 # batch is linearised where those before have led.
 READINGS_AT_ONCE = 200
 
-Listener = Callable[[Gaussian, int, Array, Array | None], Gaussian]
+Listener = Callable[[Gaussian, int, np.ndarray, np.ndarray | None], Gaussian]
 """(belief of the step before, step, readings (N, r, d), control (p,)) -> belief of the step."""
 
 
-def centralised(setup: Setup, readings: Array, control: Array | None) -> Gaussian:
+def centralised(setup: Setup, readings: np.ndarray, control: np.ndarray | None) -> Gaussian:
     """One filter that takes all readings (steps, N, r, d): mean (steps, n), cov (steps, n, n)."""
     return _alone(centralised_of_runs(setup, [setup.scenario.run], *_one_run(readings, control)))
 
 
-def local_only(setup: Setup, readings: Array, control: Array | None) -> Gaussian:
+def local_only(setup: Setup, readings: np.ndarray, control: np.ndarray | None) -> Gaussian:
     """Each node with its own readings alone: mean (steps, N, n), cov (steps, N, n, n)."""
     return _alone(local_only_of_runs(setup, [setup.scenario.run], *_one_run(readings, control)))
 
 
 def centralised_of_runs(
-    setup: Setup, runs: Sequence[int], readings: Array, control: Array | None
+    setup: Setup, runs: Sequence[int], readings: np.ndarray, control: np.ndarray | None
 ) -> Gaussian:
     """`centralised` in the runs of these numbers: readings (R, steps, N, r, d), control (R, steps,
     p); mean (R, steps, n), cov (R, steps, n, n)."""
@@ -51,7 +50,7 @@ def centralised_of_runs(
 
 
 def local_only_of_runs(
-    setup: Setup, runs: Sequence[int], readings: Array, control: Array | None
+    setup: Setup, runs: Sequence[int], readings: np.ndarray, control: np.ndarray | None
 ) -> Gaussian:
     """`local_only` in the runs of these numbers: mean (R, steps, N, n), cov (R, steps, N, n, n)."""
     nodes = range(setup.scenario.nodes)
@@ -71,7 +70,7 @@ def local_only_of_runs(
 
 
 def _all_alone(
-    setup: Setup, runs: Sequence[int], readings: Array, control: Array | None
+    setup: Setup, runs: Sequence[int], readings: np.ndarray, control: np.ndarray | None
 ) -> Gaussian:
     """Nodes that take one reading each a step at most, all at once."""
     kind, scenario = kind_of(setup.scenario.name), setup.scenario
@@ -80,7 +79,9 @@ def _all_alone(
     points = scaled_unscented(len(setup.prior_mean))
     filters = LocalFilters(kind.model(scenario), (group,), points)
 
-    def listen(belief: Gaussian, step: int, delivered: Array, driven: Array | None) -> Gaussian:
+    def listen(
+        belief: Gaussian, step: int, delivered: np.ndarray, driven: np.ndarray | None
+    ) -> Gaussian:
         if step > 0:
             belief, _ = filters.carry(belief, driven, step)
         return filters.take(belief, delivered, step)[0]
@@ -94,7 +95,9 @@ def _all_alone(
     return _through(everywhere, listen, readings, control)
 
 
-def _one_run(readings: Array, control: Array | None) -> tuple[Array, Array | None]:
+def _one_run(
+    readings: np.ndarray, control: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray | None]:
     return readings[None], None if control is None else control[None]
 
 
@@ -103,7 +106,11 @@ def _alone(beliefs: Gaussian) -> Gaussian:
 
 
 def _one_by_one(
-    setup: Setup, runs: Sequence[int], nodes: list[int], readings: Array, control: Array | None
+    setup: Setup,
+    runs: Sequence[int],
+    nodes: list[int],
+    readings: np.ndarray,
+    control: np.ndarray | None,
 ) -> Gaussian:
     """Filters that listen to a whole run at once, run by run."""
     kind = kind_of(setup.scenario.name)
@@ -123,7 +130,11 @@ def _one_by_one(
 
 
 def _stepwise(
-    setup: Setup, runs: Sequence[int], listen: Listener, readings: Array, control: Array | None
+    setup: Setup,
+    runs: Sequence[int],
+    listen: Listener,
+    readings: np.ndarray,
+    control: np.ndarray | None,
 ) -> Gaussian:
     return _through(_priors(setup, runs), listen, readings, control)
 
@@ -138,7 +149,7 @@ def _priors(setup: Setup, runs: Sequence[int]) -> Gaussian:
 
 
 def _through(
-    belief: Gaussian, listen: Listener, readings: Array, control: Array | None
+    belief: Gaussian, listen: Listener, readings: np.ndarray, control: np.ndarray | None
 ) -> Gaussian:
     """Beliefs (R, steps, ...) after each step, of those (R, ...) before the first."""
     means, covs = [], []
@@ -169,7 +180,9 @@ def listener(setup: Setup, nodes: list[int]) -> Listener:
     points = scaled_unscented(len(setup.prior_mean))
     groups = _sensors(setup, nodes)
 
-    def listen(belief: Gaussian, step: int, delivered: Array, driven: Array | None) -> Gaussian:
+    def listen(
+        belief: Gaussian, step: int, delivered: np.ndarray, driven: np.ndarray | None
+    ) -> Gaussian:
         if step > 0:
             transition = partial(model.transition, control=driven, step=step - 1)
             belief = predict(belief, transition, model.process_noise_cov(step - 1), points)
@@ -200,10 +213,10 @@ class _Block(NamedTuple):
     sensor: Sensor
     nodes: int
     which: np.ndarray
-    values: Array
-    noise_cov: Array
+    values: np.ndarray
+    noise_cov: np.ndarray
 
-    def measure(self, state: Array, step: int) -> Array:
+    def measure(self, state: np.ndarray, step: int) -> np.ndarray:
         """Return the readings of their sensors at points (S, ..., n): (S, ..., M, m)."""
         every = self.sensor.measure(state[..., None, :], step)
         # Sensors that are all alike deliver one value for all nodes.
@@ -212,7 +225,11 @@ class _Block(NamedTuple):
 
 
 def _together(
-    belief: Gaussian, groups: list[SensorGroup], delivered: Array, step: int, points: SigmaPointRule
+    belief: Gaussian,
+    groups: list[SensorGroup],
+    delivered: np.ndarray,
+    step: int,
+    points: SigmaPointRule,
 ) -> Gaussian:
     """All readings of a step (..., N, r, d), as many at once as can be; those that were not taken
     are left out."""
@@ -256,10 +273,10 @@ def _taken(belief: Gaussian, blocks: list[_Block], step: int, points: SigmaPoint
     """The belief after these readings, at once."""
     sizes = [int(np.prod(block.values.shape[-2:])) for block in blocks]
 
-    def measure(state: Array) -> Array:
+    def measure(state: np.ndarray) -> np.ndarray:
         return np.concatenate([_flat(block.measure(state, step)) for block in blocks], axis=-1)
 
-    def residual(value: Array, predicted: Array) -> Array:
+    def residual(value: np.ndarray, predicted: np.ndarray) -> np.ndarray:
         ends = np.cumsum(sizes)[:-1]
         parts = zip(blocks, *(np.split(x, ends, axis=-1) for x in (value, predicted)), strict=True)
         return np.concatenate([_difference(*part) for part in parts], axis=-1)
@@ -269,7 +286,7 @@ def _taken(belief: Gaussian, blocks: list[_Block], step: int, points: SigmaPoint
     return update(belief, values, measure, noise_cov, points, residual=residual).belief
 
 
-def _block(sensor: Sensor, delivered: Array) -> _Block:
+def _block(sensor: Sensor, delivered: np.ndarray) -> _Block:
     values, noise_cov = sensor.interpret(delivered)
     taken = np.logical_not(np.isnan(values).all(axis=-1))
     most = int(taken.sum(axis=-1).max())
@@ -284,17 +301,17 @@ def _block(sensor: Sensor, delivered: Array) -> _Block:
     )
 
 
-def _difference(block: _Block, value: Array, predicted: Array) -> Array:
+def _difference(block: _Block, value: np.ndarray, predicted: np.ndarray) -> np.ndarray:
     shape = block.values.shape[-2:]
     pair = (part.reshape(*part.shape[:-1], *shape) for part in (value, predicted))
     return _flat(block.sensor.residual(*pair))
 
 
-def _flat(values: Array) -> Array:
+def _flat(values: np.ndarray) -> np.ndarray:
     return values.reshape(*values.shape[:-2], -1)
 
 
-def _block_diagonal(stacks: list[Array]) -> Array:
+def _block_diagonal(stacks: list[np.ndarray]) -> np.ndarray:
     """Matrices (..., M, m, m) as the blocks of one (..., sum M m, sum M m)."""
     size = sum(stack.shape[-3] * stack.shape[-1] for stack in stacks)
     matrix = np.zeros((*stacks[0].shape[:-3], size, size))

@@ -7,7 +7,6 @@ import numpy as np
 from bus.bus import Bus
 from nodes.belief_codec import BeliefCodec
 from nodes.faults.active import Equipment, Faults
-from nodes.messages import Array
 from scenarios.catalogue import kind_of
 from scenarios.rules import rule_of, wire_number
 from scenarios.scenario import Scenario
@@ -20,7 +19,7 @@ class _Rated(Protocol):
     """A sensor that says how far its raw readings are off."""
 
     @property
-    def noise_std(self) -> Array: ...
+    def noise_std(self) -> np.ndarray: ...
 
 
 @runtime_checkable
@@ -28,7 +27,7 @@ class _Uncalibrated(Protocol):
     """One whose raw readings are not the measurement that is made of them."""
 
     @property
-    def delivered_std(self) -> Array: ...
+    def delivered_std(self) -> np.ndarray: ...
 
 
 def build_faults(setup: Setup, bus: Bus) -> Faults:
@@ -49,7 +48,7 @@ def equipment_of(setup: Setup, bus: Bus) -> Equipment:
     )
 
 
-def spread_of(scenario: Scenario, readings: Array) -> Array:
+def spread_of(scenario: Scenario, readings: np.ndarray) -> np.ndarray:
     """Standard deviations (nodes, r, d) of what sensors deliver; 0 of what is no measurement."""
     kind = kind_of(scenario.name)
     spread = np.zeros(readings.shape)

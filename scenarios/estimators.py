@@ -16,7 +16,6 @@ from nodes.lanes.beliefs import BatchedBeliefs
 from nodes.lanes.labelled import BatchedFlooding
 from nodes.lanes.network import BatchedRule
 from nodes.lanes.window import WindowFilters
-from nodes.messages import Array
 from nodes.rules.at_node import AtNode
 from nodes.rules.belief_consensus import BeliefConsensus, HoldPolicy
 from nodes.rules.fresh_consensus import FreshConsensus
@@ -55,7 +54,7 @@ def hybrid(gain: hybrid_consensus.Gain, context: RuleContext) -> AnyRule:
     """For consensus on prior and novelty."""
     rows = np.eye(len(context.neighbours))
 
-    def begin(node: np.ndarray, prior: Gaussian, posterior: Gaussian) -> Array:
+    def begin(node: np.ndarray, prior: Gaussian, posterior: Gaussian) -> np.ndarray:
         return hybrid_consensus.begin(prior, posterior, rows[node])
 
     rule = InformationRounds(

@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bus.schedule import Schedule
 from filters.gaussian import Gaussian
@@ -15,8 +14,6 @@ from nodes.rules.local_filter import Model, Sensor
 from scenarios.scenario import Scenario
 from scenarios.seat import Seat
 from scenarios.setup import Setup
-
-Array = NDArray[np.float64]
 
 
 class ScenarioPlant(Protocol):
@@ -33,22 +30,26 @@ class ScenarioPlant(Protocol):
 
     def draw(self, generator_for: Callable[[str, int], np.random.Generator], steps: int) -> Any: ...
 
-    def initial(self, noise: Array) -> tuple[Array, Array, Array]: ...
+    def initial(self, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]: ...
 
-    def advance(self, state: Array, control: Array | None, noise: Array, step: int) -> Array: ...
+    def advance(
+        self, state: np.ndarray, control: np.ndarray | None, noise: np.ndarray, step: int
+    ) -> np.ndarray: ...
 
-    def observe(self, state: Array, noise: Array, step: int) -> Array: ...
+    def observe(self, state: np.ndarray, noise: np.ndarray, step: int) -> np.ndarray: ...
 
-    def positions(self, step: int) -> Array | None: ...
+    def positions(self, step: int) -> np.ndarray | None: ...
 
 
 class ControlLaw(Protocol):
     """A controller: `control(state_estimate (n,), memory, step) -> (control (p,), memory)`."""
 
     @property
-    def initial_memory(self) -> Array: ...
+    def initial_memory(self) -> np.ndarray: ...
 
-    def control(self, state_estimate: Array, memory: Array, step: int) -> tuple[Array, Array]: ...
+    def control(
+        self, state_estimate: np.ndarray, memory: np.ndarray, step: int
+    ) -> tuple[np.ndarray, np.ndarray]: ...
 
 
 class Score(NamedTuple):
@@ -117,6 +118,6 @@ class Kind(NamedTuple):
     points: Callable[[Scenario], SigmaPointRule] | None = None
     wiring: Wiring | None = None
     delivery: Callable[[Scenario], Delivery] | None = None
-    listen: Callable[[Setup, Sequence[int], Array], Gaussian] | None = None
+    listen: Callable[[Setup, Sequence[int], np.ndarray], Gaussian] | None = None
     around: Callable[[Scenario, Seat, Estimator], Estimator] | None = None
     sensors: Callable[[Scenario], Sensor] | None = None

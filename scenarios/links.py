@@ -11,7 +11,6 @@ import msgspec
 import numpy as np
 
 from nodes.faults.losses import LinkState, LinkUp, chance
-from nodes.messages import Array
 from scenarios.catalogue import kind_of
 from scenarios.scenario import Scenario
 from scenarios.setup import Setup
@@ -65,7 +64,7 @@ def draw_of(scenario: Scenario) -> Callable[[Any, Any, Any], Any]:
     return lambda step, one, other: chance(key, np.add(step, _FIRST_COUNT), one, other)
 
 
-def places(scenario: Scenario, plan: LinkPlan) -> Array:
+def places(scenario: Scenario, plan: LinkPlan) -> np.ndarray:
     """Where the nodes are in each step, (steps, N, 2) in m.
 
     Raises:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nodes.messages import Array, from_wire
+from nodes.messages import from_wire
 from nodes.rules.local_filter import Sensor
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup
@@ -32,7 +32,7 @@ class Observability(NamedTuple):
     that saw nothing at all.
     """
 
-    gramian: Array
+    gramian: np.ndarray
     states: tuple[str, ...]
     blind: tuple[int, ...]
     steps: int
@@ -78,23 +78,23 @@ def observability(setup: Setup, most_steps: int = 60) -> Observability:
     return Observability(gramian, plant.state_names, blind, steps)
 
 
-def rank(gramian: Array, joint: Array) -> int:
+def rank(gramian: np.ndarray, joint: np.ndarray) -> int:
     """How many directions a Gramian (n, n) sees, beside the rounding of the `joint` one (n, n)."""
     least = _RANK_TOLERANCE * max(float(np.linalg.eigvalsh(joint)[-1]), 1e-300)
     return int((np.linalg.eigvalsh(gramian) > least).sum())
 
 
-def remaining(gramian: Array) -> Array:
+def remaining(gramian: np.ndarray) -> np.ndarray:
     """Return the fraction of each state's prior deviation (n,) left after all readings."""
     return np.sqrt(np.diag(np.linalg.inv(np.eye(len(gramian)) + gramian)))
 
 
 def jacobian(
-    function: Callable[[Array], Array],
-    point: Array,
-    scale: Array,
-    difference: Callable[[Array, Array], Array],
-) -> Array:
+    function: Callable[[np.ndarray], np.ndarray],
+    point: np.ndarray,
+    scale: np.ndarray,
+    difference: Callable[[np.ndarray, np.ndarray], np.ndarray],
+) -> np.ndarray:
     """Derivative (m, n) of `function` at `point` (n,), by central differences."""
     step = _DIFFERENCE * scale
     sides = difference(function(point + np.diag(step)), function(point - np.diag(step)))
@@ -102,8 +102,13 @@ def jacobian(
 
 
 def _told(
-    sensor: Sensor, reading: Array, state: Array, scale: Array, ahead: Array, step: int
-) -> Array:
+    sensor: Sensor,
+    reading: np.ndarray,
+    state: np.ndarray,
+    scale: np.ndarray,
+    ahead: np.ndarray,
+    step: int,
+) -> np.ndarray:
     """Information (n, n) of one reading (d,) about the first state."""
     if np.isnan(reading).all():
         return np.zeros((len(state), len(state)))

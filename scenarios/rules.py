@@ -14,7 +14,6 @@ from filters.fusion.packed import packed_length
 from filters.gaussian import Gaussian
 from nodes.estimator import Estimator
 from nodes.lanes.network import BatchedRule
-from nodes.messages import Array
 from nodes.rules.belief_consensus import HoldPolicy
 from nodes.rules.set_shapes import Ellipsoids, Zonotopes
 from scenarios import set_rules
@@ -73,7 +72,7 @@ class Rule(NamedTuple):
     batched: Callable[[BatchSeat], BatchedRule]
     check: "Callable[[Scenario, Sequence[Sequence[int]], Weights], None] | None" = None
     certain: bool = False
-    listen: Callable[[Setup, Sequence[int], Array, Array | None], Gaussian] | None = None
+    listen: Callable[[Setup, Sequence[int], np.ndarray, np.ndarray | None], Gaussian] | None = None
     lacking: Callable[[Scenario], str | None] = lambda _: None
     shares_beliefs: bool = False
     weighted: bool = True

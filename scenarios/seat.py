@@ -9,7 +9,6 @@ from bus.schedule import Schedule
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule
 from nodes.lanes.links import Links, Shares
-from nodes.messages import Array
 from nodes.rules.belief_consensus import HoldPolicy
 from nodes.rules.local_filter import LocalFilters, Model, Sensor
 from scenarios.scenario import Scenario
@@ -60,7 +59,7 @@ class Seat(NamedTuple):
 
     node: int
     context: RuleContext
-    weights: Array
+    weights: np.ndarray
     model: Model
     sensor: Sensor | None
     prior: Gaussian

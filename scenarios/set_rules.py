@@ -7,7 +7,6 @@ import numpy as np
 
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
-from nodes.messages import Array
 from nodes.rules.lane_rule import LocalStep
 from nodes.rules.local_filter import LocalFilters, SensorGroup
 from nodes.rules.set_membership import (
@@ -46,7 +45,11 @@ def check_bounded(
 
 
 def listen(
-    make: MakeShape, setup: Setup, nodes: Sequence[int], readings: Array, control: Array | None
+    make: MakeShape,
+    setup: Setup,
+    nodes: Sequence[int],
+    readings: np.ndarray,
+    control: np.ndarray | None,
 ) -> Gaussian:
     """One set that is cut with the readings (steps, N, r, d) of these nodes, after every step."""
     kind = kind_of(setup.scenario.name)

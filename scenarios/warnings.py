@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from nodes.messages import Array, from_wire
+from nodes.messages import from_wire
 from nodes.rules.labelled_frame import MAX_WINDOW_STEPS
 from scenarios.catalogue import kind_of
 from scenarios.labelled import digest_of, latency_steps, window_of
@@ -240,7 +240,7 @@ def _weights(setup: Setup) -> Weights:
     return from_per_node(setup.weights, setup.neighbours)
 
 
-def _blind(setup: Setup) -> Array:
+def _blind(setup: Setup) -> np.ndarray:
     """1.0 (N,) for each node to which the first step delivers nothing, 0.0 for those that see."""
     plant = kind_of(setup.scenario.name).plant(setup.scenario)
     noise = plant.draw(partial(generator, setup.scenario), 1).measurement[0]
@@ -248,7 +248,7 @@ def _blind(setup: Setup) -> Array:
     return np.isnan(delivered).all(axis=(-1, -2)).astype(float)
 
 
-def _transition_matrix(setup: Setup) -> Array:
+def _transition_matrix(setup: Setup) -> np.ndarray:
     """Jacobian (n, n) of the undriven model at the prior mean, by central differences.
 
     The steps are a thousandth of the prior standard deviations, the scale on which a belief looks
@@ -262,5 +262,5 @@ def _transition_matrix(setup: Setup) -> Array:
     return ((ahead - behind) / (2 * step)[:, None]).T
 
 
-def _spectral_radius(matrix: Array) -> float:
+def _spectral_radius(matrix: np.ndarray) -> float:
     return float(np.abs(np.linalg.eigvals(matrix)).max())

@@ -6,15 +6,12 @@ from dataclasses import dataclass
 
 import networkx
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from topology.adjacency import Adjacency, degrees, is_symmetric, links_of, nodes_of
 from topology.diameter import diameter_bounds
 from topology.spectrum import contraction_per_round, second_eigenvalue_modulus
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,6 @@ from scipy.sparse.linalg import LinearOperator, eigs
 from topology.adjacency import entries, links_of, nodes_of
 from topology.spectrum import second_eigenvalue_modulus
 
-Array = NDArray[np.float64]
-
 # The operator on second moments has so many squared entries to a vector.
 MOST_MOMENT_NODES = 300
 _BATCHES = 20
@@ -42,8 +40,8 @@ class Links(NamedTuple):
     nodes: int
     hearer: NDArray[np.intp]
     heard: NDArray[np.intp]
-    weight: Array
-    delivery: Array
+    weight: np.ndarray
+    delivery: np.ndarray
     pair: NDArray[np.intp]
 
 
@@ -57,7 +55,9 @@ class Measured(NamedTuple):
     runs: int
 
 
-def links_with(weights: csr_array, delivery: Array | float, *, together: bool = False) -> Links:
+def links_with(
+    weights: csr_array, delivery: np.ndarray | float, *, together: bool = False
+) -> Links:
     """The links of weights (n, n) that are up with chance `delivery` (links,), both directions of a
     pair at once if they fail `together`."""
     hearer, heard = links_of(weights)
@@ -85,7 +85,7 @@ def mean_square_factor(links: Links) -> float:
         return 0.0
     mean = _mean_weights(links)
 
-    def carried(flat: Array) -> Array:
+    def carried(flat: np.ndarray) -> np.ndarray:
         moments = _centred(flat.reshape(n, n))
         return _centred(mean @ (mean @ moments).T + _spread(links, moments)).ravel()
 
@@ -108,7 +108,7 @@ def mean_square_bound(links: Links) -> float:
     difference = np.bincount(links.pair, weights=_signed(links))[links.pair]
     strength = links.delivery * (1 - links.delivery) * (alone - difference**2 / n)
 
-    def squared(values: Array) -> Array:
+    def squared(values: np.ndarray) -> np.ndarray:
         values = values - values.mean()
         moved = mean @ values
         gap = (strength * (values[links.heard] - values[links.hearer]))[first]
@@ -138,7 +138,7 @@ def rounds_to_settle(factor: float, most: int) -> int:
 
 
 def measured_factor(
-    one_round: Callable[[Array, int], Array],
+    one_round: Callable[[np.ndarray, int], np.ndarray],
     nodes: int,
     runs: int,
     rounds: int,
@@ -199,7 +199,7 @@ class MarkovLinks:
         pairs = int(links.pair.max(initial=-1)) + 1
         self._up = generator.random((pairs, runs)) < repair / (failure + repair)
 
-    def one_round(self, values: Array, number: int) -> Array:
+    def one_round(self, values: np.ndarray, number: int) -> np.ndarray:
         """Values (n, runs) after the links have moved on and all have averaged."""
         drawn = self._generator.random(self._up.shape)
         self._up = np.where(self._up, drawn >= self._failure, drawn < self._repair)
@@ -211,12 +211,14 @@ class MarkovLinks:
         self._up = self._up[:, chosen]
 
 
-def averaging(links: Links, generator: np.random.Generator) -> Callable[[Array, int], Array]:
+def averaging(
+    links: Links, generator: np.random.Generator
+) -> Callable[[np.ndarray, int], np.ndarray]:
     """Rounds of averaging in which links come and go, for `measured_factor`."""
     pairs = int(links.pair.max(initial=-1)) + 1
     gather = _gather(links)
 
-    def one_round(values: Array, number: int) -> Array:
+    def one_round(values: np.ndarray, number: int) -> np.ndarray:
         draws = generator.random((pairs, values.shape[1]))[links.pair]
         heard = (values[links.heard] - values[links.hearer]) * (draws < links.delivery[:, None])
         return values + gather @ heard
@@ -239,14 +241,16 @@ def _mean_weights(links: Links) -> csr_array:
     return csr_array((np.append(weight, own), place), shape=(links.nodes, links.nodes))
 
 
-def _spread(links: Links, moments: Array) -> Array:
+def _spread(links: Links, moments: np.ndarray) -> np.ndarray:
     """E[(W - E[W]) X (W - E[W])'] (n, n) of symmetric X (n, n): links that fail together move both
     ends at once, by (x_j - x_i) times w_ij and -w_ji."""
     i, j = links.hearer, links.heard
     diagonal = moments.diagonal()
     gap = diagonal[i] + diagonal[j] - moments[i, j] - moments[j, i]
     strength = links.delivery * (1 - links.delivery) * gap
-    result: Array = np.diag(np.bincount(i, strength * links.weight**2, links.nodes)).astype(float)
+    result: np.ndarray = np.diag(np.bincount(i, strength * links.weight**2, links.nodes)).astype(
+        float
+    )
     partner = _partner(links)
     twin = partner >= 0
     np.add.at(
@@ -267,23 +271,23 @@ def _partner(links: Links) -> NDArray[np.intp]:
     return partner
 
 
-def _signed(links: Links) -> Array:
+def _signed(links: Links) -> np.ndarray:
     """Weights, those of the lower end of a pair as they are and of the higher with a minus."""
     return np.where(links.hearer < links.heard, links.weight, -links.weight)
 
 
-def _centred(moments: Array) -> Array:
+def _centred(moments: np.ndarray) -> np.ndarray:
     moments = moments - moments.mean(axis=0)
     return moments - moments.mean(axis=1, keepdims=True)
 
 
-def _of_unit_size(values: Array) -> Array:
+def _of_unit_size(values: np.ndarray) -> np.ndarray:
     values = values - values.mean(axis=0)
     size = np.sqrt((values**2).sum(axis=0))
     return values / np.where(size > 0, size, 1.0)
 
 
-def _systematic(weight: Array, generator: np.random.Generator) -> NDArray[np.intp]:
+def _systematic(weight: np.ndarray, generator: np.random.Generator) -> NDArray[np.intp]:
     """Indices (runs,) drawn by weight (runs,) with one random number (Kitagawa 1996)."""
     runs = len(weight)
     points = (np.arange(runs) + generator.random()) / runs

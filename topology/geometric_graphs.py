@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from topology.adjacency import (
@@ -14,10 +13,8 @@ from topology.adjacency import (
     require_nodes,
 )
 
-Array = NDArray[np.float64]
 
-
-def geometric(positions: Array, radius: float) -> Adjacency:
+def geometric(positions: np.ndarray, radius: float) -> Adjacency:
     """Nodes at `positions` (n, d) hear each other up to and including the distance `radius`.
 
     Connectedness is not promised: it depends on the positions.
@@ -39,7 +36,7 @@ def geometric(positions: Array, radius: float) -> Adjacency:
     return both_ways(len(positions), one, other)
 
 
-def scatter(nodes: int, seed: int, radius: float | None = None) -> Array:
+def scatter(nodes: int, seed: int, radius: float | None = None) -> np.ndarray:
     """Uniform positions (nodes, 2) in the unit square, given that their graph is connected.
 
     `radius` is `connecting_radius(nodes)` unless given.

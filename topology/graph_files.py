@@ -18,11 +18,12 @@ other names are numbered in their order in the file.
 
 from pathlib import Path
 
+import numpy as np
 from scipy.sparse import csr_array
 
 from topology.adjacency import is_symmetric, nodes_of, one_way_links
 from topology.edge_lists import read_edge_list, read_matrix, write_edge_list, write_matrix
-from topology.network import Array, Network, delivery_of
+from topology.network import Network, delivery_of
 
 _SUFFIXES = (".edges", ".edgelist", ".txt", ".csv", ".graphml")
 
@@ -40,7 +41,7 @@ def read_network(file: str | Path, nodes: int | None = None, *, directed: bool =
     if not file.is_file():
         raise ValueError(f"{file}: no such file; check the path")
     names: tuple[str, ...] | None = None
-    positions: Array | None = None
+    positions: np.ndarray | None = None
     if suffix == ".graphml":
         from topology.graphml import read_graphml  # only here: it loads networkx
 

@@ -9,10 +9,10 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from topology.adjacency import is_symmetric, links_of, nodes_of
-from topology.network import Array, Network
+from topology.network import Network
 
 
-def read_graphml(file: Path) -> tuple[csr_array, Array | None, tuple[str, ...]]:
+def read_graphml(file: Path) -> tuple[csr_array, np.ndarray | None, tuple[str, ...]]:
     """The numbers on the links (n, n), entry (i, j) for i hears j; the places (n, 2) of the nodes,
     None unless all have one; and what the file calls them.
 
@@ -57,7 +57,7 @@ def write_graphml(file: Path, network: Network) -> None:
     networkx.write_graphml(graph, file)
 
 
-def _places(graph: networkx.Graph, names: list[str]) -> Array | None:
+def _places(graph: networkx.Graph, names: list[str]) -> np.ndarray | None:
     places = [(graph.nodes[name].get("x"), graph.nodes[name].get("y")) for name in names]
     if any(not isinstance(value, int | float) for place in places for value in place):
         return None

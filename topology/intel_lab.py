@@ -22,8 +22,6 @@ LEAST_DELIVERY = 0.1
 LOCATIONS, CONNECTIVITY = "mote_loc.txt", "connectivity.txt"
 DATA_VARIABLE = "CONCORD_INTEL_LAB"
 
-Array = NDArray[np.float64]
-
 
 def is_intel_lab(folder: str | Path) -> bool:
     """Return whether a folder holds the two files."""

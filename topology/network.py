@@ -8,8 +8,6 @@ from scipy.sparse import csr_array
 
 from topology.adjacency import Adjacency, entries, links_of, nodes_of
 
-Array = NDArray[np.float64]
-
 
 class Network(NamedTuple):
     """A graph (n, n).
@@ -20,12 +18,12 @@ class Network(NamedTuple):
     """
 
     adjacency: Adjacency
-    delivery: Array | None = None
-    positions: Array | None = None
+    delivery: np.ndarray | None = None
+    positions: np.ndarray | None = None
     names: tuple[str, ...] | None = None
 
 
-def delivery_of(adjacency: Adjacency, given: csr_array) -> Array | None:
+def delivery_of(adjacency: Adjacency, given: csr_array) -> np.ndarray | None:
     """The entries of a matrix (n, n) on the links of a graph, as chances; None where none of them
     says more than that there is a link, or some are no chances."""
     values = entries(given, *links_of(adjacency))

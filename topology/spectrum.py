@@ -13,8 +13,6 @@ from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs, eigsh
 
 from topology.adjacency import nodes_of
 
-Array = NDArray[np.float64]
-
 # Up to here all eigenvalues take less than a second.
 DENSE_NODES = 600
 # Limit of a sparse iteration; after it, the slow ends of the spectrum use shift and invert.
@@ -23,7 +21,7 @@ _ITERATIONS = 60
 _BESIDE = 1e-7
 
 
-def second_eigenvalue_modulus(weights: csr_array | Array) -> float:
+def second_eigenvalue_modulus(weights: csr_array | np.ndarray) -> float:
     """Second largest modulus among the eigenvalues of row-stochastic weights (n, n).
 
     By this factor disagreement falls per round in the long run (Xiao, Boyd 2004, the asymptotic
@@ -37,7 +35,7 @@ def second_eigenvalue_modulus(weights: csr_array | Array) -> float:
     return min(float(moduli.max(initial=0.0)), 1.0)
 
 
-def eigenvalues(weights: csr_array | Array) -> NDArray[np.complex128]:
+def eigenvalues(weights: csr_array | np.ndarray) -> NDArray[np.complex128]:
     """All eigenvalues of weights (n, n), by falling modulus; for graphs that can be dense.
 
     Raises:
@@ -53,7 +51,7 @@ def eigenvalues(weights: csr_array | Array) -> NDArray[np.complex128]:
     return values[np.argsort(-np.abs(values), kind="stable")]
 
 
-def contraction_per_round(weights: csr_array | Array) -> float:
+def contraction_per_round(weights: csr_array | np.ndarray) -> float:
     """The largest part of a disagreement that one round of row-stochastic weights (n, n) leaves.
 
     With P the projection onto disagreements this is |P W|; of doubly stochastic weights it is
@@ -68,7 +66,7 @@ def contraction_per_round(weights: csr_array | Array) -> float:
     if _is_symmetric(matrix):
         return second_eigenvalue_modulus(matrix)
 
-    def squared(values: Array) -> Array:
+    def squared(values: np.ndarray) -> np.ndarray:
         left = matrix @ values
         return matrix.T @ (left - left.mean())
 
@@ -93,7 +91,7 @@ def laplacian_bounds(adjacency: csr_array) -> tuple[float, float]:
     return float(near.max()), largest
 
 
-def vote_of(weights: csr_array | Array, rounds: int, counted: Array) -> float:
+def vote_of(weights: csr_array | np.ndarray, rounds: int, counted: np.ndarray) -> float:
     """The spectral radius of W^rounds D, D the diagonal of `counted` (n,), none of them below 0:
     what these nodes have left of their own after that many rounds."""
     nodes = nodes_of(weights)
@@ -101,7 +99,7 @@ def vote_of(weights: csr_array | Array, rounds: int, counted: Array) -> float:
         powered = np.linalg.matrix_power(_dense(weights), rounds)
         return float(np.abs(np.linalg.eigvals(powered * counted)).max())
 
-    def once(values: Array) -> Array:
+    def once(values: np.ndarray) -> np.ndarray:
         values = values * counted
         for _ in range(rounds):
             values = weights @ values
@@ -134,7 +132,7 @@ def _is_symmetric(matrix: csr_array) -> bool:
     return abs(matrix - matrix.T).max() < 1e-12
 
 
-def _largest(apply: Callable[[Array], Array], nodes: int) -> float:
+def _largest(apply: Callable[[np.ndarray], np.ndarray], nodes: int) -> float:
     operator = LinearOperator((nodes, nodes), matvec=apply, dtype=float)  # type: ignore[call-arg]
     return float(_solved(eigsh, operator, k=1)[0])
 
@@ -146,5 +144,5 @@ def _solved(solve: Callable[..., Any], matrix: Any, **options: Any) -> NDArray:
     return solve(matrix, v0=start, ncv=80, return_eigenvectors=False, **options)
 
 
-def _dense(weights: csr_array | Array) -> Array:
+def _dense(weights: csr_array | np.ndarray) -> np.ndarray:
     return weights.toarray() if isinstance(weights, csr_array) else np.asarray(weights, dtype=float)

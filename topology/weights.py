@@ -27,7 +27,6 @@ from topology.choices import WEIGHTS
 from topology.names import unknown_name
 from topology.spectrum import laplacian_bounds
 
-Array = NDArray[np.float64]
 Weights = csr_array
 
 TOLERANCE = 1e-9
@@ -186,7 +185,7 @@ def check_weights(weights: Weights, adjacency: Adjacency) -> None:
 
 
 def _first(
-    broken: NDArray[np.bool_], rows: NDArray[np.intp], columns: NDArray[np.intp], values: Array
+    broken: NDArray[np.bool_], rows: NDArray[np.intp], columns: NDArray[np.intp], values: np.ndarray
 ) -> list[tuple[int, int, float]]:
     """Return the first entry that breaks a rule, if any does."""
     found = np.flatnonzero(broken)[:1]
@@ -268,7 +267,7 @@ def _constant(adjacency: Adjacency, weight: float) -> Weights:
     return _completed(adjacency, np.full(adjacency.nnz, weight))
 
 
-def _completed(adjacency: Adjacency, on_links: Array) -> Weights:
+def _completed(adjacency: Adjacency, on_links: np.ndarray) -> Weights:
     """Weights with `on_links` (links,) in the order of `links_of`, and what each row lacks to 1 on
     its diagonal."""
     i, j = links_of(adjacency)

@@ -7,7 +7,7 @@ totals or in ages is true all the same.
 import numpy as np
 
 from dashboard.frames.bus_cycles import BusView
-from dashboard.frames.frame import Array, Event, Frame, Numbers, Traffic
+from dashboard.frames.frame import Event, Frame, Numbers, Traffic
 from dashboard.frames.network import Change, Network, changed, read_change
 from dashboard.frames.scores import fuse, score
 from dashboard.frames.stage import Stage, restaged
@@ -41,7 +41,7 @@ class Assembler:
             self._listen = listener(stage.setup, list(range(nodes)))
         self._central: Gaussian | None = prior
         self._belief = Gaussian(np.full((nodes, n), np.nan), np.full((nodes, n, n), np.nan))
-        self._zonotopes: list[Array | None] = [None] * nodes
+        self._zonotopes: list[np.ndarray | None] = [None] * nodes
         self._alive = np.ones(nodes, dtype=bool)
         self._ages = np.full(len(stage.heard), -1)
         self._counters: list[dict[str, int]] = [{} for _ in range(nodes)]
@@ -93,7 +93,7 @@ class Assembler:
                 self._stage = restaged(self._stage, dict(self._network.settings))
                 self._bus = BusView(self._stage.bus)
 
-    def _drawn(self, number: int, truth: Array, told: Told) -> Frame:
+    def _drawn(self, number: int, truth: np.ndarray, told: Told) -> Frame:
         stage = self._stage
         numbers = self._network.cycles(number)
         cycles = tuple(
@@ -181,7 +181,7 @@ class Assembler:
             return None
         example = from_wire(next(iter(told.measured.values())).readings)
         nothing = np.full_like(example, np.nan)
-        delivered: Array = np.stack(
+        delivered: np.ndarray = np.stack(
             [from_wire(told.measured[i].readings) if i in told.measured else nothing for i in nodes]
         )
         control = next(iter(told.measured.values())).control
@@ -215,7 +215,7 @@ class Assembler:
         return Traffic(sent, heard, missed, np.array(rejected))
 
 
-def _generators(estimate: Estimate, states: int) -> Array | None:
+def _generators(estimate: Estimate, states: int) -> np.ndarray | None:
     """The generators (n, q) that a node tells; None of what is no zonotope of so many states."""
     rows = estimate.generators
     if rows is None or len(rows) != states or len({len(row) for row in rows}) != 1:

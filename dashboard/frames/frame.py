@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from bus.bus import Transmission
 from filters.gaussian import Gaussian
 
-Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
 
@@ -50,8 +49,8 @@ class Scores(NamedTuple):
     everything. spread: root mean square distance of the nodes' estimates from their mean.
     """
 
-    error: Array
-    width: Array
+    error: np.ndarray
+    width: np.ndarray
     rmse: float
     spread: float
     nees: float
@@ -74,9 +73,9 @@ class Frame(NamedTuple):
 
     step: int
     time_s: float
-    truth: Array
+    truth: np.ndarray
     belief: Gaussian
-    zonotopes: tuple[Array | None, ...]
+    zonotopes: tuple[np.ndarray | None, ...]
     fused: Gaussian
     seen: NDArray[np.bool_]
     alive: NDArray[np.bool_]

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from dashboard.frames.frame import Array, Event, Frame
+from dashboard.frames.frame import Event, Frame
 from dashboard.frames.stage import Stage
 
 _MEMORY_BYTES = 200_000_000
@@ -81,7 +81,7 @@ class History:
         return max(0, bisect_right(self._steps, step) - 1)
 
 
-def state_table(frames: Sequence[Frame], node: int, state: int) -> Array:
+def state_table(frames: Sequence[Frame], node: int, state: int) -> np.ndarray:
     """Return truth, a node's estimate and its standard deviation (T, 3) of one state."""
     rows = [
         (f.truth[state], f.belief.mean[node, state], f.belief.cov[node, state, state])

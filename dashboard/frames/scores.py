@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dashboard.frames.frame import Array, Scores
+from dashboard.frames.frame import Scores
 from dashboard.frames.stage import Stage
 from filters.gaussian import Gaussian
 from filters.linalg import inverse_spd, multiply
@@ -31,7 +31,7 @@ def fuse(belief: Gaussian, alive: np.ndarray) -> Gaussian:
 
 def score(
     stage: Stage,
-    truth: Array,
+    truth: np.ndarray,
     belief: Gaussian,
     alive: np.ndarray,
     fused: Gaussian,
@@ -59,7 +59,7 @@ def score(
     )
 
 
-def _spread(means: Array) -> float:
+def _spread(means: np.ndarray) -> float:
     """Root mean square distance of means (N, d) from their mean; what is rounding is none."""
     if len(means) < 2:
         return float("nan")
@@ -67,17 +67,17 @@ def _spread(means: Array) -> float:
     return 0.0 if spread <= _ROUNDING * float(np.nanmax(np.abs(means))) else spread
 
 
-def _error(belief: Gaussian | None, truth: Array, states: list[int]) -> float:
+def _error(belief: Gaussian | None, truth: np.ndarray, states: list[int]) -> float:
     if belief is None:
         return float("nan")
     return float(np.linalg.norm((belief.mean - truth)[states]))
 
 
-def _mean(values: Array) -> float:
+def _mean(values: np.ndarray) -> float:
     known = values[~np.isnan(values)]
     return float(known.mean()) if len(known) else float("nan")
 
 
-def _root_mean_square(values: Array) -> float:
+def _root_mean_square(values: np.ndarray) -> float:
     known = values[~np.isnan(values)]
     return float(np.sqrt((known**2).mean())) if len(known) else float("nan")

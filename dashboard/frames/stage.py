@@ -21,8 +21,6 @@ from scenarios.kind import Score
 from scenarios.rules import is_certain
 from scenarios.setup import Setup
 
-Array = NDArray[np.float64]
-
 SCENE_WIDTH = 20.0
 """Width of the drawn network in units of the scene, whatever it measures in metres."""
 
@@ -58,7 +56,7 @@ class Stage:
     certain: bool
     picture: Picture
     place: tuple[int, ...]
-    positions: Callable[[int], Array]
+    positions: Callable[[int], np.ndarray]
     sight_range_m: float | None
 
     @property
@@ -80,13 +78,13 @@ class Stage:
         return "fused ellipsoids" if self.certain else "fused"
 
     @cached_property
-    def whereabouts(self) -> Array:
+    def whereabouts(self) -> np.ndarray:
         """Where nodes are in the course of the run (P, 2), in the network's own units."""
         last = max(self.setup.scenario.steps - 1, 0)
         return np.concatenate([self.positions(step) for step in range(0, last + 1, last // 20 + 1)])
 
     @cached_property
-    def centre(self) -> Array:
+    def centre(self) -> np.ndarray:
         """Middle of the drawn network (2,), in its own units."""
         corners = self.whereabouts
         return (corners.min(0) + corners.max(0)) / 2
@@ -98,7 +96,7 @@ class Stage:
         extent = float((corners.max(0) - corners.min(0)).max())
         return SCENE_WIDTH / extent if extent > 0 else 1.0
 
-    def in_scene(self, points: Array, height: float = 0.0) -> Array:
+    def in_scene(self, points: np.ndarray, height: float = 0.0) -> np.ndarray:
         """Points (..., 2) of the plane as points (..., 3) of the scene."""
         flat = (points - self.centre) * self.scale
         return np.concatenate([flat, np.full((*flat.shape[:-1], 1), height)], axis=-1)
@@ -109,7 +107,7 @@ def set_stage(setup: Setup) -> Stage:
     kind = kind_of(setup.scenario.name)
     plant = kind.plant(setup.scenario)
     places = plant.positions(0)
-    positions: Callable[[int], Array]
+    positions: Callable[[int], np.ndarray]
     if places is not None:
         picture, positions = Picture.PLANE, lambda step: np.asarray(plant.positions(step))
     else:
@@ -152,7 +150,7 @@ def _names(setup: Setup, picture: Picture) -> tuple[str, ...]:
     return tuple(f"{node:0{digits}d}" for node in range(setup.scenario.nodes))
 
 
-def _laid_out(neighbours: list[list[int]]) -> Array:
+def _laid_out(neighbours: list[list[int]]) -> np.ndarray:
     """A place (N, 2) for each node of a graph; the same for the same graph."""
     import networkx
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dashboard.frames.expected import Expected
-from dashboard.frames.frame import Array, Frame
+from dashboard.frames.frame import Frame
 from dashboard.frames.stage import Stage
 from dashboard.theme import Colour, Theme
 from dashboard.view import View
@@ -18,11 +18,11 @@ class Sample(NamedTuple):
     stage: Stage
     view: View
     frames: Sequence[Frame]
-    times: Array
+    times: np.ndarray
     expected: Expected
 
 
-Column = Callable[[Sample], Array]
+Column = Callable[[Sample], np.ndarray]
 """(sample) -> the values (T,) of a line; NaN where a value is unknown."""
 
 
@@ -55,12 +55,12 @@ class Curve(NamedTuple):
     name: str
     colour: Colour
     dashed: bool
-    values: Array
+    values: np.ndarray
 
 
 class Drawn(NamedTuple):
     """A chart as a page shows it: its title with the unit, times (T,) in seconds, curves."""
 
     title: str
-    times: Array
+    times: np.ndarray
     curves: tuple[Curve, ...]

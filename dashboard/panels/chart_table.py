@@ -2,7 +2,9 @@
 
 from collections.abc import Callable
 
-from dashboard.frames.frame import Array, Frame
+import numpy as np
+
+from dashboard.frames.frame import Frame
 from dashboard.frames.history import state_table
 from dashboard.frames.stage import Stage
 from dashboard.panels.chart import Chart, Column, Line, Sample, of_frames
@@ -78,7 +80,7 @@ def _payload_kilobytes_per_s(stage: Stage) -> Callable[[Frame], float]:
 
 
 def _of_state(column: int) -> Column:
-    def values(sample: Sample) -> Array:
+    def values(sample: Sample) -> np.ndarray:
         view = sample.view
         return state_table(sample.frames, view.selected or 0, view.state)[:, column]
 
@@ -88,5 +90,5 @@ def _of_state(column: int) -> Column:
 _truth, _mean, _deviation = _of_state(0), _of_state(1), _of_state(2)
 
 
-def _reach(sample: Sample) -> Array:
+def _reach(sample: Sample) -> np.ndarray:
     return sample.stage.deviations * _deviation(sample)

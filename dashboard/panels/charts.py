@@ -8,7 +8,6 @@ import viser
 from viser import uplot
 
 from dashboard.frames.expected import Expectation
-from dashboard.frames.frame import Array
 from dashboard.frames.history import History
 from dashboard.frames.stage import Stage
 from dashboard.panels.chart import Chart, Curve, Drawn, Sample
@@ -108,7 +107,7 @@ class Plot:
         return Drawn(titled(self._chart, 0), self._times, tuple(curves))
 
 
-def shown_power(columns: list[Array]) -> int:
+def shown_power(columns: list[np.ndarray]) -> int:
     """Return the power of ten, a multiple of three, in which a plot shows values.
 
     uplot writes at most three decimals, so smaller values need a power. Values below 10^-12 are
@@ -130,7 +129,7 @@ def titled(chart: Chart, power: int) -> str:
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def _bridged(times: Array, column: Array) -> Array:
+def _bridged(times: np.ndarray, column: np.ndarray) -> np.ndarray:
     """Straight lines where numbers are missing: a NaN would leave the whole chart without scale."""
     known = np.isfinite(column)
     return column if known.all() else np.interp(times, times[known], column[known])

@@ -5,7 +5,7 @@ from html import escape
 
 import numpy as np
 
-from dashboard.frames.frame import Array, Frame
+from dashboard.frames.frame import Frame
 from dashboard.frames.history import History, state_table
 from dashboard.frames.stage import Stage
 from dashboard.theme import Theme, css
@@ -78,5 +78,5 @@ def _head(theme: Theme, top: float, tall: float, name: str, unit: str) -> str:
     )
 
 
-def _points(x: Array, y: Array) -> str:
+def _points(x: np.ndarray, y: np.ndarray) -> str:
     return " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))

@@ -6,7 +6,7 @@ from html import escape
 import numpy as np
 
 from dashboard.frames.conditions import BLIND, DOWN, REJECTED, SEEING, STALE, conditions, oldest
-from dashboard.frames.frame import Array, Event, Frame
+from dashboard.frames.frame import Event, Frame
 from dashboard.frames.stage import Stage
 from dashboard.theme import Colour, Theme, css, mixed
 from dashboard.view import View
@@ -85,7 +85,7 @@ def node_table(stage: Stage, view: View, frame: Frame) -> str:
 _MARKS = {DOWN: "✕", REJECTED: "◆", STALE: "◐", BLIND: "○", SEEING: "●"}
 
 
-def chosen_rows(nodes: int, view: View, error: Array, ages: np.ndarray) -> list[int]:
+def chosen_rows(nodes: int, view: View, error: np.ndarray, ages: np.ndarray) -> list[int]:
     """Return the nodes that the table shows, in order; the selected one is always among them."""
     rows = list(range(nodes))
     if view.order == "error":

@@ -4,7 +4,7 @@ from html import escape
 
 import numpy as np
 
-from dashboard.frames.frame import Array, Frame
+from dashboard.frames.frame import Frame
 from dashboard.frames.stage import Stage
 from dashboard.scene.geometry import ellipse_axes, zonotope_corners
 from dashboard.theme import Colour, Theme, css
@@ -54,7 +54,7 @@ def zoom(
     )
 
 
-def _spans(stage: Stage, off: Array, cov: Array) -> Array:
+def _spans(stage: Stage, off: np.ndarray, cov: np.ndarray) -> np.ndarray:
     """Half-widths (2,) of what is shown: most of the ellipses, whole, with some air."""
     reach = np.abs(off) + stage.deviations * np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
     span = 1.12 * np.quantile(reach, 0.9, axis=0)
@@ -67,8 +67,8 @@ class _Drawing:
     """The ellipses of one frame, in pixels."""
 
     def __init__(
-        self, stage: Stage, theme: Theme, frame: Frame, states: list[int], centre: Array,
-        spans: Array, known: bool,
+        self, stage: Stage, theme: Theme, frame: Frame, states: list[int], centre: np.ndarray,
+        spans: np.ndarray, known: bool,
     ) -> None:  # fmt: skip
         self._stage, self._theme, self._frame, self._states = stage, theme, frame, states
         self._centre, self._scale, self._known = centre, (SIZE / 2 - MARGIN) / spans, known
@@ -100,7 +100,7 @@ class _Drawing:
         parts.append(self._scale_marks())
         return "".join(parts)
 
-    def _pixel(self, point: Array) -> tuple[float, float]:
+    def _pixel(self, point: np.ndarray) -> tuple[float, float]:
         x, y = (point - self._centre) * self._scale
         return SIZE / 2 + float(x), SIZE / 2 - float(y)
 
@@ -146,7 +146,13 @@ class _Drawing:
         )
 
     def _set(
-        self, node: int, mean: Array, cov: Array, colour: Colour, opacity: float, width: float
+        self,
+        node: int,
+        mean: np.ndarray,
+        cov: np.ndarray,
+        colour: Colour,
+        opacity: float,
+        width: float,
     ) -> str:
         """Return the belief of a node: its zonotope, if the node keeps one, or its ellipse."""
         generators = self._frame.zonotopes[node]
@@ -160,7 +166,13 @@ class _Drawing:
         )
 
     def _ellipse(
-        self, mean: Array, cov: Array, colour: Colour, opacity: float, width: float, fill: float = 0
+        self,
+        mean: np.ndarray,
+        cov: np.ndarray,
+        colour: Colour,
+        opacity: float,
+        width: float,
+        fill: float = 0,
     ) -> str:
         scaled = self._scale[:, None] * cov * self._scale
         half, angle = ellipse_axes(scaled[None])
@@ -174,7 +186,7 @@ class _Drawing:
             f'stroke="{css(colour, opacity)}" stroke-width="{width:g}"/>'
         )
 
-    def _dot(self, point: Array, colour: Colour, radius: float, node: int) -> str:
+    def _dot(self, point: np.ndarray, colour: Colour, radius: float, node: int) -> str:
         x, y = self._pixel(point)
         return (
             f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:g}" fill="{css(colour)}" '

@@ -4,8 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dashboard.frames.frame import Array
-
 FIELD_OF_VIEW_RAD = 0.85
 # From the south, nearer to a map than to the horizon.
 _TILT_RAD = np.deg2rad(36.0)
@@ -34,7 +32,7 @@ class Camera(NamedTuple):
     look_at: tuple[float, float, float]
 
 
-def aimed(points: Array, free: Free) -> Camera:
+def aimed(points: np.ndarray, free: Free) -> Camera:
     """Return the nearest camera that sees all points (P, 3) in the free part of its window.
 
     The direction is fixed. At depth z in front of the eye the free part reaches from `low` z to
@@ -53,7 +51,7 @@ def aimed(points: Array, free: Free) -> Camera:
     return Camera(_tuple(eye), _tuple(eye - (distance - near.mean()) * _TOWARDS_EYE))
 
 
-def pixels(points: Array, camera: Camera, free: Free) -> Array:
+def pixels(points: np.ndarray, camera: Camera, free: Free) -> np.ndarray:
     """Where points (P, 3) are in the window of such a camera: (P, 2), from the upper left."""
     off = points - np.array(camera.look_at)
     distance = float(np.linalg.norm(np.subtract(camera.position, camera.look_at)))
@@ -67,6 +65,6 @@ def _focal(free: Free) -> float:
     return free.height / 2 / float(np.tan(FIELD_OF_VIEW_RAD / 2))
 
 
-def _tuple(point: Array) -> tuple[float, float, float]:
+def _tuple(point: np.ndarray) -> tuple[float, float, float]:
     x, y, z = point.tolist()
     return x, y, z

@@ -2,12 +2,10 @@
 
 import numpy as np
 
-from dashboard.frames.frame import Array
-
 SEGMENTS = 40
 
 
-def ellipse_axes(cov: Array) -> tuple[Array, Array]:
+def ellipse_axes(cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Half-axes (..., 2), the longer first, and its angle (...,) in rad of covariances (..., 2, 2).
 
     The half-axes are those of one standard deviation.
@@ -18,13 +16,15 @@ def ellipse_axes(cov: Array) -> tuple[Array, Array]:
     return half, np.arctan2(longest[..., 1], longest[..., 0])
 
 
-def about_vertical(angle: Array) -> Array:
+def about_vertical(angle: np.ndarray) -> np.ndarray:
     """Quaternions (..., 4), w first, of turns by `angle` about the vertical."""
     zero = np.zeros_like(angle)
     return np.stack([np.cos(angle / 2), zero, zero, np.sin(angle / 2)], axis=-1)
 
 
-def outlines(centre: Array, half: Array, angle: Array, count: int = SEGMENTS) -> Array:
+def outlines(
+    centre: np.ndarray, half: np.ndarray, angle: np.ndarray, count: int = SEGMENTS
+) -> np.ndarray:
     """Outlines (..., count, 2, 2) as segments of ellipses with centre (..., 2), half (..., 2)."""
     turn = np.linspace(0.0, 2 * np.pi, count + 1)
     along = half[..., :1] * np.cos(turn)
@@ -40,12 +40,12 @@ def outlines(centre: Array, half: Array, angle: Array, count: int = SEGMENTS) ->
     return np.stack([points[..., :-1, :], points[..., 1:, :]], axis=-2)
 
 
-def path(points: Array) -> Array:
+def path(points: np.ndarray) -> np.ndarray:
     """Segments (P - 1, 2, d) that join points (P, d)."""
     return np.stack([points[:-1], points[1:]], axis=1)
 
 
-def dashed(segments: Array, dashes: int = 5) -> Array:
+def dashed(segments: np.ndarray, dashes: int = 5) -> np.ndarray:
     """Each of segments (S, 2, d) as dashes with gaps: (S dashes, 2, d)."""
     ends = np.linspace(0.0, 1.0, 2 * dashes)
     start, end = ends[0::2], ends[1::2]
@@ -54,7 +54,7 @@ def dashed(segments: Array, dashes: int = 5) -> Array:
     return pieces.reshape(-1, 2, segments.shape[-1])
 
 
-def disc(count: int = 36) -> tuple[Array, np.ndarray]:
+def disc(count: int = 36) -> tuple[np.ndarray, np.ndarray]:
     """A flat unit disc: vertices (V, 3) and faces (F, 3)."""
     turn = np.linspace(0.0, 2 * np.pi, count, endpoint=False)
     rim = np.stack([np.cos(turn), np.sin(turn), np.zeros(count)], axis=-1)
@@ -64,7 +64,7 @@ def disc(count: int = 36) -> tuple[Array, np.ndarray]:
     return vertices, faces.astype(np.uint32)
 
 
-def ring(inner: float = 0.82, count: int = 40) -> tuple[Array, np.ndarray]:
+def ring(inner: float = 0.82, count: int = 40) -> tuple[np.ndarray, np.ndarray]:
     """A flat ring of outer radius 1: vertices (V, 3) and faces (F, 3)."""
     turn = np.linspace(0.0, 2 * np.pi, count, endpoint=False)
     rim = np.stack([np.cos(turn), np.sin(turn), np.zeros(count)], axis=-1)
@@ -75,7 +75,7 @@ def ring(inner: float = 0.82, count: int = 40) -> tuple[Array, np.ndarray]:
     return vertices, np.concatenate([outer, inside]).astype(np.uint32)
 
 
-def sphere() -> tuple[Array, np.ndarray]:
+def sphere() -> tuple[np.ndarray, np.ndarray]:
     """A unit sphere: vertices (V, 3) and faces (F, 3)."""
     rows, columns = 9, 16
     up = np.linspace(-np.pi / 2, np.pi / 2, rows)
@@ -91,7 +91,7 @@ def sphere() -> tuple[Array, np.ndarray]:
     return vertices, np.concatenate([lower, upper]).astype(np.uint32)
 
 
-def post() -> tuple[Array, np.ndarray]:
+def post() -> tuple[np.ndarray, np.ndarray]:
     """A box of width 1 from height 0 to 1: vertices (8, 3) and faces (12, 3)."""
     corners = np.array([[x, y, z] for z in (0, 1) for y in (-0.5, 0.5) for x in (-0.5, 0.5)], float)
     sides = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (1, 3, 7, 5), (3, 2, 6, 7), (2, 0, 4, 6)]
@@ -99,7 +99,7 @@ def post() -> tuple[Array, np.ndarray]:
     return corners, np.array(faces, dtype=np.uint32)
 
 
-def zonotope_corners(centre: Array, generators: Array) -> Array:
+def zonotope_corners(centre: np.ndarray, generators: np.ndarray) -> np.ndarray:
     """Corners (2q, 2), in order round about, of {centre (2,) + generators (2, q) c : |c_i| <= 1}.
 
     Its edges are the generators, twice each, in order of their direction.

@@ -6,7 +6,7 @@ from typing import Any, Protocol
 import numpy as np
 import viser
 
-from dashboard.frames.frame import Array, Frame
+from dashboard.frames.frame import Frame
 from dashboard.scene import geometry
 from dashboard.theme import Theme, linear
 from dashboard.view import View
@@ -19,11 +19,11 @@ _NO_LINE = np.zeros((1, 2, 3), dtype=np.float32)
 class PlantPicture(Protocol):
     """How a plant is drawn."""
 
-    def node_places(self, frame: Frame, past: Sequence[Frame]) -> Array:
+    def node_places(self, frame: Frame, past: Sequence[Frame]) -> np.ndarray:
         """Where the nodes are in the scene (N, 3)."""
         ...
 
-    def extent(self) -> Array:
+    def extent(self) -> np.ndarray:
         """Points of the scene (P, 3) that a picture of the whole must show."""
         ...
 
@@ -40,7 +40,7 @@ def add_lines(scene: viser.SceneApi, name: str, thickness: float) -> Any:
     )  # fmt: skip
 
 
-def paint(handle: Any, segments: Array, colours: np.ndarray) -> None:
+def paint(handle: Any, segments: np.ndarray, colours: np.ndarray) -> None:
     """Assign segments (S, 2, 3) with their colours, up to (S, 2, 3); nothing hides the lines."""
     handle.visible = len(segments) > 0
     if len(segments):
@@ -48,7 +48,9 @@ def paint(handle: Any, segments: Array, colours: np.ndarray) -> None:
         handle.colors = linear(np.broadcast_to(colours, (*segments.shape[:2], 3)))
 
 
-def fading(points: Array, colour: tuple[int, int, int], theme: Theme) -> tuple[Array, np.ndarray]:
+def fading(
+    points: np.ndarray, colour: tuple[int, int, int], theme: Theme
+) -> tuple[np.ndarray, np.ndarray]:
     """A trail through points (P, 3): segments, and colours that come out of the background."""
     points = points[np.isfinite(points).all(-1)]
     if len(points) < 2:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import viser
 
-from dashboard.frames.frame import Array, Frame
+from dashboard.frames.frame import Frame
 from dashboard.frames.stage import Stage
 from dashboard.scene import geometry
 from dashboard.scene.plants import HIDDEN
@@ -38,10 +38,10 @@ class ErrorPosts:
             "/plant/widths", plate[0].astype(np.float32), plate[1], side="double", **for_all
         )
 
-    def node_places(self, frame: Frame, past: Sequence[Frame]) -> Array:
+    def node_places(self, frame: Frame, past: Sequence[Frame]) -> np.ndarray:
         return self._stage.in_scene(self._stage.positions(frame.step), 0.15)
 
-    def extent(self) -> Array:
+    def extent(self) -> np.ndarray:
         stage = self._stage
         heights = (0.0, self._HEIGHT)
         return np.concatenate([stage.in_scene(stage.whereabouts, height) for height in heights])

@@ -7,7 +7,7 @@ import numpy as np
 import viser
 
 from dashboard.frames.conditions import DOWN, REJECTED, STALE, conditions
-from dashboard.frames.frame import Array, Frame
+from dashboard.frames.frame import Frame
 from dashboard.frames.stage import SCENE_WIDTH, Picture, Stage
 from dashboard.panels.table import colour_of
 from dashboard.scene import geometry
@@ -115,7 +115,7 @@ class Scene:
             lod="off",
         )
 
-    def extent(self) -> Array:
+    def extent(self) -> np.ndarray:
         """Points of the scene (P, 3) between which all of it lies, nodes and their names too."""
         points, air = self.plant.extent(), 2.0 * self._radius
         around = np.array([(x, y, 0.0) for x in (-air, air) for y in (-air, air)])
@@ -157,14 +157,16 @@ class Scene:
 
         return assign
 
-    def _mark(self, ring: Any, node: int | None, at: Array, colour: Any, size: float) -> None:
+    def _mark(self, ring: Any, node: int | None, at: np.ndarray, colour: Any, size: float) -> None:
         ring.visible = node is not None
         if node is not None:
             ring.position = tuple(at[node])
             ring.scale = size * self._radius
             ring.color = colour
 
-    def _links(self, view: View, frame: Frame, at: Array) -> tuple[Array, np.ndarray, Array]:
+    def _links(
+        self, view: View, frame: Frame, at: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Segments and colours of the links that are up, and the dashes of those that are cut."""
         edges, theme = self._stage.edges, view.theme
         if not len(edges):
@@ -184,14 +186,14 @@ class Scene:
         painted = np.repeat(colours[up][:, None], 2, axis=1)
         return ends[up], painted, geometry.dashed(ends[frame.cut])
 
-    def _sending_links(self, frame: Frame, at: Array, sender: int) -> Array:
+    def _sending_links(self, frame: Frame, at: np.ndarray, sender: int) -> np.ndarray:
         edges = self._stage.edges
         if sender < 0 or not len(edges):
             return _NO_LINES
         hers = (edges == sender).any(1) & ~frame.cut & frame.alive[edges].all(1)
         return at[edges[hers]] + [0, 0, 0.08]
 
-    def _label(self, view: View, frame: Frame, at: Array) -> None:
+    def _label(self, view: View, frame: Frame, at: np.ndarray) -> None:
         """Names beside the nodes, where they have room; again only when something about them is."""
         wanted = view.labels and self._stage.nodes <= MOST_LABELS
         places = tuple(map(tuple, np.round(at, 1))) if wanted else ()

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import viser
 
-from dashboard.frames.frame import Array, Frame
+from dashboard.frames.frame import Frame
 from dashboard.frames.stage import SCENE_WIDTH, Stage
 from dashboard.scene import geometry
 from dashboard.scene.plants import add_lines, paint
@@ -31,26 +31,26 @@ class CarTrack:
         self._cabin = scene.add_box("/plant/cabin", dimensions=(0.45, 0.36, 0.18), visible=False)
         self._low_m, self._high_m = np.full(2, -5.0), np.full(2, 5.0)
 
-    def _ways(self, past: Sequence[Frame]) -> tuple[Array, Array]:
+    def _ways(self, past: Sequence[Frame]) -> tuple[np.ndarray, np.ndarray]:
         """Ways (T, 2) of the car and (T, N, 2) of the nodes' estimates, in metres."""
         truth = np.array([frame.truth[self._states] for frame in past])
         nodes = np.array([frame.belief.mean[:, self._states] for frame in past])
         step_s = self._stage.setup.time_step_s
         return _reckoned(truth, step_s), _reckoned(nodes, step_s)
 
-    def _drawn(self, way: Array, height: float) -> Array:
+    def _drawn(self, way: np.ndarray, height: float) -> np.ndarray:
         units = 0.8 * SCENE_WIDTH / (self._high_m - self._low_m).max()
         flat = (way - (self._low_m + self._high_m) / 2) * units
         return np.concatenate([flat, np.full((*flat.shape[:-1], 1), height)], axis=-1)
 
-    def node_places(self, frame: Frame, past: Sequence[Frame]) -> Array:
+    def node_places(self, frame: Frame, past: Sequence[Frame]) -> np.ndarray:
         way, _ = self._ways(past)
         self._make_room(way[np.isfinite(way).all(-1)])
         car = self._drawn(np.nan_to_num(way[-1]), 0.0)
         around = self._stage.in_scene(self._stage.positions(0), self._ABOVE)
         return car + around * [self._SPREAD, self._SPREAD, 1.0]
 
-    def _make_room(self, way: Array) -> None:
+    def _make_room(self, way: np.ndarray) -> None:
         """Let the picture hold a way (T, 2); it grows in leaps, so that it rests in between."""
         if not len(way):
             return
@@ -59,7 +59,7 @@ class CarTrack:
         self._low_m = np.where(low < self._low_m, low - leap, self._low_m)
         self._high_m = np.where(high > self._high_m, high + leap, self._high_m)
 
-    def extent(self) -> Array:
+    def extent(self) -> np.ndarray:
         wide, deep = 0.4 * SCENE_WIDTH, 0.15 * SCENE_WIDTH
         flat = [(x, y) for x in (-wide, wide) for y in (-deep, deep)]
         return np.array([(x, y, z) for x, y in flat for z in (0.0, self._ABOVE)])
@@ -98,7 +98,7 @@ class CarTrack:
         return assign
 
 
-def _reckoned(moving: Array, step_s: float) -> Array:
+def _reckoned(moving: np.ndarray, step_s: float) -> np.ndarray:
     """Places (T, ..., 2) of (speed, heading, side slip) (T, ..., 3), from the origin."""
     speed, course = moving[..., 0], moving[..., 1] + moving[..., 2]
     velocity = speed[..., None] * np.stack([np.cos(course), np.sin(course)], axis=-1)

@@ -14,7 +14,6 @@ from experiments.sweep.cells import sorted_out
 from experiments.sweep.pieces import Piece, compute
 from experiments.sweep.specification import Cell
 from experiments.sweep.workers import Engine
-from nodes.messages import Array
 from scenarios.catalogue import kind_of
 from scenarios.types.assignment import refuse_left
 
@@ -41,7 +40,7 @@ class Candidate(NamedTuple):
     """Figures (R,) by name of the first R runs of a candidate; R may be 0."""
 
     cell: Cell
-    figures: dict[str, Array]
+    figures: dict[str, np.ndarray]
 
     @property
     def runs(self) -> int:
@@ -103,7 +102,7 @@ def with_runs(
         for end in [first_run + runs]
         for first in range(first_run + one.runs, end, AT_ONCE)
     ]
-    more: dict[int, list[tuple[int, dict[str, Array]]]] = {}
+    more: dict[int, list[tuple[int, dict[str, np.ndarray]]]] = {}
     for number, figures in engine(compute, pieces):
         piece = pieces[number]
         kept = _kept(candidates[piece.cell].cell, figures)
@@ -120,7 +119,7 @@ def with_runs(
     return grown
 
 
-def _kept(cell: Cell, figures: dict[str, Array]) -> dict[str, Array]:
+def _kept(cell: Cell, figures: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     first = kind_of(cell.scenario.name).score.first_step
     bound = figures["bound"][min(first, len(figures["bound"]) - 1) :]
     runs = len(figures["rmse"])

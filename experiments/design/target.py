@@ -8,7 +8,6 @@ import msgspec
 import numpy as np
 
 from experiments.monte_carlo.intervals import Interval, ratio_t
-from nodes.messages import Array
 from topology.names import unknown_name
 
 Reference = Literal["centralised", "bound", "unit"]
@@ -56,7 +55,7 @@ def parse_target(text: str) -> Target:
     return Target(most, reference)  # type: ignore[arg-type]
 
 
-def error_of(target: Target, figures: dict[str, Array], confidence: float) -> Interval:
+def error_of(target: Target, figures: dict[str, np.ndarray], confidence: float) -> Interval:
     """The error of a candidate as the target measures it, over runs, both sides at `confidence`."""
     squares = np.square(figures["rmse"])
     if target.reference == "centralised":

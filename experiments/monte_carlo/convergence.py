@@ -3,14 +3,13 @@
 import numpy as np
 
 from experiments.monte_carlo.intervals import Interval
-from nodes.messages import Array
 
 # Settled is what the error is over this last part of the run, and at most so many times that.
 LAST_PART, WITHIN = 0.25, 1.5
 RESAMPLES = 200
 
 
-def settling_steps(error: Array, change_step: int) -> float:
+def settling_steps(error: np.ndarray, change_step: int) -> float:
     """Steps from the change until the error (R, steps) stays settled; NaN if it does not settle.
 
     The error is the root mean square over runs; one run alone crosses any threshold by chance.
@@ -18,7 +17,7 @@ def settling_steps(error: Array, change_step: int) -> float:
     return float(_settling(np.square(error).mean(axis=0)[None], change_step)[0])
 
 
-def settling_interval(error: Array, change_step: int, confidence: float = 0.95) -> Interval:
+def settling_interval(error: np.ndarray, change_step: int, confidence: float = 0.95) -> Interval:
     """Return the same with its bootstrap interval over runs; bounds are NaN for one run."""
     value = settling_steps(error, change_step)
     runs = len(error)
@@ -36,7 +35,7 @@ def settling_interval(error: Array, change_step: int, confidence: float = 0.95) 
     return Interval(value, float(low), float(high))
 
 
-def _settling(squares: Array, change_step: int) -> Array:
+def _settling(squares: np.ndarray, change_step: int) -> np.ndarray:
     """Of mean squared errors (B, steps): (B,)."""
     steps = squares.shape[-1]
     tail = max(1, round(LAST_PART * steps))

@@ -10,13 +10,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from nodes.messages import Array
-
 ELECTRONICS_NJ_PER_BIT = 50.0
 AMPLIFIER_NJ_PER_BIT_M2 = 0.1
 
 
-def energy_per_bit_nj(neighbours: Sequence[Sequence[int]], positions_m: Array | None) -> Array:
+def energy_per_bit_nj(
+    neighbours: Sequence[Sequence[int]], positions_m: np.ndarray | None
+) -> np.ndarray:
     """Per node (N,), what a bit of its costs sender and hearers together, in nJ.
 
     `neighbours` says whom each node hears; `positions_m` (N, 2), or None for a wire.

@@ -11,8 +11,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import stdtrit
 
-from nodes.messages import Array
-
 RESAMPLES = 999
 
 
@@ -24,8 +22,8 @@ class Interval(NamedTuple):
     high: float
 
 
-Means = Callable[[Array], Interval]
-Ratios = Callable[[Array, Array], Interval]
+Means = Callable[[np.ndarray], Interval]
+Ratios = Callable[[np.ndarray, np.ndarray], Interval]
 
 
 class Method(NamedTuple):
@@ -35,7 +33,7 @@ class Method(NamedTuple):
     ratio: Ratios
 
 
-def mean_t(values: Array, confidence: float = 0.95) -> Interval:
+def mean_t(values: np.ndarray, confidence: float = 0.95) -> Interval:
     """Student's interval of the mean of independent values (runs,); NaN ones are left out."""
     values = values[~np.isnan(values)]
     if not len(values):
@@ -45,7 +43,7 @@ def mean_t(values: Array, confidence: float = 0.95) -> Interval:
     return Interval(middle, middle - half, middle + half)
 
 
-def ratio_t(squares: Array, others: Array, confidence: float = 0.95) -> Interval:
+def ratio_t(squares: np.ndarray, others: np.ndarray, confidence: float = 0.95) -> Interval:
     """sqrt(mean squares / mean others) of paired values (runs,), by the delta method.
 
     Source: Student's interval of the linearised logarithm; Casella and Berger (2002), Statistical
@@ -62,7 +60,7 @@ def ratio_t(squares: Array, others: Array, confidence: float = 0.95) -> Interval
     return Interval(middle, float(middle / grown), float(middle * grown))
 
 
-def mean_bootstrap(values: Array, confidence: float = 0.95) -> Interval:
+def mean_bootstrap(values: np.ndarray, confidence: float = 0.95) -> Interval:
     """Bootstrap interval (bias corrected and accelerated) of the mean of values (runs,)."""
     values = values[~np.isnan(values)]
     if len(values) < 2 or np.ptp(values) == 0:
@@ -71,7 +69,7 @@ def mean_bootstrap(values: Array, confidence: float = 0.95) -> Interval:
     return Interval(float(values.mean()), low, high)
 
 
-def ratio_bootstrap(squares: Array, others: Array, confidence: float = 0.95) -> Interval:
+def ratio_bootstrap(squares: np.ndarray, others: np.ndarray, confidence: float = 0.95) -> Interval:
     """Bootstrap interval of sqrt(mean squares / mean others) of paired values (runs,)."""
     squares, others = _both_known(squares, others)
     if len(squares) < 2 or np.ptp(squares / others) == 0:
@@ -86,28 +84,28 @@ METHODS: dict[str, Method] = {
 }
 
 
-def _half_width(values: Array, confidence: float) -> float:
+def _half_width(values: np.ndarray, confidence: float) -> float:
     if len(values) < 2:
         return float("nan")
     quantile = stdtrit(len(values) - 1, 0.5 + confidence / 2)
     return float(quantile * values.std(ddof=1) / np.sqrt(len(values)))
 
 
-def _both_known(a: Array, b: Array) -> tuple[Array, Array]:
+def _both_known(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     known = np.isfinite(a) & np.isfinite(b)
     return a[known], b[known]
 
 
-def _root_ratio(squares: Array, others: Array) -> float:
+def _root_ratio(squares: np.ndarray, others: np.ndarray) -> float:
     return float(np.sqrt(squares.mean() / others.mean()))
 
 
-def _root_ratio_along(squares: Array, others: Array, axis: int) -> Array:
+def _root_ratio_along(squares: np.ndarray, others: np.ndarray, axis: int) -> np.ndarray:
     return np.sqrt(squares.mean(axis) / others.mean(axis))
 
 
 def _bootstrap(
-    samples: tuple[Array, ...], statistic: Callable[..., Array], confidence: float
+    samples: tuple[np.ndarray, ...], statistic: Callable[..., np.ndarray], confidence: float
 ) -> tuple[float, float]:
     # Loading it takes longer than most of what is done here.
     from scipy import stats

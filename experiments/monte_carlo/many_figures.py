@@ -12,7 +12,6 @@ from experiments.monte_carlo.run_figures import scored_steps, traffic_of
 from experiments.monte_carlo.simulate import Histories
 from filters.gaussian import Gaussian
 from filters.metrics import largest_of_known, mean_of_known, nees, rmse
-from nodes.messages import Array
 from scenarios.baselines import centralised_of_runs, local_only_of_runs
 from scenarios.catalogue import kind_of
 from scenarios.rules import is_certain
@@ -133,13 +132,13 @@ def summarise(histories: Histories, cost: Cost) -> ManyFigures:
 _TRAFFIC = ("sent", "heard", "missed", "rejected")
 
 
-def _frames(histories: Histories, name: str) -> Array:
+def _frames(histories: Histories, name: str) -> np.ndarray:
     """Return each node's count under a name, or under names that begin with it, per run (N,)."""
     none = np.zeros((len(histories.runs), histories.setup.scenario.nodes))
     return sum((n for key, n in histories.counters.items() if key.startswith(name)), none).mean(0)
 
 
-def _centralised(histories: Histories, counted: np.ndarray) -> tuple[Array, Array]:
+def _centralised(histories: Histories, counted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Errors (R, S, m) of one filter that hears everything, and its ANEES (R,)."""
     setup = histories.setup
     score = kind_of(setup.scenario.name).score
@@ -155,7 +154,7 @@ def _centralised(histories: Histories, counted: np.ndarray) -> tuple[Array, Arra
     return errors[..., list(score.states)], mean_of_known(normalised, (1,)) / len(part)
 
 
-def _where(counted: np.ndarray, values: Array) -> Array:
+def _where(counted: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Values (R, S, ...), NaN in steps that do not count."""
     return np.where(counted.reshape(*counted.shape, *(1,) * (values.ndim - 2)), values, np.nan)
 

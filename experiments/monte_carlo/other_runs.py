@@ -23,7 +23,6 @@ from dashboard.frames.expected import Expected, nothing_expected
 from experiments.monte_carlo.run_frame import bound_of
 from experiments.monte_carlo.simulate import READINGS, simulate
 from experiments.priority import give_way
-from nodes.messages import Array
 from runtime.batched.build import without_array_form
 from runtime.interpreter import fresh_command, fresh_variables
 from scenarios.catalogue import kind_of
@@ -75,12 +74,12 @@ def told_by(setup: Setup, runs: int, rest: Callable[[int], None] = lambda done: 
     return Told(_plain(low), _plain(high), _plain(bound))
 
 
-def _plain(values: Array) -> list[float | None]:
+def _plain(values: np.ndarray) -> list[float | None]:
     """JSON knows no NaN."""
     return [float(value) if np.isfinite(value) else None for value in values]
 
 
-def expected(told: Told, time_step_s: float, times: Array) -> Expected:
+def expected(told: Told, time_step_s: float, times: np.ndarray) -> Expected:
     """Return the expected values at these times."""
     steps = np.clip(np.round(times / time_step_s).astype(int), 0, len(told.nees_low) - 1)
     columns = (told.nees_low, told.nees_high, told.bound)
@@ -128,7 +127,7 @@ class OtherRuns:
             if line.endswith(b"\n"):
                 self._told = msgspec.json.decode(line, type=Told)
 
-    def __call__(self, times: Array) -> Expected:
+    def __call__(self, times: np.ndarray) -> Expected:
         """Return the expected values at these times."""
         if self._told is None:
             return nothing_expected(times)

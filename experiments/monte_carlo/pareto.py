@@ -2,10 +2,8 @@
 
 import numpy as np
 
-from nodes.messages import Array
 
-
-def front(cost: Array, error: Array) -> np.ndarray:
+def front(cost: np.ndarray, error: np.ndarray) -> np.ndarray:
     """Places of the points (P,) that no other is at most as dear and better than; by rising cost.
 
     Points with a NaN are never on it; of equal points the first is.

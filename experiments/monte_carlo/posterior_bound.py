@@ -20,7 +20,6 @@ import numpy as np
 
 from filters.linalg import inverse_spd, symmetrise
 from filters.update import without_rows
-from nodes.messages import Array
 from nodes.rules.local_filter import Model, Sensor, StateNoise
 
 # Steps of the differences, in prior standard deviations: the scale on which beliefs see a model.
@@ -36,14 +35,14 @@ class Truths(NamedTuple):
     `control` (R, steps, p) acts into each step, or is None.
     """
 
-    truth: Array
-    readings: Array
-    control: Array | None
+    truth: np.ndarray
+    readings: np.ndarray
+    control: np.ndarray | None
 
 
 def posterior_bound(
-    truths: Truths, prior_cov: Array, model: Model, sensors: Sequence[Sensor | None]
-) -> Array:
+    truths: Truths, prior_cov: np.ndarray, model: Model, sensors: Sequence[Sensor | None]
+) -> np.ndarray:
     """Return the bound (steps, n, n) on the error covariance after each step's readings.
 
     All NaN where it is not defined: the truth is not known, noise depends on the state, or part of
@@ -65,7 +64,9 @@ def posterior_bound(
     return bounds
 
 
-def _predicted(bound: Array, truths: Truths, model: Model, scale: Array, step: int) -> Array:
+def _predicted(
+    bound: np.ndarray, truths: Truths, model: Model, scale: np.ndarray, step: int
+) -> np.ndarray:
     """Return the bound carried from `step` to the next, without its readings."""
     noise_cov = model.process_noise_cov(step)
     control = None if truths.control is None else truths.control[:, step + 1]
@@ -87,8 +88,8 @@ def _predicted(bound: Array, truths: Truths, model: Model, scale: Array, step: i
 
 
 def _information(
-    truths: Truths, sensors: Sequence[Sensor | None], scale: Array, step: int
-) -> Array:
+    truths: Truths, sensors: Sequence[Sensor | None], scale: np.ndarray, step: int
+) -> np.ndarray:
     """E[sum over the readings of H' R^-1 H] (n, n) at a step."""
     runs, n = truths.truth.shape[0], truths.truth.shape[-1]
     total = np.zeros((n, n))
@@ -108,7 +109,7 @@ def _information(
     return symmetrise(total / runs)
 
 
-def _slopes(sensor: Sensor, states: Array, scale: Array, step: int) -> Array:
+def _slopes(sensor: Sensor, states: np.ndarray, scale: np.ndarray, step: int) -> np.ndarray:
     """Jacobians (R, m, n) of a sensor at states (R, n)."""
     ahead, behind = (
         sensor.measure(states + sign * np.diag(scale)[:, None], step) for sign in (1, -1)
@@ -116,7 +117,9 @@ def _slopes(sensor: Sensor, states: Array, scale: Array, step: int) -> Array:
     return np.moveaxis(sensor.residual(ahead, behind) / (2 * scale)[:, None, None], 0, -1)
 
 
-def _jacobian(transition: Callable[[Array], Array], states: Array, scale: Array) -> Array:
+def _jacobian(
+    transition: Callable[[np.ndarray], np.ndarray], states: np.ndarray, scale: np.ndarray
+) -> np.ndarray:
     """Jacobians (R, n, n) of a transition at states (R, n), by central differences."""
     moved = [transition(states + sign * np.diag(scale)[:, None]) for sign in (1, -1)]
     return np.moveaxis((moved[0] - moved[1]) / (2 * scale)[:, None, None], 0, -1)

@@ -14,7 +14,6 @@ from experiments.monte_carlo.run_frame import Frame
 from experiments.monte_carlo.simulate import Histories
 from filters.linalg import symmetrise
 from filters.metrics import largest_of_known, mean_of_known, nees, rmse
-from nodes.messages import Array
 from runtime.batched.build import turnings_of
 from scenarios.build import build_bus
 from scenarios.bus_plan import frame_format
@@ -63,7 +62,7 @@ FIGURES = {
 }
 
 
-def figures_of(setup: Setup, histories: Histories, frame: Frame) -> dict[str, Array]:
+def figures_of(setup: Setup, histories: Histories, frame: Frame) -> dict[str, np.ndarray]:
     """Return the variables of `FIGURES`, with their dimensions."""
     score = kind_of(setup.scenario.name).score
     readings, _ = kept(histories)
@@ -98,13 +97,13 @@ def figures_of(setup: Setup, histories: Histories, frame: Frame) -> dict[str, Ar
     return figures | traffic_of(setup, histories)
 
 
-def kept(histories: Histories) -> tuple[Array, np.ndarray]:
+def kept(histories: Histories) -> tuple[np.ndarray, np.ndarray]:
     """Readings and ages, which every figure of a network needs."""
     assert histories.readings is not None and histories.ages is not None, "keep both"
     return histories.readings, histories.ages
 
 
-def scored_steps(score: Score, readings: Array) -> np.ndarray:
+def scored_steps(score: Score, readings: np.ndarray) -> np.ndarray:
     """Which steps (R, steps) count: from the scenario's on, but not before the first reading."""
     steps = readings.shape[1]
     seen = np.logical_not(np.isnan(readings).all(axis=(-1, -2, -3)))
@@ -114,7 +113,7 @@ def scored_steps(score: Score, readings: Array) -> np.ndarray:
     return np.arange(steps) >= first[:, None]
 
 
-def _consistency(setup: Setup, values: Array, counted: np.ndarray) -> dict[str, Array]:
+def _consistency(setup: Setup, values: np.ndarray, counted: np.ndarray) -> dict[str, np.ndarray]:
     states = kind_of(setup.scenario.name).score.nees_states
     if is_certain(setup.scenario):
         nothing = np.full(len(values), np.nan)
@@ -128,7 +127,9 @@ def _consistency(setup: Setup, values: Array, counted: np.ndarray) -> dict[str, 
     }
 
 
-def _anees_central(setup: Setup, errors: Array, cov: Array, counted: np.ndarray) -> Array:
+def _anees_central(
+    setup: Setup, errors: np.ndarray, cov: np.ndarray, counted: np.ndarray
+) -> np.ndarray:
     if is_certain(setup.scenario):
         return np.full(len(errors), np.nan)
     states = list(kind_of(setup.scenario.name).score.nees_states)
@@ -136,7 +137,7 @@ def _anees_central(setup: Setup, errors: Array, cov: Array, counted: np.ndarray)
     return mean_of_known(np.where(counted, values, np.nan), (1,)) / len(states)
 
 
-def traffic_of(setup: Setup, histories: Histories) -> dict[str, Array]:
+def traffic_of(setup: Setup, histories: Histories) -> dict[str, np.ndarray]:
     """Return the traffic per node, its load on bus and batteries, and the ages of the shares."""
     payload, form = histories.payload_bytes, frame_format(setup.scenario)
     frames = np.ceil(payload / form.payload_limit_bytes)
@@ -167,7 +168,7 @@ def _cycles(setup: Setup) -> int:
     )
 
 
-def _bus(setup: Setup, payload: np.ndarray) -> tuple[Array, Array]:
+def _bus(setup: Setup, payload: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean load (R,) and mean delay (R,); NaN on a bus without time, or of several settings."""
     bus = build_bus(setup)
     runs, steps, rounds, nodes = payload.shape
@@ -187,10 +188,10 @@ def _bus(setup: Setup, payload: np.ndarray) -> tuple[Array, Array]:
     return load[which].reshape(shape).mean(axis=(1, 2)), last.mean(axis=1)
 
 
-def _part(cov: Array, states: list[int]) -> Array:
+def _part(cov: np.ndarray, states: list[int]) -> np.ndarray:
     return cov[..., states, :][..., states]
 
 
-def _average(mean: Array) -> Array:
+def _average(mean: np.ndarray) -> np.ndarray:
     """Return the average of the nodes that believe something, over axis 2, kept."""
     return mean_of_known(mean, (2,))[:, :, None]

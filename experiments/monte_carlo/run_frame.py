@@ -11,7 +11,6 @@ import numpy as np
 
 from experiments.monte_carlo.posterior_bound import Truths, posterior_bound
 from experiments.monte_carlo.simulate import Histories
-from nodes.messages import Array
 from scenarios.baselines import centralised_of_runs, listens_step_by_step
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup
@@ -22,9 +21,9 @@ _KEPT = 64
 class Frame(NamedTuple):
     """Centralised mean (R, steps, n) and cov (R, steps, n, n) of R runs; bound (steps, n, n)."""
 
-    mean: Array
-    cov: Array
-    bound: Array
+    mean: np.ndarray
+    cov: np.ndarray
+    bound: np.ndarray
 
 
 _frames: dict[bytes, Frame] = {}
@@ -64,7 +63,7 @@ def _frame(setup: Setup, runs: range, histories: Histories) -> Frame:
     return Frame(alone.mean, alone.cov, bound_of(setup, histories))
 
 
-def bound_of(setup: Setup, histories: Histories) -> Array:
+def bound_of(setup: Setup, histories: Histories) -> np.ndarray:
     """The posterior Cramer-Rao bound (steps, n, n) of these runs, which have kept their readings;
     NaN where it is not defined."""
     kind = kind_of(setup.scenario.name)

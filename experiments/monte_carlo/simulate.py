@@ -17,7 +17,6 @@ from experiments.results.record_spread import RecordSpread
 from experiments.results.trace import read_trace
 from filters.gaussian import Gaussian
 from filters.metrics import nees
-from nodes.messages import Array
 from runtime.batched.build import build_network, without_array_form
 from runtime.batched.driver import Instant, run
 from runtime.batched.memory import keep_freed_memory
@@ -61,30 +60,30 @@ class Histories(NamedTuple):
 
     setup: Setup
     runs: np.ndarray
-    truth: Array
-    control: Array | None
-    mean: Array
-    cov_trace: Array
-    nees: Array
+    truth: np.ndarray
+    control: np.ndarray | None
+    mean: np.ndarray
+    cov_trace: np.ndarray
+    nees: np.ndarray
     payload_bytes: np.ndarray
     asked: np.ndarray
     counters: dict[str, np.ndarray]
-    prior_mean: Array
-    readings: Array | None
+    prior_mean: np.ndarray
+    readings: np.ndarray | None
     ages: np.ndarray | None
-    cov: Array | None
+    cov: np.ndarray | None
     spreads: tuple[RecordSpread, ...]
 
 
 class _Recorded(NamedTuple):
     """One step of some runs: the axes of `Histories` without S."""
 
-    truth: Array
-    control: Array | None
+    truth: np.ndarray
+    control: np.ndarray | None
     belief: Gaussian
     payload_bytes: np.ndarray
     asked: np.ndarray
-    readings: Array
+    readings: np.ndarray
     ages: np.ndarray
 
 
@@ -193,7 +192,7 @@ class _Part(NamedTuple):
 
     steps: Iterable[_Recorded]
     counters: dict[str, np.ndarray]
-    prior_mean: Array
+    prior_mean: np.ndarray
     spreads: Callable[[], Sequence[RecordSpread]]
 
 

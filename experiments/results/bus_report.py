@@ -13,7 +13,6 @@ import numpy as np
 from bus.bus import Bus, Transmission
 from bus.recordings.pcap import Captured
 from experiments.results.trace import Trace
-from nodes.messages import Array
 from runtime.recorded import SharedFrame, meaning
 from scenarios.build import build_bus
 from scenarios.setup import Setup
@@ -63,10 +62,10 @@ class BusTimes(NamedTuple):
     share was sent.
     """
 
-    load: Array
-    delay_us: Array
-    share_start_us: Array
-    share_end_us: Array
+    load: np.ndarray
+    delay_us: np.ndarray
+    share_start_us: np.ndarray
+    share_end_us: np.ndarray
 
 
 def figures_of(setup: Setup, trace: Trace) -> BusFigures | None:

@@ -5,7 +5,6 @@ import numpy as np
 
 from filters.gaussian import Gaussian
 from filters.metrics import nees
-from nodes.messages import Array
 
 
 class Containment(msgspec.Struct, frozen=True):
@@ -22,7 +21,7 @@ class Containment(msgspec.Struct, frozen=True):
     half_width: float
 
 
-def containment(bounds: Gaussian, truth: Array) -> Containment:
+def containment(bounds: Gaussian, truth: np.ndarray) -> Containment:
     """Of bounds mean (steps, ..., n), cov (steps, ..., n, n) and truth (steps, n)."""
     spread = truth.reshape(len(truth), *(1,) * (bounds.mean.ndim - 2), -1)
     values = nees(bounds.mean - spread, bounds.cov)

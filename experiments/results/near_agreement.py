@@ -9,7 +9,6 @@ import numpy as np
 
 from experiments.monte_carlo.simulate import OPTIONAL, simulate
 from experiments.results.trace import Trace
-from nodes.messages import Array
 from scenarios.setup import Setup
 
 TOLERANCE = 1e-10
@@ -17,7 +16,7 @@ TOLERANCE = 1e-10
 _LEAST = 1e-3
 
 
-def departures(setup: Setup, trace: Trace) -> dict[str, tuple[np.ndarray, Array, Array]]:
+def departures(setup: Setup, trace: Trace) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Where the batched driver departs from a trace of the same run by more than that.
 
     Returns:
@@ -50,7 +49,7 @@ def departures(setup: Setup, trace: Trace) -> dict[str, tuple[np.ndarray, Array,
 _exact = np.zeros(())
 
 
-def _departs(expected: Array, value: Array, scale: Array) -> np.ndarray:
+def _departs(expected: np.ndarray, value: np.ndarray, scale: np.ndarray) -> np.ndarray:
     if scale is _exact:
         return expected != value
     limit = TOLERANCE * np.maximum(scale, _LEAST * np.nanmax(scale, initial=0.0))

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from experiments.results.palette import GREY, SEQUENTIAL
-from nodes.messages import Array
 from scenarios.catalogue import kind_of
 from scenarios.setup import Setup
 
@@ -20,7 +19,7 @@ class Mapped(NamedTuple):
     """A network to draw: its setup, the error of each node (N,), and what to call it."""
 
     setup: Setup
-    error: Array
+    error: np.ndarray
     title: str
 
 
@@ -84,7 +83,7 @@ def _draw(axes: Any, network: Mapped, scale: Any) -> Any:
     return marks
 
 
-def _positions(setup: Setup) -> tuple[Array, str]:
+def _positions(setup: Setup) -> tuple[np.ndarray, str]:
     """Where the nodes are (N, 2), in m; without a unit where a drawing puts them."""
     positions = kind_of(setup.scenario.name).plant(setup.scenario).positions(0)
     if positions is not None:

@@ -12,7 +12,6 @@ import numpy as np
 
 from bus.bus import Fragment, FrameFormat, Rejected
 from nodes.faults.losses import LinkState, hears_all
-from nodes.messages import Array
 from nodes.rules.labelled import LabelledFlooding
 from scenarios.build import build_node
 from scenarios.links import link_state
@@ -69,7 +68,7 @@ class SpreadFigures(msgspec.Struct, frozen=True):
 
 
 def record_spread(
-    setup: Setup, fragments: Iterable[tuple[int, Fragment]], readings: Array
+    setup: Setup, fragments: Iterable[tuple[int, Fragment]], readings: np.ndarray
 ) -> RecordSpread | None:
     """From what each node sent (node, fragment), and readings (steps, N, r, d); None for rules that
     send no records."""

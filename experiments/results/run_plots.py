@@ -9,7 +9,6 @@ from experiments.results.folder import ARRAYS, Description, read_description
 from experiments.results.network_map import Mapped, network_maps
 from experiments.results.palette import COLOURS, GREY
 from filters.metrics import rmse
-from nodes.messages import Array
 from scenarios.baselines import centralised
 from scenarios.catalogue import kind_of
 from scenarios.rules import is_certain
@@ -85,7 +84,7 @@ def _consistency(description: Description, data: "xarray.Dataset") -> "Figure":
 def _map(description: Description, data: "xarray.Dataset") -> "Figure":
     score = kind_of(description.setup.scenario.name).score
     first = min(score.first_step, data.sizes["step"] - 1)
-    error: Array = rmse(data["error"].to_numpy()[first:][..., list(score.states)], (0,))
+    error: np.ndarray = rmse(data["error"].to_numpy()[first:][..., list(score.states)], (0,))
     return network_maps([Mapped(description.setup, error, _title(description))], score.unit)
 
 
@@ -108,7 +107,7 @@ def _ages(description: Description, data: "xarray.Dataset") -> "Figure":
     return figure
 
 
-def _axes(data: "xarray.Dataset") -> tuple[Any, Any, Array]:
+def _axes(data: "xarray.Dataset") -> tuple[Any, Any, np.ndarray]:
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(figsize=(6.6, 3.8), layout="constrained")

@@ -16,7 +16,6 @@ from experiments.results.timing_figures import TimingFigures
 from experiments.results.trace import Trace
 from filters.gaussian import Gaussian
 from filters.metrics import anees, disagreement, largest_of_known, rmse
-from nodes.messages import Array
 from scenarios.baselines import centralised, local_only
 from scenarios.catalogue import kind_of
 from scenarios.kind import Score
@@ -143,11 +142,11 @@ def noticed(counters: Iterable[Mapping[str, int]]) -> dict[str, int]:
     return {name: total[name] for name in sorted(total) if name not in _TRAFFIC}
 
 
-def _unless(certain: bool, anees_: Array) -> float:
+def _unless(certain: bool, anees_: np.ndarray) -> float:
     return float("nan") if certain else float(anees_)
 
 
-def _contained(certain: bool, bounds: Gaussian, truth: Array) -> Containment | None:
+def _contained(certain: bool, bounds: Gaussian, truth: np.ndarray) -> Containment | None:
     return containment(bounds, truth) if certain else None
 
 
@@ -171,7 +170,7 @@ def _near(score: Score, trace: Trace, time_step_s: float) -> np.ndarray:
     return np.convolve(seen, np.ones(reach + 1))[: trace.steps] > 0.5
 
 
-def _errors(mean: Array, truth: Array, score: Score, first: int) -> Array:
+def _errors(mean: np.ndarray, truth: np.ndarray, score: Score, first: int) -> np.ndarray:
     """Errors (steps, ..., m) of the scored states of mean (steps, ..., n)."""
     states = list(score.states)
     known = truth[first:][:, states]
@@ -179,8 +178,8 @@ def _errors(mean: Array, truth: Array, score: Score, first: int) -> Array:
 
 
 def _consistency(
-    belief: Gaussian, truth: Array, score: Score, first: int, axes: tuple[int, ...]
-) -> Array:
+    belief: Gaussian, truth: np.ndarray, score: Score, first: int, axes: tuple[int, ...]
+) -> np.ndarray:
     states = list(score.nees_states)
     errors = _errors(belief.mean, truth, score._replace(states=score.nees_states), first)
     return anees(errors, belief.cov[first:][..., states, :][..., states], axes)

@@ -10,7 +10,7 @@ from experiments.results.record_spread import RecordSpread, record_spread
 from filters.linalg import unpack_upper
 from nodes.changes import Event
 from nodes.history import History, history_of, with_holes, without_lost_words
-from nodes.messages import Array, Bid, Estimate, Measured, Timing, Truth, from_wire
+from nodes.messages import Bid, Estimate, Measured, Timing, Truth, from_wire
 from runtime.recorded import SharedFrame, meaning
 from scenarios.bus_plan import frame_format
 from scenarios.setup import Setup
@@ -33,11 +33,11 @@ class Trace(NamedTuple):
         for rules without, and where the network changed.
     """
 
-    truth: Array
-    readings: Array
-    control: Array | None
-    mean: Array
-    cov: Array
+    truth: np.ndarray
+    readings: np.ndarray
+    control: np.ndarray | None
+    mean: np.ndarray
+    cov: np.ndarray
     ages: np.ndarray
     payload_bytes: np.ndarray
     asked: np.ndarray

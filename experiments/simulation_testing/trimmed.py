@@ -5,13 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from filters.gaussian import Gaussian
-from nodes.messages import Array
 
 _ROUNDING = 1e-6
 
 
 def broken_promise(
-    beliefs: Gaussian, weights: Array, fused: Gaussian, liars: Sequence[int], expected: int
+    beliefs: Gaussian, weights: np.ndarray, fused: Gaussian, liars: Sequence[int], expected: int
 ) -> str:
     """Return how an average breaks the guarantee; "" if it holds, or if too many nodes lie.
 
@@ -39,7 +38,7 @@ def broken_promise(
     return ""
 
 
-def _least(root: Array, cov: Array) -> float:
+def _least(root: np.ndarray, cov: np.ndarray) -> float:
     """Return the least eigenvalue of a covariance in the frame in which root root' is 1."""
     half = np.linalg.solve(root, cov)
     return float(np.linalg.eigvalsh(np.linalg.solve(root, half.T))[0])

@@ -19,7 +19,7 @@ from experiments.simulation_testing.promises import (
     sensors_are_honest,
 )
 from filters.linalg import unpack_upper
-from nodes.messages import Array, from_wire
+from nodes.messages import from_wire
 from scenarios.scenario import Scenario
 from scenarios.setup import Setup
 from scenarios.types.plants import noise_of
@@ -46,11 +46,11 @@ class History(NamedTuple):
     """
 
     setup: Setup
-    truth: Array
-    mean: Array
-    cov: Array
-    readings: Array
-    control: Array | None
+    truth: np.ndarray
+    mean: np.ndarray
+    cov: np.ndarray
+    readings: np.ndarray
+    control: np.ndarray | None
 
     def same_bits(self, other: "History") -> bool:
         """Return whether all estimates are equal, bit for bit."""
@@ -60,7 +60,7 @@ class History(NamedTuple):
         )
 
     @property
-    def errors(self) -> Array:
+    def errors(self) -> np.ndarray:
         """(steps, N, n)."""
         return self.mean - self.truth[:, None]
 
@@ -88,7 +88,7 @@ def history_of_run(setup: Setup, books: Books) -> History:
     return History(setup, truth, mean, cov, *_told(scenario, books))
 
 
-def _told(scenario: Scenario, books: Books) -> tuple[Array, Array | None]:
+def _told(scenario: Scenario, books: Books) -> tuple[np.ndarray, np.ndarray | None]:
     """Return the readings and control that the environment has sent to the nodes."""
     some = next(iter(books.measured.values()))
     came = {
@@ -165,7 +165,7 @@ def check_return(run: History, calm: History, calm_step: int) -> None:
         )
 
 
-def _squares(errors: Array, covs: Array) -> Array:
+def _squares(errors: np.ndarray, covs: np.ndarray) -> np.ndarray:
     """e' P^-1 e (...) of errors (..., n); NaN where one is."""
     there = np.isfinite(errors).all(axis=-1) & np.isfinite(covs).all(axis=(-1, -2))
     squares = np.full(there.shape, np.nan)
@@ -186,6 +186,6 @@ def _disagreement(run: History, calm: History, level: slice) -> float:
     return float(_squares(apart, calm.cov[level]).mean()) / mean.shape[-1]
 
 
-def _size(run: History, level: slice) -> Array:
+def _size(run: History, level: slice) -> np.ndarray:
     """Mean logarithm of the variances of each node (N,)."""
     return np.linalg.slogdet(run.cov[level])[1].mean(axis=0) / run.mean.shape[-1]

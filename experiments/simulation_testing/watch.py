@@ -16,7 +16,7 @@ from filters.gaussian import Gaussian, joined
 from nodes.belief_codec import belief_of
 from nodes.changes import Standing
 from nodes.estimator import Estimator, Rejected
-from nodes.messages import Array, Measured
+from nodes.messages import Measured
 from nodes.node_state import NodeConfig
 from nodes.rules import information_rounds
 from nodes.rules.at_node import AtNode
@@ -56,9 +56,11 @@ class _ShownRule(NamedTuple):
     """A rule of averages whose weights are shown to `check`, as they are used."""
 
     rule: Averaged
-    check: Callable[[Gaussian, Array, Gaussian], None]
+    check: Callable[[Gaussian, np.ndarray, Gaussian], None]
 
-    def fuse(self, own: Gaussian, others: Gaussian, weights: Array, by_sharpness: bool) -> Fused:
+    def fuse(
+        self, own: Gaussian, others: Gaussian, weights: np.ndarray, by_sharpness: bool
+    ) -> Fused:
         """Fuse the beliefs by the rule, and check the result."""
         fused = self.rule.fuse(own, others, weights, by_sharpness)
         # If a share is no belief, the estimator calls the rule again without it.
@@ -129,7 +131,7 @@ class Watched:
             self._cycle, self._group = self._cycle + 1, 0
         return content, troubles
 
-    def _forget_refused(self, ages: Array) -> None:
+    def _forget_refused(self, ages: np.ndarray) -> None:
         """A set that has nothing in common with the own one is not held."""
         for sender, age in zip(self._config.neighbours, ages.tolist(), strict=True):
             if age < 0:
@@ -190,7 +192,9 @@ class Watched:
         rule = estimator.rule
         weigh = rule.hold.weigh
 
-        def shown(base: Array, ages: Array, sharpness: Array, cycles: int) -> Array:
+        def shown(
+            base: np.ndarray, ages: np.ndarray, sharpness: np.ndarray, cycles: int
+        ) -> np.ndarray:
             weights = weigh(base, ages, sharpness, cycles)
             promised = promised_weights(self._scenario, base, ages, sharpness, cycles)
             if np.abs(weights - promised).max() > _ROUNDING:
@@ -206,7 +210,7 @@ class Watched:
         )
         return replace(estimator, rule=watched_rule)
 
-    def _check_average(self, beliefs: Gaussian, weights: Array, fused: Gaussian) -> None:
+    def _check_average(self, beliefs: Gaussian, weights: np.ndarray, fused: Gaussian) -> None:
         self._check_weights(weights)
         liars = [1 + n for n, j in enumerate(self._config.neighbours) if j in self._books.liars]
         rule = self._scenario.rule
@@ -215,7 +219,7 @@ class Watched:
             if seen:
                 raise self._broken("liars move nobody beyond what honest nodes say", seen)
 
-    def _check_weights(self, weights: Array) -> None:
+    def _check_weights(self, weights: np.ndarray) -> None:
         if (weights < 0).any() or abs(weights.sum() - 1) > _ROUNDING:
             raise self._broken("weights sum to one", f"{weights.tolist()}")
 
@@ -235,7 +239,7 @@ class Watched:
         if np.abs(mixed - 1).max() > _ROUNDING:
             raise self._broken("weights sum to one", f"a round makes {mixed.tolist()} of ones")
 
-    def _check_ages(self, ages: Array) -> None:
+    def _check_ages(self, ages: np.ndarray) -> None:
         expected = [
             self._cycle - self._heard[j] if j in self._heard else -1
             for j in self._config.neighbours

@@ -1,13 +1,18 @@
 """The weights that a hold policy promises, worked out number by number."""
 
-from nodes.messages import Array
+import numpy as np
+
 from scenarios.scenario import Scenario
 from scenarios.types.holds import Dropped, Fading, InStep, Renormalised
 from scenarios.types.rules import hold_of
 
 
 def promised_weights(
-    scenario: Scenario, base: Array, ages: Array, sharpness: Array, cycles_in_step: int
+    scenario: Scenario,
+    base: np.ndarray,
+    ages: np.ndarray,
+    sharpness: np.ndarray,
+    cycles_in_step: int,
 ) -> list[float]:
     """Weights (J,) of a node's own belief and of those that it holds, of these ages in cycles."""
     hold = hold_of(scenario.rule) or Renormalised()

@@ -10,7 +10,6 @@ from experiments.monte_carlo.run_figures import FIGURES, figures_of
 from experiments.monte_carlo.run_frame import frame_of
 from experiments.monte_carlo.simulate import simulate
 from experiments.sweep.specification import Cell, Specification
-from nodes.messages import Array
 from scenarios.preparation import prepare
 from scenarios.scenario import Scenario
 
@@ -40,7 +39,7 @@ def pieces_of(specification: Specification, cells: Sequence[Cell]) -> list[Piece
     return pieces
 
 
-def compute(piece: Piece) -> dict[str, Array]:
+def compute(piece: Piece) -> dict[str, np.ndarray]:
     """Return the figures of a piece (`run_figures.FIGURES`)."""
     setup = prepare(msgspec.json.decode(piece.scenario, type=Scenario))
     runs = range(piece.first, piece.last)
@@ -48,7 +47,7 @@ def compute(piece: Piece) -> dict[str, Array]:
     return figures_of(setup, histories, frame_of(setup, runs, histories))
 
 
-def joined(parts: Sequence[dict[str, Array]]) -> dict[str, Array]:
+def joined(parts: Sequence[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
     """Return the figures of a cell from those of its pieces, in order of their runs."""
     if len(parts) == 1:
         return parts[0]

@@ -20,7 +20,6 @@ from experiments.sweep.plot_layout import (
 )
 from experiments.sweep.results import flattened
 from experiments.sweep.specification import named, shown
-from nodes.messages import Array
 from scenarios.preparation import prepare
 
 if TYPE_CHECKING:
@@ -239,7 +238,7 @@ def _ratio(data: "xarray.Dataset") -> Any:
     )
 
 
-def _matrix(parts: list[Part], rows: Any, columns: Any, down: str, across: str) -> Array:
+def _matrix(parts: list[Part], rows: Any, columns: Any, down: str, across: str) -> np.ndarray:
     matrix = np.full((len(rows), len(columns)), np.nan)
     for cell, data in parts:
         place = rows.index(cell.values[down]), columns.index(cell.values[across])
@@ -247,7 +246,7 @@ def _matrix(parts: list[Part], rows: Any, columns: Any, down: str, across: str) 
     return matrix
 
 
-def _write_numbers(axes: Any, matrix: Array, low: float, high: float) -> None:
+def _write_numbers(axes: Any, matrix: np.ndarray, low: float, high: float) -> None:
     middle = np.sqrt(low * high)
     for (row, column), value in np.ndenumerate(matrix):
         if np.isfinite(value):
@@ -310,7 +309,7 @@ def _tick_at_levels(axes: Any, levels: list[Any]) -> None:
         axes.set_xticks(places, [f"{place:g}" for place in places])
 
 
-def _log_if_wide(grid: Any, values: Array) -> None:
+def _log_if_wide(grid: Any, values: np.ndarray) -> None:
     if np.nanmax(values) > 5 * np.nanmin(values):
         for axes in grid.flat:
             axes.set_yscale("log")

@@ -14,7 +14,6 @@ from experiments.monte_carlo.run_figures import FIGURES
 from experiments.results.folder import commit, versions
 from experiments.results.netcdf_file import write_dataset
 from experiments.sweep.specification import Cell, Specification, Value, cells_of
-from nodes.messages import Array
 from scenarios.catalogue import kind_of
 from scenarios.kind import Kind
 
@@ -25,7 +24,9 @@ SPECIFICATION = "specification"
 
 
 def assemble(
-    specification: Specification, cells: Sequence[Cell], figures: Mapping[int, dict[str, Array]]
+    specification: Specification,
+    cells: Sequence[Cell],
+    figures: Mapping[int, dict[str, np.ndarray]],
 ) -> "xarray.Dataset":
     """Return the data set of a sweep from the figures of its cells; what a cell has not is NaN.
 
@@ -146,8 +147,8 @@ def _states(cells: Sequence[Cell], kinds: Sequence[Kind]) -> dict[str, str]:
 
 
 def _placed(
-    values: Array, dimensions: Sequence[str], cell: Cell, states: Mapping[str, str]
-) -> Array:
+    values: np.ndarray, dimensions: Sequence[str], cell: Cell, states: Mapping[str, str]
+) -> np.ndarray:
     """Values of a cell, its states put where the data set has them."""
     if "state" not in dimensions:
         return values

@@ -5,6 +5,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from experiments.sweep.cells import checked_cells
 from experiments.sweep.pieces import Piece, compute, joined, pieces_of
 from experiments.sweep.results import (
@@ -17,7 +19,6 @@ from experiments.sweep.results import (
 from experiments.sweep.specification import Cell, Specification
 from experiments.sweep.store import check_same, load_cells, open_store, remove_store, save_cell
 from experiments.sweep.workers import Engine
-from nodes.messages import Array
 from scenarios.catalogue import kind_of
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ class Begin(NamedTuple):
     out: Path | None
     folder: Path | None
     cells: list[Cell]
-    done: dict[int, dict[str, Array]]
+    done: dict[int, dict[str, np.ndarray]]
 
 
 def begin(specification: Specification, out: Path | None) -> Begin:
@@ -76,7 +77,7 @@ def finish(begun: Begin, engine: Engine, on_runs: Callable[[int], None]) -> Swep
     pieces = pieces_of(specification, missing)
     started = time.monotonic()
     waiting = {cell.number: sum(p.cell == cell.number for p in pieces) for cell in missing}
-    parts: dict[int, list[tuple[Piece, dict[str, Array]]]] = {c.number: [] for c in missing}
+    parts: dict[int, list[tuple[Piece, dict[str, np.ndarray]]]] = {c.number: [] for c in missing}
     runs = specification.runs * found
     on_runs(runs)
     for place, result in engine(compute, pieces):

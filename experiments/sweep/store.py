@@ -15,7 +15,6 @@ from experiments.places import make_folder
 from experiments.results.folder import commit, versions
 from experiments.sweep.cells import difference
 from experiments.sweep.specification import Specification
-from nodes.messages import Array
 from runtime.disk import writing
 
 SPECIFICATION = "sweep.json"
@@ -73,7 +72,7 @@ def check_same(before: Specification, now: Specification, result: Path, cure: st
         )
 
 
-def save_cell(folder: Path, number: int, figures: dict[str, Array]) -> None:
+def save_cell(folder: Path, number: int, figures: dict[str, np.ndarray]) -> None:
     """Write a finished cell, whole or not at all."""
     path = _path(folder, number)
     part = path.with_suffix(".part")
@@ -86,7 +85,7 @@ def save_cell(folder: Path, number: int, figures: dict[str, Array]) -> None:
         part.unlink(missing_ok=True)
 
 
-def load_cells(folder: Path, numbers: Iterable[int]) -> dict[int, dict[str, Array]]:
+def load_cells(folder: Path, numbers: Iterable[int]) -> dict[int, dict[str, np.ndarray]]:
     """The finished ones of these cells; one that cannot be read is as if it were not there."""
     found = {}
     for number in numbers:

@@ -12,7 +12,6 @@ from experiments.monte_carlo.convergence import settling_interval
 from experiments.monte_carlo.intervals import METHODS, Interval
 from experiments.sweep.results import flattened, specification_of
 from experiments.sweep.specification import shown
-from nodes.messages import Array
 from scenarios.catalogue import kind_of
 
 if TYPE_CHECKING:
@@ -78,7 +77,7 @@ def figures_of(dataset: "xarray.Dataset", method: str = "t") -> SweepFigures:
 
 
 def _figures(
-    part: "xarray.Dataset", best: Array, method: str, change_step: int, first: int
+    part: "xarray.Dataset", best: np.ndarray, method: str, change_step: int, first: int
 ) -> dict[str, Interval]:
     mean, ratio = METHODS[method]
     values = {str(name): variable.to_numpy() for name, variable in part.items()}

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.topology.subject import Subject
-from nodes.messages import Array
 from topology.adjacency import nodes_of
 from topology.convergence import (
     MOST_MOMENT_NODES,
@@ -108,7 +107,7 @@ def predicted_factor(subject: Subject) -> tuple[str, float | None]:
 
 def _rounds(
     subject: Subject, generator: np.random.Generator
-) -> tuple[Callable[[Array, int], Array], Callable[[NDArray[np.intp]], None], int]:
+) -> tuple[Callable[[np.ndarray, int], np.ndarray], Callable[[NDArray[np.intp]], None], int]:
     """The averaging of a subject, whom to tell of runs that are drawn anew, and how many runs."""
     if subject.phases:
         phases = [masked(subject.weights, phase) for phase in subject.phases]

@@ -19,7 +19,6 @@ from matplotlib.ticker import MaxNLocator
 
 from experiments.topology.convergence import predicted_factor
 from experiments.topology.subject import Subject
-from nodes.messages import Array
 from topology.adjacency import degrees, is_symmetric, links_of, nodes_of
 from topology.analysis import cut_nodes
 from topology.spectrum import DENSE_NODES, eigenvalues
@@ -64,7 +63,7 @@ def draw(subject: Subject, out: Path, layout: str) -> dict[str, Any]:
     return {"file": str(out), "nodes": nodes, "placed": placed}
 
 
-def _places(subject: Subject, layout: str) -> tuple[Array, str]:
+def _places(subject: Subject, layout: str) -> tuple[np.ndarray, str]:
     """Where to draw the nodes (n, 2), and what that is."""
     own, nodes = subject.network.positions, nodes_of(subject.weights)
     if layout == "places" and own is None:
@@ -87,7 +86,7 @@ def _places(subject: Subject, layout: str) -> tuple[Array, str]:
     return np.array([laid[node] for node in range(nodes)]), "laid out"
 
 
-def _draw_graph(axes: "Axes", subject: Subject, places: Array, placed: str) -> None:
+def _draw_graph(axes: "Axes", subject: Subject, places: np.ndarray, placed: str) -> None:
     adjacency, weights = subject.network.adjacency, subject.weights
     hearer, heard = links_of(adjacency)
     weight = np.asarray(weights[hearer, heard]).ravel() if len(hearer) else np.zeros(0)

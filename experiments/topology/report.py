@@ -9,7 +9,6 @@ import numpy as np
 
 from experiments.topology.convergence import Convergence, convergence, random_links
 from experiments.topology.subject import Subject
-from nodes.messages import Array
 from scenarios.observability import observability, rank, remaining
 from scenarios.setup import Setup
 from topology.adjacency import links_of, nodes_of
@@ -91,7 +90,7 @@ def report_of(
     )
 
 
-def _seen(setup: Setup) -> tuple[Array, Seen]:
+def _seen(setup: Setup) -> tuple[np.ndarray, Seen]:
     found = observability(setup)
     joint = found.gramian.sum(axis=0)
     return found.gramian, Seen(
@@ -111,7 +110,7 @@ def losses_of(nodes: int) -> int:
     return min(nodes, int(np.clip(_LOSS_BUDGET // nodes, _FEWEST_LOSSES, MOST_LOSSES)))
 
 
-def suspects(subject: Subject, cut_nodes: Sequence[int], gramian: Array | None) -> list[int]:
+def suspects(subject: Subject, cut_nodes: Sequence[int], gramian: np.ndarray | None) -> list[int]:
     """The nodes to take away: all, or in turn a cut node, one that is heard by most, and one that
     sees most."""
     nodes = nodes_of(subject.weights)
@@ -131,7 +130,10 @@ def links_out(subject: Subject) -> np.ndarray:
 
 
 def _losses(
-    subject: Subject, chosen: Sequence[int], gramian: Array | None, on_node: Callable[[int], None]
+    subject: Subject,
+    chosen: Sequence[int],
+    gramian: np.ndarray | None,
+    on_node: Callable[[int], None],
 ) -> list[Loss]:
     """The loss of each of these, the worst first: what falls apart, then what blinds, then what
     slows."""
@@ -147,7 +149,7 @@ def _losses(
     return sorted(found, key=badness)
 
 
-def _without(subject: Subject, node: int, gramian: Array | None) -> Loss:
+def _without(subject: Subject, node: int, gramian: np.ndarray | None) -> Loss:
     name = str(node) if subject.network.names is None else subject.network.names[node]
     kept = np.delete(np.arange(nodes_of(subject.weights)), node)
     rest = part_of(subject.network, kept)

@@ -3,15 +3,14 @@
 import numpy as np
 
 from nodes.faults.active import EVERYBODY, Faults, hangs
-from nodes.messages import Array
 
 # Entries of readings are told apart by so much in a draw.
 _ENTRIES = 1 << 8
 
 
 def delivered(
-    faults: Faults, step: int, readings: Array, last: Array | None, spread: Array
-) -> Array:
+    faults: Faults, step: int, readings: np.ndarray, last: np.ndarray | None, spread: np.ndarray
+) -> np.ndarray:
     """Return the readings that the sensors of all nodes deliver.
 
     Args:
@@ -38,8 +37,8 @@ def delivered(
 
 
 def _outliers(
-    faults: Faults, step: int, node: int, spread: Array, probability: float, size: float
-) -> Array:
+    faults: Faults, step: int, node: int, spread: np.ndarray, probability: float, size: float
+) -> np.ndarray:
     """Return the addition to a node's readings (r, d); it hits or spares each reading whole."""
     added = np.zeros_like(spread)
     for number, entries in enumerate(spread):

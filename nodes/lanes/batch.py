@@ -16,7 +16,6 @@ from filters.gaussian import Gaussian
 from nodes.lanes.filter import Counters, added, received, traffic, with_lanes
 from nodes.lanes.links import DegreeClass, Links, Shares
 from nodes.lanes.mixing import mixed, weighed
-from nodes.messages import Array
 from nodes.rules.fresh_consensus import FreshConsensus, FreshOwn, LastUsed
 from nodes.rules.information_rounds import InformationRounds
 from nodes.rules.lane_rule import (
@@ -78,8 +77,8 @@ class InBatch(Generic[Own, Held, Said]):
     def begin_step(
         self,
         content: BatchContent[Own, Held],
-        readings: Array,
-        control: Array | None,
+        readings: np.ndarray,
+        control: np.ndarray | None,
         step: int,
     ) -> BatchContent[Own, Held]:
         """Carry everything to this step and take the own readings."""
@@ -158,7 +157,7 @@ class InBatch(Generic[Own, Held, Said]):
         return
 
 
-class AveragesInBatch(InBatch[FreshOwn, LastUsed, Array]):
+class AveragesInBatch(InBatch[FreshOwn, LastUsed, np.ndarray]):
     """`InBatch` of rules whose rounds are averages of numbers (`InformationRounds`).
 
     All averages are one product with a matrix of weights. That takes 1.5 to 2 times less of a Monte
@@ -166,7 +165,7 @@ class AveragesInBatch(InBatch[FreshOwn, LastUsed, Array]):
     """
 
     def _fused(
-        self, before: LaneContent[FreshOwn, LastUsed], said: Array, came: np.ndarray
+        self, before: LaneContent[FreshOwn, LastUsed], said: np.ndarray, came: np.ndarray
     ) -> tuple[LaneContent[FreshOwn, LastUsed], Mapping[str, np.ndarray]]:
         rule = cast(FreshConsensus, self.rule)
         exchange = cast(InformationRounds, rule.exchange)
@@ -177,7 +176,7 @@ class AveragesInBatch(InBatch[FreshOwn, LastUsed, Array]):
         return rule.settled(before, known, exchange.conclude(known), came)
 
 
-def _replaced(values: Array, places: np.ndarray, part: Array) -> Array:
+def _replaced(values: np.ndarray, places: np.ndarray, part: np.ndarray) -> np.ndarray:
     """Values (R, N, ...) with those of some places (J,) replaced by (R, J, ...)."""
     if len(places) == values.shape[1] and (places == np.arange(len(places))).all():
         return part
@@ -186,7 +185,7 @@ def _replaced(values: Array, places: np.ndarray, part: Array) -> Array:
     return changed
 
 
-def _gathered(some: DegreeClass, values: Array) -> Array:
+def _gathered(some: DegreeClass, values: np.ndarray) -> np.ndarray:
     """Return held values (R, E, ...) as (R, K, J, ...).
 
     Places without a neighbour are padded: ages are -1, flags False, and numbers those of another.

@@ -26,7 +26,6 @@ from nodes.lanes.filter import (
 )
 from nodes.lanes.links import Links, Shares, unheard
 from nodes.lanes.mixing import Mixing, mixed, summed, weighed
-from nodes.messages import Array
 from nodes.rules.belief_consensus import HoldPolicy
 from nodes.rules.local_filter import carry, finite_lanes, where
 
@@ -40,9 +39,9 @@ class Numbers(NamedTuple):
     `rounds` (K, K) is a product of rounds of which the values are still to be taken.
     """
 
-    values: Array
-    sharpness: Array
-    rounds: Array | None = None
+    values: np.ndarray
+    sharpness: np.ndarray
+    rounds: np.ndarray | None = None
 
     def taken(self) -> "Numbers":
         """With the rounds taken."""
@@ -62,12 +61,12 @@ class Content(NamedTuple):
     belief: Gaussian
     own: Numbers
     held: Numbers
-    origin: Array
-    held_origin: Array
+    origin: np.ndarray
+    held_origin: np.ndarray
     ages: np.ndarray
     published: Published
     step: int
-    control: Array | None
+    control: np.ndarray | None
     cycles_in_step: int
     counters: Counters
 
@@ -117,7 +116,7 @@ class BatchedBeliefs:
         )
 
     def begin_step(
-        self, content: Content, readings: Array, control: Array | None, step: int
+        self, content: Content, readings: np.ndarray, control: np.ndarray | None, step: int
     ) -> Content:
         """Predict, take the own readings. Held shares follow once the silent nodes are known."""
         belief, published, counters = content.belief, content.published, content.counters
@@ -203,7 +202,7 @@ class BatchedBeliefs:
         return self._mixing_of_one(ages.tobytes(), turn) if one else self._mixing_of(ages, turn)
 
     def _mixing_of(self, ages: np.ndarray, turn: int) -> Mixing:
-        def weigh(base: Array, ages: np.ndarray) -> Array:
+        def weigh(base: np.ndarray, ages: np.ndarray) -> np.ndarray:
             return self.hold.weigh(base, ages, _ALIKE, turn)
 
         return weighed(self.links, self.base, ages, weigh)
@@ -235,7 +234,7 @@ class BatchedBeliefs:
         belief = Gaussian(*(received(values, self.number) for values in content.belief))
         return self._expressed(belief, content.origin), finite_lanes(belief)
 
-    def _expressed(self, belief: Gaussian, origin: Array) -> Numbers:
+    def _expressed(self, belief: Gaussian, origin: np.ndarray) -> Numbers:
         return Numbers(*self.averaging.weigh_up(belief, origin))
 
     def _caught_up(self, content: Content, fresh: np.ndarray) -> tuple[Numbers, np.ndarray]:
@@ -306,7 +305,7 @@ class BatchedBeliefs:
         return
 
 
-def _usable(own: Numbers, mixing: Mixing, values: Array) -> Array:
+def _usable(own: Numbers, mixing: Mixing, values: np.ndarray) -> np.ndarray:
     """Values of the own numbers, 0 where they are of no belief and weigh nothing."""
     unsound = np.isnan(own.sharpness)
     if not unsound.any():
@@ -315,7 +314,7 @@ def _usable(own: Numbers, mixing: Mixing, values: Array) -> Array:
     return np.where((unsound & (mixing.own == 0))[..., None], 0.0, values)
 
 
-def _times_sharpness(numbers: Numbers) -> Array:
+def _times_sharpness(numbers: Numbers) -> np.ndarray:
     """Numbers times their inverse volume, and that volume: (R, K, m + 1), lanes last in memory."""
     runs, slots, m = numbers.values.shape
     product = np.empty((m + 1, runs, slots)).transpose(1, 2, 0)

@@ -8,7 +8,6 @@ import numpy as np
 from filters.gaussian import Gaussian
 from nodes.bids import FIRST_BID, bid_for_change
 from nodes.lanes.links import Links
-from nodes.messages import Array
 from nodes.rules.local_filter import LocalFilters, where
 
 Counters = Mapping[str, np.ndarray]
@@ -38,7 +37,7 @@ def traffic(
     return counts
 
 
-def received(values: Array, number: str) -> Array:
+def received(values: np.ndarray, number: str) -> np.ndarray:
     """Numbers as they come out of a share that writes them as `number`, "<f8" or "<f4"."""
     return values if number == "<f8" else values.astype(number).astype(np.float64)
 
@@ -60,7 +59,7 @@ class Published(NamedTuple):
     belief: Gaussian
     known: np.ndarray
 
-    def carried(self, filters: LocalFilters, control: Array | None, step: int) -> "Published":
+    def carried(self, filters: LocalFilters, control: np.ndarray | None, step: int) -> "Published":
         """The same at `step`."""
         if not self.known.any():
             return self

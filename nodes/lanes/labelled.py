@@ -30,7 +30,6 @@ from nodes.lanes.records import (
     packed,
 )
 from nodes.lanes.window import WindowFilters, Windows
-from nodes.messages import Array
 from nodes.rules.labelled import SILENCE, URGENCY, urgencies
 from nodes.rules.labelled_frame import LabelledFrameCodec
 from nodes.rules.local_filter import finite_lanes
@@ -115,7 +114,7 @@ class BatchedFlooding:
         )
 
     def begin_step(
-        self, content: Content, readings: Array, control: Array | None, step: int
+        self, content: Content, readings: np.ndarray, control: np.ndarray | None, step: int
     ) -> Content:
         """Let the oldest step go into the base, and record the own readings."""
         owed = content.owed

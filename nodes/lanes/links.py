@@ -12,8 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nodes.messages import Array
-
 # Of the places of a class, at least this share must be links.
 _FULLNESS = 0.6
 
@@ -26,7 +24,7 @@ class DegreeClass(NamedTuple):
     links: np.ndarray
     real: np.ndarray
 
-    def gathered(self, values: Array, missing: float) -> Array:
+    def gathered(self, values: np.ndarray, missing: float) -> np.ndarray:
         """Values (R, E, ...) of links as (R, K, J, ...), `missing` where there is none."""
         found = values[:, self.links]
         if self.real.all():
@@ -67,7 +65,7 @@ class Links(NamedTuple):
         """Which slots (R, K) are filled by those."""
         return sent[:, self.source] if self.perfect else self.arriving(sent, lost)
 
-    def rows(self, values: "Shares") -> Iterator[Array]:
+    def rows(self, values: "Shares") -> Iterator[np.ndarray]:
         """Values of nodes and links for each class: (R, K, 1 + J), 0 where there is no link."""
         for some in self.classes:
             yield _with_own(values.own[:, some.nodes, None], some.gathered(values.link, 0.0))
@@ -95,8 +93,8 @@ def unheard(links: Links, ages: np.ndarray, nodes: np.ndarray) -> np.ndarray:
 class Shares(NamedTuple):
     """A weight for each node's own numbers (R, N), and for those of each link (R, E)."""
 
-    own: Array
-    link: Array
+    own: np.ndarray
+    link: np.ndarray
 
 
 class Padded(NamedTuple):
@@ -154,7 +152,7 @@ def _degree_class(nodes: np.ndarray, offsets: np.ndarray, degrees: np.ndarray) -
     return DegreeClass(nodes, links, real)
 
 
-def _with_own(own: Array, others: Array) -> Array:
+def _with_own(own: np.ndarray, others: np.ndarray) -> np.ndarray:
     """Own (R or 1, ...) and others' (R, K, J) values as (R, K, 1 + J)."""
     first = np.broadcast_to(own, (*others.shape[:-1], 1))
     return np.concatenate((first, others), axis=-1)

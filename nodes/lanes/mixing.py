@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nodes.lanes.links import Links, Shares
-from nodes.messages import Array
 
 # Up to so many nodes a full matrix is multiplied faster than a sparse one, and many rounds of it
 # cost what one costs.
@@ -21,7 +20,7 @@ class Mixing(NamedTuple):
     have just shared, own ones included, (N, N); None where runs differ or a slot is not a node.
     """
 
-    own: Array
+    own: np.ndarray
     link: Any
     whole: Any
 
@@ -30,7 +29,7 @@ def weighed(
     links: Links,
     base: Shares,
     ages: np.ndarray,
-    weigh: Callable[[Array, np.ndarray], Array],
+    weigh: Callable[[np.ndarray, np.ndarray], np.ndarray],
 ) -> Mixing:
     """Fusion weights of all nodes by `weigh(base (..., J), ages (..., J))`.
 
@@ -57,7 +56,7 @@ def weighed(
     return Mixing(own, matrix, (matrix + diags_array(own[0])).tocsr() if alike else None)
 
 
-def _matrix(links: Links, weights: Array) -> Any:
+def _matrix(links: Links, weights: np.ndarray) -> Any:
     """Sums over the slots that nodes hear, as a sparse matrix of one block for each run."""
     # Only here: a node process that knows this file must not load it.
     from scipy.sparse import csr_array
@@ -70,7 +69,7 @@ def _matrix(links: Links, weights: Array) -> Any:
     return csr_array((weights.ravel(), columns, rows), shape=(runs * nodes, runs * slots))
 
 
-def mixed(mixing: Mixing, own: Array, held: Array) -> Array:
+def mixed(mixing: Mixing, own: np.ndarray, held: np.ndarray) -> np.ndarray:
     """Weighted sums (R, N, m) of the nodes' own numbers (R, N, m) and of those in slots (R, K,
     m), which may be the very same; lanes last in memory."""
     if own is held and mixing.whole is not None:
@@ -81,7 +80,7 @@ def mixed(mixing: Mixing, own: Array, held: Array) -> Array:
     return total
 
 
-def summed(matrix: Any, values: Array) -> Array:
+def summed(matrix: Any, values: np.ndarray) -> np.ndarray:
     """A matrix (N, K), or one with a block for each run, times values (R, K, m): (R, N, m), lanes
     last in memory."""
     runs, slots, m = values.shape

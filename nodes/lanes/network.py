@@ -11,7 +11,6 @@ from bus.schedule import Schedule
 from filters.gaussian import Gaussian
 from nodes.environment_state import Controller, Delivery, Plant
 from nodes.lanes.filter import Counters
-from nodes.messages import Array
 
 Contest = Callable[
     [ArbiterState, int, int, np.ndarray, np.ndarray], tuple[ArbiterState, np.ndarray]
@@ -47,7 +46,9 @@ class BatchedRule(Protocol):
         """The content before the first step, of priors (R, N, n), (R, N, n, n)."""
         ...
 
-    def begin_step(self, content: Any, readings: Array, control: Array | None, step: int) -> Any:
+    def begin_step(
+        self, content: Any, readings: np.ndarray, control: np.ndarray | None, step: int
+    ) -> Any:
         """Carry everything to `step` under control (R, p); take readings (R, N, r, d)."""
         ...
 
@@ -133,10 +134,10 @@ class Network:
     """
 
     plant: Plant
-    initial_state: Array
+    initial_state: np.ndarray
     prior: Gaussian
-    process: Array
-    measurement: Array
+    process: np.ndarray
+    measurement: np.ndarray
     steps: int
     controller: Controller | None
     delivery: Delivery | None

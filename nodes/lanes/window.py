@@ -13,7 +13,6 @@ import numpy as np
 from filters.gaussian import Gaussian
 from filters.ukf import update
 from nodes.lanes.filter import LocalFilters
-from nodes.messages import Array
 from nodes.rules.local_filter import carry, finite_lanes, where
 from nodes.rules.record_codec import RecordCodec
 
@@ -32,8 +31,8 @@ class Windows(NamedTuple):
     base: Gaussian
     posteriors: Gaussian
     right: np.ndarray
-    values: Array
-    controls: tuple[Array | None, ...]
+    values: np.ndarray
+    controls: tuple[np.ndarray | None, ...]
     step: int
 
     @property
@@ -72,7 +71,7 @@ class WindowFilters:
             -1,
         )
 
-    def opened(self, windows: Windows, control: Array | None) -> Windows:
+    def opened(self, windows: Windows, control: np.ndarray | None) -> Windows:
         """With one step more, and the oldest in the base where the window is full."""
         base = windows.base
         step = windows.step + 1
@@ -157,7 +156,7 @@ class WindowFilters:
         sound = finite_lanes(after)
         return where(sound, after, belief), sound
 
-    def _measure(self, sources: np.ndarray, step: int, states: Array) -> Array:
+    def _measure(self, sources: np.ndarray, step: int, states: np.ndarray) -> np.ndarray:
         """Return the readings of these sources (L, K) at states (..., L, n): (..., L, K m)."""
         everywhere = np.broadcast_to(
             states[..., None, :], (*states.shape[:-1], len(self.codecs), states.shape[-1])
@@ -168,7 +167,7 @@ class WindowFilters:
         )
         return chosen.reshape(*chosen.shape[:-2], -1)
 
-    def _residual(self, values: Array, predicted: Array) -> Array:
+    def _residual(self, values: np.ndarray, predicted: np.ndarray) -> np.ndarray:
         apart = [one.reshape(*one.shape[:-1], -1, self.channels) for one in (values, predicted)]
         found = self.filters.groups[0].sensor.residual(*apart)
         return found.reshape(*found.shape[:-2], -1)
@@ -177,7 +176,7 @@ class WindowFilters:
         return windows.step - (self.window_steps - 1 - place)
 
     @cached_property
-    def _noise_cov(self) -> Array:
+    def _noise_cov(self) -> np.ndarray:
         """Of a reading of each source, (N, m, m), with the rounding in it."""
         nothing = np.full((len(self.codecs), self.channels), np.nan)
         noise_cov = self.filters.groups[0].sensor.interpret(nothing)[1]
@@ -192,7 +191,7 @@ def _at(posteriors: Gaussian, place: int) -> Gaussian:
     return Gaussian(posteriors.mean[:, :, place], posteriors.cov[:, :, place])
 
 
-def _block_diagonal(blocks: Array) -> Array:
+def _block_diagonal(blocks: np.ndarray) -> np.ndarray:
     """Matrices (L, K m, K m) of blocks (L, K, m, m)."""
     lanes, count, size = blocks.shape[:3]
     matrix = np.zeros((lanes, count, size, count, size))

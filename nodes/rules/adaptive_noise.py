@@ -17,7 +17,7 @@ from filters.adaptive.sage_husa import NoiseEstimate
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule
 from nodes.estimator import Content, Estimator, Share
-from nodes.messages import Array, Measured, from_wire
+from nodes.messages import Measured, from_wire
 from nodes.rules.local_filter import Sensor
 
 
@@ -39,15 +39,15 @@ class AdaptedSensor(NamedTuple):
         """Return the value of the wrapped sensor."""
         return self.sensor.gate
 
-    def measure(self, state: Array, step: int) -> Array:
+    def measure(self, state: np.ndarray, step: int) -> np.ndarray:
         """Return the value of the wrapped sensor."""
         return self.sensor.measure(state, step)
 
-    def residual(self, value: Array, predicted: Array, /) -> Array:
+    def residual(self, value: np.ndarray, predicted: np.ndarray, /) -> np.ndarray:
         """Return the value of the wrapped sensor."""
         return self.sensor.residual(value, predicted)
 
-    def interpret(self, delivered: Array) -> tuple[Array, Array]:
+    def interpret(self, delivered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The sensor's value (m,), and the covariance (m, m) learnt."""
         return self.sensor.interpret(delivered)[0], self.noise.cov
 
@@ -113,12 +113,12 @@ class AdaptiveNoise:
         """Delegate to the wrapped rule."""
         return self.rule.belief(content.content)
 
-    def ages(self, content: Learnt) -> Array:
+    def ages(self, content: Learnt) -> np.ndarray:
         """Delegate to the wrapped rule."""
         return self.rule.ages(content.content)
 
 
-def declared_noise(sensor: Sensor, reading: Array) -> NoiseEstimate:
+def declared_noise(sensor: Sensor, reading: np.ndarray) -> NoiseEstimate:
     """Return the sensor's nominal noise at a reading (d,), before any learning."""
     return sage_husa.begin(np.diagonal(sensor.interpret(reading)[1]))
 
@@ -126,7 +126,7 @@ def declared_noise(sensor: Sensor, reading: Array) -> NoiseEstimate:
 def learn(
     noise: NoiseEstimate,
     belief: Gaussian,
-    reading: Array,
+    reading: np.ndarray,
     sensor: Sensor,
     points: SigmaPointRule,
     step: int,

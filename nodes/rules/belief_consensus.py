@@ -14,7 +14,6 @@ import numpy as np
 from filters.fusion.averaging import Averaged
 from filters.gaussian import Gaussian
 from nodes.belief_codec import belief_numbers, belief_of
-from nodes.messages import Array
 from nodes.rules.lane_rule import (
     Failures,
     LaneContent,
@@ -39,7 +38,7 @@ class HoldPolicy(NamedTuple):
     (`hold.sharpened`); else it is 1 for all.
     """
 
-    weigh: Callable[[Array, np.ndarray, Array, int], Array]
+    weigh: Callable[[np.ndarray, np.ndarray, np.ndarray, int], np.ndarray]
     carried: bool
     by_sharpness: bool = False
 
@@ -112,7 +111,7 @@ class BeliefConsensus:
         """How far the belief has moved since it was last published."""
         return content.own.published.bid(content.own.belief, self.trigger)
 
-    def say(self, content: BeliefContent) -> Array:
+    def say(self, content: BeliefContent) -> np.ndarray:
         """The pair before the iteration."""
         return belief_numbers(content.own.belief)
 
@@ -124,7 +123,7 @@ class BeliefConsensus:
         published = own.published.sent(own.belief, sends)
         return content._replace(own=own._replace(published=published))
 
-    def read(self, numbers: Array) -> tuple[Gaussian, None, str]:
+    def read(self, numbers: np.ndarray) -> tuple[Gaussian, None, str]:
         """Beliefs; whether they are positive definite shows when they are fused."""
         return belief_of(numbers, self.states), None, ""
 
@@ -152,17 +151,17 @@ class BeliefConsensus:
         after = LaneContent(OwnBelief(belief, own.published), held, cycles + 1)
         return after, {"fuse-failed": ~sound}
 
-    def _weights(self, base: Array, ages: np.ndarray, cycles: int) -> Array:
+    def _weights(self, base: np.ndarray, ages: np.ndarray, cycles: int) -> np.ndarray:
         """Return weights (..., 1 + J) of the own pair and the neighbours', without volumes."""
         if ages.ndim > 1:
             return self.hold.weigh(base, _with_own(ages), _ALIKE, cycles)
         return self._kept_weights(base.tobytes(), ages.tobytes(), cycles)
 
     @cached_property
-    def _kept_weights(self) -> Callable[[bytes, bytes, int], Array]:
+    def _kept_weights(self) -> Callable[[bytes, bytes, int], np.ndarray]:
         # A node meets the same few patterns of ages again and again.
         @lru_cache
-        def weights(base: bytes, ages: bytes, cycles: int) -> Array:
+        def weights(base: bytes, ages: bytes, cycles: int) -> np.ndarray:
             own_row, known = np.frombuffer(base), np.frombuffer(ages, dtype=np.int64)
             return self.hold.weigh(own_row, _with_own(known), np.ones(len(own_row)), cycles)
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from filters.gaussian import Gaussian
 from filters.linalg import cholesky, symmetrise
-from nodes.messages import Array
 from nodes.rules.lane_rule import (
     Failures,
     LaneContent,
@@ -31,19 +30,19 @@ class Exchange(Protocol):
     node's own readings of the step.
     """
 
-    def begin(self, node: np.ndarray, prior: Gaussian, posterior: Gaussian) -> Array:
+    def begin(self, node: np.ndarray, prior: Gaussian, posterior: Gaussian) -> np.ndarray:
         """What nodes (...) know (..., m) after their own readings."""
         ...
 
-    def say(self, cycle: int, known: Array, belief: Gaussian) -> Array:
+    def say(self, cycle: int, known: np.ndarray, belief: Gaussian) -> np.ndarray:
         """Return the content to share (..., m) in a round."""
         ...
 
-    def sound(self, shares: Array) -> np.ndarray:
+    def sound(self, shares: np.ndarray) -> np.ndarray:
         """Which of shares (..., m) any node can use: (...) bool; False where one is NaN."""
         ...
 
-    def usable(self, prior: Gaussian, shares: Array) -> np.ndarray | None:
+    def usable(self, prior: Gaussian, shares: np.ndarray) -> np.ndarray | None:
         """Which of shares (..., J, m) can be used beside the own prior: (..., J) bool; None for a
         rule to which the prior does not matter."""
         ...
@@ -51,12 +50,12 @@ class Exchange(Protocol):
     def fuse(
         self,
         cycle: int,
-        weights: Array,
+        weights: np.ndarray,
         prior: Gaussian,
-        known: Array,
+        known: np.ndarray,
         belief: Gaussian,
-        shares: Array,
-    ) -> tuple[Array, Gaussian]:
+        shares: np.ndarray,
+    ) -> tuple[np.ndarray, Gaussian]:
         """Return the content (..., m) and the belief after a round.
 
         Shares (..., 1 + J, m) are the node's own and those of its neighbours, NaN where nothing
@@ -72,7 +71,7 @@ class FreshOwn(NamedTuple):
 
     prior: Gaussian
     belief: Gaussian
-    known: Array
+    known: np.ndarray
     published: Published
 
 
@@ -120,7 +119,7 @@ class FreshConsensus:
         """How far the belief has moved since it was last published."""
         return content.own.published.bid(content.own.belief, self.trigger)
 
-    def say(self, content: FreshContent) -> Array:
+    def say(self, content: FreshContent) -> np.ndarray:
         """Return the content to share in this round."""
         return self.exchange.say(content.cycles_in_step, content.own.known, content.own.belief)
 
@@ -132,12 +131,12 @@ class FreshConsensus:
         published = own.published.sent(own.belief, sends)
         return content._replace(own=own._replace(published=published))
 
-    def read(self, numbers: Array) -> tuple[Array, np.ndarray, str]:
+    def read(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray, str]:
         """The numbers themselves."""
         return numbers, self.exchange.sound(numbers), "unsound"
 
     def fuse(
-        self, place: Place, content: FreshContent, said: Array, heard: np.ndarray
+        self, place: Place, content: FreshContent, said: np.ndarray, heard: np.ndarray
     ) -> tuple[FreshContent, Failures]:
         """One round of the rule with what was heard, in sender order."""
         own, _, cycle = content
@@ -156,7 +155,7 @@ class FreshConsensus:
         return content, {**failures, **failed}
 
     def settled(
-        self, content: FreshContent, known: Array, belief: Gaussian, heard: np.ndarray
+        self, content: FreshContent, known: np.ndarray, belief: Gaussian, heard: np.ndarray
     ) -> tuple[FreshContent, Failures]:
         """The content after a round that came to this, where it is a belief; `heard` as in `fuse`,
         or (R, E) of links."""

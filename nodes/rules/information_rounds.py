@@ -7,7 +7,6 @@ import numpy as np
 
 from filters.fusion.packed import average
 from filters.gaussian import Gaussian
-from nodes.messages import Array
 
 
 class InformationRounds(NamedTuple):
@@ -17,34 +16,34 @@ class InformationRounds(NamedTuple):
     `conclude(known)` the belief that an average comes to, `check(shares)` tells sound ones.
     """
 
-    open: Callable[[np.ndarray, Gaussian, Gaussian], Array]
-    conclude: Callable[[Array], Gaussian]
-    check: Callable[[Array], np.ndarray]
+    open: Callable[[np.ndarray, Gaussian, Gaussian], np.ndarray]
+    conclude: Callable[[np.ndarray], Gaussian]
+    check: Callable[[np.ndarray], np.ndarray]
 
-    def begin(self, node: np.ndarray, prior: Gaussian, posterior: Gaussian) -> Array:
+    def begin(self, node: np.ndarray, prior: Gaussian, posterior: Gaussian) -> np.ndarray:
         """Return the numbers that the rule averages (..., m)."""
         return self.open(node, prior, posterior)
 
-    def say(self, cycle: int, known: Array, belief: Gaussian) -> Array:
+    def say(self, cycle: int, known: np.ndarray, belief: Gaussian) -> np.ndarray:
         """Return the whole content."""
         return known
 
-    def sound(self, shares: Array) -> np.ndarray:
+    def sound(self, shares: np.ndarray) -> np.ndarray:
         """Which of shares (..., m) are of nodes in their senses: (...) bool."""
         return self.check(shares)
 
-    def usable(self, prior: Gaussian, shares: Array) -> None:
+    def usable(self, prior: Gaussian, shares: np.ndarray) -> None:
         """A share is sound or not by itself."""
 
     def fuse(
         self,
         cycle: int,
-        weights: Array,
+        weights: np.ndarray,
         prior: Gaussian,
-        known: Array,
+        known: np.ndarray,
         belief: Gaussian,
-        shares: Array,
-    ) -> tuple[Array, Gaussian]:
+        shares: np.ndarray,
+    ) -> tuple[np.ndarray, Gaussian]:
         """The average of shares (..., 1 + J, m), and the belief that it comes to."""
         mixed = average(shares, weights)
         return mixed, self.conclude(mixed)

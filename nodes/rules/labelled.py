@@ -16,7 +16,7 @@ from bus.schedule import Schedule
 from filters.fusion.determinant_intersection import determinant_intersection
 from filters.gaussian import Gaussian
 from nodes.estimator import Rejected
-from nodes.messages import Array, Measured, from_wire
+from nodes.messages import Measured, from_wire
 from nodes.rules.labelled_frame import Labelled, LabelledFrameCodec, LabelledShare
 from nodes.rules.local_filter import finite
 from nodes.rules.record_sets import (
@@ -339,7 +339,7 @@ class LabelledFlooding:
             )
         return content.window.belief
 
-    def ages(self, content: Content) -> Array:
+    def ages(self, content: Content) -> np.ndarray:
         """Cycles since each neighbour's last share was sent."""
         last = np.array(content.share_cycles, dtype=int)
         return np.where(last < 0, -1, content.cycle - 1 - last)

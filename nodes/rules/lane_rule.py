@@ -15,7 +15,6 @@ import numpy as np
 
 from filters.gaussian import Gaussian
 from nodes.bids import FIRST_BID, bid_for_change
-from nodes.messages import Array
 from nodes.rules.local_filter import Carried, LocalFilters, carry, where
 
 Failures = Mapping[str, np.ndarray]
@@ -36,7 +35,7 @@ class Place(NamedTuple):
     """
 
     node: np.ndarray
-    weights: Array
+    weights: np.ndarray
 
 
 class LaneContent(NamedTuple, Generic[Own, Held]):
@@ -51,8 +50,8 @@ class LocalStep(NamedTuple):
     """A step as the local filters of lanes take it: readings (..., r, d), control (..., p)."""
 
     filters: LocalFilters
-    readings: Array
-    control: Array | None
+    readings: np.ndarray
+    control: np.ndarray | None
     step: int
 
     def predict(self, *beliefs: Gaussian) -> tuple[Carried, ...]:
@@ -104,7 +103,7 @@ class LaneRule(Protocol[Own, Held, Said]):
         """How urgent a dynamic slot is: integers (...), `NO_BID` for nothing to send."""
         ...
 
-    def say(self, content: LaneContent[Own, Held]) -> Array:
+    def say(self, content: LaneContent[Own, Held]) -> np.ndarray:
         """The numbers (..., m) to share now."""
         ...
 
@@ -112,7 +111,7 @@ class LaneRule(Protocol[Own, Held, Said]):
         """After lanes `sends` (...) have shared."""
         ...
 
-    def read(self, numbers: Array) -> tuple[Said, np.ndarray | None, str]:
+    def read(self, numbers: np.ndarray) -> tuple[Said, np.ndarray | None, str]:
         """Decode finite numbers (..., m).
 
         Return the content, which (...) can be used (None for all), and why the others cannot.

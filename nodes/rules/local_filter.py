@@ -11,17 +11,17 @@ from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule
 from filters.ukf import predict, update
 from filters.update import Update
-from nodes.messages import Array, Measured, from_wire
+from nodes.messages import Measured, from_wire
 
 
 class Model(Protocol):
     """A filter's model of the plant."""
 
-    def transition(self, state: Array, control: Array | None, step: int) -> Array:
+    def transition(self, state: np.ndarray, control: np.ndarray | None, step: int) -> np.ndarray:
         """State (..., n) at `step + 1` from the state at `step`."""
         ...
 
-    def process_noise_cov(self, step: int) -> Array:
+    def process_noise_cov(self, step: int) -> np.ndarray:
         """Covariance (n, n) of what the transition from `step` does not know."""
         ...
 
@@ -34,15 +34,15 @@ class Sensor(Protocol):
         """Chi-square threshold beyond which a reading is refused; None takes every reading."""
         ...
 
-    def measure(self, state: Array, step: int) -> Array:
+    def measure(self, state: np.ndarray, step: int) -> np.ndarray:
         """The reading (..., m) that a state (..., n) gives."""
         ...
 
-    def residual(self, value: Array, predicted: Array, /) -> Array:
+    def residual(self, value: np.ndarray, predicted: np.ndarray, /) -> np.ndarray:
         """The difference of two readings (..., m), angles wrapped."""
         ...
 
-    def interpret(self, delivered: Array) -> tuple[Array, Array]:
+    def interpret(self, delivered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Value (m,) and noise covariance (m, m) of a delivered reading (d,)."""
         ...
 
@@ -51,7 +51,7 @@ class Sensor(Protocol):
 class StateNoise(Protocol):
     """A model or a sensor with more noise the larger the state is: stochastic nonlinearities."""
 
-    def state_noise_cov(self, belief: Gaussian, step: int) -> Array:
+    def state_noise_cov(self, belief: Gaussian, step: int) -> np.ndarray:
         """Covariance (..., d, d) that comes to the noise that does not depend on the state."""
         ...
 
@@ -64,7 +64,7 @@ class Carried(NamedTuple):
 
 
 def carry(
-    beliefs: Gaussian, control: Array | None, step: int, model: Model, points: SigmaPointRule
+    beliefs: Gaussian, control: np.ndarray | None, step: int, model: Model, points: SigmaPointRule
 ) -> Carried:
     """Beliefs (..., n) of the step before, predicted to `step`, into which `control` drove."""
     noise_cov = with_state_noise(model.process_noise_cov(step - 1), model, beliefs, step - 1)
@@ -78,13 +78,13 @@ def at(beliefs: Gaussian, place: int) -> Gaussian:
     return Gaussian(beliefs.mean[place], beliefs.cov[place])
 
 
-def control_of(measured: Measured) -> Array | None:
+def control_of(measured: Measured) -> np.ndarray | None:
     """Return the control that drove the plant into the step, (p,)."""
     return None if measured.control is None else np.array(measured.control)
 
 
 def take_readings(
-    belief: Gaussian, readings: Array, step: int, sensor: Sensor, points: SigmaPointRule
+    belief: Gaussian, readings: np.ndarray, step: int, sensor: Sensor, points: SigmaPointRule
 ) -> tuple[Gaussian, dict[str, np.ndarray]]:
     """Beliefs (..., n) after their readings (..., r, d), one by one.
 
@@ -109,7 +109,7 @@ def take_readings(
 
 def take_reading(
     belief: Gaussian,
-    interpreted: tuple[Array, Array],
+    interpreted: tuple[np.ndarray, np.ndarray],
     step: int,
     sensor: Sensor,
     points: SigmaPointRule,
@@ -153,11 +153,11 @@ class SensorGroup(NamedTuple):
         """Whether the group has all lanes."""
         return isinstance(self.nodes, slice) and self.nodes == slice(None)
 
-    def of(self, values: Array) -> Array:
+    def of(self, values: np.ndarray) -> np.ndarray:
         """The values (R, K, ...) of the group, of those of all lanes (R, N, ...)."""
         return values if self.whole else values[:, self.nodes]
 
-    def put(self, values: Array, part: Array) -> Array:
+    def put(self, values: np.ndarray, part: np.ndarray) -> np.ndarray:
         """The values (R, N, ...) of all lanes with those of the group (R, K, ...) replaced."""
         if self.whole:
             return part
@@ -175,7 +175,7 @@ class LocalFilters:
     points: SigmaPointRule
 
     def carry(
-        self, belief: Gaussian, control: Array | None, step: int
+        self, belief: Gaussian, control: np.ndarray | None, step: int
     ) -> tuple[Gaussian, np.ndarray]:
         """Beliefs (R, N, n) of the step before at `step`, and where that went well (R, N)."""
         driven = None if control is None else control[:, None, :]
@@ -183,7 +183,7 @@ class LocalFilters:
         return where(sound, moved, belief), sound
 
     def take(
-        self, belief: Gaussian, readings: Array, step: int
+        self, belief: Gaussian, readings: np.ndarray, step: int
     ) -> tuple[Gaussian, dict[str, np.ndarray]]:
         """Beliefs (..., n) after each node's own readings (..., r, d), and what went wrong.
 
@@ -234,13 +234,15 @@ def finite(belief: Gaussian) -> bool:
     return _all_finite(belief.mean) and _all_finite(belief.cov)
 
 
-def _all_finite(values: Array) -> bool:
+def _all_finite(values: np.ndarray) -> bool:
     # A sum of squares takes a third of the time, and is infinite for large numbers as well.
     flat = values.ravel(order="K")  # in the order of memory: nothing is copied
     return math.isfinite(flat.dot(flat)) or bool(np.isfinite(flat).all())
 
 
-def with_state_noise(noise_cov: Array, owner: object, belief: Gaussian, step: int) -> Array:
+def with_state_noise(
+    noise_cov: np.ndarray, owner: object, belief: Gaussian, step: int
+) -> np.ndarray:
     """Noise covariance of a model or a sensor, with what comes to it at a belief."""
     if _has_state_noise(type(owner)):
         return noise_cov + cast(StateNoise, owner).state_noise_cov(belief, step)

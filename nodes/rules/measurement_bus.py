@@ -20,7 +20,7 @@ from filters.stochastic_ukf import (
     Received,
     SecondMoment,
 )
-from nodes.messages import Array, Measured, from_wire
+from nodes.messages import Measured, from_wire
 from nodes.rules.measurement_codec import MeasurementCodec
 
 
@@ -31,23 +31,23 @@ class System(Protocol):
     def sizes(self) -> tuple[int, ...]: ...
 
     @property
-    def transition(self) -> Callable[[Array, Array | None, int], Array]: ...
+    def transition(self) -> Callable[[np.ndarray, np.ndarray | None, int], np.ndarray]: ...
 
     @property
-    def measure(self) -> Callable[[Array, int], Array]: ...
+    def measure(self) -> Callable[[np.ndarray, int], np.ndarray]: ...
 
     @property
-    def process_noise_cov(self) -> Callable[[int], Array]: ...
+    def process_noise_cov(self) -> Callable[[int], np.ndarray]: ...
 
     @property
-    def measurement_noise_cov(self) -> Callable[[int], Array]: ...
+    def measurement_noise_cov(self) -> Callable[[int], np.ndarray]: ...
 
     def process_moment(self, step: int) -> SecondMoment: ...
 
     def measurement_moment(self, step: int) -> SecondMoment: ...
 
 
-def dynamics(system: System, control: Array | None, step: int) -> Dynamics:
+def dynamics(system: System, control: np.ndarray | None, step: int) -> Dynamics:
     """Return the dynamics of the state from `step` to the next."""
     return Dynamics(
         lambda points: system.transition(points, control, step),
@@ -70,8 +70,8 @@ class SensorContent(NamedTuple):
     the reading is on its way."""
 
     step: int
-    reading: Array
-    held: Array
+    reading: np.ndarray
+    held: np.ndarray
     sent: bool
 
 
@@ -84,9 +84,9 @@ class SensorNode:
 
     states: int
     neighbours: int
-    held: Array
-    weight: Array
-    silent: Callable[[Array], Array]
+    held: np.ndarray
+    weight: np.ndarray
+    silent: Callable[[np.ndarray], np.ndarray]
     codec: MeasurementCodec
 
     @property
@@ -114,12 +114,12 @@ class SensorNode:
         """The reading."""
         return content._replace(sent=True), self.codec.encode(content.reading)
 
-    def accept(self, body: bytes) -> Array:
+    def accept(self, body: bytes) -> np.ndarray:
         """A measurement (`MeasurementCodec.decode`); sensors have no use for it."""
         return self.codec.decode(body)
 
     def fuse(
-        self, content: SensorContent, shares: tuple[Array | None, ...]
+        self, content: SensorContent, shares: tuple[np.ndarray | None, ...]
     ) -> tuple[SensorContent, tuple[str, ...]]:
         """The slot is over: know what the receiver holds now."""
         if content.step == 0:
@@ -134,7 +134,7 @@ class SensorNode:
         """A sensor believes nothing."""
         return Gaussian(np.full(self.states, np.nan), np.full((self.states, self.states), np.nan))
 
-    def ages(self, content: SensorContent) -> Array:
+    def ages(self, content: SensorContent) -> np.ndarray:
         """Return -1 for each neighbour: a sensor hears no node."""
         return np.full(self.neighbours, -1)
 
@@ -144,8 +144,8 @@ class ReceiverContent(NamedTuple):
 
     step: int
     state: Any
-    received: Array
-    ages: Array
+    received: np.ndarray
+    ages: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -156,8 +156,8 @@ class ReceiverNode:
     filter: MeasurementFilter
     prior: Gaussian
     points: SigmaPointRule
-    received: Array
-    silent: Callable[[Array], Array]
+    received: np.ndarray
+    silent: Callable[[np.ndarray], np.ndarray]
     codec: MeasurementCodec
 
     @property
@@ -191,12 +191,12 @@ class ReceiverNode:
         """Nothing."""
         return content, self.codec.encode(np.empty(0))
 
-    def accept(self, body: bytes) -> Array:
+    def accept(self, body: bytes) -> np.ndarray:
         """The measurement in a share (`MeasurementCodec.decode`)."""
         return self.codec.decode(body)
 
     def fuse(
-        self, content: ReceiverContent, shares: tuple[Array | None, ...]
+        self, content: ReceiverContent, shares: tuple[np.ndarray | None, ...]
     ) -> tuple[ReceiverContent, tuple[str, ...]]:
         """Update with what came in this slot, one entry per sensor."""
         if content.step == 0:
@@ -220,12 +220,12 @@ class ReceiverNode:
         """Return the belief of the filter."""
         return content.state.belief
 
-    def ages(self, content: ReceiverContent) -> Array:
+    def ages(self, content: ReceiverContent) -> np.ndarray:
         """Slots since each sensor was heard; -1 never."""
         return content.ages
 
 
-def _whole(share: Array | None, size: int) -> Array:
+def _whole(share: np.ndarray | None, size: int) -> np.ndarray:
     """A sensor's measurement (size,) if it came complete, otherwise NaN."""
     if share is None or np.isnan(share[:size]).any():
         return np.full(size, np.nan)

@@ -5,7 +5,6 @@ from typing import NamedTuple
 import numpy as np
 
 from nodes.estimator import Rejected
-from nodes.messages import Array
 
 
 class MeasurementCodec(NamedTuple):
@@ -23,13 +22,13 @@ class MeasurementCodec(NamedTuple):
         """Length in bytes of an encoded measurement."""
         return self.entries * np.dtype(self.number).itemsize
 
-    def encode(self, measurement: Array) -> bytes:
+    def encode(self, measurement: np.ndarray) -> bytes:
         """The bytes of a measurement (size of the sensor,)."""
         padded = np.full(self.entries, np.nan)
         padded[: len(measurement)] = measurement
         return padded.astype(self.number).tobytes()
 
-    def decode(self, body: bytes) -> Array:
+    def decode(self, body: bytes) -> np.ndarray:
         """The measurement (entries,) that `encode` wrote.
 
         Raises:

@@ -8,7 +8,6 @@ import numpy as np
 from filters.fusion.packed import packed_length, unpack
 from filters.gaussian import Gaussian
 from filters.linalg import cholesky, inverse_spd
-from nodes.messages import Array
 
 
 class NoveltyRounds(NamedTuple):
@@ -21,15 +20,15 @@ class NoveltyRounds(NamedTuple):
     `fresh_consensus`.
     """
 
-    open: Callable[[Gaussian, Gaussian], Array]
-    absorb: Callable[[Gaussian, Array], Gaussian]
-    mix: Callable[[Array, Array], Array]
+    open: Callable[[Gaussian, Gaussian], np.ndarray]
+    absorb: Callable[[Gaussian, np.ndarray], Gaussian]
+    mix: Callable[[np.ndarray, np.ndarray], np.ndarray]
 
-    def begin(self, node: np.ndarray, prior: Gaussian, posterior: Gaussian) -> Array:
+    def begin(self, node: np.ndarray, prior: Gaussian, posterior: Gaussian) -> np.ndarray:
         """Return the node's share of the first round (..., m)."""
         return self.open(prior, posterior)
 
-    def say(self, cycle: int, known: Array, belief: Gaussian) -> Array:
+    def say(self, cycle: int, known: np.ndarray, belief: Gaussian) -> np.ndarray:
         """First what the own readings brought, then the mean, padded."""
         if cycle == 0:
             return known
@@ -37,11 +36,11 @@ class NoveltyRounds(NamedTuple):
         said[..., : belief.mean.shape[-1]] = belief.mean
         return said
 
-    def sound(self, shares: Array) -> np.ndarray:
+    def sound(self, shares: np.ndarray) -> np.ndarray:
         """Every share, as far as it alone can tell."""
         return np.ones(shares.shape[:-1], dtype=bool)
 
-    def usable(self, prior: Gaussian, shares: Array) -> np.ndarray:
+    def usable(self, prior: Gaussian, shares: np.ndarray) -> np.ndarray:
         """Which of shares (..., J, m) leave the own information positive definite: (..., J)."""
         packed = shares[..., : packed_length(prior.mean.shape[-1])]
         together = inverse_spd(prior.cov)[..., None, :, :] + unpack(packed).matrix
@@ -50,12 +49,12 @@ class NoveltyRounds(NamedTuple):
     def fuse(
         self,
         cycle: int,
-        weights: Array,
+        weights: np.ndarray,
         prior: Gaussian,
-        known: Array,
+        known: np.ndarray,
         belief: Gaussian,
-        shares: Array,
-    ) -> tuple[Array, Gaussian]:
+        shares: np.ndarray,
+    ) -> tuple[np.ndarray, Gaussian]:
         """The prior with all novelties, then the mixed mean with the covariance that it had."""
         if cycle == 0:
             return known, self.absorb(prior, shares)

@@ -10,7 +10,6 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from nodes.messages import Array
 from nodes.rules.local_filter import Sensor
 
 # Steps of quantisation in a standard deviation of the noise.
@@ -22,7 +21,7 @@ class Calibrated(Protocol):
     """A sensor whose reading is the measurement itself, with noise known before it is taken."""
 
     @property
-    def noise_std(self) -> Array:
+    def noise_std(self) -> np.ndarray:
         """Standard deviation of each entry, () or (m,); a delivery beyond m is NaN."""
         ...
 
@@ -39,7 +38,7 @@ class RecordCodec:
     readings: int
     channels: int
     number: str
-    resolution: Array | None
+    resolution: np.ndarray | None
     padding: int = 0
 
     @property
@@ -48,11 +47,11 @@ class RecordCodec:
         return self._mask_bytes + self.readings * self._reading_bytes
 
     @cached_property
-    def rounding_cov(self) -> Array | None:
+    def rounding_cov(self) -> np.ndarray | None:
         """Covariance (channels, channels) of what rounding does, uniform errors: step^2 / 12."""
         return None if self.resolution is None else np.diag(self.resolution**2 / 12)
 
-    def encode(self, delivered: Array) -> bytes | None:
+    def encode(self, delivered: np.ndarray) -> bytes | None:
         """The record of readings (r, d); None where nothing was taken, or nothing can be said.
 
         An entry beyond the range of an integer is left out, as if it had not been taken.
@@ -63,7 +62,7 @@ class RecordCodec:
         mask = b"" if self.readings == 1 else np.packbits(taken, bitorder="little").tobytes()
         return mask + entries[taken].astype(self.number).tobytes()
 
-    def received(self, delivered: Array) -> Array:
+    def received(self, delivered: np.ndarray) -> np.ndarray:
         """Return the readings (..., r, d) that readers of the record get: NaN if not written."""
         entries, taken = self._entries(delivered)
         found = np.full(delivered.shape, np.nan)
@@ -71,7 +70,7 @@ class RecordCodec:
         found[..., : self.channels] = np.where(taken[..., None], self._values(data), np.nan)
         return found
 
-    def _entries(self, delivered: Array) -> tuple[Array, np.ndarray]:
+    def _entries(self, delivered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the entries written of readings (..., r, d), and of which readings (..., r)."""
         delivered = delivered[..., : self.channels]
         if self.resolution is None:
@@ -81,21 +80,21 @@ class RecordCodec:
         entries = np.where(np.abs(codes) <= most, codes, -most - 1)
         return entries, np.asarray((entries >= -most).any(axis=-1))
 
-    def _values(self, data: np.ndarray) -> Array:
+    def _values(self, data: np.ndarray) -> np.ndarray:
         """Return the values of written entries (..., channels)."""
         values = data.astype(np.float64)
         if self.resolution is None:
             return values
         return np.where(data == np.iinfo(self.number).min, np.nan, values) * self.resolution
 
-    def beyond(self, delivered: Array) -> np.ndarray:
+    def beyond(self, delivered: np.ndarray) -> np.ndarray:
         """How many entries of readings (..., r, d) no integer can say, (...)."""
         if self.resolution is None:
             return np.zeros(delivered.shape[:-2], dtype=np.int64)
         codes = np.abs(np.round(delivered[..., : self.channels] / self.resolution))
         return (codes > np.iinfo(self.number).max).sum(axis=(-1, -2))
 
-    def decode(self, record: bytes) -> Array:
+    def decode(self, record: bytes) -> np.ndarray:
         """The readings (r, d) that a whole record means."""
         data = np.frombuffer(record, self.number, offset=self._mask_bytes)
         values = self._values(data.reshape(-1, self.channels))

@@ -17,7 +17,6 @@ import numpy as np
 
 from filters.gaussian import Gaussian
 from nodes.bids import BID_RESOLUTION, FIRST_BID, NO_BID
-from nodes.messages import Array
 from nodes.rules.at_node import AtNode
 from nodes.rules.lane_rule import Failures, LaneContent, LocalStep, Place, mapped, older
 from nodes.rules.set_shapes import HeldSet, Shape, chosen_sets
@@ -27,11 +26,11 @@ from nodes.rules.set_shapes import HeldSet, Shape, chosen_sets
 class BoundedModel(Protocol):
     """A node's model of the plant: x' = A x + known input + B v with |v| <= 1."""
 
-    def transition(self, state: Array, control: Array | None, step: int) -> Array:
+    def transition(self, state: np.ndarray, control: np.ndarray | None, step: int) -> np.ndarray:
         """Where the plant takes a state (..., n) between step and step + 1 without noise."""
         ...
 
-    def motion(self, step: int) -> tuple[Array, Array]:
+    def motion(self, step: int) -> tuple[np.ndarray, np.ndarray]:
         """A (n, n) and B (n, q), in units of the noise's bound."""
         ...
 
@@ -40,7 +39,7 @@ class BoundedModel(Protocol):
 class BoundedSensor(Protocol):
     """A node's model of its readings."""
 
-    def strips(self, step: int) -> tuple[Array, Array]:
+    def strips(self, step: int) -> tuple[np.ndarray, np.ndarray]:
         """Rows (m, n) and half-widths (m,): a reading (m,) is off by at most the half-widths."""
         ...
 
@@ -114,7 +113,7 @@ class SetMembership(Generic[HeldSet]):
         bids = np.where(excess < self.trigger, NO_BID, urgency.astype(np.int64))
         return np.where(own.known, bids, FIRST_BID)
 
-    def say(self, content: SetContent[HeldSet]) -> Array:
+    def say(self, content: SetContent[HeldSet]) -> np.ndarray:
         """The own set."""
         return self.shape.numbers_of(content.own.kept)
 
@@ -124,7 +123,7 @@ class SetMembership(Generic[HeldSet]):
         published = chosen_sets(sends, own.kept, own.published)
         return content._replace(own=OwnSet(own.kept, published, own.known | sends))
 
-    def read(self, numbers: Array) -> tuple[HeldSet, np.ndarray, str]:
+    def read(self, numbers: np.ndarray) -> tuple[HeldSet, np.ndarray, str]:
         """Sets around those that were said."""
         came, sound = self.shape.read(numbers)
         return came, sound, "not-positive-definite"
@@ -167,7 +166,7 @@ class SetMembership(Generic[HeldSet]):
 class SetAtNode(AtNode[OwnSet[HeldSet], HeldSets[HeldSet], HeldSet]):
     """A set-membership rule at one node, which can tell the zonotope that it keeps."""
 
-    def generators(self, content: SetContent[HeldSet]) -> Array | None:
+    def generators(self, content: SetContent[HeldSet]) -> np.ndarray | None:
         """The generators (n, q) of the own set, where it is a zonotope."""
         rule = cast(SetMembership[HeldSet], self.rule)
         return rule.shape.generators_of(content.own.kept)

@@ -16,7 +16,6 @@ from filters.sets.ellipsoid import Ellipsoid, rounding_bound
 from filters.sets.ellipsoid_intersection import intersection, strip_intersection
 from filters.sets.zonotope import Zonotope
 from nodes.belief_codec import belief_numbers, belief_of
-from nodes.messages import Array
 from nodes.rules.lane_rule import mapped
 
 HeldSet = TypeVar("HeldSet")
@@ -30,16 +29,18 @@ class Shape(Protocol[HeldSet]):
         """The ellipsoids with these means (..., n) and these shape matrices (..., n, n)."""
         ...
 
-    def centres(self, sets: HeldSet) -> Array:
+    def centres(self, sets: HeldSet) -> np.ndarray:
         """Their centres (..., n)."""
         ...
 
-    def moved(self, sets: HeldSet, centres: Array, transition: Array, noise: Array) -> HeldSet:
+    def moved(
+        self, sets: HeldSet, centres: np.ndarray, transition: np.ndarray, noise: np.ndarray
+    ) -> HeldSet:
         """Sets one step later under x' = A x + B v, |v| <= 1; their centres go to (..., n)."""
         ...
 
     def cut(
-        self, own: HeldSet, row: Array, value: Array, half_width: float
+        self, own: HeldSet, row: np.ndarray, value: np.ndarray, half_width: float
     ) -> tuple[HeldSet, np.ndarray]:
         """Around own and |value - row x| <= half_width; False (...) where they have nothing in
         common, and the set is anything."""
@@ -53,19 +54,19 @@ class Shape(Protocol[HeldSet]):
         """Centre and shape matrix of an ellipsoid around it."""
         ...
 
-    def generators_of(self, own: HeldSet) -> Array | None:
+    def generators_of(self, own: HeldSet) -> np.ndarray | None:
         """The generators (n, q) of one zonotope; None of another shape."""
         ...
 
-    def size(self, own: HeldSet) -> Array:
+    def size(self, own: HeldSet) -> np.ndarray:
         """Sum of the squared half-widths (...)."""
         ...
 
-    def numbers_of(self, own: HeldSet) -> Array:
+    def numbers_of(self, own: HeldSet) -> np.ndarray:
         """The numbers (..., m) of sets around these."""
         ...
 
-    def read(self, numbers: Array) -> tuple[HeldSet, np.ndarray]:
+    def read(self, numbers: np.ndarray) -> tuple[HeldSet, np.ndarray]:
         """Sets around those whose numbers (..., m) were sent; False (...) where these are none."""
         ...
 
@@ -75,7 +76,7 @@ def chosen_sets(chosen: np.ndarray, one: HeldSet, other: HeldSet) -> HeldSet:
     if chosen.all():
         return one
 
-    def pick(first: Array, second: Array) -> Array:
+    def pick(first: np.ndarray, second: np.ndarray) -> np.ndarray:
         return np.where(
             chosen.reshape(chosen.shape + (1,) * (first.ndim - chosen.ndim)), first, second
         )
@@ -94,16 +95,18 @@ class Ellipsoids:
         """The ellipsoid itself."""
         return _from_shape(prior)
 
-    def centres(self, sets: Ellipsoid) -> Array:
+    def centres(self, sets: Ellipsoid) -> np.ndarray:
         """Their centres."""
         return sets.centre
 
-    def moved(self, sets: Ellipsoid, centres: Array, transition: Array, noise: Array) -> Ellipsoid:
+    def moved(
+        self, sets: Ellipsoid, centres: np.ndarray, transition: np.ndarray, noise: np.ndarray
+    ) -> Ellipsoid:
         """The ellipsoids of least trace."""
         return ellipsoid.moved(sets, centres, transition, noise)
 
     def cut(
-        self, own: Ellipsoid, row: Array, value: Array, half_width: float
+        self, own: Ellipsoid, row: np.ndarray, value: np.ndarray, half_width: float
     ) -> tuple[Ellipsoid, np.ndarray]:
         """The ellipsoid of least trace around both."""
         return _found(strip_intersection(own, row, value, np.asarray(half_width)))
@@ -119,18 +122,18 @@ class Ellipsoids:
     def generators_of(self, own: Ellipsoid) -> None:
         """It has none."""
 
-    def size(self, own: Ellipsoid) -> Array:
+    def size(self, own: Ellipsoid) -> np.ndarray:
         """The trace of the shape matrix."""
         return (own.factor**2).sum(axis=(-2, -1))
 
-    def numbers_of(self, own: Ellipsoid) -> Array:
+    def numbers_of(self, own: Ellipsoid) -> np.ndarray:
         """Centre and shape matrix, grown by what they lose in this number format."""
         unit = _UNITS[self.number]
         if unit > 0.0:
             own = ellipsoid.grow(own, unit * np.abs(own.centre))
         return belief_numbers(Gaussian(own.centre, _rounded_up(ellipsoid.shape_matrix(own), unit)))
 
-    def read(self, numbers: Array) -> tuple[Ellipsoid, np.ndarray]:
+    def read(self, numbers: np.ndarray) -> tuple[Ellipsoid, np.ndarray]:
         """False where the shape is not positive definite."""
         return _found(_from_shape(belief_of(numbers, self.states)))
 
@@ -150,19 +153,21 @@ class Zonotopes:
         """The box around the ellipsoid along its own axes."""
         return self._reduced(zonotope.around(_from_shape(prior)))
 
-    def centres(self, sets: Zonotope) -> Array:
+    def centres(self, sets: Zonotope) -> np.ndarray:
         """Their centres."""
         return sets.centre
 
     def _reduced(self, own: Zonotope) -> Zonotope:
         return zonotope.reduced_to(own, self.generators)
 
-    def moved(self, sets: Zonotope, centres: Array, transition: Array, noise: Array) -> Zonotope:
+    def moved(
+        self, sets: Zonotope, centres: np.ndarray, transition: np.ndarray, noise: np.ndarray
+    ) -> Zonotope:
         """The sums, reduced."""
         return self._reduced(zonotope.moved(sets, centres, transition, noise))
 
     def cut(
-        self, own: Zonotope, row: Array, value: Array, half_width: float
+        self, own: Zonotope, row: np.ndarray, value: np.ndarray, half_width: float
     ) -> tuple[Zonotope, np.ndarray]:
         """Around both; False where the strip misses the zonotope."""
         seen = np.abs((row[..., None] * own.generators).sum(axis=-2)).sum(axis=-1) + half_width
@@ -186,21 +191,21 @@ class Zonotopes:
         around = zonotope.enclosing_ellipsoid(own)
         return Gaussian(around.centre, _rounded_up(ellipsoid.shape_matrix(around), 0.0))
 
-    def generators_of(self, own: Zonotope) -> Array:
+    def generators_of(self, own: Zonotope) -> np.ndarray:
         """Its own, but for those that are zero."""
         return own.generators[:, own.generators.any(axis=0)]
 
-    def size(self, own: Zonotope) -> Array:
+    def size(self, own: Zonotope) -> np.ndarray:
         """Sum of the squared half-widths."""
         return (zonotope.half_widths(own) ** 2).sum(axis=-1)
 
-    def numbers_of(self, own: Zonotope) -> Array:
+    def numbers_of(self, own: Zonotope) -> np.ndarray:
         """A parallelotope around it."""
         box = zonotope.parallelotope(own)
         flat = box.generators.reshape(*box.centre.shape[:-1], self.states**2)
         return np.concatenate((box.centre, flat), axis=-1)
 
-    def read(self, numbers: Array) -> tuple[Zonotope, np.ndarray]:
+    def read(self, numbers: np.ndarray) -> tuple[Zonotope, np.ndarray]:
         """Any finite numbers are a zonotope."""
         n, unit = self.states, _UNITS[self.number]
         came = Zonotope(numbers[..., :n], numbers[..., n:].reshape(*numbers.shape[:-1], n, n))
@@ -215,7 +220,7 @@ def _found(sets: Ellipsoid) -> tuple[Ellipsoid, np.ndarray]:
     return sets, np.asarray(~np.isnan(sets.factor).any(axis=(-2, -1)))
 
 
-def _rounded_up(shape: Array, unit: float) -> Array:
+def _rounded_up(shape: np.ndarray, unit: float) -> np.ndarray:
     """Shape matrices (..., n, n) above all that rounding, of their own or by `unit`, makes of them.
 
     An error of at most e sqrt(P_ii P_jj) in every entry is at most n e diag P.

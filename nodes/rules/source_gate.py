@@ -10,18 +10,17 @@ import numpy as np
 
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule
-from nodes.messages import Array
 from nodes.rules.local_filter import Sensor, finite_lanes, take_reading, where
 
 
 def without_outliers(
     belief: Gaussian,
-    delivered: Array,
+    delivered: np.ndarray,
     sensor: Sensor,
     step: int,
     points: SigmaPointRule,
     gates: Sequence[float] = (),
-) -> tuple[Array, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray]:
     """Readings (..., r, d) with NaN for those beyond the gate, and how many (...) those are.
 
     The gate is the sensor's own, else that of `gates` for as many entries as were taken.
@@ -43,7 +42,7 @@ def without_outliers(
     return kept, gated
 
 
-def _gates(value: Array, sensor: Sensor, gates: Sequence[float]) -> Array:
+def _gates(value: np.ndarray, sensor: Sensor, gates: Sequence[float]) -> np.ndarray:
     """The threshold (...) for each of some readings (..., m); what was not taken passes."""
     taken = np.count_nonzero(~np.isnan(value), axis=-1)
     if sensor.gate is not None:

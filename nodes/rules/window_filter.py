@@ -15,7 +15,7 @@ import numpy as np
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule
 from filters.ukf import update
-from nodes.messages import Array, Measured
+from nodes.messages import Measured
 from nodes.rules.local_filter import Model, Sensor, StateNoise, carry, control_of, finite
 from nodes.rules.record_codec import RecordCodec
 
@@ -179,18 +179,18 @@ class _Reading(NamedTuple):
 
     sensor: Sensor
     state_noise: StateNoise | None
-    value: Array
-    noise_cov: Array
+    value: np.ndarray
+    noise_cov: np.ndarray
 
 
-def _measure(sensors: Sequence[Sensor], step: int, states: Array) -> Array:
+def _measure(sensors: Sequence[Sensor], step: int, states: np.ndarray) -> np.ndarray:
     return np.concatenate([sensor.measure(states, step) for sensor in sensors], axis=-1)
 
 
 def _residual(
-    sensors: Sequence[Sensor], sizes: Sequence[int], values: Array, predicted: Array
-) -> Array:
-    parts: list[Array] = []
+    sensors: Sequence[Sensor], sizes: Sequence[int], values: np.ndarray, predicted: np.ndarray
+) -> np.ndarray:
+    parts: list[np.ndarray] = []
     start = 0
     for sensor, size in zip(sensors, sizes, strict=True):
         own = slice(start, start + size)
@@ -199,7 +199,7 @@ def _residual(
     return np.concatenate(parts, axis=-1)
 
 
-def _block_diagonal(blocks: Sequence[Array]) -> Array:
+def _block_diagonal(blocks: Sequence[np.ndarray]) -> np.ndarray:
     size = sum(len(block) for block in blocks)
     matrix = np.zeros((size, size))
     start = 0

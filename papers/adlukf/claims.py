@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.monte_carlo.intervals import Interval, mean_t, ratio_t
-from nodes.messages import Array
 from papers.adlukf.cost import Cost
 from papers.adlukf.drives import DRIVEN
 from papers.adlukf.study import UNITS
@@ -86,7 +85,7 @@ _BEST = {
 def gather(
     results: Results,
     drives: tuple[Drive, ...],
-    signal_sd: Mapping[str, Array],
+    signal_sd: Mapping[str, np.ndarray],
     of_filters: Mapping[str, Cost],
     failed_lanes: Mapping[str, int],
 ) -> Evidence:

@@ -3,7 +3,6 @@
 import numpy as np
 
 from filters.metrics import nees
-from nodes.messages import Array
 from papers.adlukf.filters import Contestant
 from papers.adlukf.study import CHANNELS, PRIOR_COV, Case, Study, estimate
 from plants.vehicle.drive import Drive
@@ -38,7 +37,7 @@ def matched_study(drive: Drive, model: SingleTrack, seeds: int, seed: int) -> St
     )
 
 
-def average_nees(study: Study, contestant: Contestant) -> Array:
+def average_nees(study: Study, contestant: Contestant) -> np.ndarray:
     """Mean of e' P^-1 e over all steps but the first, per seed (seeds,); 3 is consistent."""
     belief = estimate(study, contestant)
     return nees(belief.mean - study.truth, belief.cov)[1:].mean(axis=0)[0, 0]

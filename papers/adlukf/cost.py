@@ -8,7 +8,6 @@ import numpy as np
 
 from filters.gaussian import Gaussian
 from filters.moments import Model
-from nodes.messages import Array
 from papers.adlukf.filters import CONTESTANTS, Contestant, Task
 from papers.adlukf.study import PRIOR_COV, Study
 
@@ -33,7 +32,7 @@ def costs(study: Study) -> dict[str, Cost]:
 def _cost(study: Study, contestant: Contestant) -> Cost:
     points = 0
 
-    def counted(model: Model, states: Array) -> Array:
+    def counted(model: Model, states: np.ndarray) -> np.ndarray:
         nonlocal points
         points += states.size // states.shape[-1]
         return model(states)

@@ -13,7 +13,6 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from nodes.messages import Array
 from papers.adlukf.filters import CONTESTANTS
 from papers.adlukf.study import (
     CASES,
@@ -70,7 +69,9 @@ def log_drives(folder: Path, seed: int) -> Logged:
     )
 
 
-def estimates(drive: Drive, car: Car, tyre: Tyre, filters: tuple[str, ...]) -> dict[str, Array]:
+def estimates(
+    drive: Drive, car: Car, tyre: Tyre, filters: tuple[str, ...]
+) -> dict[str, np.ndarray]:
     """Return the estimates of each filter for one logged drive: `quantities` (steps, 4)."""
     model = single_track(car, tyre, drive.time_step_s, np.diag(PROCESS_VARIANCES))
     readings = np.stack(
@@ -91,7 +92,7 @@ def estimates(drive: Drive, car: Car, tyre: Tyre, filters: tuple[str, ...]) -> d
     return {name: quantities(run(CONTESTANTS[name]).mean[:, 0, 0, 0]) for name in filters}
 
 
-def side_slip_rmse_deg(drive: Drive, estimate_: Array) -> float:
+def side_slip_rmse_deg(drive: Drive, estimate_: np.ndarray) -> float:
     """RMSE against the logged side slip, from the second step on."""
     error = estimate_[1:, 2] - np.degrees(drive.side_slip_rad[1:])
     return float(np.sqrt(np.nanmean(error**2)))

@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.progress import progress
-from nodes.messages import Array
 from papers.adlukf import tables
 from papers.adlukf.drives import DRIVEN
 from papers.adlukf.filters import CONTESTANTS
@@ -35,8 +34,8 @@ class Elsewhere(NamedTuple):
     over the CKF's with the true R."""
 
     title: str
-    ratio: dict[str, Array]
-    over_ckf: dict[str, Array]
+    ratio: dict[str, np.ndarray]
+    over_ckf: dict[str, np.ndarray]
 
 
 def drive_elsewhere(seeds: int, seed: int) -> list[Elsewhere]:
@@ -112,5 +111,5 @@ def in_words(drives: Sequence[Elsewhere]) -> str:
     )
 
 
-def _cell(values: Array) -> str:
+def _cell(values: np.ndarray) -> str:
     return " / ".join(f"{value:.2f}" for value in values)

@@ -6,7 +6,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from nodes.messages import Array
 from papers.kit.figures import BLACK, BLUE, GREY, SKY, VERMILION
 
 TRUTH: dict[str, Any] = {"color": BLACK, "lw": 3.0, "label": "truth"}
@@ -35,10 +34,10 @@ class Trace(NamedTuple):
     """
 
     title: str
-    time_s: Array
-    reference: Array
-    estimates: dict[str, Array]
-    errors: dict[str, Array]
+    time_s: np.ndarray
+    reference: np.ndarray
+    estimates: dict[str, np.ndarray]
+    errors: dict[str, np.ndarray]
 
 
 def manoeuvre_figure(title: str, traces: tuple[Trace, ...]) -> Figure:

@@ -10,7 +10,6 @@ from filters.adaptive import correntropy, sage_husa
 from filters.gaussian import Gaussian
 from filters.moments import Model
 from filters.sigma_points import SigmaPointRule, cubature, scaled_unscented
-from nodes.messages import Array
 from papers.adlukf import adaptive_filters as adaptive
 from papers.adlukf import dual_layer, fuzzy_noise
 from papers.adlukf import sage_husa_as_printed as sage_husa_literal
@@ -29,8 +28,8 @@ class Task(NamedTuple):
 
     transition: Model
     measure: Model
-    measurement: Array
-    process_noise_cov: Array
+    measurement: np.ndarray
+    process_noise_cov: np.ndarray
 
 
 class Contestant(NamedTuple):
@@ -38,7 +37,7 @@ class Contestant(NamedTuple):
 
     name: str
     what: str
-    begin: Callable[[Array, Array], Memory]
+    begin: Callable[[np.ndarray, np.ndarray], Memory]
     step: Callable[[Gaussian, Memory, Task], tuple[Gaussian, Memory]]
 
 
@@ -112,19 +111,19 @@ def _dual_printed(
     return step
 
 
-def _noise_cov(_: Array, variances: Array) -> Array:
+def _noise_cov(_: np.ndarray, variances: np.ndarray) -> np.ndarray:
     return variances[..., None] * np.eye(variances.shape[-1])
 
 
-def _sage_husa(_: Array, variances: Array) -> Memory:
+def _sage_husa(_: np.ndarray, variances: np.ndarray) -> Memory:
     return sage_husa.begin(variances)
 
 
-def _fuzzy_noise(_: Array, variances: Array) -> Memory:
+def _fuzzy_noise(_: np.ndarray, variances: np.ndarray) -> Memory:
     return fuzzy_noise.begin(variances)
 
 
-def _statistics(process_noise_cov: Array, variances: Array) -> Memory:
+def _statistics(process_noise_cov: np.ndarray, variances: np.ndarray) -> Memory:
     return sage_husa_literal.begin(np.diagonal(process_noise_cov, axis1=-2, axis2=-1), variances)
 
 

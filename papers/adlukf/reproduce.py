@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.progress import progress
-from nodes.messages import Array
 from papers.adlukf import sections, verdict
 from papers.adlukf.claims import claims, errata, gather
 from papers.adlukf.consistency import average_nees, matched_study
@@ -55,8 +54,8 @@ class Outcome(NamedTuple):
     """
 
     results: Results
-    traces: dict[str, Array]
-    errors: dict[str, Array]
+    traces: dict[str, np.ndarray]
+    errors: dict[str, np.ndarray]
     failed_lanes: dict[str, int]
     ukf_minus_ckf: dict[str, float]
 
@@ -98,7 +97,7 @@ def _sections(folder: Path, seed: int, seeds: int) -> Iterator[Section]:
     yield _figures(study, outcome, folder)
     logged = log_drives(folder, seed)
     traces = []
-    of_models: dict[str, dict[str, Array]] = {}
+    of_models: dict[str, dict[str, np.ndarray]] = {}
     for name in DRIVEN:
         drive, guess = logged.drives[name]
         of_models[name] = {
@@ -119,7 +118,7 @@ def _sections(folder: Path, seed: int, seeds: int) -> Iterator[Section]:
 def _run(study: Study) -> Outcome:
     scores, traces, errors, failed = {}, {}, {}, {}
     truth = quantities(study.truth)
-    means: dict[str, Array] = {}
+    means: dict[str, np.ndarray] = {}
     with progress("adlukf", len(CONTESTANTS)) as on_step:
         for number, (name, contestant) in enumerate(CONTESTANTS.items(), start=1):
             mean = estimate(study, contestant).mean
@@ -135,7 +134,7 @@ def _run(study: Study) -> Outcome:
     return Outcome(scores, traces, errors, failed, difference)
 
 
-def _signal_sd(outcome: Outcome, name: str) -> Array:
+def _signal_sd(outcome: Outcome, name: str) -> np.ndarray:
     """Standard deviation over time (manoeuvres, 4) of what a filter estimates, first seed."""
     return outcome.traces[name][1:, :, case_index("true R")].std(axis=0)
 

@@ -5,7 +5,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from experiments.monte_carlo.intervals import mean_t
-from nodes.messages import Array
 from papers.adlukf import tables
 from papers.adlukf.claims import MANOEUVRES
 from papers.adlukf.cost import Cost
@@ -113,13 +112,13 @@ def other_noise(results: Results) -> Section:
     return Section(50, "Every filter in every case", "\n\n".join(parts))
 
 
-def spread(results: Results, signal_sd: Mapping[str, Array]) -> Section:
+def spread(results: Results, signal_sd: Mapping[str, np.ndarray]) -> Section:
     """Table 4."""
     text = tables.table_4(results, dict(signal_sd), MANOEUVRES)
     return Section(60, "Table 4: standard deviations", text, shown=True)
 
 
-def consistency(nees: Mapping[str, Array]) -> Section:
+def consistency(nees: Mapping[str, np.ndarray]) -> Section:
     """Return the section on consistency: the average NEES of each filter."""
     rows = [[name, tables.with_interval(values)] for name, values in nees.items()]
     seeds = len(nees["UKF"])

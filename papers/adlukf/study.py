@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 
 from filters.gaussian import Gaussian
-from nodes.messages import Array
 from papers.adlukf.filters import Contestant, Task
 from plants.vehicle.drive import Drive
 from plants.vehicle.model import SingleTrack, linear_tyre, single_track
@@ -76,11 +75,11 @@ class Study(NamedTuple):
 
     model: SingleTrack
     cases: tuple[Case, ...]
-    controls: Array
-    measurements: Array
-    believed: Array
-    start: Array
-    truth: Array
+    controls: np.ndarray
+    measurements: np.ndarray
+    believed: np.ndarray
+    start: np.ndarray
+    truth: np.ndarray
 
     @property
     def seeds(self) -> int:
@@ -129,7 +128,7 @@ def _stream(seed: int, drive: int, purpose: str) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(drive, number)))
 
 
-def _measured(drive: Drive, case: Case, stream: partial, seeds: int) -> Array:
+def _measured(drive: Drive, case: Case, stream: partial, seeds: int) -> np.ndarray:
     """Readings (steps, seeds, 3); the same normals in every case."""
     exact = np.stack(
         [drive.lateral_acceleration_m_s2, drive.yaw_rate_rad_s, drive.speed_m_s], axis=-1
@@ -177,19 +176,19 @@ UNITS = ("m/s", "m/s", "deg", "deg/s")
 class Scores(NamedTuple):
     """Errors from the second step on, by `STATES` in `UNITS`: (manoeuvres, cases, seeds, 4)."""
 
-    mae: Array
-    rmse: Array
-    sd: Array
+    mae: np.ndarray
+    rmse: np.ndarray
+    sd: np.ndarray
 
 
-def quantities(states: Array) -> Array:
+def quantities(states: np.ndarray) -> np.ndarray:
     """v_x, v_y, side slip and yaw rate (..., 4) of states (..., 3), in `UNITS`."""
     yaw_rate, side_slip, speed = (states[..., i] for i in range(3))
     lateral = speed * np.tan(side_slip)
     return np.stack([speed, lateral, np.degrees(side_slip), np.degrees(yaw_rate)], axis=-1)
 
 
-def score(study: Study, means: Array) -> Scores:
+def score(study: Study, means: np.ndarray) -> Scores:
     """How good estimates (steps, manoeuvres, cases, seeds, 3) are."""
     errors = (quantities(means) - quantities(study.truth))[1:]
     return Scores(

@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from experiments.monte_carlo.intervals import mean_t
-from nodes.messages import Array
 from papers.adlukf.filters import CONTESTANTS
 from papers.adlukf.study import CASES, STATES, UNITS, Scores
 from papers.kit.report import markdown_table
@@ -48,7 +47,7 @@ def state_index(name: str) -> int:
     return STATES.index(name)
 
 
-def with_interval(values: Array) -> str:
+def with_interval(values: np.ndarray) -> str:
     """Mean ± half width, both to the first digit of the half width, or two if it is a 1."""
     mean, low, high = mean_t(values)
     half = (high - low) / 2
@@ -83,13 +82,13 @@ def against_ckf_table(results: Results, manoeuvre: int, filters: Sequence[str]) 
     return markdown_table(["RMSE against the CKF, %", *STATES], rows)
 
 
-def _signed(values: Array) -> str:
+def _signed(values: np.ndarray) -> str:
     mean, low, high = mean_t(values)
     half = (high - low) / 2
     return f"{mean:+.1f} ± {half:.1f}" if np.isfinite(half) else f"{mean:+.1f}"
 
 
-def per_state(rows: Mapping[str, Array], what: str, manoeuvres: Sequence[str]) -> str:
+def per_state(rows: Mapping[str, np.ndarray], what: str, manoeuvres: Sequence[str]) -> str:
     """A row for each of `rows`, factors (manoeuvres, 3) of the `JUDGED` states, to two places."""
     head = [f"{what} ({' / '.join(manoeuvres)})", *JUDGED]
     cells = {
@@ -145,11 +144,11 @@ def ratio(results: Results, name: str, manoeuvre: int, state: str) -> float:
     return float(np.sqrt((high**2).mean() / (low**2).mean()))
 
 
-def _rmse(results: Results, name: str, manoeuvre: int, case: str, state: str) -> Array:
+def _rmse(results: Results, name: str, manoeuvre: int, case: str, state: str) -> np.ndarray:
     return results[name].rmse[manoeuvre, case_index(case), :, state_index(state)]
 
 
-def table_4(results: Results, signal_sd: dict[str, Array], manoeuvres: Sequence[str]) -> str:
+def table_4(results: Results, signal_sd: dict[str, np.ndarray], manoeuvres: Sequence[str]) -> str:
     """The paper's SD beside that of the errors and that of the estimated signals themselves.
 
     `signal_sd` by filter: (manoeuvres, 4).

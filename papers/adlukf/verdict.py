@@ -2,7 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 
-from nodes.messages import Array
+import numpy as np
+
 from papers.adlukf import tables
 from papers.adlukf.claims import MANOEUVRES
 from papers.adlukf.drives import (
@@ -22,7 +23,7 @@ from plants.vehicle.tyre_identification import Identified
 
 def in_plain_words(
     results: Results,
-    nees: Mapping[str, Array],
+    nees: Mapping[str, np.ndarray],
     ukf_minus_ckf: Mapping[str, float],
     others: Sequence[Elsewhere],
 ) -> Section:
@@ -139,7 +140,7 @@ def better_model(results: Results, improved: Results, identified: Identified) ->
 
 
 def logged_drives(
-    logged: Logged, of_models: Mapping[str, Mapping[str, Array]], traces: Mapping[str, Trace]
+    logged: Logged, of_models: Mapping[str, Mapping[str, np.ndarray]], traces: Mapping[str, Trace]
 ) -> Section:
     """Figure 9, and what identification found."""
     head = ["RMSE of the side slip [°], CKF", *MANOEUVRES]

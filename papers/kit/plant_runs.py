@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from msgspec.structs import replace
 
-from nodes.messages import Array
 from scenarios.catalogue import kind_of
 from scenarios.scenario import Scenario
 from scenarios.streams import generator
@@ -20,11 +19,11 @@ class PlantRuns(NamedTuple):
     (steps, R, p), each acting until the next step, or None; prior_mean: (R, n); prior_cov: (n, n).
     """
 
-    truth: Array
-    readings: Array
-    controls: Array | None
-    prior_mean: Array
-    prior_cov: Array
+    truth: np.ndarray
+    readings: np.ndarray
+    controls: np.ndarray | None
+    prior_mean: np.ndarray
+    prior_cov: np.ndarray
 
 
 def plant_runs(scenario: Scenario, numbers: Sequence[int]) -> PlantRuns:

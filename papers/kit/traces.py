@@ -3,16 +3,17 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from experiments.results.netcdf_file import write_dataset
-from nodes.messages import Array
 
 TRACES = "traces.nc"
 
 
 def write_traces(
     folder: Path,
-    variables: Mapping[str, tuple[Sequence[str], Array]],
-    coordinates: Mapping[str, Sequence[str] | Array],
+    variables: Mapping[str, tuple[Sequence[str], np.ndarray]],
+    coordinates: Mapping[str, Sequence[str] | np.ndarray],
     units: Mapping[str, str] | None = None,
 ) -> None:
     """Write the variables, each with the names of its axes, to `traces.nc` in the folder.

@@ -16,7 +16,7 @@ from filters.gaussian import Gaussian
 from filters.metrics import nees
 from nodes.faults.losses import Outage
 from nodes.lanes.links import links_of
-from nodes.messages import Array, Measured
+from nodes.messages import Measured
 from nodes.node import NodeConfig
 from nodes.rules.labelled import Content, LabelledFlooding
 from runtime import in_process
@@ -61,9 +61,9 @@ class CaseOutcome(NamedTuple):
     many there were, and how many of them the nodes refused.
     """
 
-    squared: Array
-    consistency: Array
-    squared_centralised: Array
+    squared: np.ndarray
+    consistency: np.ndarray
+    squared_centralised: np.ndarray
     said_bytes: float
     wrong: int
     wrong_refused: int
@@ -88,8 +88,8 @@ class Course(NamedTuple):
     `kept` and `wrong` (steps, N) mark readings. The bytes sent are (steps,).
     """
 
-    truth: Array
-    readings: Array
+    truth: np.ndarray
+    readings: np.ndarray
     belief: Gaussian
     kept: np.ndarray
     wrong: np.ndarray
@@ -205,7 +205,9 @@ def _lost_in_cut(setup: Setup, runs: int, step: int, cycle: int) -> np.ndarray:
     return np.broadcast_to(cut.astype(np.int64), (runs, len(cut)))
 
 
-def _spoiled(noise: Array, share: float, own: Sequence[Setup]) -> tuple[Array, np.ndarray]:
+def _spoiled(
+    noise: np.ndarray, share: float, own: Sequence[Setup]
+) -> tuple[np.ndarray, np.ndarray]:
     """Noise (steps, R, N, r, d) of these runs with this share of it wrong, and which (R, steps, N)
     that is."""
     spoiled, wrong = noise.copy(), []

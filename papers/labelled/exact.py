@@ -10,7 +10,6 @@ from experiments.results.trace import read_trace
 from experiments.scenario_options import scenario_of
 from filters.gaussian import Gaussian
 from nodes.faults.losses import LinkState, hears
-from nodes.messages import Array
 from nodes.rules.labelled import Content, LabelledFlooding
 from papers.labelled.record_search import Held, reachable, winners_of
 from runtime import in_process
@@ -115,13 +114,13 @@ def _counted_once(options: dict[str, Any], links: LinkState) -> float:
     )
 
 
-def _given(setup: Setup, readings: Array, control: Array | None) -> Gaussian:
+def _given(setup: Setup, readings: np.ndarray, control: np.ndarray | None) -> Gaussian:
     """The last belief (1, n) of the filter that has these readings."""
     best = centralised(setup, readings, control)
     return Gaussian(best.mean[-1:], best.cov[-1:])
 
 
-def _only(readings: Array, labels: set[tuple[int, int]]) -> Array:
+def _only(readings: np.ndarray, labels: set[tuple[int, int]]) -> np.ndarray:
     kept = np.full_like(readings, np.nan)
     for step, source in labels:
         kept[step, source] = readings[step, source]

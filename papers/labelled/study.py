@@ -18,7 +18,6 @@ from experiments.results.record_spread import figures_of
 from experiments.scenario_options import scenario_of
 from filters.gaussian import Gaussian
 from filters.metrics import nees
-from nodes.messages import Array
 from scenarios.baselines import centralised_of_runs
 from scenarios.build import build_bus
 from scenarios.catalogue import kind_of
@@ -74,7 +73,7 @@ class Outcome(NamedTuple):
 
     squared: float
     squared_centralised: float
-    consistency: Array
+    consistency: np.ndarray
     consistency_centralised: float
     said_bytes: float
     wire_bytes: float
@@ -175,7 +174,7 @@ def cell(outcomes: Sequence[Outcome]) -> Cell:
     )
 
 
-def _scored(setup: Setup, truth: Array, belief: Gaussian) -> tuple[Array, Array]:
+def _scored(setup: Setup, truth: np.ndarray, belief: Gaussian) -> tuple[np.ndarray, np.ndarray]:
     """Mean squared error and mean NEES over dimension of each node (R, N) of beliefs (R, steps, N,
     n), against the truth (R, steps, n)."""
     score = kind_of(setup.scenario.name).score
@@ -187,7 +186,7 @@ def _scored(setup: Setup, truth: Array, belief: Gaussian) -> tuple[Array, Array]
     return squared.mean(1), values.mean(1) / len(states)
 
 
-def jackknife(squared: Array) -> tuple[float, float]:
+def jackknife(squared: np.ndarray) -> tuple[float, float]:
     """Ratio of the RMSE over runs (R, 2), and half the width of its interval.
 
     Source: Efron (1982), The jackknife, the bootstrap and other resampling plans, chapter 3.

@@ -5,7 +5,6 @@ from typing import NamedTuple
 import numpy as np
 
 from filters.sets.ellipsoid import Ellipsoid
-from nodes.messages import Array
 from papers.kit.claims import Claim, Erratum, needs
 from papers.liu2021.mutants import Mutant
 from papers.liu2021.runs import Batch, Outcome
@@ -47,7 +46,7 @@ class Evidence(NamedTuple):
 
 
 def gather(
-    batch: Batch, paper: Outcome, gains: Array, flipped: Mutant, wrong_rule: Mutant
+    batch: Batch, paper: Outcome, gains: np.ndarray, flipped: Mutant, wrong_rule: Mutant
 ) -> Evidence:
     """Everything the claims need."""
     kept = paper.sets[0]

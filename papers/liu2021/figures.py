@@ -5,7 +5,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from filters.sets.ellipsoid import Ellipsoid, image, outline
-from nodes.messages import Array
 from papers.kit.figures import one_axes
 from papers.liu2021.runs import Batch, G, N, Outcome
 
@@ -36,7 +35,7 @@ def figures(batch: Batch, outcomes: dict[str, Outcome]) -> dict[str, Figure]:
     return drawn
 
 
-def blocks(outcome: Outcome) -> tuple[Array, Array]:
+def blocks(outcome: Outcome) -> tuple[np.ndarray, np.ndarray]:
     """Estimates and half-widths (steps, n) of the paper's sequence in every step of the plant.
 
     An estimator that works by the cycle says after it what was in each of its steps.
@@ -135,7 +134,7 @@ def _sets(batch: Batch, paper: Outcome, tight: Outcome, fast_rate: Outcome) -> F
     return figure
 
 
-def _first(kept: object, matrix: Array) -> Ellipsoid:
+def _first(kept: object, matrix: np.ndarray) -> Ellipsoid:
     """The paper's sequence, and of its set what the matrix picks."""
     assert isinstance(kept, Ellipsoid), "zonotopes have no outline here"
     return image(Ellipsoid(kept.centre[0], kept.factor[0]), matrix)

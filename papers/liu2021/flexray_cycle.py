@@ -18,10 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plants.bounded import BoundedSystem
-from plants.draws import Array
 
-Weights = Callable[[int], Array]
-Select = Callable[[Array, Array, Array], NDArray[np.int_]]
+Weights = Callable[[int], np.ndarray]
+Select = Callable[[np.ndarray, np.ndarray, np.ndarray], NDArray[np.int_]]
 
 
 class Received(NamedTuple):
@@ -33,8 +32,8 @@ class Received(NamedTuple):
         winner: (..., cycles), which of the contending outputs was sent, 0..m-l-1.
     """
 
-    values: Array
-    held: Array
+    values: np.ndarray
+    held: np.ndarray
     winner: NDArray[np.int_]
 
 
@@ -45,11 +44,11 @@ class LiftedCycle(NamedTuple):
     outputs (m, n): each output in the step in which it would be sent. weights (m - l,): of (5).
     """
 
-    states: Array
-    states_noise: Array
-    outputs: Array
-    outputs_noise: Array
-    weights: Array
+    states: np.ndarray
+    states_noise: np.ndarray
+    outputs: np.ndarray
+    outputs_noise: np.ndarray
+    weights: np.ndarray
 
 
 class AugmentedCycle(NamedTuple):
@@ -60,23 +59,23 @@ class AugmentedCycle(NamedTuple):
     candidates (m - l, N) and candidates_noise: change of each contending output since it was sent.
     """
 
-    transition: Array
-    noise: Array
-    output: Array
-    output_noise: Array
-    candidates: Array
-    candidates_noise: Array
-    weights: Array
+    transition: np.ndarray
+    noise: np.ndarray
+    output: np.ndarray
+    output_noise: np.ndarray
+    candidates: np.ndarray
+    candidates_noise: np.ndarray
+    weights: np.ndarray
     winner: NDArray[np.int_]
 
 
-def largest_change(values: Array, held: Array, weights: Array) -> NDArray[np.int_]:
+def largest_change(values: np.ndarray, held: np.ndarray, weights: np.ndarray) -> NDArray[np.int_]:
     """The winner (...) by (5): the largest weighted squared change, the first among equals."""
     return np.argmax(weights * (values - held) ** 2, axis=-1)
 
 
 def transmit(
-    outputs: Array, static_outputs: int, weights: Weights, select: Select = largest_change
+    outputs: np.ndarray, static_outputs: int, weights: Weights, select: Select = largest_change
 ) -> Received:
     """Send outputs (..., cycles (l + 1), m) over the bus; what is held begins at zero.
 

@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nodes.messages import Array
 from papers.liu2021.recursive_estimator import optimal_step
 from papers.liu2021.runs import Batch, Outcome, by_cycle, paper, simulate
 
@@ -35,7 +34,7 @@ def mutant_of_rule(seed: int, sequences: int, cycles: int) -> Mutant:
     return _mutant(paper(simulate(seed, sequences, cycles, _largest_value)))
 
 
-def _largest_value(values: Array, held: Array, weights: Array) -> np.ndarray:
+def _largest_value(values: np.ndarray, held: np.ndarray, weights: np.ndarray) -> np.ndarray:
     return np.argmax(weights * values**2, axis=-1)
 
 

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from nodes.messages import Array
 from papers.kit.checks import Check, above, at_most, near
 from papers.kit.figures import save_all
 from papers.kit.report import Paper, Section, markdown_table
@@ -56,7 +55,7 @@ PAPER = Paper(
 
 
 def _write(folder: Path, batch: Batch, outcomes: dict[str, Outcome]) -> None:
-    variables: dict[str, tuple[tuple[str, ...], Array]] = {
+    variables: dict[str, tuple[tuple[str, ...], np.ndarray]] = {
         "state": (("sequence", "step", "x"), batch.states)
     }
     for name, one in outcomes.items():
@@ -83,7 +82,7 @@ same reasons. Many entries below 0.0007 are printed as 0.0000.
 """
 
 
-def _tables(gains: Array, batch: Batch) -> Section:
+def _tables(gains: np.ndarray, batch: Batch) -> Section:
     apart = [difference(ours, printed) for ours, printed in zip(gains, PUBLISHED, strict=True)]
     rows = [
         (f"Table {numeral}", f"{one.largest:.2g}", f"{one.relative:.2%}")
@@ -105,7 +104,7 @@ def _tables(gains: Array, batch: Batch) -> Section:
     return Section(4, "Tables I to III", text, checks, data={"gains": gains.tolist()})
 
 
-def _beside(ours: Array, printed: Array) -> str:
+def _beside(ours: np.ndarray, printed: np.ndarray) -> str:
     rows = [
         (str(row + 1), *(f"{a:.4f} ({b:.4f})" for a, b in zip(*pair, strict=True)))
         for row, pair in enumerate(zip(ours, printed, strict=True))

@@ -14,7 +14,6 @@ from filters.sets.ellipsoid import (
     squared_radius,
 )
 from filters.sets.zonotope import Zonotope
-from nodes.messages import Array
 from papers.liu2021.bus import MeasuredPlant, augmented, cycle_evidence, step_evidence
 from papers.liu2021.closed_form import closed_form_step
 from papers.liu2021.cycle import Cycle, Step
@@ -39,7 +38,7 @@ FAMILIES = ("uniform", "random ends", "square wave", "sinusoid")
 class Batch(NamedTuple):
     """Sequences: states (R, steps + 1, n) and what the bus delivered; the first is the paper's."""
 
-    states: Array
+    states: np.ndarray
     received: Received
 
     @property
@@ -52,7 +51,7 @@ class Batch(NamedTuple):
         """How many communication cycles."""
         return self.received.values.shape[-2]
 
-    def block(self, cycle: int) -> Array:
+    def block(self, cycle: int) -> np.ndarray:
         """States (R, g n) in the g steps of a cycle, those that the paper's estimate is of."""
         steps = self.states[:, cycle * G + 1 : (cycle + 1) * G + 1]
         return steps.reshape(self.sequences, -1)
@@ -71,10 +70,10 @@ class Outcome(NamedTuple):
     """
 
     steps: np.ndarray
-    radius: Array
-    trace: Array
-    centre: Array
-    half_widths: Array
+    radius: np.ndarray
+    trace: np.ndarray
+    centre: np.ndarray
+    half_widths: np.ndarray
     sets: list[Ellipsoid] | list[Zonotope]
 
     @property
@@ -99,20 +98,20 @@ def simulate(seed: int, sequences: int, cycles: int, select: Select = largest_ch
     return Batch(states, transmit(outputs, liu2021.STATIC_OUTPUTS, liu2021.weights, select))
 
 
-def _uniform(rng: np.random.Generator, steps: int) -> Array:
+def _uniform(rng: np.random.Generator, steps: int) -> np.ndarray:
     return rng.uniform(-1.0, 1.0, steps)
 
 
-def _ends(rng: np.random.Generator, steps: int) -> Array:
+def _ends(rng: np.random.Generator, steps: int) -> np.ndarray:
     return rng.choice([-1.0, 1.0], steps)
 
 
-def _square(rng: np.random.Generator, steps: int) -> Array:
+def _square(rng: np.random.Generator, steps: int) -> np.ndarray:
     half_period, phase = rng.integers(1, 8), rng.integers(0, 8)
     return np.where((np.arange(steps) + phase) // half_period % 2, 1.0, -1.0)
 
 
-def _sinusoid(rng: np.random.Generator, steps: int) -> Array:
+def _sinusoid(rng: np.random.Generator, steps: int) -> np.ndarray:
     return np.sin(rng.uniform(0.05, np.pi) * np.arange(steps) + rng.uniform(0.0, 2.0 * np.pi))
 
 
@@ -121,7 +120,7 @@ _NOISES = (_uniform, _ends, _square, _sinusoid)
 
 # --- the estimators ------------------------------------------------------------------------------
 
-CycleStep = Callable[[Ellipsoid, Cycle, Array], Step]
+CycleStep = Callable[[Ellipsoid, Cycle, np.ndarray], Step]
 
 
 def by_cycle(
@@ -201,12 +200,12 @@ ESTIMATORS: dict[str, Callable[[Batch], Outcome]] = {
 }
 
 
-def _identity(lanes: int, size: int) -> Array:
+def _identity(lanes: int, size: int) -> np.ndarray:
     return np.broadcast_to(np.eye(size), (lanes, size, size))
 
 
 def _of_ellipsoids(
-    sets: list[Ellipsoid], truths: list[Array], last: slice, per_cycle: bool
+    sets: list[Ellipsoid], truths: list[np.ndarray], last: slice, per_cycle: bool
 ) -> Outcome:
     shapes = np.array([shape_matrix(one) for one in sets])
     spacing = G if per_cycle else 1
@@ -220,7 +219,7 @@ def _of_ellipsoids(
     )
 
 
-def _gauges(sets: Zonotope, points: Array) -> Array:
+def _gauges(sets: Zonotope, points: np.ndarray) -> np.ndarray:
     """Gauge (R,): the least-norm coefficients where they prove the point inside, else exactly."""
     offset = points - sets.centre
     shortest = (np.linalg.pinv(sets.generators) @ offset[..., None])[..., 0]

@@ -11,7 +11,6 @@ import numpy as np
 
 from filters.lanes import join_columns
 from filters.sets.ellipsoid import Ellipsoid, squared
-from nodes.messages import Array
 from papers.liu2021.bus import augmented
 from papers.liu2021.flexray_cycle import transmit
 from papers.liu2021.recursive_estimator import optimal_step
@@ -82,7 +81,7 @@ class Difference(NamedTuple):
     relative: float
 
 
-def gains_of_tables() -> Array:
+def gains_of_tables() -> np.ndarray:
     """L(t_0), L(t_1), L(t_2) (3, 14, 4) on the paper's noise, with output 4 winning each time."""
     cycles, size = len(PUBLISHED), G * N + HELD
     _, outputs = liu2021.SYSTEM.simulate(liu2021.INITIAL_STATE, liu2021.printed_noise(cycles * G))
@@ -102,7 +101,7 @@ def gains_of_tables() -> Array:
     return np.array(gains)
 
 
-def difference(ours: Array, printed: Array) -> Difference:
+def difference(ours: np.ndarray, printed: np.ndarray) -> Difference:
     """Of two gains (14, 4)."""
     apart = ours - printed
     norms = np.linalg.norm(apart) / np.linalg.norm(printed)

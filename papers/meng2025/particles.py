@@ -4,7 +4,6 @@ import numpy as np
 
 from bus.schedule import Schedule
 from filters.particle import Particles, cov, mean, resample
-from nodes.messages import Array
 from papers.meng2025.runs import Batch, Outcome, transmit
 from plants import meng2025
 from scenarios.definitions.meng2025 import KIND, SYSTEM
@@ -31,8 +30,8 @@ def track(batch: Batch, schedule: Schedule, particles: int = PARTICLES) -> Outco
 
 
 def _track(
-    seed: int, runs: np.ndarray, received: Array, fresh: np.ndarray, particles: int
-) -> tuple[Array, Array]:
+    seed: int, runs: np.ndarray, received: np.ndarray, fresh: np.ndarray, particles: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Means (S + 1, R, n) and covariances of some runs."""
     n, numbers = meng2025.STATES, meng2025.STATES + SYSTEM.process(0).numbers
     streams = [
@@ -53,7 +52,9 @@ def _track(
     return np.stack(means), np.stack(covs)
 
 
-def log_likelihood(states: Array, values: Array, sent: np.ndarray, step: int) -> Array:
+def log_likelihood(
+    states: np.ndarray, values: np.ndarray, sent: np.ndarray, step: int
+) -> np.ndarray:
     """Of states (R, P, n), up to a constant, given values (R, m) of which `sent` (R, m) came."""
     assert (sent.sum(axis=-1) == 1).all(), "entries that come together are correlated"
     chosen = sent.argmax(axis=-1)[:, None]

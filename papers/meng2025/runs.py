@@ -20,7 +20,6 @@ from bus.measurement_bus import (
 from bus.schedule import Schedule
 from filters.gaussian import Gaussian
 from filters.stochastic_ukf import RECOMMENDED, MeasurementFilter, Received
-from nodes.messages import Array
 from papers.kit.plant_runs import plant_runs
 from papers.meng2025.filter_as_printed import (
     PAPER_LITERAL,
@@ -42,8 +41,8 @@ class Batch(NamedTuple):
     """Truth (S + 1, R, n) and what all sensors measure (S + 1, R, m), NaN at step 0."""
 
     seed: int
-    truth: Array
-    measurement: Array
+    truth: np.ndarray
+    measurement: np.ndarray
 
     @property
     def runs(self) -> int:
@@ -54,8 +53,8 @@ class Batch(NamedTuple):
 class Outcome(NamedTuple):
     """Results of an estimator: mean (S + 1, R, n), cov, and the sensors that sent (S, R, N)."""
 
-    mean: Array
-    cov: Array
+    mean: np.ndarray
+    cov: np.ndarray
     sent: np.ndarray
 
 
@@ -139,7 +138,7 @@ def ranks_of_printed_cov(batch: Batch) -> np.ndarray:
     """Rank (S, R) of Pyy of (19) in the printed algorithm, zero as the pseudo-inverse has it."""
     ranks: list[np.ndarray] = []
 
-    def watch(matrix: Array) -> Array:
+    def watch(matrix: np.ndarray) -> np.ndarray:
         ranks.append(np.linalg.matrix_rank(matrix, hermitian=True, rtol=1e-10))
         return pseudo_inverse(matrix)
 

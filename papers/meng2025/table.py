@@ -6,7 +6,6 @@ from scipy import stats
 
 from experiments.monte_carlo.intervals import Interval, mean_t
 from filters.metrics import nees
-from nodes.messages import Array
 from papers.meng2025.runs import Batch, Outcome
 
 ELLIPSE = 0.95
@@ -64,12 +63,12 @@ def row(name: str, label: str, batch: Batch, outcome: Outcome, reference: Outcom
     )
 
 
-def mse_by_step(batch: Batch, outcome: Outcome) -> Array:
+def mse_by_step(batch: Batch, outcome: Outcome) -> np.ndarray:
     """Mean square error (S + 1,) over runs, of the whole state."""
     return ((outcome.mean - batch.truth) ** 2).sum(axis=-1).mean(axis=1)
 
 
-def trace_by_step(outcome: Outcome) -> Array:
+def trace_by_step(outcome: Outcome) -> np.ndarray:
     """tr P (S + 1,), averaged over runs."""
     return np.trace(outcome.cov, axis1=-2, axis2=-1).mean(axis=1)
 
@@ -82,7 +81,7 @@ def difference(batch: Batch, outcome: Outcome, reference: Outcome) -> Interval:
     return mean_t(ours - theirs)
 
 
-def _diverged(errors: Array) -> np.ndarray:
+def _diverged(errors: np.ndarray) -> np.ndarray:
     """Which runs (R,) of errors (S, R, n) went astray."""
     return np.logical_not((np.abs(errors) <= DIVERGED).all(axis=(0, 2)))
 

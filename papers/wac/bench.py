@@ -10,7 +10,6 @@ import numpy as np
 
 from filters.gaussian import Gaussian
 from filters.metrics import nees
-from nodes.messages import Array
 from nodes.rules.belief_consensus import HoldPolicy
 from papers.wac.lanes import averaging_of, centralised, estimate, wire
 from papers.wac.runs import Runs, simulate
@@ -53,10 +52,10 @@ class Bench(NamedTuple):
     """
 
     study: Study
-    weights: Array
+    weights: np.ndarray
     runs: Runs
-    scale: Array
-    central_squared: Array
+    scale: np.ndarray
+    central_squared: np.ndarray
     central_rmse: float
     central_anees: float
 
@@ -95,7 +94,7 @@ def attempt(
     return _score(bench, belief)
 
 
-def bootstrap(squared: Array, reference: Array) -> tuple[float, float]:
+def bootstrap(squared: np.ndarray, reference: np.ndarray) -> tuple[float, float]:
     """The 95 % interval of the root of mean(squared) / mean(reference), both (runs,) and paired."""
     generator = np.random.default_rng(0)
     chosen = generator.integers(len(squared), size=(RESAMPLES, len(squared)))
@@ -104,7 +103,7 @@ def bootstrap(squared: Array, reference: Array) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _scale(study: Study, central: Gaussian) -> Array:
+def _scale(study: Study, central: Gaussian) -> np.ndarray:
     n = central.mean.shape[-1]
     if study.position_only:
         scored = kind_of(study.scenario.name).score.states

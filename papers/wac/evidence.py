@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nodes.messages import Array
 from papers.wac.exact import Exact
 from papers.wac.loops import Loops
 from papers.wac.responses import OUTPUT, Trial, rmse
@@ -188,8 +187,8 @@ def _filter() -> dict:
 
 
 def _steady_gain(
-    transition: Array, row: Array, noise_cov: Array, variance: float
-) -> tuple[Array, Array]:
+    transition: np.ndarray, row: np.ndarray, noise_cov: np.ndarray, variance: float
+) -> tuple[np.ndarray, np.ndarray]:
     """The gain (n, 1) of the filter that believes these, settled, and its predicted covariance."""
     from scipy.linalg import solve_discrete_are
 

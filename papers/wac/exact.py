@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.progress import progress
-from nodes.messages import Array
 from papers.kit.checks import Check, above, at_most, near
 from papers.wac.exact_covariance import figures_of, network_of, over_nodes, propagate
 from papers.wac.exact_rules import RULES
@@ -56,19 +55,19 @@ class Exact(NamedTuple):
     alone: per plant, (4,) without any fusion. slem: per graph.
     """
 
-    after: dict[str, dict[str, Array]]
-    settled_bus: dict[str, Array]
-    worst: dict[str, dict[str, Array]]
-    alone: dict[str, Array]
+    after: dict[str, dict[str, np.ndarray]]
+    settled_bus: dict[str, np.ndarray]
+    worst: dict[str, dict[str, np.ndarray]]
+    alone: dict[str, np.ndarray]
     slem: dict[str, float]
 
 
-def weights_of(graph: str) -> Array:
+def weights_of(graph: str) -> np.ndarray:
     """Metropolis weights (8, 8) of one of GRAPHS."""
     return metropolis(build_graph(graph, NODES, GEOMETRIC_SEED)).toarray()
 
 
-def averagings(graphs: tuple[str, ...], rounds: tuple[int, ...]) -> Array:
+def averagings(graphs: tuple[str, ...], rounds: tuple[int, ...]) -> np.ndarray:
     """Powers of their weights (graphs, rounds, 8, 8)."""
     return np.array(
         [[np.linalg.matrix_power(weights_of(name), count) for count in rounds] for name in graphs]
@@ -96,7 +95,9 @@ def measure(plants: dict[str, Callable[[], LinearPlant]] = PLANTS) -> Exact:
     return Exact(after, settled, worst, alone, slem)
 
 
-def _last_and_worst(network, rule: str, averaging: Array, steps: int) -> tuple[Array, Array]:
+def _last_and_worst(
+    network, rule: str, averaging: np.ndarray, steps: int
+) -> tuple[np.ndarray, np.ndarray]:
     """The network's figures (..., 4) at the end, and the largest lambda_max (...) on the way."""
     worst = np.zeros(averaging.shape[:-2])
     figures = None
@@ -158,18 +159,18 @@ HALF_DIGIT = 0.005 + 1e-5  # of a figure with two decimals
 TWICE_ROUNDED = HALF_DIGIT + 5e-4
 
 
-def printed(line: str) -> Array:
+def printed(line: str) -> np.ndarray:
     """One printed line as (rules, 3)."""
     return np.array([[float(entry) for entry in cell.split("/")] for cell in line.split()])
 
 
-def ring_table(exact: Exact, plant: str) -> Array:
+def ring_table(exact: Exact, plant: str) -> np.ndarray:
     """Ours beside PRINTED_RING: (printed rounds, rules, 3)."""
     rows = [ROUNDS.index(count) for count in PRINTED_ROUNDS]
     return np.stack([exact.after[plant][rule][0][rows][:, RING_FIGURES] for rule in FUSED], axis=1)
 
 
-def graph_row(exact: Exact, graph: str) -> Array:
+def graph_row(exact: Exact, graph: str) -> np.ndarray:
     """Ours beside PRINTED_GRAPHS: (rules, 3)."""
     place = GRAPHS.index(graph)
     return np.stack([exact.after["position"][rule][place, 0, GRAPH_FIGURES] for rule in FUSED])

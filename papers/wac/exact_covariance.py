@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 
 from filters.linalg import cholesky, inverse_spd, symmetrise
-from nodes.messages import Array
 from papers.wac.exact_rules import Fusion, Rule
 from plants.linear import LinearPlant
 
@@ -24,10 +23,10 @@ class LinearNetwork(NamedTuple):
     (N, n, n), zero for a blind one; prior_cov: (n, n) of the one prior mean that all start from.
     """
 
-    transition_matrix: Array
-    noise_cov: Array
-    information: Array
-    prior_cov: Array
+    transition_matrix: np.ndarray
+    noise_cov: np.ndarray
+    information: np.ndarray
+    prior_cov: np.ndarray
 
 
 class Moments(NamedTuple):
@@ -37,9 +36,9 @@ class Moments(NamedTuple):
     central_cov: (n, n) of a filter that has all readings.
     """
 
-    reported: Array
-    errors: Array
-    central_cov: Array
+    reported: np.ndarray
+    errors: np.ndarray
+    central_cov: np.ndarray
 
 
 class ExactFigures(NamedTuple):
@@ -51,19 +50,19 @@ class ExactFigures(NamedTuple):
     disagreement: as relative_rmse, of the distance from the network's average.
     """
 
-    relative_rmse: Array
-    anees: Array
-    lambda_max: Array
-    disagreement: Array
+    relative_rmse: np.ndarray
+    anees: np.ndarray
+    lambda_max: np.ndarray
+    disagreement: np.ndarray
 
 
 class NetworkFigures(NamedTuple):
     """Over the nodes, (...): root mean square, mean, maximum and root mean square."""
 
-    relative_rmse: Array
-    anees: Array
-    lambda_max: Array
-    disagreement: Array
+    relative_rmse: np.ndarray
+    anees: np.ndarray
+    lambda_max: np.ndarray
+    disagreement: np.ndarray
 
 
 def network_of(plant: LinearPlant) -> LinearNetwork:
@@ -88,7 +87,7 @@ def network_of(plant: LinearPlant) -> LinearNetwork:
 
 
 def propagate(
-    network: LinearNetwork, rule: Rule, averaging: Array, steps: int
+    network: LinearNetwork, rule: Rule, averaging: np.ndarray, steps: int
 ) -> Iterator[Moments]:
     """The moments of each step.
 
@@ -141,7 +140,7 @@ def over_nodes(figures: ExactFigures) -> NetworkFigures:
     )
 
 
-def _fused_errors(fusion: Fusion, errors: Array, information: Array) -> Array:
+def _fused_errors(fusion: Fusion, errors: np.ndarray, information: np.ndarray) -> np.ndarray:
     """E[e e'] after the rounds from E[e e'] (..., N n, N n) of the predictions."""
     carried = _joined(fusion.error_gain)
     # Scores of different nodes are independent, each of covariance H' R^-1 H.
@@ -150,18 +149,18 @@ def _fused_errors(fusion: Fusion, errors: Array, information: Array) -> Array:
     return symmetrise(carried @ errors @ carried.mT + noise)
 
 
-def _joined(blocks: Array) -> Array:
+def _joined(blocks: np.ndarray) -> np.ndarray:
     """(..., N, N, n, n) blocks as one matrix (..., N n, N n)."""
     *lead, nodes, _, n, _ = blocks.shape
     return blocks.swapaxes(-3, -2).reshape(*lead, nodes * n, nodes * n)
 
 
-def _diagonal_blocks(matrix: Array, nodes: int) -> Array:
+def _diagonal_blocks(matrix: np.ndarray, nodes: int) -> np.ndarray:
     """The blocks (..., N, n, n) on the diagonal of a matrix (..., N n, N n)."""
     n = matrix.shape[-1] // nodes
     blocks = matrix.reshape(*matrix.shape[:-2], nodes, n, nodes, n)
     return np.stack([blocks[..., i, :, i, :] for i in range(nodes)], axis=-3)
 
 
-def _trace(matrix: Array) -> Array:
+def _trace(matrix: np.ndarray) -> np.ndarray:
     return np.trace(matrix, axis1=-2, axis2=-1)

@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 
 from filters.linalg import inverse_spd, symmetrise
-from nodes.messages import Array
 
 
 class Fusion(NamedTuple):
@@ -26,21 +25,21 @@ class Fusion(NamedTuple):
     predicted error and the score of node j in the error of node i.
     """
 
-    covs: Array
-    error_gain: Array
-    score_gain: Array
+    covs: np.ndarray
+    error_gain: np.ndarray
+    score_gain: np.ndarray
 
 
-Rule = Callable[[Array, Array, Array], Fusion]
+Rule = Callable[[np.ndarray, np.ndarray, np.ndarray], Fusion]
 
 
-def local(covs: Array, averaging: Array, information: Array) -> Fusion:
+def local(covs: np.ndarray, averaging: np.ndarray, information: np.ndarray) -> Fusion:
     """Every node by itself, whatever the weights."""
     alone = np.broadcast_to(np.eye(averaging.shape[-1]), averaging.shape)
     return _average_information(covs, alone, information, np.ones(averaging.shape[:-1]))
 
 
-def weighted_average(covs: Array, averaging: Array, information: Array) -> Fusion:
+def weighted_average(covs: np.ndarray, averaging: np.ndarray, information: np.ndarray) -> Fusion:
     """WAC: x = sum a_j x_j, P = sum a_j P_j (Widjiantoro et al., beta 3). Inverts no P."""
     n = covs.shape[-1]
     updated = symmetrise(np.linalg.solve(np.eye(n) + covs @ information, covs))
@@ -51,17 +50,19 @@ def weighted_average(covs: Array, averaging: Array, information: Array) -> Fusio
     )
 
 
-def covariance_intersection(covs: Array, averaging: Array, information: Array) -> Fusion:
+def covariance_intersection(
+    covs: np.ndarray, averaging: np.ndarray, information: np.ndarray
+) -> Fusion:
     """CI: P^-1 = sum a_j P_j^-1 and P^-1 x = sum a_j P_j^-1 x_j (Battistelli, Chisci 2014)."""
     return _average_information(covs, averaging, information, np.ones(averaging.shape[:-1]))
 
 
-def hcmci_safe(covs: Array, averaging: Array, information: Array) -> Fusion:
+def hcmci_safe(covs: np.ndarray, averaging: np.ndarray, information: np.ndarray) -> Fusion:
     """HCMCI: CI on predictions; novelties count g_i = 1 / max_j a_ij times their average."""
     return _average_information(covs, averaging, information, 1 / averaging.max(axis=-1))
 
 
-def icf(covs: Array, averaging: Array, information: Array) -> Fusion:
+def icf(covs: np.ndarray, averaging: np.ndarray, information: np.ndarray) -> Fusion:
     """ICF (Kamal et al. 2013), which is HCMCI with g = N, as if averages were complete."""
     nodes = averaging.shape[-1]
     return _average_information(
@@ -69,7 +70,7 @@ def icf(covs: Array, averaging: Array, information: Array) -> Fusion:
     )
 
 
-def centralised(covs: Array, averaging: Array, information: Array) -> Fusion:
+def centralised(covs: np.ndarray, averaging: np.ndarray, information: np.ndarray) -> Fusion:
     """Every node has all readings, whatever the weights."""
     nodes = averaging.shape[-1]
     return icf(covs, np.full(averaging.shape, 1 / nodes), information)
@@ -86,7 +87,7 @@ RULES: dict[str, Rule] = {
 
 
 def _average_information(
-    covs: Array, averaging: Array, information: Array, novelty_gain: Array
+    covs: np.ndarray, averaging: np.ndarray, information: np.ndarray, novelty_gain: np.ndarray
 ) -> Fusion:
     """P_i^-1 = sum_j a_ij (P_j^-1 + g_i W_j), and P_i^-1 e_i likewise; gains g (..., N)."""
     matrices = inverse_spd(covs)
@@ -100,7 +101,7 @@ def _average_information(
     )
 
 
-def _average(averaging: Array, matrices: Array) -> Array:
+def _average(averaging: np.ndarray, matrices: np.ndarray) -> np.ndarray:
     """sum_j a_ij M_j: (..., N, N), (..., N, n, n) -> (..., N, n, n)."""
     n = matrices.shape[-1]
     flat = matrices.reshape(*matrices.shape[:-2], n * n)
@@ -108,7 +109,7 @@ def _average(averaging: Array, matrices: Array) -> Array:
     return average.reshape(*average.shape[:-1], n, n)
 
 
-def _across(matrices: Array) -> Array:
+def _across(matrices: np.ndarray) -> np.ndarray:
     """Block (i, j) = M_j: (..., N, n, n) -> (..., N, N, n, n)."""
     *lead, nodes, n, _ = matrices.shape
     return np.broadcast_to(matrices[..., None, :, :, :], (*lead, nodes, nodes, n, n))

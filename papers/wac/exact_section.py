@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from nodes.messages import Array
 from papers.kit.report import Section, markdown_table
 from papers.wac.exact import (
     FUSED,
@@ -121,7 +120,7 @@ def _remarks(exact: Exact) -> str:
     )
 
 
-def _join(values: Array) -> str:
+def _join(values: np.ndarray) -> str:
     return "/".join(f"{value:.2f}" for value in values)
 
 

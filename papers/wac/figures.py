@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from nodes.messages import Array
 from papers.kit.figures import BLACK, BLUE, GREY, ORANGE, SKY, VERMILION, save
 from papers.wac.responses import OUTPUT, Trial
 
@@ -176,7 +175,7 @@ def _in_millimetres(trial: Trial) -> Trial:
     )
 
 
-def _thinned(times: Array) -> slice:
+def _thinned(times: np.ndarray) -> slice:
     """Every so many samples: more dots than MOST_DOTS would hide the lines."""
     return slice(None, None, max(1, len(times) // MOST_DOTS))
 

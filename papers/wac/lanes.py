@@ -25,7 +25,6 @@ from filters.linalg import symmetrise
 from filters.sigma_points import scaled_unscented
 from filters.ukf import predict, update
 from nodes.bids import BID_RESOLUTION, FIRST_BID
-from nodes.messages import Array
 from nodes.rules.belief_consensus import HoldPolicy
 from papers.wac.runs import Runs
 
@@ -36,8 +35,8 @@ class Averaging(NamedTuple):
     `holds` says that old numbers have a meaning, those of the belief that was then published.
     """
 
-    express: Callable[[Gaussian, Gaussian], Array]
-    conclude: Callable[[Array], Gaussian]
+    express: Callable[[Gaussian, Gaussian], np.ndarray]
+    conclude: Callable[[np.ndarray], Gaussian]
     holds: bool
 
 
@@ -49,7 +48,7 @@ class Wiring(NamedTuple):
     """
 
     heard: np.ndarray
-    weights: Array
+    weights: np.ndarray
     rounds: int
     schedule: Schedule
     policy: HoldPolicy
@@ -60,8 +59,8 @@ class _State(NamedTuple):
     then, `ages` (R, N) the cycles since, negative for never."""
 
     belief: Gaussian
-    numbers: Array
-    held: Array
+    numbers: np.ndarray
+    held: np.ndarray
     published: Gaussian
     ages: np.ndarray
 
@@ -94,7 +93,7 @@ def averaging_of(rule: str, nodes: int, states: int) -> Averaging:
     return rules[rule]
 
 
-def wire(weights: Array, rounds: int, schedule: Schedule, policy: HoldPolicy) -> Wiring:
+def wire(weights: np.ndarray, rounds: int, schedule: Schedule, policy: HoldPolicy) -> Wiring:
     """The wiring of a weight matrix (N, N)."""
     nodes = len(weights)
     links = [np.flatnonzero(row) for row in np.where(np.eye(nodes, dtype=bool), 0.0, weights)]
@@ -137,7 +136,7 @@ def centralised(runs: Runs) -> Gaussian:
     _, noise_cov = runs.sensors.interpret(runs.readings[0])
     together = _block_diagonal(noise_cov)
 
-    def residual(value: Array, predicted: Array) -> Array:
+    def residual(value: np.ndarray, predicted: np.ndarray) -> np.ndarray:
         left, right = (array.reshape(*array.shape[:-1], nodes, d) for array in (value, predicted))
         difference = runs.sensors.residual(left, right)
         return difference.reshape(*difference.shape[:-2], nodes * d)
@@ -147,7 +146,7 @@ def centralised(runs: Runs) -> Gaussian:
         if step > 0:
             belief = _kept(belief, _predicted(belief, runs, step, ()))
 
-        def measure(points: Array, step: int = step) -> Array:
+        def measure(points: np.ndarray, step: int = step) -> np.ndarray:
             seen = runs.sensors.measure(points[..., None, :], step)
             return seen.reshape(*seen.shape[:-2], nodes * d)
 
@@ -277,7 +276,7 @@ def _finite(belief: Gaussian) -> np.ndarray:
     return np.logical_and(mean, np.isfinite(belief.cov).all(axis=(-1, -2)))
 
 
-def _block_diagonal(blocks: Array) -> Array:
+def _block_diagonal(blocks: np.ndarray) -> np.ndarray:
     """(R, N, d, d) as (R, N d, N d)."""
     count, nodes, d, _ = blocks.shape
     joined = np.zeros((count, nodes, d, nodes, d))

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from nodes.messages import Array
 from papers.kit.checks import Check, above, at_most, below, near, refused
 from papers.wac.loops import Loops
 from plants.control import motor, suspension
@@ -176,7 +175,7 @@ def _position_checks(loops: Loops) -> list[Check]:
     ]
 
 
-def _entries(name: str, measured: Array, printed: tuple[str, ...]) -> list[Check]:
+def _entries(name: str, measured: np.ndarray, printed: tuple[str, ...]) -> list[Check]:
     """Each entry of a gain, to half a unit of the last digit printed."""
     return [
         near(f"{name}[{place}]", entry, float(digits), 0.5 * 10.0 ** -_decimals(digits))

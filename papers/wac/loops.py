@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nodes.messages import Array
 from plants.control import cruise, motor, pitch, suspension
 from plants.control.closed_loop import (
     Controller,
@@ -43,7 +42,7 @@ class Loops(NamedTuple):
     cruise_proportional_rest: float
     cruise_lag_rest: float
     cruise_lag_settling_s: float
-    bus_poles: Array
+    bus_poles: np.ndarray
     bus_peak_m: float
     bus_below_2_mm_s: float
     bus_settling_s: float
@@ -52,29 +51,29 @@ class Loops(NamedTuple):
     bus_open_beyond_5_mm_s: float
     bus_pid_peak_m: float
     bus_pid_within_5_mm_s: float
-    pitch_gain: Array
+    pitch_gain: np.ndarray
     pitch_precompensation: float
-    pitch_poles: Array
+    pitch_poles: np.ndarray
     pitch_steps: tuple[StepFigures, StepFigures]
     pitch_deflections_rad: tuple[float, float]
-    pitch_soft_gain: Array
+    pitch_soft_gain: np.ndarray
     pitch_soft_settling_s: float
     pitch_lead: StepFigures
-    speed_gain: Array
-    speed_sampled_gain: Array
+    speed_gain: np.ndarray
+    speed_sampled_gain: np.ndarray
     speed_precompensation: float
     speed_step: StepFigures
     speed_start_v: float
     speed_rest_v: float
     speed_pid_settling_s: float
     speed_lag: StepFigures
-    position_gain: Array
+    position_gain: np.ndarray
     position_largest_pole: float
     position_largest_pole_5_ms: float
-    position_sampled_gain: Array
+    position_sampled_gain: np.ndarray
     position_fast: StepFigures
     position_fast_volt: float
-    position_default_gain: Array
+    position_default_gain: np.ndarray
     position_default: StepFigures
 
 
@@ -93,7 +92,7 @@ def idle(states: int) -> StateFeedback:
     return StateFeedback(np.zeros((1, states)), np.zeros((1, 1)), constant(0.0))
 
 
-def position_gain_of_the_paper() -> Array:
+def position_gain_of_the_paper() -> np.ndarray:
     """K (1, 3) for the printed poles -100 +- 100i and -200, designed in continuous time."""
     plant = motor.position_dynamics()
     return pole_placement(plant.state_matrix, plant.control_matrix, motor.PAPER_POSITION_POLES)
@@ -180,7 +179,7 @@ def _pitch() -> dict:
     plant, aircraft = pitch.dynamics(), pitch.pitch()
     designed = pitch.pitch_controller()
 
-    def step_to(gain: Array, reference: float, seconds: float) -> tuple[StepFigures, float]:
+    def step_to(gain: np.ndarray, reference: float, seconds: float) -> tuple[StepFigures, float]:
         controller = continuous_gain_feedback(plant, 0.01, gain, constant(reference))
         response = _run(aircraft, controller, seconds)
         deflection = float(np.abs(response.controls).max())

@@ -13,7 +13,6 @@ import numpy as np
 
 from experiments.progress import progress
 from filters.fusion import hold
-from nodes.messages import Array
 from nodes.rules.belief_consensus import HoldPolicy
 from papers.wac.bench import Bench, Cell, Study, attempt, bench_of
 from scenarios.catalogue import kind_of
@@ -52,20 +51,20 @@ _RULE_NAMES = {"wac": "WAC", "ci": "CI", "hcmci": "HCMCI-safe", "icf": "ICF"}
 
 
 def _by_age(
-    weigh: Callable[[Array, np.ndarray], Array],
-    base: Array,
+    weigh: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    base: np.ndarray,
     ages: np.ndarray,
-    _sharpness: Array,
+    _sharpness: np.ndarray,
     _turn: int,
-) -> Array:
+) -> np.ndarray:
     return weigh(base, ages)
 
 
-def _decayed(base: Array, ages: np.ndarray, sharpness: Array, _turn: int) -> Array:
+def _decayed(base: np.ndarray, ages: np.ndarray, sharpness: np.ndarray, _turn: int) -> np.ndarray:
     return hold.held_weights(base, ages, DECAY, sharpness)
 
 
-def _in_step(base: Array, ages: np.ndarray, _sharpness: Array, turn: int) -> Array:
+def _in_step(base: np.ndarray, ages: np.ndarray, _sharpness: np.ndarray, turn: int) -> np.ndarray:
     return hold.in_step(base, ages, turn)
 
 

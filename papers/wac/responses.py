@@ -13,7 +13,6 @@ from bus.schedule import full_publish
 from experiments.progress import progress
 from filters.fusion import hold
 from filters.gaussian import Gaussian
-from nodes.messages import Array
 from nodes.rules.belief_consensus import HoldPolicy
 from papers.wac.lanes import averaging_of, centralised, estimate, wire
 from papers.wac.runs import Runs
@@ -47,13 +46,13 @@ class Trial(NamedTuple):
     (T,) by the measuring node. integral (T,) of the controlled output, in its unit times s.
     """
 
-    times_s: Array
-    reference: Array | None
-    truth: Array
-    measured: Array
-    estimated: Array
-    central: Array
-    integral: Array
+    times_s: np.ndarray
+    reference: np.ndarray | None
+    truth: np.ndarray
+    measured: np.ndarray
+    estimated: np.ndarray
+    central: np.ndarray
+    integral: np.ndarray
 
 
 class Loop(NamedTuple):
@@ -81,7 +80,7 @@ def measure(seed: int) -> dict[str, dict[str, Trial]]:
     return trials
 
 
-def rmse(trial: Trial, values: Array, output: int, skip: float = 0.5) -> float:
+def rmse(trial: Trial, values: np.ndarray, output: int, skip: float = 0.5) -> float:
     """Root mean square error of values (T,) of the output, without the first part of the trial."""
     first = round(skip * len(values))
     return float(np.sqrt(np.mean((values - trial.truth[:, output])[first:] ** 2)))

@@ -3,8 +3,9 @@
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from filters.gaussian import Gaussian
-from nodes.messages import Array
 from papers.kit.plant_runs import plant_runs
 from scenarios.catalogue import kind_of
 from scenarios.scenario import Scenario
@@ -18,9 +19,9 @@ class Runs(NamedTuple):
     and `sensors` (of all nodes) are the plant's.
     """
 
-    truth: Array
-    readings: Array
-    controls: Array | None
+    truth: np.ndarray
+    readings: np.ndarray
+    controls: np.ndarray | None
     prior: Gaussian
     model: Any
     sensors: Any
@@ -29,6 +30,7 @@ class Runs(NamedTuple):
 def simulate(scenario: Scenario, numbers: Sequence[int]) -> Runs:
     """The runs of those numbers."""
     kind = kind_of(scenario.name)
+    plant: Any = kind.plant(scenario)
     driven = plant_runs(scenario, numbers)
     return Runs(
         driven.truth,
@@ -36,5 +38,5 @@ def simulate(scenario: Scenario, numbers: Sequence[int]) -> Runs:
         driven.controls,
         Gaussian(driven.prior_mean, driven.prior_cov),
         kind.model(scenario),
-        kind.plant(scenario).sensors,
+        plant.sensors,
     )

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nodes.messages import Array
 from papers.kit.checks import Check, below
 from papers.kit.report import Section, markdown_table
 from papers.wac.exact_covariance import LinearNetwork, Moments, propagate
@@ -121,7 +120,7 @@ def _try(factor: float, seeing: int, rounds: int) -> Outcome:
     )
 
 
-def _two_times(network: LinearNetwork, rule: str, averaging: Array) -> tuple[Moments, Moments]:
+def _two_times(network: LinearNetwork, rule: str, averaging: np.ndarray) -> tuple[Moments, Moments]:
     """Half-way and at the end."""
     moments = list(propagate(network, RULES[rule], averaging, STEPS))
     return moments[STEPS // 2 - 1], moments[-1]

@@ -4,7 +4,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from plants.draws import Array, Draws
+from plants.draws import Draws
 from plants.linear import LinearPlant
 
 
@@ -12,11 +12,13 @@ class Controller(Protocol):
     """Interface between `closed_loop` and a controller; see controllers.py."""
 
     @property
-    def initial_memory(self) -> Array: ...
+    def initial_memory(self) -> np.ndarray: ...
 
-    def reference(self, step: int) -> Array: ...
+    def reference(self, step: int) -> np.ndarray: ...
 
-    def control(self, state_estimate: Array, memory: Array, step: int) -> tuple[Array, Array]: ...
+    def control(
+        self, state_estimate: np.ndarray, memory: np.ndarray, step: int
+    ) -> tuple[np.ndarray, np.ndarray]: ...
 
 
 class Response(NamedTuple):
@@ -25,10 +27,10 @@ class Response(NamedTuple):
     delivered: (steps, nodes, 1, d); controls[k] acts on states[k] until step k + 1.
     """
 
-    states: Array
-    controls: Array
-    references: Array
-    delivered: Array
+    states: np.ndarray
+    controls: np.ndarray
+    references: np.ndarray
+    delivered: np.ndarray
 
 
 class StepFigures(NamedTuple):
@@ -60,7 +62,7 @@ def closed_loop(plant: LinearPlant, controller: Controller, draws: Draws) -> Res
     return Response(*(np.stack(column) for column in zip(*rows, strict=True)))
 
 
-def step_figures(output: Array, time_step_s: float, final: float) -> StepFigures:
+def step_figures(output: np.ndarray, time_step_s: float, final: float) -> StepFigures:
     """Figures of a response (steps,) to a step that starts at 0 and should end at `final`."""
     import control
 

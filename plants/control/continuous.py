@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plants.draws import Array
-
 
 @dataclass(frozen=True, eq=False)
 class ContinuousPlant:
@@ -21,19 +19,19 @@ class ContinuousPlant:
     name: str
     state_names: tuple[str, ...]
     state_units: tuple[str, ...]
-    state_matrix: Array
-    control_matrix: Array
-    output_row: Array
-    disturbance_matrix: Array
+    state_matrix: np.ndarray
+    control_matrix: np.ndarray
+    output_row: np.ndarray
+    disturbance_matrix: np.ndarray
 
-    def sampled(self, time_step_s: float) -> tuple[Array, Array]:
+    def sampled(self, time_step_s: float) -> tuple[np.ndarray, np.ndarray]:
         """F (n, n) and G (n, p) of this plant with its control held over each time step."""
         return zero_order_hold(self.state_matrix, self.control_matrix, time_step_s)
 
 
 def zero_order_hold(
-    state_matrix: Array, input_matrix: Array, time_step_s: float
-) -> tuple[Array, Array]:
+    state_matrix: np.ndarray, input_matrix: np.ndarray, time_step_s: float
+) -> tuple[np.ndarray, np.ndarray]:
     """F = exp(A t) and G = (integral of exp(A s) over the step) B, exact, for a held input.
 
     Both from one exponential of [[A, B], [0, 0]] t, which needs no inverse of A.
@@ -51,7 +49,7 @@ def zero_order_hold(
     return exponential[:n, :n], exponential[:n, n:]
 
 
-def van_loan(state_matrix: Array, noise_density: Array, time_step_s: float) -> Array:
+def van_loan(state_matrix: np.ndarray, noise_density: np.ndarray, time_step_s: float) -> np.ndarray:
     """Covariance (n, n) that white noise of a spectral density (n, n) adds in one time step.
 
     The integral of exp(A s) W exp(A s)' over the step; C. F. Van Loan, "Computing integrals

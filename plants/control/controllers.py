@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from plants.draws import Array
 from plants.linear import Signal
 
 
@@ -21,19 +20,21 @@ class StateFeedback:
     gain: K (p, n); precompensation: N (p, r); signal: step -> (r,); limit: in units of u.
     """
 
-    gain: Array
-    precompensation: Array
+    gain: np.ndarray
+    precompensation: np.ndarray
     signal: Signal
     limit: float = np.inf
 
     @property
-    def initial_memory(self) -> Array:
+    def initial_memory(self) -> np.ndarray:
         return np.zeros(0)
 
-    def reference(self, step: int) -> Array:
+    def reference(self, step: int) -> np.ndarray:
         return self.signal(step)
 
-    def control(self, state_estimate: Array, memory: Array, step: int) -> tuple[Array, Array]:
+    def control(
+        self, state_estimate: np.ndarray, memory: np.ndarray, step: int
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Estimate (..., n) to control (..., p); nothing is remembered."""
         wanted = self.precompensation @ self.signal(step) - state_estimate @ self.gain.T
         return np.clip(wanted, -self.limit, self.limit), memory
@@ -48,21 +49,23 @@ class IntegralFeedback:
     the control is clipped (no anti-windup).
     """
 
-    gain: Array
-    integral_gain: Array
-    output_row: Array
+    gain: np.ndarray
+    integral_gain: np.ndarray
+    output_row: np.ndarray
     time_step_s: float
     signal: Signal
     limit: float = np.inf
 
     @property
-    def initial_memory(self) -> Array:
+    def initial_memory(self) -> np.ndarray:
         return np.zeros(len(self.output_row))
 
-    def reference(self, step: int) -> Array:
+    def reference(self, step: int) -> np.ndarray:
         return self.signal(step)
 
-    def control(self, state_estimate: Array, memory: Array, step: int) -> tuple[Array, Array]:
+    def control(
+        self, state_estimate: np.ndarray, memory: np.ndarray, step: int
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Estimate (..., n) and integral (..., r) to control (..., p) and the next integral."""
         wanted = -state_estimate @ self.gain.T - memory @ self.integral_gain.T
         error = state_estimate @ self.output_row.T - self.signal(step)
@@ -75,10 +78,10 @@ class Compensator(NamedTuple):
     state_matrix: a (m, m); input_column: b (m, 1); output_row: c (1, m); feedthrough: d (1, 1).
     """
 
-    state_matrix: Array
-    input_column: Array
-    output_row: Array
-    feedthrough: Array
+    state_matrix: np.ndarray
+    input_column: np.ndarray
+    output_row: np.ndarray
+    feedthrough: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,18 +92,20 @@ class OutputFeedback:
     """
 
     compensator: Compensator
-    output_row: Array
+    output_row: np.ndarray
     signal: Signal
     limit: float = np.inf
 
     @property
-    def initial_memory(self) -> Array:
+    def initial_memory(self) -> np.ndarray:
         return np.zeros(len(self.compensator.state_matrix))
 
-    def reference(self, step: int) -> Array:
+    def reference(self, step: int) -> np.ndarray:
         return self.signal(step)
 
-    def control(self, state_estimate: Array, memory: Array, step: int) -> tuple[Array, Array]:
+    def control(
+        self, state_estimate: np.ndarray, memory: np.ndarray, step: int
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Estimate (..., n) and memory (..., m) to control (..., 1) and the next memory."""
         a, b, c, d = self.compensator
         error = self.signal(step) - state_estimate @ self.output_row.T

@@ -9,25 +9,26 @@ import numpy as np
 
 from plants.control.continuous import ContinuousPlant
 from plants.control.controllers import StateFeedback
-from plants.draws import Array
 from plants.linear import Signal
 
 
-def controllability_rank(state_matrix: Array, control_matrix: Array) -> int:
+def controllability_rank(state_matrix: np.ndarray, control_matrix: np.ndarray) -> int:
     """Dimension of what the controls (n, p) can reach; n means controllable."""
     import control
 
     return int(np.linalg.matrix_rank(control.ctrb(state_matrix, control_matrix)))
 
 
-def observability_rank(state_matrix: Array, rows: Array) -> int:
+def observability_rank(state_matrix: np.ndarray, rows: np.ndarray) -> int:
     """Dimension of what the outputs (m, n) can tell apart; n means observable."""
     import control
 
     return int(np.linalg.matrix_rank(control.obsv(state_matrix, rows)))
 
 
-def pole_placement(state_matrix: Array, control_matrix: Array, poles: Sequence[complex]) -> Array:
+def pole_placement(
+    state_matrix: np.ndarray, control_matrix: np.ndarray, poles: Sequence[complex]
+) -> np.ndarray:
     """Return the gain K (1, n) that gives A - B K these eigenvalues (Ackermann, one control).
 
     For a sampled pair pass the poles of the z-plane. Raises ValueError for a number of poles
@@ -42,7 +43,7 @@ def pole_placement(state_matrix: Array, control_matrix: Array, poles: Sequence[c
     return np.atleast_2d(control.acker(state_matrix, control_matrix, list(poles)))
 
 
-def lqr_gain(continuous: ContinuousPlant, output_weight: float) -> Array:
+def lqr_gain(continuous: ContinuousPlant, output_weight: float) -> np.ndarray:
     """K (p, n) minimising the integral of output_weight * (C x)^2 + u'u (Q = p C'C, R = 1)."""
     import control
 
@@ -53,11 +54,11 @@ def lqr_gain(continuous: ContinuousPlant, output_weight: float) -> Array:
 
 
 def precompensation(
-    transition_matrix: Array,
-    control_matrix: Array,
-    output_row: Array,
-    gain: Array,
-) -> Array:
+    transition_matrix: np.ndarray,
+    control_matrix: np.ndarray,
+    output_row: np.ndarray,
+    gain: np.ndarray,
+) -> np.ndarray:
     """N (p, r) with which u = N r - K x brings the sampled output C x to r without error.
 
     [F - I, G; C, 0] [N_x; N_u] = [0; I] and N = N_u + K N_x, with as many outputs as controls.
@@ -85,9 +86,9 @@ def precompensation(
 
 def refuse_unstable(
     name: str,
-    transition_matrix: Array,
-    control_matrix: Array,
-    gain: Array,
+    transition_matrix: np.ndarray,
+    control_matrix: np.ndarray,
+    gain: np.ndarray,
     time_step_s: float,
 ) -> None:
     """Raises ValueError where F - G K has an eigenvalue on or outside the unit circle."""
@@ -103,7 +104,7 @@ def refuse_unstable(
 def continuous_gain_feedback(
     continuous: ContinuousPlant,
     time_step_s: float,
-    gain: Array,
+    gain: np.ndarray,
     signal: Signal,
     limit: float = np.inf,
 ) -> StateFeedback:

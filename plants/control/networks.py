@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plants.control.continuous import ContinuousPlant
-from plants.draws import Array
 from plants.linear import Drift, LinearModel, LinearPlant, LinearSensor
 
 Preset = Literal["matched", "paper"]
@@ -30,10 +29,10 @@ PAPER_WARNING = (
 class NoisePreset(NamedTuple):
     """Everything random about a plant. Shapes as the fields of LinearPlant; model_cov is Q."""
 
-    model_cov: Array
-    noise_factor: Array
+    model_cov: np.ndarray
+    noise_factor: np.ndarray
     sensors: LinearSensor
-    prior_cov: Array
+    prior_cov: np.ndarray
     warning: str
 
 
@@ -56,7 +55,7 @@ def deal_order(nodes: int) -> NDArray[np.intp]:
     return order
 
 
-def deal_outputs(nodes: int, outputs: Array, noise_std: Array) -> LinearSensor:
+def deal_outputs(nodes: int, outputs: np.ndarray, noise_std: np.ndarray) -> LinearSensor:
     """Deal k outputs (k, n) with noise_std (k,) round robin, one to each node that sees.
 
     Output index i reads outputs[i mod k] with its variance times 1 + floor(i / k): every further
@@ -71,7 +70,11 @@ def deal_outputs(nodes: int, outputs: Array, noise_std: Array) -> LinearSensor:
 
 
 def matched_noise(
-    nodes: int, factor: Array, outputs: Array, noise_std: Array, prior_std: Array
+    nodes: int,
+    factor: np.ndarray,
+    outputs: np.ndarray,
+    noise_std: np.ndarray,
+    prior_std: np.ndarray,
 ) -> NoisePreset:
     """Return the true noise for the filter: Q = E E' for the noise factor E (n, q) of one step.
 
@@ -81,7 +84,9 @@ def matched_noise(
     return NoisePreset(factor @ factor.T, factor, sensors, np.diag(prior_std**2), "")
 
 
-def paper_noise(nodes: int, model_cov: Array, output_row: Array, variance: float) -> NoisePreset:
+def paper_noise(
+    nodes: int, model_cov: np.ndarray, output_row: np.ndarray, variance: float
+) -> NoisePreset:
     """The paper's Q and R: a seeing node measures the controlled output (1, n), nothing else.
 
     The truth has no process noise: the paper compares with "the true values, having no noise".

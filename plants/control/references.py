@@ -4,8 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plants.draws import Array
-
 
 @dataclass(frozen=True)
 class Staircase:
@@ -29,7 +27,7 @@ class Staircase:
                 f"durations {self.durations}: each level of a staircase lasts at least one step"
             )
 
-    def __call__(self, step: int) -> Array:
+    def __call__(self, step: int) -> np.ndarray:
         ends = np.cumsum(self.durations)
         return np.array(self.levels[np.searchsorted(ends, step % ends[-1], side="right")])
 

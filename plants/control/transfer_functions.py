@@ -6,7 +6,6 @@ import numpy as np
 
 from plants.control.continuous import ContinuousPlant
 from plants.control.controllers import Compensator, OutputFeedback
-from plants.draws import Array
 from plants.linear import Signal
 
 
@@ -101,7 +100,7 @@ def output_feedback(
     return OutputFeedback(compensator, continuous.output_row, signal, limit)
 
 
-def root_locus(loop: Rational, gains: Array) -> np.ndarray:
+def root_locus(loop: Rational, gains: np.ndarray) -> np.ndarray:
     """Closed-loop poles (gains, degree) of 1 + gain * loop(s) = 0, each column one branch."""
     import control
 

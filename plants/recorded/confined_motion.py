@@ -8,15 +8,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plants.damped_oscillation import (
     oscillation_noise_cov,
     oscillation_transition,
     stationary_cov,
 )
-
-Array = NDArray[np.float64]
 
 _AXES = ([0, 2], [1, 3])  # position and velocity of x, of y
 
@@ -39,7 +36,7 @@ class ConfinedMotion:
         _ = self.transition_matrix  # refuses what does not fit
 
     @cached_property
-    def transition_matrix(self) -> Array:
+    def transition_matrix(self) -> np.ndarray:
         """Return the transition (4, 4) of what departs from the stationary mean."""
         matrix = np.zeros((4, 4))
         for axis, frequency in zip(_AXES, self.frequency_rad_s, strict=True):
@@ -49,19 +46,19 @@ class ConfinedMotion:
         return matrix
 
     @cached_property
-    def stationary_mean(self) -> Array:
+    def stationary_mean(self) -> np.ndarray:
         """Mean (4,) in the long run."""
         return np.array([*self.centre_m, 0.0, 0.0])
 
     @cached_property
-    def stationary_cov(self) -> Array:
+    def stationary_cov(self) -> np.ndarray:
         """Covariance (4, 4) in the long run."""
         cov = np.zeros((4, 4))
         for axis, frequency in zip(_AXES, self.frequency_rad_s, strict=True):
             cov[np.ix_(axis, axis)] = stationary_cov(frequency, self.velocity_std_m_s)
         return cov
 
-    def transition(self, state: Array, control: Array | None, step: int) -> Array:
+    def transition(self, state: np.ndarray, control: np.ndarray | None, step: int) -> np.ndarray:
         """States (..., 4) -> (..., 4), one step later."""
         matrix = self.transition_matrix
         after = np.empty_like(state)
@@ -75,10 +72,10 @@ class ConfinedMotion:
             )
         return after
 
-    def process_noise_cov(self, step: int) -> Array:
+    def process_noise_cov(self, step: int) -> np.ndarray:
         """Covariance (4, 4) that the step adds."""
         return self._process_noise_cov
 
     @cached_property
-    def _process_noise_cov(self) -> Array:
+    def _process_noise_cov(self) -> np.ndarray:
         return oscillation_noise_cov(self.transition_matrix, self.stationary_cov)

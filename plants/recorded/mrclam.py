@@ -8,14 +8,11 @@ from collections import defaultdict
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plants.draws import Draws, GeneratorFor
 from plants.recorded.confined_motion import ConfinedMotion
 from plants.recorded.mrclam_files import Recording
 from plants.recorded.sighting import Sighting
-
-Array = NDArray[np.float64]
 
 STAMP_DELAY_S = 0.045  # a measurement is stamped so much after its picture
 GAP_MAX_S = 0.5  # between samples of ground truth that may be interpolated
@@ -33,9 +30,9 @@ class RecordedTarget:
 
     target: int
     robots: tuple[int, ...]  # which robot each node is
-    truth: Array  # (steps, 4)
-    node_positions_m: Array  # (steps, nodes, 2), NaN as the truth
-    delivered: Array  # (steps, nodes, readings, 5), NaN where nothing was seen
+    truth: np.ndarray  # (steps, 4)
+    node_positions_m: np.ndarray  # (steps, nodes, 2), NaN as the truth
+    delivered: np.ndarray  # (steps, nodes, readings, 5), NaN where nothing was seen
     model: ConfinedMotion = field(default_factory=ConfinedMotion)
     sensors: Sighting = field(default_factory=Sighting)
 
@@ -59,7 +56,7 @@ class RecordedTarget:
         """Return the sensor of one node."""
         return self.sensors.for_node(node)
 
-    def positions(self, step: int) -> Array:
+    def positions(self, step: int) -> np.ndarray:
         """Where the nodes are: (nodes, 2) in m."""
         return self.node_positions_m[step]
 
@@ -77,18 +74,20 @@ class RecordedTarget:
         shape = (steps, *self.delivered.shape[1:])
         return Draws(np.empty(0), np.empty((steps, 0)), np.broadcast_to(0.0, shape))
 
-    def initial(self, noise: Array) -> tuple[Array, Array, Array]:
+    def initial(self, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """True state (..., 4), prior mean (..., 4) and prior cov (4, 4) for noise (..., 0)."""
         shape = (*noise.shape[:-1], 4)
         mean, cov = self.model.stationary_mean, self.model.stationary_cov
         return np.broadcast_to(self.truth[0], shape), np.broadcast_to(mean, shape), cov
 
-    def advance(self, state: Array, control: Array | None, noise: Array, step: int) -> Array:
+    def advance(
+        self, state: np.ndarray, control: np.ndarray | None, noise: np.ndarray, step: int
+    ) -> np.ndarray:
         """Return the recorded state of the next step for states (..., 4), NaN after the end."""
         after = self.truth[step + 1] if step + 1 < self.steps else np.nan
         return np.broadcast_to(after, state.shape)
 
-    def observe(self, state: Array, noise: Array, step: int) -> Array:
+    def observe(self, state: np.ndarray, noise: np.ndarray, step: int) -> np.ndarray:
         """Return the recorded readings of the step for noise (..., nodes, readings, 5)."""
         return np.broadcast_to(self.delivered[step], noise.shape)
 
@@ -131,7 +130,7 @@ def _require_target(recording: Recording, target: int, robots: tuple[int, ...]) 
         raise ValueError(f"{recording.folder}: robot {known} is alone; add one that sees it")
 
 
-def _times(recording: Recording, time_step_s: float) -> Array:
+def _times(recording: Recording, time_step_s: float) -> np.ndarray:
     """Return the instants t_k (steps,) that all ground truths span, absolute in s."""
     begin = max(robot.truth[0, 0] for robot in recording.robots.values())
     end = min(robot.truth[-1, 0] for robot in recording.robots.values())
@@ -144,7 +143,7 @@ def _times(recording: Recording, time_step_s: float) -> Array:
     return begin + time_step_s * np.arange(steps)
 
 
-def _pose(recording: Recording, robot: int, times: Array) -> Array:
+def _pose(recording: Recording, robot: int, times: np.ndarray) -> np.ndarray:
     """x, y and unwrapped heading (t, 3) at `times` (t,) within the ground truth, NaN in gaps."""
     truth = recording.robots[robot].truth
     stamps = truth[:, 0]
@@ -156,14 +155,18 @@ def _pose(recording: Recording, robot: int, times: Array) -> Array:
 
 
 def _delivered(
-    recording: Recording, target: int, robots: tuple[int, ...], times: Array, time_step_s: float
-) -> Array:
+    recording: Recording,
+    target: int,
+    robots: tuple[int, ...],
+    times: np.ndarray,
+    time_step_s: float,
+) -> np.ndarray:
     """All readings by step, node and order in time: (steps, nodes, readings, 5), NaN for none.
 
     A measurement belongs to the first instant at or after its picture; `readings` is the most that
     one node had at one step (at least 1).
     """
-    taken: dict[tuple[int, int], list[Array]] = defaultdict(list)
+    taken: dict[tuple[int, int], list[np.ndarray]] = defaultdict(list)
     for node, robot in enumerate(robots):
         for step, reading in _readings(recording, target, robot, times, time_step_s):
             taken[step, node].append(reading)
@@ -175,8 +178,8 @@ def _delivered(
 
 
 def _readings(
-    recording: Recording, target: int, robot: int, times: Array, time_step_s: float
-) -> list[tuple[int, Array]]:
+    recording: Recording, target: int, robot: int, times: np.ndarray, time_step_s: float
+) -> list[tuple[int, np.ndarray]]:
     """Step and reading (5,) of each usable sighting of the target by a robot, in time order."""
     rows = recording.robots[robot].measurements
     rows = rows[rows[:, 1] == recording.barcodes[target]]

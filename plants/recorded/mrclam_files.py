@@ -10,17 +10,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 
 class Robot(NamedTuple):
     """Log of one robot; times are absolute, in s."""
 
-    truth: Array  # (t, 4): time, x m, y m, heading rad
-    measurements: Array  # (m, 4): time, barcode, range m, bearing rad
-    odometry: Array  # (u, 3): time, forward velocity m/s, turn rate rad/s
+    truth: np.ndarray  # (t, 4): time, x m, y m, heading rad
+    measurements: np.ndarray  # (m, 4): time, barcode, range m, bearing rad
+    odometry: np.ndarray  # (u, 3): time, forward velocity m/s, turn rate rad/s
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +26,7 @@ class Recording:
 
     folder: Path
     barcodes: dict[int, int]  # subject -> barcode
-    landmarks: Array  # (l, 5): subject, x m, y m and their standard deviations m
+    landmarks: np.ndarray  # (l, 5): subject, x m, y m and their standard deviations m
     robots: dict[int, Robot]
 
 
@@ -79,7 +76,7 @@ def _robot(folder: Path, number: int) -> Robot:
     )
 
 
-def _table(file: Path, columns: int) -> Array:
+def _table(file: Path, columns: int) -> np.ndarray:
     """Return the numbers of a file: (rows, columns); `#` begins a comment line."""
     if not file.is_file():
         raise ValueError(f"{file}: no such file; a MRCLAM recording has one, fetch it again")

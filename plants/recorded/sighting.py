@@ -3,9 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -24,7 +21,7 @@ class Sighting:
     gate: float | None = 11.0  # greatest normalised innovation squared: misread barcodes fail it
 
     @property
-    def delivered_std(self) -> Array:
+    def delivered_std(self) -> np.ndarray:
         """Standard deviations (2,) of range at no distance, in m, and bearing, in rad."""
         return np.array([self.range_std_m, self.bearing_std_rad])
 
@@ -32,15 +29,15 @@ class Sighting:
         """Return the same for every node: the reading itself carries the observer's pose."""
         return self
 
-    def measure(self, state: Array, step: int) -> Array:
+    def measure(self, state: np.ndarray, step: int) -> np.ndarray:
         """Position (..., 2) of states (..., n) that begin with it."""
         return state[..., :2]
 
-    def residual(self, a: Array, b: Array) -> Array:
+    def residual(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """a - b (..., 2)."""
         return a - b
 
-    def interpret(self, delivered: Array) -> tuple[Array, Array]:
+    def interpret(self, delivered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Position (..., 2) and its noise covariance (..., 2, 2) of readings (..., 5).
 
         Where any entry is NaN the position is NaN and the covariance finite.
@@ -58,6 +55,6 @@ class Sighting:
         return np.where(missing, np.nan, position), noise_cov
 
 
-def _scaled_outer(variance: Array, direction: Array) -> Array:
+def _scaled_outer(variance: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """variance (...) times u u' (..., 2, 2) of directions u (..., 2)."""
     return variance[..., None, None] * (direction[..., :, None] * direction[..., None, :])

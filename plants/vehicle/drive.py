@@ -3,9 +3,6 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 FRONT_LEFT, FRONT_RIGHT, REAR_LEFT, REAR_RIGHT = range(4)
 """Columns of `wheel_speed_m_s`."""
@@ -27,14 +24,14 @@ class Drive(NamedTuple):
     """
 
     time_step_s: float
-    steering_rad: Array
-    yaw_rate_rad_s: Array
-    side_slip_rad: Array
-    speed_m_s: Array
-    longitudinal_acceleration_m_s2: Array
-    lateral_acceleration_m_s2: Array
-    wheel_speed_m_s: Array
-    heading_rad: Array
+    steering_rad: np.ndarray
+    yaw_rate_rad_s: np.ndarray
+    side_slip_rad: np.ndarray
+    speed_m_s: np.ndarray
+    longitudinal_acceleration_m_s2: np.ndarray
+    lateral_acceleration_m_s2: np.ndarray
+    wheel_speed_m_s: np.ndarray
+    heading_rad: np.ndarray
 
     @property
     def steps(self) -> int:
@@ -42,21 +39,21 @@ class Drive(NamedTuple):
         return len(self.steering_rad)
 
     @property
-    def time_s(self) -> Array:
+    def time_s(self) -> np.ndarray:
         """(steps,), from 0."""
         return self.time_step_s * np.arange(self.steps, dtype=np.float64)
 
     @property
-    def lateral_speed_m_s(self) -> Array:
+    def lateral_speed_m_s(self) -> np.ndarray:
         """vy (steps,)."""
         return self.speed_m_s * np.tan(self.side_slip_rad)
 
     @property
-    def states(self) -> Array:
+    def states(self) -> np.ndarray:
         """Yaw rate, side slip and speed (steps, 3), the state of `vehicle_model.SingleTrack`."""
         return np.stack([self.yaw_rate_rad_s, self.side_slip_rad, self.speed_m_s], axis=-1)
 
     @property
-    def inputs(self) -> Array:
+    def inputs(self) -> np.ndarray:
         """Steering and longitudinal acceleration (steps, 2), the control of that model."""
         return np.stack([self.steering_rad, self.longitudinal_acceleration_m_s2], axis=-1)

@@ -14,7 +14,7 @@ from typing import NamedTuple, TypeVar
 import msgspec
 import numpy as np
 
-from plants.vehicle.drive import REAR_LEFT, REAR_RIGHT, Array, Drive
+from plants.vehicle.drive import REAR_LEFT, REAR_RIGHT, Drive
 from plants.vehicle.parameters import GRAVITY_M_S2, Car, car_from_toml, car_to_toml
 
 T = TypeVar("T")
@@ -205,7 +205,7 @@ def _text(file: Path) -> str:
         ) from None
 
 
-def _numbers(file: Path, mapped: dict[str, Column]) -> dict[str, Array]:
+def _numbers(file: Path, mapped: dict[str, Column]) -> dict[str, np.ndarray]:
     """Return the mapped quantities (rows,) in SI."""
     rows = list(csv.reader(_text(file).splitlines()))
     names = [name.strip() for name in rows[0]] if rows else []
@@ -238,11 +238,11 @@ def _number(file: Path, line: int, row: list[str], place: int) -> float:
         ) from None
 
 
-def _grid(times: Array, time_step_s: float) -> Array:
+def _grid(times: np.ndarray, time_step_s: float) -> np.ndarray:
     return times[0] + time_step_s * np.arange(int((times[-1] - times[0]) / time_step_s + 1.5))
 
 
-def _evenly(times: Array, values: Array, time_step_s: float) -> Array:
+def _evenly(times: np.ndarray, values: np.ndarray, time_step_s: float) -> np.ndarray:
     """Values at even times; as they are where the times are even already."""
     grid = _grid(times, time_step_s)
     if len(grid) == len(times) and np.abs(times - grid).max() <= _UNEVEN * time_step_s:

@@ -12,12 +12,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plants.vehicle.parameters import Car
 
-Array = NDArray[np.float64]
-Tyre = Callable[[Array, Array | float, Array | float], Array]
+Tyre = Callable[[np.ndarray, np.ndarray | float, np.ndarray | float], np.ndarray]
 """Lateral force of an axle (...) in N by slip angle rad, stiffness N/rad and friction limit N."""
 
 MIN_SPEED_M_S = 1.0
@@ -27,12 +25,16 @@ YAW_RATE, SIDE_SLIP, SPEED = range(3)
 STEERING, ACCELERATION = range(2)
 
 
-def linear_tyre(slip: Array, stiffness: Array | float, limit: Array | float) -> Array:
+def linear_tyre(
+    slip: np.ndarray, stiffness: np.ndarray | float, limit: np.ndarray | float
+) -> np.ndarray:
     """Force proportional to slip, without limit: (3)."""
     return -stiffness * slip
 
 
-def tanh_tyre(slip: Array, stiffness: Array | float, limit: Array | float) -> Array:
+def tanh_tyre(
+    slip: np.ndarray, stiffness: np.ndarray | float, limit: np.ndarray | float
+) -> np.ndarray:
     """Force that saturates at the friction limit, of the same slope at no slip."""
     return -limit * np.tanh(stiffness * slip / limit)
 
@@ -40,10 +42,10 @@ def tanh_tyre(slip: Array, stiffness: Array | float, limit: Array | float) -> Ar
 class Axles(NamedTuple):
     """Stiffness N/rad and greatest force N of both axles; floats, or arrays of one shape (...)."""
 
-    front_stiffness: Array | float
-    rear_stiffness: Array | float
-    front_limit: Array | float
-    rear_limit: Array | float
+    front_stiffness: np.ndarray | float
+    rear_stiffness: np.ndarray | float
+    front_limit: np.ndarray | float
+    rear_limit: np.ndarray | float
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,9 +64,9 @@ class SingleTrack:
     axles: Axles
     tyre: Tyre
     time_step_s: float
-    noise_cov: Array
+    noise_cov: np.ndarray
 
-    def transition(self, state: Array, control: Array | None, step: int) -> Array:
+    def transition(self, state: np.ndarray, control: np.ndarray | None, step: int) -> np.ndarray:
         """State (..., 3) one step later under control (..., 2)."""
         assert control is not None, "a car is driven: give steering and acceleration"
         car = self.car
@@ -80,11 +82,11 @@ class SingleTrack:
         after[..., SPEED] = speed + self.time_step_s * driving
         return after
 
-    def process_noise_cov(self, step: int) -> Array:
+    def process_noise_cov(self, step: int) -> np.ndarray:
         """Covariance (3, 3) of what a step does not know; the same at every step."""
         return self.noise_cov
 
-    def axle_forces(self, state: Array, steering: Array) -> tuple[Array, Array]:
+    def axle_forces(self, state: np.ndarray, steering: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Lateral forces (...) of front and rear axle in N: (3) and (4)."""
         forward = np.maximum(state[..., SPEED], MIN_SPEED_M_S)
         turn = state[..., YAW_RATE] / forward
@@ -96,12 +98,12 @@ class SingleTrack:
             self.tyre(rear_slip, axles.rear_stiffness, axles.rear_limit),
         )
 
-    def lateral_acceleration(self, state: Array, steering: Array) -> Array:
+    def lateral_acceleration(self, state: np.ndarray, steering: np.ndarray) -> np.ndarray:
         """Return the reading of a lateral accelerometer (...), m/s^2."""
         front, rear = self.axle_forces(state, steering)
         return (front + rear) / self.car.mass_kg
 
-    def measure(self, state: Array, control: Array) -> Array:
+    def measure(self, state: np.ndarray, control: np.ndarray) -> np.ndarray:
         """Lateral acceleration, yaw rate and speed (..., 3) of states (..., 3): z of (5)."""
         value = np.empty_like(state)
         value[..., 0] = self.lateral_acceleration(state, control[..., STEERING])
@@ -120,7 +122,7 @@ def axles_of(car: Car) -> Axles:
     )
 
 
-def single_track(car: Car, tyre: Tyre, time_step_s: float, noise_cov: Array) -> SingleTrack:
+def single_track(car: Car, tyre: Tyre, time_step_s: float, noise_cov: np.ndarray) -> SingleTrack:
     """Return the model of a car.
 
     Raises:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from plants.angles import wrapped
 from plants.draws import Draws, GeneratorFor
@@ -18,8 +17,6 @@ from plants.vehicle.drive import FRONT_LEFT, REAR_LEFT, Drive
 from plants.vehicle.model import SingleTrack
 from plants.vehicle.parameters import Car
 from plants.vehicle.sensors import SensorError, contaminated, noise_std
-
-Array = NDArray[np.float64]
 
 STATE_NAMES = ("yaw rate", "side slip", "speed", "heading", "steering", "acceleration")
 STATE_UNITS = ("rad/s", "rad", "m/s", "rad", "rad", "m/s^2")
@@ -61,7 +58,7 @@ class DrivenCar:
     def time_step_s(self) -> float:
         return self.single_track.time_step_s
 
-    def transition(self, state: Array, control: Array | None, step: int) -> Array:
+    def transition(self, state: np.ndarray, control: np.ndarray | None, step: int) -> np.ndarray:
         """State (..., 6) one step later; nothing outside it drives the car."""
         after = np.empty_like(state)
         moving, inputs = state[..., :HEADING], state[..., STEERING:]
@@ -70,12 +67,12 @@ class DrivenCar:
         after[..., STEERING:] = inputs
         return after
 
-    def process_noise_cov(self, step: int) -> Array:
+    def process_noise_cov(self, step: int) -> np.ndarray:
         """Covariance (6, 6) of what a step does not know; the same at every step."""
         return self._noise_cov
 
     @cached_property
-    def _noise_cov(self) -> Array:
+    def _noise_cov(self) -> np.ndarray:
         variances = np.concatenate(
             [np.diag(self.single_track.noise_cov), [1e-10], np.square(self.walk_std)]
         )
@@ -89,29 +86,29 @@ class CarSensor:
     noise_std: (m,), what the node believes at the start. course: the channel that is an angle.
     """
 
-    read: Callable[[Array], Array]
+    read: Callable[[np.ndarray], np.ndarray]
     noise_std: tuple[float, ...]
     course: int | None = None
     gate: float | None = None
 
-    def measure(self, state: Array, step: int) -> Array:
+    def measure(self, state: np.ndarray, step: int) -> np.ndarray:
         """Channels (..., m) of states (..., 6), without noise."""
         return self.read(state)
 
-    def residual(self, a: Array, b: Array) -> Array:
+    def residual(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """a - b (..., m), a course within (-pi, pi]."""
         difference = a - b
         if self.course is not None:
             difference[..., self.course] = wrapped(difference[..., self.course])
         return difference
 
-    def interpret(self, delivered: Array) -> tuple[Array, Array]:
+    def interpret(self, delivered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The node's channels (..., m) of a delivery (..., 3), and their covariance (..., m, m)."""
         m = len(self.noise_std)
         return delivered[..., :m], np.broadcast_to(self._noise_cov, (*delivered.shape[:-1], m, m))
 
     @cached_property
-    def _noise_cov(self) -> Array:
+    def _noise_cov(self) -> np.ndarray:
         return np.diag(np.square(self.noise_std))
 
 
@@ -120,11 +117,11 @@ def sensor(node: int, single_track: SingleTrack) -> CarSensor:
 
     car = single_track.car
 
-    def rear_wheels(state: Array) -> Array:
+    def rear_wheels(state: np.ndarray) -> np.ndarray:
         side = 0.5 * car.rear_track_m * state[..., YAW_RATE]
         return np.stack([state[..., SPEED] - side, state[..., SPEED] + side], axis=-1)
 
-    def front_wheels(state: Array) -> Array:
+    def front_wheels(state: np.ndarray) -> np.ndarray:
         side = 0.5 * car.front_track_m * state[..., YAW_RATE]
         across = state[..., SPEED] * state[..., SIDE_SLIP]
         across = across + car.front_axle_m * state[..., YAW_RATE]
@@ -132,14 +129,14 @@ def sensor(node: int, single_track: SingleTrack) -> CarSensor:
         along = [(state[..., SPEED] + way * side) * cosine + across * sine for way in (-1.0, 1.0)]
         return np.stack(along, axis=-1)
 
-    def inertial(state: Array) -> Array:
+    def inertial(state: np.ndarray) -> np.ndarray:
         lateral = single_track.lateral_acceleration(state, state[..., STEERING])
         return np.stack([state[..., YAW_RATE], lateral, state[..., ACCELERATION]], axis=-1)
 
-    def steering(state: Array) -> Array:
+    def steering(state: np.ndarray) -> np.ndarray:
         return state[..., STEERING : STEERING + 1]
 
-    def satellites(state: Array) -> Array:
+    def satellites(state: np.ndarray) -> np.ndarray:
         over_ground = state[..., SPEED] / np.cos(state[..., SIDE_SLIP])
         course = state[..., HEADING] + state[..., SIDE_SLIP]
         return np.stack([over_ground, course], axis=-1)
@@ -163,9 +160,9 @@ class DrivenOnce:
     """
 
     time_step_s: float
-    truth: Array
-    exact: Array
-    prior_mean: Array
+    truth: np.ndarray
+    exact: np.ndarray
+    prior_mean: np.ndarray
     errors: tuple[tuple[SensorError, ...], ...]
     prior_error: bool = True
 
@@ -204,23 +201,25 @@ class DrivenOnce:
         initial = generator_for("initial", 0).standard_normal(len(PRIOR_STD))
         return Draws(initial, np.empty((steps, 0)), measurement)
 
-    def initial(self, noise: Array) -> tuple[Array, Array, Array]:
+    def initial(self, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """True state (..., 6), prior mean (..., 6) and prior cov (6, 6) for noise (..., 6)."""
         error = np.array(PRIOR_STD) * noise if self.prior_error else np.zeros_like(noise)
         truth = np.broadcast_to(self.truth[0], error.shape)
         return truth, self.prior_mean + error, np.diag(np.square(PRIOR_STD))
 
-    def advance(self, state: Array, control: Array | None, noise: Array, step: int) -> Array:
+    def advance(
+        self, state: np.ndarray, control: np.ndarray | None, noise: np.ndarray, step: int
+    ) -> np.ndarray:
         """Return the state of the next step for states (..., 6), NaN after the end."""
         after = self.truth[step + 1] if step + 1 < self.steps else np.nan
         return np.broadcast_to(after, state.shape)
 
-    def observe(self, state: Array, noise: Array, step: int) -> Array:
+    def observe(self, state: np.ndarray, noise: np.ndarray, step: int) -> np.ndarray:
         """Return the sensors' readings at a step for noise (..., 4, 1, 3)."""
         return self.exact[step] + self._bias + self._std[step] * noise
 
     @cached_property
-    def _std(self) -> Array:
+    def _std(self) -> np.ndarray:
         """(steps, 4, 1, 3)."""
         time_s = self.time_step_s * np.arange(self.steps, dtype=np.float64)
         std = np.zeros((self.steps, self.nodes, 1, CHANNELS))
@@ -230,7 +229,7 @@ class DrivenOnce:
         return std
 
     @cached_property
-    def _bias(self) -> Array:
+    def _bias(self) -> np.ndarray:
         bias = np.zeros((self.nodes, 1, CHANNELS))
         for node, channels in enumerate(self.errors):
             bias[node, 0, : len(channels)] = [error.bias for error in channels]
@@ -277,7 +276,7 @@ def replayed(drive: Drive, car: Car, time_step_s: float) -> DrivenOnce:
     return DrivenOnce(time_step_s, truth, exact, np.nan_to_num(start), quiet, prior_error=False)
 
 
-def _readings(drive: Drive, car: Car) -> Array:
+def _readings(drive: Drive, car: Car) -> np.ndarray:
     """Return the readings (steps, 4, 1, 3) of all sensors except satellite navigation."""
     readings = np.full((drive.steps, len(NODES), 1, CHANNELS), np.nan)
     free = REAR_LEFT if car.driven_axle == "front" else FRONT_LEFT

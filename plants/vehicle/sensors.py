@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from plants.draws import Array
 from plants.vehicle.drive import Drive
 
 
@@ -29,7 +28,7 @@ class SensorError(NamedTuple):
     outlier_scale: float = 20.0
 
 
-def noise_std(error: SensorError, time_s: Array) -> Array:
+def noise_std(error: SensorError, time_s: np.ndarray) -> np.ndarray:
     """Standard deviation (steps,) of the noise at times (steps,), outliers apart."""
     std = np.full(np.shape(time_s), error.std)
     for start_s, factor in error.changes:
@@ -39,7 +38,7 @@ def noise_std(error: SensorError, time_s: Array) -> Array:
 
 def contaminated(
     error: SensorError, generator: np.random.Generator, shape: tuple[int, ...]
-) -> Array:
+) -> np.ndarray:
     """Standard normals of a shape, of which a share is `outlier_scale` times as large.
 
     Which ones are outliers is drawn after the normals, so a sensor without outliers errs by the
@@ -51,8 +50,8 @@ def contaminated(
 
 
 def draw_errors(
-    error: SensorError, generator: np.random.Generator, time_s: Array, runs: int
-) -> Array:
+    error: SensorError, generator: np.random.Generator, time_s: np.ndarray, runs: int
+) -> np.ndarray:
     """Errors (steps, runs) at times (steps,)."""
     normal = contaminated(error, generator, (runs, len(time_s))).T
     return error.bias + noise_std(error, time_s)[:, None] * normal
@@ -73,7 +72,7 @@ TEST_CAR = {
 def logged(drive: Drive, errors: Mapping[str, SensorError], rng: np.random.Generator) -> Drive:
     """A drive as sensors that err so would log it; fields that have no sensor stay as they are."""
 
-    def noisy(values: Array, error: SensorError) -> Array:
+    def noisy(values: np.ndarray, error: SensorError) -> np.ndarray:
         columns = values.reshape(drive.steps, -1)
         drawn = [draw_errors(error, rng, drive.time_s, 1) for _ in columns.T]
         return (columns + np.concatenate(drawn, axis=1)).reshape(values.shape)

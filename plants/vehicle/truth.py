@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from plants.vehicle.drive import Array, Drive
+from plants.vehicle.drive import Drive
 from plants.vehicle.manoeuvres import Manoeuvre, Motion
 from plants.vehicle.parameters import GRAVITY_M_S2, Car
 
@@ -71,8 +71,8 @@ class Body(NamedTuple):
 
     begin: Callable[[float, Any], list[float]]
     derivative: Callable[[list[float], list[float], Any], list[float]]
-    motion: Callable[[Array], Motion]
-    sample: Callable[[Array, Array, Any], list[float]]
+    motion: Callable[[np.ndarray], Motion]
+    sample: Callable[[np.ndarray, np.ndarray, Any], list[float]]
 
 
 _STEERING, _HEADING = 2, 4  # in the states of the body
@@ -134,7 +134,7 @@ def multi_body() -> Body:
     from vehiclemodels.init_mb import init_mb
     from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
 
-    def sample(x: Array, f: Array, p: Any) -> list[float]:
+    def sample(x: np.ndarray, f: np.ndarray, p: Any) -> list[float]:
         # The library's left side has negative y, so it is the right side in our axes.
         wheels = [p.R_w * x[wheel] for wheel in (24, 23, 26, 25)]
         return [x[5], x[3], x[10], f[3], f[10], *wheels]
@@ -188,7 +188,7 @@ def _parameters(car: TrueCar) -> Any:
 
 
 def _command(
-    manoeuvre: Manoeuvre, model: Body, state: Array, time_s: float, step_s: float
+    manoeuvre: Manoeuvre, model: Body, state: np.ndarray, time_s: float, step_s: float
 ) -> list[float]:
     """Steering rate and acceleration that the driver wants."""
     motion = model.motion(state)
@@ -198,11 +198,16 @@ def _command(
 
 
 def _runge_kutta(
-    model: Body, state: Array, slope: Array, command: list[float], parameters: Any, h: float
-) -> Array:
+    model: Body,
+    state: np.ndarray,
+    slope: np.ndarray,
+    command: list[float],
+    parameters: Any,
+    h: float,
+) -> np.ndarray:
     """Return the state h later; `slope` is the derivative at its beginning."""
 
-    def derivative(at: Array) -> Array:
+    def derivative(at: np.ndarray) -> np.ndarray:
         return np.array(model.derivative(at.tolist(), command, parameters))
 
     second = derivative(state + 0.5 * h * slope)
@@ -211,7 +216,7 @@ def _runge_kutta(
     return state + h / 6 * (slope + 2 * second + 2 * third + fourth)
 
 
-def _drive(rows: Array, time_step_s: float) -> Drive:
+def _drive(rows: np.ndarray, time_step_s: float) -> Drive:
     steering, heading, yaw_rate, vx, vy, vx_rate, vy_rate = rows[:, :7].T
     return Drive(
         time_step_s=time_step_s,

@@ -18,7 +18,7 @@ import numpy as np
 from msgspec import structs
 
 from plants.vehicle.drive import Drive
-from plants.vehicle.model import Array, Axles, SingleTrack, Tyre, tanh_tyre
+from plants.vehicle.model import Axles, SingleTrack, Tyre, tanh_tyre
 from plants.vehicle.parameters import Car
 
 MODEL_STEP_S = 0.005
@@ -46,10 +46,10 @@ class Identified(NamedTuple):
     """
 
     car: Car
-    stiffness_std_n_rad: Array
+    stiffness_std_n_rad: np.ndarray
     friction_std: float
     steering_offset_rad: float
-    residual_rms: Array
+    residual_rms: np.ndarray
     condition: float
 
 
@@ -85,14 +85,14 @@ def identify(
     # The fit has no offset for an output that was not logged.
     sought = np.concatenate(([True, True, True], compared[:, 1:].any(axis=0), [seek_friction]))
 
-    def residuals(parameters: Array) -> Array:
+    def residuals(parameters: np.ndarray) -> np.ndarray:
         """Scaled residuals (lanes, values) of the parameters sought (lanes, p)."""
         complete = np.zeros((len(parameters), len(sought)))
         complete[:, sought] = parameters
         left = (_outputs(driven, car, tyre, complete) - outputs[:, None, :]) / np.array(_SCALES)
         return np.moveaxis(left, 1, 0)[:, compared]
 
-    def jacobian(parameters: Array) -> Array:
+    def jacobian(parameters: np.ndarray) -> np.ndarray:
         steps = _STEP * np.eye(len(parameters))
         both = residuals(np.concatenate([parameters + steps, parameters - steps]))
         return ((both[: len(steps)] - both[len(steps) :]) / (2 * _STEP)).T
@@ -108,7 +108,7 @@ _OFFSETS = np.array([1e-3, *_SCALES[1:]])
 _FRONT, _REAR, _STEERING_OFFSET, _FRICTION = 0, 1, 2, 5
 
 
-def _outputs(driven: Drive, car: Car, tyre: Tyre, parameters: Array) -> Array:
+def _outputs(driven: Drive, car: Car, tyre: Tyre, parameters: np.ndarray) -> np.ndarray:
     """Yaw rate, lateral acceleration and side slip (steps, lanes, 3) of the model."""
     limit = car.friction * np.exp(parameters[:, _FRICTION])
     axles = Axles(
@@ -137,9 +137,9 @@ def _outputs(driven: Drive, car: Car, tyre: Tyre, parameters: Array) -> Array:
 def _identified(
     car: Car,
     sought: np.ndarray,
-    parameters: Array,
-    residuals: Array,
-    jacobian: Array,
+    parameters: np.ndarray,
+    residuals: np.ndarray,
+    jacobian: np.ndarray,
     compared: np.ndarray,
 ) -> Identified:
     values, std = np.zeros(len(sought)), np.full(len(sought), np.nan)
@@ -172,7 +172,7 @@ def _resampled(drive: Drive) -> Drive:
         return drive
     time_s = MODEL_STEP_S * np.arange(round((drive.steps - 1) * drive.time_step_s / MODEL_STEP_S))
 
-    def at(values: Array) -> Array:
+    def at(values: np.ndarray) -> np.ndarray:
         if values.ndim == 2:
             return np.stack([at(column) for column in values.T], axis=-1)
         return np.interp(time_s, drive.time_s, values)

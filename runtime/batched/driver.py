@@ -16,7 +16,6 @@ from nodes.environment_state import Delivery
 from nodes.lanes.filter import Counters, with_lanes
 from nodes.lanes.links import places
 from nodes.lanes.network import Era, Network, Regime, RuleWithReturns, Spread
-from nodes.messages import Array
 from nodes.node import contenders_left
 from runtime.batched.tally import Tally, masked
 
@@ -32,9 +31,9 @@ class Instant(NamedTuple):
     """
 
     step: int
-    truth: Array
-    readings: Array
-    control: Array | None
+    truth: np.ndarray
+    readings: np.ndarray
+    control: np.ndarray | None
     belief: Gaussian
     ages: np.ndarray
     payload_bytes: np.ndarray
@@ -112,11 +111,11 @@ def _steer(
     network: Network,
     era: Era,
     belief: Gaussian,
-    truth: Array,
-    control: Array | None,
+    truth: np.ndarray,
+    control: np.ndarray | None,
     memory: Any,
     last: int,
-) -> tuple[Array | None, Any]:
+) -> tuple[np.ndarray | None, Any]:
     """Return the control from step `last` on (R, p), and the controller's memory."""
     if network.controller is None:
         return None, memory
@@ -127,13 +126,13 @@ def _steer(
     return law(truth if node is None else belief.mean[:, node], memory, last)
 
 
-def _delivery(delivery: Delivery | None, runs: int) -> Callable[[Array, int], Array]:
+def _delivery(delivery: Delivery | None, runs: int) -> Callable[[np.ndarray, int], np.ndarray]:
     """Return the delivery between sensors and nodes, with a memory for each run."""
     if delivery is None:
         return lambda readings, step: readings
     memories = [delivery.memory] * runs
 
-    def deliver(readings: Array, step: int) -> Array:
+    def deliver(readings: np.ndarray, step: int) -> np.ndarray:
         delivered = []
         for run_, taken in enumerate(readings):
             memories[run_], arrived = delivery.transmit(memories[run_], taken, step)

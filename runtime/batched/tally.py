@@ -5,7 +5,6 @@ from typing import NamedTuple
 import numpy as np
 
 from nodes.lanes.filter import Counters, added
-from nodes.messages import Array
 
 
 class Tally(NamedTuple):
@@ -32,7 +31,7 @@ class Tally(NamedTuple):
         return self._replace(shown=shown)
 
 
-def masked(present: np.ndarray, values: Array) -> Array:
+def masked(present: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Values (R, N, ...), NaN at nodes that are not `present` (N,)."""
     if present.all():
         return values

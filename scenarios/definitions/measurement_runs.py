@@ -6,15 +6,12 @@ The same functions as in `nodes.rules.measurement_bus`, so a lane here and a net
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bus.measurement_bus import MeasurementBus, Slot
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule
 from filters.stochastic_ukf import MeasurementFilter, Received
 from nodes.rules.measurement_bus import System, dynamics, observation
-
-Array = NDArray[np.float64]
 
 
 class Estimator(NamedTuple):
@@ -29,12 +26,12 @@ class Estimator(NamedTuple):
     prior: Gaussian
 
 
-def first_received(system: System, prior_mean: Array) -> Array:
+def first_received(system: System, prior_mean: np.ndarray) -> np.ndarray:
     """ybar_0 (..., m): what the prior mean (..., n) would measure at step 0."""
     return system.measure(prior_mean, 0)
 
 
-def slots_of(bus: MeasurementBus, measurement: Array, received: Array) -> Slot:
+def slots_of(bus: MeasurementBus, measurement: np.ndarray, received: np.ndarray) -> Slot:
     """Return the receiver's slots 1..S for measurements (S + 1, ..., m), stacked: S first.
 
     The first measurement, at step 0, is not looked at; `received` (..., m) is ybar_0.

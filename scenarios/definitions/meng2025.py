@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bus.measurement_bus import (
     RECEIVER,
@@ -44,8 +43,6 @@ from scenarios.types.network import SensorNetwork
 from scenarios.types.plants import MeasuredPlantChoice, StochasticReceiver
 from scenarios.types.rules import Reception
 from topology.names import unknown_name
-
-Array = NDArray[np.float64]
 
 SYSTEM, SENSORS = meng2025.SYSTEM, meng2025.SENSORS
 ZERO_ORDER, ZERO_INPUT = "zero-order", "zero-input"
@@ -129,7 +126,7 @@ def _estimator(setup: Setup, node: int) -> Estimator:
     )
 
 
-def _listen(setup: Setup, nodes: Sequence[int], readings: Array) -> Gaussian:
+def _listen(setup: Setup, nodes: Sequence[int], readings: np.ndarray) -> Gaussian:
     """The recommended filter with all readings (steps, N, 1, d) of some sensors at every step."""
     values = np.full((len(readings) - 1, SYSTEM.entries), np.nan)
     bus = bus_of(setup.scenario)

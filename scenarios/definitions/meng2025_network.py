@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from functools import cache, partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bus.measurement_bus import MeasurementBus, flexray
 from filters.gaussian import Gaussian
@@ -28,8 +27,6 @@ from scenarios.setup import Setup
 from scenarios.types.network import SensorNetwork
 from scenarios.types.plants import StochasticNetwork
 
-Array = NDArray[np.float64]
-
 
 @cache
 def _plant(nodes: int) -> SensedPlant:
@@ -37,8 +34,8 @@ def _plant(nodes: int) -> SensedPlant:
 
 
 def _transmit(
-    bus: MeasurementBus, received: Array, readings: Array, step: int
-) -> tuple[Array, Array]:
+    bus: MeasurementBus, received: np.ndarray, readings: np.ndarray, step: int
+) -> tuple[np.ndarray, np.ndarray]:
     """One slot of every node's bus: ybar (nodes, m) after it, and what was sent (nodes, 1, m)."""
     if step == 0:
         return received, readings
@@ -57,7 +54,7 @@ def _delivery(scenario: Scenario) -> Delivery:
     return Delivery(partial(_transmit, bus), received)
 
 
-def _listen(setup: Setup, nodes: Sequence[int], readings: Array) -> Gaussian:
+def _listen(setup: Setup, nodes: Sequence[int], readings: np.ndarray) -> Gaussian:
     """The recommended filter with what the buses of some nodes delivered (steps, N, 1, m).
 
     All of it at once: how one filter took them one by one would hang on their order.

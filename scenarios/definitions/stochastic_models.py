@@ -3,13 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from filters.gaussian import Gaussian
 from filters.stochastic_ukf import expected_cov
 from plants.stochastic import StochasticSystem
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,15 +15,15 @@ class SystemModel:
 
     system: StochasticSystem
 
-    def transition(self, state: Array, control: Array | None, step: int) -> Array:
+    def transition(self, state: np.ndarray, control: np.ndarray | None, step: int) -> np.ndarray:
         """State (..., n) at `step + 1` from the state at `step`."""
         return self.system.transition(state, control, step)
 
-    def process_noise_cov(self, step: int) -> Array:
+    def process_noise_cov(self, step: int) -> np.ndarray:
         """Q (n, n) of the step."""
         return self.system.process_noise_cov(step)
 
-    def state_noise_cov(self, belief: Gaussian, step: int) -> Array:
+    def state_noise_cov(self, belief: Gaussian, step: int) -> np.ndarray:
         """E{g g'} (..., n, n) over beliefs at `step`."""
         return expected_cov(self.system.process_moment(step), belief)
 
@@ -42,20 +39,20 @@ class SystemSensor:
     rows: slice
     gate: None = None
 
-    def measure(self, state: Array, step: int) -> Array:
+    def measure(self, state: np.ndarray, step: int) -> np.ndarray:
         """The measurement (..., m) of a state (..., n), without noise."""
         return self.system.measure(state, step)[..., self.rows]
 
-    def residual(self, value: Array, predicted: Array) -> Array:
+    def residual(self, value: np.ndarray, predicted: np.ndarray) -> np.ndarray:
         """value - predicted (..., m)."""
         return value - predicted
 
-    def interpret(self, delivered: Array) -> tuple[Array, Array]:
+    def interpret(self, delivered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The first m entries (..., m) of what was delivered, and R (m, m)."""
         noise_cov = self.system.measurement_noise_cov(0)[self.rows, self.rows]
         return delivered[..., : len(noise_cov)], noise_cov
 
-    def state_noise_cov(self, belief: Gaussian, step: int) -> Array:
+    def state_noise_cov(self, belief: Gaussian, step: int) -> np.ndarray:
         """E{b b'} (..., m, m) over beliefs at `step`."""
         every_row = expected_cov(self.system.measurement_moment(step), belief)
         return every_row[..., self.rows, self.rows]

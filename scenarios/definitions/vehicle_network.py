@@ -14,7 +14,7 @@ from filters.adaptive.sage_husa import NoiseEstimate
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
 from nodes.estimator import Estimator
-from nodes.messages import Array, Measured, to_wire
+from nodes.messages import Measured, to_wire
 from nodes.rules.adaptive_noise import AdaptedSensor, AdaptiveNoise, declared_noise, learn
 from nodes.rules.local_filter import carry, take_own
 from plants.vehicle.cars import FITTED_CARS
@@ -152,7 +152,7 @@ def _around(scenario: Scenario, seat: Seat, rule: Estimator) -> Estimator:
     return AdaptiveNoise(rule, seat.sensor, seat.points)
 
 
-def _listen(setup: Setup, nodes: Sequence[int], readings: Array) -> Gaussian:
+def _listen(setup: Setup, nodes: Sequence[int], readings: np.ndarray) -> Gaussian:
     """Beliefs (steps,) of one filter that takes the readings of these nodes, and learns as they."""
     scenario = setup.scenario
     model, points = _model(scenario), scaled_unscented(len(setup.prior_mean))

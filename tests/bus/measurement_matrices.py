@@ -11,16 +11,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 
 class SlotMatrices(NamedTuple):
     """fresh N_s (m, m) picks what is transmitted, held Theta_s (m, m) what is kept: (9)."""
 
-    fresh: Array
-    held: Array
+    fresh: np.ndarray
+    held: np.ndarray
 
 
 def static_turn(slot: int, static_slots: int) -> int:
@@ -37,7 +34,7 @@ def segment(slot: int, static_slots: int) -> int:
     return int(slot % (static_slots + 1) == 0)
 
 
-def selection(members: Sequence[int], sizes: Sequence[int], chosen: int) -> Array:
+def selection(members: Sequence[int], sizes: Sequence[int], chosen: int) -> np.ndarray:
     """Phi: diagonal of the blocks delta(j, chosen) I of the members j (sensors 1..N)."""
     return np.diag(
         np.repeat([float(j == chosen) for j in members], [sizes[j - 1] for j in members])
@@ -74,7 +71,7 @@ def slot_matrices(
     )
 
 
-def receive(matrices: SlotMatrices, measurement: Array, received: Array) -> Array:
+def receive(matrices: SlotMatrices, measurement: np.ndarray, received: np.ndarray) -> np.ndarray:
     """ybar_s (..., m) of y_s (..., m) and ybar_{s-1} (..., m): (9)."""
     return measurement @ matrices.fresh.T + received @ matrices.held.T
 
@@ -84,9 +81,9 @@ def receive_by_segments(
     static_slots: int,
     slot: int,
     contention_winner: int,
-    measurement: Array,
-    received: Array,
-) -> Array:
+    measurement: np.ndarray,
+    received: np.ndarray,
+) -> np.ndarray:
     """The same by (6) and (7): the static sensors' part and the contenders' part, stacked."""
     split = sum(sizes[:static_slots])
     members, own = range(1, static_slots + 1), slice(0, split)

@@ -10,10 +10,13 @@ import pytest
 
 from dashboard.frames.frame import Frame
 from dashboard.frames.live import LiveNetwork
+from dashboard.panels.network_controls import NetworkControls
+from dashboard.panels.node_controls import NodeControls
 from dashboard.serve import open_network
 from dashboard.theme import linear
 from runtime.network.control_client import Client
 from runtime.network.network_file import read_network
+from scenarios.types.buses import occupancy_of
 from tests.dashboard.browser_page import Page, press_on, row_of, slot_of
 from tests.processes import CONCORD, family, holds_within, lives
 
@@ -241,10 +244,22 @@ def test_a_link_loses_the_part_of_its_frames_that_was_asked_for(page: Page, onlo
     page.until(lambda: not newest(page).lost.any())
 
 
+def node_controls(page: Page) -> NodeControls:
+    found = page.dashboard.controls.node
+    assert found is not None
+    return found
+
+
+def network_controls(page: Page) -> NetworkControls:
+    found = page.dashboard.controls.network
+    assert found is not None
+    return found
+
+
 def test_faults_are_asked_for_in_words(page: Page, onlooker: Client):
     def say(words: str) -> None:
         page.widget("Fault").locator("input").first.fill(words)
-        page.until(lambda: page.dashboard.controls.node.fault.value == words)
+        page.until(lambda: node_controls(page).fault.value == words)
         page.press("Inject")
 
     say("crc 5 1")
@@ -271,9 +286,9 @@ def test_speed_is_that_of_the_slider(page: Page, onlooker: Client):
 
 def test_rule_and_rounds_hold_from_the_next_step_for_all(page: Page, onlooker: Client):
     page.choose("Rule", "wac")
-    page.until(lambda: page.dashboard.controls.network.rule.value == "wac")
+    page.until(lambda: network_controls(page).rule.value == "wac")
     page.enter("Rounds", 2)
-    page.until(lambda: page.dashboard.controls.network.rounds.value == 2)
+    page.until(lambda: network_controls(page).rounds.value == 2)
     page.press("Apply at the next step")
     page.until(lambda: page.dashboard.stage.setup.scenario.rule.name == "wac")
     page.until(lambda: len(newest(page).cycles) == 2)
@@ -285,11 +300,11 @@ def test_rule_and_rounds_hold_from_the_next_step_for_all(page: Page, onlooker: C
 def test_occupancy_and_arbiter_give_the_bus_to_fewer_and_to_others(page: Page, onlooker: Client):
     assert all(len(in_static(cycle)) == 8 for cycle in newest(page).cycles)
     page.enter("Occupancy", 0.5)
-    page.until(lambda: page.dashboard.controls.network.occupancy.value == 0.5)
+    page.until(lambda: network_controls(page).occupancy.value == 0.5)
     page.choose("Arbiter", "round-robin")
-    page.until(lambda: page.dashboard.controls.network.arbiter.value == "round-robin")
+    page.until(lambda: network_controls(page).arbiter.value == "round-robin")
     page.press("Apply at the next step")
-    page.until(lambda: page.dashboard.stage.setup.scenario.bus.schedule.occupancy == 0.5)
+    page.until(lambda: occupancy_of(page.dashboard.stage.setup.scenario.bus.schedule) == 0.5)
     settings = onlooker.state()["standing"]["settings"]
     assert (settings["occupancy"], settings["arbiter"]) == (0.5, "round-robin")
     steps_on(page, 3)

@@ -8,7 +8,6 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from bus.arbitration import ARBITERS
-from bus.bus import Bus
 from bus.flexray.cluster import Cluster
 from bus.flexray.flexray_bus import FlexRayBus
 from bus.flexray.share_frames import read_frame
@@ -173,10 +172,16 @@ def prepared(options: dict) -> Setup:
         raise
 
 
-def assert_orderly(plan: Bus, payload_bytes: np.ndarray) -> None:
+def flexray_bus(setup: Setup) -> FlexRayBus:
+    """The bus of a setup that has one of FlexRay."""
+    bus = build_bus(setup)
+    assert isinstance(bus, FlexRayBus)
+    return bus
+
+
+def assert_orderly(plan: FlexRayBus, payload_bytes: np.ndarray) -> None:
     """One frame at a time, each in its segment, none begun after pLatestTx."""
     cluster = plan.cluster
-    assert cluster is not None
     static_us = cluster.static_slots * cluster.static_slot_us
     latest_us = cluster.minislot_start_us(cluster.latest_transmission_minislot + 1)
     segment_us = cluster.minislot_start_us(cluster.minislots + 1)
@@ -197,7 +202,7 @@ def assert_orderly(plan: Bus, payload_bytes: np.ndarray) -> None:
 def test_no_two_frames_of_a_run_overlap_and_all_were_recorded(options: dict):
     setup = prepared(options)
     messages = in_memory(setup)
-    trace, plan = read_trace(setup, messages), build_bus(setup)
+    trace, plan = read_trace(setup, messages), flexray_bus(setup)
     assert_orderly(plan, trace.payload_bytes)
     planned = {
         (number, frame.node, frame.frame_id, frame.payload_bytes)
@@ -217,11 +222,10 @@ def test_no_two_frames_of_a_run_overlap_and_all_were_recorded(options: dict):
 @given(choices, st.integers(10, 40))
 def test_no_two_frames_of_a_larger_network_overlap(options: dict, nodes: int):
     setup = prepared({**options, "nodes": nodes})
-    plan = build_bus(setup)
+    plan = flexray_bus(setup)
     rehearsal = rehearse(setup, plan, 6)
     assert_orderly(plan, rehearsal.payload_bytes)
     table = plan.table
-    assert table is not None
     for node in range(nodes):
         if any(node in row for row in plan.schedule.static_table):
             turns = rehearsal.published[..., node].ravel()

@@ -17,6 +17,7 @@ from experiments.design.target import Target, error_of, parse_target
 from experiments.sweep.pieces import Piece
 from experiments.sweep.specification import specify
 from scenarios.scenario import Scenario
+from scenarios.types.buses import occupancy_of
 
 ASKED = {"scenario": "oscillator", "nodes": "10", "weights": "metropolis"}
 
@@ -30,26 +31,28 @@ def landscape(noise: float = 0.05, luck: float = 0.0):
     def figures(piece: Piece) -> dict[str, np.ndarray]:
         s = msgspec.json.decode(piece.scenario, type=Scenario)
         runs = np.arange(piece.first, piece.last)
-        ratio = 1 + 0.1 / s.occupancy / s.rounds
-        ratio += {"ring": 0.3, "complete": 0.0}.get(s.graph, 0.2)
-        ratio += {"ci": 0.3, "hcmci": 0.0}[s.rule] + {"dynamic": 0.0}.get(s.schedule, 0.02)
+        schedule, graph, rule = s.bus.schedule, s.network.graph, s.rule.name
+        occupancy = occupancy_of(schedule)
+        ratio = 1 + 0.1 / occupancy / s.rounds
+        ratio += {"ring": 0.3, "complete": 0.0}.get(graph, 0.2)
+        ratio += {"ci": 0.3, "hcmci": 0.0}[rule] + {"dynamic": 0.0}.get(schedule.name, 0.02)
         if piece.first < FRESH_RUN:
             ratio *= 1 - luck
         common = np.array([1 + noise * np.random.default_rng(r).standard_normal() for r in runs])
         own = np.array(
             [
-                1 + noise * np.random.default_rng([int(r), len(s.graph)]).standard_normal()
+                1 + noise * np.random.default_rng([int(r), len(graph)]).standard_normal()
                 for r in runs
             ]
         )
-        sent = s.occupancy * s.rounds * (2 if s.rule == "hcmci" else 1) * 100
+        sent = occupancy * s.rounds * (2 if rule == "hcmci" else 1) * 100
         return {
             "rmse": ratio * common * own,
             "rmse_centralised": common,
             "anees": np.full(len(runs), 0.8),
-            "published": np.full(len(runs), s.occupancy),
+            "published": np.full(len(runs), occupancy),
             "bytes_per_step": np.full(len(runs), sent),
-            "energy_per_step": np.full(len(runs), sent * (3 if s.graph == "complete" else 1)),
+            "energy_per_step": np.full(len(runs), sent * (3 if graph == "complete" else 1)),
             "bound": np.full(s.steps, 0.5),
         }
 

@@ -112,7 +112,7 @@ def test_an_interrupted_run_in_one_process_leaves_its_folder(tmp_path: Path):
 
 @pytest.mark.parametrize(
     "scenario",
-    ["oscillator --graph ring --nodes 8200 --bus ideal", "liu2021-network --nodes 4"],
+    ["oscillator --graph ring --nodes 8200 --bus ideal", "vehicle-network --adaptive --nodes 4"],
     ids=["one run at a time is as much as fits", "message by message"],
 )
 def test_interrupted_runs_of_many_keep_those_that_are_complete(tmp_path: Path, scenario: str):

@@ -9,7 +9,6 @@ import pytest
 
 from experiments.monte_carlo.posterior_bound import Truths, posterior_bound
 from experiments.scenario_options import scenario_of
-from nodes.messages import Array
 from scenarios.baselines import centralised
 from scenarios.catalogue import kind_of
 from scenarios.preparation import prepare
@@ -43,7 +42,7 @@ def truths_of(name: str, runs: int, **fields) -> tuple[Truths, SimpleNamespace]:
     return Truths(np.array(truth), np.array(readings), None), parts
 
 
-def kalman_cov(parts: SimpleNamespace, steps: int) -> Array:
+def kalman_cov(parts: SimpleNamespace, steps: int) -> np.ndarray:
     """The covariance of the Kalman filter with all sensors, by the textbook."""
     model, n = parts.model, len(parts.prior_cov)
     F = np.column_stack(
@@ -91,10 +90,10 @@ def test_so_it_is_where_some_direction_has_no_noise(name: str):
 class Bent:
     """x' = x + 0.1 sin x + noise: a model whose Jacobian is another at every truth."""
 
-    def transition(self, state: Array, control: Array | None, step: int) -> Array:
+    def transition(self, state: np.ndarray, control: np.ndarray | None, step: int) -> np.ndarray:
         return state + 0.1 * np.sin(state)
 
-    def process_noise_cov(self, step: int) -> Array:
+    def process_noise_cov(self, step: int) -> np.ndarray:
         return np.array([[0.04]])
 
 
@@ -103,13 +102,13 @@ class Squared:
 
     gate = None
 
-    def measure(self, state: Array, step: int) -> Array:
+    def measure(self, state: np.ndarray, step: int) -> np.ndarray:
         return state**2 / 4
 
-    def residual(self, value: Array, predicted: Array, /) -> Array:
+    def residual(self, value: np.ndarray, predicted: np.ndarray, /) -> np.ndarray:
         return value - predicted
 
-    def interpret(self, delivered: Array) -> tuple[Array, Array]:
+    def interpret(self, delivered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return delivered, np.array([[0.09]])
 
 

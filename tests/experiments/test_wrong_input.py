@@ -159,7 +159,7 @@ def test_a_drive_whose_car_is_none_is_named(complaint, home: Path, command: str)
     [
         ("--car bmw-320i", "vehicle-network"),
         ("--manoeuvre serpentine", "vehicle-network"),
-        ("--static-slots 3", "meng2025, meng2025-network"),
+        ("--static-slots 3", "meng2025 or meng2025-network"),
         ("--target 4", "mrclam"),
         ("--noise matched", "cruise-control"),
         ("--control 0", "cruise-control"),

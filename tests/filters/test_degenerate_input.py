@@ -164,7 +164,12 @@ def test_it_stays_finite_or_is_lost(name: str, case: str):
             z = np.stack([GOOD, trouble.readings(k)])
             update, memory = chosen.step(belief, memory, z, process)
             mean, cov = update.belief
-            finite = np.isfinite(mean).all(axis=-1) & np.isfinite(cov).all(axis=(-1, -2))
+            finite = np.array(
+                [
+                    np.isfinite(m).all() and np.isfinite(p).all()
+                    for m, p in zip(mean, cov, strict=True)
+                ]
+            )
             assert not (lost & finite).any()
             lost = ~finite
             belief = update.belief

@@ -12,7 +12,7 @@ from bus.flexray.share_frames import read_body, read_frame
 from bus.schedule import Schedule
 from filters.gaussian import Gaussian
 from nodes.belief_codec import BeliefCodec
-from nodes.messages import Array, Measured, decode, from_wire
+from nodes.messages import Measured, decode, from_wire
 from nodes.rules.labelled import Content, LabelledFlooding
 from nodes.rules.labelled_frame import LabelledFrameCodec
 from nodes.rules.record_codec import RecordCodec
@@ -36,8 +36,8 @@ def labelled(
     window_steps: int = 8,
     digest_steps: int = 0,
     gates: dict[int, float] | None = None,
-    matrix: Array = F,
-    process_noise_cov: Array = Q,
+    matrix: np.ndarray = F,
+    process_noise_cov: np.ndarray = Q,
     limit_bytes: int = 246,
     seed: int = 0,
 ) -> Network:
@@ -91,7 +91,7 @@ def _slots(node: int, cycle: int) -> tuple[Slot, ...]:
 # --- what should be held, found without the rule -------------------------------------------------
 
 
-def taken(outcome: Outcome) -> dict[tuple[int, int], Array]:
+def taken(outcome: Outcome) -> dict[tuple[int, int], np.ndarray]:
     """Return every reading (d,) by (step, source), from the environment's messages."""
     found = {}
     for topic, data in outcome.messages:
@@ -171,7 +171,7 @@ def held_by(states: Iterable[Any]) -> Held:
     return found
 
 
-def kalman(net: Network, readings: dict[tuple[int, int], Array], labels: Iterable) -> Gaussian:
+def kalman(net: Network, readings: dict[tuple[int, int], np.ndarray], labels: Iterable) -> Gaussian:
     """The belief at the last step given these readings: a plain Kalman filter, in matrices."""
     plant = net.world.plant
     matrix, noise = plant.matrix, plant.noise_cov  # type: ignore[attr-defined]

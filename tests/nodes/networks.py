@@ -21,7 +21,7 @@ from filters.sigma_points import scaled_unscented
 from nodes.belief_codec import BeliefCodec
 from nodes.environment_state import Controller, EnvironmentConfig
 from nodes.faults.losses import LinkState
-from nodes.messages import Array, Estimate, decode, from_wire
+from nodes.messages import Estimate, decode, from_wire
 from nodes.node import NodeConfig, NodeState
 from nodes.rules.at_node import AtNode
 from nodes.rules.belief_consensus import BeliefConsensus, HoldPolicy
@@ -48,22 +48,24 @@ TURN = 0.98 * np.array([[np.cos(0.3), np.sin(0.3)], [-np.sin(0.3), np.cos(0.3)]]
 class Linear:
     """Plant and model at once: x -> F x + u + noise. Some nodes read the whole state."""
 
-    matrix: Array
-    noise_cov: Array
+    matrix: np.ndarray
+    noise_cov: np.ndarray
     seeing: tuple[int, ...] = ()
     nodes: int = 1
 
-    def transition(self, state: Array, control: Array | None, step: int) -> Array:
+    def transition(self, state: np.ndarray, control: np.ndarray | None, step: int) -> np.ndarray:
         moved = state @ self.matrix.T
         return moved if control is None else moved + control
 
-    def process_noise_cov(self, step: int) -> Array:
+    def process_noise_cov(self, step: int) -> np.ndarray:
         return self.noise_cov
 
-    def advance(self, state: Array, control: Array | None, noise: Array, step: int) -> Array:
+    def advance(
+        self, state: np.ndarray, control: np.ndarray | None, noise: np.ndarray, step: int
+    ) -> np.ndarray:
         return self.transition(state, control, step) + noise
 
-    def observe(self, state: Array, noise: Array, step: int) -> Array:
+    def observe(self, state: np.ndarray, noise: np.ndarray, step: int) -> np.ndarray:
         delivered = np.full((self.nodes, 1, len(state)), np.nan)
         for node in self.seeing:
             delivered[node, 0] = state + noise[node, 0]
@@ -73,22 +75,22 @@ class Linear:
 class WholeState(NamedTuple):
     """A sensor that reads the state."""
 
-    noise_cov: Array
+    noise_cov: np.ndarray
     gate: float | None = None
 
-    def measure(self, state: Array, step: int) -> Array:
+    def measure(self, state: np.ndarray, step: int) -> np.ndarray:
         return state
 
-    def residual(self, value: Array, predicted: Array, /) -> Array:
+    def residual(self, value: np.ndarray, predicted: np.ndarray, /) -> np.ndarray:
         return value - predicted
 
-    def interpret(self, delivered: Array) -> tuple[Array, Array]:
+    def interpret(self, delivered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return delivered, self.noise_cov
 
 
 class Draws(NamedTuple):
-    process: Array
-    measurement: Array
+    process: np.ndarray
+    measurement: np.ndarray
 
 
 class Network(NamedTuple):
@@ -111,8 +113,8 @@ def network(
     *,
     steps: int,
     rounds: int,
-    matrix: Array | None = None,
-    process_noise_cov: Array | None = None,
+    matrix: np.ndarray | None = None,
+    process_noise_cov: np.ndarray | None = None,
     average: Averaged = MOMENTS,
     hold_policy: HoldPolicy = DROP,
     schedule: Schedule | None = None,
@@ -169,8 +171,8 @@ def network(
 class Outcome(NamedTuple):
     """Results of a run: mean (steps, N, n), cov (steps, N, n, n), all messages, final states."""
 
-    mean: Array
-    cov: Array
+    mean: np.ndarray
+    cov: np.ndarray
     estimates: list[Estimate]
     messages: list[tuple[str, bytes]]
     states: list[NodeState]
@@ -233,7 +235,7 @@ def last_come(waiting: int) -> int:
     return waiting - 1
 
 
-def random_cov(generator: np.random.Generator, n: int) -> Array:
+def random_cov(generator: np.random.Generator, n: int) -> np.ndarray:
     """A covariance (n, n) with a condition number of some tens."""
     root = generator.standard_normal((n, n + 2))
     return root @ root.T + 0.2 * np.eye(n)

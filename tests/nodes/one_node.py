@@ -5,11 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from bus.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
-from filters.fusion.averaging import INFORMATION
+from filters.fusion.averaging import INFORMATION, Averaged
 from filters.gaussian import Gaussian
 from nodes.belief_codec import BeliefCodec
 from nodes.messages import Estimate, Grant, Measured, NodeEvent, NodeMessage, ShareHeard
 from nodes.node import NodeConfig, NodeState, initial_state, step
+from nodes.rules.belief_consensus import HoldPolicy
 from tests.nodes.networks import DECAYED, network, path, random_priors
 
 STEPS, ROUNDS = 4, 2
@@ -17,7 +18,11 @@ STRANGER = 5
 PRIORS = random_priors(np.random.default_rng(0), 3, 2)
 
 
-def middle_node(schedule: Schedule | None = None) -> NodeConfig:
+def middle_node(
+    schedule: Schedule | None = None,
+    average: Averaged = INFORMATION,
+    hold_policy: HoldPolicy = DECAYED,
+) -> NodeConfig:
     """Node 1 of the path 0 - 1 - 2, which sees nothing itself."""
     net = network(
         path(3),
@@ -25,8 +30,8 @@ def middle_node(schedule: Schedule | None = None) -> NodeConfig:
         steps=STEPS,
         rounds=ROUNDS,
         process_noise_cov=0.1 * np.eye(2),
-        average=INFORMATION,
-        hold_policy=DECAYED,
+        average=average,
+        hold_policy=hold_policy,
         schedule=schedule,
     )
     return net.nodes[1]

@@ -8,7 +8,6 @@ from bus.flexray.share_frames import read_frame
 from bus.ideal import TimelessBus
 from bus.schedule import Schedule
 from filters.gaussian import Gaussian
-from nodes.messages import Array
 from runtime.in_process import Link
 from scenarios.catalogue import kind_of
 from scenarios.rules import build_estimator, hold_policy
@@ -28,7 +27,7 @@ F = 0.98 * np.array([[np.cos(0.3), np.sin(0.3)], [-np.sin(0.3), np.cos(0.3)]])
 Q = np.array([[0.2, 0.05], [0.05, 0.1]])
 
 
-def noise_cov(node: int) -> Array:
+def noise_cov(node: int) -> np.ndarray:
     """Return a noise covariance whose precise direction differs from node to node."""
     angle = 0.7 * node
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
@@ -81,7 +80,7 @@ def ruled(
     return net._replace(nodes=nodes)
 
 
-def weight_matrix(net: Network) -> Array:
+def weight_matrix(net: Network) -> np.ndarray:
     """Return the Metropolis weights (N, N) of a network, from its neighbours."""
     weights = np.zeros((len(net.nodes), len(net.nodes)))
     for node in net.nodes:

@@ -12,7 +12,7 @@ from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
 from nodes.belief_codec import BeliefCodec
 from nodes.bids import FIRST_BID
-from nodes.messages import Array, Measured
+from nodes.messages import Measured
 from nodes.rules.at_node import AtNode
 from nodes.rules.belief_consensus import BeliefConsensus, BeliefContent, HoldPolicy
 from nodes.rules.lane_rule import Place
@@ -44,7 +44,7 @@ def told(belief: Gaussian | None) -> bytes | None:
     return None if belief is None else BeliefCodec(2).encode(belief)
 
 
-def kalman(belief: Gaussian, value: Array) -> Gaussian:
+def kalman(belief: Gaussian, value: np.ndarray) -> Gaussian:
     gain = belief.cov @ np.linalg.inv(belief.cov + R)
     return Gaussian(belief.mean + gain @ (value - belief.mean), (np.eye(2) - gain) @ belief.cov)
 
@@ -143,7 +143,7 @@ def believing(content: BeliefContent, belief: Gaussian) -> BeliefContent:
     return content._replace(own=content.own._replace(belief=belief))
 
 
-def moved_by(rule: AtNode, change: Array):
+def moved_by(rule: AtNode, change: np.ndarray):
     """A content that has published its prior and then moved on by `change`."""
     content, _ = rule.compose(rule.start())
     return believing(content, Gaussian(PRIOR.mean + change, PRIOR.cov))

@@ -15,7 +15,6 @@ from bus.flexray.share_frames import read_frame
 from bus.schedule import full_publish, hybrid, round_robin
 from filters.fusion.averaging import INFORMATION, MOMENTS, Averaged
 from filters.gaussian import Gaussian
-from nodes.messages import Array
 from tests.nodes.networks import (
     DECAYED,
     DROP,
@@ -36,7 +35,7 @@ F = 0.98 * np.array([[np.cos(0.3), np.sin(0.3)], [-np.sin(0.3), np.cos(0.3)]])
 Q = np.array([[0.2, 0.05], [0.05, 0.1]])
 
 
-def metropolis_weights(adjacency: Adjacency) -> Array:
+def metropolis_weights(adjacency: Adjacency) -> np.ndarray:
     """Metropolis weights, entry by entry."""
     count = len(adjacency)
     degree = [sum(row) for row in adjacency]
@@ -137,7 +136,7 @@ def _mixed(parts: list[tuple[float, Gaussian]]) -> Gaussian:
 
 def written_out(
     net: Network, priors: list[Gaussian], arrived: set[tuple[int, int, int]], name: str
-) -> tuple[Array, list[list[list[int]]]]:
+) -> tuple[np.ndarray, list[list[list[int]]]]:
     """Means (steps, N, n), and ages per step and node; `arrived` are (sender, receiver, cycle)."""
     adjacency = np.zeros((len(priors), len(priors)), dtype=bool)
     for node in net.nodes:

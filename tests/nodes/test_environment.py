@@ -17,7 +17,6 @@ from nodes.changes import Gone, Joined
 from nodes.environment_state import Controller, EnvironmentConfig, EnvironmentState
 from nodes.messages import (
     Allowed,
-    Array,
     Bid,
     EnvironmentMessage,
     Estimate,
@@ -152,7 +151,7 @@ def test_cycles_in_which_nobody_may_contend_need_no_bids():
 GROWTH, GAIN, STEPS = 1.2, 0.9, 60
 
 
-def proportional(state: Array, memory: Array, step: int) -> tuple[Array, Array]:
+def proportional(state: np.ndarray, memory: np.ndarray, step: int) -> tuple[np.ndarray, np.ndarray]:
     return -GAIN * state, memory
 
 
@@ -176,12 +175,12 @@ def driven(node: int | None, lead: int = 1, nodes: int = 3, gain: float = GAIN) 
     )
 
 
-def truth_of(outcome: Outcome) -> Array:
+def truth_of(outcome: Outcome) -> np.ndarray:
     found = [decode(t, d) for t, d in outcome.messages if t == "truth"]
     return np.array([from_wire(m.state) for m in found])
 
 
-def controls_of(outcome: Outcome) -> list[Array | None]:
+def controls_of(outcome: Outcome) -> list[np.ndarray | None]:
     found = [decode(t, d) for t, d in outcome.messages if t == "measured/0"]
     return [None if m.control is None else np.array(m.control) for m in found]
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from filters.gaussian import Gaussian
 from nodes.estimator import Rejected
-from nodes.messages import Array, CycleClosed, Estimate, Measured, NodeEvent, ShareHeard
+from nodes.messages import CycleClosed, Estimate, Measured, NodeEvent, ShareHeard
 from nodes.node import NodeConfig, Phase, initial_state, step
 from nodes.rules.at_node import AtNode
 from nodes.rules.fresh_consensus import FreshConsensus
@@ -42,7 +42,7 @@ def neighbours_share(rule: str) -> bytes:
     return left.accept(left.compose(content)[1])
 
 
-def kalman(belief: Gaussian, value: Array, noise: Array) -> Gaussian:
+def kalman(belief: Gaussian, value: np.ndarray, noise: np.ndarray) -> Gaussian:
     gain = belief.cov @ np.linalg.inv(belief.cov + noise)
     return Gaussian(belief.mean + gain @ (value - belief.mean), (np.eye(2) - gain) @ belief.cov)
 

@@ -10,7 +10,7 @@ from filters import ukf
 from filters.gaussian import Gaussian
 from filters.kernels import compiled
 from filters.sigma_points import scaled_unscented
-from nodes.messages import Array, Measured, decode, from_wire
+from nodes.messages import Measured, decode, from_wire
 from tests.nodes.networks import (
     Adjacency,
     Network,
@@ -49,9 +49,9 @@ def schedules(count: int) -> st.SearchStrategy[Schedule]:
     )
 
 
-def readings(outcome: Outcome) -> dict[int, dict[int, Array]]:
+def readings(outcome: Outcome) -> dict[int, dict[int, np.ndarray]]:
     """Return the readings of each seeing node at each step."""
-    read: dict[int, dict[int, Array]] = {}
+    read: dict[int, dict[int, np.ndarray]] = {}
     for topic, data in outcome.messages:
         if topic.startswith("measured/"):
             message = decode(topic, data)
@@ -62,7 +62,7 @@ def readings(outcome: Outcome) -> dict[int, dict[int, Array]]:
     return read
 
 
-def kalman(belief: Gaussian, read: dict[int, Array]) -> Gaussian:
+def kalman(belief: Gaussian, read: dict[int, np.ndarray]) -> Gaussian:
     """The update by the readings of some nodes at once."""
     mean, cov = belief
     for node, value in read.items():

@@ -1,6 +1,5 @@
 """One node before anything at all: it never raises, and can always go on."""
 
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -77,9 +76,7 @@ def any_events(draw: st.DrawFn, config: NodeConfig) -> list[NodeEvent]:
 @given(st.data(), st.sampled_from(sorted(SCHEDULES)), st.booleans())
 @settings(max_examples=400)
 def test_a_node_survives_any_events(data: st.DataObject, name: str, held: bool):
-    config = middle_node(SCHEDULES[name])
-    if not held:
-        config = replace(config, estimator=replace(config.estimator, hold=DROP))  # type: ignore[type-var]
+    config = middle_node(SCHEDULES[name], hold_policy=DECAYED if held else DROP)
     events = data.draw(any_events(config))
     state = initial_state(config)
     seen = 0
@@ -112,9 +109,7 @@ ABSURD = [-1.7e308, 1e-200, 1.0, 1e8, 1.7e308]
 @pytest.mark.parametrize("name", ["full", "dynamic"])
 def test_absurd_beliefs_with_right_checksums_stop_nobody(name: str, average, hold):
     """A peer that has lost its mind: any size of mean and variances, in the right slot and time."""
-    config = middle_node(SCHEDULES[name])
-    estimator = replace(config.estimator, rule=average, hold=hold)  # type: ignore[type-var]
-    config = replace(config, estimator=estimator)
+    config = middle_node(SCHEDULES[name], average, hold)
     events = clean_events(config)
     places = [i for i, e in enumerate(events) if isinstance(e, ShareHeard)][:2]
     for mean, *variances in product(ABSURD, ABSURD[1:], ABSURD[1:]):

@@ -9,7 +9,7 @@ import numpy as np
 from bus.flexray.share_frames import read_frame
 from filters.gaussian import Gaussian
 from nodes.estimator import Estimator
-from nodes.messages import Array, Bid, Estimate, Grant, Measured, Truth, decode, from_wire
+from nodes.messages import Bid, Estimate, Grant, Measured, Truth, decode, from_wire
 from nodes.node import NodeConfig
 from nodes.rules.belief_consensus import BeliefConsensus
 from runtime import in_process
@@ -88,7 +88,7 @@ class Telling:
 
     def fuse(self, content: Any, shares: tuple[Any, ...]) -> tuple[Any, tuple[str, ...]]:
         after, troubles = self._inner.fuse(content, shares)
-        ages: Array = self._inner.ages(after)
+        ages: np.ndarray = self._inner.ages(after)
         pairs = zip(self._node.neighbours, shares, strict=True)
         fresh = [j for j, share in pairs if share is not None]
         stale = [(j, age) for j, age in zip(self._node.neighbours, ages, strict=True) if age > 0]

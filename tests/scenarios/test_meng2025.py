@@ -47,7 +47,7 @@ def as_arrays(setup: Setup, trace: Trace) -> tuple[Gaussian, np.ndarray]:
     received = first_received(SYSTEM, meng2025.PRIOR_MEAN)
     slots = slots_of(bus, trace.readings[:, 1:, 0, 0], received)
     prior = Gaussian(meng2025.PRIOR_MEAN, meng2025.PRIOR_COV)
-    estimator = Estimator(SYSTEM, FILTERS[asked.rule], paper_points(), prior)
+    estimator = Estimator(SYSTEM, FILTERS[asked.filter.name], paper_points(), prior)
     return estimate(estimator, Received(slots.received, slots.fresh)), slots.sent
 
 

@@ -73,7 +73,7 @@ def test_every_scenario_says_what_it_is():
     for name, kind in kinds().items():
         assert kind.defaults.name == name
         assert 10 < len(type(kind.defaults.plant).summary()) < 100
-        assert type(kind.defaults.plant).summary()[0].islower()
+        assert type(kind.defaults.plant).summary()[0].isupper()
 
 
 @pytest.mark.parametrize("name", [n for n, kind in kinds().items() if kind.all_steps is None])
