@@ -49,7 +49,7 @@ class AgreeOptions:
 
 def agree(
     scenario: Annotated[ScenarioFlags, tyro.conf.arg(name="")],
-    options: Annotated[AgreeOptions, tyro.conf.arg(name="")],
+    output: Annotated[AgreeOptions, tyro.conf.OmitArgPrefixes],
 ) -> None:
     """Run a scenario in every driver; exit code 1 if they do not agree."""
     with user_errors():
@@ -64,7 +64,7 @@ def agree(
     near = without_array_form(setup.scenario) is None
     if near:
         differences += near_differences(setup, traces[reference])
-    _show(setup, list(traces), near, differences, options.json)
+    _show(setup, list(traces), near, differences, output.json)
     sys.exit(1 if differences else 0)
 
 

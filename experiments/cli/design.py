@@ -56,21 +56,21 @@ class DesignOptions:
 
 def design(
     fields: Annotated[FieldOptions, tyro.conf.arg(name="")],
-    options: Annotated[DesignOptions, tyro.conf.arg(name="")],
+    output: Annotated[DesignOptions, tyro.conf.OmitArgPrefixes],
 ) -> None:
     """Find the cheapest network that meets an error target. Fields given are settled, or are looked
     for among the given values; graph, rule, weights, rounds, occupancy and schedule are open."""
-    out = options.out or Path("runs") / f"design-{time.strftime('%Y%m%d-%H%M%S')}.json"
+    out = output.out or Path("runs") / f"design-{time.strftime('%Y%m%d-%H%M%S')}.json"
     with user_errors():
         if out.exists():
             raise ValueError(f"--out {out}: exists and is never written over; choose another name")
-        if options.runs < 2:
-            raise ValueError(f"--runs {options.runs}: an interval needs at least 2")
-        target = parse_target(options.target_rmse)
+        if output.runs < 2:
+            raise ValueError(f"--runs {output.runs}: an interval needs at least 2")
+        target = parse_target(output.target_rmse)
         settled, space = space_of(specify(said_in(fields)))
-        engine = engine_for(options.workers, options.dask)
+        engine = engine_for(output.workers, output.dask)
         check_place(out)
-        task = Task(target, options.minimise, settled, space, options.runs, engine, _say)
+        task = Task(target, output.minimise, settled, space, output.runs, engine, _say)
     kept: list[Candidate] = []
     refused: list[Refused] = []
     started = time.monotonic()
@@ -80,16 +80,16 @@ def design(
     except (KeyboardInterrupt, WorkerLost) as error:
         if kept:
             done = Found(kept, refused, [])
-            write_design(design_of(settled, target, options.minimise, done, False), out)
+            write_design(design_of(settled, target, output.minimise, done, False), out)
             _say(f"interrupted; what was tried is in {out}")
         if isinstance(error, WorkerLost):
             sys.stderr.write(f"concord: {error}\n")
             sys.exit(1)
         raise
-    result = design_of(settled, target, options.minimise, found, True)
+    result = design_of(settled, target, output.minimise, found, True)
     with user_errors():
         write_design(result, out)
-    _show(result, options, out, time.monotonic() - started)
+    _show(result, output, out, time.monotonic() - started)
     if result.recommended is None:
         sys.exit(1)
 

@@ -65,19 +65,19 @@ class RunOptions:
 
 def run(
     scenario: Annotated[ScenarioFlags, tyro.conf.arg(name="")],
-    options: Annotated[RunOptions, tyro.conf.arg(name="")],
+    output: Annotated[RunOptions, tyro.conf.OmitArgPrefixes],
 ) -> None:
     """Run a scenario, once or many times, and print how well its nodes did."""
     with user_errors():
-        _check(options)
+        _check(output)
         setup = prepare(resolved(scenario))
-        if options.port is not None:
-            ports_from(options.port, names(setup.neighbours))
+        if output.port is not None:
+            ports_from(output.port, names(setup.neighbours))
         name = new_name(setup.scenario.name)
-        tempo = _tempo(options, setup)
-        description = describe(name, options.driver, setup, tempo)
+        tempo = _tempo(output, setup)
+        description = describe(name, output.driver, setup, tempo)
         # Described first: a folder is never without its description.
-        folder = make_folder(options.out, name)
+        folder = make_folder(output.out, name)
         write_description(folder, description)
     sys.stderr.write(f"seed {setup.scenario.seed}; results in {folder}\n")
     if tempo is not None:
@@ -87,21 +87,21 @@ def run(
         )
     for warning in warnings_of(setup):
         sys.stderr.write(f"warning: {warning}\n")
-    if options.driver == BATCHED:
-        many = options.covariances, options.json
-        run_many(setup, options.runs, folder, description, *many)
+    if output.driver == BATCHED:
+        many = output.covariances, output.json
+        run_many(setup, output.runs, folder, description, *many)
         return
     pace = Pace(None, None)
-    page = PageProcess(folder, options.http_port)
+    page = PageProcess(folder, output.http_port)
     try:
         with progress(f"{setup.scenario.name}", setup.scenario.steps) as on_step, user_errors():
             driver = (
-                DRIVERS[options.driver] if tempo is None else partial(over_processes, tempo=tempo)
+                DRIVERS[output.driver] if tempo is None else partial(over_processes, tempo=tempo)
             )
-            if options.dashboard:
+            if output.dashboard:
                 on_step = page.beside(on_step)
-            pace = driver(setup, name, folder / RECORDING, options.port, on_step)
-            if options.dashboard:
+            pace = driver(setup, name, folder / RECORDING, output.port, on_step)
+            if output.dashboard:
                 # A network that waits for people has no pace of its own.
                 pace = pace._replace(steps_per_second=None)
     except (NetworkFailed, NotWritten) as error:
@@ -115,7 +115,7 @@ def run(
         page.close()
     with user_errors():
         trace = completed(folder, description)
-    finish(folder, description, trace, pace, options.json)
+    finish(folder, description, trace, pace, output.json)
 
 
 def _tempo(options: RunOptions, setup: Setup) -> Tempo | None:

@@ -54,19 +54,19 @@ class SweepOptions:
 
 def sweep(
     fields: Annotated[FieldOptions, tyro.conf.arg(name="")],
-    options: Annotated[SweepOptions, tyro.conf.arg(name="")],
+    output: Annotated[SweepOptions, tyro.conf.OmitArgPrefixes],
 ) -> None:
     """Run every combination of the given values, and print how good and how dear each is."""
-    out = options.out or Path("runs") / f"sweep-{time.strftime('%Y%m%d-%H%M%S')}.nc"
+    out = output.out or Path("runs") / f"sweep-{time.strftime('%Y%m%d-%H%M%S')}.nc"
     with user_errors():
         specification = specify(
             said_in(fields),
-            runs=options.runs,
-            first_run=options.first_run,
-            samples=options.latin_hypercube,
-            change_step=options.change_step,
+            runs=output.runs,
+            first_run=output.first_run,
+            samples=output.latin_hypercube,
+            change_step=output.change_step,
         )
-        engine = engine_for(options.workers, options.dask)
+        engine = engine_for(output.workers, output.dask)
         begun = begin(specification, out)
     _announce(begun, out)
     total = specification.runs * len(begun.cells)
@@ -80,7 +80,7 @@ def sweep(
     except (WorkerLost, NotWritten) as error:
         sys.stderr.write(f"concord: {error}; finished cells are kept in {folder_of(out)}\n")
         sys.exit(1)
-    _show(swept, options, out)
+    _show(swept, output, out)
 
 
 def _announce(begun: Begin, out: Path) -> None:

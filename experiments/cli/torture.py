@@ -43,16 +43,16 @@ class TortureOptions:
 
 def torture(
     fixed: Annotated[FixedOptions, tyro.conf.arg(name="")],
-    options: Annotated[TortureOptions, tyro.conf.arg(name="")],
+    output: Annotated[TortureOptions, tyro.conf.OmitArgPrefixes],
 ) -> None:
     """Draw a scenario and a swarm of faults from each seed, run it, and check after every cycle."""
     with user_errors():
-        seeds = read_seeds(options.seeds)
-        wire = {} if options.wire is None else {"wire": options.wire}
+        seeds = read_seeds(output.seeds)
+        wire = {} if output.wire is None else {"wire": output.wire}
         fields = fixed_fields({**said_in(fixed), **wire})
         # Options that no case can meet are refused before the first run.
         draw_case(seeds[0], fields)
-        engine = engine_for(options.workers, None)
+        engine = engine_for(output.workers, None)
     outcomes: dict[int, Outcome] = {}
     began = time.monotonic()
     try:
@@ -61,13 +61,13 @@ def torture(
                 outcomes[place] = outcome
                 on_seeds(len(outcomes))
     except KeyboardInterrupt:
-        _show(seeds, fields, list(outcomes.values()), time.monotonic() - began, options.json)
+        _show(seeds, fields, list(outcomes.values()), time.monotonic() - began, output.json)
         raise
     except WorkerLost as error:
         sys.stderr.write(f"concord: {error}\n")
         sys.exit(1)
     in_order = [outcomes[place] for place in sorted(outcomes)]
-    _show(seeds, fields, in_order, time.monotonic() - began, options.json)
+    _show(seeds, fields, in_order, time.monotonic() - began, output.json)
     sys.exit(1 if any(outcome.broken for outcome in in_order) else 0)
 
 
