@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: browser screenshots demo test test-slow test-all check format fast bench bench-compare kills fuzz stories docs lock clean
+.PHONY: browser screenshots demo test test-slow test-all check format bench bench-compare kills fuzz stories docs lock clean
 
 demo: .venv/run.stamp
 	$(BIN)/concord run --scenario target-tracking --nodes 12 --graph geometric --seed 7 --driver processes
@@ -36,13 +36,6 @@ check: .venv/dev.stamp
 format: .venv/dev.stamp
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
-
-# The compiled kernel, for this machine; needs a C++ compiler. concord works without it.
-fast: .venv/run.stamp
-	$(BIN)/pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir .venv/wheels ./fast
-	-$(BIN)/pip uninstall --quiet --disable-pip-version-check --yes concord-fast
-	$(BIN)/pip install --quiet --disable-pip-version-check --no-build-isolation --no-index \
-		--find-links .venv/wheels --editable .[fast]
 
 bench: .venv/dev.stamp
 	$(BIN)/python -m benchmarks --picture docs/performance.png

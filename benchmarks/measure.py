@@ -16,7 +16,6 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from filters.kernels import compiled
 from runtime.batched.memory import keep_freed_memory
 
 Better = Literal["more", "less"]
@@ -66,19 +65,6 @@ def peak_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-def without_kernels(run: Callable[[], float]) -> Callable[[], float]:
-    """Return the same with numpy alone."""
-
-    def wrapped() -> float:
-        kept, compiled.KERNELS = compiled.KERNELS, None
-        try:
-            return run()
-        finally:
-            compiled.KERNELS = kept
-
-    return wrapped
-
-
 def machine() -> dict[str, str]:
     """Return the machine and the versions on which the figures were measured."""
     cpu = platform.processor() or platform.machine()
@@ -91,7 +77,6 @@ def machine() -> dict[str, str]:
         "cpu": cpu,
         "python": platform.python_version(),
         "numpy": np.__version__,
-        "kernels": "compiled" if compiled.KERNELS is not None else "numpy alone",
         "load": " ".join(f"{value:.1f}" for value in os.getloadavg()),
     }
 

@@ -23,9 +23,7 @@ from benchmarks.measure import (
     median_us,
     ratio,
     say,
-    without_kernels,
 )
-from filters.kernels import compiled
 from nodes.messages import END
 from runtime.drivers import in_memory
 from runtime.network.links import Links
@@ -102,12 +100,7 @@ def main() -> Figures:
     for warmth, is_cold in (("warm", False), ("cold", True)):
         node = partial(_node, setup, messages, is_cold)
         bare = partial(_bare, load, messages, is_cold)
-        contestants |= {
-            f"numpy, {warmth}": without_kernels(node),
-            f"numpy, {warmth}, bare": without_kernels(bare),
-        }
-        if compiled.KERNELS is not None:
-            contestants |= {f"kernels, {warmth}": node, f"kernels, {warmth}, bare": bare}
+        contestants |= {warmth: node, f"{warmth}, bare": bare}
     given = in_turns(contestants, TURNS)
     say(f"a node of {NODES}, {GRAPH}, fed from memory, beside its bare loop; {TURNS} turns")
     results: Figures = {}

@@ -7,7 +7,6 @@ from importlib.metadata import version
 
 import msgspec
 
-from filters.kernels import compiled
 from nodes.bounds import MAX_ROUNDS
 from nodes.changes import Settings
 from nodes.faults.active import Equipment
@@ -162,8 +161,9 @@ def share_bytes(setup: Setup) -> int:
 
 
 def fingerprint(setup: Setup) -> str:
-    """Digest of a setup, and of the version and the kernels that run it: equal where two processes
-    agree to the last bit."""
-    kernels = "numpy" if compiled.KERNELS is None else "compiled"
-    data = msgspec.json.encode(setup) + f"{version('concord')} {kernels}".encode()
+    """Digest of a setup and of the version that runs it.
+
+    Two processes with one digest compute equal bits.
+    """
+    data = msgspec.json.encode(setup) + version("concord").encode()
     return hashlib.sha256(data).hexdigest()

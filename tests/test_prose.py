@@ -18,7 +18,6 @@ PLANTED = [
     ("docs/a.md", "- One that waits is late.", "opens with 'One that'"),
     ("tests/a.py", '"""Somebody else takes the port."""', "opens with 'Somebody'"),
     ("docs/a.md", LONG, "36 words"),
-    ("fast/a.cpp", f"// {LONG}", "36 words"),
     ("nodes/a.py", f'"""{LONG}"""\nx: int', "36 words"),
     ("docs/a.md", "one two three four five six seven\n30. " + LONG, "36 words"),
     ("docs/a.md", f"- {FITS}\n    word word.", "36 words"),

@@ -28,12 +28,9 @@ _ANSWER_S = 5.0
 EXTRAS = {
     "convex": ("cvxpy", "the tight bounds of set-membership filters"),
     "dask": ("distributed", "sweeps over Dask"),
-    "fast": ("concord_fast", "the compiled kernel of fusion"),
     "secure": ("cryptography", "concord keys"),
     "vehicle": ("vehiclemodels", "the simulated cars"),
 }
-# Some packages are not published; this table says how to build each.
-BUILT = {"fast": "make fast"}
 
 
 def look(nodes: int, data: Sequence[Path]) -> Iterator[Finding]:
@@ -146,7 +143,6 @@ def extra(name: str) -> Finding:
     """Return whether an optional part is installed."""
     module, purpose = EXTRAS[name]
     if importlib.util.find_spec(module) is None:
-        how = BUILT.get(name, f"pip install 'concord[{name}]'")
-        cure = f"{how} if you want {purpose}"
+        cure = f"pip install 'concord[{name}]' if you want {purpose}"
         return Finding(f"extra {name}", Verdict.WARNING, "not installed", cure)
     return Finding(f"extra {name}", Verdict.OK, f"installed: {purpose}")

@@ -6,11 +6,10 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from filters.fusion.hold import check_weights, sharpened, sharpness
+from filters.fusion.hold import check_weights, sharpened, sharpness, sharpness_of_factor
 from filters.fusion.packed import concluded, informed, pack, packed_sharpness, unpack
 from filters.gaussian import Gaussian, Information, joined
-from filters.kernels import compiled
-from filters.linalg import multiply, symmetrise
+from filters.linalg import cholesky, inverse_of_triangle, inverse_spd, multiply, symmetrise
 
 
 class Fused(NamedTuple):
@@ -91,16 +90,33 @@ class Averaging:
 
 
 class _Intersection(Averaging):
-    """Averages of information, for which there is a kernel."""
+    """Averages of information, where one factorisation serves check, weight and average.
+
+    With whiteners P_j^-1 = R_j' R_j, the sum of w_j P_j^-1 is S' S for the stack S of the rows of
+    sqrt(w_j) R_j.
+    """
 
     def fuse(
         self, own: Gaussian, others: Gaussian, weights: np.ndarray, by_sharpness: bool
     ) -> Fused:
         """Implement `Averaged.fuse`."""
-        if own.mean.ndim > 1 or not compiled.serves(own.mean.shape[-1]):
-            return Averaging.fuse(self, own, others, weights, by_sharpness)
-        mean, cov, used, sharp = compiled.fused(*own, *others, weights, by_sharpness)
-        return Fused(Gaussian(mean, cov), used, sharp)
+        means, covs = joined(own, others)
+        factor = cholesky(covs)
+        sharp = sharpness_of_factor(factor)
+        used = sharpened(weights, sharp) if by_sharpness else weights
+        rows = np.sqrt(used)[..., None, None] * inverse_of_triangle(factor)
+        offsets = means - own.mean[..., None, :]
+        if np.count_nonzero(used) < used.size:
+            # 0 * NaN would let them through.
+            unused = (used == 0)[..., None]
+            rows = np.where(unused[..., None], 0.0, rows)
+            offsets = np.where(unused, 0.0, offsets)
+        n = means.shape[-1]
+        stack = rows.reshape(*means.shape[:-2], -1, n)
+        whitened = multiply(rows, offsets).reshape(*stack.shape[:-1])
+        cov = inverse_spd(stack.mT @ stack)
+        mean = own.mean + multiply(cov, multiply(stack.mT, whitened))
+        return Fused(Gaussian(mean, symmetrise(cov)), used, sharp)
 
 
 def weighted_average(beliefs: Gaussian, weights: np.ndarray) -> Gaussian:

@@ -1,1 +1,1 @@
-"""Faster ways through the unscented transform, by the size of the batch."""
+"""A faster way through algebra with small matrices, for many lanes."""

@@ -114,7 +114,6 @@ def test_extras_say_how_to_get_them(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(doctor.importlib.util, "find_spec", lambda name: None)
     assert doctor.extra("secure").verdict is WARNING
     assert "concord[secure]" in doctor.extra("secure").cure
-    assert "make fast" in doctor.extra("fast").cure
     monkeypatch.setattr(doctor.importlib.util, "find_spec", lambda name: object())
     assert doctor.extra("secure").verdict is OK
 

@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 from experiments.simulation_testing.case_run import Outcome, torture
 from experiments.simulation_testing.draw import draw_case
-from filters.kernels import compiled
 
 MOST_SEEDS = 60
 
@@ -222,11 +221,9 @@ def planted(bug: Bug) -> Iterator[None]:
     exec(compile(text, f"<{bug.name}>", "exec"), module.__dict__, made)
     # The code of the function, as tables and other modules hold the function itself.
     code, sound.__code__ = sound.__code__, made[name].__code__
-    kernels, compiled.KERNELS = compiled.KERNELS, None
     try:
         yield
     finally:
-        compiled.KERNELS = kernels
         sound.__code__ = code
 
 

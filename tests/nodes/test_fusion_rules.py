@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from bus.schedule import Schedule, full_publish, hybrid, round_robin
 from filters import ukf
 from filters.gaussian import Gaussian
-from filters.kernels import compiled
 from filters.sigma_points import scaled_unscented
 from nodes.messages import Measured, decode, from_wire
 from tests.nodes.networks import (
@@ -346,10 +345,7 @@ def test_who_hears_nobody_is_the_local_filter(rule: str):
     assert deaf.counted("missed") == 4 * 2 * 12
 
 
-def test_local_is_the_filter_alone_bit_for_bit(monkeypatch):
-    # The compiled kernels lay points out by the number of lanes, and a model's product then rounds
-    # by it.
-    monkeypatch.setattr(compiled, "KERNELS", None)
+def test_local_is_the_filter_alone_bit_for_bit():
     steps = 25
     outcome = run(ruled("local", ring(4), [PRIOR] * 4, steps=steps, rounds=2, seeing=[0, 2]))
     read, points = readings(outcome), scaled_unscented(2)

@@ -37,8 +37,6 @@ def blocks(path: Path) -> list[Block]:
             return [*_python_docstrings(text), *_python_comments(text)]
         case ".md":
             return list(_markdown(text))
-        case ".cpp" | ".h":
-            return list(_cpp_comments(text))
     return []
 
 
@@ -71,19 +69,6 @@ def _python_comments(text: str) -> Iterator[Block]:
         run.append(token.string.lstrip("#").strip())
         last = line if whole else -1
     yield from _paragraphs(run, first)
-
-
-def _cpp_comments(text: str) -> Iterator[Block]:
-    run: list[str] = []
-    first = 0
-    for number, line in enumerate([*text.splitlines(), ""], start=1):
-        words = re.match(r"\s*//\s?(.*)", line)
-        if words:
-            first = first if run else number
-            run.append(words[1])
-        elif run:
-            yield from _paragraphs(run, first)
-            run = []
 
 
 def _markdown(text: str) -> Iterator[Block]:

@@ -11,7 +11,7 @@ from tests.prose.names import defined, retired_in_identifier, retired_in_prose
 
 ROOT = Path(__file__).resolve().parents[2]
 MOST_WORDS = 35
-SUFFIXES = (".py", ".md", ".cpp", ".h")
+SUFFIXES = (".py", ".md")
 # Names are retired in the product and its pages; a test may use a retired word to look for it.
 _UNNAMED = ("tests/",)
 _OPENING = re.compile(

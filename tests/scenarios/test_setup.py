@@ -4,7 +4,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from filters.kernels import compiled
 from runtime.drivers import in_memory
 from scenarios.catalogue import kinds
 from scenarios.preparation import fingerprint, prepare
@@ -81,12 +80,3 @@ def test_every_scenario_runs_as_it_comes(name: str):
     setup = prepare(kinds()[name].defaults.with_(steps=2))
     assert len(setup.neighbours) == setup.scenario.nodes
     assert any(topic.startswith("estimate/") for topic, _ in in_memory(setup))
-
-
-def test_the_fingerprint_tells_other_kernels(monkeypatch: pytest.MonkeyPatch):
-    """They agree with numpy to rounding, so a network of both would not give the bits of either."""
-    setup = small(graph="path")
-    monkeypatch.setattr(compiled, "KERNELS", None)
-    plain = fingerprint(setup)
-    monkeypatch.setattr(compiled, "KERNELS", object())
-    assert fingerprint(setup) != plain
