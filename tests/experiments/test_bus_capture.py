@@ -148,7 +148,7 @@ def test_a_torn_recording_gives_the_frames_that_are_left():
 def test_a_run_without_bus_time_leaves_no_capture(tmp_path: Path, capsys):
     folder = tmp_path / "run"
     said = concord(
-        capsys, "run", "--scenario", "oscillator", "--nodes", 3, "--steps", 2, "--cluster", "none",
+        capsys, "run", "--scenario", "oscillator", "--nodes", 3, "--steps", 2, "--bus", "ideal",
         "--out", folder, "--json",
     )  # fmt: skip
     assert said.json()["bus"] is None

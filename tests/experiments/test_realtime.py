@@ -242,7 +242,7 @@ def test_a_loop_through_an_estimate_is_refused():
 
 def test_a_bus_without_time_is_refused_before_anything_starts(tmp_path: Path):
     out = ["--out", str(tmp_path / "out")]
-    command = [*CONCORD, "run", "--driver", "realtime", "--cluster", "none", *out]
+    command = [*CONCORD, "run", "--driver", "realtime", "--bus", "ideal", *out]
     with family(command, Path.cwd()) as concord:
         code, _, error = concord.end(20)
     assert code == 2
