@@ -8,8 +8,9 @@ export OPENBLAS_NUM_THREADS ?= 1
 demo: .venv/run.stamp
 	$(BIN)/concord run --scenario target-tracking --nodes 12 --graph geometric --seed 7 --driver processes
 
+# A worker for each processor; the tests of a file stay together.
 test: .venv/dev.stamp browser
-	$(BIN)/python -m pytest -m "not slow"
+	$(BIN)/python -m pytest -n auto --dist loadfile -m "not slow"
 
 # What the tests of the dashboard need; without it they are skipped, and say so.
 browser:
@@ -22,7 +23,7 @@ screenshots: .venv/dev.stamp browser
 	$(BIN)/python -m docs.screenshots
 
 test-slow: .venv/dev.stamp
-	$(BIN)/python -m pytest -m slow
+	$(BIN)/python -m pytest -n auto --dist loadfile -m slow
 
 # Every test: `make test` first, then the slow ones.
 test-all: test test-slow
