@@ -1,22 +1,21 @@
 """A scenario of the consensus study with its runs, on which rules are tried and scored.
 
-The network runs as lanes of one array program. Its slots hold any share, however many FlexRay
-frames that takes. Intervals are of 95 %, by the bootstrap over runs.
+Intervals are of 95 %, by the bootstrap over runs.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
+from experiments.monte_carlo.simulate import simulate
 from filters.gaussian import Gaussian
 from filters.metrics import nees
-from nodes.rules.belief_consensus import HoldPolicy
-from papers.wac.lanes import averaging_of, centralised, estimate, wire
-from papers.wac.runs import Runs, simulate
-from scenarios.bus_plan import build_schedule
+from papers.wac.network import beliefs_of, network_of
+from scenarios.baselines import centralised_of_runs
 from scenarios.catalogue import kind_of
 from scenarios.preparation import prepare
 from scenarios.scenario import Scenario
+from scenarios.setup import Setup
 
 RESAMPLES = 2000
 
@@ -45,15 +44,16 @@ class Cell(NamedTuple):
 
 
 class Bench(NamedTuple):
-    """A study, its weights (N, N), its runs, and what the network is measured against.
+    """A study, its network on a bus without limits, and what the network is measured against.
 
-    scale: (n,), what squared errors of the states are multiplied by; central_squared: (runs,), the
-    mean squared error that 1 stands for; central_rmse, central_anees: of the centralised filter.
+    truth: (steps, R, n); scale: (n,), what squared errors of the states are multiplied by;
+    central_squared: (runs,), the mean squared error that 1 stands for; central_rmse, central_anees:
+    of the centralised filter.
     """
 
     study: Study
-    weights: np.ndarray
-    runs: Runs
+    setup: Setup
+    truth: np.ndarray
     scale: np.ndarray
     central_squared: np.ndarray
     central_rmse: float
@@ -62,20 +62,21 @@ class Bench(NamedTuple):
 
 def bench_of(study: Study) -> Bench:
     """Simulate a study, and run the centralised filter on it."""
-    setup = prepare(study.scenario)
-    weights = np.zeros((study.scenario.nodes,) * 2)
-    for node, heard in enumerate(setup.neighbours):
-        weights[node, [node, *heard]] = setup.weights[node]
-    runs = simulate(study.scenario, range(study.runs))
-    central = centralised(runs)
-    errors = (central.mean - runs.truth)[study.first_step :]
+    setup = prepare(study.scenario.with_(bus="ideal", rule="local"))
+    runs = range(study.runs)
+    histories = simulate(setup, runs)
+    assert histories.readings is not None, "simulate keeps the readings"
+    listened = centralised_of_runs(setup, runs, histories.readings, histories.control)
+    central = Gaussian(listened.mean.swapaxes(0, 1), listened.cov.swapaxes(0, 1))
+    truth = histories.truth.swapaxes(0, 1)
+    errors = (central.mean - truth)[study.first_step :]
     scale = _scale(study, central)
     squared = (errors**2 * scale).sum(axis=-1).mean(axis=0)
     consistency = nees(errors, central.cov[study.first_step :]).mean() / errors.shape[-1]
     return Bench(
         study,
-        weights,
-        runs,
+        setup,
+        truth,
         scale,
         squared if study.position_only else np.ones(study.runs),
         float(np.sqrt(squared.mean())),
@@ -83,15 +84,13 @@ def bench_of(study: Study) -> Bench:
     )
 
 
-def attempt(
-    bench: Bench, rule: str, policy: HoldPolicy, occupancy: float, rounds: int, schedule: str
-) -> Cell:
-    """One rule with one hold policy at one occupancy."""
-    scenario = bench.study.scenario.with_(rounds=rounds, occupancy=occupancy, schedule=schedule)
-    wiring = wire(bench.weights, rounds, build_schedule(scenario), policy)
-    states = bench.runs.prior.mean.shape[-1]
-    belief = estimate(bench.runs, wiring, averaging_of(rule, scenario.nodes, states))
-    return _score(bench, belief)
+def attempt(bench: Bench, scenario: Scenario, unheard: str = "") -> Cell:
+    """The study's runs of a scenario that differs from the study's in rule, rounds and schedule.
+
+    `unheard` is as in `network.network_of`.
+    """
+    network = network_of(bench.setup, scenario, range(bench.study.runs), unheard)
+    return _score(bench, beliefs_of(network))
 
 
 def bootstrap(squared: np.ndarray, reference: np.ndarray) -> tuple[float, float]:
@@ -114,7 +113,7 @@ def _scale(study: Study, central: Gaussian) -> np.ndarray:
 def _score(bench: Bench, belief: Gaussian) -> Cell:
     first = bench.study.first_step
     mean, cov = belief.mean[first:], belief.cov[first:]
-    errors = mean - bench.runs.truth[first:, :, None]
+    errors = mean - bench.truth[first:, :, None]
     spread = mean - mean.mean(axis=2, keepdims=True)
     squared = (errors**2 * bench.scale).sum(axis=-1).mean(axis=(0, 2))
     apart = (spread**2 * bench.scale).sum(axis=-1).mean(axis=(0, 2))

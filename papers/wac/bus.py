@@ -150,8 +150,8 @@ def _text(measured: Occupancy, tracking: Study, turning: Study) -> str:
         "ANEES; below, in italics, what the study prints. **Both are small samples of random "
         "runs**, with other seeds, and the study gives no interval: nothing here is a check but "
         "its conclusions. At full occupancy all variants of a rule are one, except for `det`. "
-        "The network itself runs HCMCI and ICF with `renorm` alone; its other rows are array "
-        "programs for comparison.",
+        "The network itself runs HCMCI and ICF with `renorm` alone; its other rows are "
+        "for comparison.",
         f"TRACK: the centralised filter has RMSE {measured.central_rmse_m:.2f} m (printed 2.35) "
         f"and ANEES {measured.central_anees:.2f} (printed .97).",
     ]

@@ -1,22 +1,20 @@
 """Section 4 of the consensus study: what a bus that limits who may publish does to each rule.
 
 The scenarios TRACK (`target-tracking`) and MOTOR (`dc-motor-position`, driven from the true state).
-Every rule may hold old shares here: the network itself refuses that to hcmci and icf.
+Every rule may hold old shares here; scenarios refuse that to hcmci and icf.
 """
 
 from collections.abc import Callable, Iterator
-from functools import partial
 from itertools import count
 from typing import NamedTuple
 
-import numpy as np
-
 from experiments.progress import progress
-from filters.fusion import hold
-from nodes.rules.belief_consensus import HoldPolicy
 from papers.wac.bench import Bench, Cell, Study, attempt, bench_of
 from scenarios.catalogue import kind_of
+from scenarios.types.holds import Decayed, Dropped, InStep, Predicted, Raw, Renormalised
+from scenarios.types.rules import hold_of
 from topology.spectrum import second_eigenvalue_modulus
+from topology.weights import from_per_node
 
 
 class Variant(NamedTuple):
@@ -50,34 +48,15 @@ class Occupancy(NamedTuple):
 _RULE_NAMES = {"wac": "WAC", "ci": "CI", "hcmci": "HCMCI-safe", "icf": "ICF"}
 
 
-def _by_age(
-    weigh: Callable[[np.ndarray, np.ndarray], np.ndarray],
-    base: np.ndarray,
-    ages: np.ndarray,
-    _sharpness: np.ndarray,
-    _turn: int,
-) -> np.ndarray:
-    return weigh(base, ages)
-
-
-def _decayed(base: np.ndarray, ages: np.ndarray, sharpness: np.ndarray, _turn: int) -> np.ndarray:
-    return hold.held_weights(base, ages, DECAY, sharpness)
-
-
-def _in_step(base: np.ndarray, ages: np.ndarray, _sharpness: np.ndarray, turn: int) -> np.ndarray:
-    return hold.in_step(base, ages, turn)
-
-
-DECAY = 0.5
 PLAIN, SHARP = "(D) rho=.5", "(D) rho=.5 + det"
 HOLDS = {
-    "raw": HoldPolicy(partial(_by_age, hold.full), carried=False),
-    "predict": HoldPolicy(partial(_by_age, hold.full), carried=True),
-    "drop": HoldPolicy(partial(_by_age, hold.drop), carried=False),
-    "renorm": HoldPolicy(partial(_by_age, hold.renormalise), carried=False),
-    "instep": HoldPolicy(_in_step, carried=False),
-    PLAIN: HoldPolicy(_decayed, carried=True),
-    SHARP: HoldPolicy(_decayed, carried=True, by_sharpness=True),
+    "raw": Raw(),
+    "predict": Predicted(),
+    "drop": Dropped(),
+    "renorm": Renormalised(),
+    "instep": InStep(),
+    PLAIN: Decayed(decay=0.5, determinant_weights=False),
+    SHARP: Decayed(decay=0.5),
 }
 HELD = [
     *(Variant("wac", name) for name in ("raw", "predict", "drop", "renorm", SHARP)),
@@ -147,7 +126,9 @@ def measure(tracking: Study, turning: Study) -> Occupancy:
         schedules=by_schedule,
         central_rmse_m=on_track.central_rmse,
         central_anees=on_track.central_anees,
-        track_slem=second_eigenvalue_modulus(on_track.weights),
+        track_slem=second_eigenvalue_modulus(
+            from_per_node(on_track.setup.weights, on_track.setup.neighbours)
+        ),
     )
 
 
@@ -174,5 +155,8 @@ def _table(
 
 
 def _try(bench: Bench, variant: Variant, occupancy: float, rounds: int, schedule: str) -> Cell:
-    named = "full" if occupancy == FULL else schedule
-    return attempt(bench, variant.rule, HOLDS[variant.hold], occupancy, rounds, named)
+    limited = {} if occupancy == FULL else {"schedule": schedule, "occupancy": occupancy}
+    scenario = bench.study.scenario.with_(rule=variant.rule, rounds=rounds, **limited)
+    if hold_of(scenario.rule) is None:
+        return attempt(bench, scenario, variant.hold)
+    return attempt(bench, scenario.with_(hold=HOLDS[variant.hold]))

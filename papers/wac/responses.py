@@ -9,22 +9,25 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bus.schedule import full_publish
 from experiments.progress import progress
 from filters.fusion import hold
+from filters.fusion.averaging import MOMENTS
 from filters.gaussian import Gaussian
+from filters.sigma_points import scaled_unscented
+from nodes.lanes.beliefs import BatchedBeliefs
+from nodes.lanes.links import Shares, links_of
 from nodes.rules.belief_consensus import HoldPolicy
-from papers.wac.lanes import averaging_of, centralised, estimate, wire
-from papers.wac.runs import Runs
+from nodes.rules.local_filter import LocalFilters, SensorGroup, carry, take_readings
 from plants.control import cruise, motor, pitch, suspension
 from plants.control.closed_loop import Controller, closed_loop
 from plants.control.controllers import StateFeedback
 from plants.control.design import placed_feedback
 from plants.control.references import Staircase, constant
 from plants.draws import Draws, standard_draws
-from plants.linear import LinearPlant, Signal
+from plants.linear import LinearPlant, LinearSensor, Signal
+from topology.adjacency import neighbours_of
 from topology.graphs import ring
-from topology.weights import metropolis
+from topology.weights import metropolis, per_node
 
 NODES = 8
 ROUNDS = 3
@@ -158,30 +161,73 @@ def _trials(
         for loop, noise in zip(loops.values(), draws, strict=True)
     ]
     _, prior_mean, prior_cov = plant.initial(np.stack([noise.initial for noise in draws]))
-    runs = Runs(
-        truth=np.stack([response.states for response in responses], axis=1),
-        readings=np.stack([response.delivered[..., 0, :] for response in responses], axis=1),
-        controls=np.stack([response.controls for response in responses], axis=1),
-        prior=Gaussian(prior_mean, prior_cov),
-        model=plant.model,
-        sensors=plant.sensors,
-    )
-    fresh = HoldPolicy(lambda base, ages, covs, cycle: hold.renormalise(base, ages), carried=False)
-    wiring = wire(metropolis(ring(NODES)).toarray(), ROUNDS, full_publish(NODES), fresh)
-    network = estimate(runs, wiring, averaging_of("wac", NODES, len(plant.state_names)))
-    central = centralised(runs)
+    readings = np.stack([response.delivered for response in responses], axis=1)
+    controls = np.stack([response.controls for response in responses], axis=1)
+    prior = Gaussian(prior_mean, np.broadcast_to(prior_cov, (len(loops), *prior_cov.shape)))
+    network = _network_means(plant, prior, readings, controls)[:, :, BLIND_NODE]
+    central = _central_means(plant, prior, readings, controls)
     return {
         title: Trial(
             times_s=plant.time_step_s * np.arange(steps, dtype=np.float64),
             reference=response.references[:, 0] if loop.follows else None,
             truth=response.states,
             measured=response.delivered[:, MEASURING_NODE, 0, 0],
-            estimated=network.mean[:, lane, BLIND_NODE],
-            central=central.mean[:, lane],
+            estimated=network[:, lane],
+            central=central[:, lane],
             integral=plant.time_step_s * np.cumsum(response.states[:, output]),
         )
         for lane, ((title, loop), response) in enumerate(zip(loops.items(), responses, strict=True))
     }
+
+
+def _network_means(
+    plant: LinearPlant, prior: Gaussian, readings: np.ndarray, controls: np.ndarray
+) -> np.ndarray:
+    """Means (steps, R, N, n) of the network from readings (steps, R, N, r, d) and controls."""
+    neighbours = neighbours_of(ring(NODES))
+    weights = per_node(metropolis(ring(NODES)), neighbours)
+    own, others = [row[0] for row in weights], [one for row in weights for one in row[1:]]
+    rule = BatchedBeliefs(
+        filters=LocalFilters(
+            plant.model,
+            (SensorGroup(slice(None), plant.sensors),),
+            scaled_unscented(len(plant.state_names)),
+        ),
+        averaging=MOMENTS,
+        hold=HoldPolicy(lambda base, ages, *_: hold.renormalise(base, ages), carried=False),
+        links=links_of(neighbours, perfect=True),
+        base=Shares(np.array([own]), np.array([others])),
+        rounds=ROUNDS,
+        contenders=np.empty(0, dtype=np.int64),
+        number="<f8",
+        trigger=0.0,
+    )
+    everybody = np.ones(readings.shape[1:3], dtype=bool)
+    content = rule.start(Gaussian(*(np.repeat(part[:, None], NODES, axis=1) for part in prior)))
+    means = []
+    for step, delivered in enumerate(readings):
+        content = rule.begin_step(content, delivered, controls[step - 1] if step else None, step)
+        for _ in range(ROUNDS):
+            content = rule.exchange(content, everybody, None)
+        means.append(rule.belief(content).mean)
+    return np.array(means)
+
+
+def _central_means(
+    plant: LinearPlant, belief: Gaussian, readings: np.ndarray, controls: np.ndarray
+) -> np.ndarray:
+    """Means (steps, R, n) of a filter that takes the readings of all nodes."""
+    points = scaled_unscented(len(plant.state_names))
+    rows = plant.sensors.rows
+    every = LinearSensor(rows.reshape(-1, rows.shape[-1]), plant.sensors.noise_std.ravel())
+    means = []
+    for step, delivered in enumerate(readings):
+        if step:
+            belief = carry(belief, controls[step - 1], step, plant.model, points).beliefs
+        together = delivered.reshape(len(delivered), 1, -1)
+        belief, _ = take_readings(belief, together, step, every, points)
+        means.append(belief.mean)
+    return np.array(means)
 
 
 def _draws(plant: LinearPlant, steps: int, seed: int, lane: int) -> Draws:

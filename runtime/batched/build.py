@@ -71,8 +71,12 @@ def turnings_of(setup: Setup) -> tuple[Turning, ...]:
     return (Turning(0, UNCHANGED, (), False), *turnings)
 
 
-def build_network(setup: Setup, runs: Sequence[int]) -> Network:
+def build_network(
+    setup: Setup, runs: Sequence[int], bus_of: Callable[[Setup], Bus] = build_bus
+) -> Network:
     """The runs of these numbers under the seed of a setup, with all their randomness drawn.
+
+    `bus_of` makes the bus of a setup; by default that of the scenario.
 
     Raises:
         ValueError: the scenario has no array form (`without_array_form`).
@@ -103,19 +107,21 @@ def build_network(setup: Setup, runs: Sequence[int]) -> Network:
         controller=build_controller(scenario),
         delivery=kind.delivery(scenario) if kind.delivery else None,
         receivers=links.receiver,
-        eras=tuple(_eras(setup, scenarios, links)),
+        eras=tuple(_eras(setup, scenarios, links, bus_of)),
     )
 
 
-def _eras(setup: Setup, scenarios: Sequence[Scenario], links: Links) -> Iterator[Era]:
+def _eras(
+    setup: Setup, scenarios: Sequence[Scenario], links: Links, bus_of: Callable[[Setup], Bus]
+) -> Iterator[Era]:
     """Yield the segments of runs of these scenarios."""
     scenario = setup.scenario
     states = [link_state(msgspec.structs.replace(setup, scenario=one)) for one in scenarios]
-    changed, bus, regime = setup, build_bus(setup), None
+    changed, bus, regime = setup, bus_of(setup), None
     for step, standing, joined, anew in turnings_of(setup):
         if regime is None or anew:
             changed = with_settings(setup, standing.settings)
-            bus = build_bus(changed)
+            bus = bus_of(changed)
             regime = _regime(changed, bus, links, standing, len(scenarios))
         present = np.ones(scenario.nodes, dtype=bool)
         present[list(standing.absent)] = False

@@ -1,0 +1,114 @@
+"""The network of the consensus study: the house's rules and driver, on a bus that holds any share.
+
+A scenario is refused where FlexRay's cycle cannot hold its shares; the study gives a slot to each.
+It also lets HCMCI and ICF use shares that are missing or old, which the house refuses.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from bus.ideal import TimelessBus
+from filters.gaussian import Gaussian
+from nodes.lanes.batch import AveragesInBatch, InBatch
+from nodes.lanes.network import Network
+from nodes.rules.fresh_consensus import FreshConsensus, FreshOwn, LastUsed
+from nodes.rules.information_rounds import InformationRounds
+from nodes.rules.lane_rule import Failures, LaneContent, Place
+from runtime.batched.build import build_network
+from runtime.batched.driver import run
+from scenarios.bus_plan import build_schedule
+from scenarios.preparation import share_bytes
+from scenarios.scenario import Scenario
+from scenarios.setup import Setup
+
+
+class Dropping(InformationRounds):
+    """Rounds in which the weight of a silent neighbour falls to the node itself."""
+
+    def fuse(
+        self,
+        cycle: int,
+        weights: np.ndarray,
+        prior: Gaussian,
+        known: np.ndarray,
+        belief: Gaussian,
+        shares: np.ndarray,
+    ) -> tuple[np.ndarray, Gaussian]:
+        """Implement `fresh_consensus.Exchange.fuse`."""
+        shares = np.where(np.isnan(shares), shares[..., :1, :], shares)
+        return super().fuse(cycle, weights, prior, known, belief, shares)
+
+
+class LastShares(NamedTuple):
+    """Cycles since each neighbour's share was used (..., J), and its numbers (..., J, m)."""
+
+    ages: np.ndarray
+    numbers: np.ndarray
+
+
+_Content = LaneContent[FreshOwn, Any]
+"""Its held values are `LastShares`."""
+
+
+class HoldingConsensus(FreshConsensus):
+    """A rule of fresh shares that takes a silent neighbour to repeat its last share."""
+
+    def start(self, node: np.ndarray, prior: Gaussian, held: Gaussian) -> _Content:
+        """The prior, and neighbours never heard."""
+        content = super().start(node, prior, held)
+        ages = content.held.ages
+        numbers = np.zeros((*ages.shape, content.own.known.shape[-1]))
+        return content._replace(held=LastShares(ages, numbers))
+
+    def fuse(
+        self,
+        place: Place,
+        content: _Content,
+        said: np.ndarray,
+        heard: np.ndarray,
+    ) -> tuple[_Content, Failures]:
+        """One round of the rule with the last share of each neighbour."""
+        ages, before = content.held
+        numbers = np.where(heard[..., None], said, before)
+        fresh = content._replace(held=LastUsed(ages))
+        after, failures = super().fuse(place, fresh, numbers, heard | (ages >= 0))
+        return after._replace(held=LastShares(after.held.ages, numbers)), failures
+
+
+def network_of(setup: Setup, scenario: Scenario, runs: Sequence[int], unheard: str) -> Network:
+    """The runs of these numbers, of a scenario on the network of a setup.
+
+    Args:
+        setup: of a scenario with the same plant and graph.
+        scenario: its schedule may have slots for shares of any length.
+        runs: their numbers.
+        unheard: "drop" or "raw", for a rule of fresh shares; else the house's rule as it is.
+    """
+    changed = msgspec.structs.replace(setup, scenario=scenario)
+    network = build_network(changed, runs, _with_room)
+    (era,) = network.eras
+    rule = era.regime.rule
+    if not isinstance(rule, AveragesInBatch) or unheard not in ("drop", "raw"):
+        return network
+    fresh = rule.rule
+    assert isinstance(fresh, FreshConsensus) and isinstance(fresh.exchange, InformationRounds)
+    if unheard == "drop":
+        used = replace(fresh, exchange=Dropping(*fresh.exchange))
+    else:
+        used = HoldingConsensus(fresh.exchange, fresh.trigger, fresh.contends)
+    rule = InBatch(used, rule.filters, rule.links, rule.base, rule.number, rule.what)
+    return replace(network, eras=(era._replace(regime=era.regime._replace(rule=rule)),))
+
+
+def beliefs_of(network: Network) -> Gaussian:
+    """Beliefs of all nodes after each step: (steps, R, N, n), (steps, R, N, n, n)."""
+    beliefs = [instant.belief for instant in run(network)]
+    return Gaussian(np.stack([one.mean for one in beliefs]), np.stack([one.cov for one in beliefs]))
+
+
+def _with_room(setup: Setup) -> TimelessBus:
+    return TimelessBus(build_schedule(setup.scenario, setup.neighbours), share_bytes(setup))
