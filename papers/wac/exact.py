@@ -85,7 +85,7 @@ def measure(plants: dict[str, Callable[[], LinearPlant]] = PLANTS) -> Exact:
             results = {rule: _last_and_worst(network, rule, everywhere, STEPS) for rule in FUSED}
             after[name] = {rule: last for rule, (last, _) in results.items()}
             worst[name] = {rule: largest for rule, (_, largest) in results.items()}
-            alone[name], _ = _last_and_worst(network, "local", np.eye(NODES), STEPS)
+            alone[name], _ = _last_and_worst(network, "ci", np.eye(NODES), STEPS)
             done(count)
         bus = network_of(suspension())
         for rule in FUSED:

@@ -1,21 +1,26 @@
-"""Fusion rules as linear maps of errors, for `papers.wac.exact_covariance`.
+"""The network's fusion rules as linear maps of errors, for `papers.wac.exact_covariance`.
 
 With given covariances every rule is linear in the errors. A node's prediction errs by e (n,). Its
 reading adds the score s = H' R^-1 v (n,), of covariance W = H' R^-1 H. Its own update leaves the
 error P_u (P^-1 e + s) with P_u^-1 = P^-1 + W. L rounds in which all nodes publish are one average
-with the weights A = Pi^L, because each rule only averages moments or information.
+with the weights A = Pi^L, because each rule only averages numbers.
 
 A rule maps predicted covariances (..., N, n, n), averaging weights A (..., N, N) and information W
-(N, n, n) to a `Fusion`. The package `filters` holds the network's own rules and states their
-properties. The rules here are written independently, so that each checks the other.
+(N, n, n) to a `Fusion`. The functions of the network's rules are evaluated at unit errors, which
+gives their gains without a rounding error of finite differences.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from filters.linalg import inverse_spd, symmetrise
+from filters.fusion import hybrid_consensus, information_weighted
+from filters.fusion.averaging import INFORMATION, MOMENTS, Averaging
+from filters.fusion.packed import packed_length
+from filters.gaussian import Gaussian
+from filters.linalg import symmetrise
 
 
 class Fusion(NamedTuple):
@@ -33,83 +38,78 @@ class Fusion(NamedTuple):
 Rule = Callable[[np.ndarray, np.ndarray, np.ndarray], Fusion]
 
 
-def local(covs: np.ndarray, averaging: np.ndarray, information: np.ndarray) -> Fusion:
-    """Every node by itself, whatever the weights."""
-    alone = np.broadcast_to(np.eye(averaging.shape[-1]), averaging.shape)
-    return _average_information(covs, alone, information, np.ones(averaging.shape[:-1]))
+class _Averaged(NamedTuple):
+    """A rule as what it averages.
+
+    `express(prior, posterior)` are the numbers (..., N, m) of nodes, and `conclude(numbers)` the
+    beliefs that averages come to. The first `pairs` parts of the numbers are packed pairs.
+    """
+
+    express: Callable[[Gaussian, Gaussian], np.ndarray]
+    conclude: Callable[[np.ndarray], Gaussian]
+    pairs: int = 1
 
 
-def weighted_average(covs: np.ndarray, averaging: np.ndarray, information: np.ndarray) -> Fusion:
-    """WAC: x = sum a_j x_j, P = sum a_j P_j (Widjiantoro et al., beta 3). Inverts no P."""
-    n = covs.shape[-1]
-    updated = symmetrise(np.linalg.solve(np.eye(n) + covs @ information, covs))
-    kept = np.eye(n) - updated @ information
-    share = averaging[..., None, None]
-    return Fusion(
-        _average(averaging, updated), share * kept[..., None, :, :, :], share * _across(updated)
+def _of_beliefs(rule: Averaging, nodes: int, states: int) -> _Averaged:
+    origin = np.zeros(states)
+    return _Averaged(
+        lambda _, posterior: rule.weigh_up(posterior, origin)[0],
+        lambda numbers: rule.conclude(numbers, origin),
     )
 
 
-def covariance_intersection(
-    covs: np.ndarray, averaging: np.ndarray, information: np.ndarray
+def _hybrid(nodes: int, states: int) -> _Averaged:
+    gain = hybrid_consensus.safe_gain
+    return _Averaged(
+        partial(hybrid_consensus.begin, row=np.eye(nodes)),
+        partial(hybrid_consensus.conclude, states=states, gain=gain),
+        pairs=2,
+    )
+
+
+def _weighted_information(nodes: int, states: int) -> _Averaged:
+    return _Averaged(
+        partial(information_weighted.begin, nodes=nodes),
+        partial(information_weighted.conclude, nodes=nodes),
+    )
+
+
+def _fusion(
+    rule_of: Callable[[int, int], _Averaged],
+    covs: np.ndarray,
+    averaging: np.ndarray,
+    information: np.ndarray,
 ) -> Fusion:
-    """CI: P^-1 = sum a_j P_j^-1 and P^-1 x = sum a_j P_j^-1 x_j (Battistelli, Chisci 2014)."""
-    return _average_information(covs, averaging, information, np.ones(averaging.shape[:-1]))
+    """Evaluate a rule at no error, and at a unit of each error and each score of every node."""
+    nodes, n = covs.shape[-3:-1]
+    rule = rule_of(nodes, n)
+    updated = symmetrise(np.linalg.solve(np.eye(n) + covs @ information, covs))
+    unit, none = np.broadcast_to(np.eye(n), covs.shape), np.zeros(covs.shape)
+    # The columns are the means of the lanes.
+    priors = np.concatenate((none[..., :1], unit, none), axis=-1)
+    posteriors = np.concatenate((none[..., :1], unit - updated @ information, updated), axis=-1)
+    numbers = rule.express(_lanes(priors, covs), _lanes(posteriors, updated))
+    vectors = [pair * packed_length(n) + k for pair in range(rule.pairs) for k in range(n)]
+    probes = np.eye(numbers.shape[-1])[vectors]
+    probes = np.concatenate((0 * probes[:1], probes))
+    probes = np.expand_dims(probes, tuple(range(1, numbers.ndim - 1)))
+    mean, fused = rule.conclude(averaging @ numbers[0] + probes)
+    # Entry k of the average moves the mean of node i by `slope`; errors of j move it by `effect`.
+    slope = np.moveaxis(mean[1:], 0, -1)[..., :, None, :, :]
+    effect = np.moveaxis(numbers[1:][..., vectors], 0, -1)[..., None, :, :, :]
+    gain = averaging[..., None, None] * (slope @ effect)
+    return Fusion(fused[0], gain[..., :n], gain[..., n:])
 
 
-def hcmci_safe(covs: np.ndarray, averaging: np.ndarray, information: np.ndarray) -> Fusion:
-    """HCMCI: CI on predictions; novelties count g_i = 1 / max_j a_ij times their average."""
-    return _average_information(covs, averaging, information, 1 / averaging.max(axis=-1))
-
-
-def icf(covs: np.ndarray, averaging: np.ndarray, information: np.ndarray) -> Fusion:
-    """ICF (Kamal et al. 2013), which is HCMCI with g = N, as if averages were complete."""
-    nodes = averaging.shape[-1]
-    return _average_information(
-        covs, averaging, information, np.full(averaging.shape[:-1], float(nodes))
-    )
-
-
-def centralised(covs: np.ndarray, averaging: np.ndarray, information: np.ndarray) -> Fusion:
-    """Every node has all readings, whatever the weights."""
-    nodes = averaging.shape[-1]
-    return icf(covs, np.full(averaging.shape, 1 / nodes), information)
+def _lanes(columns: np.ndarray, covs: np.ndarray) -> Gaussian:
+    """Columns (..., n, K) as means (K, ..., n) with equal covariances (..., n, n)."""
+    mean = np.moveaxis(columns, -1, 0)
+    return Gaussian(mean, np.broadcast_to(covs, (*mean.shape, mean.shape[-1])))
 
 
 RULES: dict[str, Rule] = {
-    "local": local,
-    "wac": weighted_average,
-    "ci": covariance_intersection,
-    "hcmci": hcmci_safe,
-    "icf": icf,
-    "centralised": centralised,
+    "wac": partial(_fusion, partial(_of_beliefs, MOMENTS)),
+    "ci": partial(_fusion, partial(_of_beliefs, INFORMATION)),
+    "hcmci": partial(_fusion, _hybrid),
+    "icf": partial(_fusion, _weighted_information),
 }
-
-
-def _average_information(
-    covs: np.ndarray, averaging: np.ndarray, information: np.ndarray, novelty_gain: np.ndarray
-) -> Fusion:
-    """P_i^-1 = sum_j a_ij (P_j^-1 + g_i W_j), and P_i^-1 e_i likewise; gains g (..., N)."""
-    matrices = inverse_spd(covs)
-    weighted = novelty_gain[..., None] * averaging
-    total = _average(averaging, matrices) + _average(weighted, information)
-    fused = inverse_spd(symmetrise(total))
-    of_errors = fused[..., :, None, :, :] @ matrices[..., None, :, :, :]
-    of_scores = _across(fused).swapaxes(-4, -3)
-    return Fusion(
-        fused, averaging[..., None, None] * of_errors, weighted[..., None, None] * of_scores
-    )
-
-
-def _average(averaging: np.ndarray, matrices: np.ndarray) -> np.ndarray:
-    """sum_j a_ij M_j: (..., N, N), (..., N, n, n) -> (..., N, n, n)."""
-    n = matrices.shape[-1]
-    flat = matrices.reshape(*matrices.shape[:-2], n * n)
-    average = averaging @ flat
-    return average.reshape(*average.shape[:-1], n, n)
-
-
-def _across(matrices: np.ndarray) -> np.ndarray:
-    """Block (i, j) = M_j: (..., N, n, n) -> (..., N, N, n, n)."""
-    *lead, nodes, n, _ = matrices.shape
-    return np.broadcast_to(matrices[..., None, :, :, :], (*lead, nodes, nodes, n, n))

@@ -188,7 +188,7 @@ def test_nobody_is_overconfident_with_a_consistent_rule(case: tuple[LinearNetwor
 @given(networks())
 def test_alone_every_node_is_exactly_consistent(case: tuple[LinearNetwork, np.ndarray]):
     network, weights = case
-    for moments in propagate(network, RULES["local"], weights, 25):
+    for moments in propagate(network, RULES["ci"], np.eye(len(weights)), 25):
         figures = figures_of(moments)
         assert figures.anees == pytest.approx(1, abs=1e-9)
         assert figures.lambda_max == pytest.approx(1, abs=1e-9)
@@ -202,8 +202,8 @@ def test_on_a_complete_graph_the_icf_is_the_centralised_filter(
 ):
     network, weights = case
     complete = np.full_like(weights, 1 / len(weights))
-    for rule, mixing in (("icf", complete), ("hcmci", complete), ("centralised", weights)):
-        moments = last(network, rule, mixing, 25)
+    for rule in ("icf", "hcmci"):
+        moments = last(network, rule, complete, 25)
         for cov in (moments.reported, blocks(moments)):
             assert np.abs(cov - moments.central_cov).max() < 1e-9 * np.abs(cov).max()
         assert figures_of(moments).disagreement.max() < 1e-6
