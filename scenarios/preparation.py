@@ -122,7 +122,8 @@ def _check_filter(scenario: Scenario) -> None:
 def complete_settings(setup: Setup, before: Settings, asked: Settings) -> Settings:
     """Return all settings of a network that runs, of which some were set before.
 
-    A setting from before is dropped where what is asked chooses a value without that option.
+    A setting from before is dropped where what is asked chooses a value without that option. The
+    schedule is among the settings where an occupancy chooses it.
 
     Raises:
         ValueError: naming the option, its value, the rule and the cure.
@@ -143,6 +144,8 @@ def complete_settings(setup: Setup, before: Settings, asked: Settings) -> Settin
             f"set rule={changed.rule.name}: {scenario.rule.name} keeps "
             f"{'sets' if is_certain(scenario) else 'covariances'}, which the other cannot take over"
         )
+    if changed.bus.schedule.name != scenario.bus.schedule.name:
+        settings = {**settings, "schedule": changed.bus.schedule.name}
     return {name: value for name, value in settings.items() if name not in left}
 
 

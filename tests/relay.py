@@ -4,36 +4,51 @@ import socket
 import struct
 import threading
 from contextlib import suppress
+from dataclasses import dataclass
 
 # Closing with this is a reset: nothing that waits is delivered.
 _AT_ONCE = struct.pack("ii", 1, 0)
+
+
+@dataclass
+class _Link:
+    """Two sockets, and whether what comes over them is swallowed.
+
+    The link that replaces one that was cut passes on all its bytes. Otherwise its handshake could
+    be lost, and zenoh would wait ten seconds for the answer.
+    """
+
+    near: socket.socket
+    far: socket.socket
+    is_dropping: bool = False
 
 
 class Relay:
     """Passes on what comes at `port` to another one."""
 
     def __init__(self, target: int) -> None:
-        self._target, self._dropping, self._refusing = target, False, False
+        self._target, self._refusing = target, False
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.port: int = self._listener.getsockname()[1]
         self.lost = 0
-        self._open: list[socket.socket] = []
+        self._open: list[_Link] = []
         threading.Thread(target=self._accept, daemon=True).start()
 
     def lose(self) -> None:
-        """Swallow what comes from now on."""
-        self._dropping = True
+        """Swallow what comes over the links that are open now."""
+        for link in self._open:
+            link.is_dropping = True
 
     def cut(self, *, for_good: bool = False) -> None:
         """Break the link; it can be opened again at once, or never."""
         self._refusing = for_good
         while self._open:
-            one = self._open.pop()
-            with suppress(OSError):
-                one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _AT_ONCE)
-                one.shutdown(socket.SHUT_RDWR)
-            one.close()
-        self._dropping = False
+            link = self._open.pop()
+            for one in (link.near, link.far):
+                with suppress(OSError):
+                    one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _AT_ONCE)
+                    one.shutdown(socket.SHUT_RDWR)
+                one.close()
 
     def close(self) -> None:
         """No more links."""
@@ -52,15 +67,17 @@ class Relay:
                 except OSError:
                     near.close()
                     continue
-                self._open += [near, far]
+                link = _Link(near, far)
+                self._open.append(link)
                 for source, sink in ((near, far), (far, near)):
                     source.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                    threading.Thread(target=self._pass, args=(source, sink), daemon=True).start()
+                    passing = (link, source, sink)
+                    threading.Thread(target=self._pass, args=passing, daemon=True).start()
 
-    def _pass(self, source: socket.socket, sink: socket.socket) -> None:
+    def _pass(self, link: "_Link", source: socket.socket, sink: socket.socket) -> None:
         with suppress(OSError):
             while data := source.recv(65536):
-                if self._dropping:
+                if link.is_dropping:
                     self.lost += len(data)
                 else:
                     sink.sendall(data)
