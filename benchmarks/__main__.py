@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 
 from benchmarks.compare import Kept
-from benchmarks.measure import Figures, machine, peak_mb, say
+from benchmarks.measure import BenchmarkFigures, machine, peak_mb, say
 from benchmarks.picture import draw
 from benchmarks.table import table
 
@@ -43,8 +43,8 @@ def main() -> None:
         parser.error(f"no benchmark {', '.join(wrong)}; there are {', '.join(known)}")
     about = machine()
     say("; ".join(f"{name} {value}" for name, value in about.items()))
-    results: dict[str, Figures] = {}
-    figures: dict[str, Figures] = {}
+    results: dict[str, BenchmarkFigures] = {}
+    figures: dict[str, BenchmarkFigures] = {}
     for name in arguments.names or BENCHMARKS:
         results[name] = importlib.import_module(f"benchmarks.{known[name]}").main()
         # Kept at once: a later one may fail.

@@ -27,7 +27,7 @@ from filters.sigma_points import scaled_unscented
 from filters.ukf import predict, update
 from nodes.belief_codec import BeliefCodec
 from nodes.messages import Estimate, Measured, decode, encode, to_wire
-from runtime.network.links import RECORDER, WORLD, Links, free_ports, names, plan_links
+from runtime.network.links import RECORDER, WORLD, ZenohEndpoints, free_ports, names, plan_links
 from runtime.network.zenoh_transport import Transport, start_router
 from runtime.processes.supervisor import Ended, Supervisor
 
@@ -151,7 +151,7 @@ def _language(load: Load) -> _Language:
     return _Messages(load) if load.says else _Bytes(load)
 
 
-def _pass_on(run: str, links: Links, load: Load, node: int) -> None:
+def _pass_on(run: str, links: ZenohEndpoints, load: Load, node: int) -> None:
     shares = [f"share/{j}" for j in load.neighbours[node]]
     transport = Transport(run, links, [f"measured/{node}", *shares], 1024)
     pass_on(transport, load, node)
@@ -219,7 +219,7 @@ class _Filters:
         return INFORMATION.fuse(self._own, self._heard, self._weights, True).belief
 
 
-def _drive(run: str, links: Links, load: Load) -> None:
+def _drive(run: str, links: ZenohEndpoints, load: Load) -> None:
     nodes = len(load.neighbours)
     transport = Transport(run, links, ["hello/*", "estimate/*"], 16_384)
     transport.join(WORLD, {RECORDER, *map(str, range(nodes))})
@@ -241,7 +241,7 @@ def _drive(run: str, links: Links, load: Load) -> None:
     sys.stdout.flush()
 
 
-def _record(run: str, links: Links, load: Load) -> None:
+def _record(run: str, links: ZenohEndpoints, load: Load) -> None:
     transport = Transport(run, links, ["**"], 65_536)
     transport.join(RECORDER, set())
     while True:

@@ -15,7 +15,7 @@ from plants.range_bearing import RangeBearing
 SENSOR_POSITION_M = (-150.0, 80.0)
 
 
-class Case(NamedTuple):
+class BenchmarkCase(NamedTuple):
     """Models for arrays (..., n), the same in plain numbers for one filter at a time, and where it
     begins."""
 
@@ -31,7 +31,7 @@ class Case(NamedTuple):
     start: Gaussian
 
 
-def beliefs(case: Case, lanes: tuple[int, ...]) -> Gaussian:
+def beliefs(case: BenchmarkCase, lanes: tuple[int, ...]) -> Gaussian:
     """Return the start in every lane."""
     mean, cov = case.start
     return Gaussian(
@@ -40,7 +40,7 @@ def beliefs(case: Case, lanes: tuple[int, ...]) -> Gaussian:
     )
 
 
-def readings(case: Case, lanes: tuple[int, ...]) -> np.ndarray:
+def readings(case: BenchmarkCase, lanes: tuple[int, ...]) -> np.ndarray:
     """Of the start, with noise."""
     generator = np.random.default_rng(1)
     exact = case.measure(np.broadcast_to(case.start.mean, (1, *lanes, *case.start.mean.shape)))[0]
@@ -78,10 +78,10 @@ def _wrapped_one(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return difference
 
 
-def straight() -> Case:
+def straight() -> BenchmarkCase:
     """A: n = 4, m = 2, linear."""
     motion = ConstantVelocity()
-    return Case(
+    return BenchmarkCase(
         "A",
         lambda points: motion.transition(points, None, 0),
         _positions,
@@ -95,10 +95,10 @@ def straight() -> Case:
     )
 
 
-def turn() -> Case:
+def turn() -> BenchmarkCase:
     """B: n = 5, m = 2, a coordinated turn by range and bearing, its bearing wrapped."""
     motion, sensor = CoordinatedTurn(), RangeBearing(np.array(SENSOR_POSITION_M))
-    return Case(
+    return BenchmarkCase(
         "B",
         lambda points: motion.transition(points, None, 0),
         lambda points: sensor.measure(points, 0),

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from benchmarks.measure import Figure
+from benchmarks.measure import BenchmarkFigure
 
 # The same code differs more from run to run than from turn to turn: by up to 20 % between 56 pairs
 # of runs on one machine. Every figure is taken to waver by at least this part of itself.
@@ -20,15 +20,15 @@ class Kept(msgspec.Struct):
     """A run of the benchmarks as it is kept; what is no table of figures has no place here."""
 
     machine: dict[str, str]
-    results: dict[str, dict[str, Figure]]
+    results: dict[str, dict[str, BenchmarkFigure]]
 
 
-class Change(NamedTuple):
+class FigureChange(NamedTuple):
     """A figure that both have; `factor` above 1 is better."""
 
     name: str
-    base: Figure
-    new: Figure
+    base: BenchmarkFigure
+    new: BenchmarkFigure
     factor: float
     beyond: bool
 
@@ -38,7 +38,7 @@ class Change(NamedTuple):
         return self.beyond and self.factor < 1
 
 
-def changes(base: Kept, new: Kept) -> list[Change]:
+def changes(base: Kept, new: Kept) -> list[FigureChange]:
     """Of all figures that both have, in their order."""
     found = []
     for bench, figures in new.results.items():
@@ -76,14 +76,14 @@ def main() -> None:
     raise SystemExit(1 if worse else 0)
 
 
-def _change(name: str, base: Figure, new: Figure) -> Change:
+def _change(name: str, base: BenchmarkFigure, new: BenchmarkFigure) -> FigureChange:
     more = new.better == "more"
     factor = new.value / base.value if more else base.value / new.value
     (base_low, base_high), (new_low, new_high) = _spread(base), _spread(new)
-    return Change(name, base, new, factor, new_high < base_low or new_low > base_high)
+    return FigureChange(name, base, new, factor, new_high < base_low or new_low > base_high)
 
 
-def _spread(figure: Figure) -> tuple[float, float]:
+def _spread(figure: BenchmarkFigure) -> tuple[float, float]:
     """Quartiles, or further out where they are nearer than runs are to each other."""
     low, high = (figure.value * (1 + sign * LEAST_SPREAD) for sign in (-1, 1))
     return min(figure.low, low), max(figure.high, high)

@@ -16,7 +16,7 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import NamedTuple
 
-from benchmarks.measure import Figures, figure, ratio, say
+from benchmarks.measure import BenchmarkFigures, figure, ratio, say
 from benchmarks.processor import spent_s
 from dashboard.app import Dashboard
 from dashboard.serve import open_recording
@@ -39,9 +39,9 @@ _LAST_STEPS = 40
 _SETTLED, _SETTLED_S, _LONGEST_S = 0.1, 1.0, 60.0
 
 
-def main() -> Figures:
+def main() -> BenchmarkFigures:
     """Print both and return them."""
-    results: Figures = {}
+    results: BenchmarkFigures = {}
     for nodes in SIZES:
         cost = figure(_update_ms(nodes), "ms of processor time per update", "less")
         results[f"dashboard-update-{nodes}"] = cost
@@ -68,7 +68,7 @@ class _Pace(NamedTuple):
     attaching_s: float
 
 
-def _compared(apart: "list[_Pace]", together: "list[_Pace]") -> Figures:
+def _compared(apart: "list[_Pace]", together: "list[_Pace]") -> BenchmarkFigures:
     """Return the cost of a page, by the clock and by processor time, which other
     processes disturb less."""
     rates = [[run.steps_per_s for run in runs] for runs in (together, apart)]

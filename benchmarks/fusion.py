@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.measure import Figures, figure, in_turns, median_us, ratio, say
+from benchmarks.measure import BenchmarkFigures, figure, in_turns, median_us, ratio, say
 from experiments.scenario_options import scenario_of
 from filters.gaussian import Gaussian
 from nodes.lanes.network import BatchedRule
@@ -22,13 +22,13 @@ NODES, RUNS, TURNS, LOOP_RUNS, MANY, REPEATS = 20, 500, 15, 5, 5, 5
 SCENARIO = "target-crossing"  # four states, on a geometric graph
 
 
-def network(rounds: int, by_sharpness: bool) -> tuple[Setup, BatchedRule]:
+def network(rounds: int, by_inverse_volume: bool) -> tuple[Setup, BatchedRule]:
     """Return the network of a scenario, and its rule at all nodes of all runs."""
     options = scenario_of(
-        scenario=SCENARIO, nodes=NODES, rounds=rounds, determinant_weights=by_sharpness, seed=1
+        scenario=SCENARIO, nodes=NODES, rounds=rounds, determinant_weights=by_inverse_volume, seed=1
     )
     setup = prepare(options)
-    return setup, build_network(setup, range(RUNS)).eras[0].regime.rule
+    return setup, build_network(setup, range(RUNS)).segments[0].settings.rule
 
 
 def beliefs(states: int) -> Gaussian:
@@ -78,14 +78,14 @@ def timed(run: Callable[[], object], nodes: int) -> Callable[[], float]:
     return once
 
 
-def main() -> Figures:
+def main() -> BenchmarkFigures:
     """Print and return what a node costs, and ratios."""
-    setup, single = network(1, by_sharpness=False)
+    setup, single = network(1, by_inverse_volume=False)
     rules = {
         "1 round": (single, 1),
-        f"{MANY} rounds": (network(MANY, by_sharpness=False)[1], MANY),
-        "1 round by sharpness": (network(1, by_sharpness=True)[1], 1),
-        f"{MANY} rounds by sharpness": (network(MANY, by_sharpness=True)[1], MANY),
+        f"{MANY} rounds": (network(MANY, by_inverse_volume=False)[1], MANY),
+        "1 round by inverse_volume": (network(1, by_inverse_volume=True)[1], 1),
+        f"{MANY} rounds by inverse_volume": (network(MANY, by_inverse_volume=True)[1], MANY),
     }
     given = beliefs(len(setup.prior_mean))
     few = Gaussian(*(np.ascontiguousarray(part[:LOOP_RUNS]) for part in given))
@@ -109,9 +109,9 @@ def _check(found: Gaussian, expected: Gaussian) -> None:
         np.testing.assert_allclose(array, right, rtol=1e-9, atol=1e-11)
 
 
-def _figures(given: dict[str, list[float]]) -> Figures:
+def _figures(given: dict[str, list[float]]) -> BenchmarkFigures:
     say(f"fusion, covariance intersection, {NODES} nodes x {RUNS} runs, n = 4, {TURNS} turns")
-    results: Figures = {}
+    results: BenchmarkFigures = {}
     for name, spent in given.items():
         beside = ratio(given["loop"], spent)
         say(
@@ -120,7 +120,7 @@ def _figures(given: dict[str, list[float]]) -> Figures:
         )
         results[f"{name} us"] = figure([1e6 * one for one in spent], "us/node", "less")
         results[f"{name} x loop"] = beside
-    for how in ("", " by sharpness"):
+    for how in ("", " by inverse_volume"):
         one, many = f"numpy, 1 round{how}", f"numpy, {MANY} rounds{how}"
         pairs = zip(given[many], given[one], strict=True)
         cost = figure([after / before for after, before in pairs], "x", "less")

@@ -5,7 +5,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from benchmarks.measure import Figures, figure
+from benchmarks.measure import BenchmarkFigures, figure
 from experiments.scenario_options import scenario_of
 from runtime.processes.job import Happened
 from runtime.processes.launcher import run_processes
@@ -17,9 +17,9 @@ STEPS = 80
 SIZES, REPETITIONS, GRAPH = (4, 16, 64), 3, "4-regular"
 
 
-def main() -> Figures:
+def main() -> BenchmarkFigures:
     """Print and return, per network size, seconds to ready and proportional memory per node."""
-    results: Figures = {}
+    results: BenchmarkFigures = {}
     for nodes in SIZES:
         graph = "complete" if nodes < 5 else GRAPH
         options = scenario_of(scenario="oscillator", nodes=nodes, graph=graph, steps=STEPS)

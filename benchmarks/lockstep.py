@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 
 from benchmarks.bare_loop import Load
-from benchmarks.measure import Figures, figure, ratio, say
+from benchmarks.measure import BenchmarkFigures, figure, ratio, say
 from experiments.scenario_options import scenario_of
 from nodes.messages import decode, from_wire
 from runtime.drivers import in_memory, over_processes
@@ -34,14 +34,14 @@ NODES, GRAPH, STEPS, SHORT_STEPS, REPETITIONS = 16, "4-regular", 300, 50, 5
 Run = Callable[[], float]
 
 
-class Pace(NamedTuple):
+class LockstepPace(NamedTuple):
     """Steps per second, and seconds of all processors per step."""
 
     steps_per_second: float
     processor_s: float
 
 
-def main() -> Figures:
+def main() -> BenchmarkFigures:
     """Print and return rates, processor times and their ratios."""
     setup, short = (setup_of(steps) for steps in (STEPS, SHORT_STEPS))
     traffic = traffic_of(in_memory(short))
@@ -56,7 +56,7 @@ def main() -> Figures:
             partial(_floor, load_of(short, traffic, says=False)),
         ),
     }
-    paces: dict[str, list[Pace]] = {name: [] for name in contestants}
+    paces: dict[str, list[LockstepPace]] = {name: [] for name in contestants}
     for _ in range(REPETITIONS):
         for name, runs in contestants.items():
             paces[name].append(_pace(*runs))
@@ -66,7 +66,7 @@ def main() -> Figures:
         f"lockstep, {NODES} nodes, {GRAPH}, {setup.scenario.rounds} rounds, beside bare loops with "
         f"the same filter calls, {REPETITIONS} turns"
     )
-    results: Figures = {}
+    results: BenchmarkFigures = {}
     for name in contestants:
         label = "" if name == "lockstep" else f"{name} "
         rate = results[f"{label}steps per second"] = figure(rates[name], "1/s", "more")
@@ -89,14 +89,14 @@ def setup_of(steps: int) -> Setup:
     return prepare(scenario_of(nodes=NODES, graph=GRAPH, steps=steps, seed=1))
 
 
-def _pace(run: Run, shorter: Run) -> Pace:
+def _pace(run: Run, shorter: Run) -> LockstepPace:
     """Return the rate of a run, and what each of its steps takes of the processor."""
     before_s = _children_s()
     shorter()
     between_s = _children_s()
     rate = run()
     spent_s = (_children_s() - between_s) - (between_s - before_s)
-    return Pace(rate, spent_s / (STEPS - SHORT_STEPS))
+    return LockstepPace(rate, spent_s / (STEPS - SHORT_STEPS))
 
 
 def _children_s() -> float:
@@ -112,14 +112,14 @@ def _lockstep(setup: Setup) -> float:
         return pace.steps_per_second or 0.0
 
 
-class Traffic(NamedTuple):
+class MessageTraffic(NamedTuple):
     """The largest message of each kind, and in which part of its steps a node sees something."""
 
     sizes: dict[str, int]
     sees: float
 
 
-def traffic_of(messages: Sequence[tuple[str, bytes]]) -> Traffic:
+def traffic_of(messages: Sequence[tuple[str, bytes]]) -> MessageTraffic:
     """Return the traffic of a run."""
     sizes: dict[str, int] = {}
     seen: list[bool] = []
@@ -129,10 +129,10 @@ def traffic_of(messages: Sequence[tuple[str, bytes]]) -> Traffic:
         if kind == "measured":
             readings = from_wire(decode(topic, data).readings)
             seen.append(not np.isnan(readings).all())
-    return Traffic(sizes, sum(seen) / len(seen))
+    return MessageTraffic(sizes, sum(seen) / len(seen))
 
 
-def load_of(setup: Setup, traffic: Traffic, says: bool = True) -> Load:
+def load_of(setup: Setup, traffic: MessageTraffic, says: bool = True) -> Load:
     """Return the same for a bare loop."""
     sizes = traffic.sizes
     return Load(

@@ -21,7 +21,7 @@ from runtime.batched.memory import keep_freed_memory
 Better = Literal["more", "less"]
 
 
-class Figure(msgspec.Struct, frozen=True):
+class BenchmarkFigure(msgspec.Struct, frozen=True):
     """A measured value, its quartiles over the turns, and which way is better."""
 
     value: float
@@ -31,13 +31,13 @@ class Figure(msgspec.Struct, frozen=True):
     better: Better
 
 
-Figures = dict[str, Figure]
+BenchmarkFigures = dict[str, BenchmarkFigure]
 
 
-def figure(values: list[float], unit: str, better: Better) -> Figure:
+def figure(values: list[float], unit: str, better: Better) -> BenchmarkFigure:
     """Median and quartiles."""
     low, middle, high = np.percentile(values, (25, 50, 75)).tolist()
-    return Figure(middle, low, high, unit, better)
+    return BenchmarkFigure(middle, low, high, unit, better)
 
 
 def in_turns(contestants: Mapping[str, Callable[[], float]], turns: int) -> dict[str, list[float]]:
@@ -55,7 +55,7 @@ def in_turns(contestants: Mapping[str, Callable[[], float]], turns: int) -> dict
     return given
 
 
-def ratio(over: list[float], under: list[float]) -> Figure:
+def ratio(over: list[float], under: list[float]) -> BenchmarkFigure:
     """Return how many times as fast the second is as the first."""
     return figure([a / b for a, b in zip(over, under, strict=True)], "x", "more")
 

@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from benchmarks.fusion import fuse
-from benchmarks.measure import Figures, figure, in_turns, peak_mb, say
+from benchmarks.measure import BenchmarkFigures, figure, in_turns, peak_mb, say
 from experiments.monte_carlo.simulate import READINGS, simulate
 from experiments.scenario_options import scenario_of
 from filters.gaussian import Gaussian
@@ -28,7 +28,7 @@ from scenarios.setup import Setup
 SCENARIO, NODES, RUNS, STEPS, KERNEL_STEPS, TURNS = "target-tracking", 20, 500, 100, 10, 5
 
 
-def main() -> Figures:
+def main() -> BenchmarkFigures:
     """Print and return seconds of the processor, and the ratio of the whole to its kernels."""
     options = scenario_of(scenario=SCENARIO, nodes=NODES, steps=STEPS, seed=1)
     setup = prepare(options)
@@ -48,7 +48,7 @@ def main() -> Figures:
     return results
 
 
-def _beside_kernels(kind: str, given: dict[str, list[float]]) -> Figures:
+def _beside_kernels(kind: str, given: dict[str, list[float]]) -> BenchmarkFigures:
     """Seconds of the whole and of its filter steps and fusions, and their ratio."""
     whole, filters, fusions = (given[f"{kind}, {name}"] for name in ("end to end", "UKF", "fusion"))
     over = [a / (b + c) for a, b, c in zip(whole, filters, fusions, strict=True)]
@@ -118,7 +118,7 @@ def _filters(setup: Setup) -> Callable[[], float]:
 
 
 def _fusions(setup: Setup) -> Callable[[], float]:
-    start, rule = _start(setup), build_network(setup, range(RUNS)).eras[0].regime.rule
+    start, rule = _start(setup), build_network(setup, range(RUNS)).segments[0].settings.rule
 
     def run() -> float:
         belief = start

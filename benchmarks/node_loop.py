@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks.bare_loop import Load, pass_on
 from benchmarks.lockstep import GRAPH, NODES, load_of, setup_of, traffic_of
 from benchmarks.measure import (
-    Figures,
+    BenchmarkFigures,
     figure,
     in_turns,
     median_us,
@@ -26,7 +26,7 @@ from benchmarks.measure import (
 )
 from nodes.messages import END
 from runtime.drivers import in_memory
-from runtime.network.links import Links
+from runtime.network.links import ZenohEndpoints
 from runtime.network.zenoh_transport import Transport
 from runtime.processes.node import lockstep
 from runtime.processes.node.membership import Membership
@@ -91,7 +91,7 @@ class _Memory:
         """Nothing was opened."""
 
 
-def main() -> Figures:
+def main() -> BenchmarkFigures:
     """Print and return microseconds per step, and their ratios."""
     setup = setup_of(STEPS)
     messages = in_memory(setup)
@@ -103,7 +103,7 @@ def main() -> Figures:
         contestants |= {warmth: node, f"{warmth}, bare": bare}
     given = in_turns(contestants, TURNS)
     say(f"a node of {NODES}, {GRAPH}, fed from memory, beside its bare loop; {TURNS} turns")
-    results: Figures = {}
+    results: BenchmarkFigures = {}
     for name, spent in given.items():
         results[f"{name} us"] = figure([1e6 * one for one in spent], "us/step", "less")
         if name.endswith("bare"):
@@ -120,7 +120,7 @@ def main() -> Figures:
 def _node(setup: Setup, messages: Messages, cold: bool) -> float:
     """Seconds per step of a node as it is."""
     memory = _memory(setup.neighbours[NODE], messages, cold)
-    links = Links("peer", (), ())
+    links = ZenohEndpoints("peer", (), ())
     peers = setup.neighbours[NODE]
     membership = Membership("memory", links, build_node(setup, NODE), peers, "")
     with patch.object(lockstep, "Transport", lambda *_: memory):

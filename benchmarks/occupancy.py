@@ -22,7 +22,7 @@ OCCUPANCIES = (1.0, 0.5, 0.25, 0.1)
 RUNS, WORKERS, CONFIDENCE = 20, 2, 0.95
 
 
-class Job(NamedTuple):
+class OccupancyJob(NamedTuple):
     """One run of one cell of the table."""
 
     hold: str
@@ -30,7 +30,7 @@ class Job(NamedTuple):
     run: int
 
 
-class Cell(NamedTuple):
+class OccupancyCell(NamedTuple):
     """RMSE over that of the centralised filter on the same noise: mean over runs and half width of
     its t-interval; RMSE in metres and ANEES are means over runs."""
 
@@ -42,7 +42,12 @@ class Cell(NamedTuple):
 
 def main() -> dict[str, dict[str, float]]:
     """Print and return the table, one cell per hold policy and occupancy."""
-    jobs = [Job(hold, part, run) for hold in HOLDS for part in OCCUPANCIES for run in range(RUNS)]
+    jobs = [
+        OccupancyJob(hold, part, run)
+        for hold in HOLDS
+        for part in OCCUPANCIES
+        for run in range(RUNS)
+    ]
     with ProcessPoolExecutor(WORKERS, mp_context=get_context("spawn")) as pool:
         outcomes = np.array(list(pool.map(_outcome, jobs, chunksize=4)))
     cells = _cells(outcomes.reshape(len(HOLDS), len(OCCUPANCIES), RUNS, -1))
@@ -63,7 +68,7 @@ def main() -> dict[str, dict[str, float]]:
     return {f"{hold} {part:g}": cell._asdict() for (hold, part), cell in cells.items()}
 
 
-def _outcome(job: Job) -> tuple[float, float, float]:
+def _outcome(job: OccupancyJob) -> tuple[float, float, float]:
     """RMSE over centralised, RMSE and ANEES of one run."""
     options = scenario_of(
         scenario="target-tracking", nodes=20, occupancy=job.occupancy, hold=job.hold, run=job.run
@@ -73,12 +78,12 @@ def _outcome(job: Job) -> tuple[float, float, float]:
     return figures.rmse / figures.rmse_centralised, figures.rmse, figures.anees
 
 
-def _cells(outcomes: np.ndarray) -> dict[tuple[str, float], Cell]:
+def _cells(outcomes: np.ndarray) -> dict[tuple[str, float], OccupancyCell]:
     """From outcomes (holds, occupancies, runs, 3)."""
     quantile = stats.t.ppf(0.5 + CONFIDENCE / 2, RUNS - 1)
     mean, spread = outcomes.mean(2), outcomes.std(2, ddof=1)
     return {
-        (hold, part): Cell(
+        (hold, part): OccupancyCell(
             float(mean[i, j, 0]),
             float(quantile * spread[i, j, 0] / np.sqrt(RUNS)),
             float(mean[i, j, 1]),

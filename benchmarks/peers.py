@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.cases import SENSOR_POSITION_M, Case, beliefs, readings
+from benchmarks.cases import SENSOR_POSITION_M, BenchmarkCase, beliefs, readings
 from filters.gaussian import Gaussian
 
 FILTERPY_STEPS, STONE_SOUP_STEPS, C_LANES = 100, 30, 10_000
 
 
-def filterpy_loop(case: Case) -> Callable[[], float]:
+def filterpy_loop(case: BenchmarkCase) -> Callable[[], float]:
     """filterpy's UnscentedKalmanFilter with the same weights."""
     from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
@@ -45,7 +45,7 @@ def filterpy_loop(case: Case) -> Callable[[], float]:
     return run
 
 
-def stone_soup_loop(case: Case) -> Callable[[], float]:
+def stone_soup_loop(case: BenchmarkCase) -> Callable[[], float]:
     """Stone Soup's unscented predictor and updater with its own models of the same case."""
     from stonesoup.models.measurement.linear import LinearGaussian
     from stonesoup.models.measurement.nonlinear import CartesianToBearingRange
@@ -85,7 +85,7 @@ def stone_soup_loop(case: Case) -> Callable[[], float]:
     return run
 
 
-def c_loop(case: Case) -> Callable[[], float] | None:
+def c_loop(case: BenchmarkCase) -> Callable[[], float] | None:
     """A loop over filters in C, models included, built here; None without gcc."""
     gcc = shutil.which("gcc")
     if gcc is None:

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import msgspec
 
 from benchmarks.compare import Kept
-from benchmarks.measure import Figure, Figures
+from benchmarks.measure import BenchmarkFigure, BenchmarkFigures
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Results = dict[str, Figures]
+FiguresByCase = dict[str, BenchmarkFigures]
 
 CASES = {
     "A": ("straight line, n = 4", "#2a6f97"),
@@ -69,7 +69,7 @@ GROWTHS = (
 INK, GREY = "#2a6f97", "#6b6b6b"
 
 
-def draw(results: Results, path: Path) -> None:
+def draw(results: FiguresByCase, path: Path) -> None:
     """Draw the measured results, one panel per question; missing results are left out."""
     import matplotlib.pyplot as plt
 
@@ -85,7 +85,7 @@ def draw(results: Results, path: Path) -> None:
     plt.close(figure)
 
 
-def _draw_filters(axes: "Axes", ukf: Figures) -> None:
+def _draw_filters(axes: "Axes", ukf: BenchmarkFigures) -> None:
     """Steps per second of the UKF, both cases, on a logarithmic scale."""
     names = [name for name in FILTERS if f"A {name} us" in ukf]
     for place, (case, (title, colour)) in enumerate(CASES.items()):
@@ -103,7 +103,7 @@ def _draw_filters(axes: "Axes", ukf: Figures) -> None:
     _plain(axes)
 
 
-def _draw_ratios(axes: "Axes", results: Results) -> None:
+def _draw_ratios(axes: "Axes", results: FiguresByCase) -> None:
     """Ratios of two times or rates beside what they should be."""
     found = [
         (label, aim, figure)
@@ -120,7 +120,7 @@ def _draw_ratios(axes: "Axes", results: Results) -> None:
     _plain(axes)
 
 
-def _draw_times(axes: "Axes", results: Results) -> None:
+def _draw_times(axes: "Axes", results: FiguresByCase) -> None:
     """How many times as fast as the plain way."""
     found = [
         (label, figure)
@@ -136,7 +136,9 @@ def _draw_times(axes: "Axes", results: Results) -> None:
     _plain(axes)
 
 
-def _bar(axes: "Axes", row: int, figure: Figure, text: str, aim: float | None = None) -> None:
+def _bar(
+    axes: "Axes", row: int, figure: BenchmarkFigure, text: str, aim: float | None = None
+) -> None:
     """A median, and its quartiles as a line; the text is right of them and of the aim."""
     end = figure.high if aim is None else max(figure.high, aim)
     axes.barh(row, figure.value, 0.6, color=INK, alpha=0.75)
@@ -144,7 +146,7 @@ def _bar(axes: "Axes", row: int, figure: Figure, text: str, aim: float | None = 
     axes.annotate(text, (end, row), (5, 0), textcoords="offset points", va="center")
 
 
-def _draw_growth(axes: "Axes", figures: Figures, growth: Growth) -> None:
+def _draw_growth(axes: "Axes", figures: BenchmarkFigures, growth: Growth) -> None:
     """A figure over a size on a logarithmic scale, with quartiles."""
     found = {
         int(name.removesuffix(growth.ending)): one

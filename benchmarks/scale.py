@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from benchmarks.measure import Figure, Figures, figure, in_turns, peak_mb, say
+from benchmarks.measure import BenchmarkFigure, BenchmarkFigures, figure, in_turns, peak_mb, say
 from experiments.monte_carlo.simulate import simulate
 from experiments.scenario_options import scenario_of
 from scenarios.preparation import prepare
@@ -23,14 +23,14 @@ NODES, DEGREES = 1_000, (4, 16, 64)
 Spent = Mapping[int, list[float]]
 
 
-def main() -> Figures:
+def main() -> BenchmarkFigures:
     """Print and return what an edge costs, how the cost grows with nodes and with edges, and what
     an edge of 10,000 nodes costs over one of 100."""
     networks = [(nodes, DEGREE) for nodes in SIZES] + [(NODES, degree) for degree in DEGREES[1:]]
     given = in_turns({f"{n} {d}": _timed(n, d) for n, d in networks}, TURNS)
     by_nodes = {nodes: given[f"{nodes} {DEGREE}"] for nodes in SIZES}
     by_edges = {NODES * degree // 2: given[f"{NODES} {degree}"] for degree in DEGREES}
-    results: Figures = {}
+    results: BenchmarkFigures = {}
     say(f"cost against nodes, {DEGREE}-regular, {LANES} lanes, per edge, run and round")
     for nodes, spent in by_nodes.items():
         edges = nodes * DEGREE // 2
@@ -58,13 +58,13 @@ def main() -> Figures:
     return results
 
 
-def _per_edge(name: str, spent: list[float], edges: int) -> Figure:
+def _per_edge(name: str, spent: list[float], edges: int) -> BenchmarkFigure:
     cost = figure([1e9 * one / edges for one in spent], "ns", "less")
     say(f"  {name:>20} edges: {cost.value:8.0f} ns ({cost.low:.0f} - {cost.high:.0f})")
     return cost
 
 
-def _slope(spent: Spent) -> Figure:
+def _slope(spent: Spent) -> BenchmarkFigure:
     """Return the power of the size that the cost grows with."""
     costs = np.array(list(spent.values())).T
     return figure(

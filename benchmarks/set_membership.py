@@ -14,12 +14,12 @@ from functools import partial
 
 import numpy as np
 
-from benchmarks.measure import Figures, figure, ratio
+from benchmarks.measure import BenchmarkFigures, figure, ratio
 from filters.sets.ellipsoid import Ellipsoid, shape_matrix
 from papers.liu2021.bus import augmented
 from papers.liu2021.closed_form import closed_form_step
-from papers.liu2021.cycle import Cycle, Step, turned
-from papers.liu2021.flexray_cycle import Received
+from papers.liu2021.cycle import Cycle, CycleResult, turned
+from papers.liu2021.flexray_cycle import DeliveredValues
 from papers.liu2021.multipliers import Problem
 from papers.liu2021.recursive_estimator import optimal_step, problem
 from papers.liu2021.runs import HELD, PLANT, G, N, simulate
@@ -29,9 +29,9 @@ CYCLES, REPETITIONS, FAST_CALLS = 13, 5, 20
 METHODS = ("generic", "reduced", "exact", "fast")
 
 
-def main() -> Figures:
+def main() -> BenchmarkFigures:
     """Print and return milliseconds per cycle and how many times as fast as the generic route."""
-    received = Received(
+    received = DeliveredValues(
         *(part[0] for part in simulate(seed=1, sequences=0, cycles=CYCLES).received)
     )
     size = G * N + HELD
@@ -87,7 +87,7 @@ def _solve(
 
 
 def _step(
-    step: Callable[[Ellipsoid, Cycle, np.ndarray], Step],
+    step: Callable[[Ellipsoid, Cycle, np.ndarray], CycleResult],
     calls: int,
     kept: Ellipsoid,
     model: Cycle,

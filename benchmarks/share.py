@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 
 from benchmarks.cases import turn
-from benchmarks.measure import Figures, figure, in_turns, say
+from benchmarks.measure import BenchmarkFigures, figure, in_turns, say
 from bus.ideal import TimelessBus
 from bus.schedule import full_publish
 from nodes.belief_codec import BeliefCodec
@@ -12,7 +12,7 @@ from nodes.belief_codec import BeliefCodec
 TURNS, TIMES = 20, 1_000
 
 
-def main() -> Figures:
+def main() -> BenchmarkFigures:
     """Print and return microseconds per share of five states in one frame."""
     belief = turn().start
     codec = BeliefCodec(len(belief.mean))

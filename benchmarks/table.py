@@ -1,9 +1,9 @@
 """Results of `make bench` as one table."""
 
-from benchmarks.measure import Figure, Figures
+from benchmarks.measure import BenchmarkFigure, BenchmarkFigures
 
 
-def table(results: dict[str, Figures]) -> str:
+def table(results: dict[str, BenchmarkFigures]) -> str:
     """One line per figure, in the order of measuring: median, quartiles, unit."""
     lines = [f"{'':<50}{'median':>10}{'quartiles':>22}"]
     for bench, figures in results.items():
@@ -12,6 +12,6 @@ def table(results: dict[str, Figures]) -> str:
     return "\n".join(lines)
 
 
-def _in_numbers(figure: Figure) -> str:
+def _in_numbers(figure: BenchmarkFigure) -> str:
     quartiles = f"{figure.low:.4g} - {figure.high:.4g}"
     return f"{figure.value:>10.4g}{quartiles:>22}  {figure.unit}".rstrip()

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.cases import Case, beliefs, readings, straight, turn
-from benchmarks.measure import Figures, figure, in_turns, median_us, ratio, say
+from benchmarks.cases import BenchmarkCase, beliefs, readings, straight, turn
+from benchmarks.measure import BenchmarkFigures, figure, in_turns, median_us, ratio, say
 from benchmarks.peers import c_loop, filterpy_loop, stone_soup_loop
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
@@ -19,7 +19,9 @@ BLOCK = 2_000
 ONE_STEPS, MANY_STEPS = 200, 3
 
 
-def ours(case: Case, blocks: int, lanes: tuple[int, ...], steps: int) -> Callable[[], float]:
+def ours(
+    case: BenchmarkCase, blocks: int, lanes: tuple[int, ...], steps: int
+) -> Callable[[], float]:
     """Seconds per lane and step of a chain of steps from the start, block by block of lanes."""
     rule, taken = scaled_unscented(len(case.start.mean)), _lanes_last(readings(case, lanes))
     count = blocks * max(1, taken.size // 2)
@@ -43,9 +45,9 @@ def _lanes_last(readings: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(readings.T).T
 
 
-def main() -> Figures:
+def main() -> BenchmarkFigures:
     """Print and return steps per second and ratios of both cases."""
-    results: Figures = {}
+    results: BenchmarkFigures = {}
     for case in (straight(), turn()):
         contestants = {
             "filterpy": filterpy_loop(case),

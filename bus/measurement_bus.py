@@ -35,7 +35,7 @@ def zero_input(received: np.ndarray) -> np.ndarray:
     return np.zeros_like(received)
 
 
-class Slot(NamedTuple):
+class SlotOutcome(NamedTuple):
     """Knowledge of the receiver after a slot.
 
     Attributes:
@@ -98,7 +98,7 @@ class MeasurementBus:
         """Where the measurement of a sensor (1..N) is among all."""
         return list(_slices(self.sizes))[sensor - 1]
 
-    def transmit(self, slot: int, measurement: np.ndarray, received: np.ndarray) -> Slot:
+    def transmit(self, slot: int, measurement: np.ndarray, received: np.ndarray) -> SlotOutcome:
         """One slot of the bus: (2) to (5).
 
         Args:
@@ -120,7 +120,7 @@ class MeasurementBus:
             sent[..., contenders] = ranks < self.schedule.dynamic_slots(slot)
         sent &= able
         fresh = np.repeat(sent, self.sizes, axis=-1)
-        return Slot(sent, fresh, np.where(fresh, measurement, self.silent(received)))
+        return SlotOutcome(sent, fresh, np.where(fresh, measurement, self.silent(received)))
 
     def bids(self, measurement: np.ndarray, received: np.ndarray) -> np.ndarray:
         """The bid of every sensor (..., N), whole numbers; -1 where it has nothing to send."""

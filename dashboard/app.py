@@ -14,10 +14,10 @@ import numpy as np
 import viser
 
 from dashboard.frames.expected import Expectation
-from dashboard.frames.frame import Frame
-from dashboard.frames.history import History
+from dashboard.frames.frame import StepFrame
+from dashboard.frames.history import FrameHistory
 from dashboard.frames.source import Source
-from dashboard.frames.stage import SCENE_WIDTH, Picture, Stage
+from dashboard.frames.stage import SCENE_WIDTH, PlantDrawing, Stage
 from dashboard.inputs import Inputs
 from dashboard.panels.controls import Controls
 from dashboard.panels.export_buttons import ExportButtons, Shown
@@ -27,7 +27,7 @@ from dashboard.panels.view_controls import MAGNIFIED
 from dashboard.player import Extent, play_live, play_recorded
 from dashboard.theme import DARK, LIGHT, Theme
 from dashboard.view import MANY_NODES, View
-from dashboard.window import Window
+from dashboard.window import PageServer
 
 _SCENE_HZ, _PANEL_HZ = 10.0, 4.0
 _SETTLED_FRAMES = 20
@@ -43,11 +43,11 @@ class Dashboard:
         self._expected = expected
         self.source, self.stage = source, source.stage
         self.view = first_view(self.stage, theme, source.live)
-        self.history = History(self.stage)
+        self.history = FrameHistory(self.stage)
         self._changed = Flag()
         self._next_scene_s = self._next_panel_s = self._last_s = 0.0
         self._stale = True
-        self._window = Window(host, port)
+        self._window = PageServer(host, port)
         self.inputs = Inputs(self.server.get_event_loop(), self._changed.set)
         self._window.set_theme(theme)
         gui = self.server.gui
@@ -150,8 +150,8 @@ class Dashboard:
             self.page.set_extent(self.history.first_step, self.history.last_step)
             self._changed.set()
 
-    def _magnify(self, frame: Frame) -> None:
-        if self.stage.picture is Picture.PLANE:
+    def _magnify(self, frame: StepFrame) -> None:
+        if self.stage.picture is PlantDrawing.PLANE:
             self.view.magnify = _magnification(frame, self.stage.scale)
             self.inputs.show(self.controls.view.magnify, value=f"{self.view.magnify:g}")
 
@@ -164,7 +164,7 @@ class Dashboard:
             return play_live(view, extent, elapsed_s, pace.state == "PAUSED")
         return play_recorded(view, extent, elapsed_s, self.stage.setup.time_step_s)
 
-    def _draw_status(self, frame: Frame | None) -> None:
+    def _draw_status(self, frame: StepFrame | None) -> None:
         pace = self.source.pace()
         state = pace.state
         if not self.source.live:
@@ -194,7 +194,7 @@ def first_view(stage: Stage, theme: Theme, live: bool) -> View:
     )
 
 
-def _magnification(frame: Frame, scale: float) -> float:
+def _magnification(frame: StepFrame, scale: float) -> float:
     """Return how much to enlarge errors: three deviations make a seventh of the map."""
     width = frame.scores.width[np.isfinite(frame.scores.width)]
     if not len(width):

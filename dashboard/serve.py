@@ -5,7 +5,7 @@ from pathlib import Path
 from dashboard.app import Dashboard
 from dashboard.frames.expected import Expectation, nothing_expected
 from dashboard.frames.live import LiveNetwork
-from dashboard.frames.source import Recorded
+from dashboard.frames.source import RecordedSource
 from dashboard.frames.stage import set_stage
 from dashboard.theme import DARK, LIGHT
 from runtime.recording import read_recording
@@ -30,7 +30,7 @@ def open_recording(
         raise ValueError(
             f"{recording}: nothing was recorded; the run ended before its first message"
         )
-    source = Recorded(set_stage(setup), recording)
+    source = RecordedSource(set_stage(setup), recording)
     return Dashboard(source, host, port, LIGHT if light else DARK, recording.parent, expected)
 
 

@@ -15,7 +15,7 @@ from dashboard.theme import Theme
 _FIRST_SIZE = (1600, 900)
 
 
-class Window:
+class PageServer:
     """A server of one page; every client sees the same."""
 
     def __init__(self, host: str, port: int) -> None:

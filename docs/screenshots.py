@@ -21,7 +21,7 @@ from runtime.recording import McapRecorder
 from scenarios.bus_plan import frame_format
 from scenarios.catalogue import kind_of
 from scenarios.preparation import prepare
-from scenarios.rules import is_certain
+from scenarios.rules import is_set_valued
 from scenarios.setup import Setup
 
 _FLAGS = (
@@ -123,7 +123,7 @@ def _take(browser: Any, shot: Shot, file: Path) -> None:
 
 def _expectation(setup: Setup) -> Expectation:
     """Return the expectation from other runs; an empty one if other runs would take minutes."""
-    if is_certain(setup.scenario) or without_array_form(setup.scenario) is not None:
+    if is_set_valued(setup.scenario) or without_array_form(setup.scenario) is not None:
         return nothing_expected
     told = told_by(setup, 40 if setup.scenario.nodes < 100 else 20)
     return lambda times: expected(told, setup.time_step_s, times)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from experiments.design.candidates import Cost
 from experiments.design.results import Design, design_of
-from experiments.design.search import Task, search
+from experiments.design.search import SearchTask, search
 from experiments.design.space import space_of
 from experiments.design.target import parse_target
 from experiments.monte_carlo.simulate import Histories
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
-Values = Value | Sequence[Value]
+SweptValues = Value | Sequence[Value]
 
 
 def simulate(scenario: str = "target-tracking", runs: int = 1, **fields: Value) -> Histories:
@@ -46,7 +46,7 @@ def sweep(
     samples: int | None = None,
     workers: int = 1,
     out: Path | str | None = None,
-    **fields: Values,
+    **fields: SweptValues,
 ) -> "xarray.Dataset":
     """Every combination of the fields' values; docs/sweeps.md names the variables.
 
@@ -71,7 +71,7 @@ def design(
     minimise: Cost = "occupancy",
     runs: int = 100,
     workers: int = 1,
-    **fields: Values,
+    **fields: SweptValues,
 ) -> Design:
     """The cheapest network that meets an error target; its `recommended` is None if none does.
 
@@ -81,7 +81,7 @@ def design(
     target = parse_target(target_rmse)
     settled, space = space_of(_specification(fields, runs, None))
     engine = engine_for(workers, None)
-    task = Task(target, minimise, settled, space, runs, engine, lambda _: None)
+    task = SearchTask(target, minimise, settled, space, runs, engine, lambda _: None)
     return design_of(settled, target, minimise, search(task, [], []), True)
 
 
@@ -96,7 +96,7 @@ def plots(result: "xarray.Dataset | Design") -> "dict[str, Figure]":
     return sweep_figures(result)
 
 
-def _specification(fields: dict[str, Values], runs: int, samples: int | None) -> Specification:
+def _specification(fields: dict[str, SweptValues], runs: int, samples: int | None) -> Specification:
     asked = {
         name: shown(values)
         if isinstance(values, str) or not isinstance(values, Sequence)

@@ -23,7 +23,7 @@ from runtime.network.certificates import (
     read_authority,
     zenoh_settings,
 )
-from runtime.network.links import LOOPBACK, RECORDER, WORLD, Links, free_ports
+from runtime.network.links import LOOPBACK, RECORDER, WORLD, ZenohEndpoints, free_ports
 from runtime.network.zenoh_transport import LinkError, Transport, start_router
 
 RUN = "security-check"
@@ -33,7 +33,7 @@ _SETTLE_S = 0.5
 _DELIVERED, _REFUSED = "delivered", "refused"
 
 
-class Attempt(msgspec.Struct, frozen=True):
+class IntrusionAttempt(msgspec.Struct, frozen=True):
     """Attempt against a guarded network, its expected outcome, and its outcome."""
 
     who: str
@@ -78,7 +78,7 @@ class _Guarded:
         return str(_first(f"{name}.json", self._folder))
 
     def join(self, keys: str | None, hears: tuple[str, ...] = (), endpoint: str = "") -> Transport:
-        links = Links("client", (), (endpoint or self.endpoint,), _JOIN_S, keys)
+        links = ZenohEndpoints("client", (), (endpoint or self.endpoint,), _JOIN_S, keys)
         return Transport(RUN, links, hears, 1024)
 
     def arrived(self) -> dict[tuple[str, bytes], int]:
@@ -111,7 +111,7 @@ def _write_to(guarded: _Guarded, keys: str, topics: tuple[str, ...], mark: bytes
     intruder.close()
 
 
-def _writers(guarded: _Guarded) -> list[Attempt]:
+def _writers(guarded: _Guarded) -> list[IntrusionAttempt]:
     """Check that members can publish on their own topics and on no others."""
     own = ("hello/0", "bid/0", "share/0", "estimate/0")
     of_another = tuple(topic.replace("0", "1") for topic in own)
@@ -140,12 +140,12 @@ def _writers(guarded: _Guarded) -> list[Attempt]:
     return attempts
 
 
-def _attempt(who: str, tried: str, wanted: str, came: int, tries: int) -> Attempt:
+def _attempt(who: str, tried: str, wanted: str, came: int, tries: int) -> IntrusionAttempt:
     outcome = {0: _REFUSED, tries: _DELIVERED}.get(came, "in part")
-    return Attempt(who, tried, wanted, outcome, came, tries)
+    return IntrusionAttempt(who, tried, wanted, outcome, came, tries)
 
 
-def _reader(guarded: _Guarded) -> list[Attempt]:
+def _reader(guarded: _Guarded) -> list[IntrusionAttempt]:
     """A monitor hears what a node says."""
     monitor = guarded.join(guarded.keys(MONITOR), ("share/*",))
     time.sleep(_SETTLE_S)
@@ -162,7 +162,7 @@ def _reader(guarded: _Guarded) -> list[Attempt]:
     return [_attempt(MONITOR, "hears a node's shares", _DELIVERED, heard.qsize(), TRIES)]
 
 
-def _commands(guarded: _Guarded) -> list[Attempt]:
+def _commands(guarded: _Guarded) -> list[IntrusionAttempt]:
     """Check access to the control interface: the environment answers each query that arrives."""
     guarded.answer("control")
     attempts = []
@@ -179,7 +179,7 @@ def _commands(guarded: _Guarded) -> list[Attempt]:
     return attempts
 
 
-def _tokens(guarded: _Guarded) -> list[Attempt]:
+def _tokens(guarded: _Guarded) -> list[IntrusionAttempt]:
     """A node says that another is ready; then that other says so itself."""
     watcher = guarded.join(guarded.keys(MONITOR))
     wait = threading.Thread(target=watcher.join, args=(MONITOR, {"1"}), daemon=True)
@@ -196,7 +196,7 @@ def _tokens(guarded: _Guarded) -> list[Attempt]:
     return attempts
 
 
-def _joiners(guarded: _Guarded, authority: Authority, folder: Path) -> list[Attempt]:
+def _joiners(guarded: _Guarded, authority: Authority, folder: Path) -> list[IntrusionAttempt]:
     """Guests at the door: right and wrong certificates, none, or no TLS at all."""
     node, day = certificate_name(0), timedelta(days=1)
     stranger = new_authority(1)
@@ -249,7 +249,7 @@ def _knock(guarded: _Guarded, enter: Callable[[], Transport]) -> int:
     return came
 
 
-def _false_router(guarded: _Guarded, folder: Path) -> list[Attempt]:
+def _false_router(guarded: _Guarded, folder: Path) -> list[IntrusionAttempt]:
     """Check that a node refuses a router of another authority."""
     stranger = new_authority(1)
     tls = zenoh_settings(
@@ -268,7 +268,7 @@ def _false_router(guarded: _Guarded, folder: Path) -> list[Attempt]:
     return [_attempt("false router", "lets node-0 join", _REFUSED, came, 1)]
 
 
-def check(folder: Path) -> list[Attempt]:
+def check(folder: Path) -> list[IntrusionAttempt]:
     """Make every attempt against a router with the keys in `folder`; takes about half a minute.
 
     The function prints its progress.
@@ -278,10 +278,10 @@ def check(folder: Path) -> list[Attempt]:
     """
     authority = read_authority(folder)
     guarded = _Guarded(folder)
-    attempts: list[Attempt] = []
+    attempts: list[IntrusionAttempt] = []
     try:
         with tempfile.TemporaryDirectory() as scratch:
-            trials: list[Callable[[], list[Attempt]]] = [
+            trials: list[Callable[[], list[IntrusionAttempt]]] = [
                 partial(_writers, guarded),
                 partial(_reader, guarded),
                 partial(_tokens, guarded),

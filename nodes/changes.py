@@ -87,14 +87,14 @@ class Set(msgspec.Struct, frozen=True, tag="settings", tag_field="what"):
     first_cycle: Instant = 0
 
 
-class Pace(msgspec.Struct, frozen=True, tag="pace", tag_field="what"):
+class PaceChange(msgspec.Struct, frozen=True, tag="pace", tag_field="what"):
     """How fast the network goes; 0 steps per second is as fast as possible."""
 
     paused: bool
     steps_per_second: float
 
 
-Change = Left | Gone | Joined | Cut | Healed | Loss | Fault | Calm | Set | Pace
+Change = Left | Gone | Joined | Cut | Healed | Loss | Fault | Calm | Set | PaceChange
 
 
 class Event(msgspec.Struct, frozen=True):
@@ -164,7 +164,7 @@ def after(standing: Standing, step: int, change: Change) -> Standing:
             return replace(standing, loss=None, losses=(), cuts=(), faults=())
         case Set(settings, first_cycle):
             return replace(standing, settings=settings, first_step=step, first_cycle=first_cycle)
-        case Pace():
+        case PaceChange():
             return standing
 
 

@@ -145,15 +145,15 @@ def in_words(words: Sequence[str]) -> Command:
         Refused: it is none.
     """
     both = list(words[-1:]) != [_ONE_WAY]
-    said = list(words if both else words[:-1])
-    verb = said[0] if said else ""
+    given = list(words if both else words[:-1])
+    verb = given[0] if given else ""
     if verb not in VERBS:
         nearest = difflib.get_close_matches(verb, VERBS, n=1, cutoff=0.0)[0]
         raise Refused(
             f"{verb!r} is no command: did you mean {nearest!r}? Commands are {', '.join(VERBS)}"
         )
     try:
-        return _fault(said, both) if verb in FAULTS else _READERS[verb](said[1:], both)
+        return _fault(given, both) if verb in FAULTS else _READERS[verb](given[1:], both)
     except (LookupError, TypeError, ValueError):
         raise Refused(f"{' '.join(words)!r}: say {VERBS[verb]}") from None
 
@@ -207,9 +207,9 @@ def _of_link(
     return make(sender, receiver, both)
 
 
-def _fault(said: Sequence[str], both: bool) -> Inject:
+def _fault(given: Sequence[str], both: bool) -> Inject:
     """Numbers come after the nodes, but before those of a link, which may be left out."""
-    kind, rest = said[0], list(said[1:])
+    kind, rest = given[0], list(given[1:])
     place, numbers = FAULTS[kind].place, len(FAULTS[kind].numbers)
     if place == "link":
         nodes, values = rest[numbers:], rest[:numbers]
@@ -221,5 +221,5 @@ def _fault(said: Sequence[str], both: bool) -> Inject:
     named_link = place == "link" and len(nodes) == 2
     half_a_link = place == "link" and nodes and not named_link
     if len(values) != numbers or half_a_link or not (both or named_link):
-        raise ValueError(said)
+        raise ValueError(given)
     return Inject(kind, tuple(map(int, nodes)), tuple(map(float, values)), both)

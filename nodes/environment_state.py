@@ -29,7 +29,7 @@ class EnvironmentPhase(Enum):
     FINISHED = "finished"
 
 
-class Draws(Protocol):
+class NoiseDraws(Protocol):
     """The randomness of one run: process (steps, q) and measurement (steps, ...), for `Plant`."""
 
     @property
@@ -53,7 +53,7 @@ class Plant(Protocol):
         ...
 
 
-class Controller(NamedTuple):
+class ControlStep(NamedTuple):
     """A law that drives the plant: `law(state (n,), memory, step) -> (control (p,), memory)`.
 
     It sees the estimate of `node`; None lets it see the true state.
@@ -90,13 +90,13 @@ class EnvironmentConfig:
 
     plant: Plant
     initial_state: np.ndarray
-    draws: Draws
+    draws: NoiseDraws
     nodes: int
     steps: int
     rounds: int
     lead: int
     bus: Bus
-    controller: Controller | None
+    controller: ControlStep | None
     states: int
     delivery: Delivery | None = None
     neighbours: Sequence[Sequence[int]] = ()

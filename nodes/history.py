@@ -6,7 +6,7 @@ It is read from the events of a recording.
 from collections.abc import Container, Iterable
 from typing import NamedTuple
 
-from nodes.changes import Event, Gone, Joined, Left, Pace, Set
+from nodes.changes import Event, Gone, Joined, Left, PaceChange, Set
 
 
 class Epoch(NamedTuple):
@@ -17,7 +17,7 @@ class Epoch(NamedTuple):
     rounds: int
 
 
-class Absence(NamedTuple):
+class AbsentSteps(NamedTuple):
     """A node took no part from `first_step` to before `end_step`; None is to the end."""
 
     node: int
@@ -29,7 +29,7 @@ class History(NamedTuple):
     """The epochs of a run in order, the absent nodes, and whether anything changed at all."""
 
     epochs: tuple[Epoch, ...]
-    absences: tuple[Absence, ...] = ()
+    absent_steps: tuple[AbsentSteps, ...] = ()
     changed: bool = False
 
     @property
@@ -47,10 +47,10 @@ class History(NamedTuple):
     def is_in(self, node: int, step: int) -> bool:
         """Whether a node takes part in a step."""
         return not any(
-            absence.node == node
-            and absence.first_step <= step
-            and (absence.end_step is None or step < absence.end_step)
-            for absence in self.absences
+            absent.node == node
+            and absent.first_step <= step
+            and (absent.end_step is None or step < absent.end_step)
+            for absent in self.absent_steps
         )
 
     def place(self, cycle: int) -> tuple[int, int]:
@@ -71,36 +71,40 @@ def history_of(rounds: int, events: Iterable[Event]) -> History:
 def with_event(history: History, event: Event) -> History:
     """The history that goes on with this."""
     step = event.step
-    if not isinstance(event.change, Pace):
+    if not isinstance(event.change, PaceChange):
         history = history._replace(changed=True)
     match event.change:
         case Set(settings, first_cycle):
             rounds = int(settings.get("rounds", history.epochs[-1].rounds))
             return history._replace(epochs=(*history.epochs, Epoch(step, first_cycle, rounds)))
         case Left(node) | Gone(node):
-            return history._replace(absences=(*history.absences, Absence(node, step, None)))
-        case Joined(node):
-            absences = tuple(
-                absence._replace(end_step=step)
-                if absence.node == node and absence.end_step is None
-                else absence
-                for absence in history.absences
+            return history._replace(
+                absent_steps=(*history.absent_steps, AbsentSteps(node, step, None))
             )
-            return history._replace(absences=absences)
+        case Joined(node):
+            absent_steps = tuple(
+                absent._replace(end_step=step)
+                if absent.node == node and absent.end_step is None
+                else absent
+                for absent in history.absent_steps
+            )
+            return history._replace(absent_steps=absent_steps)
     return history
 
 
-def with_holes(history: History, said: Container[tuple[int, int]], last: dict[int, int]) -> History:
+def with_holes(
+    history: History, recorded: Container[tuple[int, int]], last: dict[int, int]
+) -> History:
     """The history in which a node takes no part in a step of which the recording has lost what it
     said, though it has something later: in real time what is late is lost. `last` is the latest
-    step of each node, `said` every (step, node)."""
+    step of each node, `recorded` every (step, node)."""
     holes = tuple(
-        Absence(node, step, step + 1)
+        AbsentSteps(node, step, step + 1)
         for node, latest in last.items()
         for step in range(latest)
-        if (step, node) not in said and history.is_in(node, step)
+        if (step, node) not in recorded and history.is_in(node, step)
     )
-    return history._replace(absences=history.absences + holes)
+    return history._replace(absent_steps=history.absent_steps + holes)
 
 
 def without_lost_words(history: History, estimated: Container[tuple[int, int]]) -> History:
@@ -109,12 +113,12 @@ def without_lost_words(history: History, estimated: Container[tuple[int, int]]) 
     The recording has lost the estimates from that (step, node) on, though the environment had
     received them.
     """
-    absences = []
-    for absence in history.absences:
-        first = absence.first_step
-        while first > 0 and history.is_in(absence.node, first - 1):
-            if (first - 1, absence.node) in estimated:
+    absent_steps = []
+    for absent in history.absent_steps:
+        first = absent.first_step
+        while first > 0 and history.is_in(absent.node, first - 1):
+            if (first - 1, absent.node) in estimated:
                 break
             first -= 1
-        absences.append(absence._replace(first_step=first))
-    return history._replace(absences=tuple(absences))
+        absent_steps.append(absent._replace(first_step=first))
+    return history._replace(absent_steps=tuple(absent_steps))

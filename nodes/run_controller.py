@@ -21,7 +21,7 @@ from nodes.changes import (
     Joined,
     Left,
     Loss,
-    Pace,
+    PaceChange,
     Settings,
     Standing,
 )
@@ -55,7 +55,7 @@ class Scripted(NamedTuple):
     command: ChangeCommand
 
 
-class Stage(NamedTuple):
+class ProcessStarter(NamedTuple):
     """The means of a run controller to start and end the processes of nodes.
 
     `kill(node)` ends one; `start(node)` starts a fresh one and says whether it is ready at once;
@@ -77,7 +77,7 @@ class RunController:
         self,
         config: EnvironmentConfig,
         script: Sequence[Scripted],
-        stage: Stage,
+        stage: ProcessStarter,
         timed: bool = False,
     ) -> None:
         self.config, self._timed = config, timed
@@ -151,7 +151,7 @@ class RunController:
             case _:
                 self._pending.append(command)
                 return self._settle()
-        told = Event(self.state.released, Pace(self.paused, self._rate))
+        told = Event(self.state.released, PaceChange(self.paused, self._rate))
         return [told, *self._settle()]
 
     def ready(self, node: int) -> list[EnvironmentMessage]:

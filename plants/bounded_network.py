@@ -14,7 +14,7 @@ from plants.draws import Draws, GeneratorFor
 
 
 @dataclass(frozen=True, eq=False)
-class BoundedModel:
+class BoundedNetworkModel:
     """Model of the filters: the system, and how a known control (p,) enters, by G (n, p)."""
 
     system: BoundedSystem
@@ -76,7 +76,7 @@ class BoundedNetwork:
     """
 
     system: BoundedSystem
-    model: BoundedModel
+    model: BoundedNetworkModel
     nodes: int
     noise_bounds: np.ndarray
     prior_shape: np.ndarray

@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from plants.bounded import BoundedSystem
-from plants.bounded_network import BoundedModel, BoundedNetwork, on_the_bound
+from plants.bounded_network import BoundedNetwork, BoundedNetworkModel, on_the_bound
 
 STATES, OUTPUTS, STATIC_OUTPUTS = 4, 4, 2
 STEPS = 39
@@ -92,7 +92,7 @@ def network(nodes: int, noise: str) -> BoundedNetwork:
     printed = noise == "paper"
     return BoundedNetwork(
         system=SYSTEM,
-        model=BoundedModel(SYSTEM, CONTROL_MATRIX),
+        model=BoundedNetworkModel(SYSTEM, CONTROL_MATRIX),
         nodes=nodes,
         noise_bounds=NOISE_BOUND * np.array([0.12, 0.44, 0.2, 0.2]),
         prior_shape=np.eye(STATES),

@@ -6,7 +6,7 @@ The paper says where the estimate starts and not where the state does: here in t
 
 import numpy as np
 
-from plants.sensed import Placement, SensedPlant
+from plants.sensed import SensedPlant, SensorPlacement
 from plants.stochastic import StochasticNonlinearity, StochasticSystem, Term
 
 STATES, SENSORS = 2, 6
@@ -57,6 +57,6 @@ SYSTEM = StochasticSystem(
 )
 
 
-def plant(placement: Placement) -> SensedPlant:
+def plant(placement: SensorPlacement) -> SensedPlant:
     """The example with its sensors placed at nodes; the paper gives neither units nor time."""
     return SensedPlant(SYSTEM, PRIOR_MEAN, PRIOR_COV, ("x1", "x2"), ("1", "1"), placement)

@@ -17,7 +17,7 @@ from plants.stochastic import StochasticSystem
 SHARED = "shared measurement"
 
 
-class Placement(NamedTuple):
+class SensorPlacement(NamedTuple):
     """Which node has which sensors.
 
     Attributes:
@@ -41,7 +41,7 @@ class SensedPlant:
     prior_cov: np.ndarray
     state_names: tuple[str, ...]
     state_units: tuple[str, ...]
-    placement: Placement
+    placement: SensorPlacement
     time_step_s: float = 1.0
 
     def positions(self, step: int) -> None:
@@ -74,12 +74,12 @@ class SensedPlant:
         return delivered if step > 0 else np.full_like(delivered, np.nan)
 
 
-def sensors_on_a_bus(sensors: int) -> Placement:
+def sensors_on_a_bus(sensors: int) -> SensorPlacement:
     """Node 0 estimates and has no sensor, nodes 1..N are the sensors."""
-    return Placement(1 + sensors, partial(draw_sensors, first=1), _one_sensor_each)
+    return SensorPlacement(1 + sensors, partial(draw_sensors, first=1), _one_sensor_each)
 
 
-def clusters(nodes: int) -> Placement:
+def clusters(nodes: int) -> SensorPlacement:
     """All sensors of the system at each node, independent of those at others.
 
     Raises:
@@ -87,7 +87,7 @@ def clusters(nodes: int) -> Placement:
     """
     if nodes < 1:
         raise ValueError(f"sensor clusters at {nodes} nodes: give at least one")
-    return Placement(nodes, partial(_draw_clusters, nodes=nodes), _all_sensors_each)
+    return SensorPlacement(nodes, partial(_draw_clusters, nodes=nodes), _all_sensors_each)
 
 
 def draw_sensors(

@@ -34,7 +34,7 @@ class Term(NamedTuple):
         return ((matrix @ (state @ self.inner.T)[..., None])[..., 0]) @ self.outer.T
 
 
-class SecondMoment(NamedTuple):
+class NoiseSecondMoment(NamedTuple):
     """sum_t pi_t x' gamma_t x: pi (terms, d, d), gamma (terms, n, n)."""
 
     pi: np.ndarray
@@ -67,9 +67,9 @@ class StochasticNonlinearity:
         return sum(term.numbers for term in self.terms)
 
     @cached_property
-    def second_moment(self) -> SecondMoment:
+    def second_moment(self) -> NoiseSecondMoment:
         """Pi_t and Gamma_t of all terms."""
-        return SecondMoment(
+        return NoiseSecondMoment(
             np.array([term.outer @ term.outer.T for term in self.terms]).reshape(
                 -1, self.size, self.size
             ),
@@ -108,11 +108,11 @@ class StochasticSystem:
     process: Callable[[int], StochasticNonlinearity]
     measurement: Callable[[int], StochasticNonlinearity]
 
-    def process_moment(self, step: int) -> SecondMoment:
+    def process_moment(self, step: int) -> NoiseSecondMoment:
         """Return the second moment of g at a step."""
         return self.process(step).second_moment
 
-    def measurement_moment(self, step: int) -> SecondMoment:
+    def measurement_moment(self, step: int) -> NoiseSecondMoment:
         """Return the second moment of b at a step."""
         return self.measurement(step).second_moment
 

@@ -19,19 +19,19 @@ from scenarios.script import script_of
 from scenarios.setup import Setup
 
 
-class Pace(NamedTuple):
+class RunPace(NamedTuple):
     """How fast a run went; `ready_s` from the first fork to the first heartbeat, for processes."""
 
     steps_per_second: float | None
     ready_s: float | None
 
 
-Driver = Callable[[Setup, str, Path, int | None, Callable[[int], None]], Pace]
+Driver = Callable[[Setup, str, Path, int | None, Callable[[int], None]], RunPace]
 
 
 def in_this_process(
     setup: Setup, _run: str, recording: Path, _port: int | None, on_step: Callable[[int], None]
-) -> Pace:
+) -> RunPace:
     """Run all nodes and the environment in this process."""
     recorder = McapRecorder(
         recording, setup.scenario.rounds, setup.time_step_s, frame_format(setup.scenario)
@@ -41,7 +41,7 @@ def in_this_process(
         drive(setup, recorder, on_step)
     finally:
         recorder.close()
-    return Pace(setup.scenario.steps / (time.monotonic() - started), None)
+    return RunPace(setup.scenario.steps / (time.monotonic() - started), None)
 
 
 def in_memory(setup: Setup) -> list[tuple[str, bytes]]:
@@ -71,7 +71,7 @@ def over_processes(
     port: int | None,
     on_step: Callable[[int], None],
     tempo: Tempo | None = None,
-) -> Pace:
+) -> RunPace:
     """One operating-system process per node, messages over zenoh, in lockstep; with a
     `tempo` in real time.
 
@@ -93,7 +93,7 @@ def over_processes(
                 sys.stderr.write(f"{happened.detail}; the others go on\n")
 
     run_processes(setup, run, recording, port, on_event, tempo)
-    return Pace(setup.scenario.steps / (last_s - ready_s), ready_s)
+    return RunPace(setup.scenario.steps / (last_s - ready_s), ready_s)
 
 
 # Drivers that give equal bits.

@@ -27,7 +27,7 @@ from nodes.messages import (
     topic,
 )
 from nodes.node_state import NodeConfig, NodeState, Phase
-from nodes.run_controller import RunController, Scripted, Stage
+from nodes.run_controller import ProcessStarter, RunController, Scripted
 from runtime.recording import Recorder
 
 ENVIRONMENT = -1
@@ -93,7 +93,7 @@ def run(
                 watch(configs[node], message, states[node])
             queue.extend(_deliveries(message, audience, link))
 
-    controller = RunController(environment_config, script, Stage(out.add, start, check))
+    controller = RunController(environment_config, script, ProcessStarter(out.add, start, check))
     post(controller.begin())
     completed = 0
     while not controller.finished:

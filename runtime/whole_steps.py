@@ -107,10 +107,9 @@ class WholeSteps:
 
     def _members(self, number: int) -> set[int]:
         out = {
-            absence.node
-            for absence in self._history.absences
-            if absence.first_step <= number
-            and (absence.end_step is None or number < absence.end_step)
+            absent.node
+            for absent in self._history.absent_steps
+            if absent.first_step <= number and (absent.end_step is None or number < absent.end_step)
         }
         return set(self._everybody - out)
 

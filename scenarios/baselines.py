@@ -13,7 +13,7 @@ import numpy as np
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule, scaled_unscented
 from filters.ukf import predict, update
-from nodes.rules.local_filter import LocalFilters, Sensor, SensorGroup, take_readings
+from nodes.rules.local_filter import LocalFilters, Sensor, SensorGroup, update_with_readings
 from scenarios.catalogue import kind_of
 from scenarios.preparation import setup_of_run
 from scenarios.rules import rule_of
@@ -83,8 +83,8 @@ def _all_alone(
         belief: Gaussian, step: int, delivered: np.ndarray, driven: np.ndarray | None
     ) -> Gaussian:
         if step > 0:
-            belief, _ = filters.carry(belief, driven, step)
-        return filters.take(belief, delivered, step)[0]
+            belief, _ = filters.predict(belief, driven, step)
+        return filters.update(belief, delivered, step)[0]
 
     prior = _priors(setup, runs)
     shape = (len(runs), scenario.nodes)
@@ -191,7 +191,7 @@ def listener(setup: Setup, nodes: list[int]) -> Listener:
         # A gate judges each reading by itself.
         for node, sensor in groups:
             for one in np.moveaxis(delivered[..., node, :, :], -3, 0):
-                belief, _ = take_readings(belief, one, step, sensor, points)
+                belief, _ = update_with_readings(belief, one, step, sensor, points)
         return belief
 
     return listen
@@ -278,8 +278,8 @@ def _taken(belief: Gaussian, blocks: list[_Block], step: int, points: SigmaPoint
 
     def residual(value: np.ndarray, predicted: np.ndarray) -> np.ndarray:
         ends = np.cumsum(sizes)[:-1]
-        parts = zip(blocks, *(np.split(x, ends, axis=-1) for x in (value, predicted)), strict=True)
-        return np.concatenate([_difference(*part) for part in parts], axis=-1)
+        pairs = zip(blocks, *(np.split(x, ends, axis=-1) for x in (value, predicted)), strict=True)
+        return np.concatenate([_difference(*values) for values in pairs], axis=-1)
 
     values = np.concatenate([_flat(block.values) for block in blocks], axis=-1)
     noise_cov = _block_diagonal([block.noise_cov for block in blocks])
@@ -303,7 +303,7 @@ def _block(sensor: Sensor, delivered: np.ndarray) -> _Block:
 
 def _difference(block: _Block, value: np.ndarray, predicted: np.ndarray) -> np.ndarray:
     shape = block.values.shape[-2:]
-    pair = (part.reshape(*part.shape[:-1], *shape) for part in (value, predicted))
+    pair = (values.reshape(*values.shape[:-1], *shape) for values in (value, predicted))
     return _flat(block.sensor.residual(*pair))
 
 

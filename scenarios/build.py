@@ -11,7 +11,7 @@ from bus.schedule import Schedule
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
 from nodes.changes import UNCHANGED, Standing
-from nodes.environment_state import Controller, EnvironmentConfig
+from nodes.environment_state import ControlStep, EnvironmentConfig
 from nodes.estimator import Estimator
 from nodes.messages import from_wire
 from nodes.node_state import NodeConfig
@@ -23,7 +23,7 @@ from scenarios.links import link_state
 from scenarios.preparation import complete_settings, share_bytes, with_settings
 from scenarios.rules import build_estimator, hold_policy, wire_number
 from scenarios.scenario import Scenario
-from scenarios.seat import Beginning, Everybody, RuleContext, Seat
+from scenarios.seat import Beginning, Everybody, NodeContext, RuleContext
 from scenarios.setup import Setup
 from scenarios.streams import generator
 from scenarios.types.buses import trigger_of
@@ -89,7 +89,7 @@ def _estimator(setup: Setup, node: int, schedule: Schedule, beginning: Beginning
     kind = kind_of(scenario.name)
     if kind.wiring is not None:
         return kind.wiring.estimator(setup, node)
-    seat = Seat(
+    seat = NodeContext(
         node,
         rule_context(setup),
         weights=np.array(setup.weights[node]),
@@ -101,7 +101,7 @@ def _estimator(setup: Setup, node: int, schedule: Schedule, beginning: Beginning
         beginning=beginning,
     )
     rule = build_estimator(scenario, seat)
-    return kind.around(scenario, seat, rule) if kind.around else rule
+    return kind.estimator_wrapper(scenario, seat, rule) if kind.estimator_wrapper else rule
 
 
 def rule_context(setup: Setup, contends: bool = True) -> RuleContext:
@@ -165,9 +165,9 @@ def _environment_rebuilt(setup: Setup, standing: Standing) -> EnvironmentConfig:
     )
 
 
-def build_controller(scenario: Scenario) -> Controller | None:
+def build_controller(scenario: Scenario) -> ControlStep | None:
     """Return the plant's controller and the node whose belief it uses; None for an open loop."""
     law = kind_of(scenario.name).controller(scenario)
     if law is None:
         return None
-    return Controller(law.control, law.initial_memory, control_node(scenario))
+    return ControlStep(law.control, law.initial_memory, control_node(scenario))

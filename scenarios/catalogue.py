@@ -10,10 +10,10 @@ from scenarios.definitions import (
     target_tracking,
     vehicle_network,
 )
-from scenarios.kind import Kind
+from scenarios.kind import ScenarioDefinition
 from topology.names import unknown_name
 
-_KINDS: dict[str, Kind] = {
+_KINDS: dict[str, ScenarioDefinition] = {
     "target-tracking": target_tracking.TURNING,
     "target-crossing": target_tracking.CROSSING,
     "oscillator": oscillator.KIND,
@@ -26,12 +26,12 @@ _KINDS: dict[str, Kind] = {
 }
 
 
-def kinds() -> dict[str, Kind]:
+def kinds() -> dict[str, ScenarioDefinition]:
     """All scenarios by name."""
     return dict(_KINDS)
 
 
-def kind_of(name: str) -> Kind:
+def kind_of(name: str) -> ScenarioDefinition:
     """The scenario of that name.
 
     Raises:

@@ -27,7 +27,7 @@ from nodes.rules.set_membership import SetAtNode
 from nodes.rules.window_filter import WindowFilter
 from nodes.vector_codec import VectorCodec
 from scenarios.labelled import frame_codec, gates_of
-from scenarios.seat import BatchSeat, RuleContext, Seat
+from scenarios.seat import BatchContext, NodeContext, RuleContext
 from scenarios.types.rules import TrimmedCovarianceIntersection
 
 AnyRule = LaneRule[Any, Any, Any]
@@ -59,7 +59,7 @@ def hybrid(gain: hybrid_consensus.Gain, context: RuleContext) -> AnyRule:
 
     rule = InformationRounds(
         begin,
-        partial(hybrid_consensus.conclude, states=context.states, gain=gain),
+        partial(hybrid_consensus.from_information, states=context.states, gain=gain),
         partial(hybrid_consensus.sound, states=context.states),
     )
     return FreshConsensus(rule, context.trigger, context.contends)
@@ -70,7 +70,7 @@ def weighted_information(context: RuleContext) -> AnyRule:
     nodes = len(context.neighbours)
     rule = InformationRounds(
         lambda _, prior, posterior: information_weighted.begin(prior, posterior, nodes),
-        partial(information_weighted.conclude, nodes=nodes),
+        partial(information_weighted.from_information, nodes=nodes),
         information_weighted.sound,
     )
     return FreshConsensus(rule, context.trigger, context.contends)
@@ -96,17 +96,17 @@ def pulled(context: RuleContext) -> AnyRule:
 # --- at one node ---------------------------------------------------------------------------------
 
 
-def at_node(build: BuildRule, what: str, seat: Seat) -> AtNode[Any, Any, Any]:
+def at_node(build: BuildRule, what: str, seat: NodeContext) -> AtNode[Any, Any, Any]:
     """The estimator of a rule whose shares are vectors of numbers, and `what` they are."""
     return _at_node(AtNode, build, what, seat)
 
 
-def set_at_node(build: BuildRule, what: str, seat: Seat) -> SetAtNode[Any]:
+def set_at_node(build: BuildRule, what: str, seat: NodeContext) -> SetAtNode[Any]:
     """The same of a set-membership rule."""
     return _at_node(SetAtNode, build, what, seat)
 
 
-def _at_node(kind: type[Kind], build: BuildRule, what: str, seat: Seat) -> Kind:
+def _at_node(kind: type[Kind], build: BuildRule, what: str, seat: NodeContext) -> Kind:
     rule = build(seat.context)
     place = Place(np.array(seat.node), seat.weights)
     length = rule.say(rule.start(place.node, seat.prior, seat.prior)).shape[-1]
@@ -114,7 +114,7 @@ def _at_node(kind: type[Kind], build: BuildRule, what: str, seat: Seat) -> Kind:
     return kind(rule, place, seat.model, seat.sensor, seat.prior, seat.points, codec)
 
 
-def flooding(seat: Seat) -> Estimator:
+def flooding(seat: NodeContext) -> Estimator:
     """The estimator of labelled measurements."""
     assert seat.everybody is not None, "whoever seats a node of this rule knows all nodes"
     everybody, neighbours = seat.everybody(), seat.context.neighbours
@@ -136,25 +136,25 @@ def flooding(seat: Seat) -> Estimator:
 # --- at all nodes of many runs -------------------------------------------------------------------
 
 
-def in_batch(build: BuildRule, what: str, seat: BatchSeat) -> BatchedRule:
+def in_batch(build: BuildRule, what: str, seat: BatchContext) -> BatchedRule:
     """A rule whose shares are vectors of numbers."""
     rule = build(seat.context)
     return InBatch(rule, seat.filters, seat.links, seat.base, seat.context.number, what)
 
 
-def averages_in_batch(build: BuildRule, what: str, seat: BatchSeat) -> BatchedRule:
+def averages_in_batch(build: BuildRule, what: str, seat: BatchContext) -> BatchedRule:
     """The matrix form of a rule whose rounds are averages."""
     rule = build(seat.context)
     return AveragesInBatch(rule, seat.filters, seat.links, seat.base, seat.context.number, what)
 
 
-def alone_in_batch(seat: BatchSeat) -> BatchedRule:
+def alone_in_batch(seat: BatchContext) -> BatchedRule:
     """The matrix form of the rule that fuses nothing."""
-    alone = HoldPolicy(lambda base, ages, _sharpness, _cycles: hold.alone(base, ages), False)
+    alone = HoldPolicy(lambda base, ages, _inverse_volume, _cycles: hold.alone(base, ages), False)
     return beliefs_in_batch(MOMENTS, seat._replace(context=seat.context._replace(hold=alone)))
 
 
-def beliefs_in_batch(rule: Averaging, seat: BatchSeat) -> BatchedRule:
+def beliefs_in_batch(rule: Averaging, seat: BatchContext) -> BatchedRule:
     """The matrix form of rules that average beliefs."""
     context = seat.context
     return BatchedBeliefs(
@@ -170,7 +170,7 @@ def beliefs_in_batch(rule: Averaging, seat: BatchSeat) -> BatchedRule:
     )
 
 
-def flooding_in_batch(seat: BatchSeat) -> BatchedRule:
+def flooding_in_batch(seat: BatchContext) -> BatchedRule:
     """Labelled measurements, in scenarios of which `scenarios.labelled.without_arrays` has nothing
     to name."""
     everybody = seat.everybody()

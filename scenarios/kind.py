@@ -12,7 +12,7 @@ from nodes.environment_state import Delivery
 from nodes.estimator import Estimator
 from nodes.rules.local_filter import Model, Sensor
 from scenarios.scenario import Scenario
-from scenarios.seat import Seat
+from scenarios.seat import NodeContext
 from scenarios.setup import Setup
 
 
@@ -66,7 +66,7 @@ class Score(NamedTuple):
     near_s: float | None = None
 
 
-class Wiring(NamedTuple):
+class NetworkWiring(NamedTuple):
     """Building blocks of a network in which not every node filters and fuses.
 
     Attributes:
@@ -82,7 +82,7 @@ class Wiring(NamedTuple):
     names: dict[str, tuple[str, ...]]
 
 
-class Kind(NamedTuple):
+class ScenarioDefinition(NamedTuple):
     """One named scenario.
 
     Attributes:
@@ -102,7 +102,7 @@ class Kind(NamedTuple):
         delivery: what lies between sensors and their nodes, None where readings arrive as taken.
         listen: (setup, nodes, readings (steps, N, r, d)) -> beliefs (steps,) of one filter that
             takes the readings of these nodes; None for the one that model and sensors give.
-        around: what a node puts around its rule's estimator, None for nothing.
+        estimator_wrapper: what a node puts around its rule's estimator, None for nothing.
     """
 
     defaults: Scenario
@@ -116,8 +116,8 @@ class Kind(NamedTuple):
     radio_range_m: float | None = None
     all_steps: Callable[[Scenario], int] | None = None
     points: Callable[[Scenario], SigmaPointRule] | None = None
-    wiring: Wiring | None = None
+    wiring: NetworkWiring | None = None
     delivery: Callable[[Scenario], Delivery] | None = None
     listen: Callable[[Setup, Sequence[int], np.ndarray], Gaussian] | None = None
-    around: Callable[[Scenario, Seat, Estimator], Estimator] | None = None
+    estimator_wrapper: Callable[[Scenario, NodeContext, Estimator], Estimator] | None = None
     sensors: Callable[[Scenario], Sensor] | None = None

@@ -83,8 +83,8 @@ def places(scenario: Scenario, plan: LinkPlan) -> np.ndarray:
     _, wander, period = plan.numbers
     # All runs of a seed have one network.
     draw = draw_of(msgspec.structs.replace(scenario, run=0))
-    around = wandering(np.zeros_like(homes[0]), wander, period, len(homes), draw)
-    return homes + around
+    offsets = wandering(np.zeros_like(homes[0]), wander, period, len(homes), draw)
+    return homes + offsets
 
 
 def network_of(
@@ -131,4 +131,4 @@ def losses_of(
         return None
     assert network.delivery is not None, "network_of has looked"
     ends = np.cumsum([len(heard) for heard in neighbours])[:-1]
-    return [part.tolist() for part in np.split(1 - network.delivery, ends)]
+    return [losses.tolist() for losses in np.split(1 - network.delivery, ends)]

@@ -15,7 +15,7 @@ from scenarios.bus_plan import plan_bus
 from scenarios.catalogue import kind_of
 from scenarios.equipment import equipment_of
 from scenarios.links import losses_of, network_of
-from scenarios.rules import check_rule, is_certain, share_size
+from scenarios.rules import check_rule, is_set_valued, share_size
 from scenarios.scenario import SETTINGS, Scenario, require
 from scenarios.script import check_script
 from scenarios.setup import Setup
@@ -139,10 +139,11 @@ def complete_settings(setup: Setup, before: Settings, asked: Settings) -> Settin
     refuse_left(changed, {name: value for name, value in left.items() if name in asked})
     require(changed.rounds <= MAX_ROUNDS, "rounds", changed.rounds, f"at most {MAX_ROUNDS} here")
     check_network(msgspec.structs.replace(setup, scenario=changed))
-    if is_certain(changed) != is_certain(scenario):
+    if is_set_valued(changed) != is_set_valued(scenario):
         raise ValueError(
             f"set rule={changed.rule.name}: {scenario.rule.name} keeps "
-            f"{'sets' if is_certain(scenario) else 'covariances'}, which the other cannot take over"
+            f"{'sets' if is_set_valued(scenario) else 'covariances'}, "
+            "which the other cannot take over"
         )
     if changed.bus.schedule.name != scenario.bus.schedule.name:
         settings = {**settings, "schedule": changed.bus.schedule.name}

@@ -36,7 +36,7 @@ from scenarios.estimators import (
 )
 from scenarios.labelled import check_labelled, largest_share, without_arrays
 from scenarios.scenario import Scenario, lossy_links
-from scenarios.seat import BatchSeat, Seat
+from scenarios.seat import BatchContext, NodeContext
 from scenarios.setup import Setup
 from scenarios.types.buses import FullSchedule
 from scenarios.types.holds import Decayed, Dropped, Fading, InStep, Predicted, Raw
@@ -58,7 +58,7 @@ class Rule(NamedTuple):
         estimator: builds that of one node.
         batched: builds the rule at all nodes of many runs.
         check: refuses scenario, neighbours of each node and weights (N, N) that it cannot do with.
-        certain: covariances are shape matrices of ellipsoids that hold the truth for certain.
+        set_valued: covariances are shape matrices of ellipsoids that hold the truth for certain.
         listen: (setup, nodes, readings (steps, N, r, d), control (steps, p) or None) -> beliefs
             (steps,) of one filter that takes the readings of these nodes; None for the Gaussian
             filter of the scenario.
@@ -68,10 +68,10 @@ class Rule(NamedTuple):
     """
 
     share_numbers: Callable[[int, int], int] | None
-    estimator: Callable[[Seat], Estimator]
-    batched: Callable[[BatchSeat], BatchedRule]
+    estimator: Callable[[NodeContext], Estimator]
+    batched: Callable[[BatchContext], BatchedRule]
     check: "Callable[[Scenario, Sequence[Sequence[int]], Weights], None] | None" = None
-    certain: bool = False
+    set_valued: bool = False
     listen: Callable[[Setup, Sequence[int], np.ndarray, np.ndarray | None], Gaussian] | None = None
     lacking: Callable[[Scenario], str | None] = lambda _: None
     shares_beliefs: bool = False
@@ -89,10 +89,10 @@ def rule_of(scenario: Scenario) -> Rule:
     return _RULES[scenario.rule.name]
 
 
-def is_certain(scenario: Scenario) -> bool:
+def is_set_valued(scenario: Scenario) -> bool:
     """Whether its estimates are sets that hold the truth for certain."""
     rule = _RULES.get(scenario.rule.name)
-    return rule is not None and rule.certain
+    return rule is not None and rule.set_valued
 
 
 def check_rule(scenario: Scenario, neighbours: Sequence[Sequence[int]], weights: "Weights") -> None:
@@ -106,7 +106,7 @@ def check_rule(scenario: Scenario, neighbours: Sequence[Sequence[int]], weights:
         rule.check(scenario, neighbours, weights)
 
 
-def build_estimator(scenario: Scenario, seat: Seat) -> Estimator:
+def build_estimator(scenario: Scenario, seat: NodeContext) -> Estimator:
     """The estimator at one node.
 
     Raises:
@@ -129,7 +129,9 @@ def hold_policy(scenario: Scenario) -> HoldPolicy:
     match hold_of(scenario.rule):
         case Fading(decay=decay) as held:
             by_determinant = isinstance(held, Decayed) and held.determinant_weights
-            return HoldPolicy(partial(_decayed, decay), carried=True, by_sharpness=by_determinant)
+            return HoldPolicy(
+                partial(_decayed, decay), carried=True, by_inverse_volume=by_determinant
+            )
         case Predicted():
             return HoldPolicy(partial(_by_age, hold.full), carried=True)
         case Raw():
@@ -154,24 +156,24 @@ def _decayed(
     decay: float,
     base_weights: np.ndarray,
     ages: np.ndarray,
-    sharpness: np.ndarray,
+    inverse_volume: np.ndarray,
     _cycles_in_step: int,
 ) -> np.ndarray:
-    return hold.held_weights(base_weights, ages, decay, sharpness)
+    return hold.held_weights(base_weights, ages, decay, inverse_volume)
 
 
 def _by_age(
     weigh: Callable[[np.ndarray, np.ndarray], np.ndarray],
     base_weights: np.ndarray,
     ages: np.ndarray,
-    _sharpness: np.ndarray,
+    _inverse_volume: np.ndarray,
     _cycles_in_step: int,
 ) -> np.ndarray:
     return weigh(base_weights, ages)
 
 
 def _in_step(
-    base_weights: np.ndarray, ages: np.ndarray, _sharpness: np.ndarray, cycles_in_step: int
+    base_weights: np.ndarray, ages: np.ndarray, _inverse_volume: np.ndarray, cycles_in_step: int
 ) -> np.ndarray:
     return hold.in_step(base_weights, ages, cycles_in_step)
 
@@ -243,7 +245,7 @@ def _once(
     share_numbers: Callable[[int, int], int],
     build: BuildRule,
     what: str,
-    batched: Callable[[BatchSeat], BatchedRule] | None = None,
+    batched: Callable[[BatchContext], BatchedRule] | None = None,
     **properties: Any,
 ) -> Rule:
     """A rule that is written once: `build` serves one node and all nodes of many runs.
@@ -337,7 +339,7 @@ _RULES: dict[str, Rule] = {
         partial(set_at_node, partial(set_rules.set_membership, Ellipsoids), "belief"),
         partial(in_batch, partial(set_rules.set_membership, Ellipsoids), "belief"),
         check=set_rules.check_bounded,
-        certain=True,
+        set_valued=True,
         listen=partial(set_rules.listen, Ellipsoids),
         weighted=False,
     ),
@@ -346,7 +348,7 @@ _RULES: dict[str, Rule] = {
         partial(set_at_node, partial(set_rules.set_membership, Zonotopes), "share"),
         partial(in_batch, partial(set_rules.set_membership, Zonotopes), "share"),
         check=set_rules.check_bounded,
-        certain=True,
+        set_valued=True,
         listen=partial(set_rules.listen, Zonotopes),
         weighted=False,
     ),

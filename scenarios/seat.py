@@ -50,7 +50,7 @@ class RuleContext(NamedTuple):
     contends: bool = True
 
 
-class Seat(NamedTuple):
+class NodeContext(NamedTuple):
     """A node's place in the network: all that its estimator is built from.
 
     `weights` (1 + J,) are the node's own weight, then those of its neighbours; `everybody` tells
@@ -68,11 +68,11 @@ class Seat(NamedTuple):
     beginning: Beginning = Beginning()
 
 
-class BatchSeat(NamedTuple):
+class BatchContext(NamedTuple):
     """Input of a rule at all nodes of many runs.
 
     `base` are the weights of a run, `contenders` (C,) the nodes that may ask for the dynamic
-    segment; `everybody` as in `Seat`.
+    segment; `everybody` as in `NodeContext`.
     """
 
     context: RuleContext

@@ -12,7 +12,7 @@ from nodes.rules.local_filter import LocalFilters, SensorGroup
 from nodes.rules.set_membership import (
     BoundedModel,
     SetMembership,
-    carry,
+    predict_sets,
     take_strips,
 )
 from nodes.rules.set_shapes import Shape
@@ -60,12 +60,12 @@ def listen(
         if (sensor := kind.sensor(setup.scenario, node)) is not None
     }
     shape = make(len(setup.prior_mean), "<f8")
-    own = shape.around(Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov)))
+    own = shape.containing(Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov)))
     bounds = []
     for step, delivered in enumerate(readings):
         driven = None if control is None or step == 0 else control[step]
         if step > 0:
-            own = carry(
+            own = predict_sets(
                 shape, own, LocalStep(LocalFilters(model, (), points), delivered[0], driven, step)
             )
         for node, group in groups.items():

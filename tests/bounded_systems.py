@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from papers.liu2021.bus import MeasuredPlant
-from papers.liu2021.flexray_cycle import Received, transmit
+from papers.liu2021.flexray_cycle import DeliveredValues, transmit
 from plants.bounded import BoundedSystem
 
 STEPS = 12
@@ -56,7 +56,7 @@ def on_the_sphere(rng: np.random.Generator, *shape: int) -> np.ndarray:
 
 def run_of(
     rng: np.random.Generator, plant: MeasuredPlant, lanes: int, cycles: int
-) -> tuple[np.ndarray, Received]:
+) -> tuple[np.ndarray, DeliveredValues]:
     """States (lanes, steps + 1, n) from the edge of the unit ball under noise on its bound."""
     n, q = plant.system.noise_input(0).shape
     noise = on_the_sphere(rng, lanes, cycles * plant.length, q)

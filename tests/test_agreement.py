@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from experiments.__main__ import main
-from experiments.cli.agree import Difference, first_difference
+from experiments.cli.agree import DriverDifference, first_difference
 from experiments.results.trace import Trace
 from runtime.drivers import DRIVERS
 from runtime.network.links import wants_router
@@ -172,7 +172,7 @@ def test_one_bit_is_a_difference(reference: Trace):
         index = (3,) + (0,) * (getattr(reference, quantity).ndim - 1)
         value = np.nextafter(getattr(reference, quantity)[index], np.inf)
         difference = first_difference(reference, changed(reference, quantity, index, value), "x")
-        assert difference == Difference(
+        assert difference == DriverDifference(
             "x", quantity, list(index), float(getattr(reference, quantity)[index]), float(value)
         )
 

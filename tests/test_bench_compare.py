@@ -4,13 +4,13 @@ import msgspec
 import pytest
 
 from benchmarks import compare
-from benchmarks.measure import Better, Figure, figure, in_turns, ratio
+from benchmarks.measure import BenchmarkFigure, Better, figure, in_turns, ratio
 from benchmarks.picture import draw
 from benchmarks.table import table
 
 
 def kept(value: float, spread: float, better: Better = "less") -> compare.Kept:
-    table = {"one": Figure(value, value - spread, value + spread, "us", better)}
+    table = {"one": BenchmarkFigure(value, value - spread, value + spread, "us", better)}
     return compare.Kept({"cpu": "a"}, {"ukf": table})
 
 
@@ -65,10 +65,10 @@ def test_contestants_take_turns_and_the_first_turn_is_left_out():
 
 def test_the_picture_and_the_table_take_what_was_measured(tmp_path):
     scale = {
-        f"{nodes} nodes, ns per edge": Figure(500.0, 490.0, 510.0, "ns", "less")
+        f"{nodes} nodes, ns per edge": BenchmarkFigure(500.0, 490.0, 510.0, "ns", "less")
         for nodes in (10, 100)
     }
-    slope = Figure(1.0, 1.0, 1.0, "", "less")
+    slope = BenchmarkFigure(1.0, 1.0, 1.0, "", "less")
     results = {"scale": scale | {"slope": slope}, "lockstep": {"lockstep over bare": slope}}
     draw(results, tmp_path / "some.png")
     assert (tmp_path / "some.png").read_bytes().startswith(b"\x89PNG")

@@ -26,7 +26,7 @@ _BATCHES = 20
 _T_95 = 2.093
 
 
-class Links(NamedTuple):
+class LinkModel(NamedTuple):
     """The links of weights (n, n) and how they fare.
 
     Attributes:
@@ -45,7 +45,7 @@ class Links(NamedTuple):
     pair: NDArray[np.intp]
 
 
-class Measured(NamedTuple):
+class MeasuredRate(NamedTuple):
     """A factor per round and its 95 % interval; `rounds` and `runs` it was measured on."""
 
     factor: float
@@ -57,7 +57,7 @@ class Measured(NamedTuple):
 
 def links_with(
     weights: csr_array, delivery: np.ndarray | float, *, together: bool = False
-) -> Links:
+) -> LinkModel:
     """The links of weights (n, n) that are up with chance `delivery` (links,), both directions of a
     pair at once if they fail `together`."""
     hearer, heard = links_of(weights)
@@ -67,10 +67,10 @@ def links_with(
     chances = np.broadcast_to(np.asarray(delivery, dtype=float), hearer.shape)
     codes = np.minimum(hearer, heard) * nodes + np.maximum(hearer, heard)
     pair = np.unique(codes, return_inverse=True)[1] if together else np.arange(len(hearer))
-    return Links(nodes, hearer, heard, entries(weights, hearer, heard), chances, pair)
+    return LinkModel(nodes, hearer, heard, entries(weights, hearer, heard), chances, pair)
 
 
-def mean_square_factor(links: Links) -> float:
+def mean_square_factor(links: LinkModel) -> float:
     """The factor per round by which the root mean square of disagreement falls in the long run.
 
     Raises:
@@ -98,7 +98,7 @@ def mean_square_factor(links: Links) -> float:
     return math.sqrt(float(np.abs(found).max()))  # type: ignore[arg-type]
 
 
-def mean_square_bound(links: Links) -> float:
+def mean_square_bound(links: LinkModel) -> float:
     """The most that a round leaves of a disagreement, root mean square: the root of the norm of
     E[W' P W], which bounds `mean_square_factor` from above."""
     mean = _mean_weights(links)
@@ -144,7 +144,7 @@ def measured_factor(
     rounds: int,
     generator: np.random.Generator,
     redrawn: Callable[[NDArray[np.intp]], None] = lambda chosen: None,
-) -> Measured:
+) -> MeasuredRate:
     """Return the factor per round, measured by carrying out an averaging.
 
     `one_round(values (n, runs), round)` is the averaging. The runs begin at random values and take
@@ -162,7 +162,7 @@ def measured_factor(
         size = (values**2).sum(axis=0)
         growth[number] = weight @ size
         if not growth[number] > 1e-300:
-            return Measured(0.0, 0.0, 0.0, number + 1, runs)
+            return MeasuredRate(0.0, 0.0, 0.0, number + 1, runs)
         weight = weight * size / growth[number]
         values = _of_unit_size(values)
         if 1 / (weight**2).sum() < runs / 2:
@@ -175,7 +175,7 @@ def measured_factor(
     middle = float(rates.mean())
     half = _T_95 * float(means.std(ddof=1)) / math.sqrt(_BATCHES)
     low, high = math.exp(middle - half), math.exp(middle + half)
-    return Measured(math.exp(middle), low, high, rounds, runs)
+    return MeasuredRate(math.exp(middle), low, high, rounds, runs)
 
 
 class MarkovLinks:
@@ -187,7 +187,7 @@ class MarkovLinks:
 
     def __init__(
         self,
-        links: Links,
+        links: LinkModel,
         failure: float,
         repair: float,
         runs: int,
@@ -212,7 +212,7 @@ class MarkovLinks:
 
 
 def averaging(
-    links: Links, generator: np.random.Generator
+    links: LinkModel, generator: np.random.Generator
 ) -> Callable[[np.ndarray, int], np.ndarray]:
     """Rounds of averaging in which links come and go, for `measured_factor`."""
     pairs = int(links.pair.max(initial=-1)) + 1
@@ -226,13 +226,13 @@ def averaging(
     return one_round
 
 
-def _gather(links: Links) -> csr_array:
+def _gather(links: LinkModel) -> csr_array:
     """Return the matrix (n, links) that adds the value of each link at its receiver."""
     place = (links.hearer, np.arange(len(links.hearer)))
     return csr_array((links.weight, place), shape=(links.nodes, len(links.hearer)))
 
 
-def _mean_weights(links: Links) -> csr_array:
+def _mean_weights(links: LinkModel) -> csr_array:
     """E[W] (n, n)."""
     weight = links.weight * links.delivery
     own = 1 - np.bincount(links.hearer, weight, links.nodes)
@@ -241,7 +241,7 @@ def _mean_weights(links: Links) -> csr_array:
     return csr_array((np.append(weight, own), place), shape=(links.nodes, links.nodes))
 
 
-def _spread(links: Links, moments: np.ndarray) -> np.ndarray:
+def _spread(links: LinkModel, moments: np.ndarray) -> np.ndarray:
     """E[(W - E[W]) X (W - E[W])'] (n, n) of symmetric X (n, n): links that fail together move both
     ends at once, by (x_j - x_i) times w_ij and -w_ji."""
     i, j = links.hearer, links.heard
@@ -261,7 +261,7 @@ def _spread(links: Links, moments: np.ndarray) -> np.ndarray:
     return result
 
 
-def _partner(links: Links) -> NDArray[np.intp]:
+def _partner(links: LinkModel) -> NDArray[np.intp]:
     """Return the link (links,) that is up and down with this one, -1 for none."""
     order = np.argsort(links.pair, kind="stable")
     same = np.flatnonzero(np.diff(links.pair[order]) == 0)
@@ -271,7 +271,7 @@ def _partner(links: Links) -> NDArray[np.intp]:
     return partner
 
 
-def _signed(links: Links) -> np.ndarray:
+def _signed(links: LinkModel) -> np.ndarray:
     """Weights, those of the lower end of a pair as they are and of the higher with a minus."""
     return np.where(links.hearer < links.heard, links.weight, -links.weight)
 

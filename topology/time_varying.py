@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-LinkUp = Callable[[Any, Any, Any], Any]
+LinkProcess = Callable[[Any, Any, Any], Any]
 Draw = Callable[[Any, Any, Any], Any]
 
 # Before the first step: from here the state of a Markov link is drawn.
 _BEFORE = -1
 
 
-def bernoulli(failure: float, draw: Draw) -> LinkUp:
+def bernoulli(failure: float, draw: Draw) -> LinkProcess:
     """Each link is down with probability `failure` in a step, whatever it was before; both
     directions at once, so that what a pair loses it loses evenly and the average stays."""
 
@@ -29,7 +29,7 @@ def bernoulli(failure: float, draw: Draw) -> LinkUp:
     return up
 
 
-def markov(failure: float, repair: float, draw: Draw) -> LinkUp:
+def markov(failure: float, repair: float, draw: Draw) -> LinkProcess:
     """Each link is a chain (Gilbert 1960): an up link fails in a step with probability `failure`,
     a down one comes back with `repair`; both directions at once, in equilibrium from the start.
 
@@ -58,7 +58,7 @@ def markov(failure: float, repair: float, draw: Draw) -> LinkUp:
     return up
 
 
-def switching(graphs: Sequence[Sequence[Sequence[int]]], every: int) -> LinkUp:
+def switching(graphs: Sequence[Sequence[Sequence[int]]], every: int) -> LinkProcess:
     """One graph after another, for `every` steps each, and round again.
 
     Args:
@@ -82,7 +82,7 @@ def switching(graphs: Sequence[Sequence[Sequence[int]]], every: int) -> LinkUp:
     return up
 
 
-def in_range(positions: NDArray[np.float64], reach: float) -> LinkUp:
+def in_range(positions: NDArray[np.float64], reach: float) -> LinkProcess:
     """Return links between nodes at `positions` (steps, n, 2) up to the distance `reach`."""
 
     def up(step: Any, sender: Any, receiver: Any) -> Any:

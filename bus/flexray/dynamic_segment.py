@@ -24,7 +24,7 @@ class Request(NamedTuple):
     payload_bytes: int
 
 
-class Placement(NamedTuple):
+class PlacedFrame(NamedTuple):
     """One frame in the segment: its slot begins at `minislot` (1 is the first)."""
 
     node: int
@@ -37,7 +37,7 @@ class Placement(NamedTuple):
 class Walk(NamedTuple):
     """Frames in order of time, and the requests that must wait for another cycle."""
 
-    placed: tuple[Placement, ...]
+    placed: tuple[PlacedFrame, ...]
     waiting: tuple[Request, ...]
 
 
@@ -49,7 +49,7 @@ def walk(cluster: Cluster, requests: Iterable[Request]) -> Walk:
     """
     ordered = sorted(requests, key=lambda request: request.frame_id)
     _check_slots(cluster, ordered)
-    placed: list[Placement] = []
+    placed: list[PlacedFrame] = []
     waiting: list[Request] = []
     minislot, slot = 1, cluster.first_dynamic_id
     for request in ordered:
@@ -76,18 +76,18 @@ def frame_payloads(cluster: Cluster, payload_bytes: int) -> tuple[int, ...]:
     return (limit,) * full + ((rest,) if rest else ())
 
 
-def _frames(cluster: Cluster, request: Request, minislot: int) -> list[Placement]:
+def _frames(cluster: Cluster, request: Request, minislot: int) -> list[PlacedFrame]:
     """The frames of a request in consecutive slots from this minislot on."""
-    frames: list[Placement] = []
+    frames: list[PlacedFrame] = []
     for index, payload_bytes in enumerate(frame_payloads(cluster, request.payload_bytes)):
         minislots = cluster.dynamic_slot_minislots(payload_bytes)
         frame_id = request.frame_id + index
-        frames.append(Placement(request.node, frame_id, payload_bytes, minislot, minislots))
+        frames.append(PlacedFrame(request.node, frame_id, payload_bytes, minislot, minislots))
         minislot += minislots
     return frames
 
 
-def _in_time(cluster: Cluster, frame: Placement) -> bool:
+def _in_time(cluster: Cluster, frame: PlacedFrame) -> bool:
     """Begins by pLatestTx and ends in the segment."""
     return (
         frame.minislot <= cluster.latest_transmission_minislot

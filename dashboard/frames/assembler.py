@@ -5,13 +5,14 @@ totals or in ages is true all the same.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dashboard.frames.bus_cycles import BusView
-from dashboard.frames.frame import Event, Frame, Numbers, Traffic
-from dashboard.frames.network import Change, Network, changed, read_change
+from dashboard.frames.frame import LogEntry, NodeTraffic, StepFrame
+from dashboard.frames.network import AnnouncedChange, NetworkStatus, changed, read_change
 from dashboard.frames.scores import fuse, score
 from dashboard.frames.stage import Stage, restaged
-from dashboard.frames.told import Told, read_step
+from dashboard.frames.told import StepContent, read_step
 from filters.gaussian import Gaussian
 from filters.linalg import unpack_upper
 from nodes.messages import Estimate, from_wire
@@ -25,14 +26,14 @@ _COUNTED = ("sent", "heard", "missed")
 class Assembler:
     """Takes steps in order and gives the frame of each."""
 
-    def __init__(self, stage: Stage, network: Network | None = None) -> None:
+    def __init__(self, stage: Stage, network: NetworkStatus | None = None) -> None:
         """Begin with the first step, or in the middle with what is known of the network."""
         self._stage = stage
         everybody = frozenset(range(stage.nodes))
-        self._network = network or Network(everybody, (0, 0, stage.rounds))
-        self._changes: list[Change] = []
+        self._network = network or NetworkStatus(everybody, (0, 0, stage.rounds))
+        self._changes: list[AnnouncedChange] = []
         self._bus = BusView(stage.bus)
-        self._events: list[Event] = []
+        self._events: list[LogEntry] = []
         self._last: int | None = None
         n, nodes = len(stage.setup.prior_mean), stage.nodes
         prior = Gaussian(np.array(stage.setup.prior_mean), np.array(stage.setup.prior_cov))
@@ -58,7 +59,7 @@ class Assembler:
         change = read_change(event)
         self._changes += [change] if change else []
 
-    def frame(self, step: WholeStep) -> Frame | None:
+    def frame(self, step: WholeStep) -> StepFrame | None:
         """Return the frame of a step later than all before; none without a truth."""
         told = read_step(step, self._stage.nodes, self._stage.bus.frame_format)
         late = self._last is not None and step.number <= self._last
@@ -93,7 +94,7 @@ class Assembler:
                 self._stage = restaged(self._stage, dict(self._network.settings))
                 self._bus = BusView(self._stage.bus)
 
-    def _drawn(self, number: int, truth: np.ndarray, told: Told) -> Frame:
+    def _drawn(self, number: int, truth: np.ndarray, told: StepContent) -> StepFrame:
         stage = self._stage
         numbers = self._network.cycles(number)
         cycles = tuple(
@@ -111,7 +112,7 @@ class Assembler:
         alive = self._alive.copy()
         ages = self._ages.copy()
         fused = fuse(self._belief, alive)
-        return Frame(
+        return StepFrame(
             step=number,
             time_s=number * stage.setup.time_step_s,
             truth=truth,
@@ -130,7 +131,7 @@ class Assembler:
             events=events,
         )
 
-    def _take_estimates(self, number: int, told: Told) -> None:
+    def _take_estimates(self, number: int, told: StepContent) -> None:
         mean, cov = self._belief.mean.copy(), self._belief.cov.copy()
         start = 0
         for node, neighbours in enumerate(self._stage.setup.neighbours):
@@ -160,7 +161,7 @@ class Assembler:
             return
         what = "is back" if lives else "is down"
         self._events.append(
-            Event(number, f"node {self._stage.names[node]} {what}", node, not lives)
+            LogEntry(number, f"node {self._stage.names[node]} {what}", node, not lives)
         )
 
     def _note_rejections(self, number: int, node: int, counters: dict[str, int]) -> None:
@@ -170,9 +171,9 @@ class Assembler:
                 reason = name.removeprefix("rejected ")
                 self._rejection[node] = reason
                 text = f"node {self._stage.names[node]} rejected a frame: {reason}"
-                self._events.append(Event(number, text, node, True))
+                self._events.append(LogEntry(number, text, node, True))
 
-    def _hear_all(self, number: int, told: Told) -> Gaussian | None:
+    def _hear_all(self, number: int, told: StepContent) -> Gaussian | None:
         """The filter that hears everything, one step on; none where it cannot be followed."""
         if self._listen is None or self._central is None:
             return None
@@ -189,7 +190,7 @@ class Assembler:
         self._central = self._listen(self._central, number, delivered, driven)
         return self._central
 
-    def _lost(self, ages: Numbers, alive: np.ndarray, last_cycle: int) -> np.ndarray:
+    def _lost(self, ages: NDArray[np.int64], alive: np.ndarray, last_cycle: int) -> np.ndarray:
         """Whose newest share did not reach whom: what is held is older than what was sent."""
         receiver, sender = self._stage.heard.T
         sent = self._last_sent[sender]
@@ -203,8 +204,8 @@ class Assembler:
             dtype=bool,
         )
 
-    def _traffic(self) -> Traffic:
-        def total(name: str) -> Numbers:
+    def _traffic(self) -> NodeTraffic:
+        def total(name: str) -> NDArray[np.int64]:
             return np.array([counters.get(name, 0) for counters in self._counters])
 
         rejected = [
@@ -212,7 +213,7 @@ class Assembler:
             for counters in self._counters
         ]
         sent, heard, missed = (total(name) for name in _COUNTED)
-        return Traffic(sent, heard, missed, np.array(rejected))
+        return NodeTraffic(sent, heard, missed, np.array(rejected))
 
 
 def _generators(estimate: Estimate, states: int) -> np.ndarray | None:
@@ -223,7 +224,7 @@ def _generators(estimate: Estimate, states: int) -> np.ndarray | None:
     return from_wire(rows)
 
 
-def _seen(told: Told, nodes: int) -> np.ndarray:
+def _seen(told: StepContent, nodes: int) -> np.ndarray:
     seen = np.zeros(nodes, dtype=bool)
     for node, measured in told.measured.items():
         seen[node] = any(value is not None for row in measured.readings for value in row)

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from dashboard.frames.frame import Frame
+from dashboard.frames.frame import StepFrame
 from dashboard.frames.stage import Stage
 
 DOWN, REJECTED, STALE, BLIND, SEEING = "down", "rejected", "stale", "blind", "up"
 
 
-def conditions(stage: Stage, frame: Frame) -> list[str]:
+def conditions(stage: Stage, frame: StepFrame) -> list[str]:
     """One word per node, the most serious that is true.
 
     `rejected`: it threw a frame away in this step; `stale`: the newest share of a neighbour did not
@@ -33,7 +33,7 @@ def conditions(stage: Stage, frame: Frame) -> list[str]:
     return words
 
 
-def oldest(stage: Stage, frame: Frame) -> np.ndarray:
+def oldest(stage: Stage, frame: StepFrame) -> np.ndarray:
     """Per node (N,): cycles since the oldest share that it holds of a neighbour; -1 of none."""
     ages = np.full(stage.nodes, -1)
     if len(stage.heard):
@@ -41,7 +41,7 @@ def oldest(stage: Stage, frame: Frame) -> np.ndarray:
     return ages
 
 
-def sender_at(frame: Frame, cursor: float) -> tuple[int, float]:
+def sender_at(frame: StepFrame, cursor: float) -> tuple[int, float]:
     """Return the sender on the bus at a cursor (-1: none), and the time within the cycle.
 
     The cursor counts cycles of the step; its fraction is a fraction of the frames of that cycle, so

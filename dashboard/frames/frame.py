@@ -8,10 +8,8 @@ from numpy.typing import NDArray
 from bus.bus import Transmission
 from filters.gaussian import Gaussian
 
-Numbers = NDArray[np.int64]
 
-
-class Event(NamedTuple):
+class LogEntry(NamedTuple):
     """Something worth a line in the log; `node` is whom it is about, None for the network."""
 
     step: int
@@ -32,16 +30,16 @@ class BusCycle(NamedTuple):
     payload_bytes: int
 
 
-class Traffic(NamedTuple):
+class NodeTraffic(NamedTuple):
     """Totals of each node (N,) since the start, in frames."""
 
-    sent: Numbers
-    heard: Numbers
-    missed: Numbers
-    rejected: Numbers
+    sent: NDArray[np.int64]
+    heard: NDArray[np.int64]
+    missed: NDArray[np.int64]
+    rejected: NDArray[np.int64]
 
 
-class Scores(NamedTuple):
+class StepScores(NamedTuple):
     """How good the estimates of a step are; NaN where the truth is not known.
 
     error, width (N,): of the scored states, and what the node believes of it (square root of the
@@ -58,7 +56,7 @@ class Scores(NamedTuple):
     fused: float
 
 
-class Frame(NamedTuple):
+class StepFrame(NamedTuple):
     """The network after step `step`.
 
     Attributes:
@@ -79,11 +77,11 @@ class Frame(NamedTuple):
     fused: Gaussian
     seen: NDArray[np.bool_]
     alive: NDArray[np.bool_]
-    ages: Numbers
+    ages: NDArray[np.int64]
     lost: NDArray[np.bool_]
     cut: NDArray[np.bool_]
-    traffic: Traffic
+    traffic: NodeTraffic
     rejection: tuple[str, ...]
     cycles: tuple[BusCycle, ...]
-    scores: Scores
-    events: tuple[Event, ...]
+    scores: StepScores
+    events: tuple[LogEntry, ...]

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from dashboard.frames.frame import Event, Frame
+from dashboard.frames.frame import LogEntry, StepFrame
 from dashboard.frames.stage import Stage
 
 _MEMORY_BYTES = 200_000_000
@@ -15,7 +15,7 @@ _LOG_LINES = 500
 _ENOUGH = 15
 
 
-class History:
+class FrameHistory:
     """Frames in order of steps, and the log."""
 
     def __init__(self, stage: Stage) -> None:
@@ -23,11 +23,11 @@ class History:
         frame_bytes = 8 * (stage.nodes * (n + n * n + 16) + 2 * len(stage.heard)) + 2000
         self._limit = max(100, min(_MOST_FRAMES, _MEMORY_BYTES // frame_bytes))
         self._first_scored = stage.score.first_step
-        self._frames: list[Frame] = []
+        self._frames: list[StepFrame] = []
         self._steps: list[int] = []
-        self.log: deque[Event] = deque(maxlen=_LOG_LINES)
+        self.log: deque[LogEntry] = deque(maxlen=_LOG_LINES)
 
-    def add(self, frames: Iterable[Frame]) -> None:
+    def add(self, frames: Iterable[StepFrame]) -> None:
         """Keep frames, in order of steps."""
         for frame in frames:
             self._frames.append(frame)
@@ -51,16 +51,16 @@ class History:
         """Of the newest frame."""
         return self._frames[-1].step if self._frames else 0
 
-    def at(self, step: int) -> Frame:
+    def at(self, step: int) -> StepFrame:
         """Return the frame of a step, or the nearest there is."""
         return self._frames[self._index(step)]
 
-    def until(self, step: int, most: int) -> list[Frame]:
+    def until(self, step: int, most: int) -> list[StepFrame]:
         """At most so many frames up to and with a step."""
         last = self._index(step)
         return self._frames[max(0, last + 1 - most) : last + 1]
 
-    def sampled(self, step: int, most: int, steps: int = _MOST_FRAMES) -> list[Frame]:
+    def sampled(self, step: int, most: int, steps: int = _MOST_FRAMES) -> list[StepFrame]:
         """Return at most `most` of the last `steps` frames up to a step, evenly thinned.
 
         Steps that the scenario does not score are left out once there are enough others: the errors
@@ -81,7 +81,7 @@ class History:
         return max(0, bisect_right(self._steps, step) - 1)
 
 
-def state_table(frames: Sequence[Frame], node: int, state: int) -> np.ndarray:
+def state_table(frames: Sequence[StepFrame], node: int, state: int) -> np.ndarray:
     """Return truth, a node's estimate and its standard deviation (T, 3) of one state."""
     rows = [
         (f.truth[state], f.belief.mean[node, state], f.belief.cov[node, state, state])

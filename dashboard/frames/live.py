@@ -15,9 +15,9 @@ from typing import Any
 import msgspec
 
 from dashboard.frames.assembler import Assembler
-from dashboard.frames.frame import Frame
-from dashboard.frames.network import Network
-from dashboard.frames.source import Answer, Pace
+from dashboard.frames.frame import StepFrame
+from dashboard.frames.network import NetworkStatus
+from dashboard.frames.source import CommandAnswer, SourceState
 from dashboard.frames.stage import Stage, restaged, set_stage
 from nodes.commands import Command
 from runtime.network.control_client import Client, NotThere
@@ -28,7 +28,7 @@ _STATE_PERIOD_S = 0.5
 _QUEUE = 1000
 
 
-class Standing(msgspec.Struct):
+class LiveStanding(msgspec.Struct):
     """State of a network after its changes so far."""
 
     settings: dict[str, Any] = {}
@@ -39,13 +39,13 @@ class Standing(msgspec.Struct):
     first_cycle: int = 0
 
 
-class Situation(msgspec.Struct):
+class LiveSituation(msgspec.Struct):
     """Answer of a network to `state` (docs/control.md)."""
 
     run: str
     setup: Setup
     members: list[int]
-    standing: Standing
+    standing: LiveStanding
     completed: int = 0
     paused: bool = False
 
@@ -72,7 +72,7 @@ class LiveNetwork:
         for topic in ("event", "steps"):
             self._client.listen(topic, self._hear)
         try:
-            situation = msgspec.convert(self._client.state(), Situation)
+            situation = msgspec.convert(self._client.state(), LiveSituation)
         except msgspec.ValidationError as error:
             self._client.close()
             raise ValueError(f"--connect: no network of this version answers ({error})") from None
@@ -94,10 +94,10 @@ class LiveNetwork:
         """In zenoh's thread: keep it; a queue that is full loses the oldest."""
         self._heard.append((topic, data))
 
-    def poll(self) -> list[Frame]:
+    def poll(self) -> list[StepFrame]:
         """Return the frames that have come since the last call."""
         self._ask_state()
-        frames: list[Frame | None] = []
+        frames: list[StepFrame | None] = []
         while self._heard:
             topic, data = self._heard.popleft()
             if topic == "event":
@@ -132,30 +132,30 @@ class LiveNetwork:
         finally:
             self._asked_s = time.monotonic()
 
-    def pace(self) -> Pace:
+    def pace(self) -> SourceState:
         """Return whether the network runs, and how far it is."""
         if self._ended:
-            return Pace("ENDED", "nobody answers any more")
+            return SourceState("ENDED", "nobody answers any more")
         steps = self._assembler.stage.setup.scenario.steps
         told = f"{self._state.completed} of {steps} steps"
         if self._state.completed >= steps:
-            return Pace("ENDED", told)
-        return Pace("PAUSED" if self._state.paused else "RUNNING", told)
+            return SourceState("ENDED", told)
+        return SourceState("PAUSED" if self._state.paused else "RUNNING", told)
 
-    def ask(self, command: Mapping[str, Any]) -> Answer:
+    def ask(self, command: Mapping[str, Any]) -> CommandAnswer:
         """Command the network; waits for its answer."""
         self._begun_and_done += 1
         try:
             answer = self._client.command(msgspec.convert(command, Command))
         except msgspec.ValidationError as error:
-            return Answer(False, f"{command['do']}: {error}")
+            return CommandAnswer(False, f"{command['do']}: {error}")
         except NotThere as gone:
             self._ended = True
-            return Answer(False, str(gone))
+            return CommandAnswer(False, str(gone))
         if answer.accepted and command["do"] in ("pause", "resume"):
             self._state = _Pause(self._state.completed, command["do"] == "pause")
         self._begun_and_done += 1
-        return Answer(answer.accepted, answer.detail)
+        return CommandAnswer(answer.accepted, answer.detail)
 
     def close(self) -> None:
         """Leave; the network does not notice."""
@@ -163,11 +163,11 @@ class LiveNetwork:
         self._client.close()
 
 
-def network_of(situation: Situation) -> Network:
+def network_of(situation: LiveSituation) -> NetworkStatus:
     """Return the network as known when the page begins to receive."""
     standing = situation.standing
     rounds = int(standing.settings.get("rounds", situation.setup.scenario.rounds))
-    return Network(
+    return NetworkStatus(
         members=frozenset(situation.members),
         anchor=(standing.first_step, standing.first_cycle, rounds),
         cut=frozenset((sender, receiver) for sender, receiver in standing.cuts),

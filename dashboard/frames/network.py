@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from dashboard.frames.frame import Event
+from dashboard.frames.frame import LogEntry
 from nodes.faults.vocabulary import CHANNELS, EVERY_FAULT
 from scenarios.scenario import SETTINGS
 
 
-class Network(NamedTuple):
+class NetworkStatus(NamedTuple):
     """The network at a step.
 
     Attributes:
@@ -43,7 +43,7 @@ class Network(NamedTuple):
         return range(begin, begin + rounds)
 
 
-class Change(NamedTuple):
+class AnnouncedChange(NamedTuple):
     """A change and the step from which it holds."""
 
     step: int
@@ -51,17 +51,19 @@ class Change(NamedTuple):
     facts: Mapping[str, Any]
 
 
-def read_change(data: bytes) -> Change | None:
+def read_change(data: bytes) -> AnnouncedChange | None:
     """Return the change that bytes on topic `event` tell; None for what says nothing."""
     try:
         told = msgspec.json.decode(data)
         facts = told["change"]
-        return Change(int(told["step"]), str(facts["what"]), facts)
+        return AnnouncedChange(int(told["step"]), str(facts["what"]), facts)
     except (msgspec.MsgspecError, KeyError, TypeError, ValueError):
         return None
 
 
-def changed(network: Network, change: Change, names: tuple[str, ...]) -> tuple[Network, Event]:
+def changed(
+    network: NetworkStatus, change: AnnouncedChange, names: tuple[str, ...]
+) -> tuple[NetworkStatus, LogEntry]:
     """Return the network after a change, and the line of the log that tells of it.
 
     Raises:
@@ -76,14 +78,14 @@ def changed(network: Network, change: Change, names: tuple[str, ...]) -> tuple[N
             is_cut = change.what == "cut"
             cut = network.cut | {link} if is_cut else network.cut - {link}
             text = f"link {names[link[0]]} → {names[link[1]]} {change.what}"
-            return network._replace(cut=cut), Event(change.step, text, link[0], is_cut)
+            return network._replace(cut=cut), LogEntry(change.step, text, link[0], is_cut)
         case "loss":
             return _loss(network, change, names)
         case "fault":
             return network, _fault(change, names)
         case "calm":
             calm = network._replace(cut=frozenset(), losses={}, loss=0.0)
-            return calm, Event(change.step, "all faults are withdrawn")
+            return calm, LogEntry(change.step, "all faults are withdrawn")
         case "settings":
             return _settings(network, change)
         case "pace":
@@ -91,31 +93,35 @@ def changed(network: Network, change: Change, names: tuple[str, ...]) -> tuple[N
             rate = facts.get("steps_per_second") or 0
             speed = f"at most {rate:g} steps per second" if rate else "as fast as it can"
             text = "paused" if paused else f"running, {speed}"
-            return network._replace(paused=paused), Event(change.step, text)
+            return network._replace(paused=paused), LogEntry(change.step, text)
     raise ValueError(change.what)
 
 
-def _membership(network: Network, change: Change, names: tuple[str, ...]) -> tuple[Network, Event]:
+def _membership(
+    network: NetworkStatus, change: AnnouncedChange, names: tuple[str, ...]
+) -> tuple[NetworkStatus, LogEntry]:
     node = int(change.facts["node"])
     words = {"left": "was killed", "gone": "is gone", "joined": "is back"}
     back = change.what == "joined"
     members = network.members | {node} if back else network.members - {node}
     text = f"node {names[node]} {words[change.what]}"
-    return network._replace(members=members), Event(change.step, text, node, not back)
+    return network._replace(members=members), LogEntry(change.step, text, node, not back)
 
 
-def _loss(network: Network, change: Change, names: tuple[str, ...]) -> tuple[Network, Event]:
+def _loss(
+    network: NetworkStatus, change: AnnouncedChange, names: tuple[str, ...]
+) -> tuple[NetworkStatus, LogEntry]:
     facts, chance = change.facts, float(change.facts["probability"])
     if facts.get("sender") is None:
         text = f"every link loses {100 * chance:.0f} % of its frames"
-        return network._replace(loss=chance), Event(change.step, text, None, chance > 0)
+        return network._replace(loss=chance), LogEntry(change.step, text, None, chance > 0)
     link = (int(facts["sender"]), int(facts["receiver"]))
     text = f"link {names[link[0]]} → {names[link[1]]} loses {100 * chance:.0f} % of its frames"
     losses = {**network.losses, link: chance}
-    return network._replace(losses=losses), Event(change.step, text, link[0], chance > 0)
+    return network._replace(losses=losses), LogEntry(change.step, text, link[0], chance > 0)
 
 
-def _fault(change: Change, names: tuple[str, ...]) -> Event:
+def _fault(change: AnnouncedChange, names: tuple[str, ...]) -> LogEntry:
     """Return the event of a fault, in the words of its request."""
     kind, facts = str(change.facts["kind"]), change.facts
     place, nodes = EVERY_FAULT[kind].place, [int(node) for node in facts["nodes"]]
@@ -123,13 +129,13 @@ def _fault(change: Change, names: tuple[str, ...]) -> Event:
     numbers = [f"{float(number):g}" for number in facts["numbers"]]
     text = " ".join((kind, *(known[node] for node in nodes), *numbers))
     node = nodes[0] if nodes and place != "channel" else None
-    return Event(change.step, text, node, float(numbers[0]) != 0)
+    return LogEntry(change.step, text, node, float(numbers[0]) != 0)
 
 
-def _settings(network: Network, change: Change) -> tuple[Network, Event]:
+def _settings(network: NetworkStatus, change: AnnouncedChange) -> tuple[NetworkStatus, LogEntry]:
     told = dict(change.facts["settings"])
     settings = {**network.settings, **{k: v for k, v in told.items() if k in SETTINGS}}
     rounds = int(settings.get("rounds", network.rounds))
     since = (change.step, int(change.facts["first_cycle"]), rounds)
     text = "set " + ", ".join(f"{name} {value}" for name, value in told.items())
-    return network._replace(settings=settings, anchor=since), Event(change.step, text)
+    return network._replace(settings=settings, anchor=since), LogEntry(change.step, text)

@@ -4,13 +4,13 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from dashboard.frames.assembler import Assembler
-from dashboard.frames.frame import Frame
+from dashboard.frames.frame import StepFrame
 from dashboard.frames.stage import Stage
 from runtime.recording import read_recording
 from runtime.whole_steps import WholeSteps
 
 
-def replayed(stage: Stage, recording: Path) -> Iterator[Frame]:
+def replayed(stage: Stage, recording: Path) -> Iterator[StepFrame]:
     """The frames of a recording, in order of steps.
 
     Raises:
@@ -19,7 +19,7 @@ def replayed(stage: Stage, recording: Path) -> Iterator[Frame]:
     return assembled(stage, read_recording(recording))
 
 
-def assembled(stage: Stage, messages: Iterable[tuple[str, bytes]]) -> Iterator[Frame]:
+def assembled(stage: Stage, messages: Iterable[tuple[str, bytes]]) -> Iterator[StepFrame]:
     """The frames that the (topic, bytes) of a run make, from its beginning on."""
     assembler = Assembler(stage)
     steps = WholeSteps(stage.nodes, stage.rounds, stage.bus.frame_format)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from dashboard.frames.frame import Scores
+from dashboard.frames.frame import StepScores
 from dashboard.frames.stage import Stage
 from filters.gaussian import Gaussian
 from filters.linalg import inverse_spd, multiply
@@ -36,7 +36,7 @@ def score(
     alive: np.ndarray,
     fused: Gaussian,
     central: Gaussian | None,
-) -> Scores:
+) -> StepScores:
     """The scores of a step for truth (n,) and beliefs (N, n), which together believe `fused`;
     `central` heard everything."""
     states, all_states = list(stage.score.states), list(stage.score.nees_states)
@@ -48,12 +48,12 @@ def score(
         off[living][:, all_states], belief.cov[living][:, all_states][..., all_states]
     )
     means = belief.mean[living][:, states]
-    return Scores(
+    return StepScores(
         error=error,
         width=np.sqrt(np.maximum(variances, 0.0).sum(-1)),
         rmse=_root_mean_square(error[living]),
         spread=_spread(means),
-        nees=float(np.nan) if stage.certain else _mean(consistency),
+        nees=float(np.nan) if stage.set_valued else _mean(consistency),
         central=_error(central, truth, states),
         fused=_error(fused, truth, states),
     )

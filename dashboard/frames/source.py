@@ -4,21 +4,21 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-from dashboard.frames.frame import Frame
+from dashboard.frames.frame import StepFrame
 from dashboard.frames.replay import replayed
 from dashboard.frames.stage import Stage
 
 _FRAMES_PER_POLL = 40
 
 
-class Answer(NamedTuple):
+class CommandAnswer(NamedTuple):
     """Answer of a network to a command."""
 
     accepted: bool
     detail: str
 
 
-class Pace(NamedTuple):
+class SourceState(NamedTuple):
     """Whether a network runs: RUNNING, PAUSED, ENDED, or why nothing is known."""
 
     state: str
@@ -38,15 +38,15 @@ class Source(Protocol):
         """Return the stage as it is now: settings can change while a network runs."""
         ...
 
-    def poll(self) -> list[Frame]:
+    def poll(self) -> list[StepFrame]:
         """Return the frames that have come since the last call; never waits."""
         ...
 
-    def pace(self) -> Pace:
+    def pace(self) -> SourceState:
         """Return whether the network runs."""
         ...
 
-    def ask(self, command: dict[str, Any]) -> Answer:
+    def ask(self, command: dict[str, Any]) -> CommandAnswer:
         """Command the network; waits for its answer."""
         ...
 
@@ -55,22 +55,22 @@ class Source(Protocol):
         ...
 
 
-class Recorded:
+class RecordedSource:
     """A recording: read little by little, so that the page is there at once."""
 
     live = False
 
     def __init__(self, stage: Stage, recording: Path) -> None:
         self.stage = stage
-        self._frames: Iterator[Frame] | None = replayed(stage, recording)
+        self._frames: Iterator[StepFrame] | None = replayed(stage, recording)
 
-    def poll(self) -> list[Frame]:
+    def poll(self) -> list[StepFrame]:
         """Return the next few frames of the recording.
 
         Raises:
             ValueError: the file is not a recording.
         """
-        frames: list[Frame] = []
+        frames: list[StepFrame] = []
         while self._frames is not None and len(frames) < _FRAMES_PER_POLL:
             frame = next(self._frames, None)
             if frame is None:
@@ -79,13 +79,13 @@ class Recorded:
                 frames.append(frame)
         return frames
 
-    def pace(self) -> Pace:
+    def pace(self) -> SourceState:
         """A recording has no pace of its own; the player sets it."""
-        return Pace("LOADING" if self._frames is not None else "RECORDED")
+        return SourceState("LOADING" if self._frames is not None else "RECORDED")
 
-    def ask(self, command: dict[str, Any]) -> Answer:
+    def ask(self, command: dict[str, Any]) -> CommandAnswer:
         """Refuse the command, because no network is running."""
-        return Answer(False, f"{command.get('do')}: this is a recording; nothing runs")
+        return CommandAnswer(False, f"{command.get('do')}: this is a recording; nothing runs")
 
     def close(self) -> None:
         """Nothing is held open."""

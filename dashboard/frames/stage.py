@@ -18,7 +18,7 @@ from bus.bus import Bus
 from scenarios.build import build_bus
 from scenarios.catalogue import kind_of
 from scenarios.kind import Score
-from scenarios.rules import is_certain
+from scenarios.rules import is_set_valued
 from scenarios.setup import Setup
 
 SCENE_WIDTH = 20.0
@@ -27,7 +27,7 @@ SCENE_WIDTH = 20.0
 _CAR_STATES = ("yaw rate", "side slip", "speed", "heading")
 
 
-class Picture(Enum):
+class PlantDrawing(Enum):
     """How a plant is drawn."""
 
     PLANE = "where it is"
@@ -53,8 +53,8 @@ class Stage:
     edges: NDArray[np.int64]
     heard: NDArray[np.int64]
     score: Score
-    certain: bool
-    picture: Picture
+    set_valued: bool
+    picture: PlantDrawing
     place: tuple[int, ...]
     positions: Callable[[int], np.ndarray]
     sight_range_m: float | None
@@ -70,12 +70,12 @@ class Stage:
     @property
     def deviations(self) -> float:
         """Half-width of the ellipses that are drawn, in standard deviations; of a set its own."""
-        return 1.0 if self.certain else 3.0
+        return 1.0 if self.set_valued else 3.0
 
     @property
     def fused_name(self) -> str:
         """Name of the fused belief of all nodes; sets are fused by their enclosing ellipsoids."""
-        return "fused ellipsoids" if self.certain else "fused"
+        return "fused ellipsoids" if self.set_valued else "fused"
 
     @cached_property
     def whereabouts(self) -> np.ndarray:
@@ -109,11 +109,11 @@ def set_stage(setup: Setup) -> Stage:
     places = plant.positions(0)
     positions: Callable[[int], np.ndarray]
     if places is not None:
-        picture, positions = Picture.PLANE, lambda step: np.asarray(plant.positions(step))
+        picture, positions = PlantDrawing.PLANE, lambda step: np.asarray(plant.positions(step))
     else:
         layout = _laid_out(setup.neighbours)
         track = set(_CAR_STATES) <= set(plant.state_names)
-        picture, positions = Picture.TRACK if track else Picture.GRAPH, lambda _: layout
+        picture, positions = PlantDrawing.TRACK if track else PlantDrawing.GRAPH, lambda _: layout
     links = {(min(i, j), max(i, j)) for i, heard in enumerate(setup.neighbours) for j in heard}
     hearing = [(i, j) for i, heard in enumerate(setup.neighbours) for j in heard]
     return Stage(
@@ -125,9 +125,9 @@ def set_stage(setup: Setup) -> Stage:
         edges=np.array(sorted(links), dtype=np.int64).reshape(-1, 2),
         heard=np.array(hearing, dtype=np.int64).reshape(-1, 2),
         score=kind.score,
-        certain=is_certain(setup.scenario),
+        set_valued=is_set_valued(setup.scenario),
         picture=picture,
-        place=tuple(kind.score.states[:2]) if picture is Picture.PLANE else (),
+        place=tuple(kind.score.states[:2]) if picture is PlantDrawing.PLANE else (),
         positions=positions,
         sight_range_m=getattr(plant, "field_of_view_m", None),
     )
@@ -137,11 +137,11 @@ def restaged(stage: Stage, settings: dict[str, Any]) -> Stage:
     """Return the stage of a network whose settings have changed; all else stays."""
     scenario, _ = stage.setup.scenario.with_known(**settings)
     setup = msgspec.structs.replace(stage.setup, scenario=scenario)
-    return replace(stage, setup=setup, bus=build_bus(setup), certain=is_certain(scenario))
+    return replace(stage, setup=setup, bus=build_bus(setup), set_valued=is_set_valued(scenario))
 
 
-def _names(setup: Setup, picture: Picture) -> tuple[str, ...]:
-    if picture is Picture.TRACK:
+def _names(setup: Setup, picture: PlantDrawing) -> tuple[str, ...]:
+    if picture is PlantDrawing.TRACK:
         from plants.vehicle.network import NODES
 
         if len(NODES) == setup.scenario.nodes:

@@ -10,7 +10,7 @@ from runtime.whole_steps import WholeStep
 
 
 @dataclass
-class Told:
+class StepContent:
     """The content of a step; `sizes` are payload bytes by (cycle, node)."""
 
     truth: Truth | None = None
@@ -19,9 +19,9 @@ class Told:
     sizes: Counter[tuple[int, int]] = field(default_factory=Counter)
 
 
-def read_step(step: WholeStep, nodes: int, frames: FrameFormat) -> Told:
+def read_step(step: WholeStep, nodes: int, frames: FrameFormat) -> StepContent:
     """Return the content of a step, whose shares are such frames; ignore what is no message."""
-    told = Told()
+    told = StepContent()
     for topic, data in step.messages:
         kind, _, number = topic.partition("/")
         if kind == "share":
@@ -41,7 +41,7 @@ def read_step(step: WholeStep, nodes: int, frames: FrameFormat) -> Told:
     return told
 
 
-def _read_share(told: Told, sender: int | None, data: bytes, frames: FrameFormat) -> None:
+def _read_share(told: StepContent, sender: int | None, data: bytes, frames: FrameFormat) -> None:
     try:
         cycle = frames.read(data).cycle
     except Rejected:

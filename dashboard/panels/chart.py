@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dashboard.frames.expected import Expected
-from dashboard.frames.frame import Frame
+from dashboard.frames.frame import StepFrame
 from dashboard.frames.stage import Stage
 from dashboard.theme import Colour, Theme
 from dashboard.view import View
@@ -17,7 +17,7 @@ class Sample(NamedTuple):
 
     stage: Stage
     view: View
-    frames: Sequence[Frame]
+    frames: Sequence[StepFrame]
     times: np.ndarray
     expected: Expected
 
@@ -44,7 +44,7 @@ class Chart(NamedTuple):
     from_zero: bool = True
 
 
-def of_frames(value: Callable[[Frame], float]) -> Column:
+def of_frames(value: Callable[[StepFrame], float]) -> Column:
     """Return the column with one value of each frame."""
     return lambda sample: np.array([value(frame) for frame in sample.frames], dtype=np.float64)
 

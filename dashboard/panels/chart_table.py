@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dashboard.frames.frame import Frame
+from dashboard.frames.frame import StepFrame
 from dashboard.frames.history import state_table
 from dashboard.frames.stage import Stage
 from dashboard.panels.chart import Chart, Column, Line, Sample, of_frames
@@ -74,7 +74,7 @@ def state_charts() -> tuple[Chart, ...]:
     )
 
 
-def _payload_kilobytes_per_s(stage: Stage) -> Callable[[Frame], float]:
+def _payload_kilobytes_per_s(stage: Stage) -> Callable[[StepFrame], float]:
     seconds = stage.setup.time_step_s
     return lambda frame: sum(cycle.payload_bytes for cycle in frame.cycles) / seconds / 1e3
 

@@ -8,7 +8,7 @@ import viser
 from viser import uplot
 
 from dashboard.frames.expected import Expectation
-from dashboard.frames.history import History
+from dashboard.frames.history import FrameHistory
 from dashboard.frames.stage import Stage
 from dashboard.panels.chart import Chart, Curve, Drawn, Sample
 from dashboard.theme import Theme, css
@@ -159,7 +159,7 @@ class Charts:
             plot.show(sample)
 
 
-def sampled(stage: Stage, view: View, history: History, expectation: Expectation) -> Sample:
+def sampled(stage: Stage, view: View, history: FrameHistory, expectation: Expectation) -> Sample:
     """Return all steps up to the shown one, thinned to `MOST_POINTS`."""
     frames = history.sampled(view.step, MOST_POINTS)
     times = np.array([frame.time_s for frame in frames])

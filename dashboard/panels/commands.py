@@ -4,7 +4,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
-from dashboard.frames.source import Answer, Source
+from dashboard.frames.source import CommandAnswer, Source
 
 Tell = Callable[[Any, str, str, bool], None]
 """(client, title, body, is trouble): show a short message to a person."""
@@ -32,7 +32,7 @@ class Commands:
 
         self.soon(ask)
 
-    def send(self, command: dict[str, Any], client: Any) -> Answer:
+    def send(self, command: dict[str, Any], client: Any) -> CommandAnswer:
         """Ask the source, and tell the person how it answered; this call waits for the answer."""
         answer = self._source.ask(command)
         what = " ".join(str(value) for value in command.values())

@@ -8,7 +8,7 @@ from pathlib import Path
 import viser
 
 from dashboard.frames.conditions import sender_at
-from dashboard.frames.frame import Frame
+from dashboard.frames.frame import StepFrame
 from dashboard.frames.stage import Stage
 from dashboard.scene.camera import Camera
 from dashboard.scene.plants import TRAIL
@@ -19,7 +19,7 @@ MOST_FRAMES = 150
 _FRAME_S = 0.08
 
 
-def animated_scene(stage: Stage, view: View, frames: Sequence[Frame], camera: Camera) -> str:
+def animated_scene(stage: Stage, view: View, frames: Sequence[StepFrame], camera: Camera) -> str:
     """Return the scene through `frames` as one page that needs nothing else.
 
     It is recorded on a server of its own: a recording takes down all that its server sends, and

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import viser
 
-from dashboard.frames.history import History
+from dashboard.frames.history import FrameHistory
 from dashboard.frames.stage import Stage
 from dashboard.panels.chart import Drawn
 from dashboard.panels.chart_export import charts_page, charts_picture
@@ -21,7 +21,7 @@ class Shown(NamedTuple):
 
     stage: Stage
     view: View
-    history: History
+    history: FrameHistory
     charts: Sequence[Drawn]
 
 

@@ -6,8 +6,8 @@ from dashboard.bridge import Bridge
 from dashboard.frames.conditions import sender_at
 from dashboard.frames.expected import Expectation
 from dashboard.frames.frame import BusCycle
-from dashboard.frames.history import History
-from dashboard.frames.stage import Picture, Stage
+from dashboard.frames.history import FrameHistory
+from dashboard.frames.stage import PlantDrawing, Stage
 from dashboard.inputs import Inputs, at_once
 from dashboard.layout import lay_out
 from dashboard.panels.chart_table import run_charts, state_charts
@@ -21,7 +21,7 @@ from dashboard.scene.plants import TRAIL
 from dashboard.scene.scene import Scene
 from dashboard.theme import Theme, css
 from dashboard.view import View
-from dashboard.window import Window
+from dashboard.window import PageServer
 
 _CHART_HEIGHT, _STATE_CHART_HEIGHT = 78, 190
 _CAR_TRAIL = 3000
@@ -33,11 +33,11 @@ class Page:
     Everything is computed before `atomic()`, inside which properties are only assigned.
     """
 
-    def __init__(self, window: Window, inputs: Inputs, stage: Stage, view: View) -> None:
+    def __init__(self, window: PageServer, inputs: Inputs, stage: Stage, view: View) -> None:
         self._window, self._inputs, self._stage = window, inputs, stage
         self._drawn: dict[str, str] = {}
         gui, nodes = window.server.gui, stage.nodes
-        panels = lay_out(window.server, stage.picture is not Picture.PLANE)
+        panels = lay_out(window.server, stage.picture is not PlantDrawing.PLANE)
         with panels.charts:
             gui.add_html(DENSE_STYLE)
             self.charts = Charts(gui, run_charts(stage), view.theme, _CHART_HEIGHT)
@@ -74,12 +74,12 @@ class Page:
         step = int(self.slider.value)
         self._inputs.alter(lambda view: view.look_at(step))
 
-    def draw_scene(self, view: View, history: History) -> None:
+    def draw_scene(self, view: View, history: FrameHistory) -> None:
         """Draw the scene and the timeline of the shown cycle."""
         frame = history.at(view.step)
         cycle = frame.cycles[min(int(view.cursor), len(frame.cycles) - 1)]
         sender, now_us = sender_at(frame, view.cursor)
-        trail = _CAR_TRAIL if self._stage.picture is Picture.TRACK else TRAIL
+        trail = _CAR_TRAIL if self._stage.picture is PlantDrawing.TRACK else TRAIL
         assign = self.scene.draw(view, frame, history.until(frame.step, trail), sender)
         past = _past_cycles(history, view.step, cycle)
         timeline = self._timeline.draw(view.theme, frame, past, cycle, now_us, view.selected)
@@ -88,7 +88,7 @@ class Page:
             self.show("bus", self._bus, timeline)
         self._inputs.show(self.slider, value=frame.step)
 
-    def draw_panels(self, view: View, history: History, expectation: Expectation) -> None:
+    def draw_panels(self, view: View, history: FrameHistory, expectation: Expectation) -> None:
         """Draw tables, charts and the log, up to the shown step."""
         stage, frame = self._stage, history.at(view.step)
         rows = node_table(stage, view, frame)
@@ -125,7 +125,7 @@ class Page:
             charts.set_theme(theme)
 
 
-def _past_cycles(history: History, step: int, shown: BusCycle) -> list[BusCycle]:
+def _past_cycles(history: FrameHistory, step: int, shown: BusCycle) -> list[BusCycle]:
     """Return cycles before the shown one, the newest first."""
     wanted = -(-RASTER_ROWS // max(1, len(history.at(step).cycles))) + 1
     cycles = [cycle for frame in history.until(step, wanted) for cycle in frame.cycles]

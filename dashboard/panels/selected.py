@@ -5,13 +5,13 @@ from html import escape
 import numpy as np
 
 from dashboard.frames.conditions import conditions
-from dashboard.frames.frame import Frame
+from dashboard.frames.frame import StepFrame
 from dashboard.frames.stage import Stage
 from dashboard.theme import css
 from dashboard.view import View
 
 
-def selected_panel(stage: Stage, view: View, frame: Frame) -> str:
+def selected_panel(stage: Stage, view: View, frame: StepFrame) -> str:
     """HTML; asks for a selection where there is none."""
     theme, node = view.theme, view.selected
     if node is None:

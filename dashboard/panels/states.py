@@ -5,8 +5,8 @@ from html import escape
 
 import numpy as np
 
-from dashboard.frames.frame import Frame
-from dashboard.frames.history import History, state_table
+from dashboard.frames.frame import StepFrame
+from dashboard.frames.history import FrameHistory, state_table
 from dashboard.frames.stage import Stage
 from dashboard.theme import Theme, css
 from dashboard.view import View
@@ -16,7 +16,7 @@ WIDTH, HEIGHT, HEAD, FOOT = 300.0, 290.0, 14.0, 4.0
 _LEAST, _MOST = 52.0, 110.0
 
 
-def states(stage: Stage, view: View, history: History) -> str:
+def states(stage: Stage, view: View, history: FrameHistory) -> str:
     """An SVG with a row per state, of the selected node, the first where none is."""
     theme, node = view.theme, view.selected or 0
     count = len(stage.state_names)
@@ -28,7 +28,7 @@ def states(stage: Stage, view: View, history: History) -> str:
         f'<span style="margin-right:9px"><span style="color:{css(colour)}">●</span> {text}</span>'
         for colour, text in legend
     )
-    width = "its set" if stage.certain else f"±{stage.deviations:g}σ"
+    width = "its set" if stage.set_valued else f"±{stage.deviations:g}σ"
     return (
         f'<div style="font-size:11px;padding-right:8px;color:{css(theme.text)}">'
         '<svg data-testid="states" '
@@ -38,7 +38,7 @@ def states(stage: Stage, view: View, history: History) -> str:
 
 
 def _row(
-    stage: Stage, view: View, frames: Sequence[Frame], node: int, state: int, tall: float
+    stage: Stage, view: View, frames: Sequence[StepFrame], node: int, state: int, tall: float
 ) -> str:
     theme, top = view.theme, tall * state
     times = np.array([frame.time_s for frame in frames])

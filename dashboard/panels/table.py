@@ -6,7 +6,7 @@ from html import escape
 import numpy as np
 
 from dashboard.frames.conditions import BLIND, DOWN, REJECTED, SEEING, STALE, conditions, oldest
-from dashboard.frames.frame import Event, Frame
+from dashboard.frames.frame import LogEntry, StepFrame
 from dashboard.frames.stage import Stage
 from dashboard.theme import Colour, Theme, css, mixed
 from dashboard.view import View
@@ -26,10 +26,10 @@ def colour_of(theme: Theme, condition: str) -> Colour:
     }[condition]
 
 
-def node_table(stage: Stage, view: View, frame: Frame) -> str:
+def node_table(stage: Stage, view: View, frame: StepFrame) -> str:
     """A row per node."""
     theme, words, ages = view.theme, conditions(stage, frame), oldest(stage, frame)
-    width = (1.0 if stage.certain else 3.0) * frame.scores.width
+    width = (1.0 if stage.set_valued else 3.0) * frame.scores.width
     rows = chosen_rows(stage.nodes, view, frame.scores.error, ages)
     told = any(frame.rejection)
     top = float(np.nanmax(width)) if np.isfinite(width).any() else 1.0
@@ -64,7 +64,7 @@ def node_table(stage: Stage, view: View, frame: Frame) -> str:
     more = ""
     if len(rows) < stage.nodes:
         more = f"<div>{len(rows)} of {stage.nodes} nodes; choose the order under View</div>"
-    sigma = "set" if stage.certain else "3σ"
+    sigma = "set" if stage.set_valued else "3σ"
     heads = "".join(
         f"<th>{sigma if head == '3σ' else head}</th>" for head in _HEADINGS[: None if told else -1]
     )
@@ -98,7 +98,7 @@ def chosen_rows(nodes: int, view: View, error: np.ndarray, ages: np.ndarray) -> 
     return shown
 
 
-def log(theme: Theme, events: Iterable[Event]) -> str:
+def log(theme: Theme, events: Iterable[LogEntry]) -> str:
     """Return the newest events first."""
     lines = "".join(
         f'<div{_bad(theme, event.trouble)}><span style="color:{css(theme.quiet)};display:'
@@ -111,7 +111,9 @@ def log(theme: Theme, events: Iterable[Event]) -> str:
     )
 
 
-def status(stage: Stage, theme: Theme, frame: Frame | None, state: str, detail: str = "") -> str:
+def status(
+    stage: Stage, theme: Theme, frame: StepFrame | None, state: str, detail: str = ""
+) -> str:
     """Return the state of the run in a few lines."""
     colour = {"RUNNING": theme.fused, "PAUSED": theme.sending, "ENDED": theme.quiet}
     pill = (

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from dashboard.frames.frame import BusCycle, Frame
+from dashboard.frames.frame import BusCycle, StepFrame
 from dashboard.frames.stage import Stage
 from dashboard.panels.timeline_marks import (
     BAR,
@@ -33,7 +33,7 @@ class TimelineView:
     def draw(
         self,
         theme: Theme,
-        frame: Frame,
+        frame: StepFrame,
         past: Sequence[BusCycle],
         cycle: BusCycle,
         now_us: float,
@@ -55,7 +55,7 @@ class TimelineView:
         ]
         return "".join(parts)
 
-    def _lost_senders(self, frame: Frame) -> set[int]:
+    def _lost_senders(self, frame: StepFrame) -> set[int]:
         return {int(sender) for sender in self._stage.heard[frame.lost, 1]}
 
     def _headings(self, theme: Theme) -> str:

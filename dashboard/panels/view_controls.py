@@ -5,7 +5,7 @@ from typing import Any
 
 import viser
 
-from dashboard.frames.stage import Picture, Stage
+from dashboard.frames.stage import PlantDrawing, Stage
 from dashboard.inputs import Inputs, at_once
 from dashboard.theme import DARK, LIGHT
 from dashboard.view import ELLIPSES, ORDERS, View
@@ -20,7 +20,7 @@ class ViewControls:
         self._inputs, self._stage = inputs, stage
         with gui.add_folder("View"):
             self.dark: Any = gui.add_checkbox("Dark", view.theme.dark)
-            if stage.picture is Picture.PLANE:
+            if stage.picture is PlantDrawing.PLANE:
                 ellipses: Any = gui.add_dropdown("Ellipses", ELLIPSES, initial_value=view.ellipses)
                 self.magnify: Any = gui.add_dropdown(
                     "Errors ×", tuple(map(str, MAGNIFIED)), initial_value=f"{view.magnify:g}",

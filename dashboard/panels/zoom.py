@@ -4,7 +4,7 @@ from html import escape
 
 import numpy as np
 
-from dashboard.frames.frame import Frame
+from dashboard.frames.frame import StepFrame
 from dashboard.frames.stage import Stage
 from dashboard.scene.geometry import ellipse_axes, zonotope_corners
 from dashboard.theme import Colour, Theme, css
@@ -15,7 +15,7 @@ _MOST_NODES = 120
 
 
 def zoom(
-    stage: Stage, theme: Theme, frame: Frame, pair: tuple[int, int], selected: int | None
+    stage: Stage, theme: Theme, frame: StepFrame, pair: tuple[int, int], selected: int | None
 ) -> str:
     """An SVG of two states around the truth, or around what all believe where it is not known."""
     states = list(pair)
@@ -35,7 +35,7 @@ def zoom(
         body = _Drawing(stage, theme, frame, states, centre, spans, known).picture(nodes, selected)
     unit = [escape(stage.state_units[i]) for i in states]
     name = [escape(stage.state_names[i]) for i in states]
-    sigma = "set" if stage.certain else f"{stage.deviations:g}σ"
+    sigma = "set" if stage.set_valued else f"{stage.deviations:g}σ"
     legend = [(theme.truth, "truth"), (theme.fused, stage.fused_name), (theme.estimate, "nodes")]
     if selected is not None:
         legend.append((theme.selection, escape(stage.names[selected])))
@@ -67,7 +67,7 @@ class _Drawing:
     """The ellipses of one frame, in pixels."""
 
     def __init__(
-        self, stage: Stage, theme: Theme, frame: Frame, states: list[int], centre: np.ndarray,
+        self, stage: Stage, theme: Theme, frame: StepFrame, states: list[int], centre: np.ndarray,
         spans: np.ndarray, known: bool,
     ) -> None:  # fmt: skip
         self._stage, self._theme, self._frame, self._states = stage, theme, frame, states

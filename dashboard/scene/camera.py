@@ -51,16 +51,6 @@ def aimed(points: np.ndarray, free: Free) -> Camera:
     return Camera(_tuple(eye), _tuple(eye - (distance - near.mean()) * _TOWARDS_EYE))
 
 
-def pixels(points: np.ndarray, camera: Camera, free: Free) -> np.ndarray:
-    """Where points (P, 3) are in the window of such a camera: (P, 2), from the upper left."""
-    off = points - np.array(camera.look_at)
-    distance = float(np.linalg.norm(np.subtract(camera.position, camera.look_at)))
-    # No nearer than a little: behind the camera there is no picture.
-    depth = np.maximum(distance - off @ _TOWARDS_EYE, 0.05 * distance)
-    flat = np.stack([off @ _RIGHT, -(off @ _UP)], axis=-1) / depth[:, None] * _focal(free)
-    return flat + np.array([free.width, free.height]) / 2
-
-
 def _focal(free: Free) -> float:
     return free.height / 2 / float(np.tan(FIELD_OF_VIEW_RAD / 2))
 

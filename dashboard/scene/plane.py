@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import viser
 
-from dashboard.frames.frame import Frame
+from dashboard.frames.frame import StepFrame
 from dashboard.frames.stage import Stage
 from dashboard.scene import geometry
 from dashboard.scene.plants import HIDDEN, add_lines, fading, paint
@@ -44,13 +44,13 @@ class Plane:
         self._sights = add_lines(scene, "/plant/sight", 1.4)
         self._range = add_lines(scene, "/plant/range", 1.4)
 
-    def node_places(self, frame: Frame, past: Sequence[Frame]) -> np.ndarray:
+    def node_places(self, frame: StepFrame, past: Sequence[StepFrame]) -> np.ndarray:
         return self._stage.in_scene(self._stage.positions(frame.step), 0.15)
 
     def extent(self) -> np.ndarray:
         return self._stage.in_scene(self._stage.whereabouts, 0.15)
 
-    def draw(self, view: View, frame: Frame, past: Sequence[Frame]) -> Callable[[], None]:
+    def draw(self, view: View, frame: StepFrame, past: Sequence[StepFrame]) -> Callable[[], None]:
         stage, theme = self._stage, view.theme
         states = list(stage.place)
         truth = frame.truth[states]
@@ -108,7 +108,7 @@ class Plane:
         return assign
 
     def _beliefs(
-        self, view: View, frame: Frame, states: list[int]
+        self, view: View, frame: StepFrame, states: list[int]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Means (N + 1, 2), covariances and which are finite: the nodes', then the fused one."""
         mean = np.concatenate([frame.belief.mean, frame.fused.mean[None]])[:, states]
@@ -124,14 +124,14 @@ class Plane:
                 chosen[view.selected] = True
         return chosen
 
-    def _sight_lines(self, view: View, frame: Frame, truth: np.ndarray) -> np.ndarray:
+    def _sight_lines(self, view: View, frame: StepFrame, truth: np.ndarray) -> np.ndarray:
         if not view.sight_lines or not np.isfinite(truth).all() or not frame.seen.any():
             return np.zeros((0, 2, 3))
         eyes = self.node_places(frame, ())[frame.seen]
         target = np.broadcast_to(self._stage.in_scene(truth, 0.25), eyes.shape)
         return np.stack([eyes, target], axis=1)
 
-    def _range_circle(self, view: View, frame: Frame) -> np.ndarray:
+    def _range_circle(self, view: View, frame: StepFrame) -> np.ndarray:
         reach_m = self._stage.sight_range_m
         if not view.sight_range or reach_m is None or view.selected is None:
             return np.zeros((0, 2, 3))

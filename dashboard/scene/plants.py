@@ -6,7 +6,7 @@ from typing import Any, Protocol
 import numpy as np
 import viser
 
-from dashboard.frames.frame import Frame
+from dashboard.frames.frame import StepFrame
 from dashboard.scene import geometry
 from dashboard.theme import Theme, linear
 from dashboard.view import View
@@ -19,7 +19,7 @@ _NO_LINE = np.zeros((1, 2, 3), dtype=np.float32)
 class PlantPicture(Protocol):
     """How a plant is drawn."""
 
-    def node_places(self, frame: Frame, past: Sequence[Frame]) -> np.ndarray:
+    def node_places(self, frame: StepFrame, past: Sequence[StepFrame]) -> np.ndarray:
         """Where the nodes are in the scene (N, 3)."""
         ...
 
@@ -27,7 +27,7 @@ class PlantPicture(Protocol):
         """Points of the scene (P, 3) that a picture of the whole must show."""
         ...
 
-    def draw(self, view: View, frame: Frame, past: Sequence[Frame]) -> Callable[[], None]:
+    def draw(self, view: View, frame: StepFrame, past: Sequence[StepFrame]) -> Callable[[], None]:
         """Work out the picture; returns what assigns it. `past` ends with `frame`."""
         ...
 

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import viser
 
-from dashboard.frames.frame import Frame
+from dashboard.frames.frame import StepFrame
 from dashboard.frames.stage import Stage
 from dashboard.scene import geometry
 from dashboard.scene.plants import HIDDEN
@@ -38,7 +38,7 @@ class ErrorPosts:
             "/plant/widths", plate[0].astype(np.float32), plate[1], side="double", **for_all
         )
 
-    def node_places(self, frame: Frame, past: Sequence[Frame]) -> np.ndarray:
+    def node_places(self, frame: StepFrame, past: Sequence[StepFrame]) -> np.ndarray:
         return self._stage.in_scene(self._stage.positions(frame.step), 0.15)
 
     def extent(self) -> np.ndarray:
@@ -46,7 +46,7 @@ class ErrorPosts:
         heights = (0.0, self._HEIGHT)
         return np.concatenate([stage.in_scene(stage.whereabouts, height) for height in heights])
 
-    def draw(self, view: View, frame: Frame, past: Sequence[Frame]) -> Callable[[], None]:
+    def draw(self, view: View, frame: StepFrame, past: Sequence[StepFrame]) -> Callable[[], None]:
         stage, theme = self._stage, view.theme
         error, width = frame.scores.error, stage.deviations * frame.scores.width
         top = float(np.nanmax(width)) if np.isfinite(width).any() else 1.0

@@ -7,8 +7,8 @@ import numpy as np
 import viser
 
 from dashboard.frames.conditions import DOWN, REJECTED, STALE, conditions
-from dashboard.frames.frame import Frame
-from dashboard.frames.stage import SCENE_WIDTH, Picture, Stage
+from dashboard.frames.frame import StepFrame
+from dashboard.frames.stage import SCENE_WIDTH, PlantDrawing, Stage
 from dashboard.panels.table import colour_of
 from dashboard.scene import geometry
 from dashboard.scene.plane import Plane
@@ -21,10 +21,10 @@ from dashboard.view import MOST_LABELS, View
 _NODE_HEIGHT = 0.02
 # Above these they hide everything, and say nothing.
 _MOST_LINKS = 2000
-PLANTS: dict[Picture, Callable[..., PlantPicture]] = {
-    Picture.PLANE: Plane,
-    Picture.TRACK: CarTrack,
-    Picture.GRAPH: ErrorPosts,
+PLANTS: dict[PlantDrawing, Callable[..., PlantPicture]] = {
+    PlantDrawing.PLANE: Plane,
+    PlantDrawing.TRACK: CarTrack,
+    PlantDrawing.GRAPH: ErrorPosts,
 }
 
 
@@ -38,7 +38,7 @@ class Scene:
         self, scene: viser.SceneApi, stage: Stage, theme: Theme, pick: Callable[[int], None] | None
     ) -> None:
         self._scene, self._stage = scene, stage
-        largest = 0.22 if stage.picture is Picture.TRACK else 0.4
+        largest = 0.22 if stage.picture is PlantDrawing.TRACK else 0.4
         self._radius = float(np.clip(0.34 * np.sqrt(20 / stage.nodes), 0.11, largest))
         self._labels: list[Any] = []
         self._surroundings(theme)
@@ -122,7 +122,7 @@ class Scene:
         return (points[:, None] + around).reshape(-1, 3)
 
     def draw(
-        self, view: View, frame: Frame, past: Sequence[Frame], sender: int
+        self, view: View, frame: StepFrame, past: Sequence[StepFrame], sender: int
     ) -> Callable[[], None]:
         """Work out the picture; returns what assigns it, for inside of one `atomic()`."""
         stage, theme = self._stage, view.theme
@@ -165,7 +165,7 @@ class Scene:
             ring.color = colour
 
     def _links(
-        self, view: View, frame: Frame, at: np.ndarray
+        self, view: View, frame: StepFrame, at: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Segments and colours of the links that are up, and the dashes of those that are cut."""
         edges, theme = self._stage.edges, view.theme
@@ -186,14 +186,14 @@ class Scene:
         painted = np.repeat(colours[up][:, None], 2, axis=1)
         return ends[up], painted, geometry.dashed(ends[frame.cut])
 
-    def _sending_links(self, frame: Frame, at: np.ndarray, sender: int) -> np.ndarray:
+    def _sending_links(self, frame: StepFrame, at: np.ndarray, sender: int) -> np.ndarray:
         edges = self._stage.edges
         if sender < 0 or not len(edges):
             return _NO_LINES
         hers = (edges == sender).any(1) & ~frame.cut & frame.alive[edges].all(1)
         return at[edges[hers]] + [0, 0, 0.08]
 
-    def _label(self, view: View, frame: Frame, at: np.ndarray) -> None:
+    def _label(self, view: View, frame: StepFrame, at: np.ndarray) -> None:
         """Names beside the nodes, where they have room; again only when something about them is."""
         wanted = view.labels and self._stage.nodes <= MOST_LABELS
         places = tuple(map(tuple, np.round(at, 1))) if wanted else ()
@@ -202,7 +202,7 @@ class Scene:
             return
         self._shown_labels = shown
         # Above a node of a graph stands its post.
-        below = self._stage.picture is Picture.GRAPH
+        below = self._stage.picture is PlantDrawing.GRAPH
         anchor, off = ("top-center", (0, -1.2, 0)) if below else ("bottom-center", (0, 0, 1.5))
         if wanted and not self._labels:
             self._labels = [
@@ -222,7 +222,7 @@ _NO_LINES = np.zeros((0, 2, 3))
 
 def _round_cell(stage: Stage) -> float:
     """A grid whose cells are a round number of metres."""
-    if stage.picture is not Picture.PLANE:
+    if stage.picture is not PlantDrawing.PLANE:
         return 2.0
     metres = 2.0 / stage.scale
     power = 10.0 ** np.floor(np.log10(metres))

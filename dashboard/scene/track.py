@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import viser
 
-from dashboard.frames.frame import Frame
+from dashboard.frames.frame import StepFrame
 from dashboard.frames.stage import SCENE_WIDTH, Stage
 from dashboard.scene import geometry
 from dashboard.scene.plants import add_lines, paint
@@ -31,7 +31,7 @@ class CarTrack:
         self._cabin = scene.add_box("/plant/cabin", dimensions=(0.45, 0.36, 0.18), visible=False)
         self._low_m, self._high_m = np.full(2, -5.0), np.full(2, 5.0)
 
-    def _ways(self, past: Sequence[Frame]) -> tuple[np.ndarray, np.ndarray]:
+    def _ways(self, past: Sequence[StepFrame]) -> tuple[np.ndarray, np.ndarray]:
         """Ways (T, 2) of the car and (T, N, 2) of the nodes' estimates, in metres."""
         truth = np.array([frame.truth[self._states] for frame in past])
         nodes = np.array([frame.belief.mean[:, self._states] for frame in past])
@@ -43,7 +43,7 @@ class CarTrack:
         flat = (way - (self._low_m + self._high_m) / 2) * units
         return np.concatenate([flat, np.full((*flat.shape[:-1], 1), height)], axis=-1)
 
-    def node_places(self, frame: Frame, past: Sequence[Frame]) -> np.ndarray:
+    def node_places(self, frame: StepFrame, past: Sequence[StepFrame]) -> np.ndarray:
         way, _ = self._ways(past)
         self._make_room(way[np.isfinite(way).all(-1)])
         car = self._drawn(np.nan_to_num(way[-1]), 0.0)
@@ -64,7 +64,7 @@ class CarTrack:
         flat = [(x, y) for x in (-wide, wide) for y in (-deep, deep)]
         return np.array([(x, y, z) for x, y in flat for z in (0.0, self._ABOVE)])
 
-    def draw(self, view: View, frame: Frame, past: Sequence[Frame]) -> Callable[[], None]:
+    def draw(self, view: View, frame: StepFrame, past: Sequence[StepFrame]) -> Callable[[], None]:
         theme = view.theme
         way, ways = self._ways(past)
         stride = max(1, len(past) // 400)

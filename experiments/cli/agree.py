@@ -29,7 +29,7 @@ BATCHED = "batched"
 _COMPARED = ("truth", "readings", "published", "mean", "cov", "ages")
 
 
-class Difference(msgspec.Struct, frozen=True):
+class DriverDifference(msgspec.Struct, frozen=True):
     """Where two drivers first part: the quantity, its index, and both values."""
 
     driver: str
@@ -81,33 +81,33 @@ def _run(setup: Setup, driver: str) -> Trace:
         return read_trace(setup, read_recording(recording))
 
 
-def first_difference(reference: Trace, trace: Trace, driver: str) -> Difference | None:
+def first_difference(reference: Trace, trace: Trace, driver: str) -> DriverDifference | None:
     """Return the first entry, step by step, whose bits are not those of the reference."""
-    earliest: Difference | None = None
+    earliest: DriverDifference | None = None
     for quantity in _COMPARED:
         ours, theirs = getattr(reference, quantity), getattr(trace, quantity)
         if ours.shape != theirs.shape:
-            return Difference(driver, f"{quantity} shape", [], ours.size, theirs.size)
+            return DriverDifference(driver, f"{quantity} shape", [], ours.size, theirs.size)
         # Equal bits, not equal values: NaN equals itself, and 0.0 is not -0.0.
         unequal = np.argwhere(ours.view(f"u{ours.itemsize}") != theirs.view(f"u{theirs.itemsize}"))
         if len(unequal) and (earliest is None or unequal[0][0] < earliest.index[0]):
             index = tuple(unequal[0].tolist())
-            earliest = Difference(
+            earliest = DriverDifference(
                 driver, quantity, list(index), float(ours[index]), float(theirs[index])
             )
     return earliest
 
 
-def near_differences(setup: Setup, reference: Trace) -> list[Difference]:
+def near_differences(setup: Setup, reference: Trace) -> list[DriverDifference]:
     """Where the batched driver departs from a trace by more than rounding, by quantity."""
     return [
-        Difference(BATCHED, name, where.tolist(), float(expected), float(value))
+        DriverDifference(BATCHED, name, where.tolist(), float(expected), float(value))
         for name, (where, expected, value) in departures(setup, reference).items()
     ]
 
 
 def _show(
-    setup: Setup, drivers: list[str], near: bool, differences: list[Difference], as_json: bool
+    setup: Setup, drivers: list[str], near: bool, differences: list[DriverDifference], as_json: bool
 ) -> None:
     scenario = setup.scenario
     if as_json:

@@ -27,7 +27,7 @@ from experiments.results.timing_figures import TimingFigures, figures_of
 from experiments.results.trace import Trace, read_trace
 from experiments.user_errors import user_errors
 from runtime.disk import writing
-from runtime.drivers import Pace
+from runtime.drivers import RunPace
 from runtime.recording import read_recording
 
 
@@ -46,10 +46,12 @@ def collect(options: Annotated[CollectOptions, tyro.conf.arg(name="")]) -> None:
     with user_errors():
         description = read_description(options.folder)
         trace = completed(options.folder, description)
-    finish(options.folder, description, trace, Pace(None, None), options.json)
+    finish(options.folder, description, trace, RunPace(None, None), options.json)
 
 
-def finish(folder: Path, description: Description, trace: Trace, pace: Pace, as_json: bool) -> None:
+def finish(
+    folder: Path, description: Description, trace: Trace, pace: RunPace, as_json: bool
+) -> None:
     """Write run.nc and bus.pcap, print the figures."""
     write_arrays(folder, description, trace)
     frames = capture(description.setup, trace, read_recording(folder / RECORDING))

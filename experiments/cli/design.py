@@ -14,7 +14,7 @@ from rich.table import Table
 
 from experiments.cli.scenario_flags import said_in
 from experiments.cli.sweep import FILE_WIDTH
-from experiments.design.candidates import COST_UNITS, Candidate, Refused
+from experiments.design.candidates import COST_UNITS, Candidate, RefusedCandidate
 from experiments.design.results import (
     Design,
     Tried,
@@ -24,7 +24,7 @@ from experiments.design.results import (
     nearest,
     write_design,
 )
-from experiments.design.search import Found, Task, search
+from experiments.design.search import Found, SearchTask, search
 from experiments.design.space import space_of
 from experiments.design.target import parse_target
 from experiments.sweep.engines import engine_for
@@ -70,9 +70,9 @@ def design(
         settled, space = space_of(specify(said_in(fields)))
         engine = engine_for(output.workers, output.dask)
         check_place(out)
-        task = Task(target, output.minimise, settled, space, output.runs, engine, _say)
+        task = SearchTask(target, output.minimise, settled, space, output.runs, engine, _say)
     kept: list[Candidate] = []
-    refused: list[Refused] = []
+    refused: list[RefusedCandidate] = []
     started = time.monotonic()
     try:
         with user_errors():

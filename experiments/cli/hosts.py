@@ -19,7 +19,7 @@ from experiments.progress import progress
 from experiments.results.folder import RECORDING, describe, make_folder, new_name, write_description
 from experiments.user_errors import user_errors
 from nodes.commands import Kill, Restart
-from runtime.drivers import Pace
+from runtime.drivers import RunPace
 from runtime.network.links import RECORDER, WORLD, checked_endpoints, checked_run
 from runtime.processes.job import Happened, Job
 from scenarios.preparation import prepare
@@ -167,7 +167,7 @@ def world(options: Annotated[WorldOptions, tyro.conf.arg(name="")]) -> None:
         take_part(job, folder, on_event)
     with user_errors():
         trace = completed(folder, description)
-    finish(folder, description, trace, Pace(None, None), options.json)
+    finish(folder, description, trace, RunPace(None, None), options.json)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from experiments.security_check import Attempt, check
+from experiments.security_check import IntrusionAttempt, check
 from experiments.user_errors import user_errors
 from runtime.network.certificates import make_keys
 from runtime.network.zenoh_transport import LinkError
@@ -73,7 +73,7 @@ def _check(options: KeysOptions) -> None:
     sys.exit(0 if held else 1)
 
 
-def _show_attempts(attempts: list[Attempt]) -> None:
+def _show_attempts(attempts: list[IntrusionAttempt]) -> None:
     table = Table("who", "tried", "arrived", "outcome")
     for one in attempts:
         outcome = one.outcome if one.held else f"{one.outcome}: BROKEN, not {one.wanted}"

@@ -7,7 +7,7 @@ from pathlib import Path
 from experiments.results.folder import Description, read_description_file
 from experiments.user_errors import user_errors
 from runtime.network.links import checked_endpoints, checked_run
-from runtime.processes.job import Happened, Job, Place
+from runtime.processes.job import Happened, HostPlace, Job
 from runtime.processes.launcher import NetworkFailed, run_job
 
 
@@ -50,7 +50,7 @@ def read_setup(path: Path) -> Description:
 
 def place_of(
     cast: Sequence[str], connect: Sequence[str], keys: Path | None, patience_s: float = 60.0
-) -> Place:
+) -> HostPlace:
     """Return the part of a network that is to be on this host.
 
     Raises:
@@ -59,7 +59,7 @@ def place_of(
     if not patience_s > 0:
         raise ValueError(f"--patience {patience_s:g}: must be above 0 seconds")
     endpoints = checked_endpoints("--connect", connect, keys is not None)
-    return Place(list(cast), list(endpoints), key_files(keys, cast), patience_s)
+    return HostPlace(list(cast), list(endpoints), key_files(keys, cast), patience_s)
 
 
 def take_part(job: Job, folder: Path | None, on_event: Callable[[Happened], None]) -> None:

@@ -19,8 +19,8 @@ from experiments.results.report_page import (
     Code,
     Grid,
     Heading,
+    PagePart,
     Paragraph,
-    Part,
     as_html,
     as_markdown,
     picture,
@@ -66,7 +66,7 @@ def report(options: Annotated[ReportOptions, tyro.conf.arg(name="")]) -> None:
     Console().print(str(out), highlight=False, soft_wrap=True)
 
 
-def page_of(result: Path) -> tuple[str, list[Part]]:
+def page_of(result: Path) -> tuple[str, list[PagePart]]:
     """Title and parts of the page of a result.
 
     Raises:
@@ -79,13 +79,13 @@ def page_of(result: Path) -> tuple[str, list[Part]]:
         title, parts = _of_design(result)
     else:
         title, parts = _of_sweep(result)
-    pictures: list[Part] = [Heading("Pictures")]
+    pictures: list[PagePart] = [Heading("Pictures")]
     for name, figure in figures.items():
         pictures.append(picture(name, figure))
     return title, [Heading(title, 1), *parts[:-2], *pictures, *parts[-2:]]
 
 
-def _of_sweep(path: Path) -> tuple[str, list[Part]]:
+def _of_sweep(path: Path) -> tuple[str, list[PagePart]]:
     from experiments.sweep.results import read_result, specification_of
     from experiments.sweep.summary import figures_of as summary_of
 
@@ -118,7 +118,7 @@ def _attributes(dataset: "xarray.Dataset") -> dict[str, str]:
     return {"commit": str(dataset.attrs["commit"]), **versions}
 
 
-def _of_design(path: Path) -> tuple[str, list[Part]]:
+def _of_design(path: Path) -> tuple[str, list[PagePart]]:
     from experiments.cli.design import lines
     from experiments.design.results import read_design
 
@@ -146,7 +146,7 @@ def _of_design(path: Path) -> tuple[str, list[Part]]:
     ]
 
 
-def _of_run(folder: Path) -> tuple[str, list[Part]]:
+def _of_run(folder: Path) -> tuple[str, list[PagePart]]:
     from experiments.cli.collect import completed
     from experiments.results.folder import read_description
     from experiments.results.summary import lines, summarise
@@ -172,7 +172,7 @@ def _of_run(folder: Path) -> tuple[str, list[Part]]:
     ]
 
 
-def _provenance(versions: Mapping[str, str], what: str) -> Sequence[Part]:
+def _provenance(versions: Mapping[str, str], what: str) -> Sequence[PagePart]:
     """Always two parts: what computed, and what exactly was asked for."""
     said = ", ".join(f"{name} {version}" for name, version in versions.items())
     return [Paragraph(f"Computed by {said}."), Code(json.dumps(json.loads(what), indent=2))]

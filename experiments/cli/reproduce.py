@@ -13,7 +13,7 @@ from rich.console import Console
 
 from experiments.results.folder import new_folder
 from experiments.user_errors import user_errors
-from papers.kit.report import REPORT, Paper, Report, check_runs, report_of, write_report
+from papers.kit.report import REPORT, Paper, ReproductionReport, check_runs, report_of, write_report
 from topology.names import unknown_name
 
 NAMES = ("wac", "meng2025", "adlukf", "labelled", "liu2021")
@@ -67,7 +67,7 @@ def reproduce(options: Annotated[ReproduceOptions, tyro.conf.arg(name="")]) -> N
         sys.exit(1)
 
 
-def carry_out(name: str, paper: Paper, folder: Path, seed: int, runs: int) -> Report:
+def carry_out(name: str, paper: Paper, folder: Path, seed: int, runs: int) -> ReproductionReport:
     """The whole reproduction, section by section on standard error. The report in `folder` is at
     every time as far as the work."""
     done = []
@@ -81,7 +81,7 @@ def carry_out(name: str, paper: Paper, folder: Path, seed: int, runs: int) -> Re
     return report
 
 
-def _show(report: Report, folder: Path, as_json: bool) -> None:
+def _show(report: ReproductionReport, folder: Path, as_json: bool) -> None:
     if as_json:
         sys.stdout.write(msgspec.json.encode(report).decode() + "\n")
         return

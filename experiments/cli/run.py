@@ -24,7 +24,7 @@ from experiments.results.folder import (
 from experiments.user_errors import user_errors
 from nodes.tempo import Tempo
 from runtime.disk import NotWritten
-from runtime.drivers import DRIVERS, Pace, over_processes
+from runtime.drivers import DRIVERS, RunPace, over_processes
 from runtime.network.links import names, ports_from
 from runtime.processes.launcher import NetworkFailed
 from scenarios.preparation import prepare
@@ -91,7 +91,7 @@ def run(
         many = output.covariances, output.json
         run_many(setup, output.runs, folder, description, *many)
         return
-    pace = Pace(None, None)
+    pace = RunPace(None, None)
     page = PageProcess(folder, output.http_port)
     try:
         with progress(f"{setup.scenario.name}", setup.scenario.steps) as on_step, user_errors():

@@ -11,8 +11,8 @@ from rich.table import Table
 from tyro.extras import SubcommandApp
 
 from experiments.progress import progress
-from experiments.topology.compare import Row, compared
-from experiments.topology.report import Loss, lines, loss_title, losses_of, report_of
+from experiments.topology.compare import ComparisonRow, compared
+from experiments.topology.report import NodeLoss, lines, loss_title, losses_of, report_of
 from experiments.topology.subject import SubjectOptions, subject_of
 from experiments.user_errors import user_errors
 from topology.adjacency import nodes_of
@@ -148,7 +148,7 @@ def topology_commands() -> SubcommandApp:
     return commands
 
 
-def _loss_table(losses: list[Loss]) -> Table:
+def _loss_table(losses: list[NodeLoss]) -> Table:
     errors = any(loss.error_growth is not None for loss in losses)
     table = Table("loss of node", "leaves")
     table.add_column("factor per round", justify="right")
@@ -163,7 +163,7 @@ def _loss_table(losses: list[Loss]) -> Table:
     return table
 
 
-def _comparison(rows: list[Row]) -> Table:
+def _comparison(rows: list[ComparisonRow]) -> Table:
     table = Table("graph", "weights", "links", show_edge=False)
     for heading in ("drawn", "nodes", "degree", "diameter", "cut nodes"):
         table.add_column(heading, justify="right")

@@ -13,8 +13,8 @@ import tyro
 
 from experiments.cli.scenario_flags import said_in
 from experiments.progress import progress
-from experiments.simulation_testing.case import Case
-from experiments.simulation_testing.case_run import Outcome
+from experiments.simulation_testing.case import SimulationCase
+from experiments.simulation_testing.case_run import SimulationOutcome
 from experiments.simulation_testing.case_run import torture as torture_case
 from experiments.simulation_testing.draw import draw_case
 from experiments.simulation_testing.options import FixedOptions, fixed_fields, read_seeds
@@ -53,7 +53,7 @@ def torture(
         # Options that no case can meet are refused before the first run.
         draw_case(seeds[0], fields)
         engine = engine_for(output.workers, None)
-    outcomes: dict[int, Outcome] = {}
+    outcomes: dict[int, SimulationOutcome] = {}
     began = time.monotonic()
     try:
         with progress("seeds", len(seeds)) as on_seeds, user_errors():
@@ -71,12 +71,16 @@ def torture(
     sys.exit(1 if any(outcome.broken for outcome in in_order) else 0)
 
 
-def _tortured(fields: dict[str, Any], seed: int) -> Outcome:
+def _tortured(fields: dict[str, Any], seed: int) -> SimulationOutcome:
     return torture_case(draw_case(seed, fields))
 
 
 def _show(
-    seeds: range, fields: dict[str, Any], outcomes: Sequence[Outcome], seconds: float, json: bool
+    seeds: range,
+    fields: dict[str, Any],
+    outcomes: Sequence[SimulationOutcome],
+    seconds: float,
+    json: bool,
 ) -> None:
     injected: Counter[str] = sum((outcome.injected for outcome in outcomes), Counter())
     struck: Counter[str] = sum((outcome.struck for outcome in outcomes), Counter())
@@ -111,10 +115,10 @@ def _listed(counts: Counter[str]) -> str:
     return ", ".join(f"{kind} {count}" for kind, count in counts.most_common()) or "none"
 
 
-def _failure(outcome: Outcome, fields: dict[str, Any], smaller: bool) -> dict[str, Any]:
+def _failure(outcome: SimulationOutcome, fields: dict[str, Any], smaller: bool) -> dict[str, Any]:
     case = draw_case(outcome.seed, fields)
 
-    def breaks(tried: Case) -> bool:
+    def breaks(tried: SimulationCase) -> bool:
         return torture_case(tried).broken == outcome.broken
 
     if smaller:

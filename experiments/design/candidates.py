@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 
 from experiments.design.space import Values
-from experiments.design.target import Target, error_of
+from experiments.design.target import DesignTarget, error_of
 from experiments.monte_carlo.intervals import Interval
 from experiments.scenario_options import scenario_with_known
 from experiments.sweep.cells import sorted_out
@@ -52,12 +52,12 @@ class Candidate(NamedTuple):
         spared, sent = (self.figures[name].mean() for name in (_COSTS[cost], "bytes_per_step"))
         return float(spared), float(sent)
 
-    def error(self, target: Target, confidence: float) -> Interval:
+    def error(self, target: DesignTarget, confidence: float) -> Interval:
         """Return the error as the target measures it."""
         return error_of(target, self.figures, confidence)
 
 
-class Refused(msgspec.Struct, frozen=True):
+class RefusedCandidate(msgspec.Struct, frozen=True):
     """A candidate that cannot run, and why."""
 
     values: Values
@@ -66,7 +66,7 @@ class Refused(msgspec.Struct, frozen=True):
 
 def candidates_of(
     settled: Values, wanted: Sequence[Values], first_number: int
-) -> tuple[list[Candidate], list[Refused]]:
+) -> tuple[list[Candidate], list[RefusedCandidate]]:
     """Return the candidates that can run, of which nothing is known yet, and those that cannot.
 
     Raises:
@@ -81,7 +81,7 @@ def candidates_of(
     good, bad = sorted_out(cells)
     return (
         [Candidate(cell, {}) for cell in good],
-        [Refused(cell.values, str(reason)) for cell, reason in bad],
+        [RefusedCandidate(cell.values, str(reason)) for cell, reason in bad],
     )
 
 

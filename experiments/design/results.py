@@ -6,10 +6,10 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from experiments.design.candidates import Candidate, Cost, Refused
+from experiments.design.candidates import Candidate, Cost, RefusedCandidate
 from experiments.design.search import Confirmed, Found, on_front
 from experiments.design.space import Values
-from experiments.design.target import Target
+from experiments.design.target import DesignTarget
 from experiments.monte_carlo.intervals import Interval, mean_t
 from experiments.results.folder import commit, versions
 from experiments.sweep.specification import FIELDS, shown
@@ -54,11 +54,11 @@ class Design(msgspec.Struct, frozen=True, kw_only=True):
     scenario: str
     settled: Values
     seed: int
-    target: Target
+    target: DesignTarget
     unit: str
     minimise: Cost
     tried: list[Tried]
-    refused: list[Refused]
+    refused: list[RefusedCandidate]
     attempts: list[Attempt]
     recommended: Attempt | None
     finished: bool
@@ -67,7 +67,7 @@ class Design(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def design_of(
-    settled: Values, target: Target, minimise: Cost, found: Found, finished: bool
+    settled: Values, target: DesignTarget, minimise: Cost, found: Found, finished: bool
 ) -> Design:
     """Return the result of a search."""
     scenario = found.candidates[0].cell.scenario
@@ -153,7 +153,7 @@ def nearest(design: Design) -> Tried:
     return min(design.tried, key=lambda one: (bool(np.isnan(one.error.value)), one.error.value))
 
 
-def _tried(one: Candidate, target: Target, front: bool) -> Tried:
+def _tried(one: Candidate, target: DesignTarget, front: bool) -> Tried:
     return Tried(
         values=one.cell.values,
         runs=one.runs,

@@ -12,9 +12,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.design.candidates import Candidate, Cost, Refused, candidates_of, with_runs
+from experiments.design.candidates import (
+    Candidate,
+    Cost,
+    RefusedCandidate,
+    candidates_of,
+    with_runs,
+)
 from experiments.design.space import Values, coarse_grid, neighbours_of
-from experiments.design.target import Target
+from experiments.design.target import DesignTarget
 from experiments.monte_carlo.intervals import Interval
 from experiments.monte_carlo.pareto import front
 from experiments.sweep.specification import Value
@@ -30,10 +36,10 @@ ATTEMPTS = 4
 FRESH_RUN = 100_000
 
 
-class Task(NamedTuple):
+class SearchTask(NamedTuple):
     """Task of a search: target, space and workers. `say` receives the progress messages."""
 
-    target: Target
+    target: DesignTarget
     cost: Cost
     settled: Values
     space: Mapping[str, Sequence[Value]]
@@ -55,7 +61,7 @@ class Found(NamedTuple):
     """State of a search: all candidates, the refused ones, and the confirmations in order."""
 
     candidates: list[Candidate]
-    refused: list[Refused]
+    refused: list[RefusedCandidate]
     confirmed: list[Confirmed]
 
     @property
@@ -64,7 +70,7 @@ class Found(NamedTuple):
         return next((one for one in self.confirmed if one.meets), None)
 
 
-def search(task: Task, kept: list[Candidate], refused: list[Refused]) -> Found:
+def search(task: SearchTask, kept: list[Candidate], refused: list[RefusedCandidate]) -> Found:
     """Search; `kept` and `refused` grow as it goes on, so that an interruption loses nothing.
 
     Raises:
@@ -96,7 +102,7 @@ def ranked(task_cost: Cost, candidates: Sequence[Candidate]) -> list[Candidate]:
     return sorted(candidates, key=lambda one: (*one.cost(task_cost), one.cell.number))
 
 
-def on_front(target: Target, cost: Cost, candidates: Sequence[Candidate]) -> list[Candidate]:
+def on_front(target: DesignTarget, cost: Cost, candidates: Sequence[Candidate]) -> list[Candidate]:
     """Return the candidates that no other beats in cost and error, the cheapest first."""
     by_cost = ranked(cost, candidates)
     # Rank in place of the cost: it knows which of two equal costs is dearer in bytes.
@@ -105,7 +111,10 @@ def on_front(target: Target, cost: Cost, candidates: Sequence[Candidate]) -> lis
 
 
 def _look(
-    task: Task, wanted: Sequence[Values], kept: list[Candidate], refused: list[Refused]
+    task: SearchTask,
+    wanted: Sequence[Values],
+    kept: list[Candidate],
+    refused: list[RefusedCandidate],
 ) -> None:
     new, bad = candidates_of(task.settled, wanted, len(kept) + len(refused))
     refused += bad
@@ -113,7 +122,7 @@ def _look(
     kept += with_runs(new, LOOK_RUNS, task.engine, lambda _: None)
 
 
-def _centres(task: Task, known: Sequence[Candidate]) -> list[Candidate]:
+def _centres(task: SearchTask, known: Sequence[Candidate]) -> list[Candidate]:
     """Around whom to look closer: the cheapest that seem to meet the target, and the best."""
     meets = [one for one in known if one.error(task.target, 0.95).value <= task.target.most]
     # Of equal costs the better one has more to give away.
@@ -126,7 +135,7 @@ def _centres(task: Task, known: Sequence[Candidate]) -> list[Candidate]:
     return near + [one for one in (*missing, best) if one not in near]
 
 
-def _race(task: Task, known: list[Candidate]) -> list[Candidate]:
+def _race(task: SearchTask, known: list[Candidate]) -> list[Candidate]:
     """Runs for those that may still win; returns the finalists, the cheapest first."""
     racing = list(known)
     for runs in RACE_RUNS:
@@ -144,7 +153,7 @@ def _race(task: Task, known: list[Candidate]) -> list[Candidate]:
     return ranked(task.cost, meets)
 
 
-def _still_in(task: Task, racing: Sequence[Candidate]) -> list[Candidate]:
+def _still_in(task: SearchTask, racing: Sequence[Candidate]) -> list[Candidate]:
     """Return candidates that may be the cheapest to meet the target; at most half, rounded up."""
     target = task.target
     errors = {one.cell.number: one.error(target, 0.95) for one in racing}
@@ -163,7 +172,7 @@ def _still_in(task: Task, racing: Sequence[Candidate]) -> list[Candidate]:
     return [*ranked(task.cost, meets), *misses][:most]
 
 
-def _confirm(task: Task, finalists: Sequence[Candidate]) -> list[Confirmed]:
+def _confirm(task: SearchTask, finalists: Sequence[Candidate]) -> list[Confirmed]:
     """Return the cheapest finalists on fresh runs, until one meets the target.
 
     The upper bound is one-sided, and what may go wrong in all attempts together is 5 %: half of it

@@ -15,7 +15,7 @@ _FORM = re.compile(r"^([0-9.eE+-]+)(?:x-([a-z-]+))?$")
 _REFERENCES = ("centralised", "bound")
 
 
-class Target(msgspec.Struct, frozen=True):
+class DesignTarget(msgspec.Struct, frozen=True):
     """The error to be met: so many times that of a reference, or `unit`s of the scenario."""
 
     most: float
@@ -29,7 +29,7 @@ class Target(msgspec.Struct, frozen=True):
         return f"RMSE of at most {self.most:g} x {name[self.reference]}"
 
 
-def parse_target(text: str) -> Target:
+def parse_target(text: str) -> DesignTarget:
     """1.5x-centralised, 2x-bound, or a number in the scenario's unit.
 
     Raises:
@@ -52,10 +52,10 @@ def parse_target(text: str) -> Target:
         raise ValueError(
             f"--target-rmse {text}: no network is better than its reference; ask for 1 or more"
         )
-    return Target(most, reference)  # type: ignore[arg-type]
+    return DesignTarget(most, reference)  # type: ignore[arg-type]
 
 
-def error_of(target: Target, figures: dict[str, np.ndarray], confidence: float) -> Interval:
+def error_of(target: DesignTarget, figures: dict[str, np.ndarray], confidence: float) -> Interval:
     """The error of a candidate as the target measures it, over runs, both sides at `confidence`."""
     squares = np.square(figures["rmse"])
     if target.reference == "centralised":

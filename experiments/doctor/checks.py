@@ -15,7 +15,7 @@ from experiments.doctor import machine
 from experiments.doctor.finding import Finding, Verdict
 from plants.recorded import mrclam_files
 from plants.vehicle import drive_log
-from runtime.network.links import LOOPBACK, Links, free_ports
+from runtime.network.links import LOOPBACK, ZenohEndpoints, free_ports
 from runtime.network.zenoh_transport import LinkError, Transport
 from scenarios.definitions.mrclam import DATA_VARIABLE as MRCLAM_VARIABLE
 from topology import intel_lab
@@ -70,8 +70,8 @@ def round_trip_s() -> float:
     """
     endpoint = f"tcp/{LOOPBACK}:{free_ports(['doctor'])['doctor']}"
     times: list[float] = []
-    echo = Transport("doctor", Links("peer", (endpoint,), ()), ["there"], 8)
-    caller = Transport("doctor", Links("peer", (), (endpoint,), _ANSWER_S), ["back"], 8)
+    echo = Transport("doctor", ZenohEndpoints("peer", (endpoint,), ()), ["there"], 8)
+    caller = Transport("doctor", ZenohEndpoints("peer", (), (endpoint,), _ANSWER_S), ["back"], 8)
 
     def answer() -> None:
         for _ in range(_ROUND_TRIPS):

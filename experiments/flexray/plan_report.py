@@ -71,7 +71,7 @@ class PlanReport(msgspec.Struct, frozen=True):
     figures: BusFigures
 
 
-class Answer(msgspec.Struct, frozen=True):
+class PlanAnswer(msgspec.Struct, frozen=True):
     """Answer of `concord flexray plan`.
 
     `problem` says why the requested bus is impossible; it is None if the bus is possible. `shown`
@@ -86,7 +86,7 @@ class Answer(msgspec.Struct, frozen=True):
     alternatives: list[PlanReport]
 
 
-def answer_plan(scenario: Scenario) -> Answer:
+def answer_plan(scenario: Scenario) -> PlanAnswer:
     """Return the plan of a scenario's bus, or the best that its cluster holds.
 
     Raises:
@@ -101,9 +101,9 @@ def answer_plan(scenario: Scenario) -> Answer:
         others = [_report(other) for other in alternatives(setup)]
         if not others:
             raise
-        return Answer(scenario, str(error), _fitted_cycle_us(setup), others[0], others)
+        return PlanAnswer(scenario, str(error), _fitted_cycle_us(setup), others[0], others)
     timed = with_cluster(bus, scenario)
-    return Answer(scenario, None, None, _report(Alternative(setup, timed)), [])
+    return PlanAnswer(scenario, None, None, _report(Alternative(setup, timed)), [])
 
 
 def with_cluster(bus: Bus, scenario: Scenario) -> FlexRayBus:

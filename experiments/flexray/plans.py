@@ -10,7 +10,13 @@ from rich.table import Table
 
 from bus.flexray.timeline import timeline
 from experiments.cli.scenario_flags import ScenarioFlags, resolved
-from experiments.flexray.plan_report import Answer, PlanReport, SlotRow, answer_plan, with_cluster
+from experiments.flexray.plan_report import (
+    PlanAnswer,
+    PlanReport,
+    SlotRow,
+    answer_plan,
+    with_cluster,
+)
 from experiments.flexray.rehearsal import rehearse
 from experiments.results import bus_report
 from experiments.results.bus_report import timetable
@@ -80,7 +86,7 @@ def show(
     sys.stdout.write(timeline(bus.cluster, cycle, frames))
 
 
-def _print_answer(answer: Answer) -> None:
+def _print_answer(answer: PlanAnswer) -> None:
     asked, shown = answer.asked, answer.shown
     cluster = asked.bus.cluster if isinstance(asked.bus, FlexRay) else "none"
     out = sys.stdout.write

@@ -26,7 +26,7 @@ Means = Callable[[np.ndarray], Interval]
 Ratios = Callable[[np.ndarray, np.ndarray], Interval]
 
 
-class Method(NamedTuple):
+class IntervalMethod(NamedTuple):
     """A way to make intervals of (runs,) figures: of a mean, and of the ratio of two root means."""
 
     mean: Means
@@ -78,9 +78,9 @@ def ratio_bootstrap(squares: np.ndarray, others: np.ndarray, confidence: float =
     return Interval(_root_ratio(squares, others), low, high)
 
 
-METHODS: dict[str, Method] = {
-    "t": Method(mean_t, ratio_t),
-    "bootstrap": Method(mean_bootstrap, ratio_bootstrap),
+METHODS: dict[str, IntervalMethod] = {
+    "t": IntervalMethod(mean_t, ratio_t),
+    "bootstrap": IntervalMethod(mean_bootstrap, ratio_bootstrap),
 }
 
 

@@ -14,7 +14,7 @@ from filters.gaussian import Gaussian
 from filters.metrics import largest_of_known, mean_of_known, nees, rmse
 from scenarios.baselines import centralised_of_runs, local_only_of_runs
 from scenarios.catalogue import kind_of
-from scenarios.rules import is_certain
+from scenarios.rules import is_set_valued
 
 _TABLE_NODES = 60
 
@@ -62,14 +62,14 @@ class ManyFigures(msgspec.Struct, frozen=True):
     peak_memory_mb: float
 
 
-class Cost(NamedTuple):
+class RunCost(NamedTuple):
     """Cost of the runs."""
 
     seconds: float
     peak_memory_mb: float
 
 
-def summarise(histories: Histories, cost: Cost) -> ManyFigures:
+def summarise(histories: Histories, cost: RunCost) -> ManyFigures:
     """Return the figures of histories with their readings."""
     setup, scenario = histories.setup, histories.setup.scenario
     assert histories.readings is not None, "keep the readings"
@@ -84,7 +84,7 @@ def summarise(histories: Histories, cost: Cost) -> ManyFigures:
     of_central, anees_central = _centralised(histories, counted)
     central = rmse(of_central, (1,))
     states = len(score.nees_states)
-    values = np.full_like(histories.nees, np.nan) if is_certain(scenario) else histories.nees
+    values = np.full_like(histories.nees, np.nan) if is_set_valued(scenario) else histories.nees
     consistency = _where(counted, values) / states
     spread = _where(counted, histories.mean)[..., list(score.states)]
     # Of those nodes that believe something: some may be out.
@@ -147,7 +147,7 @@ def _centralised(histories: Histories, counted: np.ndarray) -> tuple[np.ndarray,
     runs = histories.runs.tolist()
     belief = centralised_of_runs(setup, runs, histories.readings, histories.control)
     errors = _where(counted, belief.mean - histories.truth)
-    if is_certain(setup.scenario):
+    if is_set_valued(setup.scenario):
         return errors[..., list(score.states)], np.full(shape[0], np.nan)
     part = list(score.nees_states)
     normalised = nees(errors[..., part], Gaussian(*belief).cov[..., part, :][..., part])

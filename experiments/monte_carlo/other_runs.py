@@ -26,7 +26,7 @@ from experiments.priority import give_way
 from runtime.batched.build import without_array_form
 from runtime.interpreter import fresh_command, fresh_variables
 from scenarios.catalogue import kind_of
-from scenarios.rules import is_certain
+from scenarios.rules import is_set_valued
 from scenarios.setup import Setup
 
 RUNS, SHARE = 100, 0.95
@@ -47,7 +47,7 @@ class Question(msgspec.Struct):
     sparing: bool
 
 
-class Told(msgspec.Struct):
+class NeesRange(msgspec.Struct):
     """Per step: between what values the mean NEES of the nodes lies in `SHARE` of the runs, and the
     root of the trace of the posterior Cramer-Rao bound of the scored states (None: not defined)."""
 
@@ -56,7 +56,7 @@ class Told(msgspec.Struct):
     bound: list[float | None]
 
 
-def told_by(setup: Setup, runs: int, rest: Callable[[int], None] = lambda done: None) -> Told:
+def told_by(setup: Setup, runs: int, rest: Callable[[int], None] = lambda done: None) -> NeesRange:
     """Return the values of runs 1000 and up, without the shown run. `rest` is called every step."""
     bounded = setup.scenario.nodes * setup.scenario.steps <= _MOST_BOUNDED
     keep = (READINGS,) if bounded else ()
@@ -71,7 +71,7 @@ def told_by(setup: Setup, runs: int, rest: Callable[[int], None] = lambda done: 
         states = list(kind_of(setup.scenario.name).score.states)
         variances = np.diagonal(bound_of(setup, histories), axis1=-2, axis2=-1)
         bound = np.sqrt(variances[:, states].sum(axis=-1))
-    return Told(_plain(low), _plain(high), _plain(bound))
+    return NeesRange(_plain(low), _plain(high), _plain(bound))
 
 
 def _plain(values: np.ndarray) -> list[float | None]:
@@ -79,7 +79,7 @@ def _plain(values: np.ndarray) -> list[float | None]:
     return [float(value) if np.isfinite(value) else None for value in values]
 
 
-def expected(told: Told, time_step_s: float, times: np.ndarray) -> Expected:
+def expected(told: NeesRange, time_step_s: float, times: np.ndarray) -> Expected:
     """Return the expected values at these times."""
     steps = np.clip(np.round(times / time_step_s).astype(int), 0, len(told.nees_low) - 1)
     columns = (told.nees_low, told.nees_high, told.bound)
@@ -91,12 +91,12 @@ class OtherRuns:
 
     def __init__(self, setup: Setup, sparing: bool) -> None:
         self._time_step_s = setup.time_step_s
-        self._told: Told | None = None
+        self._told: NeesRange | None = None
         self._process: subprocess.Popen[bytes] | None = None
         scenario = setup.scenario
         in_messages = without_array_form(scenario) is not None
         too_long = in_messages and scenario.nodes * scenario.steps > _MOST_NODE_STEPS
-        if is_certain(scenario) or too_long:
+        if is_set_valued(scenario) or too_long:
             return
         self._process = subprocess.Popen(
             fresh_command("experiments.monte_carlo.other_runs"),
@@ -125,7 +125,7 @@ class OtherRuns:
             process.stdin.flush()
             line = process.stdout.readline()
             if line.endswith(b"\n"):
-                self._told = msgspec.json.decode(line, type=Told)
+                self._told = msgspec.json.decode(line, type=NeesRange)
 
     def __call__(self, times: np.ndarray) -> Expected:
         """Return the expected values at these times."""

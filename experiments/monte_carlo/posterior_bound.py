@@ -81,10 +81,10 @@ def _predicted(
     eigenvalues = np.linalg.eigvalsh(noise_cov)
     if eigenvalues[0] <= SINGULAR * eigenvalues[-1]:
         return np.full_like(bound, np.nan)
-    certain = inverse_spd(noise_cov)
-    crossed = certain @ mean
-    both = inverse_spd(bound) + (jacobians.mT @ certain @ jacobians).mean(axis=0)
-    return inverse_spd(symmetrise(certain - crossed @ inverse_spd(symmetrise(both)) @ crossed.T))
+    precision = inverse_spd(noise_cov)
+    crossed = precision @ mean
+    both = inverse_spd(bound) + (jacobians.mT @ precision @ jacobians).mean(axis=0)
+    return inverse_spd(symmetrise(precision - crossed @ inverse_spd(symmetrise(both)) @ crossed.T))
 
 
 def _information(

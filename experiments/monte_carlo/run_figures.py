@@ -10,16 +10,16 @@ import numpy as np
 from scipy.special import chdtri
 
 from experiments.monte_carlo.energy import energy_per_bit_nj
-from experiments.monte_carlo.run_frame import Frame
+from experiments.monte_carlo.run_frame import RunFrame
 from experiments.monte_carlo.simulate import Histories
 from filters.linalg import symmetrise
 from filters.metrics import largest_of_known, mean_of_known, nees, rmse
-from runtime.batched.build import turnings_of
+from runtime.batched.build import changes_of
 from scenarios.build import build_bus
 from scenarios.bus_plan import frame_format
 from scenarios.catalogue import kind_of
 from scenarios.kind import Score
-from scenarios.rules import is_certain
+from scenarios.rules import is_set_valued
 from scenarios.setup import Setup
 
 COVERED = 0.95
@@ -62,7 +62,7 @@ FIGURES = {
 }
 
 
-def figures_of(setup: Setup, histories: Histories, frame: Frame) -> dict[str, np.ndarray]:
+def figures_of(setup: Setup, histories: Histories, frame: RunFrame) -> dict[str, np.ndarray]:
     """Return the variables of `FIGURES`, with their dimensions."""
     score = kind_of(setup.scenario.name).score
     readings, _ = kept(histories)
@@ -115,7 +115,7 @@ def scored_steps(score: Score, readings: np.ndarray) -> np.ndarray:
 
 def _consistency(setup: Setup, values: np.ndarray, counted: np.ndarray) -> dict[str, np.ndarray]:
     states = kind_of(setup.scenario.name).score.nees_states
-    if is_certain(setup.scenario):
+    if is_set_valued(setup.scenario):
         nothing = np.full(len(values), np.nan)
         return {"anees": nothing, "coverage": nothing, "nees": np.full(counted.shape, np.nan)}
     within = np.where(np.isnan(values), np.nan, values <= chdtri(len(states), 1 - COVERED))
@@ -130,7 +130,7 @@ def _consistency(setup: Setup, values: np.ndarray, counted: np.ndarray) -> dict[
 def _anees_central(
     setup: Setup, errors: np.ndarray, cov: np.ndarray, counted: np.ndarray
 ) -> np.ndarray:
-    if is_certain(setup.scenario):
+    if is_set_valued(setup.scenario):
         return np.full(len(errors), np.nan)
     states = list(kind_of(setup.scenario.name).score.nees_states)
     values = nees(errors[..., states], symmetrise(_part(cov, states)))
@@ -160,11 +160,11 @@ def traffic_of(setup: Setup, histories: Histories) -> dict[str, np.ndarray]:
 
 def _cycles(setup: Setup) -> int:
     """Communication cycles of a run."""
-    steps, turnings = setup.scenario.steps, turnings_of(setup)
-    ends = [*(turning.step for turning in turnings[1:]), steps]
+    steps, changes = setup.scenario.steps, changes_of(setup)
+    ends = [*(change.step for change in changes[1:]), steps]
     return sum(
-        (end - turning.step) * int(turning.standing.settings.get("rounds", setup.scenario.rounds))
-        for turning, end in zip(turnings, ends, strict=True)
+        (end - change.step) * int(change.standing.settings.get("rounds", setup.scenario.rounds))
+        for change, end in zip(changes, ends, strict=True)
     )
 
 
@@ -172,7 +172,7 @@ def _bus(setup: Setup, payload: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean load (R,) and mean delay (R,); NaN on a bus without time, or of several settings."""
     bus = build_bus(setup)
     runs, steps, rounds, nodes = payload.shape
-    if not bus.has_time or any(turning.anew for turning in turnings_of(setup)):
+    if not bus.has_time or any(change.anew for change in changes_of(setup)):
         return np.full(runs, np.nan), np.full(runs, np.nan)
     cycles = np.arange(steps * rounds) % bus.schedule.period
     rows = np.column_stack((np.tile(cycles, runs), payload.reshape(-1, nodes)))

@@ -18,7 +18,7 @@ from scenarios.setup import Setup
 _KEPT = 64
 
 
-class Frame(NamedTuple):
+class RunFrame(NamedTuple):
     """Centralised mean (R, steps, n) and cov (R, steps, n, n) of R runs; bound (steps, n, n)."""
 
     mean: np.ndarray
@@ -26,10 +26,10 @@ class Frame(NamedTuple):
     bound: np.ndarray
 
 
-_frames: dict[bytes, Frame] = {}
+_frames: dict[bytes, RunFrame] = {}
 
 
-def frame_of(setup: Setup, runs: range, histories: Histories) -> Frame:
+def frame_of(setup: Setup, runs: range, histories: Histories) -> RunFrame:
     """Return the frame of these runs; computed once per process for equal truths and readings."""
     key = _key(setup, runs, histories) if listens_step_by_step(setup) else None
     if key is not None and key in _frames:
@@ -56,11 +56,11 @@ def _key(setup: Setup, runs: range, histories: Histories) -> bytes:
     return digest.digest()
 
 
-def _frame(setup: Setup, runs: range, histories: Histories) -> Frame:
+def _frame(setup: Setup, runs: range, histories: Histories) -> RunFrame:
     control, readings = histories.control, histories.readings
     assert readings is not None, "keep the readings"
     alone = centralised_of_runs(setup, runs, readings, control)
-    return Frame(alone.mean, alone.cov, bound_of(setup, histories))
+    return RunFrame(alone.mean, alone.cov, bound_of(setup, histories))
 
 
 def bound_of(setup: Setup, histories: Histories) -> np.ndarray:

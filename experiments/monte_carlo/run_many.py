@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 from rich.console import Console
 
-from experiments.monte_carlo.many_figures import Cost, ManyFigures, lines, summarise, table
+from experiments.monte_carlo.many_figures import ManyFigures, RunCost, lines, summarise, table
 from experiments.monte_carlo.simulate import AGES, COV, READINGS, Histories, Interrupted, simulate
 from experiments.progress import progress
 from experiments.results.folder import Description, write_whole
@@ -54,7 +54,7 @@ def run_many(
     peak_memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     # The file is written first, because a second Ctrl-C may end the program before the table.
     write_histories(folder, description, histories)
-    _show(summarise(histories, Cost(seconds, peak_memory_mb)), setup, as_json)
+    _show(summarise(histories, RunCost(seconds, peak_memory_mb)), setup, as_json)
     if stopped is not None:
         raise stopped
 

@@ -199,7 +199,7 @@ class _Part(NamedTuple):
 def _driven(setup: Setup, runs: Sequence[int]) -> _Part:
     """Some runs at once."""
     network = build_network(setup, runs)
-    most_rounds = max(era.regime.rounds for era in network.eras)
+    most_rounds = max(segment.settings.rounds for segment in network.segments)
     counters: dict[str, np.ndarray] = {}
     # Nodes times nodes times steps: nothing that a rule without records could afford.
     spreads: list[SpreadHistory] = []

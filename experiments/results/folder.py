@@ -19,7 +19,7 @@ from filters.metrics import consensus, nees
 from nodes.tempo import Tempo
 from runtime.disk import writing
 from scenarios.catalogue import kind_of
-from scenarios.rules import is_certain
+from scenarios.rules import is_set_valued
 from scenarios.setup import Setup
 
 if TYPE_CHECKING:
@@ -192,7 +192,7 @@ def write_whole(folder: Path, dataset: "xarray.Dataset", description: Descriptio
 
 def _meaning(setup: Setup) -> dict[str, str]:
     """Return the meanings of cov and nees for set-valued estimates."""
-    if not is_certain(setup.scenario):
+    if not is_set_valued(setup.scenario):
         return {}
     return {"meaning": "cov is the shape matrix P of a set e' P^-1 e <= 1 that holds the truth"}
 

@@ -49,27 +49,27 @@ class Grid(NamedTuple):
     texts: int
 
 
-class Picture(NamedTuple):
+class ReportPicture(NamedTuple):
     """A picture as PNG bytes, and what it is called."""
 
     name: str
     png: bytes
 
 
-Part = Heading | Paragraph | Code | Grid | Picture
+PagePart = Heading | Paragraph | Code | Grid | ReportPicture
 
 
-def picture(name: str, figure: "Figure") -> Picture:
+def picture(name: str, figure: "Figure") -> ReportPicture:
     """A figure as a picture of a page."""
     import matplotlib.pyplot as plt
 
     buffer = BytesIO()
     figure.savefig(buffer, format="png")
     plt.close(figure)
-    return Picture(name, buffer.getvalue())
+    return ReportPicture(name, buffer.getvalue())
 
 
-def as_html(title: str, parts: Sequence[Part]) -> str:
+def as_html(title: str, parts: Sequence[PagePart]) -> str:
     """One page that needs no other file."""
     body = "\n".join(_html(part) for part in parts)
     return (
@@ -79,12 +79,12 @@ def as_html(title: str, parts: Sequence[Part]) -> str:
     )
 
 
-def as_markdown(parts: Sequence[Part]) -> str:
+def as_markdown(parts: Sequence[PagePart]) -> str:
     """Return the page as Markdown; pictures are inside, as data."""
     return "\n\n".join(_markdown(part) for part in parts) + "\n"
 
 
-def _html(part: Part) -> str:
+def _html(part: PagePart) -> str:
     match part:
         case Heading(text, level):
             return f"<h{level}>{html.escape(text)}</h{level}>"
@@ -92,7 +92,7 @@ def _html(part: Part) -> str:
             return f"<p>{html.escape(text)}</p>"
         case Code(text):
             return f"<pre>{html.escape(text)}</pre>"
-        case Picture(name, png):
+        case ReportPicture(name, png):
             return f'<p><img alt="{html.escape(name)}" src="{_data(png)}"></p>'
         case Grid(head, rows, texts):
             lines = [_row("th", head, texts), *(_row("td", row, texts) for row in rows)]
@@ -107,7 +107,7 @@ def _row(tag: str, cells: Sequence[str], texts: int) -> str:
     return f"<tr>{''.join(written)}</tr>"
 
 
-def _markdown(part: Part) -> str:
+def _markdown(part: PagePart) -> str:
     match part:
         case Heading(text, level):
             return f"{'#' * level} {text}"
@@ -115,7 +115,7 @@ def _markdown(part: Part) -> str:
             return text
         case Code(text):
             return "\n".join(f"    {line}" for line in text.splitlines())
-        case Picture(name, png):
+        case ReportPicture(name, png):
             return f"![{name}]({_data(png)})"
         case Grid(head, rows, texts):
             rule = ["---" if place < texts else "---:" for place in range(len(head))]

@@ -11,7 +11,7 @@ from experiments.results.palette import COLOURS, GREY
 from filters.metrics import rmse
 from scenarios.baselines import centralised
 from scenarios.catalogue import kind_of
-from scenarios.rules import is_certain
+from scenarios.rules import is_set_valued
 from scenarios.types.buses import occupancy_of
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def run_figures(folder: Path) -> "dict[str, Figure]":
             f"{path}: cannot be read as netCDF ({error}); `concord collect {folder}` makes it again"
         ) from None
     figures = {"error-over-time": _errors(description, data)}
-    if not is_certain(description.setup.scenario):
+    if not is_set_valued(description.setup.scenario):
         figures["consistency"] = _consistency(description, data)
     figures["network-map"] = _map(description, data)
     if len(data["node"] if "node" in data.coords else data["mean"][0]) > 1:

@@ -19,7 +19,7 @@ from filters.metrics import anees, disagreement, largest_of_known, rmse
 from scenarios.baselines import centralised, local_only
 from scenarios.catalogue import kind_of
 from scenarios.kind import Score
-from scenarios.rules import is_certain
+from scenarios.rules import is_set_valued
 from scenarios.setup import Setup
 
 _TRAFFIC = ("sent", "heard", "missed")
@@ -94,8 +94,8 @@ def summarise(setup: Setup, trace: Trace) -> Figures:
     near = _near(score, trace, setup.time_step_s)[first:]
     consistency = _consistency(network, trace.truth, score, first, (0,))
     counters = trace.counters
-    certain = is_certain(setup.scenario)
-    if certain:
+    set_valued = is_set_valued(setup.scenario)
+    if set_valued:
         consistency = np.full_like(consistency, np.nan)
     return Figures(
         scenario=setup.scenario.name,
@@ -107,8 +107,10 @@ def summarise(setup: Setup, trace: Trace) -> Figures:
         rmse_centralised=central_rmse,
         worst_node_to_centralised=float(largest_of_known(per_node[who]) / central_rmse),
         disagreement=disagreement(network.mean[first:, who][..., list(score.states)]),
-        anees=_unless(certain, _consistency(network, trace.truth, score, first, (0, 1))),
-        anees_centralised=_unless(certain, _consistency(central, trace.truth, score, first, (0,))),
+        anees=_unless(set_valued, _consistency(network, trace.truth, score, first, (0, 1))),
+        anees_centralised=_unless(
+            set_valued, _consistency(central, trace.truth, score, first, (0,))
+        ),
         near_s=score.near_s,
         rmse_near=[float(x) for x in rmse(of_node[near], (0,))],
         rmse_near_local_only=[float(x) for x in rmse(of_alone[near], (0,))],
@@ -126,12 +128,12 @@ def summarise(setup: Setup, trace: Trace) -> Figures:
                 heard=c.get("heard", 0),
                 missed=c.get("missed", 0),
                 rejected=sum(n for name, n in c.items() if name.startswith("rejected")),
-                containment=_contained(certain, _of_node(network, i), trace.truth),
+                containment=_contained(set_valued, _of_node(network, i), trace.truth),
             )
             for i, c in enumerate(counters)
         ],
-        containment=_contained(certain, network, trace.truth),
-        containment_centralised=_contained(certain, central, trace.truth),
+        containment=_contained(set_valued, network, trace.truth),
+        containment_centralised=_contained(set_valued, central, trace.truth),
         spread=None if trace.spread is None else record_spread.figures_of(trace.spread),
     )
 
@@ -142,12 +144,12 @@ def noticed(counters: Iterable[Mapping[str, int]]) -> dict[str, int]:
     return {name: total[name] for name in sorted(total) if name not in _TRAFFIC}
 
 
-def _unless(certain: bool, anees_: np.ndarray) -> float:
-    return float("nan") if certain else float(anees_)
+def _unless(set_valued: bool, anees_: np.ndarray) -> float:
+    return float("nan") if set_valued else float(anees_)
 
 
-def _contained(certain: bool, bounds: Gaussian, truth: np.ndarray) -> Containment | None:
-    return containment(bounds, truth) if certain else None
+def _contained(set_valued: bool, bounds: Gaussian, truth: np.ndarray) -> Containment | None:
+    return containment(bounds, truth) if set_valued else None
 
 
 def _of_node(network: Gaussian, node: int) -> Gaussian:
@@ -190,8 +192,8 @@ def table(figures: Figures, title: str) -> Table:
     # Rich would take [m] for a style.
     unit = escape(f"[{figures.unit}]")
     grid = Table(title=title, title_justify="left")
-    certain = figures.containment is not None
-    shown = ("out", "largest", "√tr P") if certain else (f"alone {unit}", "ANEES")
+    set_valued = figures.containment is not None
+    shown = ("out", "largest", "√tr P") if set_valued else (f"alone {unit}", "ANEES")
     for heading in ("node", f"RMSE {unit}", *shown):
         grid.add_column(heading, justify="right")
     for heading in ("sent", "heard", "missed", "rejected"):

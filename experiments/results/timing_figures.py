@@ -10,7 +10,7 @@ from nodes.tempo import Tempo
 from runtime.recorded import message_of
 
 
-class Spread(msgspec.Struct, frozen=True):
+class TimingSpread(msgspec.Struct, frozen=True):
     """Of what was timed at all nodes and steps, in milliseconds."""
 
     p50_ms: float
@@ -38,10 +38,10 @@ class TimingFigures(msgspec.Struct, frozen=True):
     overrun: int
     late_shares: int
     late_bids: int
-    cycle_jitter: Spread
-    heartbeat: Spread
+    cycle_jitter: TimingSpread
+    heartbeat: TimingSpread
     lost_heartbeats: int
-    delay: Spread
+    delay: TimingSpread
 
 
 def figures_of(
@@ -73,9 +73,9 @@ def figures_of(
     )
 
 
-def _spread(times_s: Sequence[float]) -> Spread:
+def _spread(times_s: Sequence[float]) -> TimingSpread:
     middle, high, largest = np.quantile(times_s, [0.5, 0.99, 1.0]) * 1e3
-    return Spread(float(middle), float(high), float(largest))
+    return TimingSpread(float(middle), float(high), float(largest))
 
 
 def lines(figures: TimingFigures) -> list[str]:
@@ -92,5 +92,5 @@ def lines(figures: TimingFigures) -> list[str]:
     ]
 
 
-def _words(spread: Spread) -> str:
+def _words(spread: TimingSpread) -> str:
     return f"{spread.p50_ms:.3g}/{spread.p99_ms:.3g}/{spread.largest_ms:.3g}"

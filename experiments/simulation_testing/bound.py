@@ -11,7 +11,7 @@ import numpy as np
 from experiments.monte_carlo.posterior_bound import Truths, posterior_bound
 from experiments.simulation_testing.broken import Broken
 from experiments.simulation_testing.promises import BOUNDED, LINEAR, nodes_are_honest, promises
-from experiments.simulation_testing.verdict import History
+from experiments.simulation_testing.verdict import EstimateHistory
 from scenarios.catalogue import kind_of
 from scenarios.types.plants import noise_of
 from scenarios.types.rules import number_of
@@ -20,7 +20,7 @@ from scenarios.types.rules import number_of
 _ROUNDING = {"float64": 1e-6, "float32": 1e-3}
 
 
-def check_bound(run: History) -> None:
+def check_bound(run: EstimateHistory) -> None:
     """Check that no covariance is smaller than that of the baseline filter.
 
     Raises:
@@ -47,7 +47,7 @@ def check_bound(run: History) -> None:
         )
 
 
-def _bound(run: History) -> np.ndarray:
+def _bound(run: EstimateHistory) -> np.ndarray:
     """Covariance (steps, n, n) of the filter with every reading that there is."""
     scenario = run.setup.scenario
     kind = kind_of(scenario.name)

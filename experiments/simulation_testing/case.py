@@ -12,7 +12,7 @@ from scenarios.script import script_of
 from scenarios.types.assignment import flat
 
 
-class Case(msgspec.Struct, frozen=True):
+class SimulationCase(msgspec.Struct, frozen=True):
     """Equal cases give equal runs, bit for bit.
 
     Attributes:
@@ -35,7 +35,7 @@ class Case(msgspec.Struct, frozen=True):
 OWN_FIELDS = ("wire",)
 
 
-def with_fields(case: Case, fields: Mapping[str, Any]) -> Case:
+def with_fields(case: SimulationCase, fields: Mapping[str, Any]) -> SimulationCase:
     """Return the case with these fields of its own or of its scenario."""
     own = {name: value for name, value in fields.items() if name in OWN_FIELDS}
     other = {name: value for name, value in fields.items() if name not in OWN_FIELDS}
@@ -43,7 +43,7 @@ def with_fields(case: Case, fields: Mapping[str, Any]) -> Case:
     return msgspec.structs.replace(case, scenario=scenario, **own)
 
 
-def check_case(case: Case) -> None:
+def check_case(case: SimulationCase) -> None:
     """Refuse a wire that cannot be read.
 
     Raises:
@@ -52,11 +52,11 @@ def check_case(case: Case) -> None:
     read_wire(case.wire)
 
 
-def differences(case: Case, drawn: Case) -> dict[str, Any]:
+def differences(case: SimulationCase, drawn: SimulationCase) -> dict[str, Any]:
     """Return the fields in which a case is not the drawn one, by the names of options."""
     one, other = _fields(case), _fields(drawn)
     return {name: value for name, value in one.items() if value != other.get(name)}
 
 
-def _fields(case: Case) -> dict[str, Any]:
+def _fields(case: SimulationCase) -> dict[str, Any]:
     return {**flat(case.scenario), **{name: getattr(case, name) for name in OWN_FIELDS}}

@@ -8,11 +8,11 @@ import msgspec
 
 from experiments.simulation_testing.bound import check_bound
 from experiments.simulation_testing.broken import Broken
-from experiments.simulation_testing.case import Case
-from experiments.simulation_testing.ledger import Books
+from experiments.simulation_testing.case import SimulationCase
+from experiments.simulation_testing.ledger import OracleLedger
 from experiments.simulation_testing.script import is_harmless
 from experiments.simulation_testing.verdict import (
-    History,
+    EstimateHistory,
     check_consistency,
     check_return,
     history_of_run,
@@ -26,7 +26,7 @@ from scenarios.preparation import complete_settings, prepare
 from scenarios.script import script_of
 
 
-class Outcome(NamedTuple):
+class SimulationOutcome(NamedTuple):
     """Outcome of a case.
 
     Attributes:
@@ -42,7 +42,7 @@ class Outcome(NamedTuple):
     struck: Counter[str]
 
 
-def torture(case: Case) -> Outcome:
+def torture(case: SimulationCase) -> SimulationOutcome:
     """Run a case to its end or to the first invariant that breaks."""
     injected = Counter(line.split()[1] for line in case.scenario.changes)
     struck: Counter[str] = Counter()
@@ -56,20 +56,20 @@ def torture(case: Case) -> Outcome:
         if _is_harmless(case) and not tried.same_bits(calm):
             raise Broken("what does no harm changes nothing", "estimates are not the same bits")
     except Broken as broken:
-        return Outcome(case.seed, broken.invariant, broken.seen, injected, struck)
+        return SimulationOutcome(case.seed, broken.invariant, broken.seen, injected, struck)
     except Exception as error:  # whatever a node raises is what is looked for
         seen = f"{type(error).__name__}: {error}"
-        return Outcome(case.seed, "nothing is raised", seen, injected, struck)
-    return Outcome(case.seed, None, "", injected, struck)
+        return SimulationOutcome(case.seed, "nothing is raised", seen, injected, struck)
+    return SimulationOutcome(case.seed, None, "", injected, struck)
 
 
-def _run(case: Case, injected: Counter[str], struck: Counter[str]) -> History:
+def _run(case: SimulationCase, injected: Counter[str], struck: Counter[str]) -> EstimateHistory:
     """One run, looked at after every event."""
     setup = prepare(case.scenario)
     configs = [build_node(setup, node) for node in range(case.scenario.nodes)]
     faults, calm_step = read_wire(case.wire), case.calm_step
     bus, loses_frames = configs[0].bus, bool({*faults} & {*LOSING})
-    books = Books(bus, case.scenario.rounds, len(configs), loses_frames)
+    books = OracleLedger(bus, case.scenario.rounds, len(configs), loses_frames)
     wire = Wire(
         case.seed, faults, lambda cycle: books.step_of(cycle) >= calm_step, bus.frame_format
     )
@@ -90,7 +90,7 @@ def _run(case: Case, injected: Counter[str], struck: Counter[str]) -> History:
     return history_of_run(setup, books)
 
 
-def _without_faults(case: Case) -> Case:
+def _without_faults(case: SimulationCase) -> SimulationCase:
     """Return the same network without faults; only its settings change."""
     settings = tuple(
         f"{one.step} set " + " ".join(f"{k}={v}" for k, v in one.command.settings.items())
@@ -101,6 +101,6 @@ def _without_faults(case: Case) -> Case:
     return msgspec.structs.replace(case, scenario=scenario, wire=())
 
 
-def _is_harmless(case: Case) -> bool:
+def _is_harmless(case: SimulationCase) -> bool:
     """Return whether no fault may change an estimate."""
     return not {*read_wire(case.wire)} & {*LOSING} and is_harmless(script_of(case.scenario))

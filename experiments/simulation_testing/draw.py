@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from experiments.scenario_options import offered_options, scenario_with_known
-from experiments.simulation_testing.case import OWN_FIELDS, Case, check_case, with_fields
+from experiments.simulation_testing.case import OWN_FIELDS, SimulationCase, check_case, with_fields
 from experiments.simulation_testing.script import draw_script
 from experiments.simulation_testing.verdict import RECOVERY_STEPS
 from experiments.simulation_testing.wire import WIRE_FAULTS
@@ -54,7 +54,7 @@ _HOLDS_OF_SETS = {"decayed": "predict", "renormalise": "drop", "in-step": "drop"
 _LINKS = ("static", "static", "static", "bernoulli:0.2", "markov:0.1,0.5", "switching:ring,star:4")
 
 
-def draw_case(seed: int, fixed: Mapping[str, Any]) -> Case:
+def draw_case(seed: int, fixed: Mapping[str, Any]) -> SimulationCase:
     """Return the case of a seed, of which some fields are fixed.
 
     Raises:
@@ -83,11 +83,11 @@ def _completed(
     generator: np.random.Generator,
     drawn: Scenario,
     fixed: Mapping[str, Any],
-) -> Case:
+) -> SimulationCase:
     """Return the case whose scenario was drawn, with what is fixed."""
     calm_step = int(generator.integers(4, _MOST_CALM))
     drawn = msgspec.structs.replace(drawn, steps=calm_step + RECOVERY_STEPS)
-    case = Case(seed, drawn, _draw_wire(generator))
+    case = SimulationCase(seed, drawn, _draw_wire(generator))
     known = {*offered_options(), *OWN_FIELDS}
     for name in fixed:
         if name not in known:

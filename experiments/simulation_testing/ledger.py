@@ -12,7 +12,7 @@ import numpy as np
 
 from bus.bus import Bus
 from experiments.simulation_testing.broken import Broken
-from experiments.simulation_testing.node_ledger import Key, Page, Sent
+from experiments.simulation_testing.node_ledger import Key, NodeLedger, Sent
 from experiments.simulation_testing.outcomes import Fate, fate_of, must_be_silent
 from nodes.changes import Calm, Cut, Event, Fault, Healed, Welcome
 from nodes.faults.active import Faults
@@ -37,7 +37,7 @@ _EVENTS_PER_FRAME = 50
 _NO_NUMBERS = (np.full(1, np.nan, "<f8").tobytes(), np.full(2, np.nan, "<f4").tobytes())
 
 
-class Books:
+class OracleLedger:
     """Recorder and onlooker of one run, which begins with this bus; `loses_frames` says that some
     never come."""
 
@@ -54,7 +54,7 @@ class Books:
         self._owners: dict[tuple[int, int], int] = {}
         self._unchecked: list[Sent] = []
         self._genuine: dict[bytes, Sent] = {}
-        self._pages = [Page(0, 0) for _ in range(nodes)]
+        self._pages = [NodeLedger(0, 0) for _ in range(nodes)]
         self._cuts: set[tuple[int, int]] = set()
         self._wrong: dict[tuple[str, tuple[int, ...]], Fault] = {}
         self._events = 0
@@ -148,7 +148,7 @@ class Books:
         """Enter an event of a node, and compare the counters."""
         node = config.index
         if isinstance(event, Welcome):
-            self._pages[node] = Page(state.cycle, _end_cycle(config, state))
+            self._pages[node] = NodeLedger(state.cycle, _end_cycle(config, state))
             return
         self._check_progress()
         self._check_turns(config)
@@ -173,7 +173,7 @@ class Books:
         silent = self._keeps_silent(config, page, state.step)
         self._compare(node, page, state.counters, silent)
 
-    def _keeps_silent(self, config: NodeConfig, page: Page, step: int) -> bool:
+    def _keeps_silent(self, config: NodeConfig, page: NodeLedger, step: int) -> bool:
         """Return whether a node has let a turn pass in the open group of the cycle."""
         if page.phase not in (Phase.GRANT, Phase.SHARES):
             return False
@@ -197,7 +197,7 @@ class Books:
                     "who sends has a turn", f"node {one.sender} has none in cycle {one.cycle}"
                 )
 
-    def _check_patience(self, node: int, page: Page, closed: CycleClosed) -> None:
+    def _check_patience(self, node: int, page: NodeLedger, closed: CycleClosed) -> None:
         """Time runs out only where something that was sent never comes."""
         if (page.cycle, page.group) != (closed.cycle, closed.group):
             return
@@ -210,7 +210,7 @@ class Books:
         if self._events > 10_000 + _EVENTS_PER_FRAME * (len(self._genuine) + len(self.estimates)):
             raise Broken("progress", f"{self._events} events and no end")
 
-    def _book(self, config: NodeConfig, page: Page, sender: int, frame: bytes) -> None:
+    def _book(self, config: NodeConfig, page: NodeLedger, sender: int, frame: bytes) -> None:
         """One frame that has arrived."""
         sent = self._genuine.get(frame)
         if sent is None:
@@ -230,7 +230,7 @@ class Books:
             else:
                 self._file(config, page, sender, sent)
 
-    def _book_spoof(self, page: Page, sender: int, sent: Sent, key: Key) -> None:
+    def _book_spoof(self, page: NodeLedger, sender: int, sent: Sent, key: Key) -> None:
         """Enter a valid frame that another node sent in its own slot."""
         if sent.cycle < page.end_cycle or page.phase is not Phase.MEASUREMENT:
             page.counts["rejected"] += 1
@@ -239,7 +239,7 @@ class Books:
         else:
             page.early.append((sender, None, key))
 
-    def _file(self, config: NodeConfig, page: Page, sender: int, sent: Sent | None) -> None:
+    def _file(self, config: NodeConfig, page: NodeLedger, sender: int, sent: Sent | None) -> None:
         """Enter a frame of the open step."""
         if sent is None:
             page.counts["rejected"] += 1
@@ -284,7 +284,7 @@ class Books:
         """Enter that a node's estimator receives a neighbour's share of a cycle."""
         self._pages[node].used.append((sender, cycle))
 
-    def _settle(self, config: NodeConfig, page: Page) -> None:
+    def _settle(self, config: NodeConfig, page: NodeLedger) -> None:
         """Check the fused cycles of an event after all of its entries are made."""
         page.let_in_overtaken()
         for step, cycle in page.turns:
@@ -333,7 +333,7 @@ class Books:
         self.struck["indefinite"] += shares
         self._pages[node].refused_shares += shares
 
-    def _compare(self, node: int, page: Page, counters: dict[str, int], silent: bool) -> None:
+    def _compare(self, node: int, page: NodeLedger, counters: dict[str, int], silent: bool) -> None:
         rejected = sum(n for name, n in counters.items() if name.startswith("rejected "))
         said = {name: counters.get(name, 0) for name in _BOOKED}
         said["rejected"] = rejected - page.refused_shares

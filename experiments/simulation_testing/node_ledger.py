@@ -21,7 +21,7 @@ class Sent(NamedTuple):
     frame: bytes
 
 
-class Page:
+class NodeLedger:
     """The books of one node since it was started."""
 
     def __init__(self, cycle: int, end_cycle: int) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 
 from experiments.scenario_options import in_options
-from experiments.simulation_testing.case import Case, check_case, differences, with_fields
+from experiments.simulation_testing.case import SimulationCase, check_case, differences, with_fields
 from experiments.simulation_testing.draw import draw_case
 from scenarios.preparation import prepare
 
@@ -40,7 +40,7 @@ _PLAIN: tuple[dict[str, Any], ...] = (
 )  # fmt: skip
 
 
-def shrink(case: Case, breaks: Callable[[Case], bool]) -> Case:
+def shrink(case: SimulationCase, breaks: Callable[[SimulationCase], bool]) -> SimulationCase:
     """Return the smallest case found in which the invariant still breaks; `breaks` runs one."""
     tries = 0
     progress = True
@@ -58,7 +58,7 @@ def shrink(case: Case, breaks: Callable[[Case], bool]) -> Case:
     return case
 
 
-def _smaller(case: Case) -> Iterator[Case]:
+def _smaller(case: SimulationCase) -> Iterator[SimulationCase]:
     """Cases with less in them, those with much less first."""
     scenario = case.scenario
     # Steps come first: whatever is tried after them takes no longer than they do.
@@ -89,16 +89,16 @@ def _between(least: int, value: int) -> Iterator[int]:
         gap //= 2
 
 
-def _shorter(case: Case, steps: int) -> Case:
+def _shorter(case: SimulationCase, steps: int) -> SimulationCase:
     changes = tuple(line for line in case.scenario.changes if int(line.split()[0]) < steps)
     return with_fields(case, {"steps": steps, "changes": changes})
 
 
-def _with(case: Case, field: str, value: Any) -> Case:
+def _with(case: SimulationCase, field: str, value: Any) -> SimulationCase:
     return with_fields(case, {field: value})
 
 
-def _is_possible(case: Case) -> bool:
+def _is_possible(case: SimulationCase) -> bool:
     try:
         prepare(case.scenario)
         check_case(case)
@@ -107,7 +107,7 @@ def _is_possible(case: Case) -> bool:
     return True
 
 
-def replay_command(case: Case) -> str:
+def replay_command(case: SimulationCase) -> str:
     """Return the command that repeats a case exactly."""
     said: dict[str, Any] = {}
     while case != (drawn := draw_case(case.seed, said)):
@@ -119,7 +119,7 @@ def replay_command(case: Case) -> str:
     return shlex.join(words)
 
 
-def run_command(case: Case) -> str:
+def run_command(case: SimulationCase) -> str:
     """Return the command that runs and records the scenario of a case, in any driver.
 
     The command leaves out the faults of the wire, which only simulation testing can produce.

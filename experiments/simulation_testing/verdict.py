@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from experiments.simulation_testing.broken import Broken
-from experiments.simulation_testing.ledger import Books
+from experiments.simulation_testing.ledger import OracleLedger
 from experiments.simulation_testing.promises import (
     CERTAIN,
     CONSISTENT,
@@ -38,7 +38,7 @@ _FACTOR, _PART = 2.0, 1.0
 _SIZE = np.log(2.0)
 
 
-class History(NamedTuple):
+class EstimateHistory(NamedTuple):
     """Estimates of a run: mean (steps, N, n), cov (steps, N, n, n), NaN where a node was out.
 
     The truth is (steps, n); the readings are (steps, N, r, d), NaN without a reading. The control
@@ -52,7 +52,7 @@ class History(NamedTuple):
     readings: np.ndarray
     control: np.ndarray | None
 
-    def same_bits(self, other: "History") -> bool:
+    def same_bits(self, other: "EstimateHistory") -> bool:
         """Return whether all estimates are equal, bit for bit."""
         return (
             self.mean.tobytes() == other.mean.tobytes()
@@ -65,7 +65,7 @@ class History(NamedTuple):
         return self.mean - self.truth[:, None]
 
 
-def history_of_run(setup: Setup, books: Books) -> History:
+def history_of_run(setup: Setup, books: OracleLedger) -> EstimateHistory:
     """Return the arrays of a run that came to its end.
 
     Raises:
@@ -85,10 +85,10 @@ def history_of_run(setup: Setup, books: Books) -> History:
                 mean[step, node] = from_wire(said.mean)
                 cov[step, node] = unpack_upper(from_wire(said.cov))
     truth = np.array([from_wire(books.truths[step].state) for step in range(scenario.steps)])
-    return History(setup, truth, mean, cov, *_told(scenario, books))
+    return EstimateHistory(setup, truth, mean, cov, *_told(scenario, books))
 
 
-def _told(scenario: Scenario, books: Books) -> tuple[np.ndarray, np.ndarray | None]:
+def _told(scenario: Scenario, books: OracleLedger) -> tuple[np.ndarray, np.ndarray | None]:
     """Return the readings and control that the environment has sent to the nodes."""
     some = next(iter(books.measured.values()))
     came = {
@@ -105,7 +105,7 @@ def _told(scenario: Scenario, books: Books) -> tuple[np.ndarray, np.ndarray | No
     return readings, np.array([first[step] for step in range(scenario.steps)], dtype=float)
 
 
-def check_consistency(run: History) -> None:
+def check_consistency(run: EstimateHistory) -> None:
     """No error lies beyond what its covariance allows, where the rule promises so.
 
     Raises:
@@ -130,7 +130,7 @@ def check_consistency(run: History) -> None:
         )
 
 
-def check_return(run: History, calm: History, calm_step: int) -> None:
+def check_return(run: EstimateHistory, calm: EstimateHistory, calm_step: int) -> None:
     """After calm all are back: they err, disagree and doubt as they do where nothing was wrong.
 
     The level is that of `LEVEL_STEPS` steps, `SETTLING_STEPS` after the last fault, in units of the
@@ -174,18 +174,18 @@ def _squares(errors: np.ndarray, covs: np.ndarray) -> np.ndarray:
     return squares
 
 
-def _error(run: History, calm: History, level: slice) -> float:
+def _error(run: EstimateHistory, calm: EstimateHistory, level: slice) -> float:
     """Mean square error over nodes and steps, per state, in variances of the calm run."""
     return float(_squares(run.errors[level], calm.cov[level]).mean()) / run.mean.shape[-1]
 
 
-def _disagreement(run: History, calm: History, level: slice) -> float:
+def _disagreement(run: EstimateHistory, calm: EstimateHistory, level: slice) -> float:
     """Return the same of what nodes differ by from their mean."""
     mean = run.mean[level]
     apart = mean - mean.mean(axis=1, keepdims=True)
     return float(_squares(apart, calm.cov[level]).mean()) / mean.shape[-1]
 
 
-def _size(run: History, level: slice) -> np.ndarray:
+def _size(run: EstimateHistory, level: slice) -> np.ndarray:
     """Mean logarithm of the variances of each node (N,)."""
     return np.linalg.slogdet(run.cov[level])[1].mean(axis=0) / run.mean.shape[-1]

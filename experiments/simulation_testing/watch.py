@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from experiments.simulation_testing.broken import Broken
-from experiments.simulation_testing.ledger import Books
+from experiments.simulation_testing.ledger import OracleLedger
 from experiments.simulation_testing.promises import nodes_are_honest, sensors_are_honest
 from experiments.simulation_testing.trimmed import broken_promise
 from experiments.simulation_testing.weights import promised_weights
@@ -40,7 +40,7 @@ class _Share(NamedTuple):
     body: bytes
 
 
-def watched(config: NodeConfig, books: Books, scenario: Scenario) -> NodeConfig:
+def watched(config: NodeConfig, books: OracleLedger, scenario: Scenario) -> NodeConfig:
     """Return the same node, and every node that it becomes, with an eye on its estimator."""
     rebuild = config.rebuild
 
@@ -49,7 +49,7 @@ def watched(config: NodeConfig, books: Books, scenario: Scenario) -> NodeConfig:
         changed, _ = scenario.with_known(**standing.settings)
         return watched(rebuild(standing, step, belief), books, changed)
 
-    return replace(config, estimator=Watched(config, books, scenario), rebuild=rebuilt)
+    return replace(config, estimator=WatchedEstimator(config, books, scenario), rebuild=rebuilt)
 
 
 class _ShownRule(NamedTuple):
@@ -59,23 +59,23 @@ class _ShownRule(NamedTuple):
     check: Callable[[Gaussian, np.ndarray, Gaussian], None]
 
     def fuse(
-        self, own: Gaussian, others: Gaussian, weights: np.ndarray, by_sharpness: bool
+        self, own: Gaussian, others: Gaussian, weights: np.ndarray, by_inverse_volume: bool
     ) -> Fused:
         """Fuse the beliefs by the rule, and check the result."""
-        fused = self.rule.fuse(own, others, weights, by_sharpness)
+        fused = self.rule.fuse(own, others, weights, by_inverse_volume)
         # If a share is no belief, the estimator calls the rule again without it.
-        if not np.isnan(fused.sharpness[1:]).any():
+        if not np.isnan(fused.inverse_volume[1:]).any():
             self.check(joined(own, others), fused.weights, fused.belief)
         return fused
 
 
-class Watched:
+class WatchedEstimator:
     """Estimator of a node, with the invariants that must hold after every cycle.
 
     A broken invariant raises `Broken`.
     """
 
-    def __init__(self, config: NodeConfig, books: Books, scenario: Scenario) -> None:
+    def __init__(self, config: NodeConfig, books: OracleLedger, scenario: Scenario) -> None:
         self._config, self._books, self._scenario = config, books, scenario
         self._inner = self._with_weights_shown(config.estimator)
         self._cycle = self._group = -1
@@ -93,10 +93,10 @@ class Watched:
         if (self._cycle, self._group) not in ((-1, -1), (cycle, 0)):
             raise self._broken("every cycle is gone through", f"step {measured.step} began")
         self._cycle, self._group = cycle, 0
-        content, troubles = self._inner.begin_step(content, measured)
+        content, failures = self._inner.begin_step(content, measured)
         self._check_belief(self._inner.belief(content), _ROUNDING)
-        self._check_troubles(troubles)
-        return content, troubles
+        self._check_failures(failures)
+        return content, failures
 
     def accept(self, body: bytes) -> _Share:
         """Decode a body into a share that keeps the body."""
@@ -117,19 +117,19 @@ class Watched:
         self._books.missed(self._config, self._cycle, self._group, {*near} - {*came})
         self._check_mixing(content, [j in came for j in near])
         meanings = tuple(None if share is None else share.meaning for share in shares)
-        content, troubles = self._inner.fuse(content, meanings)
+        content, failures = self._inner.fuse(content, meanings)
         refused = {j for j, share in came.items() if self._is_indefinite(share.body)}
-        self._check_refusals(len(refused), sum(trouble in _REFUSALS for trouble in troubles))
+        self._check_refusals(len(refused), sum(trouble in _REFUSALS for trouble in failures))
         self._heard.update(dict.fromkeys({*came} - refused, self._cycle))
-        if "contradicting-share" in troubles:
+        if "contradicting-share" in failures:
             self._forget_refused(self._inner.ages(content))
-        self._check_troubles(troubles)
+        self._check_failures(failures)
         self._check_belief(self._inner.belief(content), 0.0)
         self._group += 1
         if self._group == len(self._config.schedule.groups(self._cycle)):
             self._check_ages(self._inner.ages(content))
             self._cycle, self._group = self._cycle + 1, 0
-        return content, troubles
+        return content, failures
 
     def _forget_refused(self, ages: np.ndarray) -> None:
         """A set that has nothing in common with the own one is not held."""
@@ -178,10 +178,10 @@ class Watched:
                 "covariances are positive definite", f"least eigenvalue {least:.3g}"
             ) from None
 
-    def _check_troubles(self, troubles: tuple[str, ...]) -> None:
+    def _check_failures(self, failures: tuple[str, ...]) -> None:
         """Sets that hold the truth have it in common, if no sensor says what it does not read."""
-        certain = isinstance(self._inner, SetAtNode) and self._honest
-        bad = [trouble for trouble in troubles if certain and trouble in _CONTRADICTIONS]
+        set_valued = isinstance(self._inner, SetAtNode) and self._honest
+        bad = [trouble for trouble in failures if set_valued and trouble in _CONTRADICTIONS]
         if bad:
             raise self._broken("sets of the truth meet", bad[0])
 
@@ -193,10 +193,10 @@ class Watched:
         weigh = rule.hold.weigh
 
         def shown(
-            base: np.ndarray, ages: np.ndarray, sharpness: np.ndarray, cycles: int
+            base: np.ndarray, ages: np.ndarray, inverse_volume: np.ndarray, cycles: int
         ) -> np.ndarray:
-            weights = weigh(base, ages, sharpness, cycles)
-            promised = promised_weights(self._scenario, base, ages, sharpness, cycles)
+            weights = weigh(base, ages, inverse_volume, cycles)
+            promised = promised_weights(self._scenario, base, ages, inverse_volume, cycles)
             if np.abs(weights - promised).max() > _ROUNDING:
                 raise self._broken(
                     "weights are those of the hold policy", f"{weights.tolist()} for {promised}"

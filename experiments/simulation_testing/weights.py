@@ -11,7 +11,7 @@ def promised_weights(
     scenario: Scenario,
     base: np.ndarray,
     ages: np.ndarray,
-    sharpness: np.ndarray,
+    inverse_volume: np.ndarray,
     cycles_in_step: int,
 ) -> list[float]:
     """Weights (J,) of a node's own belief and of those that it holds, of these ages in cycles."""
@@ -31,7 +31,7 @@ def promised_weights(
 
     worths = [
         worth(*one)
-        for one in zip(*(part.tolist() for part in (base, ages, sharpness)), strict=True)
+        for one in zip(*(part.tolist() for part in (base, ages, inverse_volume)), strict=True)
     ]
     if isinstance(hold, Dropped):
         return [worths[0] + sum(base) - sum(worths), *worths[1:]]

@@ -16,7 +16,7 @@ _PANEL_FIRST = ("graph", "rule", "schedule", "weights")
 _AXIS_FIRST = ("occupancy", "rounds", "loss", "nodes")
 MOST_LINES = 7
 
-Part = tuple[Cell, "xarray.Dataset"]
+CellResult = tuple[Cell, "xarray.Dataset"]
 
 
 class Layout(NamedTuple):
@@ -57,7 +57,7 @@ def is_number(value: Value) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def drawn(parts: list[Part], layout: Layout) -> list[Part]:
+def drawn(parts: list[CellResult], layout: Layout) -> list[CellResult]:
     """Return the parts at the first value of each field that the picture has no room for."""
     if not parts:
         return []
@@ -65,9 +65,9 @@ def drawn(parts: list[Part], layout: Layout) -> list[Part]:
     return [p for p in parts if all(p[0].values[field] == first[field] for field in layout.rest)]
 
 
-def grouped(parts: list[Part], field: str | None) -> dict[str, list[Part]]:
+def grouped(parts: list[CellResult], field: str | None) -> dict[str, list[CellResult]]:
     """The parts by the value of a field, in order; all together under no name without one."""
-    groups: dict[str, list[Part]] = {}
+    groups: dict[str, list[CellResult]] = {}
     for cell, data in parts:
         key = "" if field is None else shown(cell.values[field])
         groups.setdefault(key, []).append((cell, data))

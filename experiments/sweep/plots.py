@@ -10,8 +10,8 @@ from experiments.monte_carlo.pareto import front
 from experiments.results.network_map import Mapped, network_maps
 from experiments.results.palette import GREY, SEQUENTIAL, plain_numbers, styles
 from experiments.sweep.plot_layout import (
+    CellResult,
     Layout,
-    Part,
     drawn,
     grouped,
     layout_of,
@@ -198,7 +198,7 @@ def sweep_figures(dataset: "xarray.Dataset") -> "dict[str, Figure]":
 # --- parts of pictures ---------------------------------------------------------------------------
 
 
-def _draw_errors(axes: Any, parts: list[Part], layout: Layout, look: dict[str, Any]) -> None:
+def _draw_errors(axes: Any, parts: list[CellResult], layout: Layout, look: dict[str, Any]) -> None:
     for name, line in grouped(parts, layout.colour).items():
         _, data = line[0]
         error = data["error"].to_numpy()
@@ -223,7 +223,7 @@ def _draw_errors(axes: Any, parts: list[Part], layout: Layout, look: dict[str, A
     plain_numbers(axes.yaxis)
 
 
-def _draw_line(axes: Any, line: list[Part], axis: str, name: str, style: Any) -> None:
+def _draw_line(axes: Any, line: list[CellResult], axis: str, name: str, style: Any) -> None:
     points = sorted((float(cell.values[axis]), _ratio(data)) for cell, data in line)  # type: ignore[arg-type]
     x = np.array([place for place, _ in points])
     y = np.array([ratio for _, ratio in points])
@@ -238,7 +238,7 @@ def _ratio(data: "xarray.Dataset") -> Any:
     )
 
 
-def _matrix(parts: list[Part], rows: Any, columns: Any, down: str, across: str) -> np.ndarray:
+def _matrix(parts: list[CellResult], rows: Any, columns: Any, down: str, across: str) -> np.ndarray:
     matrix = np.full((len(rows), len(columns)), np.nan)
     for cell, data in parts:
         place = rows.index(cell.values[down]), columns.index(cell.values[across])
@@ -276,7 +276,7 @@ def _limited(names: list[str]) -> list[str]:
     return [names[place] for place in places]
 
 
-def _is(part: Part, field: str | None, name: str | None) -> bool:
+def _is(part: CellResult, field: str | None, name: str | None) -> bool:
     return field is None or not name or shown(part[0].values[field]) == name
 
 

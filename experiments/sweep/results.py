@@ -15,7 +15,7 @@ from experiments.results.folder import commit, versions
 from experiments.results.netcdf_file import write_dataset
 from experiments.sweep.specification import Cell, Specification, Value, cells_of
 from scenarios.catalogue import kind_of
-from scenarios.kind import Kind
+from scenarios.kind import ScenarioDefinition
 
 if TYPE_CHECKING:
     import xarray
@@ -61,7 +61,7 @@ def assemble(
                           _provenance(specification, cells))  # fmt: skip
 
 
-def score_unit(kinds: Sequence[Kind]) -> str:
+def score_unit(kinds: Sequence[ScenarioDefinition]) -> str:
     """Return the one unit in which the errors of all cells are.
 
     Raises:
@@ -136,7 +136,7 @@ def _fields(specification: Specification, cells: Sequence[Cell]) -> dict[str, Se
     return dict(specification.levels)
 
 
-def _states(cells: Sequence[Cell], kinds: Sequence[Kind]) -> dict[str, str]:
+def _states(cells: Sequence[Cell], kinds: Sequence[ScenarioDefinition]) -> dict[str, str]:
     """Names of all states and their units, in order."""
     states: dict[str, str] = {}
     for kind, scenario in {cell.scenario.name: (kind, cell.scenario)

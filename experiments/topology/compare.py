@@ -14,7 +14,7 @@ from topology.analysis import analyse, rounds_to
 from topology.graphs import is_random
 
 
-class Spread(msgspec.Struct, frozen=True):
+class GraphSpread(msgspec.Struct, frozen=True):
     """The mean over graphs and its 95 % interval (Student's t); both ends equal for one graph. None
     where some graph has no such figure."""
 
@@ -30,7 +30,7 @@ class Spread(msgspec.Struct, frozen=True):
         return f"{self.mean:.4g}" + (f" ± {half:.2g}" if half else "")
 
 
-class Row(msgspec.Struct, frozen=True):
+class ComparisonRow(msgspec.Struct, frozen=True):
     """Figures of one graph, or over several of one random family."""
 
     graph: str
@@ -38,12 +38,12 @@ class Row(msgspec.Struct, frozen=True):
     links: str
     graphs: int
     nodes: int
-    degree: Spread
-    diameter: Spread
-    cut_nodes: Spread
-    gap: Spread
-    factor: Spread
-    rounds_to_one_percent: Spread
+    degree: GraphSpread
+    diameter: GraphSpread
+    cut_nodes: GraphSpread
+    gap: GraphSpread
+    factor: GraphSpread
+    rounds_to_one_percent: GraphSpread
 
 
 def compared(
@@ -52,7 +52,7 @@ def compared(
     by_weights: Sequence[str | None],
     seeds: int,
     on_row: Callable[[int], None],
-) -> list[Row]:
+) -> list[ComparisonRow]:
     """A row for each graph and each weights.
 
     Raises:
@@ -64,7 +64,7 @@ def compared(
         for source in sources
         for weights in by_weights
     ]
-    rows: list[Row] = []
+    rows: list[ComparisonRow] = []
     for family in families:
         rows.append(_row(family))
         on_row(len(rows))
@@ -83,7 +83,7 @@ def _family(source: str, options: SubjectOptions, seeds: int) -> list[Subject]:
         raise ValueError(f"graph {source}: {error}") from None
 
 
-def _row(family: list[Subject]) -> Row:
+def _row(family: list[Subject]) -> ComparisonRow:
     figures: list[tuple[float | None, ...]] = []
     for subject in family:
         a = analyse(subject.network.adjacency, subject.weights)
@@ -94,17 +94,17 @@ def _row(family: list[Subject]) -> Row:
     spreads = [_spread(column) for column in zip(*figures, strict=True)]
     first = family[0]
     nodes = nodes_of(first.weights)
-    return Row(first.name, first.weights_name, first.links, len(family), nodes, *spreads)
+    return ComparisonRow(first.name, first.weights_name, first.links, len(family), nodes, *spreads)
 
 
-def _spread(values: tuple[float | None, ...]) -> Spread:
+def _spread(values: tuple[float | None, ...]) -> GraphSpread:
     known = np.array([value for value in values if value is not None], dtype=float)
     if len(known) < len(values):
-        return Spread(None, None, None)
+        return GraphSpread(None, None, None)
     mean = float(known.mean())
     if len(known) == 1:
-        return Spread(mean, mean, mean)
+        return GraphSpread(mean, mean, mean)
     from scipy.stats import t  # only here: it is slow to load
 
     half = float(t.ppf(0.975, len(known) - 1) * known.std(ddof=1) / math.sqrt(len(known)))
-    return Spread(mean, mean - half, mean + half)
+    return GraphSpread(mean, mean - half, mean + half)

@@ -11,9 +11,9 @@ from experiments.topology.subject import Subject
 from topology.adjacency import nodes_of
 from topology.convergence import (
     MOST_MOMENT_NODES,
-    Links,
+    LinkModel,
     MarkovLinks,
-    Measured,
+    MeasuredRate,
     averaging,
     cycle_factor,
     links_with,
@@ -73,7 +73,7 @@ def convergence(subject: Subject, seed: int) -> Convergence:
     return _report(subject.links, method, predicted, found)
 
 
-def random_links(subject: Subject) -> Links | None:
+def random_links(subject: Subject) -> LinkModel | None:
     """Return the links of a subject in which chance has no memory; None for others."""
     kind, numbers, _ = subject.plan
     if kind == "static":
@@ -127,7 +127,7 @@ def _forget(_chosen: NDArray[np.intp]) -> None:
     """Nothing is remembered of a run."""
 
 
-def _report(links: str, method: str, predicted: float | None, found: Measured) -> Convergence:
+def _report(links: str, method: str, predicted: float | None, found: MeasuredRate) -> Convergence:
     difference = rates = None
     if predicted is not None:
         difference = 100 * abs(found.factor - predicted) / max(predicted, 1e-12)

@@ -40,7 +40,7 @@ class Seen(msgspec.Struct, frozen=True):
     remaining: list[float]
 
 
-class Loss(msgspec.Struct, frozen=True):
+class NodeLoss(msgspec.Struct, frozen=True):
     """Effect of losing a node: number of `pieces`, convergence factor per round, and growth of the
     remaining deviation of the most affected state.
 
@@ -54,7 +54,7 @@ class Loss(msgspec.Struct, frozen=True):
     error_growth: float | None
 
 
-class Report(msgspec.Struct, frozen=True):
+class TopologyReport(msgspec.Struct, frozen=True):
     """A graph under weights and links; the worst loss first, of all nodes or of those of a large
     network that are likely to hurt most."""
 
@@ -65,12 +65,12 @@ class Report(msgspec.Struct, frozen=True):
     convergence: Convergence
     rounds_to_one_percent: int | None
     observability: Seen | None
-    losses: list[Loss]
+    losses: list[NodeLoss]
 
 
 def report_of(
     subject: Subject, seed: int, on_node: Callable[[int], None] = lambda done: None
-) -> Report:
+) -> TopologyReport:
     """All figures of a subject."""
     figures = analyse(subject.network.adjacency, subject.weights)
     found = convergence(subject, seed)
@@ -78,7 +78,7 @@ def report_of(
     gramian = seen = None
     if subject.setup is not None:
         gramian, seen = _seen(subject.setup)
-    return Report(
+    return TopologyReport(
         subject.name,
         subject.weights_name,
         seed,
@@ -134,7 +134,7 @@ def _losses(
     chosen: Sequence[int],
     gramian: np.ndarray | None,
     on_node: Callable[[int], None],
-) -> list[Loss]:
+) -> list[NodeLoss]:
     """The loss of each of these, the worst first: what falls apart, then what blinds, then what
     slows."""
     found = []
@@ -142,14 +142,14 @@ def _losses(
         found.append(_without(subject, node, gramian))
         on_node(done)
 
-    def badness(loss: Loss) -> tuple[int, float, float]:
+    def badness(loss: NodeLoss) -> tuple[int, float, float]:
         # Rounding does not decide between equals: the first of them stays first.
         return (-loss.pieces, -round(loss.error_growth or 1.0, 6), -round(loss.factor or 0.0, 9))
 
     return sorted(found, key=badness)
 
 
-def _without(subject: Subject, node: int, gramian: np.ndarray | None) -> Loss:
+def _without(subject: Subject, node: int, gramian: np.ndarray | None) -> NodeLoss:
     name = str(node) if subject.network.names is None else subject.network.names[node]
     kept = np.delete(np.arange(nodes_of(subject.weights)), node)
     rest = part_of(subject.network, kept)
@@ -159,22 +159,22 @@ def _without(subject: Subject, node: int, gramian: np.ndarray | None) -> Loss:
         all_, without = gramian.sum(axis=0), gramian[kept].sum(axis=0)
         growth = float((remaining(without) / remaining(all_)).max())
     if pieces > 1:
-        return Loss(name, pieces, None, growth)
+        return NodeLoss(name, pieces, None, growth)
     weights = build_weights(subject.weights_name, rest.adjacency)
     if subject.phases:
         turns = [masked(weights, phase[kept][:, kept]) for phase in subject.phases]
-        return Loss(name, 1, cycle_factor(turns), growth)
+        return NodeLoss(name, 1, cycle_factor(turns), growth)
     links = random_links(subject)
     if subject.plan.kind == "static" or links is None or len(kept) > _MOMENT_LOSSES:
-        return Loss(name, 1, second_eigenvalue_modulus(weights), growth)
+        return NodeLoss(name, 1, second_eigenvalue_modulus(weights), growth)
     together = subject.plan.kind == "bernoulli"
     delivery = 1 - subject.plan.numbers[0] if together else rest.delivery
     assert delivery is not None
     factor = mean_square_factor(links_with(weights, delivery, together=together))
-    return Loss(name, 1, factor, growth)
+    return NodeLoss(name, 1, factor, growth)
 
 
-def lines(report: Report) -> list[str]:
+def lines(report: TopologyReport) -> list[str]:
     """Return the report for people."""
     a, c = report.analysis, report.convergence
     kind = "directed links" if a.directed else "links"
@@ -197,7 +197,7 @@ def lines(report: Report) -> list[str]:
     return text
 
 
-def loss_title(report: Report) -> str:
+def loss_title(report: TopologyReport) -> str:
     """Return the title of a report's losses."""
     losses, nodes = report.losses, report.analysis.nodes
     if len(losses) == nodes:

@@ -6,8 +6,19 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from filters.fusion.hold import check_weights, sharpened, sharpness, sharpness_of_factor
-from filters.fusion.packed import concluded, informed, pack, packed_sharpness, unpack
+from filters.fusion.hold import (
+    check_weights,
+    inverse_volume,
+    inverse_volume_of_factor,
+    times_inverse_volume,
+)
+from filters.fusion.packed import (
+    from_packed_information,
+    pack,
+    packed_inverse_volume,
+    to_packed_information,
+    unpack,
+)
 from filters.gaussian import Gaussian, Information, joined
 from filters.linalg import cholesky, inverse_of_triangle, inverse_spd, multiply, symmetrise
 
@@ -16,24 +27,25 @@ class Fused(NamedTuple):
     """Result of averaging a node's own belief with the beliefs of J others.
 
     `belief` (..., n) is the average, NaN where none exists; its covariance is symmetric to the last
-    bit. `weights` (..., 1 + J) are the weights used, the own first. `sharpness` (..., 1 + J) is
-    `hold.sharpness` of each belief, NaN where a covariance is not positive definite.
+    bit. `weights` (..., 1 + J) are the weights used, the own first. `inverse_volume` (..., 1 + J)
+    is `hold.inverse_volume` of each belief, NaN where a covariance is not positive definite.
     """
 
     belief: Gaussian
     weights: np.ndarray
-    sharpness: np.ndarray
+    inverse_volume: np.ndarray
 
 
 class Averaged(Protocol):
     """A rule that averages beliefs, as a node goes through it that has several at hand."""
 
     def fuse(
-        self, own: Gaussian, others: Gaussian, weights: np.ndarray, by_sharpness: bool, /
+        self, own: Gaussian, others: Gaussian, weights: np.ndarray, by_inverse_volume: bool, /
     ) -> Fused:
         """Average the own belief (..., n) with others (..., J, n) under weights (..., 1 + J).
 
-        With `by_sharpness`, multiply each weight by the belief's inverse volume (`hold.sharpened`).
+        With `by_inverse_volume`, multiply each weight by the belief's inverse volume
+        (`hold.times_inverse_volume`).
         """
         ...
 
@@ -44,12 +56,12 @@ class Directly(NamedTuple):
     of: Callable[[Gaussian, np.ndarray], Gaussian]
 
     def fuse(
-        self, own: Gaussian, others: Gaussian, weights: np.ndarray, by_sharpness: bool
+        self, own: Gaussian, others: Gaussian, weights: np.ndarray, by_inverse_volume: bool
     ) -> Fused:
         """Implement `Averaged.fuse`."""
         beliefs = joined(own, others)
-        sharp = sharpness(beliefs.cov)
-        used = sharpened(weights, sharp) if by_sharpness else weights
+        sharp = inverse_volume(beliefs.cov)
+        used = times_inverse_volume(weights, sharp) if by_inverse_volume else weights
         mean, cov = self.of(beliefs, used)
         return Fused(Gaussian(mean, symmetrise(cov)), used, sharp)
 
@@ -58,16 +70,16 @@ class Directly(NamedTuple):
 class Averaging:
     """A rule as what it averages: numbers (..., m) that a belief is turned into and back.
 
-    `weigh_up(belief, origin)` returns the numbers and the `hold.sharpness` (...) of a belief.
-    `conclude(numbers, origin)` returns the belief that an average of such numbers stands for.
-    `sharpness(numbers)` returns the inverse volume of that belief. Means are taken about an
+    `to_numbers(belief, origin)` returns the numbers and `hold.inverse_volume` (...) of a belief.
+    `from_numbers(numbers, origin)` returns the belief that an average of such numbers stands for.
+    `inverse_volume(numbers)` returns the inverse volume of that belief. Means are taken about an
     `origin` (..., n), any point near them, which preserves their digits. Beliefs that are averaged
     must have the same origin.
     """
 
-    weigh_up: Callable[[Gaussian, np.ndarray], tuple[np.ndarray, np.ndarray]]
-    conclude: Callable[[np.ndarray, np.ndarray], Gaussian]
-    sharpness: Callable[[np.ndarray], np.ndarray]
+    to_numbers: Callable[[Gaussian, np.ndarray], tuple[np.ndarray, np.ndarray]]
+    from_numbers: Callable[[np.ndarray, np.ndarray], Gaussian]
+    inverse_volume: Callable[[np.ndarray], np.ndarray]
 
     def average(self, numbers: np.ndarray, weights: np.ndarray, origin: np.ndarray) -> Gaussian:
         """The belief that numbers (..., J, m) about one origin come to with weights (..., J).
@@ -77,14 +89,14 @@ class Averaging:
         if np.count_nonzero(weights) < weights.size:
             # 0 * NaN would let them through.
             numbers = np.where((weights == 0)[..., None], 0.0, numbers)
-        return self.conclude(multiply(numbers.mT, weights), origin)
+        return self.from_numbers(multiply(numbers.mT, weights), origin)
 
     def fuse(
-        self, own: Gaussian, others: Gaussian, weights: np.ndarray, by_sharpness: bool
+        self, own: Gaussian, others: Gaussian, weights: np.ndarray, by_inverse_volume: bool
     ) -> Fused:
         """Implement `Averaged.fuse`."""
-        numbers, sharp = self.weigh_up(joined(own, others), own.mean[..., None, :])
-        used = sharpened(weights, sharp) if by_sharpness else weights
+        numbers, sharp = self.to_numbers(joined(own, others), own.mean[..., None, :])
+        used = times_inverse_volume(weights, sharp) if by_inverse_volume else weights
         mean, cov = self.average(numbers, used, own.mean)
         return Fused(Gaussian(mean, symmetrise(cov)), used, sharp)
 
@@ -97,13 +109,13 @@ class _Intersection(Averaging):
     """
 
     def fuse(
-        self, own: Gaussian, others: Gaussian, weights: np.ndarray, by_sharpness: bool
+        self, own: Gaussian, others: Gaussian, weights: np.ndarray, by_inverse_volume: bool
     ) -> Fused:
         """Implement `Averaged.fuse`."""
         means, covs = joined(own, others)
         factor = cholesky(covs)
-        sharp = sharpness_of_factor(factor)
-        used = sharpened(weights, sharp) if by_sharpness else weights
+        sharp = inverse_volume_of_factor(factor)
+        used = times_inverse_volume(weights, sharp) if by_inverse_volume else weights
         rows = np.sqrt(used)[..., None, None] * inverse_of_triangle(factor)
         offsets = means - own.mean[..., None, :]
         if np.count_nonzero(used) < used.size:
@@ -168,7 +180,7 @@ def covariance_intersection(beliefs: Gaussian, weights: np.ndarray) -> Gaussian:
 
 
 def _moments(belief: Gaussian, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return pack(Information(belief.mean - origin, belief.cov)), sharpness(belief.cov)
+    return pack(Information(belief.mean - origin, belief.cov)), inverse_volume(belief.cov)
 
 
 def _of_moments(numbers: np.ndarray, origin: np.ndarray) -> Gaussian:
@@ -177,17 +189,17 @@ def _of_moments(numbers: np.ndarray, origin: np.ndarray) -> Gaussian:
 
 
 def _information(belief: Gaussian, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return informed(Gaussian(belief.mean - origin, belief.cov))
+    return to_packed_information(Gaussian(belief.mean - origin, belief.cov))
 
 
 def _of_information(numbers: np.ndarray, origin: np.ndarray) -> Gaussian:
-    offset, cov = concluded(numbers)
+    offset, cov = from_packed_information(numbers)
     return Gaussian(origin + offset, cov)
 
 
-MOMENTS = Averaging(_moments, _of_moments, packed_sharpness)
+MOMENTS = Averaging(_moments, _of_moments, packed_inverse_volume)
 INFORMATION = _Intersection(
-    _information, _of_information, lambda numbers: 1.0 / packed_sharpness(numbers)
+    _information, _of_information, lambda numbers: 1.0 / packed_inverse_volume(numbers)
 )
 
 
@@ -195,7 +207,7 @@ def _averaged(rule: Averaging, beliefs: Gaussian, weights: np.ndarray) -> Gaussi
     check_weights(weights)
     beliefs = _without_unweighted(beliefs, weights)
     origin = beliefs.mean[..., 0, :]
-    numbers, _ = rule.weigh_up(beliefs, origin[..., None, :])
+    numbers, _ = rule.to_numbers(beliefs, origin[..., None, :])
     return rule.average(numbers, weights, origin)
 
 

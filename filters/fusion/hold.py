@@ -34,9 +34,9 @@ def held_weights(
     base_weights: np.ndarray,
     ages: np.ndarray,
     decay: float,
-    sharpness: np.ndarray | float = 1.0,
+    inverse_volume: np.ndarray | float = 1.0,
 ) -> np.ndarray:
-    """Weights proportional to base_j decay^age_j sharpness_j, for predicted held beliefs.
+    """Weights proportional to base_j decay^age_j inverse_volume_j, for predicted held beliefs.
 
     A decay of 0 is `renormalise`, a decay of 1 is `full`.
 
@@ -44,8 +44,9 @@ def held_weights(
         base_weights: (..., J), sum 1.
         ages: (..., J), cycles; negative: never heard.
         decay: factor per cycle of age, 0 to 1.
-        sharpness: (..., J), inverse volumes as `sharpness` returns them; the entry of a neighbour
-            never heard may be anything. By default all beliefs weigh alike, whatever their volume.
+        inverse_volume: (..., J), as the function `inverse_volume` returns it; the entry of a
+            neighbour never heard may be anything. By default all beliefs weigh alike, whatever
+            their volume.
 
     Returns:
         (..., J); NaN in a lane where the inverse volume of a belief that counts is NaN.
@@ -56,25 +57,25 @@ def held_weights(
     if not 0 <= decay <= 1:
         raise ValueError(f"decay is {decay}, but a share does not gain by age: choose 0 to 1")
     worth = _left_to_self(_where_heard(base_weights, ages) * decay ** np.maximum(ages, 0.0))
-    return sharpened(worth, sharpness)
+    return times_inverse_volume(worth, inverse_volume)
 
 
-def sharpened(weights: np.ndarray, sharpness: np.ndarray | float) -> np.ndarray:
+def times_inverse_volume(weights: np.ndarray, inverse_volume: np.ndarray | float) -> np.ndarray:
     """Multiply weights (..., J) by inverse volumes (..., J) where they exist; scale to sum 1."""
-    worth = weights * np.where(weights > 0, sharpness, 0.0)
+    worth = weights * np.where(weights > 0, inverse_volume, 0.0)
     return worth / np.add.reduce(worth, axis=-1, keepdims=True)
 
 
-def sharpness(covs: np.ndarray) -> np.ndarray:
+def inverse_volume(covs: np.ndarray) -> np.ndarray:
     """|P|^(-1/n) (...) of covariances (..., n, n); NaN where one is not positive definite.
 
     As a factor of a weight it favours sharp beliefs; only ratios matter there, so it does not
     depend on the units of the state.
     """
-    return sharpness_of_factor(cholesky(covs))
+    return inverse_volume_of_factor(cholesky(covs))
 
 
-def sharpness_of_factor(factor: np.ndarray) -> np.ndarray:
+def inverse_volume_of_factor(factor: np.ndarray) -> np.ndarray:
     """The same of covariances whose Cholesky factors (..., n, n) are known."""
     # The determinant itself could overflow.
     diagonal = factor.diagonal(axis1=-2, axis2=-1)

@@ -41,7 +41,7 @@ def begin(prior: Gaussian, posterior: Gaussian, row: np.ndarray) -> np.ndarray:
     return np.concatenate((*pairs, row), axis=-1)
 
 
-def conclude(numbers: np.ndarray, states: int, gain: Gain) -> Gaussian:
+def from_information(numbers: np.ndarray, states: int, gain: Gain) -> Gaussian:
     """The belief that averages (..., 2 (n + n (n + 1) / 2) + N) come to: Omega^- + g dOmega.
 
     With `safe_gain`: promises consistency. If every prior bounds its node's error covariance, the

@@ -25,7 +25,7 @@ def begin(prior: Gaussian, posterior: Gaussian, nodes: int) -> np.ndarray:
     return pack(to_information(prior)) / nodes + pack(novelty(prior, posterior))
 
 
-def conclude(numbers: np.ndarray, nodes: int) -> Gaussian:
+def from_information(numbers: np.ndarray, nodes: int) -> Gaussian:
     """The belief that averages (..., n + n (n + 1) / 2) come to: N times the average.
 
     Promises: the centralised filter on linear plants where the rounds reach the exact average

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from filters.fusion.hold import check_weights, renormalise, sharpness, sharpness_of_factor
+from filters.fusion.hold import check_weights, inverse_volume, inverse_volume_of_factor, renormalise
 from filters.gaussian import Gaussian, Information, to_gaussian
 from filters.linalg import factor_and_inverse, multiply, pack_upper, unpack_upper
 
@@ -49,22 +49,22 @@ def states_of(numbers: np.ndarray) -> int:
     return n
 
 
-def informed(belief: Gaussian) -> tuple[np.ndarray, np.ndarray]:
-    """Packed information (..., m) of a belief, and its `hold.sharpness` (...), from one
+def to_packed_information(belief: Gaussian) -> tuple[np.ndarray, np.ndarray]:
+    """Packed information (..., m) of a belief, and its `hold.inverse_volume` (...), from one
     factorisation; NaN where the covariance is not positive definite."""
     mean, cov = belief
     factor, matrix = factor_and_inverse(cov)
-    return pack(Information(multiply(matrix, mean), matrix)), sharpness_of_factor(factor)
+    return pack(Information(multiply(matrix, mean), matrix)), inverse_volume_of_factor(factor)
 
 
-def concluded(numbers: np.ndarray) -> Gaussian:
+def from_packed_information(numbers: np.ndarray) -> Gaussian:
     """The belief of packed information (..., m); NaN where that is not positive definite."""
     return to_gaussian(unpack(numbers))
 
 
-def packed_sharpness(numbers: np.ndarray) -> np.ndarray:
-    """`hold.sharpness` (...) of the matrices in packed pairs (..., m), taken as covariances."""
-    return sharpness(unpack(numbers).matrix)
+def packed_inverse_volume(numbers: np.ndarray) -> np.ndarray:
+    """`hold.inverse_volume` (...) of matrices in packed pairs (..., m), read as covariances."""
+    return inverse_volume(unpack(numbers).matrix)
 
 
 def average(numbers: np.ndarray, weights: np.ndarray) -> np.ndarray:

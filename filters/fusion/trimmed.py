@@ -3,7 +3,7 @@
 import numpy as np
 
 from filters.fusion.averaging import covariance_intersection
-from filters.fusion.hold import check_weights, sharpness
+from filters.fusion.hold import check_weights, inverse_volume
 from filters.gaussian import Gaussian
 from filters.linalg import cholesky, multiply
 
@@ -19,7 +19,7 @@ def trimmed_intersection(beliefs: Gaussian, weights: np.ndarray, liars: int) -> 
        surest of all in its surest direction, both relative to the own covariance. The covariance of
        a surer neighbour is scaled up to this cap;
     3. the others are averaged by `covariance_intersection`, each with its weight times the
-       `hold.sharpness` of its covariance after the cap.
+       `hold.inverse_volume` of its covariance after the cap.
 
     A node that hears fewer than 2 F neighbours cannot tell who lies, and keeps its own belief.
 
@@ -71,7 +71,7 @@ def trimmed_intersection(beliefs: Gaussian, weights: np.ndarray, liars: int) -> 
     worth = np.where(kept, weights, 0.0)
     # Where the hold policy leaves the node nothing of its own, it still is what is left.
     worth[..., 0] = np.where(worth.sum(axis=-1) > 0, worth[..., 0], 1.0)
-    worth = worth * np.where(kept, sharpness(cov), 0.0)
+    worth = worth * np.where(kept, inverse_volume(cov), 0.0)
     return covariance_intersection(Gaussian(mean, cov), worth / worth.sum(axis=-1, keepdims=True))
 
 

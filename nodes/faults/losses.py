@@ -99,7 +99,7 @@ def hears_all(
         asked = _code(senders, receivers)
         place = np.minimum(np.searchsorted(known, asked), len(known) - 1)
         limits = np.where(known[place] == asked, own[place], limits)
-    words = (part.astype(np.uint64) for part in (cycles, senders, receivers, numbers))
+    words = (number.astype(np.uint64) for number in (cycles, senders, receivers, numbers))
     # Numbers of 64 bits are meant to wrap, of which numpy warns where they are scalars.
     with np.errstate(over="ignore"):
         return heard & (_draw(links.key, *words) >= limits)
@@ -107,7 +107,7 @@ def hears_all(
 
 def chance(key: tuple[int, int], count: Any, one: Any, other: Any) -> Any:
     """Numbers in [0, 1) that belong to whole numbers of 0 or more and a key, alone or as arrays."""
-    words = (np.asarray(part).astype(np.uint64) for part in (count, one, other, 0))
+    words = (np.asarray(number).astype(np.uint64) for number in (count, one, other, 0))
     with np.errstate(over="ignore"):
         return _draw(key, *words).astype(float) / (1 << _FRACTION_BITS)
 

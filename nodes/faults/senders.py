@@ -58,7 +58,7 @@ def _strikes(faults: Faults, kind: str, step: int, cycle: int, node: int, number
     return numbers is not None and faults.draw(kind, cycle, node, EVERYBODY, number) < numbers[0]
 
 
-def _lied(codec: BeliefCodec, body: bytes, size: float, sharpness: float) -> bytes:
+def _lied(codec: BeliefCodec, body: bytes, size: float, inverse_volume: float) -> bytes:
     belief = codec.decode(body)
     spread = np.sqrt(np.diagonal(belief.cov))
-    return codec.encode(Gaussian(belief.mean + size * spread, belief.cov / sharpness))
+    return codec.encode(Gaussian(belief.mean + size * spread, belief.cov / inverse_volume))

@@ -25,7 +25,7 @@ from nodes.rules.lane_rule import (
     LocalStep,
     Own,
     Place,
-    Said,
+    Share,
     mapped,
 )
 from nodes.rules.local_filter import LocalFilters
@@ -39,14 +39,14 @@ class BatchContent(NamedTuple, Generic[Own, Held]):
 
 
 @dataclass(frozen=True)
-class InBatch(Generic[Own, Held, Said]):
+class InBatch(Generic[Own, Held, Share]):
     """A rule at all nodes of a network (`nodes.lanes.network.BatchedRule`).
 
     `base` are the weights of one run; a share of numbers written as `number` that are not finite is
     refused as `{what}-not-finite`.
     """
 
-    rule: LaneRule[Own, Held, Said]
+    rule: LaneRule[Own, Held, Share]
     filters: LocalFilters
     links: Links
     base: Shares
@@ -100,7 +100,7 @@ class InBatch(Generic[Own, Held, Said]):
         readable = np.isfinite(numbers).all(axis=-1)
         sent = sends & readable
         # A node that says nothing is not read: its numbers may be anything.
-        said, sound, reason = rule.read(np.where(sent[..., None], numbers, 0.0))
+        shares, sound, reason = rule.read(np.where(sent[..., None], numbers, 0.0))
         counted = traffic(links, sent, sends & ~readable, lost, f"{self.what}-not-finite")
         if sound is not None:
             refused = links.arriving(sent & ~sound, lost)
@@ -108,11 +108,11 @@ class InBatch(Generic[Own, Held, Said]):
             sent = sent & sound
         came = links.arriving(sent, lost)
         counters = added(content.counters, counted)
-        known, failures = self._fused(rule.sent(known, sends), said, came)
+        known, failures = self._fused(rule.sent(known, sends), shares, came)
         return BatchContent(known, added(counters, failures))
 
     def _fused(
-        self, before: LaneContent[Own, Held], said: Said, came: np.ndarray
+        self, before: LaneContent[Own, Held], shares: Share, came: np.ndarray
     ) -> tuple[LaneContent[Own, Held], Mapping[str, np.ndarray]]:
         """All neighbourhoods, class by class; `came` (R, E) says which shares did."""
         own, held, after = before.own, before.held, before
@@ -122,7 +122,7 @@ class InBatch(Generic[Own, Held, Said]):
             mine = mapped(lambda values, some=some: values[:, some.nodes], before.own)
             theirs = mapped(lambda values, some=some: _gathered(some, values), before.held)
             senders = self.links.sender[some.links]
-            words = mapped(lambda values, senders=senders: values[:, senders], said)
+            words = mapped(lambda values, senders=senders: values[:, senders], shares)
             after, failed = self.rule.fuse(
                 Place(some.nodes, weights[0]),
                 LaneContent(mine, theirs, before.cycles_in_step),
@@ -165,23 +165,23 @@ class AveragesInBatch(InBatch[FreshOwn, LastUsed, np.ndarray]):
     """
 
     def _fused(
-        self, before: LaneContent[FreshOwn, LastUsed], said: np.ndarray, came: np.ndarray
+        self, before: LaneContent[FreshOwn, LastUsed], shares: np.ndarray, came: np.ndarray
     ) -> tuple[LaneContent[FreshOwn, LastUsed], Mapping[str, np.ndarray]]:
         rule = cast(FreshConsensus, self.rule)
         exchange = cast(InformationRounds, rule.exchange)
         ages = np.where(came[:1] if came.all() else came, 0, -1)
         mixing = weighed(self.links, self.base, ages, renormalise)
         # A share that was not heard has no weight, and its numbers are finite.
-        known = mixed(mixing, before.own.known, said[:, self.links.source])
-        return rule.settled(before, known, exchange.conclude(known), came)
+        known = mixed(mixing, before.own.known, shares[:, self.links.source])
+        return rule.settled(before, known, exchange.from_information(known), came)
 
 
-def _replaced(values: np.ndarray, places: np.ndarray, part: np.ndarray) -> np.ndarray:
+def _replaced(values: np.ndarray, places: np.ndarray, replacing: np.ndarray) -> np.ndarray:
     """Values (R, N, ...) with those of some places (J,) replaced by (R, J, ...)."""
     if len(places) == values.shape[1] and (places == np.arange(len(places))).all():
-        return part
+        return replacing
     changed = values.copy()
-    changed[:, places] = part
+    changed[:, places] = replacing
     return changed
 
 

@@ -16,8 +16,8 @@ from filters.fusion.averaging import INFORMATION, Averaging
 from filters.gaussian import Gaussian
 from nodes.lanes.filter import (
     Counters,
+    LastPublished,
     LocalFilters,
-    Published,
     added,
     nothing_published,
     received,
@@ -27,7 +27,7 @@ from nodes.lanes.filter import (
 from nodes.lanes.links import Links, Shares, unheard
 from nodes.lanes.mixing import Mixing, mixed, summed, weighed
 from nodes.rules.belief_consensus import HoldPolicy
-from nodes.rules.local_filter import carry, finite_lanes, where
+from nodes.rules.local_filter import finite_lanes, predict_to_step, where
 
 _ALIKE = np.ones(1)
 
@@ -40,17 +40,17 @@ class Numbers(NamedTuple):
     """
 
     values: np.ndarray
-    sharpness: np.ndarray
+    inverse_volume: np.ndarray
     rounds: np.ndarray | None = None
 
     def taken(self) -> "Numbers":
         """With the rounds taken."""
         if self.rounds is None:
             return self
-        return Numbers(summed(self.rounds, self.values), self.sharpness)
+        return Numbers(summed(self.rounds, self.values), self.inverse_volume)
 
 
-class Content(NamedTuple):
+class BatchedContent(NamedTuple):
     """Knowledge of all nodes in a step.
 
     belief: the own ones; within a step those before its rounds, where the rule is not `eager`.
@@ -64,7 +64,7 @@ class Content(NamedTuple):
     origin: np.ndarray
     held_origin: np.ndarray
     ages: np.ndarray
-    published: Published
+    published: LastPublished
     step: int
     control: np.ndarray | None
     cycles_in_step: int
@@ -96,7 +96,7 @@ class BatchedBeliefs:
         lazy = self.averaging is INFORMATION and self.number == "<f8"
         return len(self.contenders) > 0 or not lazy
 
-    def start(self, prior: Gaussian) -> Content:
+    def start(self, prior: Gaussian) -> BatchedContent:
         """The priors, and neighbours never heard."""
         origin = prior.mean.mean(axis=1, keepdims=True)
         own = self._expressed(prior, origin)
@@ -105,9 +105,11 @@ class BatchedBeliefs:
         nobody = Numbers(nothing, nothing[..., 0])
         ages = np.full((runs, len(self.links.sender)), -1)
         published = nothing_published(self.contenders, prior)
-        return Content(prior, own, nobody, origin, origin, ages, published, 0, None, 0, {})
+        return BatchedContent(prior, own, nobody, origin, origin, ages, published, 0, None, 0, {})
 
-    def restarted(self, content: Content, nodes: np.ndarray, belief: Gaussian) -> Content:
+    def restarted(
+        self, content: BatchedContent, nodes: np.ndarray, belief: Gaussian
+    ) -> BatchedContent:
         """Let nodes begin anew, without the shares that they held of others."""
         return content._replace(
             belief=with_lanes(content.belief, nodes, belief),
@@ -116,16 +118,16 @@ class BatchedBeliefs:
         )
 
     def begin_step(
-        self, content: Content, readings: np.ndarray, control: np.ndarray | None, step: int
-    ) -> Content:
+        self, content: BatchedContent, readings: np.ndarray, control: np.ndarray | None, step: int
+    ) -> BatchedContent:
         """Predict, take the own readings. Held shares follow once the silent nodes are known."""
         belief, published, counters = content.belief, content.published, content.counters
         if step > 0:
-            belief, sound = self.filters.carry(belief, control, step)
+            belief, sound = self.filters.predict(belief, control, step)
             counters = added(counters, {"predict-failed": ~sound})
             if self.hold.carried:
                 published = published.carried(self.filters, control, step)
-        belief, troubles = self.filters.take(belief, readings, step)
+        belief, failures = self.filters.update(belief, readings, step)
         origin = belief.mean.mean(axis=1, keepdims=True)
         return content._replace(
             belief=belief,
@@ -135,17 +137,19 @@ class BatchedBeliefs:
             step=step,
             control=control,
             cycles_in_step=0,
-            counters=added(counters, troubles),
+            counters=added(counters, failures),
         )
 
-    def bids(self, content: Content, nodes: np.ndarray) -> np.ndarray:
+    def bids(self, content: BatchedContent, nodes: np.ndarray) -> np.ndarray:
         """How far beliefs have moved since they were last published."""
         return content.published.bids_of(nodes, content.belief, self.trigger)
 
-    def exchange(self, content: Content, sends: np.ndarray, lost: np.ndarray | None) -> Content:
+    def exchange(
+        self, content: BatchedContent, sends: np.ndarray, lost: np.ndarray | None
+    ) -> BatchedContent:
         """Nodes `sends` (R, N) publish; all average what they hear and hold with their own."""
         shared, readable = self._shared(content)
-        sound = readable & np.isfinite(shared.sharpness)
+        sound = readable & np.isfinite(shared.inverse_volume)
         counters = added(content.counters, self._traffic(sends, lost, readable, sound))
         fresh = self.links.in_slots(sends & sound, lost)
         held, ages = content.held, content.ages
@@ -167,25 +171,25 @@ class BatchedBeliefs:
         )
         return self._settled(content, self._fused(content))
 
-    def _fused(self, content: Content) -> Numbers:
+    def _fused(self, content: BatchedContent) -> Numbers:
         """Return the numbers after averaging at all nodes."""
         own, held = content.own, content.held
         mixing = self._mixing(content.ages, content.cycles_in_step - 1)
         together = own is held and isinstance(mixing.whole, np.ndarray)
-        if together and not (self.hold.by_sharpness or self.eager):
+        if together and not (self.hold.by_inverse_volume or self.eager):
             # No caller needs the result of a single round.
             rounds = mixing.whole if own.rounds is None else mixing.whole @ own.rounds
             return own._replace(rounds=rounds)
         same, own = own is held, own.taken()
         held = own if same else held.taken()
-        if not self.hold.by_sharpness:
+        if not self.hold.by_inverse_volume:
             values = mixed(mixing, _usable(own, mixing, own.values), held.values)
             return Numbers(values, np.where(np.isfinite(values.sum(axis=-1)), 1.0, np.nan))
         # By weights w_j s_j, where w_j are those of all runs: sums of w_j s_j v_j over w_j s_j.
-        heard = _times_sharpness(held)
-        known = heard if same else _usable(own, mixing, _times_sharpness(own))
+        heard = _times_inverse_volume(held)
+        known = heard if same else _usable(own, mixing, _times_inverse_volume(own))
         sums = mixed(mixing, known, heard)
-        return Numbers(sums[..., :-1] / sums[..., -1:], own.sharpness)
+        return Numbers(sums[..., :-1] / sums[..., -1:], own.inverse_volume)
 
     @cached_property
     def _mixing_of_one(self) -> Callable[[bytes, int], Mixing]:
@@ -207,15 +211,15 @@ class BatchedBeliefs:
 
         return weighed(self.links, self.base, ages, weigh)
 
-    def _settled(self, content: Content, fused: Numbers) -> Content:
+    def _settled(self, content: BatchedContent, fused: Numbers) -> BatchedContent:
         """With the fused beliefs where fusion went well."""
         belief, last = content.belief, content.cycles_in_step == self.rounds
-        if self.eager or (self.hold.by_sharpness and not last):
-            fused = fused._replace(sharpness=self.averaging.sharpness(fused.values))
-        sound = np.isfinite(fused.sharpness)
+        if self.eager or (self.hold.by_inverse_volume and not last):
+            fused = fused._replace(inverse_volume=self.averaging.inverse_volume(fused.values))
+        sound = np.isfinite(fused.inverse_volume)
         if self.eager or last:
             fused = fused.taken()
-            after = self.averaging.conclude(fused.values, content.origin)
+            after = self.averaging.from_numbers(fused.values, content.origin)
             sound = finite_lanes(after)
             belief = where(sound, after, belief)
         counters = added(content.counters, {"fuse-failed": ~sound})
@@ -223,21 +227,21 @@ class BatchedBeliefs:
             before = content.own.taken()
             fused = Numbers(
                 np.where(sound[..., None], fused.values, before.values),
-                np.where(sound, fused.sharpness, before.sharpness),
+                np.where(sound, fused.inverse_volume, before.inverse_volume),
             )
         return content._replace(belief=belief, own=fused, counters=counters)
 
-    def _shared(self, content: Content) -> tuple[Numbers, np.ndarray]:
+    def _shared(self, content: BatchedContent) -> tuple[Numbers, np.ndarray]:
         """Return the contents of the frames of all nodes, and which (R, N) can be read."""
         if self.number == "<f8":
-            return content.own, np.ones(content.own.sharpness.shape, dtype=bool)
+            return content.own, np.ones(content.own.inverse_volume.shape, dtype=bool)
         belief = Gaussian(*(received(values, self.number) for values in content.belief))
         return self._expressed(belief, content.origin), finite_lanes(belief)
 
     def _expressed(self, belief: Gaussian, origin: np.ndarray) -> Numbers:
-        return Numbers(*self.averaging.weigh_up(belief, origin))
+        return Numbers(*self.averaging.to_numbers(belief, origin))
 
-    def _caught_up(self, content: Content, fresh: np.ndarray) -> tuple[Numbers, np.ndarray]:
+    def _caught_up(self, content: BatchedContent, fresh: np.ndarray) -> tuple[Numbers, np.ndarray]:
         """Return the held shares without a replacement now, at this step and about its origin."""
         held = content.held
         ages = np.broadcast_to(content.ages, (len(fresh), content.ages.shape[1]))
@@ -247,26 +251,28 @@ class BatchedBeliefs:
         if not len(runs):
             return held, ages
         origin = content.held_origin[runs, 0]
-        old = self.averaging.conclude(held.values[runs, slots], origin)
+        old = self.averaging.from_numbers(held.values[runs, slots], origin)
         if self.hold.carried:
             control = None if content.control is None else content.control[runs]
             filters = self.filters
-            moved, sound = carry(old, control, content.step, filters.model, filters.points)
+            moved, sound = predict_to_step(
+                old, control, content.step, filters.model, filters.points
+            )
             old = where(sound, moved, old)
             forgotten = np.zeros(fresh.shape, dtype=bool)
             forgotten[runs, slots] = ~sound
             ages = np.where(forgotten[:, self.links.slot], -1, ages)
-        values, sharpness = held.values.copy(), held.sharpness.copy()
+        values, inverse_volume = held.values.copy(), held.inverse_volume.copy()
         now = self._expressed(old, content.origin[runs, 0])
-        values[runs, slots], sharpness[runs, slots] = now.values, now.sharpness
-        return Numbers(values, sharpness), ages
+        values[runs, slots], inverse_volume[runs, slots] = now.values, now.inverse_volume
+        return Numbers(values, inverse_volume), ages
 
     def _by_slot(self, numbers: Numbers) -> Numbers:
         """Return the numbers of nodes in the order of slots."""
         if self.links.perfect:
             return numbers
         source = self.links.source
-        return Numbers(numbers.values[:, source], numbers.sharpness[:, source])
+        return Numbers(numbers.values[:, source], numbers.inverse_volume[:, source])
 
     def _refreshed(self, held: Numbers, shared: Numbers, fresh: np.ndarray) -> Numbers:
         """Return the held shares after the slots that are `fresh` (R, K) have been filled."""
@@ -275,7 +281,7 @@ class BatchedBeliefs:
             return shared
         return Numbers(
             np.where(fresh[..., None], shared.values, held.values),
-            np.where(fresh, shared.sharpness, held.sharpness),
+            np.where(fresh, shared.inverse_volume, held.inverse_volume),
         )
 
     def _traffic(
@@ -288,36 +294,36 @@ class BatchedBeliefs:
         refused = {"rejected not-positive-definite": self.links.per_receiver(unsound)}
         return {**counts, **refused}
 
-    def belief(self, content: Content) -> Gaussian:
+    def belief(self, content: BatchedContent) -> Gaussian:
         """The own pairs, after the last round of a step."""
         return content.belief
 
-    def ages(self, content: Content) -> np.ndarray:
+    def ages(self, content: BatchedContent) -> np.ndarray:
         """Cycles since the held pairs were sent."""
         return np.broadcast_to(content.ages, (len(content.origin), content.ages.shape[1]))
 
-    def counters(self, content: Content) -> Counters:
+    def counters(self, content: BatchedContent) -> Counters:
         """Return the totals."""
         return content.counters
 
-    def spread(self, content: Content) -> None:
+    def spread(self, content: BatchedContent) -> None:
         """Shares have one length."""
         return
 
 
 def _usable(own: Numbers, mixing: Mixing, values: np.ndarray) -> np.ndarray:
     """Values of the own numbers, 0 where they are of no belief and weigh nothing."""
-    unsound = np.isnan(own.sharpness)
+    unsound = np.isnan(own.inverse_volume)
     if not unsound.any():
         return values
     # 0 * NaN would let them through.
     return np.where((unsound & (mixing.own == 0))[..., None], 0.0, values)
 
 
-def _times_sharpness(numbers: Numbers) -> np.ndarray:
+def _times_inverse_volume(numbers: Numbers) -> np.ndarray:
     """Numbers times their inverse volume, and that volume: (R, K, m + 1), lanes last in memory."""
     runs, slots, m = numbers.values.shape
     product = np.empty((m + 1, runs, slots)).transpose(1, 2, 0)
-    np.multiply(numbers.values, numbers.sharpness[..., None], out=product[..., :-1])
-    product[..., -1] = numbers.sharpness
+    np.multiply(numbers.values, numbers.inverse_volume[..., None], out=product[..., :-1])
+    product[..., -1] = numbers.inverse_volume
     return product

@@ -49,7 +49,7 @@ def with_lanes(beliefs: Gaussian, nodes: np.ndarray, others: Gaussian) -> Gaussi
     return Gaussian(mean, cov)
 
 
-class Published(NamedTuple):
+class LastPublished(NamedTuple):
     """Last published beliefs of the nodes that may contend, `nodes` (C,): (R, C, n), (..., n).
 
     `known` (R, C) is False where they never did, or what they sent could not be carried on.
@@ -59,18 +59,20 @@ class Published(NamedTuple):
     belief: Gaussian
     known: np.ndarray
 
-    def carried(self, filters: LocalFilters, control: np.ndarray | None, step: int) -> "Published":
+    def carried(
+        self, filters: LocalFilters, control: np.ndarray | None, step: int
+    ) -> "LastPublished":
         """The same at `step`."""
         if not self.known.any():
             return self
-        belief, sound = filters.carry(self.belief, control, step)
+        belief, sound = filters.predict(self.belief, control, step)
         return self._replace(belief=belief, known=self.known & sound)
 
-    def forgotten(self, nodes: np.ndarray) -> "Published":
+    def forgotten(self, nodes: np.ndarray) -> "LastPublished":
         """After nodes (J,) have begun anew."""
         return self._replace(known=self.known & ~np.isin(self.nodes, nodes))
 
-    def sent(self, belief: Gaussian, sends: np.ndarray) -> "Published":
+    def sent(self, belief: Gaussian, sends: np.ndarray) -> "LastPublished":
         """After nodes `sends` (R, N) have sent their beliefs (R, N, n)."""
         if not len(self.nodes):
             return self
@@ -86,7 +88,7 @@ class Published(NamedTuple):
         return np.where(self.known[:, places], bid_for_change(now, then, trigger), FIRST_BID)
 
 
-def nothing_published(nodes: np.ndarray, prior: Gaussian) -> Published:
+def nothing_published(nodes: np.ndarray, prior: Gaussian) -> LastPublished:
     """Return the start, before any of `nodes` (C,) has sent; priors (R, N, n) fill the places."""
     belief = Gaussian(prior.mean[:, nodes], prior.cov[:, nodes])
-    return Published(nodes, belief, np.zeros(belief.mean.shape[:2], dtype=bool))
+    return LastPublished(nodes, belief, np.zeros(belief.mean.shape[:2], dtype=bool))

@@ -17,7 +17,7 @@ from filters.linalg import cholesky, pack_upper, unpack_upper
 from nodes.bids import NO_BID
 from nodes.lanes.filter import Counters, added, received, traffic
 from nodes.lanes.links import Links, Padded, neighbourhoods, overhearing
-from nodes.lanes.network import Spread
+from nodes.lanes.network import ShareContents
 from nodes.lanes.records import (
     RecordSets,
     first_places,
@@ -36,8 +36,8 @@ from nodes.rules.local_filter import finite_lanes
 from nodes.rules.source_gate import without_outliers
 
 
-class Content(NamedTuple):
-    """Knowledge of all nodes; `nodes.rules.labelled.Content` in arrays.
+class BatchedLabelledContent(NamedTuple):
+    """Knowledge of all nodes; `nodes.rules.labelled.LabelledContent` in arrays.
 
     held: (R, N, W, B). known, confirmed: (R, E, W, B) of each link, what its receiver believes
     that its sender holds, and what that has said of itself. owed: (R, N). heard: steps (R, E).
@@ -92,13 +92,13 @@ class BatchedFlooding:
     gap_steps: int
     gates: tuple[float, ...]
 
-    def start(self, prior: Gaussian) -> Content:
+    def start(self, prior: Gaussian) -> BatchedLabelledContent:
         """The priors, and no record."""
         runs, links = len(prior.mean), len(self.links.sender)
         nothing = partial(no_records, window_steps=self._window, nodes=self._nodes)
         # A node without neighbours has no link, and yet the arrays have a place.
         known = nothing((runs, max(links, 1)))
-        return Content(
+        return BatchedLabelledContent(
             windows=self.windows.start(prior),
             held=nothing((runs, self._nodes)),
             known=known,
@@ -114,8 +114,12 @@ class BatchedFlooding:
         )
 
     def begin_step(
-        self, content: Content, readings: np.ndarray, control: np.ndarray | None, step: int
-    ) -> Content:
+        self,
+        content: BatchedLabelledContent,
+        readings: np.ndarray,
+        control: np.ndarray | None,
+        step: int,
+    ) -> BatchedLabelledContent:
         """Let the oldest step go into the base, and record the own readings."""
         owed = content.owed
         if step >= self._window:
@@ -147,7 +151,7 @@ class BatchedFlooding:
             counters=added(counters, {"record-range": beyond}),
         )
 
-    def bids(self, content: Content, nodes: np.ndarray) -> np.ndarray:
+    def bids(self, content: BatchedLabelledContent, nodes: np.ndarray) -> np.ndarray:
         """How many records the neighbours of these nodes (C,) lack: `LabelledFlooding.bid`."""
         shape = (len(content.owed), len(nodes))
         runs, some = (one.ravel() for one in np.indices(shape))
@@ -160,7 +164,9 @@ class BatchedFlooding:
             bids = np.where(urgency == 0, NO_BID, bids)
         return bids.reshape(shape)
 
-    def exchange(self, content: Content, sends: np.ndarray, lost: np.ndarray | None) -> Content:
+    def exchange(
+        self, content: BatchedLabelledContent, sends: np.ndarray, lost: np.ndarray | None
+    ) -> BatchedLabelledContent:
         """End a group: nodes compose their shares at once; then all know what they have heard."""
         if not sends.any():
             return self._closed(content)
@@ -176,8 +182,8 @@ class BatchedFlooding:
         return self._closed(content)
 
     def _composed(
-        self, content: Content, runs: np.ndarray, nodes: np.ndarray
-    ) -> tuple[Content, _Shares, np.ndarray]:
+        self, content: BatchedLabelledContent, runs: np.ndarray, nodes: np.ndarray
+    ) -> tuple[BatchedLabelledContent, _Shares, np.ndarray]:
         """The shares of these nodes, and which of them can be read."""
         missing = np.bitwise_or.reduce(self._absent(content, runs, nodes), axis=1)
         wanted = (missing,)
@@ -190,12 +196,14 @@ class BatchedFlooding:
         room = np.where(owed, self.frames.room(True), self.frames.room(False))
         records, taken, count = first_that_fit(wanted, self._costs, room)
         base = Gaussian(*(values[runs, nodes] for values in content.windows.base))
-        checkpoint, sound = _said(base, self.frames.belief.number) if owed.any() else (base, owed)
+        checkpoint, sound = (
+            _as_sent(base, self.frames.belief.number) if owed.any() else (base, owed)
+        )
         carried, sent_cycle = content.carried.copy(), content.sent_cycle.copy()
         turn = content.cycle % self.rounds
         body_bytes = self.frames.limit_bytes - room + taken
-        for kind, said in enumerate((body_bytes, owed, count)):
-            carried[kind, turn, runs, nodes] = said
+        for kind, values in enumerate((body_bytes, owed, count)):
+            carried[kind, turn, runs, nodes] = values
         sent_cycle[runs, nodes] = content.cycle
         left = content.owed.copy()
         left[runs, nodes] = False
@@ -208,7 +216,9 @@ class BatchedFlooding:
         runs, links = np.nonzero(arriving)
         return _Came(runs, links, lanes[runs, self.links.sender[links]])
 
-    def _heard(self, content: Content, shares: _Shares, came: _Came) -> Content:
+    def _heard(
+        self, content: BatchedLabelledContent, shares: _Shares, came: _Came
+    ) -> BatchedLabelledContent:
         """Note the neighbours' statements about themselves."""
         runs, links = came.runs, came.links
         heard, share_cycles = content.heard.copy(), content.share_cycles.copy()
@@ -230,7 +240,9 @@ class BatchedFlooding:
             share_cycles=share_cycles,
         )
 
-    def _told(self, content: Content, shares: _Shares, came: _Came) -> Content:
+    def _told(
+        self, content: BatchedLabelledContent, shares: _Shares, came: _Came
+    ) -> BatchedLabelledContent:
         """Pass records to the nodes that hear them; each hearer knows that the others hear too."""
         runs, links = came.runs, came.links
         told = shares.records[came.lanes]
@@ -264,7 +276,9 @@ class BatchedFlooding:
             confirmed=confirmed.reshape(content.confirmed.shape),
         )
 
-    def _with_checkpoints(self, content: Content, shares: _Shares, came: _Came) -> Content:
+    def _with_checkpoints(
+        self, content: BatchedLabelledContent, shares: _Shares, came: _Came
+    ) -> BatchedLabelledContent:
         """Bases fused with those that came, sender by sender."""
         own = content.windows.base
         base = Gaussian(own.mean.copy(), own.cov.copy())
@@ -292,7 +306,7 @@ class BatchedFlooding:
         windows = content.windows._replace(base=base, right=right)
         return content._replace(windows=windows, counters=counters)
 
-    def _closed(self, content: Content) -> Content:
+    def _closed(self, content: BatchedLabelledContent) -> BatchedLabelledContent:
         """Begin the next group of the cycle; at the end of a step filter the windows."""
         if content.group + 1 < len(self.schedule.groups(content.cycle)):
             return content._replace(group=content.group + 1)
@@ -300,31 +314,31 @@ class BatchedFlooding:
         if content.cycle % self.rounds:
             return content
         held = flags_of(content.held, self._nodes)
-        windows, troubles = self.windows.filtered(content.windows, held)
-        return content._replace(windows=windows, counters=added(content.counters, troubles))
+        windows, failures = self.windows.filtered(content.windows, held)
+        return content._replace(windows=windows, counters=added(content.counters, failures))
 
-    def belief(self, content: Content) -> Gaussian:
+    def belief(self, content: BatchedLabelledContent) -> Gaussian:
         """The posteriors of the step."""
         return content.windows.beliefs
 
-    def ages(self, content: Content) -> np.ndarray:
+    def ages(self, content: BatchedLabelledContent) -> np.ndarray:
         """Cycles since the last share over each link was sent."""
         last = content.share_cycles
         return np.where(last < 0, -1, content.cycle - 1 - last)
 
-    def counters(self, content: Content) -> Counters:
+    def counters(self, content: BatchedLabelledContent) -> Counters:
         """Return the totals."""
         return content.counters
 
-    def spread(self, content: Content) -> Spread:
+    def spread(self, content: BatchedLabelledContent) -> ShareContents:
         """Return the contents of the step's shares, and the records held at its end."""
         body_bytes, checkpoints, records = content.carried
         held = flags_of(content.held, self._nodes)
-        return Spread(body_bytes, checkpoints, records, held)
+        return ShareContents(body_bytes, checkpoints, records, held)
 
     def _absent(
         self,
-        content: Content,
+        content: BatchedLabelledContent,
         runs: np.ndarray,
         nodes: np.ndarray,
         sets: RecordSets | None = None,
@@ -368,7 +382,7 @@ class BatchedFlooding:
         return overhearing(self.links)
 
 
-def _said(base: Gaussian, number: str) -> tuple[Gaussian, np.ndarray]:
+def _as_sent(base: Gaussian, number: str) -> tuple[Gaussian, np.ndarray]:
     """Return the decoded checkpoints of bases (L, n), and which can be read (L,)."""
     mean, packed_cov = (received(values, number) for values in (base.mean, pack_upper(base.cov)))
     checkpoint = Gaussian(mean, unpack_upper(packed_cov))

@@ -40,9 +40,9 @@ def weighed(
     """
     own, link = np.empty((len(ages), links.nodes)), np.empty((len(ages), len(links.sender)))
     for some, row in zip(links.classes, links.rows(base), strict=True):
-        around = some.gathered(ages, -1)
-        self_heard = np.zeros((*around.shape[:-1], 1), dtype=ages.dtype)
-        weights = weigh(row, np.concatenate((self_heard, around), axis=-1))
+        neighbour_ages = some.gathered(ages, -1)
+        self_heard = np.zeros((*neighbour_ages.shape[:-1], 1), dtype=ages.dtype)
+        weights = weigh(row, np.concatenate((self_heard, neighbour_ages), axis=-1))
         own[:, some.nodes] = weights[..., 0]
         link[:, some.links[some.real]] = weights[..., 1:][:, some.real]
     alike = len(ages) == 1 and links.perfect

@@ -9,7 +9,7 @@ import numpy as np
 from bus.arbitration import ArbiterState
 from bus.schedule import Schedule
 from filters.gaussian import Gaussian
-from nodes.environment_state import Controller, Delivery, Plant
+from nodes.environment_state import ControlStep, Delivery, Plant
 from nodes.lanes.filter import Counters
 
 Contest = Callable[
@@ -23,7 +23,7 @@ Framed = Callable[[int, np.ndarray, np.ndarray | None], tuple[np.ndarray, np.nda
 and bytes of their payload (R, N)."""
 
 
-class Spread(NamedTuple):
+class ShareContents(NamedTuple):
     """Contents of a step's shares, for a rule that passes on records.
 
     body_bytes, checkpoints, records: (rounds, R, N), of what a node sent in a cycle. held: (R, N,
@@ -76,7 +76,7 @@ class BatchedRule(Protocol):
         """Return the totals since the start."""
         ...
 
-    def spread(self, content: Any) -> Spread | None:
+    def spread(self, content: Any) -> ShareContents | None:
         """Return the contents of the step's shares; None if the rule's shares have one length."""
         ...
 
@@ -90,7 +90,7 @@ class RuleWithReturns(BatchedRule, Protocol):
         ...
 
 
-class Regime(NamedTuple):
+class RunSettings(NamedTuple):
     """Rule and bus, until the settings change: communication cycles of step k, `rounds` of
     them, begin at `first_cycle + (k - first_step) * rounds`."""
 
@@ -109,7 +109,7 @@ class Regime(NamedTuple):
         return range(first, first + self.rounds)
 
 
-class Era(NamedTuple):
+class RunSegment(NamedTuple):
     """Segment of a run: the settings from `first_step` on, until the next segment begins.
 
     present: (N,) bool, which nodes take part. joined: (node, whose belief it begins with). lost:
@@ -118,19 +118,19 @@ class Era(NamedTuple):
     """
 
     first_step: int
-    regime: Regime
+    settings: RunSettings
     present: np.ndarray
     joined: tuple[tuple[int, int], ...]
     lost: Callable[[int, int], np.ndarray] | None
 
 
 @dataclass(frozen=True)
-class Network:
+class BatchedNetwork:
     """Everything about R runs of a network.
 
     initial_state: (R, n). prior: (R, N, n), (R, N, n, n). process: normals (steps, R, q).
-    measurement: (steps, R, N, r, d). receivers: (E,) of all links. `eras`: the segments of the run;
-    the first begins at 0.
+    measurement: (steps, R, N, r, d). receivers: (E,) of all links. `segments`: of the run, the
+    first from step 0 on.
     """
 
     plant: Plant
@@ -139,7 +139,7 @@ class Network:
     process: np.ndarray
     measurement: np.ndarray
     steps: int
-    controller: Controller | None
+    controller: ControlStep | None
     delivery: Delivery | None
     receivers: np.ndarray
-    eras: tuple[Era, ...]
+    segments: tuple[RunSegment, ...]

@@ -13,7 +13,7 @@ import numpy as np
 from filters.gaussian import Gaussian
 from filters.ukf import update
 from nodes.lanes.filter import LocalFilters
-from nodes.rules.local_filter import carry, finite_lanes, where
+from nodes.rules.local_filter import finite_lanes, predict_to_step, where
 from nodes.rules.record_codec import RecordCodec
 
 
@@ -94,13 +94,13 @@ class WindowFilters:
         place = self.window_steps - 2
         alone = place < windows.first
         belief = windows.base if alone else _at(windows.posteriors, place)
-        return self.filters.carry(belief, windows.controls[-1], windows.step)
+        return self.filters.predict(belief, windows.controls[-1], windows.step)
 
     def filtered(self, windows: Windows, held: np.ndarray) -> tuple[Windows, dict[str, np.ndarray]]:
         """With the posteriors of all steps, of what nodes hold (R, N, W, N); what went wrong."""
         posteriors = Gaussian(*(values.copy() for values in windows.posteriors))
         begin = np.maximum(windows.right, windows.first)
-        troubles = {
+        failures = {
             name: np.zeros(begin.shape, dtype=np.int64)
             for name in ("predict-failed", "update-failed")
         }
@@ -113,10 +113,10 @@ class WindowFilters:
             belief, updated = self._updated(windows, place, runs, belief, there)
             for values, found in zip(posteriors, belief, strict=True):
                 values[runs, nodes, place] = found
-            troubles["predict-failed"][runs, nodes] += ~moved
-            troubles["update-failed"][runs, nodes] += ~updated
+            failures["predict-failed"][runs, nodes] += ~moved
+            failures["update-failed"][runs, nodes] += ~updated
         right = np.full_like(windows.right, self.window_steps)
-        return windows._replace(posteriors=posteriors, right=right), troubles
+        return windows._replace(posteriors=posteriors, right=right), failures
 
     def _carried(
         self, windows: Windows, place: int, runs: np.ndarray, belief: Gaussian
@@ -125,7 +125,9 @@ class WindowFilters:
         if step == 0:
             return belief, np.ones(len(runs), dtype=bool)
         driven = None if control is None else control[runs]
-        moved, sound = carry(belief, driven, step, self.filters.model, self.filters.points)
+        moved, sound = predict_to_step(
+            belief, driven, step, self.filters.model, self.filters.points
+        )
         return where(sound, moved, belief), sound
 
     def _updated(

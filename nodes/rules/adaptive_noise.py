@@ -82,12 +82,12 @@ class AdaptiveNoise:
         if noise is not None:
             known: Any = rule  # a dataclass, which a protocol cannot say
             rule = replace(known, sensor=AdaptedSensor(self.sensor, noise))
-        inner, troubles = rule.begin_step(content.content, measured)
+        inner, failures = rule.begin_step(content.content, measured)
         belief = rule.belief(inner)
         for reading in readings:
             assert noise is not None, "there was a reading"
             noise = learn(noise, belief, reading, self.sensor, self.points, measured.step)
-        return Learnt(inner, noise), troubles
+        return Learnt(inner, noise), failures
 
     def bid(self, content: Learnt) -> int | None:
         """Delegate to the wrapped rule."""
@@ -106,8 +106,8 @@ class AdaptiveNoise:
         self, content: Learnt, shares: tuple[Share | None, ...]
     ) -> tuple[Learnt, tuple[str, ...]]:
         """Delegate to the wrapped rule."""
-        inner, troubles = self.rule.fuse(content.content, shares)
-        return content._replace(content=inner), troubles
+        inner, failures = self.rule.fuse(content.content, shares)
+        return content._replace(content=inner), failures
 
     def belief(self, content: Learnt) -> Gaussian:
         """Delegate to the wrapped rule."""

@@ -18,7 +18,7 @@ from nodes.rules.lane_rule import (
     LocalStep,
     Own,
     Place,
-    Said,
+    Share,
     mapped,
 )
 from nodes.rules.local_filter import LocalFilters, Model, Sensor, SensorGroup, control_of
@@ -28,10 +28,10 @@ _SENDS = np.array(True)
 
 
 @dataclass(frozen=True)
-class AtNode(Generic[Own, Held, Said]):
+class AtNode(Generic[Own, Held, Share]):
     """The estimator of a rule at a node (`nodes.estimator.Estimator`)."""
 
-    rule: LaneRule[Own, Held, Said]
+    rule: LaneRule[Own, Held, Share]
     place: Place
     model: Model
     sensor: Sensor | None
@@ -92,15 +92,15 @@ class AtNode(Generic[Own, Held, Said]):
         """End a round with bodies that were accepted, in the order of the neighbours."""
         came = self.codec.unpack(*[share for share in shares if share is not None])
         heard = np.array([share is not None for share in shares], dtype=bool)
-        said, sound, reason = self.rule.read(came)
+        decoded, sound, reason = self.rule.read(came)
         again: tuple[str, ...] = ()
         if sound is not None and not sound.all():
             again = (f"rejected {reason}",) * int((~sound).sum())
         if len(came) < len(shares):
-            said = mapped(lambda values: _placed(values, heard), said)
+            decoded = mapped(lambda values: _placed(values, heard), decoded)
         if again:
             heard = heard & _placed(cast(np.ndarray, sound), heard)
-        content, failures = self.rule.fuse(self.place, content, said, heard)
+        content, failures = self.rule.fuse(self.place, content, decoded, heard)
         return content, again + _names(failures) if failures or again else ()
 
     def belief(self, content: LaneContent[Own, Held]) -> Gaussian:

@@ -31,16 +31,16 @@ _ALIKE = np.ones(1)
 class HoldPolicy(NamedTuple):
     """Hold policy: how the last share of a silent neighbour is used.
 
-    `weigh(base_weights (..., J), ages (..., J), sharpness (..., J), cycles_in_step)` gives weights
-    (..., J) that sum to one; entry 0 is the node itself; `cycles_in_step` is 0 in the first round
-    of a step. `carried` says that held shares are predicted once per step like the own belief.
-    `by_sharpness`: beliefs weigh by `hold.sharpness` beside their age, each weight multiplied by it
-    (`hold.sharpened`); else it is 1 for all.
+    `weigh(base_weights (..., J), ages (..., J), inverse_volume (..., J), cycles_in_step)` gives
+    weights (..., J) that sum to one; entry 0 is the node itself; `cycles_in_step` is 0 in the first
+    round of a step. `carried` says that held shares are predicted once per step like the own
+    belief. With `by_inverse_volume`, each weight is multiplied by `hold.inverse_volume` of its
+    belief (`hold.times_inverse_volume`); else that is 1 for all.
     """
 
     weigh: Callable[[np.ndarray, np.ndarray, np.ndarray, int], np.ndarray]
     carried: bool
-    by_sharpness: bool = False
+    by_inverse_volume: bool = False
 
 
 class OwnBelief(NamedTuple):
@@ -128,21 +128,21 @@ class BeliefConsensus:
         return belief_of(numbers, self.states), None, ""
 
     def fuse(
-        self, place: Place, content: BeliefContent, said: Gaussian, heard: np.ndarray
+        self, place: Place, content: BeliefContent, shares: Gaussian, heard: np.ndarray
     ) -> tuple[BeliefContent, Failures]:
         """Average the own pair with the neighbours' pairs, fresh or held, in sender order."""
         own, before, cycles = content
         if heard.all():
-            held = HeldBeliefs(said, np.zeros(heard.shape, dtype=np.int64))
+            held = HeldBeliefs(shares, np.zeros(heard.shape, dtype=np.int64))
         else:
             ages = np.where(heard, 0, older(before.ages))
-            held = HeldBeliefs(where(heard, said, before.beliefs), ages)
+            held = HeldBeliefs(where(heard, shares, before.beliefs), ages)
         weights = self._weights(place.weights, held.ages, cycles)
-        fused = self.average.fuse(own.belief, held.beliefs, weights, self.hold.by_sharpness)
-        unsound = np.isnan(fused.sharpness[..., 1:])
+        fused = self.average.fuse(own.belief, held.beliefs, weights, self.hold.by_inverse_volume)
+        unsound = np.isnan(fused.inverse_volume[..., 1:])
         if unsound.any() and (unsound := heard & unsound).any():
             # Few shares fail this check, and what is held instead is weighed in a second go.
-            content, failures = self.fuse(place, content, said, heard & ~unsound)
+            content, failures = self.fuse(place, content, shares, heard & ~unsound)
             return content, {"rejected not-positive-definite": unsound.sum(axis=-1), **failures}
         if finite(fused.belief):
             return LaneContent(OwnBelief(fused.belief, own.published), held, cycles + 1), {}

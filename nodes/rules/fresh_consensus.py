@@ -136,17 +136,17 @@ class FreshConsensus:
         return numbers, self.exchange.sound(numbers), "unsound"
 
     def fuse(
-        self, place: Place, content: FreshContent, said: np.ndarray, heard: np.ndarray
+        self, place: Place, content: FreshContent, shares: np.ndarray, heard: np.ndarray
     ) -> tuple[FreshContent, Failures]:
         """One round of the rule with what was heard, in sender order."""
         own, _, cycle = content
         failures: dict[str, np.ndarray] = {}
-        usable = self.exchange.usable(own.prior, np.where(heard[..., None], said, 0.0))
+        usable = self.exchange.usable(own.prior, np.where(heard[..., None], shares, 0.0))
         if usable is not None and (refused := heard & ~usable).any():
             failures = {"rejected unsound": refused.sum(axis=-1)}
             heard = heard & usable
         everyone = np.concatenate(
-            (self.say(content)[..., None, :], np.where(heard[..., None], said, np.nan)), axis=-2
+            (self.say(content)[..., None, :], np.where(heard[..., None], shares, np.nan)), axis=-2
         )
         known, belief = self.exchange.fuse(
             cycle, place.weights, own.prior, own.known, own.belief, everyone

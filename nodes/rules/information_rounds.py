@@ -13,11 +13,11 @@ class InformationRounds(NamedTuple):
     """Averages by the weights, renormalised over the heard neighbours (`fresh_consensus.Exchange`).
 
     `open(node, prior, posterior)` is what is known (..., m) before the first round,
-    `conclude(known)` the belief that an average comes to, `check(shares)` tells sound ones.
+    `from_information(known)` the belief that an average comes to, `check(shares)` tells sound ones.
     """
 
     open: Callable[[np.ndarray, Gaussian, Gaussian], np.ndarray]
-    conclude: Callable[[np.ndarray], Gaussian]
+    from_information: Callable[[np.ndarray], Gaussian]
     check: Callable[[np.ndarray], np.ndarray]
 
     def begin(self, node: np.ndarray, prior: Gaussian, posterior: Gaussian) -> np.ndarray:
@@ -46,4 +46,4 @@ class InformationRounds(NamedTuple):
     ) -> tuple[np.ndarray, Gaussian]:
         """The average of shares (..., 1 + J, m), and the belief that it comes to."""
         mixed = average(shares, weights)
-        return mixed, self.conclude(mixed)
+        return mixed, self.from_information(mixed)

@@ -48,7 +48,7 @@ SILENCE = 4096
 GAP_STEPS = 16
 
 
-class Content(NamedTuple):
+class LabelledContent(NamedTuple):
     """A node's knowledge.
 
     Attributes:
@@ -104,11 +104,11 @@ class LabelledFlooding:
         """Length of the longest share."""
         return self.frames.limit_bytes
 
-    def start(self) -> Content:
+    def start(self) -> LabelledContent:
         """The common prior, and no record."""
         return self._empty(empty_window(self.first_step - 1, self.prior), self.first_step)
 
-    def restart(self, prior: Gaussian, heartbeats: Sequence[Measured]) -> Content:
+    def restart(self, prior: Gaussian, heartbeats: Sequence[Measured]) -> LabelledContent:
         """A node that has lost everything, before the step after the last of `heartbeats`.
 
         These are the last steps, a window of them at most. Its beliefs are NaN until a checkpoint
@@ -121,11 +121,11 @@ class LabelledFlooding:
         content = self._empty(self.filter.filtered(window)[0], window.step + 1)
         return content._replace(needs=True)
 
-    def _empty(self, window: Window, step: int) -> Content:
+    def _empty(self, window: Window, step: int) -> LabelledContent:
         nobody = (-1,) * len(self._near)
         cycle = self.first_cycle + (step - self.first_step) * self.rounds
         nothing: tuple[RecordSet, ...] = (0,) * len(self._near)
-        return Content(
+        return LabelledContent(
             window,
             0,
             nothing,
@@ -140,32 +140,34 @@ class LabelledFlooding:
             -1,
         )
 
-    def begin_step(self, content: Content, measured: Measured) -> tuple[Content, tuple[str, ...]]:
+    def begin_step(
+        self, content: LabelledContent, measured: Measured
+    ) -> tuple[LabelledContent, tuple[str, ...]]:
         """Let the oldest step go into the base, and record the own readings."""
         if len(content.window.heartbeats) == self.frames.window_steps:
             content = self._shortened(content)
         window = content.window
         delivered = from_wire(measured.readings)
         sensor = self.filter.sensors[self.node]
-        troubles: tuple[str, ...] = ()
+        failures: tuple[str, ...] = ()
         judged = sensor is not None and (sensor.gate is not None or len(self.gates) > 0)
         # A node that needs a checkpoint has no belief by which to refuse a reading.
         if sensor is not None and judged and not content.needs:
-            belief, troubles = self.filter.predicted(window.belief, measured)
+            belief, failures = self.filter.predicted(window.belief, measured)
             delivered, gated = without_outliers(
                 belief, delivered, sensor, measured.step, self.filter.points, self.gates
             )
-            troubles += ("gated",) * int(gated)
+            failures += ("gated",) * int(gated)
         codec = self.filter.codecs[self.node]
         record = None if codec is None else codec.encode(delivered)
         if codec is not None and codec.beyond(delivered):
-            troubles = (*troubles, "record-range")
+            failures = (*failures, "record-range")
         content = content._replace(window=opened(window, measured))
         if record is None:
-            return content, troubles
-        return self._with_records(content, {measured.step: {self.node: record}}), troubles
+            return content, failures
+        return self._with_records(content, {measured.step: {self.node: record}}), failures
 
-    def _shortened(self, content: Content) -> Content:
+    def _shortened(self, content: LabelledContent) -> LabelledContent:
         """The base moves on; a neighbour that never got the step's records is owed a checkpoint."""
         missing = sources_at(lacked(content.held, content.known), 0, self._nodes) > 0
         return content._replace(
@@ -176,7 +178,7 @@ class LabelledFlooding:
             owed=content.owed or missing,
         )
 
-    def bid(self, content: Content) -> int | None:
+    def bid(self, content: LabelledContent) -> int | None:
         """How many records the neighbours lack, newer ones counting more; None for none at all.
 
         An integer. A digest is worth a frame without records: its receivers learn what to resend.
@@ -188,7 +190,7 @@ class LabelledFlooding:
             return None
         return urgency * SILENCE + min(content.cycle - content.sent_cycle, SILENCE - 1)
 
-    def compose(self, content: Content) -> tuple[Content, bytes]:
+    def compose(self, content: LabelledContent) -> tuple[LabelledContent, bytes]:
         """A checkpoint if one is owed, and what some neighbour lacks, newest first."""
         window = content.window
         checkpoint = window.base if content.owed and not content.needs else None
@@ -200,7 +202,7 @@ class LabelledFlooding:
         content = content._replace(sent=sent, owed=owed, sent_cycle=content.cycle)
         return content, self.frames.encode(share)
 
-    def _chosen(self, content: Content, room: int) -> tuple[Labelled, ...]:
+    def _chosen(self, content: LabelledContent, room: int) -> tuple[Labelled, ...]:
         window = content.window
         newest = len(window.heartbeats) - 1
         chosen: list[Labelled] = []
@@ -212,7 +214,7 @@ class LabelledFlooding:
             chosen.append(Labelled(source, newest - place, record))
         return tuple(chosen)
 
-    def _wanted(self, content: Content) -> Iterator[tuple[int, int]]:
+    def _wanted(self, content: LabelledContent) -> Iterator[tuple[int, int]]:
         """Yield the records that neighbours are believed to lack, then the unconfirmed ones."""
         missing = lacked(content.held, content.known)
         yield from newest_first(missing, self._nodes)
@@ -221,7 +223,7 @@ class LabelledFlooding:
             unsure = lacked(content.held, content.confirmed) & ~missing
             yield from newest_first(unsure >> old << old, self._nodes)
 
-    def _digest(self, content: Content) -> tuple[int, ...]:
+    def _digest(self, content: LabelledContent) -> tuple[int, ...]:
         newest = len(content.window.heartbeats) - 1
         return tuple(
             sources_at(content.held, newest - age, self._nodes) if age <= newest else 0
@@ -236,8 +238,8 @@ class LabelledFlooding:
         return share
 
     def fuse(
-        self, content: Content, shares: tuple[LabelledShare | None, ...]
-    ) -> tuple[Content, tuple[str, ...]]:
+        self, content: LabelledContent, shares: tuple[LabelledShare | None, ...]
+    ) -> tuple[LabelledContent, tuple[str, ...]]:
         """End a group: hold the records received, and note those that neighbours heard."""
         came = [(place, share) for place, share in enumerate(shares) if share is not None]
         for place, share in came:
@@ -245,13 +247,13 @@ class LabelledFlooding:
         if content.sent is not None:
             known = tuple(records | content.sent for records in content.known)
             content = content._replace(known=known, sent=None)
-        troubles: list[str] = []
+        failures: list[str] = []
         for place, share in came:
             content, late = self._take(content, place, share)
-            troubles += late
-        return self._closed(content, troubles)
+            failures += late
+        return self._closed(content, failures)
 
-    def _hear(self, content: Content, place: int, share: LabelledShare) -> Content:
+    def _hear(self, content: LabelledContent, place: int, share: LabelledShare) -> LabelledContent:
         """Note a neighbour's statements about itself."""
         window = content.window
         theirs, sure = content.known[place], content.confirmed[place]
@@ -272,8 +274,8 @@ class LabelledFlooding:
         )
 
     def _take(
-        self, content: Content, place: int, share: LabelledShare
-    ) -> tuple[Content, list[str]]:
+        self, content: LabelledContent, place: int, share: LabelledShare
+    ) -> tuple[LabelledContent, list[str]]:
         """Take over a neighbour's records, and a base of the same step as the own."""
         window = content.window
         told = 0
@@ -296,13 +298,15 @@ class LabelledFlooding:
         )
         confirmed = _replaced(content.confirmed, place, content.confirmed[place] | told)
         content = self._with_records(content._replace(known=known, confirmed=confirmed), new)
-        troubles = ["record-late"] * late
+        failures = ["record-late"] * late
         if share.checkpoint is not None:
             content, fused = self._fuse_base(content, share.checkpoint)
-            troubles += fused
-        return content, troubles
+            failures += fused
+        return content, failures
 
-    def _with_records(self, content: Content, new: Mapping[int, Mapping[int, bytes]]) -> Content:
+    def _with_records(
+        self, content: LabelledContent, new: Mapping[int, Mapping[int, bytes]]
+    ) -> LabelledContent:
         """With records by step and source that are not held yet."""
         window = content.window
         held = content.held
@@ -311,7 +315,9 @@ class LabelledFlooding:
                 held |= record_bit(step - window.base_step - 1, source, self._nodes)
         return content._replace(window=with_records(window, new), held=held)
 
-    def _fuse_base(self, content: Content, checkpoint: Gaussian) -> tuple[Content, list[str]]:
+    def _fuse_base(
+        self, content: LabelledContent, checkpoint: Gaussian
+    ) -> tuple[LabelledContent, list[str]]:
         base = determinant_intersection(content.window.base, checkpoint)
         if not finite(base):
             return content, ["checkpoint-failed"]
@@ -320,18 +326,20 @@ class LabelledFlooding:
             return content, ["checkpoint-known"]
         return content._replace(window=with_base(content.window, base)), ["checkpoint-fused"]
 
-    def _closed(self, content: Content, troubles: list[str]) -> tuple[Content, tuple[str, ...]]:
+    def _closed(
+        self, content: LabelledContent, failures: list[str]
+    ) -> tuple[LabelledContent, tuple[str, ...]]:
         """Begin the next group of the cycle; at the end of a step filter the window."""
         if content.group + 1 < len(self.schedule.groups(content.cycle)):
-            return content._replace(group=content.group + 1), tuple(troubles)
+            return content._replace(group=content.group + 1), tuple(failures)
         content = content._replace(cycle=content.cycle + 1, group=0)
         if (content.cycle - self.first_cycle) % self.rounds == 0:
             window, failed = self.filter.filtered(content.window)
             content = content._replace(window=window)
-            troubles += failed
-        return content, tuple(troubles)
+            failures += failed
+        return content, tuple(failures)
 
-    def belief(self, content: Content) -> Gaussian:
+    def belief(self, content: LabelledContent) -> Gaussian:
         """The posterior of the step; NaN while the node knows nothing."""
         if content.needs:
             return Gaussian(
@@ -339,7 +347,7 @@ class LabelledFlooding:
             )
         return content.window.belief
 
-    def ages(self, content: Content) -> np.ndarray:
+    def ages(self, content: LabelledContent) -> np.ndarray:
         """Cycles since each neighbour's last share was sent."""
         last = np.array(content.share_cycles, dtype=int)
         return np.where(last < 0, -1, content.cycle - 1 - last)

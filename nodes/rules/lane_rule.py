@@ -15,14 +15,14 @@ import numpy as np
 
 from filters.gaussian import Gaussian
 from nodes.bids import FIRST_BID, bid_for_change
-from nodes.rules.local_filter import Carried, LocalFilters, carry, where
+from nodes.rules.local_filter import Carried, LocalFilters, predict_to_step, where
 
 Failures = Mapping[str, np.ndarray]
 """How often what went wrong, by name: (...) booleans or integers."""
 
 Own = TypeVar("Own")
 Held = TypeVar("Held")
-Said = TypeVar("Said")
+Share = TypeVar("Share")
 Tree = TypeVar("Tree")
 
 
@@ -58,17 +58,19 @@ class LocalStep(NamedTuple):
         """Beliefs of the step before, own and held ones, at this step."""
         model, points = self.filters.model, self.filters.points
         if beliefs[0].mean.ndim > 1:
-            return tuple(carry(one, self.control, self.step, model, points) for one in beliefs)
+            return tuple(
+                predict_to_step(one, self.control, self.step, model, points) for one in beliefs
+            )
         # The plant's functions cost a node more to enter than to evaluate.
         n = beliefs[0].mean.shape[-1]
         means = [one.mean.reshape(-1, n) for one in beliefs]
         together = Gaussian(
             np.concatenate(means), np.concatenate([one.cov.reshape(-1, n, n) for one in beliefs])
         )
-        moved, sound = carry(together, self.control, self.step, model, points)
+        moved, sound = predict_to_step(together, self.control, self.step, model, points)
         found, first = [], 0
-        for one, part in zip(beliefs, means, strict=True):
-            lanes = slice(first, first := first + len(part))
+        for one, fields in zip(beliefs, means, strict=True):
+            lanes = slice(first, first := first + len(fields))
             here = Gaussian(
                 moved.mean[lanes].reshape(one.mean.shape), moved.cov[lanes].reshape(one.cov.shape)
             )
@@ -77,10 +79,10 @@ class LocalStep(NamedTuple):
 
     def update(self, belief: Gaussian) -> tuple[Gaussian, Failures]:
         """Own beliefs (..., n) after the own readings, and what went wrong."""
-        return self.filters.take(belief, self.readings, self.step)
+        return self.filters.update(belief, self.readings, self.step)
 
 
-class LaneRule(Protocol[Own, Held, Said]):
+class LaneRule(Protocol[Own, Held, Share]):
     """A fusion rule. Its shares travel as one vector of numbers (..., m)."""
 
     @property
@@ -111,7 +113,7 @@ class LaneRule(Protocol[Own, Held, Said]):
         """After lanes `sends` (...) have shared."""
         ...
 
-    def read(self, numbers: np.ndarray) -> tuple[Said, np.ndarray | None, str]:
+    def read(self, numbers: np.ndarray) -> tuple[Share, np.ndarray | None, str]:
         """Decode finite numbers (..., m).
 
         Return the content, which (...) can be used (None for all), and why the others cannot.
@@ -119,7 +121,7 @@ class LaneRule(Protocol[Own, Held, Said]):
         ...
 
     def fuse(
-        self, place: Place, content: LaneContent[Own, Held], said: Said, heard: np.ndarray
+        self, place: Place, content: LaneContent[Own, Held], shares: Share, heard: np.ndarray
     ) -> tuple[LaneContent[Own, Held], Failures]:
         """End a cycle with what neighbours said (..., J), where `heard` (..., J) says that."""
         ...
@@ -136,8 +138,8 @@ class LaneRule(Protocol[Own, Held, Said]):
 def mapped(function: Callable[..., np.ndarray], first: Tree, *others: Tree) -> Tree:
     """The function of the arrays of one or several trees of named tuples, array by array."""
     if isinstance(first, tuple):
-        parts = zip(first, *(cast(tuple, other) for other in others), strict=True)
-        return type(first)(*(mapped(function, *part) for part in parts))
+        pairs = zip(first, *(cast(tuple, other) for other in others), strict=True)
+        return type(first)(*(mapped(function, *fields) for fields in pairs))
     return cast(Tree, function(first, *others))
 
 

@@ -63,7 +63,7 @@ class Carried(NamedTuple):
     sound: np.ndarray
 
 
-def carry(
+def predict_to_step(
     beliefs: Gaussian, control: np.ndarray | None, step: int, model: Model, points: SigmaPointRule
 ) -> Carried:
     """Beliefs (..., n) of the step before, predicted to `step`, into which `control` drove."""
@@ -83,7 +83,7 @@ def control_of(measured: Measured) -> np.ndarray | None:
     return None if measured.control is None else np.array(measured.control)
 
 
-def take_readings(
+def update_with_readings(
     belief: Gaussian, readings: np.ndarray, step: int, sensor: Sensor, points: SigmaPointRule
 ) -> tuple[Gaussian, dict[str, np.ndarray]]:
     """Beliefs (..., n) after their readings (..., r, d), one by one.
@@ -91,23 +91,23 @@ def take_readings(
     Returns them and how often what went wrong, by name: (...) integers. A reading that is NaN
     throughout was not taken.
     """
-    troubles: dict[str, np.ndarray] = {}
+    failures: dict[str, np.ndarray] = {}
     for place in range(readings.shape[-2]):
         delivered = readings[..., place, :]
         if np.isnan(delivered).all():
             continue
-        result = take_reading(
+        result = update_with_reading(
             belief, sensor.interpret(delivered), step, sensor, points, sensor.gate
         )
         sound = finite_lanes(result.belief)
-        _count(troubles, "update-failed", ~sound)
+        _count(failures, "update-failed", ~sound)
         if sensor.gate is not None:
-            _count(troubles, "gated", sound & (result.normalised_innovation_squared > sensor.gate))
+            _count(failures, "gated", sound & (result.normalised_innovation_squared > sensor.gate))
         belief = where(sound, result.belief, belief)
-    return belief, troubles
+    return belief, failures
 
 
-def take_reading(
+def update_with_reading(
     belief: Gaussian,
     interpreted: tuple[np.ndarray, np.ndarray],
     step: int,
@@ -129,7 +129,7 @@ def take_reading(
     )
 
 
-def take_own(
+def update_with_own(
     belief: Gaussian, measured: Measured, sensor: Sensor | None, points: SigmaPointRule
 ) -> tuple[Gaussian, tuple[str, ...]]:
     """One node's belief (n,) after its readings, and the names of what went wrong."""
@@ -137,8 +137,8 @@ def take_own(
     taken = [reading for reading in measured.readings if any(v is not None for v in reading)]
     if sensor is None or not taken:
         return belief, ()
-    belief, troubles = take_readings(belief, from_wire(taken), measured.step, sensor, points)
-    return belief, tuple(name for name, count in troubles.items() for _ in range(int(count)))
+    belief, failures = update_with_readings(belief, from_wire(taken), measured.step, sensor, points)
+    return belief, tuple(name for name, count in failures.items() for _ in range(int(count)))
 
 
 class SensorGroup(NamedTuple):
@@ -157,12 +157,12 @@ class SensorGroup(NamedTuple):
         """The values (R, K, ...) of the group, of those of all lanes (R, N, ...)."""
         return values if self.whole else values[:, self.nodes]
 
-    def put(self, values: np.ndarray, part: np.ndarray) -> np.ndarray:
+    def put(self, values: np.ndarray, changed_values: np.ndarray) -> np.ndarray:
         """The values (R, N, ...) of all lanes with those of the group (R, K, ...) replaced."""
         if self.whole:
-            return part
+            return changed_values
         changed = values.copy()
-        changed[:, self.nodes] = part
+        changed[:, self.nodes] = changed_values
         return changed
 
 
@@ -174,15 +174,15 @@ class LocalFilters:
     groups: tuple[SensorGroup, ...]
     points: SigmaPointRule
 
-    def carry(
+    def predict(
         self, belief: Gaussian, control: np.ndarray | None, step: int
     ) -> tuple[Gaussian, np.ndarray]:
         """Beliefs (R, N, n) of the step before at `step`, and where that went well (R, N)."""
         driven = None if control is None else control[:, None, :]
-        moved, sound = carry(belief, driven, step, self.model, self.points)
+        moved, sound = predict_to_step(belief, driven, step, self.model, self.points)
         return where(sound, moved, belief), sound
 
-    def take(
+    def update(
         self, belief: Gaussian, readings: np.ndarray, step: int
     ) -> tuple[Gaussian, dict[str, np.ndarray]]:
         """Beliefs (..., n) after each node's own readings (..., r, d), and what went wrong.
@@ -193,22 +193,24 @@ class LocalFilters:
             return belief, {}
         if len(self.groups) == 1 and self.groups[0].whole:
             sensor = self.groups[0].sensor
-            return take_readings(belief, readings, step, sensor, self.points)
+            return update_with_readings(belief, readings, step, sensor, self.points)
         mean, cov = belief.mean.copy(), belief.cov.copy()
         counted: dict[str, np.ndarray] = {}
         for nodes, sensor in self.groups:
             own = Gaussian(belief.mean[:, nodes], belief.cov[:, nodes])
-            after, troubles = take_readings(own, readings[:, nodes], step, sensor, self.points)
+            after, failures = update_with_readings(
+                own, readings[:, nodes], step, sensor, self.points
+            )
             mean[:, nodes], cov[:, nodes] = after
-            for name, count in troubles.items():
+            for name, count in failures.items():
                 total = counted.setdefault(name, np.zeros(mean.shape[:2], dtype=int))
                 total[:, nodes] += count
         return Gaussian(mean, cov), counted
 
 
-def _count(troubles: dict[str, np.ndarray], name: str, lanes: np.ndarray) -> None:
+def _count(failures: dict[str, np.ndarray], name: str, lanes: np.ndarray) -> None:
     if lanes.any():
-        troubles[name] = troubles.get(name, 0) + lanes.astype(int)
+        failures[name] = failures.get(name, 0) + lanes.astype(int)
 
 
 def where(chosen: np.ndarray, one: Gaussian, other: Gaussian) -> Gaussian:

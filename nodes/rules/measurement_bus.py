@@ -213,8 +213,8 @@ class ReceiverNode:
             self.points,
         )
         ages = np.where(heard, 0, np.where(content.ages < 0, -1, content.ages + 1))
-        troubles = _trouble(content.state, state, "update-failed")
-        return content._replace(state=state, received=received, ages=ages), troubles
+        failures = _trouble(content.state, state, "update-failed")
+        return content._replace(state=state, received=received, ages=ages), failures
 
     def belief(self, content: ReceiverContent) -> Gaussian:
         """Return the belief of the filter."""

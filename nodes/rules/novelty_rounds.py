@@ -32,9 +32,9 @@ class NoveltyRounds(NamedTuple):
         """First what the own readings brought, then the mean, padded."""
         if cycle == 0:
             return known
-        said = np.zeros_like(known)
-        said[..., : belief.mean.shape[-1]] = belief.mean
-        return said
+        numbers = np.zeros_like(known)
+        numbers[..., : belief.mean.shape[-1]] = belief.mean
+        return numbers
 
     def sound(self, shares: np.ndarray) -> np.ndarray:
         """Every share, as far as it alone can tell."""

@@ -78,11 +78,11 @@ class SetMembership(Generic[HeldSet]):
 
     def start(self, node: np.ndarray, prior: Gaussian, held: Gaussian) -> SetContent[HeldSet]:
         """The prior, and nothing held."""
-        own = self.shape.around(prior)
+        own = self.shape.containing(prior)
         lanes = held.mean.shape[:-1]
         return LaneContent(
             OwnSet(own, own, np.zeros(prior.mean.shape[:-1], dtype=bool)),
-            HeldSets(self.shape.around(held), np.zeros(lanes, dtype=bool), np.full(lanes, -1)),
+            HeldSets(self.shape.containing(held), np.zeros(lanes, dtype=bool), np.full(lanes, -1)),
             0,
         )
 
@@ -92,11 +92,11 @@ class SetMembership(Generic[HeldSet]):
         """Carry every set to this step and cut the own one with the readings."""
         own, held, _ = content
         if now.step > 0:
-            own = own._replace(kept=carry(self.shape, own.kept, now))
+            own = own._replace(kept=predict_sets(self.shape, own.kept, now))
             if self.contends and own.known.any():
-                own = own._replace(published=carry(self.shape, own.published, now))
+                own = own._replace(published=predict_sets(self.shape, own.published, now))
             if held.known.any():
-                held = held._replace(sets=carry(self.shape, held.sets, now))
+                held = held._replace(sets=predict_sets(self.shape, held.sets, now))
         kept, failures = take_strips(self.shape, own.kept, now)
         return LaneContent(own._replace(kept=kept), held, 0), failures
 
@@ -129,13 +129,13 @@ class SetMembership(Generic[HeldSet]):
         return came, sound, "not-positive-definite"
 
     def fuse(
-        self, place: Place, content: SetContent[HeldSet], said: HeldSet, heard: np.ndarray
+        self, place: Place, content: SetContent[HeldSet], shares: HeldSet, heard: np.ndarray
     ) -> tuple[SetContent[HeldSet], Failures]:
         """Cut the own set with what came; in the first round of a step with what is held too."""
         own, held, cycles = content
         # Later in a step what is held has cut already.
         active = heard | held.known if cycles == 0 else heard
-        others = chosen_sets(heard, said, held.sets)
+        others = chosen_sets(heard, shares, held.sets)
         contradicting = np.zeros(heard.shape, dtype=bool)
         kept = own.kept
         for j in range(heard.shape[-1]):
@@ -177,7 +177,7 @@ def _neighbour(sets: HeldSet, place: int, lanes: int) -> HeldSet:
     return mapped(lambda values: np.take(values, place, axis=lanes - 1), sets)
 
 
-def carry(shape: Shape[HeldSet], sets: HeldSet, now: LocalStep) -> HeldSet:
+def predict_sets(shape: Shape[HeldSet], sets: HeldSet, now: LocalStep) -> HeldSet:
     """Sets of the step before, at this one."""
     model, step = cast(BoundedModel, now.filters.model), now.step - 1
     centres = model.transition(shape.centres(sets), now.control, step)
@@ -189,7 +189,7 @@ def take_strips(shape: Shape[HeldSet], own: HeldSet, now: LocalStep) -> tuple[He
     wrong = np.zeros(shape.centres(own).shape[:-1], dtype=np.int64)
     for group in now.filters.groups:
         rows, half_widths = cast(BoundedSensor, group.sensor).strips(now.step)
-        part, readings, missed = mapped(group.of, own), group.of(now.readings), group.of(wrong)
+        kept, readings, missed = mapped(group.of, own), group.of(now.readings), group.of(wrong)
         for number in range(readings.shape[-2]):
             values = np.moveaxis(readings[..., number, :], -1, 0)
             for row, value, half_width in zip(rows, values, half_widths, strict=True):
@@ -197,10 +197,10 @@ def take_strips(shape: Shape[HeldSet], own: HeldSet, now: LocalStep) -> tuple[He
                 if not taken.any():
                     continue
                 # A lane without a reading is cut by its own centre.
-                centre = (shape.centres(part) * row).sum(axis=-1)
-                both, meets = shape.cut(part, row, np.where(taken, value, centre), half_width)
-                part = chosen_sets(taken & meets, both, part)
+                centre = (shape.centres(kept) * row).sum(axis=-1)
+                both, meets = shape.cut(kept, row, np.where(taken, value, centre), half_width)
+                kept = chosen_sets(taken & meets, both, kept)
                 missed = missed + (taken & ~meets)
-        own = mapped(group.put, own, part)
+        own = mapped(group.put, own, kept)
         wrong = group.put(wrong, missed)
     return own, {"contradicting-reading": wrong}

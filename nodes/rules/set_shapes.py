@@ -25,7 +25,7 @@ _UNITS = {"<f8": 0.0, "<f4": 2.0**-24}
 class Shape(Protocol[HeldSet]):
     """Operations on a node's sets. Each result holds the truth if its operands do."""
 
-    def around(self, prior: Gaussian) -> HeldSet:
+    def containing(self, prior: Gaussian) -> HeldSet:
         """The ellipsoids with these means (..., n) and these shape matrices (..., n, n)."""
         ...
 
@@ -91,7 +91,7 @@ class Ellipsoids:
     states: int
     number: str = "<f8"
 
-    def around(self, prior: Gaussian) -> Ellipsoid:
+    def containing(self, prior: Gaussian) -> Ellipsoid:
         """The ellipsoid itself."""
         return _from_shape(prior)
 
@@ -149,7 +149,7 @@ class Zonotopes:
     number: str = "<f8"
     generators: int = 20
 
-    def around(self, prior: Gaussian) -> Zonotope:
+    def containing(self, prior: Gaussian) -> Zonotope:
         """The box around the ellipsoid along its own axes."""
         return self._reduced(zonotope.around(_from_shape(prior)))
 
@@ -188,8 +188,8 @@ class Zonotopes:
 
     def bounds(self, own: Zonotope) -> Gaussian:
         """An ellipsoid around it."""
-        around = zonotope.enclosing_ellipsoid(own)
-        return Gaussian(around.centre, _rounded_up(ellipsoid.shape_matrix(around), 0.0))
+        enclosing = zonotope.enclosing_ellipsoid(own)
+        return Gaussian(enclosing.centre, _rounded_up(ellipsoid.shape_matrix(enclosing), 0.0))
 
     def generators_of(self, own: Zonotope) -> np.ndarray:
         """Its own, but for those that are zero."""

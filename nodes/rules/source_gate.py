@@ -10,7 +10,7 @@ import numpy as np
 
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule
-from nodes.rules.local_filter import Sensor, finite_lanes, take_reading, where
+from nodes.rules.local_filter import Sensor, finite_lanes, update_with_reading, where
 
 
 def without_outliers(
@@ -34,7 +34,7 @@ def without_outliers(
         if np.isnan(reading).all():
             continue
         interpreted = sensor.interpret(reading)
-        result = take_reading(belief, interpreted, step, sensor, points)
+        result = update_with_reading(belief, interpreted, step, sensor, points)
         refused = result.normalised_innovation_squared > _gates(interpreted[0], sensor, gates)
         kept[..., place, :] = np.where(refused[..., None], np.nan, reading)
         gated += refused

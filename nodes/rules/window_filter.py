@@ -16,7 +16,7 @@ from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule
 from filters.ukf import update
 from nodes.messages import Measured
-from nodes.rules.local_filter import Model, Sensor, StateNoise, carry, control_of, finite
+from nodes.rules.local_filter import Model, Sensor, StateNoise, control_of, finite, predict_to_step
 from nodes.rules.record_codec import RecordCodec
 
 # More than a window of most networks holds.
@@ -107,21 +107,21 @@ class WindowFilter:
     def filtered(self, window: Window) -> tuple[Window, tuple[str, ...]]:
         """The window with the posteriors of all its steps, and the names of what went wrong."""
         posteriors = list(window.posteriors)
-        troubles: list[str] = []
+        failures: list[str] = []
         belief = window.belief
         for place in range(len(posteriors), len(window.heartbeats)):
             belief, predicted = self.predicted(belief, window.heartbeats[place])
             belief, updated = self._updated(belief, window.records[place], window, place)
-            troubles += (*predicted, *updated)
+            failures += (*predicted, *updated)
             posteriors.append(belief)
-        return window._replace(posteriors=tuple(posteriors)), tuple(troubles)
+        return window._replace(posteriors=tuple(posteriors)), tuple(failures)
 
     def predicted(self, belief: Gaussian, heartbeat: Measured) -> tuple[Gaussian, tuple[str, ...]]:
         """The posterior of the step before, carried to that of the heartbeat."""
         if heartbeat.step == 0:
             return belief, ()
         control = control_of(heartbeat)
-        carried = carry(belief, control, heartbeat.step, self.model, self.points)
+        carried = predict_to_step(belief, control, heartbeat.step, self.model, self.points)
         return (carried.beliefs, ()) if carried.sound else (belief, ("predict-failed",))
 
     def _updated(

@@ -15,7 +15,7 @@ from filters.update import Update
 from papers.adlukf import dual_layer, fuzzy_noise
 from papers.adlukf import sage_husa_as_printed as sage_husa_literal
 from papers.adlukf.fuzzy_noise import FuzzyNoise
-from papers.adlukf.sage_husa_as_printed import Evidence, NoiseStatistics
+from papers.adlukf.sage_husa_as_printed import NoiseEvidence, NoiseStatistics
 
 
 def update(
@@ -131,7 +131,7 @@ def dual_layer_literal_step(
     moved = transition(sigma_points(belief, rule))  # f(X_i) of (30) and (31)
     predicted, deviations = moments(moved, rule, np.subtract)
     after, innovation = step.update.belief, step.update.innovation
-    evidence = Evidence(
+    evidence = NoiseEvidence(
         innovation=innovation,
         correction=after.mean - step.predicted,
         posterior_variances=_variances(after.cov),

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from experiments.monte_carlo.intervals import Interval, mean_t, ratio_t
-from papers.adlukf.cost import Cost
+from papers.adlukf.cost import FilterCost
 from papers.adlukf.drives import DRIVEN
 from papers.adlukf.study import UNITS
 from papers.adlukf.tables import (
@@ -16,7 +16,7 @@ from papers.adlukf.tables import (
     TABLE_2,
     TABLE_3,
     TABLE_4,
-    Results,
+    ScoresByFilter,
     case_index,
     state_index,
 )
@@ -44,7 +44,7 @@ class Printed(NamedTuple):
     yaw_sd_deg_s: float
 
 
-class Evidence(NamedTuple):
+class AdlukfEvidence(NamedTuple):
     """The figures that the claims stand or fall by.
 
     Attributes:
@@ -83,17 +83,17 @@ _BEST = {
 
 
 def gather(
-    results: Results,
+    results: ScoresByFilter,
     drives: tuple[Drive, ...],
     signal_sd: Mapping[str, np.ndarray],
-    of_filters: Mapping[str, Cost],
+    of_filters: Mapping[str, FilterCost],
     failed_lanes: Mapping[str, int],
-) -> Evidence:
+) -> AdlukfEvidence:
     """Everything the claims need."""
     at, yaw = case_index("true R"), state_index("yaw rate")
     manoeuvres = range(len(MANOEUVRES))
     ours, reference = of_filters["ADLUKF"], of_filters["CKF"]
-    return Evidence(
+    return AdlukfEvidence(
         printed=Printed(
             (TABLE_2["RMSE", "v_x", "m/s"][2], TABLE_2["MAE", "v_x", "m/s"][2]),
             (
@@ -128,7 +128,7 @@ def gather(
     )
 
 
-def claims(e: Evidence) -> list[Claim]:
+def claims(e: AdlukfEvidence) -> list[Claim]:
     """In the order of the paper."""
     return [*_errors(e), *_sensitivity(e), *_rest(e)]
 
@@ -151,7 +151,7 @@ def errata() -> list[Erratum]:
     ]  # fmt: skip
 
 
-def _errors(e: Evidence) -> list[Claim]:
+def _errors(e: AdlukfEvidence) -> list[Claim]:
     rmse, mae = e.printed.adlukf_v_x
     ours, signal = e.yaw_error, e.yaw_signal
     return [
@@ -181,7 +181,7 @@ def _errors(e: Evidence) -> list[Claim]:
     ]
 
 
-def _sensitivity(e: Evidence) -> list[Claim]:
+def _sensitivity(e: AdlukfEvidence) -> list[Claim]:
     slip = e.ckf_side_slip_ratio
     low, high = INSENSITIVE
     return [
@@ -207,7 +207,7 @@ def _sensitivity(e: Evidence) -> list[Claim]:
     ]  # fmt: skip
 
 
-def _rest(e: Evidence) -> list[Claim]:
+def _rest(e: AdlukfEvidence) -> list[Claim]:
     rmse, sd, mae = e.printed.ckf_v_x
     bias = float(np.sqrt(max(rmse**2 - sd**2, 0.0)))
     best = min(ratio.value for ratio in e.printed_over_ckf)
@@ -252,7 +252,7 @@ def _rest(e: Evidence) -> list[Claim]:
     ]
 
 
-def _beaten(results: Results, measure: str, state: str) -> tuple[Interval, ...]:
+def _beaten(results: ScoresByFilter, measure: str, state: str) -> tuple[Interval, ...]:
     at, i = case_index("true R"), state_index(state)
     errors = {name: getattr(results[name], measure)[:, at, :, i] for name in COMPARED}
     return tuple(
@@ -262,7 +262,7 @@ def _beaten(results: Results, measure: str, state: str) -> tuple[Interval, ...]:
     )
 
 
-def _means(results: Results, measure: str, state: str) -> str:
+def _means(results: ScoresByFilter, measure: str, state: str) -> str:
     at, i = case_index("true R"), state_index(state)
     return "; ".join(
         f"{title}: "
@@ -274,7 +274,7 @@ def _means(results: Results, measure: str, state: str) -> str:
     )  # fmt: skip
 
 
-def _ratios(results: Results, name: str, states: tuple[str, ...]) -> tuple[Interval, ...]:
+def _ratios(results: ScoresByFilter, name: str, states: tuple[str, ...]) -> tuple[Interval, ...]:
     high, low = case_index("2 I"), case_index("0.01 I")
     squares = results[name].rmse ** 2
     return tuple(

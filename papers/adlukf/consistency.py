@@ -4,12 +4,12 @@ import numpy as np
 
 from filters.metrics import nees
 from papers.adlukf.filters import Contestant
-from papers.adlukf.study import CHANNELS, PRIOR_COV, Case, Study, estimate
+from papers.adlukf.study import CHANNELS, PRIOR_COV, ManoeuvreStudy, NoiseCase, estimate
 from plants.vehicle.drive import Drive
 from plants.vehicle.model import SingleTrack
 
 
-def matched_study(drive: Drive, model: SingleTrack, seeds: int, seed: int) -> Study:
+def matched_study(drive: Drive, model: SingleTrack, seeds: int, seed: int) -> ManoeuvreStudy:
     """Cars that move as the model says, with its process noise, under the steering of a drive."""
     generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(99,)))
     start = np.broadcast_to(drive.states[0], (seeds, 3))
@@ -26,9 +26,9 @@ def matched_study(drive: Drive, model: SingleTrack, seeds: int, seed: int) -> St
     readings = exact + std * generator.standard_normal(exact.shape)
     error = generator.standard_normal((seeds, 3)) @ np.linalg.cholesky(PRIOR_COV).T
     lane = (slice(None), None, None)
-    return Study(
+    return ManoeuvreStudy(
         model=model,
-        cases=(Case("matched", "the model is exact"),),
+        cases=(NoiseCase("matched", "the model is exact"),),
         controls=drive.inputs[:, None, None, None],
         measurements=readings[lane],
         believed=np.broadcast_to(std**2, (1, 1, seeds, 3)),
@@ -37,7 +37,7 @@ def matched_study(drive: Drive, model: SingleTrack, seeds: int, seed: int) -> St
     )
 
 
-def average_nees(study: Study, contestant: Contestant) -> np.ndarray:
+def average_nees(study: ManoeuvreStudy, contestant: Contestant) -> np.ndarray:
     """Mean of e' P^-1 e over all steps but the first, per seed (seeds,); 3 is consistent."""
     belief = estimate(study, contestant)
     return nees(belief.mean - study.truth, belief.cov)[1:].mean(axis=0)[0, 0]

@@ -8,20 +8,20 @@ import numpy as np
 
 from filters.gaussian import Gaussian
 from filters.moments import Model
-from papers.adlukf.filters import CONTESTANTS, Contestant, Task
-from papers.adlukf.study import PRIOR_COV, Study
+from papers.adlukf.filters import CONTESTANTS, Contestant, StepInput
+from papers.adlukf.study import PRIOR_COV, ManoeuvreStudy
 
 STEPS = 300
 
 
-class Cost(NamedTuple):
+class FilterCost(NamedTuple):
     """Sigma points that went through a model in a step, and seconds per step."""
 
     evaluations: float
     seconds: float
 
 
-def costs(study: Study) -> dict[str, Cost]:
+def costs(study: ManoeuvreStudy) -> dict[str, FilterCost]:
     """The cost of every filter on one lane of a study.
 
     The time is the least of three runs, and belongs to this machine.
@@ -29,7 +29,7 @@ def costs(study: Study) -> dict[str, Cost]:
     return {name: _cost(study, contestant) for name, contestant in CONTESTANTS.items()}
 
 
-def _cost(study: Study, contestant: Contestant) -> Cost:
+def _cost(study: ManoeuvreStudy, contestant: Contestant) -> FilterCost:
     points = 0
 
     def counted(model: Model, states: np.ndarray) -> np.ndarray:
@@ -47,10 +47,10 @@ def _cost(study: Study, contestant: Contestant) -> Cost:
             h = partial(study.model.measure, control=study.controls[k, 0, 0, 0])
             if wrap:
                 f, h = partial(counted, f), partial(counted, h)
-            task = Task(f, h, study.measurements[k, 0, 0, 0], Q)
+            task = StepInput(f, h, study.measurements[k, 0, 0, 0], Q)
             belief, memory = contestant.step(belief, memory, task)
         assert np.isfinite(belief.mean).all(), f"{contestant.name} failed while it was timed"
         return (time.perf_counter() - started) / STEPS
 
     run(wrap=True)
-    return Cost(points / STEPS, min(run(wrap=False) for _ in range(3)))
+    return FilterCost(points / STEPS, min(run(wrap=False) for _ in range(3)))

@@ -20,7 +20,7 @@ from papers.adlukf.study import (
     PROCESS_VARIANCES,
     START_ERROR,
     TIME_STEP_S,
-    Study,
+    ManoeuvreStudy,
     estimate,
     quantities,
 )
@@ -79,7 +79,7 @@ def estimates(
     )
     variances = np.array([error.std**2 for error in CHANNELS.values()])
     lane = (slice(None), None, None, None)
-    study = Study(
+    study = ManoeuvreStudy(
         model=model,
         cases=(CASES["true R"],),
         controls=drive.inputs[lane],

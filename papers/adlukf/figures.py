@@ -27,7 +27,7 @@ YAW_RATE, SIDE_SLIP, SPEED = "yaw rate [deg/s]", "side slip [deg]", "speed $v_x$
 SPEED_ERROR, YAW_RATE_ERROR = "mean |error| of $v_x$ [m/s]", "mean |error| of yaw rate [deg/s]"
 
 
-class Trace(NamedTuple):
+class StateTrace(NamedTuple):
     """States (steps, 4) in the order of `study.quantities`, for the reference and by filter.
 
     The reference is NaN where it is unknown. `errors` (steps, 4) are means over seeds, by filter.
@@ -40,7 +40,7 @@ class Trace(NamedTuple):
     errors: dict[str, np.ndarray]
 
 
-def manoeuvre_figure(title: str, traces: tuple[Trace, ...]) -> Figure:
+def manoeuvre_figure(title: str, traces: tuple[StateTrace, ...]) -> Figure:
     """Figure 4 or 5: (a) yaw rate, (b) side slip, (c) speed, (d) mean absolute error of speed.
 
     And (e), which the paper lacks: that of the yaw rate, whose lines (a) cannot tell apart.
@@ -66,7 +66,7 @@ def manoeuvre_figure(title: str, traces: tuple[Trace, ...]) -> Figure:
     return figure
 
 
-def drives_figure(title: str, traces: tuple[Trace, ...]) -> Figure:
+def drives_figure(title: str, traces: tuple[StateTrace, ...]) -> Figure:
     """Figure 9: yaw rate, side slip and speed of logged drives, one column each."""
     figure = Figure(figsize=(6.2 * len(traces), 8.8), layout="constrained")
     grid = figure.subplots(3, len(traces), squeeze=False, sharex="col")
@@ -82,14 +82,14 @@ def drives_figure(title: str, traces: tuple[Trace, ...]) -> Figure:
     return figure
 
 
-def _states(axes: Axes, trace: Trace, state: int, reference: dict[str, Any]) -> None:
+def _states(axes: Axes, trace: StateTrace, state: int, reference: dict[str, Any]) -> None:
     axes.plot(trace.time_s, trace.reference[:, state], **reference)
     for name, estimate in trace.estimates.items():
         axes.plot(trace.time_s, estimate[:, state], label=name, **LINES[name])
     axes.grid(color=GREY, alpha=0.25, lw=0.5)
 
 
-def _zoom_speed(axes: Axes, traces: tuple[Trace, ...]) -> None:
+def _zoom_speed(axes: Axes, traces: tuple[StateTrace, ...]) -> None:
     """The speed after the start error has gone; that alone would set the scale."""
     speeds = np.concatenate([trace.reference[:, 0] for trace in traces])
     settled = [e[len(e) // 20 :, 0] for trace in traces for e in trace.estimates.values()]

@@ -23,7 +23,7 @@ BANDWIDTH = 3.0
 """Of the maximum-correntropy filter, in standard deviations."""
 
 
-class Task(NamedTuple):
+class StepInput(NamedTuple):
     """Input of a filter in one step: models, reading (..., 3) and process noise (..., 3, 3)."""
 
     transition: Model
@@ -38,13 +38,15 @@ class Contestant(NamedTuple):
     name: str
     what: str
     begin: Callable[[np.ndarray, np.ndarray], Memory]
-    step: Callable[[Gaussian, Memory, Task], tuple[Gaussian, Memory]]
+    step: Callable[[Gaussian, Memory, StepInput], tuple[Gaussian, Memory]]
 
 
-def _fixed(rule: SigmaPointRule) -> Callable[[Gaussian, Memory, Task], tuple[Gaussian, Memory]]:
+def _fixed(
+    rule: SigmaPointRule,
+) -> Callable[[Gaussian, Memory, StepInput], tuple[Gaussian, Memory]]:
     """A filter whose memory is R."""
 
-    def step(belief: Gaussian, noise_cov: Memory, task: Task) -> tuple[Gaussian, Memory]:
+    def step(belief: Gaussian, noise_cov: Memory, task: StepInput) -> tuple[Gaussian, Memory]:
         moved = ukf.predict(belief, task.transition, task.process_noise_cov, rule)
         taken = ukf.update(moved, task.measurement, task.measure, noise_cov, rule)
         return taken.belief, noise_cov
@@ -52,13 +54,13 @@ def _fixed(rule: SigmaPointRule) -> Callable[[Gaussian, Memory, Task], tuple[Gau
     return step
 
 
-def _adaptive(belief: Gaussian, noise: Memory, task: Task) -> tuple[Gaussian, Memory]:
+def _adaptive(belief: Gaussian, noise: Memory, task: StepInput) -> tuple[Gaussian, Memory]:
     moved = ukf.predict(belief, task.transition, task.process_noise_cov, UNSCENTED)
     taken, noise = adaptive.update(moved, noise, task.measurement, task.measure, UNSCENTED)
     return taken.belief, noise
 
 
-def _limited(belief: Gaussian, noise: Memory, task: Task) -> tuple[Gaussian, Memory]:
+def _limited(belief: Gaussian, noise: Memory, task: StepInput) -> tuple[Gaussian, Memory]:
     moved = ukf.predict(belief, task.transition, task.process_noise_cov, UNSCENTED)
     taken, noise = adaptive.update(
         moved, noise, task.measurement, task.measure, UNSCENTED, outlier_limit=9.0
@@ -66,13 +68,13 @@ def _limited(belief: Gaussian, noise: Memory, task: Task) -> tuple[Gaussian, Mem
     return taken.belief, noise
 
 
-def _fuzzy(belief: Gaussian, noise: Memory, task: Task) -> tuple[Gaussian, Memory]:
+def _fuzzy(belief: Gaussian, noise: Memory, task: StepInput) -> tuple[Gaussian, Memory]:
     moved = ukf.predict(belief, task.transition, task.process_noise_cov, UNSCENTED)
     taken, noise = adaptive.fuzzy_update(moved, noise, task.measurement, task.measure, UNSCENTED)
     return taken.belief, noise
 
 
-def _robust(belief: Gaussian, noise_cov: Memory, task: Task) -> tuple[Gaussian, Memory]:
+def _robust(belief: Gaussian, noise_cov: Memory, task: StepInput) -> tuple[Gaussian, Memory]:
     moved = ukf.predict(belief, task.transition, task.process_noise_cov, UNSCENTED)
     taken = correntropy.update(
         moved, task.measurement, task.measure, noise_cov, UNSCENTED, BANDWIDTH
@@ -80,17 +82,17 @@ def _robust(belief: Gaussian, noise_cov: Memory, task: Task) -> tuple[Gaussian, 
     return taken.belief, noise_cov
 
 
-def _dual(form: Any) -> Callable[[Gaussian, Memory, Task], tuple[Gaussian, Memory]]:
+def _dual(form: Any) -> Callable[[Gaussian, Memory, StepInput], tuple[Gaussian, Memory]]:
     """A form of the dual-layer filter whose memory is R."""
 
-    def step(belief: Gaussian, noise_cov: Memory, task: Task) -> tuple[Gaussian, Memory]:
+    def step(belief: Gaussian, noise_cov: Memory, task: StepInput) -> tuple[Gaussian, Memory]:
         f, h, z, Q = task
         return form(belief, z, f, h, Q, noise_cov, UNSCENTED).update.belief, noise_cov
 
     return step
 
 
-def _dual_adaptive(belief: Gaussian, noise: Memory, task: Task) -> tuple[Gaussian, Memory]:
+def _dual_adaptive(belief: Gaussian, noise: Memory, task: StepInput) -> tuple[Gaussian, Memory]:
     f, h, z, Q = task
     taken, noise = adaptive.dual_layer_step(belief, noise, z, f, h, Q, UNSCENTED)
     return taken.belief, noise
@@ -98,10 +100,10 @@ def _dual_adaptive(belief: Gaussian, noise: Memory, task: Task) -> tuple[Gaussia
 
 def _dual_printed(
     means: bool,
-) -> Callable[[Gaussian, Memory, Task], tuple[Gaussian, Memory]]:
+) -> Callable[[Gaussian, Memory, StepInput], tuple[Gaussian, Memory]]:
     """The paper's filter; `means` adapts q and r too."""
 
-    def step(belief: Gaussian, noise: Memory, task: Task) -> tuple[Gaussian, Memory]:
+    def step(belief: Gaussian, noise: Memory, task: StepInput) -> tuple[Gaussian, Memory]:
         f, h, z, _ = task
         taken, noise = adaptive.dual_layer_literal_step(
             belief, noise, z, f, h, UNSCENTED, means=means

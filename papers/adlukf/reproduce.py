@@ -18,20 +18,20 @@ from papers.adlukf.consistency import average_nees, matched_study
 from papers.adlukf.cost import costs
 from papers.adlukf.drives import DRIVEN, estimates, log_drives
 from papers.adlukf.elsewhere import drive_elsewhere, elsewhere
-from papers.adlukf.figures import DPI, Trace, drives_figure, manoeuvre_figure
+from papers.adlukf.figures import DPI, StateTrace, drives_figure, manoeuvre_figure
 from papers.adlukf.filters import CONTESTANTS
 from papers.adlukf.study import (
     CASES,
     STATES,
     TIME_STEP_S,
     UNITS,
-    Study,
+    ManoeuvreStudy,
     build_study,
     estimate,
     quantities,
     score,
 )
-from papers.adlukf.tables import COMPARED, Results, case_index
+from papers.adlukf.tables import COMPARED, ScoresByFilter, case_index
 from papers.kit.figures import save
 from papers.kit.report import Paper, Section
 from papers.kit.traces import write_traces
@@ -45,7 +45,7 @@ SHOWN_CASES = ("true R", "2 I")
 """Of Figures 4 and 5."""
 
 
-class Outcome(NamedTuple):
+class FilterResults(NamedTuple):
     """Results of the filters.
 
     traces: of the first seed, (steps, manoeuvres, cases, 4). Mean absolute errors over the seeds
@@ -53,7 +53,7 @@ class Outcome(NamedTuple):
     between UKF and CKF by case.
     """
 
-    results: Results
+    results: ScoresByFilter
     traces: dict[str, np.ndarray]
     errors: dict[str, np.ndarray]
     failed_lanes: dict[str, int]
@@ -107,7 +107,7 @@ def _sections(folder: Path, seed: int, seeds: int) -> Iterator[Section]:
         }
         shown = estimates(drive, logged.linear.car, linear_tyre, COMPARED)
         reference = quantities(drive.states)
-        traces.append(Trace(name.replace("-", " "), drive.time_s, reference, shown, {}))
+        traces.append(StateTrace(name.replace("-", " "), drive.time_s, reference, shown, {}))
     save(drives_figure("Figure 9 in form: logged drives", tuple(traces)), folder, "figure-9", DPI)
     yield verdict.logged_drives(logged, of_models, {t.title: t for t in traces})
     others = drive_elsewhere(seeds, seed)
@@ -115,7 +115,7 @@ def _sections(folder: Path, seed: int, seeds: int) -> Iterator[Section]:
     yield verdict.in_plain_words(results, consistency, outcome.ukf_minus_ckf, others)
 
 
-def _run(study: Study) -> Outcome:
+def _run(study: ManoeuvreStudy) -> FilterResults:
     scores, traces, errors, failed = {}, {}, {}, {}
     truth = quantities(study.truth)
     means: dict[str, np.ndarray] = {}
@@ -131,20 +131,20 @@ def _run(study: Study) -> Outcome:
             on_step(number)
     largest = np.abs(means["UKF"] - means["CKF"]).max(axis=(0, 1, 3, 4))
     difference = dict(zip(CASES, largest.tolist(), strict=True))
-    return Outcome(scores, traces, errors, failed, difference)
+    return FilterResults(scores, traces, errors, failed, difference)
 
 
-def _signal_sd(outcome: Outcome, name: str) -> np.ndarray:
+def _signal_sd(outcome: FilterResults, name: str) -> np.ndarray:
     """Standard deviation over time (manoeuvres, 4) of what a filter estimates, first seed."""
     return outcome.traces[name][1:, :, case_index("true R")].std(axis=0)
 
 
-def _figures(study: Study, outcome: Outcome, folder: Path) -> Section:
+def _figures(study: ManoeuvreStudy, outcome: FilterResults, folder: Path) -> Section:
     time_s = TIME_STEP_S * np.arange(len(study.truth), dtype=np.float64)
     files = []
     for number, (manoeuvre, name) in zip((4, 5), enumerate(DRIVEN), strict=True):
         traces = tuple(
-            Trace(
+            StateTrace(
                 CASES[case].what,
                 time_s,
                 quantities(study.truth[:, manoeuvre, 0, 0]),
@@ -160,7 +160,7 @@ def _figures(study: Study, outcome: Outcome, folder: Path) -> Section:
     return Section(110, "Figures 4 and 5", text)
 
 
-def _write(study: Study, outcome: Outcome, folder: Path) -> None:
+def _write(study: ManoeuvreStudy, outcome: FilterResults, folder: Path) -> None:
     axes = ("step", "manoeuvre", "case", "quantity")
     by_filter = ("filter", *axes)
     write_traces(

@@ -31,7 +31,7 @@ class NoiseStatistics(NamedTuple):
     taken: np.ndarray
 
 
-class Evidence(NamedTuple):
+class NoiseEvidence(NamedTuple):
     """Quantities of one step from which the filter estimates its noises.
 
     Attributes:
@@ -68,7 +68,7 @@ def begin(process_variances: np.ndarray, measurement_variances: np.ndarray) -> N
 
 def adapt(
     noise: NoiseStatistics,
-    evidence: Evidence,
+    evidence: NoiseEvidence,
     *,
     forgetting: float = 0.97,
     means: bool = False,

@@ -7,7 +7,7 @@ import numpy as np
 from experiments.monte_carlo.intervals import mean_t
 from papers.adlukf import tables
 from papers.adlukf.claims import MANOEUVRES
-from papers.adlukf.cost import Cost
+from papers.adlukf.cost import FilterCost
 from papers.adlukf.study import (
     ACCELERATION,
     CASES,
@@ -15,7 +15,7 @@ from papers.adlukf.study import (
     PROCESS_VARIANCES,
     STEERING,
 )
-from papers.adlukf.tables import Results, case_index, ratio, state_index
+from papers.adlukf.tables import ScoresByFilter, case_index, ratio, state_index
 from papers.kit.checks import Check, above, agrees, at_most, near
 from papers.kit.report import Section, markdown_table
 from plants.vehicle.drive import Drive
@@ -58,7 +58,7 @@ def set_up(drives: tuple[Drive, ...], seeds: int) -> Section:
     return Section(20, "What was done", "\n\n".join(parts))
 
 
-def table_2(results: Results) -> Section:
+def table_2(results: ScoresByFilter) -> Section:
     """Return the section on table 2 and on the better filter."""
     text = (
         "R0 is the true covariance of the sensors; mean over the seeds with its interval of 95 %."
@@ -67,7 +67,7 @@ def table_2(results: Results) -> Section:
     return Section(30, "Table 2: errors when R is known", text, shown=True)
 
 
-def errors(results: Results) -> Section:
+def errors(results: ScoresByFilter) -> Section:
     """Every error of the filters that matter, and by how much they differ from the CKF's."""
     parts = ["R0 is the true covariance of the sensors."]
     for number, title in enumerate(MANOEUVRES):
@@ -88,7 +88,7 @@ def errors(results: Results) -> Section:
     return Section(35, "MAE, RMSE and SD when R is known", "\n\n".join(parts), checks)
 
 
-def sensitivity(results: Results) -> Section:
+def sensitivity(results: ScoresByFilter) -> Section:
     """Table 3: how much a wrong start of R costs."""
     checks: list[Check] = []
     for number, title in enumerate(MANOEUVRES):
@@ -101,7 +101,7 @@ def sensitivity(results: Results) -> Section:
     return Section(40, "Table 3: sensitivity to the starting R", text, checks, shown=True)
 
 
-def other_noise(results: Results) -> Section:
+def other_noise(results: ScoresByFilter) -> Section:
     """All cases, all filters."""
     parts = [
         "\n".join(f"- **{case.name}**: {case.what}." for case in CASES.values()),
@@ -112,7 +112,7 @@ def other_noise(results: Results) -> Section:
     return Section(50, "Every filter in every case", "\n\n".join(parts))
 
 
-def spread(results: Results, signal_sd: Mapping[str, np.ndarray]) -> Section:
+def spread(results: ScoresByFilter, signal_sd: Mapping[str, np.ndarray]) -> Section:
     """Table 4."""
     text = tables.table_4(results, dict(signal_sd), MANOEUVRES)
     return Section(60, "Table 4: standard deviations", text, shown=True)
@@ -140,7 +140,7 @@ average NEES is 3, the number of states; above, it is overconfident.
     return Section(70, "Consistency: the dual layer counts every reading twice", text, checks)
 
 
-def cost(of_filters: Mapping[str, Cost]) -> Section:
+def cost(of_filters: Mapping[str, FilterCost]) -> Section:
     """Table 1."""
     reference = of_filters["CKF"]
     rows = [
@@ -157,7 +157,7 @@ def cost(of_filters: Mapping[str, Cost]) -> Section:
     return Section(80, "Table 1: cost", text + markdown_table(head, rows), shown=True)
 
 
-def ablations(results: Results, ukf_minus_ckf: Mapping[str, float]) -> Section:
+def ablations(results: ScoresByFilter, ukf_minus_ckf: Mapping[str, float]) -> Section:
     """Return the section on ablations: inner layer, adaptation, and UKF against CKF by case."""
     over = {
         f"{name}: {words}": np.array(
@@ -196,7 +196,7 @@ _ABLATIONS = {
 }
 
 
-def _ablation_at(results: Results, case: str) -> str:
+def _ablation_at(results: ScoresByFilter, case: str) -> str:
     at, true = case_index(case), case_index("true R")
     states = [state_index(state) for state in tables.JUDGED]
     change = {}

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from filters.gaussian import Gaussian
-from papers.adlukf.filters import Contestant, Task
+from papers.adlukf.filters import Contestant, StepInput
 from plants.vehicle.drive import Drive
 from plants.vehicle.model import SingleTrack, linear_tyre, single_track
 from plants.vehicle.parameters import BMW_320I, Car
@@ -39,7 +39,7 @@ GROWTH = ((6.0, 4.0),)
 """From 6 s on the noise is four times as large."""
 
 
-class Case(NamedTuple):
+class NoiseCase(NamedTuple):
     """One case: the R that a filter assumes, and the true noise of the sensors.
 
     `believed` (3,) are the variances that the filters start with, None for the true ones.
@@ -56,17 +56,19 @@ class Case(NamedTuple):
 CASES = {
     case.name: case
     for case in (
-        Case("true R", "R0 is the sensors' covariance"),
-        Case("0.01 I", "R0 = 0.01 I", believed=(0.01, 0.01, 0.01)),
-        Case("2 I", "R0 = 2 I", believed=(2.0, 2.0, 2.0)),
-        Case("growing", "R0 is right until the noise grows fourfold after 6 s", changes=GROWTH),
-        Case("outliers", "2 % of the readings with 20 times the noise", outlier_share=0.02),
-        Case("a_y alone", "lateral acceleration is the only measurement", lateral_only=True),
+        NoiseCase("true R", "R0 is the sensors' covariance"),
+        NoiseCase("0.01 I", "R0 = 0.01 I", believed=(0.01, 0.01, 0.01)),
+        NoiseCase("2 I", "R0 = 2 I", believed=(2.0, 2.0, 2.0)),
+        NoiseCase(
+            "growing", "R0 is right until the noise grows fourfold after 6 s", changes=GROWTH
+        ),
+        NoiseCase("outliers", "2 % of the readings with 20 times the noise", outlier_share=0.02),
+        NoiseCase("a_y alone", "lateral acceleration is the only measurement", lateral_only=True),
     )
 }
 
 
-class Study(NamedTuple):
+class ManoeuvreStudy(NamedTuple):
     """Input of the filters, (steps, manoeuvres, cases, seeds, ...), and the truth.
 
     controls and measurements have last axes 2 and 3; `believed` variances and `start`, where the
@@ -74,7 +76,7 @@ class Study(NamedTuple):
     """
 
     model: SingleTrack
-    cases: tuple[Case, ...]
+    cases: tuple[NoiseCase, ...]
     controls: np.ndarray
     measurements: np.ndarray
     believed: np.ndarray
@@ -89,11 +91,11 @@ class Study(NamedTuple):
 
 def build_study(
     drives: tuple[Drive, ...],
-    cases: tuple[Case, ...],
+    cases: tuple[NoiseCase, ...],
     seeds: int,
     seed: int,
     car: Car = BMW_320I,
-) -> Study:
+) -> ManoeuvreStudy:
     """The study of drives of equal length; noise from `seed`."""
     model = single_track(car, linear_tyre, drives[0].time_step_s, np.diag(PROCESS_VARIANCES))
     controls, measurements = [], []
@@ -112,7 +114,7 @@ def build_study(
     believed = np.array([true if case.believed is None else case.believed for case in cases])
     truth = np.stack([drive.states for drive in drives], axis=1)[:, :, None, None]
     lanes = (len(drives), len(cases), seeds, 3)
-    return Study(
+    return ManoeuvreStudy(
         model=model,
         cases=cases,
         controls=np.stack(controls, axis=1),
@@ -128,7 +130,7 @@ def _stream(seed: int, drive: int, purpose: str) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(drive, number)))
 
 
-def _measured(drive: Drive, case: Case, stream: partial, seeds: int) -> np.ndarray:
+def _measured(drive: Drive, case: NoiseCase, stream: partial, seeds: int) -> np.ndarray:
     """Readings (steps, seeds, 3); the same normals in every case."""
     exact = np.stack(
         [drive.lateral_acceleration_m_s2, drive.yaw_rate_rad_s, drive.speed_m_s], axis=-1
@@ -148,7 +150,9 @@ def _measured(drive: Drive, case: Case, stream: partial, seeds: int) -> np.ndarr
     return readings
 
 
-def estimate(study: Study, contestant: Contestant, model: SingleTrack | None = None) -> Gaussian:
+def estimate(
+    study: ManoeuvreStudy, contestant: Contestant, model: SingleTrack | None = None
+) -> Gaussian:
     """Return a filter's beliefs: mean (steps, manoeuvres, cases, seeds, 3), cov likewise."""
     model = study.model if model is None else model
     belief = Gaussian(study.start, np.broadcast_to(PRIOR_COV, (*study.start.shape, 3)))
@@ -158,7 +162,7 @@ def estimate(study: Study, contestant: Contestant, model: SingleTrack | None = N
     covs = np.empty((*means.shape, 3))
     means[0], covs[0] = belief
     for k in range(1, len(means)):
-        task = Task(
+        task = StepInput(
             partial(model.transition, control=study.controls[k - 1], step=k - 1),
             partial(model.measure, control=study.controls[k]),
             study.measurements[k],
@@ -173,7 +177,7 @@ STATES = ("v_x", "v_y", "side slip", "yaw rate")
 UNITS = ("m/s", "m/s", "deg", "deg/s")
 
 
-class Scores(NamedTuple):
+class ErrorScores(NamedTuple):
     """Errors from the second step on, by `STATES` in `UNITS`: (manoeuvres, cases, seeds, 4)."""
 
     mae: np.ndarray
@@ -188,9 +192,9 @@ def quantities(states: np.ndarray) -> np.ndarray:
     return np.stack([speed, lateral, np.degrees(side_slip), np.degrees(yaw_rate)], axis=-1)
 
 
-def score(study: Study, means: np.ndarray) -> Scores:
+def score(study: ManoeuvreStudy, means: np.ndarray) -> ErrorScores:
     """How good estimates (steps, manoeuvres, cases, seeds, 3) are."""
     errors = (quantities(means) - quantities(study.truth))[1:]
-    return Scores(
+    return ErrorScores(
         np.abs(errors).mean(axis=0), np.sqrt((errors**2).mean(axis=0)), errors.std(axis=0)
     )

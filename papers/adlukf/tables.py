@@ -6,10 +6,10 @@ import numpy as np
 
 from experiments.monte_carlo.intervals import mean_t
 from papers.adlukf.filters import CONTESTANTS
-from papers.adlukf.study import CASES, STATES, UNITS, Scores
+from papers.adlukf.study import CASES, STATES, UNITS, ErrorScores
 from papers.kit.report import markdown_table
 
-Results = dict[str, Scores]
+ScoresByFilter = dict[str, ErrorScores]
 """The scores of every filter by name."""
 
 COMPARED = ("CKF", "FAUKF", "ADLUKF")
@@ -58,12 +58,12 @@ def with_interval(values: np.ndarray) -> str:
     return f"{mean:.{places}f} ± {half:.{places}f}"
 
 
-def errors_table(results: Results, manoeuvre: int, case: str, filters: Sequence[str]) -> str:
+def errors_table(results: ScoresByFilter, manoeuvre: int, case: str, filters: Sequence[str]) -> str:
     """MAE, RMSE and SD of a manoeuvre, a row per filter."""
     at = case_index(case)
     head = ["filter", *(f"{name} [{unit}]" for name, unit in zip(STATES, UNITS, strict=True))]
     rows = []
-    for measure in Scores._fields:
+    for measure in ErrorScores._fields:
         for name in filters:
             values = getattr(results[name], measure)[manoeuvre, at]
             cells = [with_interval(values[:, i]) for i in range(len(STATES))]
@@ -71,7 +71,7 @@ def errors_table(results: Results, manoeuvre: int, case: str, filters: Sequence[
     return markdown_table(head, rows)
 
 
-def against_ckf_table(results: Results, manoeuvre: int, filters: Sequence[str]) -> str:
+def against_ckf_table(results: ScoresByFilter, manoeuvre: int, filters: Sequence[str]) -> str:
     """By how many per cent the RMSE differs from the CKF's, paired by seed."""
     at = case_index("true R")
     reference = results["CKF"].rmse[manoeuvre, at]
@@ -98,7 +98,7 @@ def per_state(rows: Mapping[str, np.ndarray], what: str, manoeuvres: Sequence[st
     return markdown_table(head, [[name, *row] for name, row in cells.items()])
 
 
-def table_2(results: Results, manoeuvres: Sequence[str]) -> str:
+def table_2(results: ScoresByFilter, manoeuvres: Sequence[str]) -> str:
     """The paper's MAE and RMSE above ours; yaw rates in the paper's unit."""
     at = case_index("true R")
     rows = []
@@ -113,7 +113,7 @@ def table_2(results: Results, manoeuvres: Sequence[str]) -> str:
     return markdown_table(["", "", *COMPARED], rows)
 
 
-def table_3(results: Results, manoeuvres: Sequence[str]) -> str:
+def table_3(results: ScoresByFilter, manoeuvres: Sequence[str]) -> str:
     """RMSE with R0 = 0.01 I and 2 I and their ratio, the paper's side slip first."""
     head = ["", "R0 = 0.01 I", "R0 = 2 I", "ratio"]
     rows = [
@@ -138,17 +138,19 @@ def table_3(results: Results, manoeuvres: Sequence[str]) -> str:
     return markdown_table(head, rows)
 
 
-def ratio(results: Results, name: str, manoeuvre: int, state: str) -> float:
+def ratio(results: ScoresByFilter, name: str, manoeuvre: int, state: str) -> float:
     """RMSE with R0 = 2 I over RMSE with R0 = 0.01 I, pooled over the seeds."""
     low, high = (_rmse(results, name, manoeuvre, case, state) for case in ("0.01 I", "2 I"))
     return float(np.sqrt((high**2).mean() / (low**2).mean()))
 
 
-def _rmse(results: Results, name: str, manoeuvre: int, case: str, state: str) -> np.ndarray:
+def _rmse(results: ScoresByFilter, name: str, manoeuvre: int, case: str, state: str) -> np.ndarray:
     return results[name].rmse[manoeuvre, case_index(case), :, state_index(state)]
 
 
-def table_4(results: Results, signal_sd: dict[str, np.ndarray], manoeuvres: Sequence[str]) -> str:
+def table_4(
+    results: ScoresByFilter, signal_sd: dict[str, np.ndarray], manoeuvres: Sequence[str]
+) -> str:
     """The paper's SD beside that of the errors and that of the estimated signals themselves.
 
     `signal_sd` by filter: (manoeuvres, 4).
@@ -169,7 +171,7 @@ def table_4(results: Results, signal_sd: dict[str, np.ndarray], manoeuvres: Sequ
     return markdown_table(head, rows)
 
 
-def cases_table(results: Results, manoeuvre: int, filters: Sequence[str]) -> str:
+def cases_table(results: ScoresByFilter, manoeuvre: int, filters: Sequence[str]) -> str:
     """RMSE of v_x, side slip and yaw rate in every case, the least of each in bold."""
     states = ("v_x", "side slip", "yaw rate")
     places = [state_index(state) for state in states]
@@ -200,7 +202,7 @@ def filters_table() -> str:
 
 
 def over_ckf(
-    results: Results, name: str, manoeuvre: int, state: str, case: str = "true R"
+    results: ScoresByFilter, name: str, manoeuvre: int, state: str, case: str = "true R"
 ) -> float:
     """RMSE of a filter over the CKF's in the same case, pooled over the seeds."""
     at, i = case_index(case), state_index(state)

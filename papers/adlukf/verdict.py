@@ -13,16 +13,16 @@ from papers.adlukf.drives import (
     side_slip_rmse_deg,
 )
 from papers.adlukf.elsewhere import Elsewhere, in_words
-from papers.adlukf.figures import Trace
+from papers.adlukf.figures import StateTrace
 from papers.adlukf.sections import SHOWN
-from papers.adlukf.tables import COMPARED, Results, case_index, state_index
+from papers.adlukf.tables import COMPARED, ScoresByFilter, case_index, state_index
 from papers.kit.checks import above, at_most, below
 from papers.kit.report import Section, markdown_table
 from plants.vehicle.tyre_identification import Identified
 
 
 def in_plain_words(
-    results: Results,
+    results: ScoresByFilter,
     nees: Mapping[str, np.ndarray],
     ukf_minus_ckf: Mapping[str, float],
     others: Sequence[Elsewhere],
@@ -93,23 +93,25 @@ def in_plain_words(
 _JUDGED_CASES = ("true R", "0.01 I", "2 I", "growing", "outliers")
 
 
-def _worst_ratio(results: Results, name: str) -> float:
+def _worst_ratio(results: ScoresByFilter, name: str) -> float:
     return max(tables.ratio(results, name, m, "v_x") for m in range(len(MANOEUVRES)))
 
 
-def _worst(results: Results, name: str, case: str, state: str) -> float:
+def _worst(results: ScoresByFilter, name: str, case: str, state: str) -> float:
     """RMSE over the CKF's in the same case, the worse of the two manoeuvres."""
     return max(
         tables.over_ckf(results, name, number, state, case) for number in range(len(MANOEUVRES))
     )
 
 
-def _span(results: Results, name: str, case: str) -> str:
+def _span(results: ScoresByFilter, name: str, case: str) -> str:
     worst = [_worst(results, name, case, state) for state in tables.JUDGED]
     return " / ".join(f"{value:.2f}" for value in worst)
 
 
-def better_model(results: Results, improved: Results, identified: Identified) -> Section:
+def better_model(
+    results: ScoresByFilter, improved: ScoresByFilter, identified: Identified
+) -> Section:
     """The side slip's error is the model's."""
     at, i = case_index("true R"), state_index("side slip")
     rows = [
@@ -140,7 +142,9 @@ def better_model(results: Results, improved: Results, identified: Identified) ->
 
 
 def logged_drives(
-    logged: Logged, of_models: Mapping[str, Mapping[str, np.ndarray]], traces: Mapping[str, Trace]
+    logged: Logged,
+    of_models: Mapping[str, Mapping[str, np.ndarray]],
+    traces: Mapping[str, StateTrace],
 ) -> Section:
     """Figure 9, and what identification found."""
     head = ["RMSE of the side slip [°], CKF", *MANOEUVRES]

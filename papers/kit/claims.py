@@ -17,7 +17,7 @@ Verdict = Literal["holds", "does not hold", "not comparable", "contradicts itsel
 Test = Literal["every finding", "any open choice", "print against print"]
 
 
-class Finding(msgspec.Struct, frozen=True):
+class ClaimFinding(msgspec.Struct, frozen=True):
     """A figure, its interval, and the closed range in which the claim needs it."""
 
     value: float
@@ -39,10 +39,10 @@ class Finding(msgspec.Struct, frozen=True):
 
 def needs(
     figure: Interval | float, *, at_least: float = -np.inf, at_most: float = np.inf
-) -> Finding:
+) -> ClaimFinding:
     """The claim needs the figure in [at_least, at_most]; a plain number has no spread."""
     value, low, high = figure if isinstance(figure, Interval) else (figure,) * 3
-    return Finding(float(value), float(low), float(high), float(at_least), float(at_most))
+    return ClaimFinding(float(value), float(low), float(high), float(at_least), float(at_most))
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Claim:
 
     where: str
     says: str
-    findings: Sequence[Finding]
+    findings: Sequence[ClaimFinding]
     measured: str
     erratum: int | None = None
     test: Test = "every finding"
@@ -72,7 +72,7 @@ class Claim:
         object.__setattr__(self, "verdict", verdict_of(self.findings, self.test))
 
 
-def verdict_of(findings: Sequence[Finding], test: Test = "every finding") -> Verdict:
+def verdict_of(findings: Sequence[ClaimFinding], test: Test = "every finding") -> Verdict:
     """The verdict that the findings allow.
 
     Findings that neither prove nor refute make the claim "not comparable": the runs are too few, or

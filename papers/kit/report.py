@@ -35,7 +35,7 @@ class Section(msgspec.Struct, frozen=True):
     shown: bool = False
 
 
-class Report(msgspec.Struct, frozen=True):
+class ReproductionReport(msgspec.Struct, frozen=True):
     """A reproduction as far as it has come. `ok`: it is complete and every check holds."""
 
     paper: str
@@ -79,14 +79,14 @@ def check_runs(paper: Paper, runs: int) -> None:
 
 def report_of(
     paper: str, seed: int, runs: int, sections: Sequence[Section], *, complete: bool
-) -> Report:
+) -> ReproductionReport:
     """The report of the sections that are ready."""
     ordered = sorted(sections, key=lambda section: section.place)
     holds = all(check.ok for section in ordered for check in section.checks)
-    return Report(paper, seed, runs, _versions(), complete, complete and holds, ordered)
+    return ReproductionReport(paper, seed, runs, _versions(), complete, complete and holds, ordered)
 
 
-def write_report(report: Report, title: str, folder: Path) -> None:
+def write_report(report: ReproductionReport, title: str, folder: Path) -> None:
     """Write `report.md` and `report.json`.
 
     Raises:
@@ -98,7 +98,7 @@ def write_report(report: Report, title: str, folder: Path) -> None:
         (folder / REPORT_JSON).write_bytes(msgspec.json.encode(report))
 
 
-def to_markdown(report: Report, title: str) -> str:
+def to_markdown(report: ReproductionReport, title: str) -> str:
     """The report for people."""
     parts = [f"# {title}", _summary(report)]
     for section in report.sections:
@@ -113,7 +113,7 @@ def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join("| " + " | ".join(_cell(cell) for cell in line) + " |" for line in lines)
 
 
-def _summary(report: Report) -> str:
+def _summary(report: ReproductionReport) -> str:
     checks = [check for section in report.sections for check in section.checks]
     failed = [check.name for check in checks if not check.ok]
     claims = [claim.verdict for section in report.sections for claim in section.claims]

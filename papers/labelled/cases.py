@@ -18,7 +18,7 @@ from nodes.faults.losses import Outage
 from nodes.lanes.links import links_of
 from nodes.messages import Measured
 from nodes.node import NodeConfig
-from nodes.rules.labelled import Content, LabelledFlooding
+from nodes.rules.labelled import LabelledContent, LabelledFlooding
 from runtime import in_process
 from runtime.batched import driver as batched
 from runtime.batched.build import build_network
@@ -39,7 +39,7 @@ _LOST_DEVIATIONS = np.array([300.0, 15.0, 300.0, 15.0, 0.02])
 _OUTLIER_DEVIATIONS = 10.0
 
 
-class Case(NamedTuple):
+class FaultCase(NamedTuple):
     """Faults of one case.
 
     The `options` say how many frames the links lose. The hub may die, a cut may divide the network
@@ -71,7 +71,7 @@ class CaseOutcome(NamedTuple):
     right_refused: int
 
 
-def runs_of_case(case: Case, runs: int, seed: int = 1) -> list[CaseOutcome]:
+def runs_of_case(case: FaultCase, runs: int, seed: int = 1) -> list[CaseOutcome]:
     """Runs 0, 1, ... of TRACK in which this goes wrong: all at once, but for a node that dies."""
     chosen = {"scenario": "target-tracking", "nodes": 20, "rule": "labelled", **case.options}
     setup = prepare(scenario_of(**chosen, seed=seed))
@@ -118,14 +118,16 @@ def outcome(setup: Setup, course: Course) -> CaseOutcome:
     )
 
 
-def _at_once(case: Case, setup: Setup, runs: int) -> list[CaseOutcome]:
+def _at_once(case: FaultCase, setup: Setup, runs: int) -> list[CaseOutcome]:
     own = [setup_of_run(setup, run) for run in range(runs)]
     network = build_network(setup, range(runs))
     measurement, wrong = _spoiled(network.measurement, case.outliers, own)
     network = replace(network, measurement=measurement)
     if case.cut:
-        (era,) = network.eras
-        network = replace(network, eras=(era._replace(lost=partial(_lost_in_cut, setup, runs)),))
+        (segment,) = network.segments
+        network = replace(
+            network, segments=(segment._replace(lost=partial(_lost_in_cut, setup, runs)),)
+        )
     instants = list(batched.run(network))
     truth, readings, mean, cov = (
         np.stack(values, axis=1)
@@ -229,17 +231,19 @@ class Observed:
     recorded: set[tuple[int, int]]
     lost_at: int | None
 
-    def begin_step(self, content: Content, measured: Measured) -> tuple[Content, tuple[str, ...]]:
+    def begin_step(
+        self, content: LabelledContent, measured: Measured
+    ) -> tuple[LabelledContent, tuple[str, ...]]:
         """As the inner one, after a cold restart where it is time."""
         if measured.step == self.lost_at:
             mean = content.window.belief.mean
             away = mean + _LOST_DEVIATIONS * np.array([1.0, 0.0, -1.0, 0.0, 0.0])
             prior = Gaussian(away, np.diag(_LOST_DEVIATIONS**2))
             content = self.inner.restart(prior, content.window.heartbeats)
-        content, troubles = self.inner.begin_step(content, measured)
+        content, failures = self.inner.begin_step(content, measured)
         if self.inner.node in content.window.records[-1]:
             self.recorded.add((measured.step, self.inner.node))
-        return content, troubles
+        return content, failures
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.inner, name)

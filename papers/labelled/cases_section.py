@@ -7,7 +7,7 @@ import numpy as np
 
 from papers.kit.checks import Check, at_most
 from papers.kit.report import Section, markdown_table
-from papers.labelled.cases import CUT, HUB, HUB_DEAD, Case, CaseOutcome, runs_of_case
+from papers.labelled.cases import CUT, HUB, HUB_DEAD, CaseOutcome, FaultCase, runs_of_case
 from papers.labelled.study import jackknife, side_by_side
 
 PARTS = (1.0, 0.25, 0.1)
@@ -31,13 +31,13 @@ def _name(what: str, relay: bool, part: float) -> str:
 def _spread(what: str, options: dict[str, Any], figures: Mapping[bool, Sequence[float]]) -> dict:
     """Cases of one kind, with what the project's study measured: {relay: one per part}."""
     return {
-        _name(what, relay, part): (Case(_case(part, relay=relay, **options)), figure)
+        _name(what, relay, part): (FaultCase(_case(part, relay=relay, **options)), figure)
         for relay, of_parts in figures.items()
         for part, figure in zip(PARTS, of_parts, strict=True)
     }
 
 
-_KNOWN: dict[str, tuple[Case, float]] = {
+_KNOWN: dict[str, tuple[FaultCase, float]] = {
     **_spread(
         "loss 10 %", {"loss": 0.1}, {False: (1.105, 1.325, 1.85), True: (1.017, 1.199, 1.65)}
     ),
@@ -51,21 +51,21 @@ _KNOWN: dict[str, tuple[Case, float]] = {
         "path of 20", {"graph": "path"}, {False: (1.456, 2.113, 3.60), True: (1.147, 1.632, 3.48)}
     ),
 }
-_HUB = {f"hub dead, {part:g}": Case(_case(part), hub_dies=True) for part in PARTS}
+_HUB = {f"hub dead, {part:g}": FaultCase(_case(part), hub_dies=True) for part in PARTS}
 _CUT = {
-    f"cut, digest {digest}, {part:g}": Case(_case(part, digest_steps=digest), cut=True)
+    f"cut, digest {digest}, {part:g}": FaultCase(_case(part, digest_steps=digest), cut=True)
     for digest in (0, 8)
     for part in PARTS
 }
 _OUTLIERS = {
-    f"{'outliers 5 %' if share else 'none'}, {'gate' if gate else 'no gate'}, {part:g}": Case(
+    f"{'outliers 5 %' if share else 'none'}, {'gate' if gate else 'no gate'}, {part:g}": FaultCase(
         _case(part, gate_probability=gate), outliers=share
     )
     for share in (0.0, 0.05)
     for gate in (0.0, GATE)
     for part in PARTS[:2]
 }
-CASES: dict[str, Case] = {
+CASES: dict[str, FaultCase] = {
     **{name: case for name, (case, _) in _KNOWN.items()}, **_HUB, **_CUT, **_OUTLIERS
 }  # fmt: skip
 
@@ -78,7 +78,7 @@ def case_outcomes(seed: int, runs: int) -> Iterator[tuple[str, list[CaseOutcome]
     yield from zip(CASES, side_by_side("special cases", _runs, jobs), strict=True)
 
 
-def _runs(job: tuple[Case, int, int]) -> list[CaseOutcome]:
+def _runs(job: tuple[FaultCase, int, int]) -> list[CaseOutcome]:
     return runs_of_case(*job)
 
 

@@ -10,7 +10,7 @@ from experiments.results.trace import read_trace
 from experiments.scenario_options import scenario_of
 from filters.gaussian import Gaussian
 from nodes.faults.losses import LinkState, hears
-from nodes.rules.labelled import Content, LabelledFlooding
+from nodes.rules.labelled import LabelledContent, LabelledFlooding
 from papers.labelled.record_search import Held, reachable, winners_of
 from runtime import in_process
 from runtime.drivers import in_memory
@@ -134,7 +134,7 @@ def _watched(setup: Setup, links: LinkState) -> tuple[list[Held], list[tuple[str
     for node, seen in enumerate(log):
         config = build_node(setup, node)
         assert isinstance(config.estimator, LabelledFlooding)
-        watched = Watched(config.estimator, seen)
+        watched = RecordingEstimator(config.estimator, seen)
         configs.append(replace(config, estimator=watched, links=links))
     recorder = MemoryRecorder()
     in_process.run(build_environment(setup), configs, recorder)
@@ -142,13 +142,13 @@ def _watched(setup: Setup, links: LinkState) -> tuple[list[Held], list[tuple[str
 
 
 @dataclass(frozen=True)
-class Watched:
+class RecordingEstimator:
     """An estimator that notes at the end of each step which records it has used."""
 
     inner: LabelledFlooding
     seen: list[set[tuple[int, int]]]
 
-    def belief(self, content: Content) -> Gaussian:
+    def belief(self, content: LabelledContent) -> Gaussian:
         """As the inner one says."""
         first = content.window.base_step + 1
         records = content.window.records

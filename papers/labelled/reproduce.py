@@ -17,7 +17,7 @@ from papers.kit.report import Paper, Section, markdown_table
 from papers.kit.traces import write_traces
 from papers.labelled.cases_section import case_outcomes, cases_section
 from papers.labelled.exact_section import NETWORKS, exact_section
-from papers.labelled.study import FORMS, OCCUPANCIES, Cell, cells
+from papers.labelled.study import FORMS, OCCUPANCIES, FormCell, cells
 
 PICTURE = "labelled"
 EXCESS_MOST = 0.03
@@ -39,13 +39,13 @@ _STUDY = {
     "labelled relay, dynamic": (1.004, 1.002, 1.051, 1.261),
 }
 
-Table = dict[tuple[str, float], Cell]
+FormTable = dict[tuple[str, float], FormCell]
 
 
 def _sections(folder: Path, seed: int, runs: int) -> Iterator[Section]:
     """`runs` of each cell; of the special cases a fifth of that."""
     yield exact_section(NETWORKS)
-    table: Table = {(form.name, part): cell for form, part, cell in cells(FORMS, seed, runs)}
+    table: FormTable = {(form.name, part): cell for form, part, cell in cells(FORMS, seed, runs)}
     save(figure_of(table), folder, PICTURE, dpi=110)
     _write(folder, table)
     yield error_section(table, runs)
@@ -63,7 +63,7 @@ PAPER = Paper(
 )
 
 
-def _write(folder: Path, table: Table) -> None:
+def _write(folder: Path, table: FormTable) -> None:
     forms = list(dict.fromkeys(form for form, _ in table))
     parts = list(dict.fromkeys(part for _, part in table))
     variables = {
@@ -71,12 +71,12 @@ def _write(folder: Path, table: Table) -> None:
             ("form", "occupancy"),
             np.array([[getattr(table[form, part], name) for part in parts] for form in forms]),
         )
-        for name in Cell._fields
+        for name in FormCell._fields
     }
     write_traces(folder, variables, {"form": forms, "occupancy": np.array(parts)})
 
 
-def error_section(table: Table, runs: int) -> Section:
+def error_section(table: FormTable, runs: int) -> Section:
     """The table of errors, bytes and consistency, and what must hold of it."""
     head = (
         "form", "occupancy", "x centralised", "ANEES", "worst node - central", "bytes said",
@@ -100,7 +100,7 @@ def error_section(table: Table, runs: int) -> Section:
     return Section(2, "Error and bytes", text, checks=list(_checks(table)))
 
 
-def _checks(table: Table) -> Iterator[Check]:
+def _checks(table: FormTable) -> Iterator[Check]:
     for (name, part), c in table.items():
         if not name.startswith("labelled"):
             continue
@@ -116,7 +116,7 @@ def _checks(table: Table) -> Iterator[Check]:
             yield at_most(f"{name}, {part:g}: error over that of ci", c.ratio / rival.ratio, 1.0)
 
 
-def _consistency_check(name: str, c: Cell) -> Check:
+def _consistency_check(name: str, c: FormCell) -> Check:
     """The figure itself must be within the bound, whatever the interval says beside it."""
     low, high = c.excess - c.excess_half_width, c.excess + c.excess_half_width
     if high <= EXCESS_MOST:
@@ -134,7 +134,7 @@ def _consistency_check(name: str, c: Cell) -> Check:
     )
 
 
-def figure_of(table: Table) -> Figure:
+def figure_of(table: FormTable) -> Figure:
     """Error against bytes, a line per form, a point per occupancy."""
     figure = Figure(figsize=(12, 5.5), layout="constrained")
     said, wire = figure.subplots(1, 2, sharey=True)
@@ -148,7 +148,9 @@ def figure_of(table: Table) -> Figure:
     return figure
 
 
-def _draw_against(axes: Axes, table: Table, cost: Callable[[Cell], float], name: str) -> None:
+def _draw_against(
+    axes: Axes, table: FormTable, cost: Callable[[FormCell], float], name: str
+) -> None:
     for form in dict.fromkeys(form for form, _ in table):
         points = [table[form, part] for part in OCCUPANCIES if (form, part) in table]
         axes.errorbar(

@@ -53,7 +53,7 @@ FORMS = (
 )
 
 
-class Job(NamedTuple):
+class StudyJob(NamedTuple):
     """Runs 0, 1, ... of one cell of the table."""
 
     form: Form
@@ -62,7 +62,7 @@ class Job(NamedTuple):
     runs: int
 
 
-class Outcome(NamedTuple):
+class RunOutcome(NamedTuple):
     """Figures of one run.
 
     Mean squared errors are those of the network and of the centralised filter. Mean NEES over
@@ -82,7 +82,7 @@ class Outcome(NamedTuple):
     checkpoint_share: float
 
 
-class Cell(NamedTuple):
+class FormCell(NamedTuple):
     """A form at an occupancy, over all runs.
 
     `ratio` is the RMSE over that of the centralised filter, `half_width` that of its interval; so
@@ -101,7 +101,7 @@ class Cell(NamedTuple):
     checkpoint_share: float
 
 
-def outcomes(job: Job) -> list[Outcome]:
+def outcomes(job: StudyJob) -> list[RunOutcome]:
     """Return the figures of each run of a cell."""
     options = scenario_of(
         scenario="target-tracking", nodes=20, seed=job.seed, occupancy=job.occupancy,
@@ -122,7 +122,7 @@ def outcomes(job: Job) -> list[Outcome]:
         sent = histories.payload_bytes[run]
         shares = np.count_nonzero(sent) * share_bytes(setup) / setup.scenario.steps
         found.append(
-            Outcome(
+            RunOutcome(
                 squared[run].mean(),
                 squared_central[run].mean(),
                 consistency[run],
@@ -136,9 +136,9 @@ def outcomes(job: Job) -> list[Outcome]:
     return found
 
 
-def cells(forms: Sequence[Form], seed: int, runs: int) -> Iterator[tuple[Form, float, Cell]]:
+def cells(forms: Sequence[Form], seed: int, runs: int) -> Iterator[tuple[Form, float, FormCell]]:
     """All cells of the table, one after the other, as they get ready."""
-    jobs = [Job(form, part, seed, runs) for form in forms for part in OCCUPANCIES]
+    jobs = [StudyJob(form, part, seed, runs) for form in forms for part in OCCUPANCIES]
     for job, found in zip(jobs, side_by_side("errors and bytes", outcomes, jobs), strict=True):
         yield job.form, job.occupancy, cell(found)
 
@@ -154,14 +154,14 @@ def side_by_side(title: str, work: Callable[[Any], Any], jobs: Sequence[Any]) ->
             yield result
 
 
-def cell(outcomes: Sequence[Outcome]) -> Cell:
+def cell(outcomes: Sequence[RunOutcome]) -> FormCell:
     """From the runs of a cell, at least two."""
     squared = np.array([[o.squared, o.squared_centralised] for o in outcomes])
     consistency = np.array([o.consistency - o.consistency_centralised for o in outcomes])
     worst = int(consistency.mean(axis=0).argmax())
     ratio, half_width = jackknife(squared)
     spread = consistency[:, worst].std(ddof=1) / np.sqrt(len(outcomes))
-    return Cell(
+    return FormCell(
         ratio,
         half_width,
         float(np.mean([o.consistency for o in outcomes])),

@@ -10,13 +10,19 @@ from typing import NamedTuple
 import numpy as np
 
 from papers.liu2021.evidence import (
-    Evidence,
-    Motion,
+    BoundedMotion,
     Readings,
+    StepReadings,
     bus_evidence,
     no_readings,
 )
-from papers.liu2021.flexray_cycle import AugmentedCycle, Received, Weights, augment, lift
+from papers.liu2021.flexray_cycle import (
+    AugmentedCycle,
+    DeliveredValues,
+    WeightsAtCycle,
+    augment,
+    lift,
+)
 from plants.bounded import BoundedSystem
 
 
@@ -25,7 +31,7 @@ class MeasuredPlant(NamedTuple):
 
     system: BoundedSystem
     static_outputs: int
-    weights: Weights
+    weights: WeightsAtCycle
 
     @property
     def length(self) -> int:
@@ -33,19 +39,19 @@ class MeasuredPlant(NamedTuple):
         return self.static_outputs + 1
 
 
-def augmented(plant: MeasuredPlant, received: Received, cycle: int) -> AugmentedCycle:
+def augmented(plant: MeasuredPlant, received: DeliveredValues, cycle: int) -> AugmentedCycle:
     """A cycle for the paper's estimator and its fast form."""
     lifted = lift(plant.system, plant.static_outputs, plant.weights, cycle)
     return augment(lifted, received.winner[..., cycle])
 
 
-def cycle_evidence(plant: MeasuredPlant, received: Received, cycle: int) -> Evidence:
+def cycle_evidence(plant: MeasuredPlant, received: DeliveredValues, cycle: int) -> StepReadings:
     """A cycle as one step: of x at its beginning, what becomes of x in its g steps (g n,)."""
     lifted = lift(plant.system, plant.static_outputs, plant.weights, cycle)
     values = received.values[..., cycle, :]
     outputs = Readings(lifted.outputs, lifted.outputs_noise, values, np.zeros(values.shape))
     return bus_evidence(
-        Motion(lifted.states, lifted.states_noise),
+        BoundedMotion(lifted.states, lifted.states_noise),
         outputs,
         plant.static_outputs,
         lifted.weights,
@@ -54,14 +60,16 @@ def cycle_evidence(plant: MeasuredPlant, received: Received, cycle: int) -> Evid
     )
 
 
-def step_evidence(plant: MeasuredPlant, received: Received, cycle: int) -> list[Evidence]:
+def step_evidence(
+    plant: MeasuredPlant, received: DeliveredValues, cycle: int
+) -> list[StepReadings]:
     """The g steps of a cycle one by one, each with what was sent in it."""
     system, static = plant.system, plant.static_outputs
     steps = []
     for r in range(plant.length):
         step = cycle * plant.length + r
         noise = system.scaled_noise_input(step)[:, None, :]
-        motion = Motion(system.transition(step), noise)
+        motion = BoundedMotion(system.transition(step), noise)
         rows = np.array([r]) if r < static else np.arange(static, received.values.shape[-1])
         values = received.values[..., cycle, rows]
         outputs = Readings(
@@ -71,7 +79,7 @@ def step_evidence(plant: MeasuredPlant, received: Received, cycle: int) -> list[
             np.zeros(values.shape),
         )
         if r < static:
-            steps.append(Evidence(motion, outputs, no_readings(outputs)))
+            steps.append(StepReadings(motion, outputs, no_readings(outputs)))
         else:
             held, winner = received.held[..., cycle, :], received.winner[..., cycle]
             steps.append(bus_evidence(motion, outputs, 0, plant.weights(step), held, winner))

@@ -7,7 +7,7 @@ import numpy as np
 from filters.sets.ellipsoid import Ellipsoid
 from papers.kit.claims import Claim, Erratum, needs
 from papers.liu2021.mutants import Mutant
-from papers.liu2021.runs import Batch, Outcome
+from papers.liu2021.runs import BoundedEstimates, SequenceBatch
 from papers.liu2021.tables import PUBLISHED, WINNER_OF_TABLES, difference
 from plants import liu2021
 
@@ -18,7 +18,7 @@ _PRINTED_TO = 6e-4
 _OUTPUTS_SENT_IN_TURN = liu2021.STATIC_OUTPUTS
 
 
-class Evidence(NamedTuple):
+class Liu2021Evidence(NamedTuple):
     """The figures that the claims stand or fall by.
 
     Attributes:
@@ -46,15 +46,19 @@ class Evidence(NamedTuple):
 
 
 def gather(
-    batch: Batch, paper: Outcome, gains: np.ndarray, flipped: Mutant, wrong_rule: Mutant
-) -> Evidence:
+    batch: SequenceBatch,
+    paper: BoundedEstimates,
+    gains: np.ndarray,
+    flipped: Mutant,
+    wrong_rule: Mutant,
+) -> Liu2021Evidence:
     """Everything the claims need."""
     kept = paper.sets[0]
     assert isinstance(kept, Ellipsoid), "the paper's sets are ellipsoids"
     singular = np.linalg.svd(kept.factor[0], compute_uv=False)
     apart = [difference(ours, printed) for ours, printed in zip(gains, PUBLISHED, strict=True)]
     first = _OUTPUTS_SENT_IN_TURN + 1
-    return Evidence(
+    return Liu2021Evidence(
         outside=int(paper.violations.sum()),
         instants=paper.radius.size,
         largest=float(paper.radius.max()),
@@ -70,7 +74,7 @@ def gather(
     )
 
 
-def claims(e: Evidence) -> list[Claim]:
+def claims(e: Liu2021Evidence) -> list[Claim]:
     """In the order of the paper."""
     winners, wrong = ", ".join(map(str, e.winners)), e.wrong_rule
     return [
@@ -122,7 +126,7 @@ def claims(e: Evidence) -> list[Claim]:
     ]  # fmt: skip
 
 
-def errata(outcomes: dict[str, Outcome]) -> list[Erratum]:
+def errata(outcomes: dict[str, BoundedEstimates]) -> list[Erratum]:
     """Return the errata, which no run can measure: wrong formulas, loose bounds and gaps."""
     paper = outcomes["paper"]
     shrunk = outcomes["tight"].trace.mean() / paper.trace.mean()

@@ -12,7 +12,7 @@ from papers.liu2021.bus import augmented
 from papers.liu2021.cycle import turned
 from papers.liu2021.multipliers import Problem
 from papers.liu2021.recursive_estimator import optimal_step, problem
-from papers.liu2021.runs import ESTIMATORS, HELD, PLANT, Batch, G, N
+from papers.liu2021.runs import ESTIMATORS, HELD, PLANT, G, N, SequenceBatch
 from papers.liu2021.semidefinite import Solution, SolverFailed, matrix_inequality
 
 _REPETITIONS = 3
@@ -29,7 +29,7 @@ class Costs(NamedTuple):
     solver: float | None
 
 
-def measure(batch: Batch) -> Costs:
+def measure(batch: SequenceBatch) -> Costs:
     """Of a batch with one sequence."""
     rows: list[tuple[str, float, float | None]] = []
     for name, estimate in ESTIMATORS.items():
@@ -49,7 +49,7 @@ def measure(batch: Batch) -> Costs:
     return Costs(rows, solved[0][1])
 
 
-def _by_solver(batch: Batch, reduce: bool) -> tuple[float, float]:
+def _by_solver(batch: SequenceBatch, reduce: bool) -> tuple[float, float]:
     """Milliseconds a cycle but the first, which compiles, and the largest difference of traces."""
     size = G * N + HELD
     kept = Ellipsoid(np.zeros((1, size)), np.broadcast_to(np.eye(size), (1, size, size)))

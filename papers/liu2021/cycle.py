@@ -57,7 +57,7 @@ class Cycle(Protocol):
     def winner(self) -> np.ndarray: ...
 
 
-class Step(NamedTuple):
+class CycleResult(NamedTuple):
     """Result of a filter for one cycle: the ellipsoid after it, and the feedback L (..., N, m)."""
 
     after: Ellipsoid
@@ -98,12 +98,12 @@ def turned(factor: np.ndarray, cycle: Cycle) -> np.ndarray:
 
 def follow(
     before: Ellipsoid, cycle: Cycle, received: np.ndarray, factor: np.ndarray, gain: np.ndarray
-) -> Step:
+) -> CycleResult:
     """(17) and the shape that was found, grown by the rounding of the whole step."""
     innovation = received - multiply(cycle.output, before.centre)
     centre = multiply(cycle.transition, before.centre) + multiply(gain, innovation)
     after = grow(Ellipsoid(centre, factor), _rounding(before, cycle, received, gain))
-    return Step(lose(after, is_lost(after)), gain)
+    return CycleResult(lose(after, is_lost(after)), gain)
 
 
 def flat(noise: np.ndarray) -> np.ndarray:

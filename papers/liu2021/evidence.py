@@ -11,7 +11,7 @@ import numpy as np
 from filters.linalg import multiply
 
 
-class Motion(NamedTuple):
+class BoundedMotion(NamedTuple):
     """Quantity to bound: state (..., k, n) x + noise (..., k, g, q) v."""
 
     state: np.ndarray
@@ -31,22 +31,22 @@ class Readings(NamedTuple):
     half_widths: np.ndarray
 
 
-class Evidence(NamedTuple):
+class StepReadings(NamedTuple):
     """One step: what becomes of the state, the readings that are exact, and those that are not."""
 
-    motion: Motion
+    motion: BoundedMotion
     exact: Readings
     bounded: Readings
 
 
 def bus_evidence(
-    motion: Motion,
+    motion: BoundedMotion,
     outputs: Readings,
     static: int,
     weights: np.ndarray,
     held: np.ndarray,
     winner: np.ndarray,
-) -> Evidence:
+) -> StepReadings:
     """Return the evidence of one FlexRay cycle.
 
     The first `static` outputs and the winner of the others are known exactly. Of each loser the
@@ -66,12 +66,12 @@ def bus_evidence(
     sent = np.concatenate([turns, static + winner], axis=-1) if count else turns
     exact = _rows(outputs, sent, outputs.values, np.zeros(sent.shape))
     if count < 2:
-        return Evidence(motion, exact, no_readings(outputs))
+        return StepReadings(motion, exact, no_readings(outputs))
     change = np.abs(np.take_along_axis(outputs.values[..., static:] - held, winner, -1))
     allowed = change * np.sqrt(np.take_along_axis(np.broadcast_to(weights, held.shape), winner, -1))
     half_widths = allowed / np.sqrt(weights[lost])
     centres = np.concatenate([outputs.values[..., :static], held], axis=-1)
-    return Evidence(motion, exact, _rows(outputs, static + lost, centres, half_widths))
+    return StepReadings(motion, exact, _rows(outputs, static + lost, centres, half_widths))
 
 
 def no_readings(like: Readings) -> Readings:

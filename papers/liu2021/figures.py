@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 
 from filters.sets.ellipsoid import Ellipsoid, image, outline
 from papers.kit.figures import one_axes
-from papers.liu2021.runs import Batch, G, N, Outcome
+from papers.liu2021.runs import BoundedEstimates, G, N, SequenceBatch
 
 TRUE, PAPER, TIGHT, LIGHT = "0.15", "C0", "C1", "0.75"
 COLOURS = {"paper": PAPER, "fast": "C9", "tight": TIGHT, "fast-rate": "C3", "zonotope": "C2"}
@@ -14,7 +14,7 @@ COLOURS = {"paper": PAPER, "fast": "C9", "tight": TIGHT, "fast-rate": "C3", "zon
 _SHOWN_CYCLES = (0, 1, 2, 3)
 
 
-def figures(batch: Batch, outcomes: dict[str, Outcome]) -> dict[str, Figure]:
+def figures(batch: SequenceBatch, outcomes: dict[str, BoundedEstimates]) -> dict[str, Figure]:
     """Figures 2 to 9 of the paper's sequence by caption."""
     paper, tight = outcomes["paper"], outcomes["tight"]
     drawn = {
@@ -35,7 +35,7 @@ def figures(batch: Batch, outcomes: dict[str, Outcome]) -> dict[str, Figure]:
     return drawn
 
 
-def blocks(outcome: Outcome) -> tuple[np.ndarray, np.ndarray]:
+def blocks(outcome: BoundedEstimates) -> tuple[np.ndarray, np.ndarray]:
     """Estimates and half-widths (steps, n) of the paper's sequence in every step of the plant.
 
     An estimator that works by the cycle says after it what was in each of its steps.
@@ -49,7 +49,9 @@ def blocks(outcome: Outcome) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(centres), np.concatenate(widths)
 
 
-def _state(batch: Batch, paper: Outcome, tight: Outcome, state: int) -> Figure:
+def _state(
+    batch: SequenceBatch, paper: BoundedEstimates, tight: BoundedEstimates, state: int
+) -> Figure:
     figure, axes = one_axes(3.4, 7.2)
     _tidy(axes)
     truth = batch.states[0, :, state]
@@ -70,7 +72,9 @@ def _state(batch: Batch, paper: Outcome, tight: Outcome, state: int) -> Figure:
     return figure
 
 
-def _errors(batch: Batch, paper: Outcome, tight: Outcome, states: tuple[int, int]) -> Figure:
+def _errors(
+    batch: SequenceBatch, paper: BoundedEstimates, tight: BoundedEstimates, states: tuple[int, int]
+) -> Figure:
     figure = Figure(figsize=(7.2, 4.6), layout="constrained")
     grid = figure.subplots(2, 1, sharex=True)
     centre, width = blocks(paper)
@@ -88,7 +92,7 @@ def _errors(batch: Batch, paper: Outcome, tight: Outcome, states: tuple[int, int
     return figure
 
 
-def _sizes(outcomes: dict[str, Outcome]) -> Figure:
+def _sizes(outcomes: dict[str, BoundedEstimates]) -> Figure:
     figure = Figure(figsize=(7.2, 5.2), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
     for name, outcome in outcomes.items():
@@ -107,7 +111,12 @@ def _sizes(outcomes: dict[str, Outcome]) -> Figure:
     return figure
 
 
-def _sets(batch: Batch, paper: Outcome, tight: Outcome, fast_rate: Outcome) -> Figure:
+def _sets(
+    batch: SequenceBatch,
+    paper: BoundedEstimates,
+    tight: BoundedEstimates,
+    fast_rate: BoundedEstimates,
+) -> Figure:
     """Projections, with the truth in the middle: the first state leaves every common scale."""
     figure = Figure(figsize=(7.6, 4.6), layout="constrained")
     grid = figure.subplots(2, len(_SHOWN_CYCLES))

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 
 from plants.bounded import BoundedSystem
 
-Weights = Callable[[int], np.ndarray]
+WeightsAtCycle = Callable[[int], np.ndarray]
 Select = Callable[[np.ndarray, np.ndarray, np.ndarray], NDArray[np.int_]]
 
 
-class Received(NamedTuple):
+class DeliveredValues(NamedTuple):
     """Values that the bus delivers.
 
     Attributes:
@@ -75,8 +75,11 @@ def largest_change(values: np.ndarray, held: np.ndarray, weights: np.ndarray) ->
 
 
 def transmit(
-    outputs: np.ndarray, static_outputs: int, weights: Weights, select: Select = largest_change
-) -> Received:
+    outputs: np.ndarray,
+    static_outputs: int,
+    weights: WeightsAtCycle,
+    select: Select = largest_change,
+) -> DeliveredValues:
     """Send outputs (..., cycles (l + 1), m) over the bus; what is held begins at zero.
 
     Args:
@@ -110,10 +113,12 @@ def transmit(
         held = np.where(sent, contending, held)
         turns = [outputs[..., first + output, output] for output in range(static_outputs)]
         values.append(np.concatenate([np.stack(turns, -1), held], -1) if turns else held)
-    return Received(np.stack(values, -2), np.stack(before, -2), np.stack(winners, -1))
+    return DeliveredValues(np.stack(values, -2), np.stack(before, -2), np.stack(winners, -1))
 
 
-def lift(system: BoundedSystem, static_outputs: int, weights: Weights, cycle: int) -> LiftedCycle:
+def lift(
+    system: BoundedSystem, static_outputs: int, weights: WeightsAtCycle, cycle: int
+) -> LiftedCycle:
     """Lemmas 1 and 2: the plant over the l + 1 steps of a cycle."""
     length = static_outputs + 1
     first = cycle * length

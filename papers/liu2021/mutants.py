@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from papers.liu2021.recursive_estimator import optimal_step
-from papers.liu2021.runs import Batch, Outcome, by_cycle, paper, simulate
+from papers.liu2021.runs import BoundedEstimates, SequenceBatch, by_cycle, paper, simulate
 
 
 class Mutant(NamedTuple):
@@ -24,7 +24,7 @@ class Mutant(NamedTuple):
     of: int
 
 
-def mutant_of_sign(batch: Batch) -> Mutant:
+def mutant_of_sign(batch: SequenceBatch) -> Mutant:
     """The sign of Xi in (20) flipped, which is the same as negative weights."""
     return _mutant(by_cycle(optimal_step, batch, lambda c: c._replace(weights=-c.weights)))
 
@@ -38,7 +38,7 @@ def _largest_value(values: np.ndarray, held: np.ndarray, weights: np.ndarray) ->
     return np.argmax(weights * values**2, axis=-1)
 
 
-def _mutant(outcome: Outcome) -> Mutant:
+def _mutant(outcome: BoundedEstimates) -> Mutant:
     contradicted = np.isnan(outcome.radius)
     hurt = outcome.violations
     return Mutant(

@@ -17,7 +17,7 @@ from filters.linalg import multiply
 from filters.sets.ellipsoid import Ellipsoid, half_widths, replace_lost, rounding_bound
 from papers.liu2021.cycle import (
     Cycle,
-    Step,
+    CycleResult,
     ball,
     flat,
     follow,
@@ -27,7 +27,7 @@ from papers.liu2021.cycle import (
 from papers.liu2021.multipliers import Problem, smallest_bound
 
 
-def optimal_step(before: Ellipsoid, cycle: Cycle, received: np.ndarray) -> Step:
+def optimal_step(before: Ellipsoid, cycle: Cycle, received: np.ndarray) -> CycleResult:
     """The ellipsoid after a cycle in which `received` (..., m) came (corollary 1).
 
     NaN in lanes in which no theta meets the terms: the bounds are wrong.

@@ -13,7 +13,7 @@ from papers.liu2021.claims import claims, errata, gather
 from papers.liu2021.costs import Costs, measure
 from papers.liu2021.figures import figures
 from papers.liu2021.mutants import Mutant, mutant_of_rule, mutant_of_sign
-from papers.liu2021.runs import ESTIMATORS, FAMILIES, Batch, G, Outcome, simulate
+from papers.liu2021.runs import ESTIMATORS, FAMILIES, BoundedEstimates, G, SequenceBatch, simulate
 from papers.liu2021.tables import PUBLISHED, difference, gains_of_tables
 
 CYCLES = 13
@@ -54,7 +54,7 @@ PAPER = Paper(
 )
 
 
-def _write(folder: Path, batch: Batch, outcomes: dict[str, Outcome]) -> None:
+def _write(folder: Path, batch: SequenceBatch, outcomes: dict[str, BoundedEstimates]) -> None:
     variables: dict[str, tuple[tuple[str, ...], np.ndarray]] = {
         "state": (("sequence", "step", "x"), batch.states)
     }
@@ -82,7 +82,7 @@ same reasons. Many entries below 0.0007 are printed as 0.0000.
 """
 
 
-def _tables(gains: np.ndarray, batch: Batch) -> Section:
+def _tables(gains: np.ndarray, batch: SequenceBatch) -> Section:
     apart = [difference(ours, printed) for ours, printed in zip(gains, PUBLISHED, strict=True)]
     rows = [
         (f"Table {numeral}", f"{one.largest:.2g}", f"{one.relative:.2%}")
@@ -129,7 +129,9 @@ Where the terms of such an estimator contradict each other no ellipsoid is left.
 """
 
 
-def _guarantee(outcomes: dict[str, Outcome], flipped: Mutant, wrong_rule: Mutant) -> Section:
+def _guarantee(
+    outcomes: dict[str, BoundedEstimates], flipped: Mutant, wrong_rule: Mutant
+) -> Section:
     some = next(iter(outcomes.values()))
     text = _GUARANTEE.format(
         count=some.radius.shape[1], families=", ".join(FAMILIES), cycles=CYCLES
@@ -160,7 +162,7 @@ def _guarantee(outcomes: dict[str, Outcome], flipped: Mutant, wrong_rule: Mutant
     return Section(5, "The guarantee", text, checks, data=data)
 
 
-def _row(name: str, outcome: Outcome) -> tuple[str, ...]:
+def _row(name: str, outcome: BoundedEstimates) -> tuple[str, ...]:
     ends = outcome.steps % G == 0
     trace = outcome.trace.mean()
     return (
@@ -176,7 +178,7 @@ def _row(name: str, outcome: Outcome) -> tuple[str, ...]:
 # --- sizes over time -----------------------------------------------------------------------------
 
 
-def _traces(outcomes: dict[str, Outcome]) -> Section:
+def _traces(outcomes: dict[str, BoundedEstimates]) -> Section:
     by_cycle_ = {name: outcomes[name].trace[:, 0] for name in ("paper", "fast", "tight")}
     by_cycle_["fast-rate, last step"] = outcomes["fast-rate"].trace[G - 1 :: G, 0]
     rows = [(name, *(f"{value:.2f}" for value in values)) for name, values in by_cycle_.items()]
@@ -200,7 +202,7 @@ def _traces(outcomes: dict[str, Outcome]) -> Section:
     return Section(6, "Size over time", text, checks, data=data)
 
 
-def _long_runs(batch: Batch, outcomes: dict[str, Outcome]) -> Section:
+def _long_runs(batch: SequenceBatch, outcomes: dict[str, BoundedEstimates]) -> Section:
     largest = np.abs(batch.states).max()
     text = (
         f"{batch.sequences} sequences of {LONG_CYCLES} cycles: the unstable state reaches "

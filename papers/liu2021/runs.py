@@ -16,10 +16,10 @@ from filters.sets.ellipsoid import (
 from filters.sets.zonotope import Zonotope
 from papers.liu2021.bus import MeasuredPlant, augmented, cycle_evidence, step_evidence
 from papers.liu2021.closed_form import closed_form_step
-from papers.liu2021.cycle import Cycle, Step
+from papers.liu2021.cycle import Cycle, CycleResult
 from papers.liu2021.flexray_cycle import (
     AugmentedCycle,
-    Received,
+    DeliveredValues,
     Select,
     largest_change,
     transmit,
@@ -35,11 +35,11 @@ HELD = liu2021.OUTPUTS - liu2021.STATIC_OUTPUTS
 FAMILIES = ("uniform", "random ends", "square wave", "sinusoid")
 
 
-class Batch(NamedTuple):
+class SequenceBatch(NamedTuple):
     """Sequences: states (R, steps + 1, n) and what the bus delivered; the first is the paper's."""
 
     states: np.ndarray
-    received: Received
+    received: DeliveredValues
 
     @property
     def sequences(self) -> int:
@@ -57,7 +57,7 @@ class Batch(NamedTuple):
         return steps.reshape(self.sequences, -1)
 
 
-class Outcome(NamedTuple):
+class BoundedEstimates(NamedTuple):
     """Results of an estimator for a batch, at T times that are steps of the plant.
 
     Attributes:
@@ -82,7 +82,9 @@ class Outcome(NamedTuple):
         return ~(self.radius <= 1.0)
 
 
-def simulate(seed: int, sequences: int, cycles: int, select: Select = largest_change) -> Batch:
+def simulate(
+    seed: int, sequences: int, cycles: int, select: Select = largest_change
+) -> SequenceBatch:
     """The paper's sequence and as many more, with the initial state in the unit ball and noise of
     four families, three of which go to its bound."""
     rng = np.random.default_rng(np.random.SeedSequence(seed))
@@ -95,7 +97,7 @@ def simulate(seed: int, sequences: int, cycles: int, select: Select = largest_ch
         length = 1.0 if number % 2 else rng.uniform()
         starts.append(length * direction / np.linalg.norm(direction))
     states, outputs = liu2021.SYSTEM.simulate(np.array(starts), np.array(noise))
-    return Batch(states, transmit(outputs, liu2021.STATIC_OUTPUTS, liu2021.weights, select))
+    return SequenceBatch(states, transmit(outputs, liu2021.STATIC_OUTPUTS, liu2021.weights, select))
 
 
 def _uniform(rng: np.random.Generator, steps: int) -> np.ndarray:
@@ -120,14 +122,14 @@ _NOISES = (_uniform, _ends, _square, _sinusoid)
 
 # --- the estimators ------------------------------------------------------------------------------
 
-CycleStep = Callable[[Ellipsoid, Cycle, np.ndarray], Step]
+CycleStep = Callable[[Ellipsoid, Cycle, np.ndarray], CycleResult]
 
 
 def by_cycle(
     step: CycleStep,
-    batch: Batch,
+    batch: SequenceBatch,
     see: Callable[[AugmentedCycle], Cycle] = lambda cycle: cycle,
-) -> Outcome:
+) -> BoundedEstimates:
     """The paper's estimator, exact or fast, on the augmented state; `see` may falsify a cycle."""
     size = G * N + HELD
     kept = Ellipsoid(np.zeros((batch.sequences, size)), _identity(batch.sequences, size))
@@ -141,17 +143,17 @@ def by_cycle(
     return _of_ellipsoids(sets, truths, last=slice((G - 1) * N, G * N), per_cycle=True)
 
 
-def paper(batch: Batch) -> Outcome:
+def paper(batch: SequenceBatch) -> BoundedEstimates:
     """Corollary 1, exactly."""
     return by_cycle(optimal_step, batch)
 
 
-def fast(batch: Batch) -> Outcome:
+def fast(batch: SequenceBatch) -> BoundedEstimates:
     """The closed form."""
     return by_cycle(closed_form_step, batch)
 
 
-def tight(batch: Batch) -> Outcome:
+def tight(batch: SequenceBatch) -> BoundedEstimates:
     """Conditioned on the data, cycle by cycle."""
     last = np.eye(G * N)[(G - 1) * N :]
     kept, sets = Ellipsoid(np.zeros((batch.sequences, N)), _identity(batch.sequences, N)), []
@@ -162,7 +164,7 @@ def tight(batch: Batch) -> Outcome:
     return _of_ellipsoids(sets, truths, last=slice((G - 1) * N, G * N), per_cycle=True)
 
 
-def fast_rate(batch: Batch) -> Outcome:
+def fast_rate(batch: SequenceBatch) -> BoundedEstimates:
     """Conditioned on the data, step by step."""
     kept, sets = Ellipsoid(np.zeros((batch.sequences, N)), _identity(batch.sequences, N)), []
     for cycle in range(batch.cycles):
@@ -172,7 +174,7 @@ def fast_rate(batch: Batch) -> Outcome:
     return _of_ellipsoids(sets, truths, last=slice(0, N), per_cycle=False)
 
 
-def zonotopes(batch: Batch) -> Outcome:
+def zonotopes(batch: SequenceBatch) -> BoundedEstimates:
     """The zonotope filter, step by step."""
     kept = Zonotope(np.zeros((batch.sequences, N)), _identity(batch.sequences, N))
     sets = []
@@ -181,7 +183,7 @@ def zonotopes(batch: Batch) -> Outcome:
             kept = zonotope_step(kept, evidence)
             sets.append(kept)
     radius = np.array([_gauges(one, batch.states[:, k + 1]) ** 2 for k, one in enumerate(sets)])
-    return Outcome(
+    return BoundedEstimates(
         np.arange(1, len(sets) + 1),
         radius,
         np.full(radius.shape, np.nan),
@@ -191,7 +193,7 @@ def zonotopes(batch: Batch) -> Outcome:
     )
 
 
-ESTIMATORS: dict[str, Callable[[Batch], Outcome]] = {
+ESTIMATORS: dict[str, Callable[[SequenceBatch], BoundedEstimates]] = {
     "paper": paper,
     "fast": fast,
     "tight": tight,
@@ -206,10 +208,10 @@ def _identity(lanes: int, size: int) -> np.ndarray:
 
 def _of_ellipsoids(
     sets: list[Ellipsoid], truths: list[np.ndarray], last: slice, per_cycle: bool
-) -> Outcome:
+) -> BoundedEstimates:
     shapes = np.array([shape_matrix(one) for one in sets])
     spacing = G if per_cycle else 1
-    return Outcome(
+    return BoundedEstimates(
         spacing * np.arange(1, len(sets) + 1),
         np.array([squared_radius(one, truth) for one, truth in zip(sets, truths, strict=True)]),
         np.trace(shapes, axis1=-2, axis2=-1),

@@ -74,7 +74,7 @@ PUBLISHED = np.array(
 )
 
 
-class Difference(NamedTuple):
+class GainDifference(NamedTuple):
     """Of a gain to the printed one: the largest of an entry, and relative in the Frobenius norm."""
 
     largest: float
@@ -101,8 +101,8 @@ def gains_of_tables() -> np.ndarray:
     return np.array(gains)
 
 
-def difference(ours: np.ndarray, printed: np.ndarray) -> Difference:
+def difference(ours: np.ndarray, printed: np.ndarray) -> GainDifference:
     """Of two gains (14, 4)."""
     apart = ours - printed
     norms = np.linalg.norm(apart) / np.linalg.norm(printed)
-    return Difference(float(np.abs(apart).max()), float(norms))
+    return GainDifference(float(np.abs(apart).max()), float(norms))

@@ -31,9 +31,9 @@ from filters.sets.ellipsoid import (
 )
 from papers.liu2021.cycle import flat
 from papers.liu2021.evidence import (
-    Evidence,
-    Motion,
+    BoundedMotion,
     Readings,
+    StepReadings,
     magnitudes,
     taken,
 )
@@ -42,7 +42,7 @@ from papers.liu2021.multipliers import Problem, smallest_bound
 _RANK_TOLERANCE = 1e-9
 
 
-def conditioned_step(before: Ellipsoid, evidence: Evidence) -> Ellipsoid:
+def conditioned_step(before: Ellipsoid, evidence: StepReadings) -> Ellipsoid:
     """The ellipsoid (..., k) of what becomes of a state in `before` (..., n), given the evidence.
 
     Of those that the multipliers prove it has the least trace. NaN in lanes in which the readings
@@ -65,7 +65,7 @@ def conditioned_step(before: Ellipsoid, evidence: Evidence) -> Ellipsoid:
     return lose(grown, lost | is_lost(after))
 
 
-def step_by_step(before: Ellipsoid, steps: Sequence[Evidence]) -> list[Ellipsoid]:
+def step_by_step(before: Ellipsoid, steps: Sequence[StepReadings]) -> list[Ellipsoid]:
     """The ellipsoids after each of several steps of the plant."""
     ellipsoids = []
     for evidence in steps:
@@ -148,7 +148,9 @@ def _square(rows: np.ndarray, radius: np.ndarray) -> np.ndarray:
     return term
 
 
-def _rounding(before: Ellipsoid, motion: Motion, exact: Readings, image: np.ndarray) -> np.ndarray:
+def _rounding(
+    before: Ellipsoid, motion: BoundedMotion, exact: Readings, image: np.ndarray
+) -> np.ndarray:
     """Half-widths (..., k) of what rounding does to centre, shape and truth; each the largest."""
     reach = np.abs(before.centre) + half_widths(before)
     states = magnitudes(motion.state, motion.noise, reach)

@@ -11,12 +11,14 @@ from filters.linalg import multiply
 from filters.sets.ellipsoid import rounding_bound
 from filters.sets.zonotope import Zonotope, half_widths, reduced
 from papers.liu2021.cycle import flat
-from papers.liu2021.evidence import Evidence, Motion, Readings, magnitudes, taken
+from papers.liu2021.evidence import BoundedMotion, Readings, StepReadings, magnitudes, taken
 
 GENERATORS = 30
 
 
-def zonotope_step(before: Zonotope, evidence: Evidence, generators: int = GENERATORS) -> Zonotope:
+def zonotope_step(
+    before: Zonotope, evidence: StepReadings, generators: int = GENERATORS
+) -> Zonotope:
     """The zonotope (..., k) of what becomes of a state in `before` (..., n), given the evidence.
 
     Any gain keeps the state inside; the one taken makes the squared length of all generators least.
@@ -45,6 +47,6 @@ def zonotope_step(before: Zonotope, evidence: Evidence, generators: int = GENERA
     return reduced(Zonotope(centre, after), generators)
 
 
-def _columns(rows: Motion | Readings, before: Zonotope) -> np.ndarray:
+def _columns(rows: BoundedMotion | Readings, before: Zonotope) -> np.ndarray:
     """The map (..., rows, q + g q') of the generators' coefficients and the noise."""
     return join_columns(rows.state @ before.generators, flat(rows.noise))

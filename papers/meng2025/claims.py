@@ -8,15 +8,15 @@ from experiments.monte_carlo.intervals import Interval
 from filters.gaussian import Gaussian
 from filters.stochastic_ukf import expected_cov
 from papers.kit.claims import Claim, needs
-from papers.meng2025.runs import Batch, Outcome, ranks_of_printed_cov
-from papers.meng2025.table import Row, difference, mse_by_step, trace_by_step
+from papers.meng2025.runs import MeasuredBatch, SlotEstimates, ranks_of_printed_cov
+from papers.meng2025.table import EstimatorRow, difference, mse_by_step, trace_by_step
 from scenarios.definitions.meng2025 import SYSTEM
 
 # Where the covariance of the printed filter ignores what was sent, it does so to rounding.
 _ROUNDING = 1e-6
 
 
-class Evidence(NamedTuple):
+class Meng2025Evidence(NamedTuple):
     """The figures that the claims stand or fall by.
 
     Attributes:
@@ -37,13 +37,15 @@ class Evidence(NamedTuple):
     above_reported: dict[str, float]
     ignorance: Interval
     schedules: dict[str, Interval]
-    rows: dict[str, Row]
+    rows: dict[str, EstimatorRow]
 
 
-def gather(batch: Batch, outcomes: dict[str, Outcome], rows: dict[str, Row]) -> Evidence:
+def gather(
+    batch: MeasuredBatch, outcomes: dict[str, SlotEstimates], rows: dict[str, EstimatorRow]
+) -> Meng2025Evidence:
     """Everything the claims need."""
     ranks = ranks_of_printed_cov(batch)
-    return Evidence(
+    return Meng2025Evidence(
         entries=SYSTEM.entries,
         ranks=(int(ranks.min()), int(ranks.max())),
         updates=ranks.size,
@@ -63,7 +65,7 @@ def gather(batch: Batch, outcomes: dict[str, Outcome], rows: dict[str, Row]) -> 
     )
 
 
-def claims(e: Evidence) -> list[Claim]:
+def claims(e: Meng2025Evidence) -> list[Claim]:
     """The claims with their verdicts."""
     rows, above = e.rows, e.above_reported
     ours, ignorant = rows["recommended"].anees, rows["ignorant"].anees
@@ -123,7 +125,7 @@ def claims(e: Evidence) -> list[Claim]:
     ]
 
 
-def _unheard(printed: Outcome) -> float:
+def _unheard(printed: SlotEstimates) -> float:
     cov = [
         SYSTEM.process_noise_cov(step)
         + expected_cov(SYSTEM.process_moment(step), Gaussian(mean, before))
@@ -132,11 +134,11 @@ def _unheard(printed: Outcome) -> float:
     return float(np.abs(printed.cov[1:] - np.stack(cov)).max())
 
 
-def _pair(row: Row) -> str:
+def _pair(row: EstimatorRow) -> str:
     return "/".join(f"{rmse.value:.3f}" for rmse in row.rmse)
 
 
-def _known(row: Row) -> Interval:
+def _known(row: EstimatorRow) -> Interval:
     assert row.difference is not None, "the first row is what others are compared with"
     return row.difference
 

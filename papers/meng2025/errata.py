@@ -1,8 +1,8 @@
 """The errata of Meng et al. (2025), numbered as docs/measurement_bus.md explains them."""
 
 from papers.kit.claims import Erratum
-from papers.meng2025.runs import Outcome
-from papers.meng2025.table import Row
+from papers.meng2025.runs import SlotEstimates
+from papers.meng2025.table import EstimatorRow
 from plants import meng2025
 from scenarios.definitions.meng2025 import paper_points
 
@@ -26,7 +26,7 @@ _PRINTED = (
 )
 
 
-def errata(recommended: Outcome, rows: dict[str, Row]) -> list[Erratum]:
+def errata(recommended: SlotEstimates, rows: dict[str, EstimatorRow]) -> list[Erratum]:
     """The list, with figures where a figure belongs to an erratum."""
     ours, every = rows["recommended"].mse.value, rows["all"].mse.value
     points = " and ".join(str(len(paper_points(alpha).unit_points)) for alpha in (1.0, 0.1))
@@ -42,7 +42,7 @@ def errata(recommended: Outcome, rows: dict[str, Row]) -> list[Erratum]:
     ]
 
 
-def order_of_slots(outcome: Outcome, slots: int) -> str:
+def order_of_slots(outcome: SlotEstimates, slots: int) -> str:
     """Senders of the first slots, the same in every run; d where runs contended."""
     names = []
     for sent in outcome.sent[:slots]:

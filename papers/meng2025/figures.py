@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from papers.kit.figures import one_axes
-from papers.meng2025.runs import Batch, Outcome
+from papers.meng2025.runs import MeasuredBatch, SlotEstimates
 from papers.meng2025.table import mse_by_step, trace_by_step
 from plants import meng2025
 
@@ -12,7 +12,9 @@ TRUE, OURS, PRINTED, DYNAMIC = "0.15", "C0", "C3", "C1"
 _TWO_SIGMA = 2.0
 
 
-def figures(batch: Batch, recommended: Outcome, printed: Outcome) -> dict[str, Figure]:
+def figures(
+    batch: MeasuredBatch, recommended: SlotEstimates, printed: SlotEstimates
+) -> dict[str, Figure]:
     """Figures 2 to 5 by caption, of run 0 (4: of all runs)."""
     return {
         "Figure 2: state x1 and its estimate, run 0": _states(batch, recommended, printed, 0),
@@ -24,7 +26,9 @@ def figures(batch: Batch, recommended: Outcome, printed: Outcome) -> dict[str, F
     }
 
 
-def _states(batch: Batch, recommended: Outcome, printed: Outcome, state: int) -> Figure:
+def _states(
+    batch: MeasuredBatch, recommended: SlotEstimates, printed: SlotEstimates, state: int
+) -> Figure:
     figure, axes = one_axes(3.6)
     steps = np.arange(len(batch.truth))
     mean = recommended.mean[:, 0, state]
@@ -45,7 +49,7 @@ def _states(batch: Batch, recommended: Outcome, printed: Outcome, state: int) ->
     return figure
 
 
-def _errors(batch: Batch, recommended: Outcome, printed: Outcome) -> Figure:
+def _errors(batch: MeasuredBatch, recommended: SlotEstimates, printed: SlotEstimates) -> Figure:
     figure, axes = one_axes(4.2)
     steps = np.arange(len(batch.truth))
     for outcome, colour, name in (
@@ -68,7 +72,7 @@ def _errors(batch: Batch, recommended: Outcome, printed: Outcome) -> Figure:
     return figure
 
 
-def _access(outcome: Outcome) -> Figure:
+def _access(outcome: SlotEstimates) -> Figure:
     figure, axes = one_axes(3.0)
     sent = outcome.sent[:, 0]
     for sensors, colour, label in (

@@ -4,7 +4,7 @@ import numpy as np
 
 from bus.schedule import Schedule
 from filters.particle import Particles, cov, mean, resample
-from papers.meng2025.runs import Batch, Outcome, transmit
+from papers.meng2025.runs import MeasuredBatch, SlotEstimates, transmit
 from plants import meng2025
 from scenarios.definitions.meng2025 import KIND, SYSTEM
 from scenarios.streams import generator
@@ -14,7 +14,7 @@ PARTICLES = 2000
 _TOGETHER = 25
 
 
-def track(batch: Batch, schedule: Schedule, particles: int = PARTICLES) -> Outcome:
+def track(batch: MeasuredBatch, schedule: Schedule, particles: int = PARTICLES) -> SlotEstimates:
     """Posterior means and covariances by particles, with a stream of their own for every run.
 
     The schedule lets one scalar sensor send per slot. The likelihood is exact: given the state, a
@@ -26,7 +26,7 @@ def track(batch: Batch, schedule: Schedule, particles: int = PARTICLES) -> Outco
         for runs in np.array_split(np.arange(batch.runs), -(-batch.runs // _TOGETHER))
     ]
     means, covs = (np.concatenate(both, axis=1) for both in zip(*parts, strict=True))
-    return Outcome(means, covs, slots.sent)
+    return SlotEstimates(means, covs, slots.sent)
 
 
 def _track(

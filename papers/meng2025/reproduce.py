@@ -15,8 +15,8 @@ from papers.meng2025.claims import claims, gather
 from papers.meng2025.errata import errata, order_of_slots
 from papers.meng2025.figures import figures
 from papers.meng2025.particles import PARTICLES, track
-from papers.meng2025.runs import Batch, Outcome, carry_out, methods, simulate
-from papers.meng2025.table import Row, row
+from papers.meng2025.runs import MeasuredBatch, SlotEstimates, carry_out, methods, simulate
+from papers.meng2025.table import EstimatorRow, row
 
 RUNS, STEPS = 200, 100
 # Number of runs of an independent implementation, and the rounding of its printed figures.
@@ -62,7 +62,7 @@ PAPER = Paper(
 )
 
 
-def _write(folder: Path, batch: Batch, outcomes: dict[str, Outcome]) -> None:
+def _write(folder: Path, batch: MeasuredBatch, outcomes: dict[str, SlotEstimates]) -> None:
     axes = ("step", "run", "state")
     write_traces(
         folder,
@@ -88,7 +88,7 @@ of the first row, run by run: an interval without 0 is a significant difference.
 """
 
 
-def _comparison(batch: Batch, rows: dict[str, Row]) -> Section:
+def _comparison(batch: MeasuredBatch, rows: dict[str, EstimatorRow]) -> Section:
     head = (
         "estimator", "RMSE x1", "RMSE x2", "ANEES", "coverage", "diverged", "MSE / tr P",
         "largest error", "MSE difference",
@@ -99,7 +99,7 @@ def _comparison(batch: Batch, rows: dict[str, Row]) -> Section:
     return Section(4, "Comparison", text, data={"rows": data})
 
 
-def _cells(one: Row) -> tuple[str, ...]:
+def _cells(one: EstimatorRow) -> tuple[str, ...]:
     return (
         one.label,
         *(_words(rmse, 3) for rmse in one.rmse),
@@ -121,7 +121,7 @@ def _words(one: Interval | None, decimals: int, sign: str = "") -> str:
 # --- what must hold ------------------------------------------------------------------------------
 
 
-def checks_of(runs: int, rows: dict[str, Row]) -> list[Check]:
+def checks_of(runs: int, rows: dict[str, EstimatorRow]) -> list[Check]:
     """The figures of the independent implementation, in bands of the runs' own intervals."""
     ours, particles = rows[REFERENCE], rows["particles"]
     known = {

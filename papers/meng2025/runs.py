@@ -10,7 +10,7 @@ import numpy as np
 
 from bus.measurement_bus import (
     MeasurementBus,
-    Slot,
+    SlotOutcome,
     all_at_once,
     flexray,
     nobody,
@@ -30,14 +30,14 @@ from papers.meng2025.filter_as_printed import (
 )
 from plants import meng2025
 from plants.stochastic import StochasticNonlinearity, StochasticSystem
-from scenarios.definitions.measurement_runs import Estimator, estimate, first_received, slots_of
+from scenarios.definitions.measurement_runs import BusFilter, estimate, first_received, slots_of
 from scenarios.definitions.meng2025 import KIND, SENSORS, SYSTEM, paper_points
 
 EVERYBODY = range(1, SENSORS + 1)
 STATIC = range(1, meng2025.STATIC_SLOTS + 1)
 
 
-class Batch(NamedTuple):
+class MeasuredBatch(NamedTuple):
     """Truth (S + 1, R, n) and what all sensors measure (S + 1, R, m), NaN at step 0."""
 
     seed: int
@@ -50,7 +50,7 @@ class Batch(NamedTuple):
         return self.truth.shape[1]
 
 
-class Outcome(NamedTuple):
+class SlotEstimates(NamedTuple):
     """Results of an estimator: mean (S + 1, R, n), cov, and the sensors that sent (S, R, N)."""
 
     mean: np.ndarray
@@ -58,7 +58,7 @@ class Outcome(NamedTuple):
     sent: np.ndarray
 
 
-class Method(NamedTuple):
+class ComparedMethod(NamedTuple):
     """A row of the comparison: the schedule of the slot, the filter and its system."""
 
     label: str
@@ -68,20 +68,22 @@ class Method(NamedTuple):
     alpha: float = 1.0
 
 
-def methods() -> dict[str, Method]:
+def methods() -> dict[str, ComparedMethod]:
     """Return the compared methods. The first one is the reference for the others."""
     bus = flexray(SENSORS, meng2025.STATIC_SLOTS)
     return {
-        "recommended": Method("FlexRay, recommended", bus),
-        "paper-literal": Method("FlexRay, paper-literal (pseudo-inverse)", bus, PAPER_LITERAL),
-        "paper-literal-R": Method("FlexRay, paper-literal-R", bus, PAPER_LITERAL_R),
-        "ignorant": Method("FlexRay, g and b ignored", bus, system=deterministic()),
-        "alpha": Method("FlexRay, alpha = 0.1", bus, alpha=0.1),
-        "all": Method("all sensors, every step", all_at_once(SENSORS)),
-        "wtodp": Method("WTODP on 1..6", try_once_discard(SENSORS, EVERYBODY)),
-        "round-robin": Method("round robin on 1..6", round_robin(SENSORS, EVERYBODY)),
-        "rrp": Method("RRP on 1..4", round_robin(SENSORS, STATIC)),
-        "prediction": Method("prediction only", nobody(SENSORS)),
+        "recommended": ComparedMethod("FlexRay, recommended", bus),
+        "paper-literal": ComparedMethod(
+            "FlexRay, paper-literal (pseudo-inverse)", bus, PAPER_LITERAL
+        ),
+        "paper-literal-R": ComparedMethod("FlexRay, paper-literal-R", bus, PAPER_LITERAL_R),
+        "ignorant": ComparedMethod("FlexRay, g and b ignored", bus, system=deterministic()),
+        "alpha": ComparedMethod("FlexRay, alpha = 0.1", bus, alpha=0.1),
+        "all": ComparedMethod("all sensors, every step", all_at_once(SENSORS)),
+        "wtodp": ComparedMethod("WTODP on 1..6", try_once_discard(SENSORS, EVERYBODY)),
+        "round-robin": ComparedMethod("round robin on 1..6", round_robin(SENSORS, EVERYBODY)),
+        "rrp": ComparedMethod("RRP on 1..4", round_robin(SENSORS, STATIC)),
+        "prediction": ComparedMethod("prediction only", nobody(SENSORS)),
     }
 
 
@@ -98,15 +100,15 @@ def deterministic() -> StochasticSystem:
     )
 
 
-def simulate(seed: int, runs: int, steps: int) -> Batch:
+def simulate(seed: int, runs: int, steps: int) -> MeasuredBatch:
     """Runs 0, 1, ... under a seed, for steps 0..steps."""
     driven = plant_runs(KIND.defaults.with_(seed=seed, steps=steps + 1), range(runs))
     measurement = driven.readings[:, :, 1:, 0].copy()
     measurement[0] = np.nan
-    return Batch(seed, driven.truth, measurement)
+    return MeasuredBatch(seed, driven.truth, measurement)
 
 
-def transmit(batch: Batch, schedule: Schedule) -> Slot:
+def transmit(batch: MeasuredBatch, schedule: Schedule) -> SlotOutcome:
     """Return the receiver's values after each slot, (S, R, ...)."""
     start = first_received(SYSTEM, meng2025.PRIOR_MEAN)
     return slots_of(
@@ -125,16 +127,16 @@ def prior_of(runs: int) -> Gaussian:
     )
 
 
-def carry_out(batch: Batch, method: Method) -> Outcome:
+def carry_out(batch: MeasuredBatch, method: ComparedMethod) -> SlotEstimates:
     """One row of the comparison."""
     slots = transmit(batch, method.schedule)
     points = paper_points(method.alpha)
-    estimator = Estimator(method.system, method.filter, points, prior_of(batch.runs))
+    estimator = BusFilter(method.system, method.filter, points, prior_of(batch.runs))
     beliefs = estimate(estimator, Received(slots.received, slots.fresh))
-    return Outcome(*beliefs, slots.sent)
+    return SlotEstimates(*beliefs, slots.sent)
 
 
-def ranks_of_printed_cov(batch: Batch) -> np.ndarray:
+def ranks_of_printed_cov(batch: MeasuredBatch) -> np.ndarray:
     """Rank (S, R) of Pyy of (19) in the printed algorithm, zero as the pseudo-inverse has it."""
     ranks: list[np.ndarray] = []
 

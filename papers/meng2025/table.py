@@ -6,13 +6,13 @@ from scipy import stats
 
 from experiments.monte_carlo.intervals import Interval, mean_t
 from filters.metrics import nees
-from papers.meng2025.runs import Batch, Outcome
+from papers.meng2025.runs import MeasuredBatch, SlotEstimates
 
 ELLIPSE = 0.95
 DIVERGED = 1e3
 
 
-class Row(msgspec.Struct, frozen=True):
+class EstimatorRow(msgspec.Struct, frozen=True):
     """One estimator over steps 1..S of all runs that did not diverge.
 
     Attributes:
@@ -39,7 +39,13 @@ class Row(msgspec.Struct, frozen=True):
     difference: Interval | None
 
 
-def row(name: str, label: str, batch: Batch, outcome: Outcome, reference: Outcome | None) -> Row:
+def row(
+    name: str,
+    label: str,
+    batch: MeasuredBatch,
+    outcome: SlotEstimates,
+    reference: SlotEstimates | None,
+) -> EstimatorRow:
     """The figures of one outcome."""
     errors = outcome.mean[1:] - batch.truth[1:]
     lost = _diverged(errors)
@@ -49,7 +55,7 @@ def row(name: str, label: str, batch: Batch, outcome: Outcome, reference: Outcom
     normalised = nees(kept, cov)
     inside = normalised <= stats.chi2.ppf(ELLIPSE, errors.shape[-1])
     trace = np.trace(cov, axis1=-2, axis2=-1).mean()
-    return Row(
+    return EstimatorRow(
         name,
         label,
         rmse=[_root(mean_t(of_state)) for of_state in squared.T],
@@ -63,17 +69,17 @@ def row(name: str, label: str, batch: Batch, outcome: Outcome, reference: Outcom
     )
 
 
-def mse_by_step(batch: Batch, outcome: Outcome) -> np.ndarray:
+def mse_by_step(batch: MeasuredBatch, outcome: SlotEstimates) -> np.ndarray:
     """Mean square error (S + 1,) over runs, of the whole state."""
     return ((outcome.mean - batch.truth) ** 2).sum(axis=-1).mean(axis=1)
 
 
-def trace_by_step(outcome: Outcome) -> np.ndarray:
+def trace_by_step(outcome: SlotEstimates) -> np.ndarray:
     """tr P (S + 1,), averaged over runs."""
     return np.trace(outcome.cov, axis1=-2, axis2=-1).mean(axis=1)
 
 
-def difference(batch: Batch, outcome: Outcome, reference: Outcome) -> Interval:
+def difference(batch: MeasuredBatch, outcome: SlotEstimates, reference: SlotEstimates) -> Interval:
     """Mean square error minus that of the reference, run by run."""
     errors, known = (one.mean[1:] - batch.truth[1:] for one in (outcome, reference))
     kept = ~(_diverged(errors) | _diverged(known))

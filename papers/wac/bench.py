@@ -20,7 +20,7 @@ from scenarios.setup import Setup
 RESAMPLES = 2000
 
 
-class Study(NamedTuple):
+class PaperScenario(NamedTuple):
     """A scenario of section 4. Errors count from `first_step` on. `position_only`: of the position,
     relative to the centralised filter; else of all states, each in its standard deviation there."""
 
@@ -31,7 +31,7 @@ class Study(NamedTuple):
     position_only: bool
 
 
-class Cell(NamedTuple):
+class VariantCell(NamedTuple):
     """One variant at one occupancy: RMSE with its interval, disagreement, ANEES of the network and
     of its worst node."""
 
@@ -51,7 +51,7 @@ class Bench(NamedTuple):
     of the centralised filter.
     """
 
-    study: Study
+    study: PaperScenario
     setup: Setup
     truth: np.ndarray
     scale: np.ndarray
@@ -60,7 +60,7 @@ class Bench(NamedTuple):
     central_anees: float
 
 
-def bench_of(study: Study) -> Bench:
+def bench_of(study: PaperScenario) -> Bench:
     """Simulate a study, and run the centralised filter on it."""
     setup = prepare(study.scenario.with_(bus="ideal", rule="local"))
     runs = range(study.runs)
@@ -84,7 +84,7 @@ def bench_of(study: Study) -> Bench:
     )
 
 
-def attempt(bench: Bench, scenario: Scenario, unheard: str = "") -> Cell:
+def attempt(bench: Bench, scenario: Scenario, unheard: str = "") -> VariantCell:
     """The study's runs of a scenario that differs from the study's in rule, rounds and schedule.
 
     `unheard` is as in `network.network_of`.
@@ -102,7 +102,7 @@ def bootstrap(squared: np.ndarray, reference: np.ndarray) -> tuple[float, float]
     return float(low), float(high)
 
 
-def _scale(study: Study, central: Gaussian) -> np.ndarray:
+def _scale(study: PaperScenario, central: Gaussian) -> np.ndarray:
     n = central.mean.shape[-1]
     if study.position_only:
         scored = kind_of(study.scenario.name).score.states
@@ -110,7 +110,7 @@ def _scale(study: Study, central: Gaussian) -> np.ndarray:
     return 1 / (n * np.asarray(np.diagonal(central.cov[-1, 0])))
 
 
-def _score(bench: Bench, belief: Gaussian) -> Cell:
+def _score(bench: Bench, belief: Gaussian) -> VariantCell:
     first = bench.study.first_step
     mean, cov = belief.mean[first:], belief.cov[first:]
     errors = mean - bench.truth[first:, :, None]
@@ -120,7 +120,7 @@ def _score(bench: Bench, belief: Gaussian) -> Cell:
     consistency = nees(errors, cov).mean(axis=(0, 1)) / errors.shape[-1]
     low, high = bootstrap(squared, bench.central_squared)
     reference = bench.central_squared.mean()
-    return Cell(
+    return VariantCell(
         float(np.sqrt(squared.mean() / reference)),
         low,
         high,

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from papers.kit.checks import Check, above, at_most, below, near
 from papers.kit.report import Section, markdown_table
-from papers.wac.bench import Cell, Study
+from papers.wac.bench import PaperScenario, VariantCell
 from papers.wac.occupancy import (
     FULL,
     HELD,
@@ -14,8 +14,8 @@ from papers.wac.occupancy import (
     PLAIN,
     SHARP,
     Occupancy,
-    Table,
     Variant,
+    VariantTable,
 )
 
 # Three rounds, TRACK, at occupancy 1, .5, .25, .1: RMSE / disagreement / ANEES, "-" for not printed
@@ -79,7 +79,9 @@ CONSISTENT = [Variant("ci", hold) for hold in ("drop", "renorm", "instep", "pred
 CONSISTENT.append(Variant("hcmci", "renorm"))
 
 
-def section(place: int, measured: Occupancy, tracking: Study, turning: Study) -> Section:
+def section(
+    place: int, measured: Occupancy, tracking: PaperScenario, turning: PaperScenario
+) -> Section:
     """Return the section on the bus: tables, agreement with the printed figures, and findings."""
     return Section(
         place,
@@ -113,7 +115,9 @@ def checks_of(measured: Occupancy) -> list[Check]:
     return checks
 
 
-def coverage(table: Table, printed: dict[str, tuple[str, ...]]) -> tuple[int, int, list[str]]:
+def coverage(
+    table: VariantTable, printed: dict[str, tuple[str, ...]]
+) -> tuple[int, int, list[str]]:
     """Printed RMSE inside our interval: how many, of how many, and which are not."""
     inside, total, outside = 0, 0, []
     for (variant, occupancy), cell in table.items():
@@ -128,7 +132,7 @@ def coverage(table: Table, printed: dict[str, tuple[str, ...]]) -> tuple[int, in
     return inside, total, outside
 
 
-def _text(measured: Occupancy, tracking: Study, turning: Study) -> str:
+def _text(measured: Occupancy, tracking: PaperScenario, turning: PaperScenario) -> str:
     tables = (
         (f"TRACK, three rounds, {tracking.runs} runs", measured.track, HELD, PRINTED_TRACK),
         (
@@ -173,7 +177,9 @@ def _text(measured: Occupancy, tracking: Study, turning: Study) -> str:
     return "\n\n".join(parts)
 
 
-def _markdown(table: Table, rows: Sequence[Variant], printed: dict[str, tuple[str, ...]]) -> str:
+def _markdown(
+    table: VariantTable, rows: Sequence[Variant], printed: dict[str, tuple[str, ...]]
+) -> str:
     shown = [o for o in (FULL, *LIMITED) if any((row, o) in table for row in rows)]
     head = ["rule, variant", *(f"{100 * occupancy:g} %" for occupancy in shown)]
     lines = []
@@ -207,11 +213,11 @@ def _printed(printed: dict[str, tuple[str, ...]], variant: Variant, occupancy: f
     return "" if line is None else line[(FULL, *LIMITED).index(occupancy)]
 
 
-def _interval(cell: Cell) -> str:
+def _interval(cell: VariantCell) -> str:
     return f"{_short(cell.rmse)} [{_short(cell.low)}, {_short(cell.high)}]"
 
 
-def _cell(cell: Cell) -> str:
+def _cell(cell: VariantCell) -> str:
     return f"{_interval(cell)} / {_short(cell.disagreement)} / {_short(cell.anees)}"
 
 
@@ -221,7 +227,7 @@ def _short(value: float) -> str:
 
 
 def _data(measured: Occupancy) -> dict:
-    def flat(table: Table) -> list[dict]:
+    def flat(table: VariantTable) -> list[dict]:
         return [
             {"variant": variant.title, "occupancy": occupancy, **cell._asdict()}
             for (variant, occupancy), cell in table.items()

@@ -1,7 +1,7 @@
 """The claims of the consensus paper, each beside what was measured."""
 
-from papers.kit.claims import Claim, Finding, needs
-from papers.wac.evidence import Evidence
+from papers.kit.claims import Claim, ClaimFinding, needs
+from papers.wac.evidence import WacEvidence
 
 # Relative differences and weights that are equal but for rounding.
 _ROUNDING = 1e-9
@@ -13,7 +13,7 @@ _ALMOST = 1.05
 _CORRECTED = 0.01
 
 
-def judge(evidence: Evidence) -> list[Claim]:
+def judge(evidence: WacEvidence) -> list[Claim]:
     """All claims that can be measured, in the order of the paper."""
     return [
         *_plant_claims(evidence),
@@ -25,11 +25,11 @@ def judge(evidence: Evidence) -> list[Claim]:
     ]
 
 
-def _equal(figure: float, expected: float, tolerance: float) -> Finding:
+def _equal(figure: float, expected: float, tolerance: float) -> ClaimFinding:
     return needs(figure, at_least=expected - tolerance, at_most=expected + tolerance)
 
 
-def _plant_claims(e: Evidence) -> list[Claim]:
+def _plant_claims(e: WacEvidence) -> list[Claim]:
     row = ", ".join(f"{entry:.4g}" for entry in e.bus_travel_row)
     return [
         Claim(
@@ -64,7 +64,7 @@ def _plant_claims(e: Evidence) -> list[Claim]:
     ]  # fmt: skip
 
 
-def _feedback_claims(e: Evidence) -> list[Claim]:
+def _feedback_claims(e: WacEvidence) -> list[Claim]:
     loops = e.loops
     degrees = [57.29578 * angle for angle in loops.pitch_deflections_rad]
     return [
@@ -130,7 +130,7 @@ def _feedback_claims(e: Evidence) -> list[Claim]:
     ]
 
 
-def _classical_claims(e: Evidence) -> list[Claim]:
+def _classical_claims(e: WacEvidence) -> list[Claim]:
     return [
         Claim(
             "Fig. 7",
@@ -150,7 +150,7 @@ def _classical_claims(e: Evidence) -> list[Claim]:
     ]
 
 
-def _filter_claims(e: Evidence) -> list[Claim]:
+def _filter_claims(e: WacEvidence) -> list[Claim]:
     gains = "; ".join(
         # Adding zero rids a rounded -0 of its sign.
         f"{plant} " + ", ".join(f"{round(gain, 3) + 0.0:.3f}" for gain in entries)
@@ -184,7 +184,7 @@ def _filter_claims(e: Evidence) -> list[Claim]:
     ]
 
 
-def _consensus_claims(e: Evidence) -> list[Claim]:
+def _consensus_claims(e: WacEvidence) -> list[Claim]:
     diverging = sum(radius > 1 for radius in e.radii)
     return [
         Claim(
@@ -215,7 +215,7 @@ def _consensus_claims(e: Evidence) -> list[Claim]:
     ]
 
 
-def _result_claims(e: Evidence) -> list[Claim]:
+def _result_claims(e: WacEvidence) -> list[Claim]:
     ratios = ", ".join(f"{plant} {ratio:.2f}" for plant, ratio in e.blind_rmse_to_measured.items())
     return [
         Claim(

@@ -8,7 +8,7 @@ from papers.wac.exact import Exact
 from papers.wac.loops import Loops
 from papers.wac.responses import OUTPUT, Trial, rmse
 from papers.wac.root_loci import figure_7
-from papers.wac.unstable import Outcome
+from papers.wac.unstable import UnstableOutcome
 from plants.control import cruise, motor, pitch, suspension
 from plants.control.continuous import ContinuousPlant
 from plants.control.design import controllability_rank, observability_rank
@@ -21,7 +21,7 @@ OUTPUT_NOISE = 1.0  # R of pitch and motors in the paper's table
 LQR_WEIGHT = 50.0  # its p
 
 
-class Evidence(NamedTuple):
+class WacEvidence(NamedTuple):
     """Numbers about the paper, each named for what it is; see `gather` for how they come about."""
 
     loops: Loops
@@ -51,12 +51,12 @@ class Evidence(NamedTuple):
 def gather(
     loops: Loops,
     exact: Exact,
-    unstable: list[Outcome],
+    unstable: list[UnstableOutcome],
     trials: dict[str, dict[str, Trial]],
-) -> Evidence:
+) -> WacEvidence:
     """Everything, from what other parts of the reproduction measured and from formulas."""
     wac = np.concatenate([rules["wac"][..., 0].ravel() for rules in exact.after.values()])
-    return Evidence(
+    return WacEvidence(
         loops=loops,
         **_plants(),
         **_controllers(),

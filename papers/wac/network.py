@@ -14,7 +14,7 @@ import numpy as np
 from bus.ideal import TimelessBus
 from filters.gaussian import Gaussian
 from nodes.lanes.batch import AveragesInBatch, InBatch
-from nodes.lanes.network import Network
+from nodes.lanes.network import BatchedNetwork
 from nodes.rules.fresh_consensus import FreshConsensus, FreshOwn, LastUsed
 from nodes.rules.information_rounds import InformationRounds
 from nodes.rules.lane_rule import Failures, LaneContent, Place
@@ -50,14 +50,14 @@ class LastShares(NamedTuple):
     numbers: np.ndarray
 
 
-_Content = LaneContent[FreshOwn, Any]
+_HeldContent = LaneContent[FreshOwn, Any]
 """Its held values are `LastShares`."""
 
 
 class HoldingConsensus(FreshConsensus):
     """A rule of fresh shares that takes a silent neighbour to repeat its last share."""
 
-    def start(self, node: np.ndarray, prior: Gaussian, held: Gaussian) -> _Content:
+    def start(self, node: np.ndarray, prior: Gaussian, held: Gaussian) -> _HeldContent:
         """The prior, and neighbours never heard."""
         content = super().start(node, prior, held)
         ages = content.held.ages
@@ -67,19 +67,21 @@ class HoldingConsensus(FreshConsensus):
     def fuse(
         self,
         place: Place,
-        content: _Content,
-        said: np.ndarray,
+        content: _HeldContent,
+        shares: np.ndarray,
         heard: np.ndarray,
-    ) -> tuple[_Content, Failures]:
+    ) -> tuple[_HeldContent, Failures]:
         """One round of the rule with the last share of each neighbour."""
         ages, before = content.held
-        numbers = np.where(heard[..., None], said, before)
+        numbers = np.where(heard[..., None], shares, before)
         fresh = content._replace(held=LastUsed(ages))
         after, failures = super().fuse(place, fresh, numbers, heard | (ages >= 0))
         return after._replace(held=LastShares(after.held.ages, numbers)), failures
 
 
-def network_of(setup: Setup, scenario: Scenario, runs: Sequence[int], unheard: str) -> Network:
+def network_of(
+    setup: Setup, scenario: Scenario, runs: Sequence[int], unheard: str
+) -> BatchedNetwork:
     """The runs of these numbers, of a scenario on the network of a setup.
 
     Args:
@@ -90,8 +92,8 @@ def network_of(setup: Setup, scenario: Scenario, runs: Sequence[int], unheard: s
     """
     changed = msgspec.structs.replace(setup, scenario=scenario)
     network = build_network(changed, runs, _with_room)
-    (era,) = network.eras
-    rule = era.regime.rule
+    (segment,) = network.segments
+    rule = segment.settings.rule
     if not isinstance(rule, AveragesInBatch) or unheard not in ("drop", "raw"):
         return network
     fresh = rule.rule
@@ -101,10 +103,12 @@ def network_of(setup: Setup, scenario: Scenario, runs: Sequence[int], unheard: s
     else:
         used = HoldingConsensus(fresh.exchange, fresh.trigger, fresh.contends)
     rule = InBatch(used, rule.filters, rule.links, rule.base, rule.number, rule.what)
-    return replace(network, eras=(era._replace(regime=era.regime._replace(rule=rule)),))
+    return replace(
+        network, segments=(segment._replace(settings=segment.settings._replace(rule=rule)),)
+    )
 
 
-def beliefs_of(network: Network) -> Gaussian:
+def beliefs_of(network: BatchedNetwork) -> Gaussian:
     """Beliefs of all nodes after each step: (steps, R, N, n), (steps, R, N, n, n)."""
     beliefs = [instant.belief for instant in run(network)]
     return Gaussian(np.stack([one.mean for one in beliefs]), np.stack([one.cov for one in beliefs]))

@@ -9,7 +9,7 @@ from itertools import count
 from typing import NamedTuple
 
 from experiments.progress import progress
-from papers.wac.bench import Bench, Cell, Study, attempt, bench_of
+from papers.wac.bench import Bench, PaperScenario, VariantCell, attempt, bench_of
 from scenarios.catalogue import kind_of
 from scenarios.types.holds import Decayed, Dropped, InStep, Predicted, Raw, Renormalised
 from scenarios.types.rules import hold_of
@@ -29,17 +29,17 @@ class Variant(NamedTuple):
         return f"{_RULE_NAMES[self.rule]} {self.hold}"
 
 
-Table = dict[tuple[Variant, float], Cell]
+VariantTable = dict[tuple[Variant, float], VariantCell]
 
 
 class Occupancy(NamedTuple):
     """All tables; `central_rmse_m` and `central_anees` of TRACK, `track_slem` of its weights."""
 
-    track: Table
-    track_one_round: Table
-    motor: Table
-    motor_one_round: Table
-    schedules: dict[tuple[Variant, str, float], Cell]
+    track: VariantTable
+    track_one_round: VariantTable
+    motor: VariantTable
+    motor_one_round: VariantTable
+    schedules: dict[tuple[Variant, str, float], VariantCell]
     central_rmse_m: float
     central_anees: float
     track_slem: float
@@ -76,20 +76,20 @@ LIMITED = (0.5, 0.25, 0.1)
 SCHEDULES = ("round-robin", "hybrid", "dynamic")
 
 
-def track(seed: int, runs: int = 24) -> Study:
+def track(seed: int, runs: int = 24) -> PaperScenario:
     """Twenty nodes follow a turning target."""
     scenario = kind_of("target-tracking").defaults.with_(seed=seed, rounds=3)
-    return Study("TRACK", scenario, runs, 20, position_only=True)
+    return PaperScenario("TRACK", scenario, runs, 20, position_only=True)
 
 
-def motor(seed: int, runs: int = 12) -> Study:
+def motor(seed: int, runs: int = 12) -> PaperScenario:
     """Eight nodes on a ring watch a motor's position."""
     default = kind_of("dc-motor-position").defaults
     scenario = default.with_(seed=seed, rounds=3, control="truth")
-    return Study("MOTOR", scenario, runs, 60, position_only=False)
+    return PaperScenario("MOTOR", scenario, runs, 60, position_only=False)
 
 
-def measure(tracking: Study, turning: Study) -> Occupancy:
+def measure(tracking: PaperScenario, turning: PaperScenario) -> Occupancy:
     """Run everything."""
     schedules = [
         (variant, schedule, occupancy)
@@ -107,7 +107,7 @@ def measure(tracking: Study, turning: Study) -> Occupancy:
     with progress("limited bus", total) as done:
         counted = count(1)
 
-        def tell(cell: Cell) -> Cell:
+        def tell(cell: VariantCell) -> VariantCell:
             done(next(counted))
             return cell
 
@@ -146,15 +146,22 @@ def _differs_when_full(variant: Variant, variants: list[Variant]) -> bool:
 
 
 def _table(
-    bench: Bench, variants: list[Variant], rounds: int, *, full: bool, tell: Callable[[Cell], Cell]
-) -> Table:
+    bench: Bench,
+    variants: list[Variant],
+    rounds: int,
+    *,
+    full: bool,
+    tell: Callable[[VariantCell], VariantCell],
+) -> VariantTable:
     return {
         (variant, occupancy): tell(_try(bench, variant, occupancy, rounds, "hybrid"))
         for variant, occupancy in _cells(variants, full)
     }
 
 
-def _try(bench: Bench, variant: Variant, occupancy: float, rounds: int, schedule: str) -> Cell:
+def _try(
+    bench: Bench, variant: Variant, occupancy: float, rounds: int, schedule: str
+) -> VariantCell:
     limited = {} if occupancy == FULL else {"schedule": schedule, "occupancy": occupancy}
     scenario = bench.study.scenario.with_(rule=variant.rule, rounds=rounds, **limited)
     if hold_of(scenario.rule) is None:

@@ -17,7 +17,12 @@ from filters.sigma_points import scaled_unscented
 from nodes.lanes.beliefs import BatchedBeliefs
 from nodes.lanes.links import Shares, links_of
 from nodes.rules.belief_consensus import HoldPolicy
-from nodes.rules.local_filter import LocalFilters, SensorGroup, carry, take_readings
+from nodes.rules.local_filter import (
+    LocalFilters,
+    SensorGroup,
+    predict_to_step,
+    update_with_readings,
+)
 from plants.control import cruise, motor, pitch, suspension
 from plants.control.closed_loop import Controller, closed_loop
 from plants.control.controllers import StateFeedback
@@ -223,9 +228,9 @@ def _central_means(
     means = []
     for step, delivered in enumerate(readings):
         if step:
-            belief = carry(belief, controls[step - 1], step, plant.model, points).beliefs
+            belief = predict_to_step(belief, controls[step - 1], step, plant.model, points).beliefs
         together = delivered.reshape(len(delivered), 1, -1)
-        belief, _ = take_readings(belief, together, step, every, points)
+        belief, _ = update_with_readings(belief, together, step, every, points)
         means.append(belief.mean)
     return np.array(means)
 

@@ -25,7 +25,7 @@ VARIANCE = 0.01  # of the process per step, and of each measurement
 GROWTH = 10.0  # over the second half of the steps: more is divergence
 
 
-class Outcome(NamedTuple):
+class UnstableOutcome(NamedTuple):
     """One network: the two radii of the condition, and what became of it after STEPS.
 
     *_rms: root mean square error over the nodes; *_variance: largest variance that a node reports.
@@ -50,14 +50,14 @@ class Outcome(NamedTuple):
         return mean and cov
 
 
-def measure() -> list[Outcome]:
+def measure() -> list[UnstableOutcome]:
     """All twelve networks."""
     return [
         _try(factor, seeing, rounds) for factor in FACTORS for seeing in SEEING for rounds in ROUNDS
     ]
 
 
-def checks_of(outcomes: list[Outcome]) -> list[Check]:
+def checks_of(outcomes: list[UnstableOutcome]) -> list[Check]:
     """The condition tells what happens, and covariance intersection stays bounded."""
     checks = [
         Check(
@@ -73,7 +73,7 @@ def checks_of(outcomes: list[Outcome]) -> list[Check]:
     return [*checks, below("unstable plants: largest RMSE of CI", worst, 0.5)]
 
 
-def section(place: int, outcomes: list[Outcome]) -> Section:
+def section(place: int, outcomes: list[UnstableOutcome]) -> Section:
     """The table of the twelve."""
     head = (
         "F", "seeing", "L", "|F| rho(Π^L D)", "F² rho(Π^L D)", "WAC RMSE", "WAC largest P",
@@ -96,7 +96,7 @@ def section(place: int, outcomes: list[Outcome]) -> Section:
     return Section(place, title, text + markdown_table(head, rows), checks_of(outcomes), data=data)
 
 
-def _try(factor: float, seeing: int, rounds: int) -> Outcome:
+def _try(factor: float, seeing: int, rounds: int) -> UnstableOutcome:
     averaging = np.linalg.matrix_power(metropolis(ring(NODES)).toarray(), rounds)
     blind = np.diag(np.arange(NODES) >= seeing).astype(float)
     radius = float(np.abs(np.linalg.eigvals(averaging @ blind)).max())
@@ -106,7 +106,7 @@ def _try(factor: float, seeing: int, rounds: int) -> Outcome:
     )
     halfway, end = _two_times(network, "wac", averaging)
     _, calm = _two_times(network, "ci", averaging)
-    return Outcome(
+    return UnstableOutcome(
         factor,
         seeing,
         rounds,

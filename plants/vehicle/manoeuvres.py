@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 
-class Motion(NamedTuple):
+class CarMotion(NamedTuple):
     """Motion of the car as its driver sees it: place m, heading rad, speeds m/s along and across
     it."""
 
@@ -77,7 +77,7 @@ class Driver(Protocol):
     @property
     def lag_s(self) -> float: ...
 
-    def steering(self, time_s: float, motion: Motion) -> float: ...
+    def steering(self, time_s: float, motion: CarMotion) -> float: ...
 
 
 class OpenLoop(NamedTuple):
@@ -86,7 +86,7 @@ class OpenLoop(NamedTuple):
     angle: Signal
     lag_s: float = 0.01
 
-    def steering(self, time_s: float, motion: Motion) -> float:
+    def steering(self, time_s: float, motion: CarMotion) -> float:
         """Return the program's angle."""
         return self.angle.at(time_s)
 
@@ -104,7 +104,7 @@ class PathFollower(NamedTuple):
     preview_s: float
     lag_s: float
 
-    def steering(self, time_s: float, motion: Motion) -> float:
+    def steering(self, time_s: float, motion: CarMotion) -> float:
         """Return the angle wanted now."""
         ahead = self.preview_s * motion.speed_m_s
         course = motion.heading_rad + math.atan2(motion.lateral_speed_m_s, motion.speed_m_s)

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from plants.vehicle.drive import Drive
-from plants.vehicle.manoeuvres import Manoeuvre, Motion
+from plants.vehicle.manoeuvres import CarMotion, Manoeuvre
 from plants.vehicle.parameters import GRAVITY_M_S2, Car
 
 INTEGRATION_STEP_S = 1e-3
@@ -71,7 +71,7 @@ class Body(NamedTuple):
 
     begin: Callable[[float, Any], list[float]]
     derivative: Callable[[list[float], list[float], Any], list[float]]
-    motion: Callable[[np.ndarray], Motion]
+    motion: Callable[[np.ndarray], CarMotion]
     sample: Callable[[np.ndarray, np.ndarray, Any], list[float]]
 
 
@@ -142,7 +142,7 @@ def multi_body() -> Body:
     return Body(
         lambda speed, p: init_mb([0.0, 0.0, 0.0, speed, 0.0, 0.0, 0.0], p),
         vehicle_dynamics_mb,
-        lambda x: Motion(x[0], x[1], x[4], x[3], x[10]),
+        lambda x: CarMotion(x[0], x[1], x[4], x[3], x[10]),
         sample,
     )
 

@@ -14,11 +14,11 @@ from nodes.changes import UNCHANGED, Standing
 from nodes.commands import Configure, Inject
 from nodes.faults.losses import LinkState, hears_all
 from nodes.lanes.links import Links, Shares, links_of, places
-from nodes.lanes.network import Era, Network, Regime
+from nodes.lanes.network import BatchedNetwork, RunSegment, RunSettings
 from nodes.node import contenders_left
 from nodes.node_changes import with_standing
 from nodes.rules.local_filter import LocalFilters, SensorGroup
-from runtime.batched.changes import Turning, foreseen
+from runtime.batched.changes import ScriptedChange, foreseen
 from runtime.batched.streams import streams_of
 from scenarios.build import build_bus, build_controller, everybody_of, rule_context
 from scenarios.catalogue import kind_of
@@ -27,7 +27,7 @@ from scenarios.preparation import complete_settings, share_bytes, with_settings
 from scenarios.rules import rule_of
 from scenarios.scenario import Scenario
 from scenarios.script import script_of
-from scenarios.seat import BatchSeat
+from scenarios.seat import BatchContext
 from scenarios.setup import Setup
 from scenarios.types.plants import VehicleNetwork
 
@@ -56,24 +56,24 @@ def _set_in(scenario: Scenario) -> Iterator[Scenario]:
             yield scenario
 
 
-def turnings_of(setup: Setup) -> tuple[Turning, ...]:
+def changes_of(setup: Setup) -> tuple[ScriptedChange, ...]:
     """Return the changes to the network of a setup, from its first step on."""
     scenario = setup.scenario
-    turnings = foreseen(
+    changes = foreseen(
         script_of(scenario),
         setup.neighbours,
         scenario.steps,
         scenario.rounds,
         partial(complete_settings, setup),
     )
-    if turnings and turnings[0].step == 0:
-        return turnings
-    return (Turning(0, UNCHANGED, (), False), *turnings)
+    if changes and changes[0].step == 0:
+        return changes
+    return (ScriptedChange(0, UNCHANGED, (), False), *changes)
 
 
 def build_network(
     setup: Setup, runs: Sequence[int], bus_of: Callable[[Setup], Bus] = build_bus
-) -> Network:
+) -> BatchedNetwork:
     """The runs of these numbers under the seed of a setup, with all their randomness drawn.
 
     `bus_of` makes the bus of a setup; by default that of the scenario.
@@ -97,7 +97,7 @@ def build_network(
     )
     # A returned node has forgotten shares that others still hold, so links to one node differ.
     links = links_of(setup.neighbours, link_state(setup).perfect and not scenario.changes)
-    return Network(
+    return BatchedNetwork(
         plant=plant,
         initial_state=np.stack(states),
         prior=prior,
@@ -107,35 +107,35 @@ def build_network(
         controller=build_controller(scenario),
         delivery=kind.delivery(scenario) if kind.delivery else None,
         receivers=links.receiver,
-        eras=tuple(_eras(setup, scenarios, links, bus_of)),
+        segments=tuple(_segments(setup, scenarios, links, bus_of)),
     )
 
 
-def _eras(
+def _segments(
     setup: Setup, scenarios: Sequence[Scenario], links: Links, bus_of: Callable[[Setup], Bus]
-) -> Iterator[Era]:
+) -> Iterator[RunSegment]:
     """Yield the segments of runs of these scenarios."""
     scenario = setup.scenario
     states = [link_state(msgspec.structs.replace(setup, scenario=one)) for one in scenarios]
-    changed, bus, regime = setup, bus_of(setup), None
-    for step, standing, joined, anew in turnings_of(setup):
-        if regime is None or anew:
+    changed, bus, settings = setup, bus_of(setup), None
+    for step, standing, joined, anew in changes_of(setup):
+        if settings is None or anew:
             changed = with_settings(setup, standing.settings)
             bus = bus_of(changed)
-            regime = _regime(changed, bus, links, standing, len(scenarios))
+            settings = _settings(changed, bus, links, standing, len(scenarios))
         present = np.ones(scenario.nodes, dtype=bool)
         present[list(standing.absent)] = False
         standing_states = [with_standing(state, standing) for state in states]
         lost = None
         if not standing_states[0].perfect:
             lost = partial(_lost, standing_states, links, partial(frames_of, changed, bus))
-        yield Era(step, regime, present, joined, lost)
+        yield RunSegment(step, settings, present, joined, lost)
 
 
-def _regime(setup: Setup, bus: Bus, links: Links, standing: Standing, runs: int) -> Regime:
+def _settings(setup: Setup, bus: Bus, links: Links, standing: Standing, runs: int) -> RunSettings:
     """Rule and bus of a setup whose settings are those that stand."""
     rule = rule_of(setup.scenario)
-    return Regime(
+    return RunSettings(
         standing.first_step,
         standing.first_cycle,
         setup.scenario.rounds,
@@ -147,14 +147,14 @@ def _regime(setup: Setup, bus: Bus, links: Links, standing: Standing, runs: int)
     )
 
 
-def _seat(setup: Setup, bus: Bus, links: Links) -> BatchSeat:
+def _seat(setup: Setup, bus: Bus, links: Links) -> BatchContext:
     scenario = setup.scenario
     kind = kind_of(scenario.name)
     own = np.array([row[0] for row in setup.weights])
     link = np.array([weight for row in setup.weights for weight in row[1:]])
     points = kind.points(scenario) if kind.points else scaled_unscented(len(setup.prior_mean))
     contenders = {node for row in bus.schedule.contender_table for node in row}
-    return BatchSeat(
+    return BatchContext(
         rule_context(setup, bool(contenders)),
         LocalFilters(kind.model(scenario), sensor_groups(scenario), points),
         links,
@@ -220,10 +220,10 @@ def _lost(
     """How many frames of a share each link loses in a cycle, (R, E)."""
     of_sender = frames_in(cycle)[0][links.sender]
     lost = np.zeros((len(states), len(links.sender)), dtype=np.int64)
-    part = (np.array(step), np.array(cycle), links.sender, links.receiver)
+    instant = (np.array(step), np.array(cycle), links.sender, links.receiver)
     for number in range(int(of_sender.max(initial=0))):
         for run, state in enumerate(states):
-            arrives = hears_all(state, *part, number)
+            arrives = hears_all(state, *instant, number)
             lost[run] += ~arrives & (number < of_sender)
     return lost
 

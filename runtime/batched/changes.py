@@ -14,7 +14,7 @@ from nodes.commands import ChangeCommand, Configure, Inject, Kill, Restart
 from nodes.run_controller import Scripted, link_changes
 
 
-class Turning(NamedTuple):
+class ScriptedChange(NamedTuple):
     """State of the network from `step` on.
 
     `joined` are (node, whose belief it begins with); where all begin `anew`, with what they
@@ -33,13 +33,13 @@ def foreseen(
     steps: int,
     rounds: int,
     complete: Callable[[Settings, Settings], Settings],
-) -> tuple[Turning, ...]:
+) -> tuple[ScriptedChange, ...]:
     """When a network in which node i hears neighbours[i], of so many rounds, will change, and how.
 
-    `complete` completes settings, as in `nodes.run_controller.Stage`.
+    `complete` completes settings, as in `nodes.run_controller.ProcessStarter`.
     """
     standing, ready = UNCHANGED, set[int]()
-    turnings: list[Turning] = []
+    changes: list[ScriptedChange] = []
     for step in range(steps):
         due = [one.command for one in script if one.step == step]
         if not (due or ready):
@@ -60,8 +60,8 @@ def foreseen(
                 ready.discard(node)
                 standing = after(standing, step, Joined(node))
         anew = any(isinstance(command, Configure) for command in due)
-        turnings.append(Turning(step, standing, tuple(joined), anew))
-    return tuple(turnings)
+        changes.append(ScriptedChange(step, standing, tuple(joined), anew))
+    return tuple(changes)
 
 
 def _stands(

@@ -15,7 +15,13 @@ from nodes.bids import NO_BID
 from nodes.environment_state import Delivery
 from nodes.lanes.filter import Counters, with_lanes
 from nodes.lanes.links import places
-from nodes.lanes.network import Era, Network, Regime, RuleWithReturns, Spread
+from nodes.lanes.network import (
+    BatchedNetwork,
+    RuleWithReturns,
+    RunSegment,
+    RunSettings,
+    ShareContents,
+)
 from nodes.node import contenders_left
 from runtime.batched.tally import Tally, masked
 
@@ -39,7 +45,7 @@ class Instant(NamedTuple):
     payload_bytes: np.ndarray
     asked: np.ndarray
     counters: Counters
-    spread: Spread | None
+    spread: ShareContents | None
 
 
 class _Said(NamedTuple):
@@ -49,31 +55,31 @@ class _Said(NamedTuple):
     asked: np.ndarray
 
 
-def run(network: Network) -> Iterator[Instant]:
+def run(network: BatchedNetwork) -> Iterator[Instant]:
     """The steps of all runs, one after the other."""
-    plant, eras = network.plant, {era.first_step: era for era in network.eras}
+    plant, segments = network.plant, {segment.first_step: segment for segment in network.segments}
     truth, control, tally = network.initial_state, None, Tally({}, {})
     memory = network.controller.memory if network.controller else None
     deliver = _delivery(network.delivery, len(truth))
-    era = eras[0]
-    content, arbiter = era.regime.rule.start(network.prior), era.regime.contest_memory
+    segment = segments[0]
+    content, arbiter = segment.settings.rule.start(network.prior), segment.settings.contest_memory
     for step in range(network.steps):
         if step > 0:
-            believed = era.regime.rule.belief(content)
-            control, memory = _steer(network, era, believed, truth, control, memory, step - 1)
+            believed = segment.settings.rule.belief(content)
+            control, memory = _steer(network, segment, believed, truth, control, memory, step - 1)
             truth = plant.advance(truth, control, network.process[step - 1], step - 1)
-            if step in eras:
-                before, era = era, eras[step]
-                content, arbiter, tally = _turned(before, era, content, arbiter, tally)
-        rule = era.regime.rule
+            if step in segments:
+                before, segment = segment, segments[step]
+                content, arbiter, tally = _turned(before, segment, content, arbiter, tally)
+        rule = segment.settings.rule
         readings = deliver(plant.observe(truth, network.measurement[step], step), step)
         # An absent node runs on and no node hears it, so that its numbers stay finite.
         content = rule.begin_step(content, readings, control, step)
-        content, arbiter, said = _communicated(era, content, arbiter, step)
+        content, arbiter, sent = _communicated(segment, content, arbiter, step)
         spread = rule.spread(content)
-        frames, payload = _framed(era.regime, step, said.sends, spread)
-        tally = tally.after(rule.counters(content), frames, era.present)
-        here, heard = era.present, era.present[network.receivers]
+        frames, payload = _framed(segment.settings, step, sent.sends, spread)
+        tally = tally.after(rule.counters(content), frames, segment.present)
+        here, heard = segment.present, segment.present[network.receivers]
         yield Instant(
             step,
             truth,
@@ -82,34 +88,34 @@ def run(network: Network) -> Iterator[Instant]:
             Gaussian(*(masked(here, values) for values in rule.belief(content))),
             rule.ages(content) if heard.all() else np.where(heard, rule.ages(content), -1),
             payload,
-            said.asked,
+            sent.asked,
             tally.shown,
             spread,
         )
 
 
 def _turned(
-    before: Era, era: Era, content: Any, arbiter: Any, tally: Tally
+    before: RunSegment, segment: RunSegment, content: Any, arbiter: Any, tally: Tally
 ) -> tuple[Any, Any, Tally]:
     """Return the rule's content, the arbiter's state, and the counters, as the segment begins."""
-    nodes = np.array([node for node, _ in era.joined], dtype=np.int64)
-    sources = np.array([source for _, source in era.joined], dtype=np.int64)
-    believed = before.regime.rule.belief(content)
+    nodes = np.array([node for node, _ in segment.joined], dtype=np.int64)
+    sources = np.array([source for _, source in segment.joined], dtype=np.int64)
+    believed = before.settings.rule.belief(content)
     told = Gaussian(believed.mean[:, sources], believed.cov[:, sources])
     tally = tally.forgetting(nodes)
-    if era.regime is not before.regime:
-        content = era.regime.rule.start(with_lanes(believed, nodes, told))
-        return content, era.regime.contest_memory, tally._replace(seen={})
+    if segment.settings is not before.settings:
+        content = segment.settings.rule.start(with_lanes(believed, nodes, told))
+        return content, segment.settings.contest_memory, tally._replace(seen={})
     if len(nodes):
-        rule = era.regime.rule
+        rule = segment.settings.rule
         assert isinstance(rule, RuleWithReturns), "the scenario goes message by message"
         content = rule.restarted(content, nodes, told)
     return content, arbiter, tally
 
 
 def _steer(
-    network: Network,
-    era: Era,
+    network: BatchedNetwork,
+    segment: RunSegment,
     belief: Gaussian,
     truth: np.ndarray,
     control: np.ndarray | None,
@@ -120,7 +126,7 @@ def _steer(
     if network.controller is None:
         return None, memory
     law, _, node = network.controller
-    if node is not None and not era.present[node]:
+    if node is not None and not segment.present[node]:
         # A node that is out leaves the actuator where it was.
         return control, memory
     return law(truth if node is None else belief.mean[:, node], memory, last)
@@ -142,60 +148,62 @@ def _delivery(delivery: Delivery | None, runs: int) -> Callable[[np.ndarray, int
     return deliver
 
 
-def _communicated(era: Era, content: Any, arbiter: Any, step: int) -> tuple[Any, Any, _Said]:
+def _communicated(
+    segment: RunSegment, content: Any, arbiter: Any, step: int
+) -> tuple[Any, Any, _Said]:
     """Run all cycles of a step."""
     sends, asked = [], []
-    for cycle in era.regime.cycles(step):
-        lost = None if era.lost is None else era.lost(step, cycle)
-        content, arbiter, speak, ask = _cycle(era, content, arbiter, cycle, lost)
+    for cycle in segment.settings.cycles(step):
+        lost = None if segment.lost is None else segment.lost(step, cycle)
+        content, arbiter, speak, ask = _cycle(segment, content, arbiter, cycle, lost)
         sends.append(speak)
         asked.append(ask)
     return content, arbiter, _Said(np.stack(sends), np.stack(asked))
 
 
 def _cycle(
-    era: Era, content: Any, arbiter: Any, cycle: int, lost: np.ndarray | None
+    segment: RunSegment, content: Any, arbiter: Any, cycle: int, lost: np.ndarray | None
 ) -> tuple[Any, Any, np.ndarray, np.ndarray]:
     """Run a cycle, group by group; return which nodes sent in it and which asked: (R, N) each."""
-    rule, schedule = era.regime.rule, era.regime.schedule
+    rule, schedule = segment.settings.rule, segment.settings.schedule
     shape = rule.belief(content).mean.shape[:2]
     spoke, asked = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
     for number in range(len(schedule.groups(cycle))):
-        arbiter, speak, ask = _access(era, arbiter, content, (cycle, number), spoke)
+        arbiter, speak, ask = _access(segment, arbiter, content, (cycle, number), spoke)
         content = rule.exchange(content, speak, lost)
         spoke, asked = spoke | speak, asked | ask
     return content, arbiter, spoke, asked
 
 
 def _access(
-    era: Era, arbiter: Any, content: Any, part: tuple[int, int], spoke: np.ndarray
+    segment: RunSegment, arbiter: Any, content: Any, place: tuple[int, int], spoke: np.ndarray
 ) -> tuple[Any, np.ndarray, np.ndarray]:
     """Return which nodes send in a group (cycle, group) and which ask for its dynamic slots.
 
     Both are (R, N). No node sends twice in a cycle; nodes `spoke` (R, N) have sent already.
     """
-    cycle, number = part
-    schedule = era.regime.schedule
+    cycle, number = place
+    schedule = segment.settings.schedule
     group = schedule.groups(cycle)[number]
     sends, asked = np.zeros((2, *spoke.shape), dtype=bool)
     sends[:, places(group.senders)] = True
-    sends &= era.present
+    sends &= segment.present
     contenders = places(contenders_left(schedule, cycle, ()))
     if group.dynamic_slots and len(contenders):
-        bids = era.regime.rule.bids(content, contenders)
-        silent = spoke[:, contenders] | ~era.present[contenders]
+        bids = segment.settings.rule.bids(content, contenders)
+        silent = spoke[:, contenders] | ~segment.present[contenders]
         bids = np.where(silent, NO_BID, bids)
-        arbiter, wins = era.regime.contest(arbiter, cycle, number, contenders, bids)
+        arbiter, wins = segment.settings.contest(arbiter, cycle, number, contenders, bids)
         asked[:, contenders] = bids != NO_BID
         sends[:, contenders] = wins
     return arbiter, sends, asked
 
 
 def _framed(
-    regime: Regime, step: int, sends: np.ndarray, spread: Spread | None
+    settings: RunSettings, step: int, sends: np.ndarray, spread: ShareContents | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Frames of a step (R, N), and bytes of payload in each cycle (rounds, R, N)."""
     bodies = [None] * len(sends) if spread is None else spread.body_bytes
-    cycles = zip(regime.cycles(step), sends, bodies, strict=True)
-    frames, payload = zip(*(regime.framed(*cycle) for cycle in cycles), strict=True)
+    cycles = zip(settings.cycles(step), sends, bodies, strict=True)
+    frames, payload = zip(*(settings.framed(*cycle) for cycle in cycles), strict=True)
     return np.sum(frames, axis=0), np.stack(payload)

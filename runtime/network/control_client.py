@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import msgspec
 
 from nodes.commands import Answer, Command
-from runtime.network.links import Links, checked_run
+from runtime.network.links import ZenohEndpoints, checked_run
 from runtime.network.zenoh_transport import LinkError, Transport
 
 _CONNECT_S = 3.0
@@ -36,7 +36,9 @@ class Client:
 
     def _open(self, run: str) -> Transport:
         try:
-            return Transport(run, Links("peer", (), self._connect, _CONNECT_S, self._keys), [], 1)
+            return Transport(
+                run, ZenohEndpoints("peer", (), self._connect, _CONNECT_S, self._keys), [], 1
+            )
         except LinkError:
             raise self._nobody() from None
 

@@ -18,7 +18,7 @@ _ENDPOINT = re.compile(r"(tcp|tls)/(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9][A-Za-z0-9.-]*
 _RUN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 
-class Links(NamedTuple):
+class ZenohEndpoints(NamedTuple):
     """How one process joins: zenoh mode and endpoints such as tcp/127.0.0.1:7447.
 
     Joining fails when an endpoint does not answer within `connect_s`; with None it succeeds at
@@ -50,7 +50,9 @@ def names(neighbours: Sequence[Sequence[int]]) -> list[str]:
     return [WORLD, RECORDER, *(str(node) for node in range(len(neighbours))), WATCH]
 
 
-def plan_links(neighbours: Sequence[Sequence[int]], ports: dict[str, int]) -> dict[str, Links]:
+def plan_links(
+    neighbours: Sequence[Sequence[int]], ports: dict[str, int]
+) -> dict[str, ZenohEndpoints]:
     """The links of every process of a run, by name.
 
     Mesh: one link per edge, opened by the higher index; all nodes link to environment and recorder.
@@ -58,24 +60,24 @@ def plan_links(neighbours: Sequence[Sequence[int]], ports: dict[str, int]) -> di
     """
     at = {name: f"tcp/{LOOPBACK}:{port}" for name, port in ports.items()}
     everyone = [WORLD, RECORDER, *(str(node) for node in range(len(neighbours)))]
-    watch = {WATCH: Links("peer", (at[WATCH],), ())}
+    watch = {WATCH: ZenohEndpoints("peer", (at[WATCH],), ())}
     if ROUTER in ports:
-        return {**watch, **{name: Links("client", (), (at[ROUTER],)) for name in everyone}}
+        return {**watch, **{name: ZenohEndpoints("client", (), (at[ROUTER],)) for name in everyone}}
     links = {
         **watch,
-        RECORDER: Links("peer", (at[RECORDER],), ()),
-        WORLD: Links("peer", (at[WORLD],), (at[RECORDER],)),
+        RECORDER: ZenohEndpoints("peer", (at[RECORDER],), ()),
+        WORLD: ZenohEndpoints("peer", (at[WORLD],), (at[RECORDER],)),
     }
     for node in range(len(neighbours)):
         lower = tuple(at[str(j)] for j in peers_of(node, neighbours) if j < node)
         connect = (at[WORLD], at[RECORDER], *lower)
-        links[str(node)] = Links("peer", (at[str(node)],), connect)
+        links[str(node)] = ZenohEndpoints("peer", (at[str(node)],), connect)
     return links
 
 
-def links_to_routers(connect: Sequence[str], keys: str | None) -> Links:
+def links_to_routers(connect: Sequence[str], keys: str | None) -> ZenohEndpoints:
     """How a process on one of several hosts joins: through the first router that answers."""
-    return Links("client", (), tuple(connect), ROUTER_S, keys)
+    return ZenohEndpoints("client", (), tuple(connect), ROUTER_S, keys)
 
 
 def checked_endpoints(option: str, endpoints: Sequence[str], has_keys: bool) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from runtime.disk import writing
 NETWORK = "network.json"
 
 
-class Network(msgspec.Struct, frozen=True):
+class NetworkAddresses(msgspec.Struct, frozen=True):
     """Addresses of a network: subscribers connect to all of `connect`; `pids` are processes."""
 
     run: str
@@ -17,15 +17,15 @@ class Network(msgspec.Struct, frozen=True):
     pids: dict[str, int] = {}
 
 
-def write_network(folder: Path, network: Network) -> None:
+def write_network(folder: Path, network: NetworkAddresses) -> None:
     """Write network.json whole, over an older one."""
-    part = folder / f"{NETWORK}.part"
+    unfinished = folder / f"{NETWORK}.part"
     with writing(folder / NETWORK):
-        part.write_bytes(msgspec.json.format(msgspec.json.encode(network), indent=2) + b"\n")
-        part.rename(folder / NETWORK)
+        unfinished.write_bytes(msgspec.json.format(msgspec.json.encode(network), indent=2) + b"\n")
+        unfinished.rename(folder / NETWORK)
 
 
-def read_network(folder: Path) -> Network:
+def read_network(folder: Path) -> NetworkAddresses:
     """Where the network of a run folder is, or was.
 
     Raises:
@@ -33,7 +33,7 @@ def read_network(folder: Path) -> Network:
     """
     path = folder / NETWORK
     try:
-        return msgspec.json.decode(path.read_bytes(), type=Network)
+        return msgspec.json.decode(path.read_bytes(), type=NetworkAddresses)
     except OSError as error:
         raise ValueError(
             f"{path}: cannot be read ({error.strerror}); name the folder of a run with --driver "

@@ -14,7 +14,7 @@ from contextlib import suppress
 import msgspec
 import zenoh
 
-from runtime.network.links import Links
+from runtime.network.links import ZenohEndpoints
 
 # One worker thread per process instead of one per core and role; a router needs the default.
 _ONE_THREAD = (
@@ -36,7 +36,7 @@ class LinkError(Exception):
     """A session could not be opened: a port is taken or a peer does not answer."""
 
 
-def _config(links: Links) -> zenoh.Config:
+def _config(links: ZenohEndpoints) -> zenoh.Config:
     settings = {
         "mode": links.mode,
         "listen/endpoints": list(links.listen),
@@ -70,7 +70,7 @@ def _config(links: Links) -> zenoh.Config:
     return config
 
 
-def _open(links: Links) -> zenoh.Session:
+def _open(links: ZenohEndpoints) -> zenoh.Session:
     zenoh.init_log_from_env_or("off")
     try:
         return zenoh.open(_config(links))
@@ -94,7 +94,9 @@ def start_router(
     """
     # With a single worker thread a router was seen to hang at the start of a network.
     os.environ.pop("ZENOH_RUNTIME", None)
-    return _open(Links("router", (endpoint,), tuple(others), None if others else 60.0, keys))
+    return _open(
+        ZenohEndpoints("router", (endpoint,), tuple(others), None if others else 60.0, keys)
+    )
 
 
 class Transport:
@@ -106,7 +108,7 @@ class Transport:
     def __init__(
         self,
         run: str,
-        links: Links,
+        links: ZenohEndpoints,
         subscriptions: Sequence[str],
         queue: int,
         answers: bool = False,

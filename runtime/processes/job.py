@@ -6,7 +6,7 @@ from nodes.tempo import Tempo
 from scenarios.setup import Setup
 
 
-class Place(msgspec.Struct, frozen=True):
+class HostPlace(msgspec.Struct, frozen=True):
     """The part of a network that is on this host.
 
     Attributes:
@@ -34,7 +34,7 @@ class Job(msgspec.Struct, frozen=True):
     recording: str
     port: int | None
     tempo: Tempo | None = None
-    place: Place | None = None
+    place: HostPlace | None = None
 
 
 class Happened(msgspec.Struct, frozen=True, omit_defaults=True):

@@ -13,7 +13,7 @@ import msgspec
 
 from nodes.tempo import Tempo
 from runtime.interpreter import fresh_command, fresh_variables
-from runtime.network.network_file import Network, write_network
+from runtime.network.network_file import NetworkAddresses, write_network
 from runtime.processes.job import Happened, Job
 from scenarios.setup import Setup
 
@@ -96,7 +96,7 @@ def _note(
 ) -> None:
     """Write the addresses of the network, for subscribers."""
     if happened.connect and folder is not None:
-        write_network(folder, Network(run, happened.connect, happened.pids))
+        write_network(folder, NetworkAddresses(run, happened.connect, happened.pids))
     on_event(happened)
 
 

@@ -22,7 +22,7 @@ from runtime.network.links import (
     ROUTER,
     WATCH,
     WORLD,
-    Links,
+    ZenohEndpoints,
     free_ports,
     links_to_routers,
     names,
@@ -30,7 +30,7 @@ from runtime.network.links import (
     ports_from,
     subscribers_endpoints,
 )
-from runtime.processes.job import Happened, Job, Order, Place
+from runtime.processes.job import Happened, HostPlace, Job, Order
 from runtime.processes.roles import be_environment, be_node, be_recorder, be_router
 from runtime.processes.supervisor import TRY_AGAIN, Ended, Supervisor
 from scenarios.build import build_node
@@ -70,7 +70,7 @@ class _Plan(msgspec.Struct):
     """The processes of this host, the links of each, and where subscribers connect."""
 
     cast: list[str]
-    links: dict[str, Links]
+    links: dict[str, ZenohEndpoints]
     connect: list[str]
     router: str | None = None
 
@@ -89,7 +89,7 @@ def _plans(job: Job) -> Iterator[_Plan]:
         yield _Plan(everybody, links, subscribers_endpoints(ports), router)
 
 
-def _at(place: Place) -> _Plan:
+def _at(place: HostPlace) -> _Plan:
     """Plan one of several hosts, where every process is a client of a router."""
     links = {
         name: links_to_routers(place.connect, place.keys.get(name))

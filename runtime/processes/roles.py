@@ -13,7 +13,7 @@ import msgspec
 
 from nodes.node_state import NodeConfig
 from runtime.disk import NotWritten
-from runtime.network.links import RECORDER, WATCH, Links, peers_of
+from runtime.network.links import RECORDER, WATCH, ZenohEndpoints, peers_of
 from runtime.network.zenoh_transport import LinkError, start_router
 from runtime.processes.environment.failures import Deserted, Disagreement
 from runtime.processes.environment.management import Management
@@ -47,7 +47,9 @@ def be_router(endpoint: str) -> None:
     _joining(route)
 
 
-def be_recorder(job: Job, links: dict[str, Links], tell: Callable[[Happened], None]) -> None:
+def be_recorder(
+    job: Job, links: dict[str, ZenohEndpoints], tell: Callable[[Happened], None]
+) -> None:
     """Keep what is said, and let others hear it."""
     scenario = job.setup.scenario
     try:
@@ -60,7 +62,9 @@ def be_recorder(job: Job, links: dict[str, Links], tell: Callable[[Happened], No
         sys.exit(1)
 
 
-def be_environment(job: Job, links: Links, tell: Callable[[Happened], None], orders: int) -> None:
+def be_environment(
+    job: Job, links: ZenohEndpoints, tell: Callable[[Happened], None], orders: int
+) -> None:
     """Run the environment; orders to the launcher process go to the pipe `orders`."""
     started, told = time.monotonic(), 0.0
 
@@ -98,7 +102,7 @@ def be_environment(job: Job, links: Links, tell: Callable[[Happened], None], ord
         sys.exit(1)
 
 
-def be_node(job: Job, links: Links, config: NodeConfig, late: bool = False) -> None:
+def be_node(job: Job, links: ZenohEndpoints, config: NodeConfig, late: bool = False) -> None:
     """Be one node; `late` where the network may run already."""
     peers = peers_of(config.index, job.setup.neighbours)
     timeout_s = math.inf if job.place is None else job.place.patience_s

@@ -18,7 +18,7 @@ from plants.control.motor import (
 from plants.control.pitch import pitch, pitch_controller
 from plants.control.suspension import suspension, suspension_controller
 from plants.linear import LinearModel, LinearPlant, LinearSensor
-from scenarios.kind import Kind, Score
+from scenarios.kind import ScenarioDefinition, Score
 from scenarios.scenario import Scenario
 from scenarios.types.buses import FlexRay
 from scenarios.types.network import SensorNetwork
@@ -135,11 +135,11 @@ def _warnings(scenario: Scenario) -> tuple[str, ...]:
     return (warning,) if warning else ()
 
 
-def _kind(plant: _Plant) -> Kind:
+def _kind(plant: _Plant) -> ScenarioDefinition:
     def controller(scenario: Scenario) -> Any:
         return None if controlled(scenario).control == OPEN else plant.controller()
 
-    return Kind(
+    return ScenarioDefinition(
         defaults=Scenario(
             plant=plant.plant,
             network=SensorNetwork(nodes=8, graph="ring"),

@@ -9,9 +9,9 @@ by a sixth in every step. `--noise matched` draws noise on its bound, `paper` ta
 from functools import cache
 
 from plants import liu2021
-from plants.bounded_network import BoundedModel, BoundedNetwork, OutputSensor
+from plants.bounded_network import BoundedNetwork, BoundedNetworkModel, OutputSensor
 from scenarios.definitions.control import OPEN, check_control, controlled
-from scenarios.kind import Kind, Score
+from scenarios.kind import ScenarioDefinition, Score
 from scenarios.scenario import Scenario
 from scenarios.types.network import SensorNetwork
 from scenarios.types.plants import UnstableBounded
@@ -29,7 +29,7 @@ def _plant(scenario: Scenario) -> BoundedNetwork:
     return _made(scenario.nodes, controlled(scenario).noise)
 
 
-def _model(scenario: Scenario) -> BoundedModel:
+def _model(scenario: Scenario) -> BoundedNetworkModel:
     return _plant(scenario).model
 
 
@@ -41,7 +41,7 @@ def _controller(scenario: Scenario) -> liu2021.Stabiliser | None:
     return None if controlled(scenario).control == OPEN else liu2021.Stabiliser()
 
 
-KIND = Kind(
+KIND = ScenarioDefinition(
     defaults=Scenario(
         plant=UnstableBounded(),
         network=SensorNetwork(nodes=6, graph="ring"),

@@ -7,14 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bus.measurement_bus import MeasurementBus, Slot
+from bus.measurement_bus import MeasurementBus, SlotOutcome
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule
 from filters.stochastic_ukf import MeasurementFilter, Received
 from nodes.rules.measurement_bus import System, dynamics, observation
 
 
-class Estimator(NamedTuple):
+class BusFilter(NamedTuple):
     """A filter behind a measurement bus: what it knows, how it computes, where it starts.
 
     prior: mean (..., n), cov (..., n, n) at step 0.
@@ -31,19 +31,19 @@ def first_received(system: System, prior_mean: np.ndarray) -> np.ndarray:
     return system.measure(prior_mean, 0)
 
 
-def slots_of(bus: MeasurementBus, measurement: np.ndarray, received: np.ndarray) -> Slot:
+def slots_of(bus: MeasurementBus, measurement: np.ndarray, received: np.ndarray) -> SlotOutcome:
     """Return the receiver's slots 1..S for measurements (S + 1, ..., m), stacked: S first.
 
     The first measurement, at step 0, is not looked at; `received` (..., m) is ybar_0.
     """
-    slots: list[Slot] = []
+    slots: list[SlotOutcome] = []
     for number, measured in enumerate(measurement[1:], start=1):
         slots.append(bus.transmit(number, measured, received))
         received = slots[-1].received
-    return Slot(*(np.stack(parts) for parts in zip(*slots, strict=True)))
+    return SlotOutcome(*(np.stack(parts) for parts in zip(*slots, strict=True)))
 
 
-def estimate(estimator: Estimator, received: Received) -> Gaussian:
+def estimate(estimator: BusFilter, received: Received) -> Gaussian:
     """Beliefs at steps 0..S, mean (S + 1, ..., n) and cov (S + 1, ..., n, n), of what was received
     in slots 1..S, values and fresh (S, ..., m)."""
     system, method, points, prior = estimator

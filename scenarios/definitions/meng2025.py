@@ -33,7 +33,7 @@ from plants.sensed import SensedPlant, sensors_on_a_bus
 from scenarios.definitions import measurement_runs
 from scenarios.definitions.measurement_runs import first_received
 from scenarios.definitions.stochastic_models import SystemModel, SystemSensor
-from scenarios.kind import Kind, Score, Wiring
+from scenarios.kind import NetworkWiring, ScenarioDefinition, Score
 from scenarios.scenario import Scenario, require
 from scenarios.setup import Setup
 from scenarios.types.assignment import flat
@@ -134,7 +134,7 @@ def _listen(setup: Setup, nodes: Sequence[int], readings: np.ndarray) -> Gaussia
         if node != RECEIVER:
             values[:, bus.rows(node)] = readings[1:, node, 0, : SYSTEM.sizes[node - 1]]
     prior = Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov))
-    estimator = measurement_runs.Estimator(SYSTEM, RECOMMENDED, paper_points(), prior)
+    estimator = measurement_runs.BusFilter(SYSTEM, RECOMMENDED, paper_points(), prior)
     return measurement_runs.estimate(estimator, Received(values, ~np.isnan(values)))
 
 
@@ -159,7 +159,7 @@ _NAMES = {
 }
 _WHO = f"node 0 estimates and hears the sensors, nodes 1 to {SENSORS}"
 
-KIND = Kind(
+KIND = ScenarioDefinition(
     defaults=Scenario(
         plant=StochasticReceiver(),
         network=SensorNetwork(nodes=1 + SENSORS, graph="star"),
@@ -174,7 +174,7 @@ KIND = Kind(
     model=lambda _: SystemModel(SYSTEM),
     sensor=_sensor,
     score=Score(states=(0, 1), unit="1", nees_states=(0, 1), first_step=1),
-    wiring=Wiring(
+    wiring=NetworkWiring(
         schedule=_schedule,
         share_bytes=lambda scenario: _codec(scenario).size,
         estimator=_estimator,

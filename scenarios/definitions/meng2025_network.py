@@ -18,10 +18,10 @@ from nodes.environment_state import Delivery
 from plants import meng2025
 from plants.sensed import SensedPlant, clusters
 from plants.stochastic import replicated
-from scenarios.definitions.measurement_runs import Estimator, estimate, first_received
+from scenarios.definitions.measurement_runs import BusFilter, estimate, first_received
 from scenarios.definitions.meng2025 import SENSORS, SYSTEM, paper_points, static_slots_of
 from scenarios.definitions.stochastic_models import SystemModel, SystemSensor
-from scenarios.kind import Kind, Score
+from scenarios.kind import ScenarioDefinition, Score
 from scenarios.scenario import Scenario
 from scenarios.setup import Setup
 from scenarios.types.network import SensorNetwork
@@ -62,7 +62,7 @@ def _listen(setup: Setup, nodes: Sequence[int], readings: np.ndarray) -> Gaussia
     values = readings[1:, nodes, 0].reshape(len(readings) - 1, -1)
     prior = Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov))
     everything = replicated(SYSTEM, len(nodes))
-    estimator = Estimator(everything, RECOMMENDED, paper_points(), prior)
+    estimator = BusFilter(everything, RECOMMENDED, paper_points(), prior)
     return estimate(estimator, Received(values, ~np.isnan(values)))
 
 
@@ -70,7 +70,7 @@ def _check(scenario: Scenario) -> None:
     static_slots_of(scenario)
 
 
-KIND = Kind(
+KIND = ScenarioDefinition(
     defaults=Scenario(
         plant=StochasticNetwork(), network=SensorNetwork(nodes=8, graph="ring"), steps=101
     ),

@@ -7,7 +7,7 @@ from plants.recorded.confined_motion import ConfinedMotion
 from plants.recorded.mrclam import RecordedTarget, recorded_target
 from plants.recorded.mrclam_files import read_recording
 from plants.recorded.sighting import Sighting
-from scenarios.kind import Kind, Score
+from scenarios.kind import ScenarioDefinition, Score
 from scenarios.scenario import Scenario
 from scenarios.types.network import SensorNetwork
 from scenarios.types.plants import RecordedRobots
@@ -53,7 +53,7 @@ def _sensor(_: Scenario, node: int) -> Sighting:
     return Sighting().for_node(node)
 
 
-KIND = Kind(
+KIND = ScenarioDefinition(
     defaults=Scenario(
         plant=RecordedRobots(),
         network=SensorNetwork(nodes=_NODES, graph="complete"),

@@ -3,7 +3,7 @@
 from functools import cache
 
 from plants.oscillator import Oscillation, Oscillator, ScalarSensor
-from scenarios.kind import Kind, Score
+from scenarios.kind import ScenarioDefinition, Score
 from scenarios.scenario import Scenario
 from scenarios.types.network import SensorNetwork
 from scenarios.types.plants import DampedOscillator
@@ -30,7 +30,7 @@ def _check(_: Scenario) -> None:
     """Any number of nodes will do."""
 
 
-KIND = Kind(
+KIND = ScenarioDefinition(
     defaults=DEFAULTS,
     check=_check,
     plant=lambda scenario: _plant(scenario.nodes),

@@ -10,7 +10,7 @@ from functools import cache
 from plants.placement import place_sensors
 from plants.range_bearing import RangeBearing
 from plants.targets import Target, straight_target, turning_target
-from scenarios.kind import Kind, Score
+from scenarios.kind import ScenarioDefinition, Score
 from scenarios.scenario import Scenario
 from scenarios.types.network import SensorNetwork
 from scenarios.types.plants import TargetCrossing, TargetTracking
@@ -28,11 +28,13 @@ def _check(scenario: Scenario) -> None:
     _target(turning_target, scenario.nodes)
 
 
-def _kind(plant: TargetTracking | TargetCrossing, make: Callable[..., Target], states: int) -> Kind:
+def _kind(
+    plant: TargetTracking | TargetCrossing, make: Callable[..., Target], states: int
+) -> ScenarioDefinition:
     def sensor(scenario: Scenario, node: int) -> RangeBearing:
         return _target(make, scenario.nodes).sensor(node)
 
-    return Kind(
+    return ScenarioDefinition(
         defaults=Scenario(
             plant=plant, network=SensorNetwork(nodes=20, graph="geometric"), steps=120
         ),

@@ -16,7 +16,7 @@ from filters.sigma_points import scaled_unscented
 from nodes.estimator import Estimator
 from nodes.messages import Measured, to_wire
 from nodes.rules.adaptive_noise import AdaptedSensor, AdaptiveNoise, declared_noise, learn
-from nodes.rules.local_filter import carry, take_own
+from nodes.rules.local_filter import predict_to_step, update_with_own
 from plants.vehicle.cars import FITTED_CARS
 from plants.vehicle.drive_log import read_car, read_folder
 from plants.vehicle.manoeuvres import MANOEUVRES
@@ -34,9 +34,9 @@ from plants.vehicle.network import (
 )
 from plants.vehicle.parameters import Car
 from plants.vehicle.sensors import SensorError
-from scenarios.kind import Kind, Score
+from scenarios.kind import ScenarioDefinition, Score
 from scenarios.scenario import Scenario
-from scenarios.seat import Seat
+from scenarios.seat import NodeContext
 from scenarios.setup import Setup
 from scenarios.types.buses import FlexRay
 from scenarios.types.network import SensorNetwork
@@ -145,7 +145,7 @@ def _check(scenario: Scenario) -> None:
         )
 
 
-def _around(scenario: Scenario, seat: Seat, rule: Estimator) -> Estimator:
+def _estimator_wrapper(scenario: Scenario, seat: NodeContext, rule: Estimator) -> Estimator:
     if not vehicle_of(scenario).adaptive:
         return rule
     assert seat.sensor is not None, "every node of the car has a sensor"
@@ -162,13 +162,13 @@ def _listen(setup: Setup, nodes: Sequence[int], readings: np.ndarray) -> Gaussia
     means, covs = [], []
     for step, delivered in enumerate(readings):
         if step > 0:
-            belief = carry(belief, None, step, model, points).beliefs
+            belief = predict_to_step(belief, None, step, model, points).beliefs
         for node, own in sensors.items():
             measured = Measured(node, step, to_wire(delivered[node]))
             taken = own
             if node in noises:
                 taken = AdaptedSensor(own, noises[node])
-            belief, _ = take_own(belief, measured, taken, points)
+            belief, _ = update_with_own(belief, measured, taken, points)
             for reading in delivered[node]:
                 if vehicle_of(scenario).adaptive and not np.isnan(reading).all():
                     noise = noises.get(node) or declared_noise(own, reading)
@@ -178,7 +178,7 @@ def _listen(setup: Setup, nodes: Sequence[int], readings: np.ndarray) -> Gaussia
     return Gaussian(np.array(means), np.array(covs))
 
 
-KIND = Kind(
+KIND = ScenarioDefinition(
     defaults=Scenario(
         plant=VehicleNetwork(),
         network=SensorNetwork(nodes=len(NODES), graph="complete"),
@@ -193,6 +193,6 @@ KIND = Kind(
     # The side slip is what the car is estimated for, and what a log may know.
     score=Score(states=(SIDE_SLIP,), unit="rad", nees_states=(SIDE_SLIP,), first_step=200),
     all_steps=lambda scenario: _plant(scenario).steps,
-    around=_around,
+    estimator_wrapper=_estimator_wrapper,
     listen=_listen,
 )

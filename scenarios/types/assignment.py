@@ -16,11 +16,10 @@ from scenarios.types.declarations import (
 from scenarios.types.option import Choice, name_of
 from topology.names import unknown_name
 
-Struct = msgspec.Struct
 Value = TypeVar("Value", bound=msgspec.Struct)
 
 
-def flat(value: Struct) -> dict[str, Any]:
+def flat(value: msgspec.Struct) -> dict[str, Any]:
     """All options of a value with what they are, choices by name, in the order of declaration."""
     found: dict[str, Any] = {}
     for declared in declarations(type(value)):
@@ -63,7 +62,7 @@ def _assigned(value: Any, left: dict[str, Any]) -> Any:
     return msgspec.structs.replace(value, **changes)
 
 
-def _has(value: Struct, flag: str, changes: Mapping[str, Any]) -> bool:
+def _has(value: msgspec.Struct, flag: str, changes: Mapping[str, Any]) -> bool:
     """Whether a value has the flag that an option needs."""
     return not flag or bool(changes.get(flag, getattr(value, flag)))
 
@@ -82,7 +81,7 @@ def _chosen(declared: Declaration, before: Any, asked: object) -> Any:
     raise unknown_name(_in_words(declared.name), name, declared.names)
 
 
-def _kept(member: type[Struct], before: Any) -> Struct:
+def _kept(member: type[msgspec.Struct], before: Any) -> msgspec.Struct:
     """A value of a class with what it shares with the value that was chosen before."""
     known = {declared.field: declared for declared in declarations(type(before))}
     kept: dict[str, Any] = {}
@@ -124,7 +123,7 @@ _KINDS: dict[Any, str] = {
 }
 
 
-def check_ranges(value: Struct) -> None:
+def check_ranges(value: msgspec.Struct) -> None:
     """Refuse numbers outside the range that their declaration gives.
 
     Raises:
@@ -140,7 +139,7 @@ def check_ranges(value: Struct) -> None:
             raise ValueError(f"{_flag(declared.name)} {held}: must be {rule}")
 
 
-def refuse_left(root: Struct, left: Mapping[str, Any]) -> None:
+def refuse_left(root: msgspec.Struct, left: Mapping[str, Any]) -> None:
     """Refuse options that no chosen value of `root` has.
 
     Raises:

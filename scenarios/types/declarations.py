@@ -10,8 +10,6 @@ import msgspec
 
 from scenarios.types.option import Option, name_of
 
-Struct = msgspec.Struct
-
 
 class Declaration(NamedTuple):
     """One field of one class of values.
@@ -28,7 +26,7 @@ class Declaration(NamedTuple):
     name: str
     field: str
     annotation: Any
-    members: tuple[type[Struct], ...]
+    members: tuple[type[msgspec.Struct], ...]
     says: Option
     default: Any
 
@@ -50,7 +48,7 @@ class Declaration(NamedTuple):
 
 
 @cache
-def declarations(owner: type[Struct]) -> tuple[Declaration, ...]:
+def declarations(owner: type[msgspec.Struct]) -> tuple[Declaration, ...]:
     """The options that a class of values declares itself, in order; nested values count as its own
     unless they are a choice."""
     found: list[Declaration] = []
@@ -73,13 +71,15 @@ class Owned(NamedTuple):
     group: str
 
 
-def every_option(root: type[Struct], group: str = "run") -> Iterator[Owned]:
+def every_option(root: type[msgspec.Struct], group: str = "run") -> Iterator[Owned]:
     """All options below a class, those of a choice before those of its values. An option of several
     values is there once for each."""
     yield from _below(root, (), group)
 
 
-def _below(owner: type[Struct], owners: tuple[tuple[str, str], ...], group: str) -> Iterator[Owned]:
+def _below(
+    owner: type[msgspec.Struct], owners: tuple[tuple[str, str], ...], group: str
+) -> Iterator[Owned]:
     for declared in declarations(owner):
         own = declared.says.group or group
         if is_nested(declared):
@@ -102,10 +102,10 @@ def _described(annotation: Any) -> tuple[Any, Option]:
     return plain, next(one for one in described if isinstance(one, Option))
 
 
-def _members(annotation: Any) -> tuple[type[Struct], ...]:
-    parts = (
+def _members(annotation: Any) -> tuple[type[msgspec.Struct], ...]:
+    kinds = (
         typing.get_args(annotation) if isinstance(annotation, types.UnionType) else (annotation,)
     )
-    if all(isinstance(part, type) and issubclass(part, Struct) for part in parts):
-        return tuple(parts)
+    if all(isinstance(kind, type) and issubclass(kind, msgspec.Struct) for kind in kinds):
+        return tuple(kinds)
     return ()

@@ -2,7 +2,7 @@
 
 import msgspec
 
-from dashboard.frames.frame import Frame
+from dashboard.frames.frame import StepFrame
 from dashboard.frames.replay import assembled
 from dashboard.frames.stage import Stage, set_stage
 from runtime.drivers import in_memory
@@ -24,7 +24,7 @@ def run_of(name: str, **changes) -> tuple[Stage, Messages]:
     return set_stage(setup), in_memory(setup)
 
 
-def frames_of(stage: Stage, messages: Messages) -> list[Frame]:
+def frames_of(stage: Stage, messages: Messages) -> list[StepFrame]:
     """The frames that these messages make."""
     return list(assembled(stage, messages))
 

@@ -9,8 +9,8 @@ import pytest
 
 from bus.flexray.share_frames import SHARE_FRAMES
 from dashboard.frames.assembler import Assembler
-from dashboard.frames.frame import Frame
-from dashboard.frames.network import Network
+from dashboard.frames.frame import StepFrame
+from dashboard.frames.network import NetworkStatus
 from experiments.results.summary import summarise
 from experiments.results.trace import read_trace
 from nodes.messages import Estimate, decode
@@ -145,7 +145,7 @@ def steps_of(messages=MESSAGES) -> list[WholeStep]:
     return [step for message in messages for step in together.take(*message)]
 
 
-def shown(assembler: Assembler, steps: Iterable[WholeStep]) -> list[Frame]:
+def shown(assembler: Assembler, steps: Iterable[WholeStep]) -> list[StepFrame]:
     frames = [assembler.frame(step) for step in steps]
     return [frame for frame in frames if frame is not None]
 
@@ -176,7 +176,7 @@ def test_a_step_that_comes_again_or_too_late_is_not_drawn_twice():
 
 
 def test_cycles_count_from_where_the_network_says():
-    later = Network(frozenset(range(8)), (4, 12, 3))
+    later = NetworkStatus(frozenset(range(8)), (4, 12, 3))
     frames = shown(Assembler(STAGE, later), steps_of())
     numbers = [[cycle.cycle for cycle in frame.cycles] for frame in frames]
     assert numbers == [[cycle.cycle for cycle in frame.cycles] for frame in FRAMES]

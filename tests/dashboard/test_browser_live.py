@@ -8,7 +8,7 @@ from threading import Event
 import numpy as np
 import pytest
 
-from dashboard.frames.frame import Frame
+from dashboard.frames.frame import StepFrame
 from dashboard.frames.live import LiveNetwork
 from dashboard.panels.network_controls import NetworkControls
 from dashboard.panels.node_controls import NodeControls
@@ -71,7 +71,7 @@ def events(page: Page) -> str:
     return " / ".join(event.text for event in page.dashboard.history.log)
 
 
-def newest(page: Page) -> Frame:
+def newest(page: Page) -> StepFrame:
     return page.dashboard.history.at(10**9)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from dashboard.scene.camera import FIELD_OF_VIEW_RAD, Free, aimed, pixels
+from dashboard.scene.camera import FIELD_OF_VIEW_RAD, Free, aimed
 
 places = st.tuples(*(st.floats(-15, 15) for _ in range(2)), st.floats(0, 3))
 clouds = st.lists(places, min_size=3, max_size=12).map(np.array)
@@ -50,10 +50,3 @@ def test_no_nearer_camera_sees_all(points: np.ndarray, free: Free):
     depths = (points - np.array(camera.position)) @ (ahead / np.linalg.norm(ahead))
     touches = depths.min() <= 0.1 + 1e-9
     assert touches or (np.ptp(seen, axis=0) / room).max() > 1 - 1e-6
-
-
-def test_pixels_are_those_of_a_pinhole():
-    points = np.random.default_rng(4).uniform(-8, 8, (20, 3)) * [1, 1, 0.2]
-    free = Free(900.0, 700.0, 20.0, 30.0, 600.0, 500.0)
-    camera = aimed(points, free)
-    np.testing.assert_allclose(pixels(points, camera, free), pinhole(points, camera, free))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dashboard.frames.expected import nothing_expected
-from dashboard.frames.history import History
+from dashboard.frames.history import FrameHistory
 from dashboard.frames.scores import score
 from dashboard.panels.chart import Chart, Curve, Drawn
 from dashboard.panels.chart_export import charts_page, charts_picture
@@ -128,8 +128,8 @@ def test_the_picture_has_all_charts_below_each_other():
     assert orange.sum() > 500
 
 
-def kept() -> History:
-    history = History(STAGE)
+def kept() -> FrameHistory:
+    history = FrameHistory(STAGE)
     history.add(FRAMES)
     return history
 
@@ -157,7 +157,7 @@ def test_states_show_truth_and_estimate_of_every_state():
 
 
 def test_states_of_an_unknown_truth_are_estimates_alone():
-    unknown = History(STAGE)
+    unknown = FrameHistory(STAGE)
     unknown.add(f._replace(truth=np.full_like(f.truth, np.nan)) for f in FRAMES)
     html = states(STAGE, View(step=59), unknown)
     assert "nan" not in html.lower()

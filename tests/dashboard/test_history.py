@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from dashboard.frames import history
-from dashboard.frames.history import History, state_table
+from dashboard.frames.history import FrameHistory, state_table
 from tests.dashboard.runs import frames_of, run_of
 
 STAGE, MESSAGES = run_of("oscillator", nodes=4, steps=60)
 FRAMES = frames_of(STAGE, MESSAGES)
 
 
-def kept(frames) -> History:
-    whole = History(STAGE)
+def kept(frames) -> FrameHistory:
+    whole = FrameHistory(STAGE)
     whole.add(frames)
     return whole
 
@@ -51,7 +51,7 @@ def test_states_are_truth_estimate_and_deviation_of_a_node():
 
 def test_memory_has_a_limit(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(history, "_MOST_FRAMES", 100)
-    short = History(STAGE)
+    short = FrameHistory(STAGE)
     for _ in range(3):
         short.add(f._replace(step=f.step + len(short)) for f in FRAMES)
     assert len(short) <= 125

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dashboard.frames.frame import Frame
+from dashboard.frames.frame import StepFrame
 from dashboard.frames.live import LiveNetwork
 from nodes.commands import in_words
 from runtime.network.control_client import Client, NotThere
@@ -74,9 +74,9 @@ def _pause(client: Client) -> int:
     return client.state()["completed"] - 1
 
 
-def _until(page: LiveNetwork, holds: Callable[[list[Frame]], bool]) -> list[Frame]:
+def _until(page: LiveNetwork, holds: Callable[[list[StepFrame]], bool]) -> list[StepFrame]:
     """Return the frames that a page receives until a condition on them holds."""
-    frames: list[Frame] = []
+    frames: list[StepFrame] = []
 
     def heard() -> bool:
         frames.extend(page.poll())

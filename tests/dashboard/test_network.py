@@ -4,18 +4,18 @@ from typing import Any
 
 import pytest
 
-from dashboard.frames.network import Change, Network, changed, read_change
+from dashboard.frames.network import AnnouncedChange, NetworkStatus, changed, read_change
 from dashboard.frames.stage import restaged, set_stage
 from tests.dashboard.runs import event, setup_of
 
 NAMES = ("00", "01", "02", "03")
-START = Network(frozenset(range(4)), (0, 0, 3))
+START = NetworkStatus(frozenset(range(4)), (0, 0, 3))
 
 
-def after(*changes: dict[str, Any], step: int = 5) -> Network:
+def after(*changes: dict[str, Any], step: int = 5) -> NetworkStatus:
     network = START
     for facts in changes:
-        network, _ = changed(network, Change(step, facts["what"], facts), NAMES)
+        network, _ = changed(network, AnnouncedChange(step, facts["what"], facts), NAMES)
     return network
 
 
@@ -47,9 +47,11 @@ def test_rounds_count_from_the_cycle_that_is_told():
 
 
 def test_the_log_says_it_in_words():
-    _, line = changed(START, Change(7, "cut", {"sender": 1, "receiver": 2}), NAMES)
+    _, line = changed(START, AnnouncedChange(7, "cut", {"sender": 1, "receiver": 2}), NAMES)
     assert (line.step, line.text, line.trouble) == (7, "link 01 → 02 cut", True)
-    _, line = changed(START, Change(7, "pace", {"paused": False, "steps_per_second": 20}), NAMES)
+    _, line = changed(
+        START, AnnouncedChange(7, "pace", {"paused": False, "steps_per_second": 20}), NAMES
+    )
     assert line.text == "running, at most 20 steps per second"
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dashboard.frames.conditions import conditions, oldest, sender_at
-from dashboard.frames.frame import Event
+from dashboard.frames.frame import LogEntry
 from dashboard.panels.selected import selected_panel
 from dashboard.panels.table import MOST_ROWS, chosen_rows, log, node_table, status
 from dashboard.panels.timeline import TimelineView
@@ -119,7 +119,7 @@ def test_large_networks_show_the_worst_and_the_selected():
 @pytest.mark.parametrize("theme", [DARK, LIGHT])
 def test_text_from_outside_is_escaped(theme):
     view = View(theme=theme, selected=0)
-    told = Event(3, "node <script>alert(2)</script> is down", 0, True)
+    told = LogEntry(3, "node <script>alert(2)</script> is down", 0, True)
     bad = FRAME._replace(rejection=("<script>x</script>",) * 8)
     pages = [
         node_table(EVIL, view, bad), log(theme, [told]), selected_panel(EVIL, view, FRAME),
@@ -135,7 +135,7 @@ def test_conditions_name_the_most_serious():
     assert set(conditions(STAGE, FRAME)) <= {"up", "blind"}
     lost = FRAME._replace(lost=np.arange(len(STAGE.heard)) == 0)
     assert conditions(STAGE, lost)[STAGE.heard[0, 0]] == "stale"
-    rejected = lost._replace(events=(Event(23, "node 00 rejected a frame: crc", 0, True),))
+    rejected = lost._replace(events=(LogEntry(23, "node 00 rejected a frame: crc", 0, True),))
     assert conditions(STAGE, rejected)[0] == "rejected"
     assert conditions(STAGE, rejected._replace(alive=np.zeros(8, bool))) == ["down"] * 8
 

@@ -7,7 +7,7 @@ import msgspec
 
 from nodes.commands import Answer
 from nodes.messages import END
-from runtime.network.links import RECORDER, WORLD, Links
+from runtime.network.links import RECORDER, WORLD, ZenohEndpoints
 from runtime.network.zenoh_transport import Transport
 from tests.endurance.malformed import DAMAGED, FRAMES, JSON, MISFITS, WHOLE, Spoil
 
@@ -51,7 +51,7 @@ class Intruder:
 
     def __init__(self, run: str, name: str, port: int, said: list[Said]) -> None:
         self.name, self.said = name, said
-        links = Links("peer", (), (f"tcp/127.0.0.1:{port}",), JOIN_S)
+        links = ZenohEndpoints("peer", (), (f"tcp/127.0.0.1:{port}",), JOIN_S)
         self.transport = Transport(run, links, [], 1)
 
     def pose(self) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from nodes.commands import Answer, Speed
 from nodes.messages import END, Estimate
-from runtime.network.links import RECORDER, WATCH, WORLD, Links, names
+from runtime.network.links import RECORDER, WATCH, WORLD, ZenohEndpoints, names
 from runtime.network.zenoh_transport import Transport
 from runtime.processes.environment.inbox import ENVIRONMENT_QUEUE
 from runtime.processes.recorder.process import STRANGE
@@ -87,7 +87,9 @@ supervisor.stop()
 
 def stranger(ports: dict[str, int], name: str) -> Transport:
     """Return a transport without keys at a process of the network."""
-    return Transport("pair", Links("peer", (), (f"tcp/127.0.0.1:{ports[name]}",), 10.0), [], 1)
+    return Transport(
+        "pair", ZenohEndpoints("peer", (), (f"tcp/127.0.0.1:{ports[name]}",), 10.0), [], 1
+    )
 
 
 @pytest.mark.parametrize(("topic", "data"), [("bid/0", b"no bid"), ("end", END)])

@@ -12,7 +12,7 @@ from experiments.__main__ import main
 from experiments.results.folder import read_description
 from runtime.drivers import in_memory
 from runtime.network.access_control import ROUTER_NAME, certificate_name
-from runtime.network.links import Links, free_ports
+from runtime.network.links import ZenohEndpoints, free_ports
 from runtime.network.zenoh_transport import LinkError, Transport
 from runtime.recorded import meaning
 from runtime.recording import read_recording
@@ -68,10 +68,10 @@ def test_who_has_no_key_says_nothing_and_a_member_no_word_of_others(tmp_path: Pa
         await_network(endpoint, str(keys / "operator.json")).close()
         for where in (endpoint, plain):
             with suppress(LinkError):
-                stranger = Transport("hosts", Links("client", (), (where,), 1.0), [], 1)
+                stranger = Transport("hosts", ZenohEndpoints("client", (), (where,), 1.0), [], 1)
                 tell(stranger, own)
                 stranger.close()
-        insider = Transport("hosts", Links("client", (), (endpoint,), 5.0, key), [], 1)
+        insider = Transport("hosts", ZenohEndpoints("client", (), (endpoint,), 5.0, key), [], 1)
         tell(insider, own)
         there.concord("node", setup, INSIDER, *joining)
         code, out, err = world.end(60)
@@ -103,7 +103,7 @@ def test_a_lie_that_ends_a_network_without_keys_leaves_a_sentence(tmp_path: Path
         there.concord("node", setup, 0, 1, 2, "--connect", endpoint)
         world = there.concord("world", setup, "--connect", endpoint, "--out", tmp_path / "run")
         await_network(endpoint).close()
-        stranger = Transport("hosts", Links("client", (), (endpoint,), 5.0), [], 1)
+        stranger = Transport("hosts", ZenohEndpoints("client", (), (endpoint,), 5.0), [], 1)
         for _ in range(50):
             stranger.send("finished", FINISHED)
         # It ends when the recorder has gone, or when the world has died of that.

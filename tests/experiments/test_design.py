@@ -11,9 +11,9 @@ import pytest
 from experiments.__main__ import main
 from experiments.design.candidates import Cost
 from experiments.design.results import design_of, nearest, read_design, write_design
-from experiments.design.search import FRESH_RUN, Found, Task, search
+from experiments.design.search import FRESH_RUN, Found, SearchTask, search
 from experiments.design.space import OPEN, coarse_grid, neighbours_of, space_of
-from experiments.design.target import Target, error_of, parse_target
+from experiments.design.target import DesignTarget, error_of, parse_target
 from experiments.sweep.pieces import Piece
 from experiments.sweep.specification import specify
 from scenarios.scenario import Scenario
@@ -63,9 +63,11 @@ def landscape(noise: float = 0.05, luck: float = 0.0):
     return engine
 
 
-def found_for(target: str, cost: Cost = "occupancy", **landscape_is: float) -> tuple[Task, Found]:
+def found_for(
+    target: str, cost: Cost = "occupancy", **landscape_is: float
+) -> tuple[SearchTask, Found]:
     settled, space = space_of(specify(ASKED))
-    task = Task(
+    task = SearchTask(
         parse_target(target), cost, settled, space, 60, landscape(**landscape_is), lambda _: None
     )
     return task, search(task, [], [])
@@ -142,12 +144,12 @@ def test_every_value_can_be_reached_from_the_coarse_grid():
 @pytest.mark.parametrize(
     ("text", "target"),
     [
-        ("1.5x-centralised", Target(1.5, "centralised")),
-        ("2x-bound", Target(2.0, "bound")),
-        ("8", Target(8.0, "unit")),
+        ("1.5x-centralised", DesignTarget(1.5, "centralised")),
+        ("2x-bound", DesignTarget(2.0, "bound")),
+        ("8", DesignTarget(8.0, "unit")),
     ],
 )
-def test_targets_are_multiples_or_numbers(text: str, target: Target):
+def test_targets_are_multiples_or_numbers(text: str, target: DesignTarget):
     assert parse_target(text) == target
 
 
@@ -169,7 +171,7 @@ def test_targets_that_are_none_are_refused(text: str, says: str):
 def test_the_error_is_measured_as_the_target_says():
     figures = {"rmse": np.array([3.0, 3.0]), "rmse_centralised": np.array([2.0, 2.0]),
                "bound_mean": np.array([1.5, 1.5])}  # fmt: skip
-    values = [error_of(Target(1, kind), figures, 0.9).value
+    values = [error_of(DesignTarget(1, kind), figures, 0.9).value
               for kind in ("centralised", "bound", "unit")]  # fmt: skip
     assert values == [1.5, 2.0, 3.0]
 

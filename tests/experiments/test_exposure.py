@@ -11,7 +11,7 @@ import pytest
 from experiments.__main__ import main
 from experiments.cli import dashboard as dashboard_command
 from experiments.sweep.store import folder_of, load_cells, save_cell
-from runtime.network.network_file import Network, read_network, write_network
+from runtime.network.network_file import NetworkAddresses, read_network, write_network
 from tests.experiments.test_hosts import write_setup
 from tests.processes import CONCORD, PROC, Family, family, holds_within
 
@@ -72,7 +72,7 @@ def test_a_name_that_is_none_is_refused_wherever_it_comes_from(
     hostile = tmp_path / "hostile.json"
     told: dict[str, Any] = msgspec.json.decode(setup.read_bytes())
     hostile.write_bytes(msgspec.json.encode({**told, "run": name}))
-    write_network(tmp_path, Network(name, ["tcp/127.0.0.1:1"]))
+    write_network(tmp_path, NetworkAddresses(name, ["tcp/127.0.0.1:1"]))
     at = ("--connect", "tcp/127.0.0.1:1")
     for words in (
         ["setup", "--out", str(tmp_path / "new.json"), f"--name={name}"],

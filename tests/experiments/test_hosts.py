@@ -13,7 +13,7 @@ from experiments.results.folder import read_description, read_description_file
 from runtime.drivers import in_this_process
 from runtime.network.access_control import MONITOR, OPERATOR
 from runtime.network.control_client import Client, NotThere
-from runtime.network.links import Links, checked_endpoints, checked_run, free_ports
+from runtime.network.links import ZenohEndpoints, checked_endpoints, checked_run, free_ports
 from runtime.network.zenoh_transport import Transport
 from tests.experiments.hosts import Hosts, hosts
 from tests.experiments.support import trace_of
@@ -86,7 +86,7 @@ def test_what_is_no_message_ends_nobody_and_changes_no_bit(tmp_path: Path):
             "world", setup, "--connect", endpoint, "--out", tmp_path / "run", "--json"
         )
         await_network(endpoint).close()
-        stranger = Transport("hosts", Links("client", (), (endpoint,), 5.0), [], 1)
+        stranger = Transport("hosts", ZenohEndpoints("client", (), (endpoint,), 5.0), [], 1)
         try:
             for topic in (
                 *("event", "estimate/x", "estimate/1", "estimate/99", "finished", "share/x"),

@@ -83,9 +83,9 @@ def test_the_process_tells_and_of_sets_nothing(monkeypatch: pytest.MonkeyPatch):
     assert np.isnan(others(times).nees_low).all()
     assert holds_within(30.0, lambda: bool(np.isfinite(others(times).nees_low).all()))
     others.close()
-    certain = OtherRuns(setup_of("liu2021-network", steps=10), sparing=True)
-    assert np.isnan(certain(times).bound).all()
-    certain.close()
+    set_valued = OtherRuns(setup_of("liu2021-network", steps=10), sparing=True)
+    assert np.isnan(set_valued(times).bound).all()
+    set_valued.close()
 
 
 def test_the_process_ends_with_whoever_asked():

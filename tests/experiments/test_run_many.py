@@ -9,7 +9,7 @@ import xarray
 from scipy.stats import t
 
 from experiments.__main__ import main
-from experiments.monte_carlo.many_figures import Cost, lines, summarise
+from experiments.monte_carlo.many_figures import RunCost, lines, summarise
 from experiments.monte_carlo.simulate import Histories, simulate
 from experiments.results.summary import Figures
 from experiments.results.summary import summarise as summarise_one
@@ -37,7 +37,7 @@ def one_by_one(setup: Setup) -> list[Figures]:
 @pytest.mark.parametrize("name", SETUPS)
 def test_figures_are_means_of_those_of_the_runs(name: str):
     expected = one_by_one(SETUPS[name])
-    found = summarise(simulate(SETUPS[name], RUNS), Cost(2.0, 100.0))
+    found = summarise(simulate(SETUPS[name], RUNS), RunCost(2.0, 100.0))
     for figure in (
         "rmse",
         "rmse_local_only",
@@ -72,7 +72,7 @@ def test_a_large_network_has_a_centralised_filter_too():
     """That takes readings batch by batch: of a linear plant the same as the filter of all."""
     setup = small(nodes=READINGS_AT_ONCE + 7, steps=3, graph="ring", bus="ideal")
     histories = simulate(setup, [0])
-    figures = summarise(histories, Cost(1.0, 1.0))
+    figures = summarise(histories, RunCost(1.0, 1.0))
     assert 0 < figures.rmse_centralised.value < figures.rmse.value
     assert histories.readings is not None
     belief = centralised_of_runs(setup, [0], histories.readings, None)

@@ -9,7 +9,7 @@ import pytest
 from bus.flexray.publication import Slot
 from bus.flexray.share_frames import SHARE_FRAMES, to_frames
 from experiments.cli.command_line import main
-from experiments.simulation_testing.case import Case
+from experiments.simulation_testing.case import SimulationCase
 from experiments.simulation_testing.case_run import torture
 from experiments.simulation_testing.draw import draw_case
 from experiments.simulation_testing.promises import brings_back, liars_of
@@ -182,7 +182,7 @@ def test_shrinking_keeps_what_matters():
             "wire": ("garbage 0.5", "vanish 0.1")},
     )  # fmt: skip
 
-    def breaks(tried: Case) -> bool:
+    def breaks(tried: SimulationCase) -> bool:
         killed = any("kill" in line for line in tried.scenario.changes)
         return killed and "garbage 0.5" in tried.wire and tried.scenario.rounds > 1
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
-from experiments.simulation_testing.case_run import Outcome, torture
+from experiments.simulation_testing.case_run import SimulationOutcome, torture
 from experiments.simulation_testing.draw import draw_case
 
 MOST_SEEDS = 60
@@ -145,12 +145,12 @@ BUGS = (
     ),
     Bug(
         "hcmci takes the gain of hcmci-classical",
-        "filters.fusion.hybrid_consensus", "conclude",
+        "filters.fusion.hybrid_consensus", "from_information",
         (("gain(row)", "classical_gain(row)"),),
     ),
     Bug(
         "set membership forgets the noise of the plant",
-        "nodes.rules.set_membership", "carry",
+        "nodes.rules.set_membership", "predict_sets",
         (("*model.motion(step))", "model.motion(step)[0], 0 * model.motion(step)[1])"),),
     ),
     Bug(
@@ -227,7 +227,7 @@ def planted(bug: Bug) -> Iterator[None]:
         sound.__code__ = code
 
 
-def first_found(bug: Bug, seeds: range) -> Outcome | None:
+def first_found(bug: Bug, seeds: range) -> SimulationOutcome | None:
     """Return the outcome of the first seed that finds a bug."""
     with planted(bug):
         for seed in seeds:

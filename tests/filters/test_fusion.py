@@ -51,35 +51,39 @@ def test_one_factorisation_gives_the_numbers_and_the_determinant(rule, lanes):
     belief = random_belief(np.random.default_rng(5), (*lanes, 3), 4)
     belief.cov[..., 1, :, :] = np.diag([1.0, -1.0, 1.0, 1.0])
     origin = belief.mean[..., :1, :]
-    numbers, sharpness = rule.weigh_up(belief, origin)
+    numbers, inverse_volume = rule.to_numbers(belief, origin)
     for sound in (0, 2):
-        back = rule.conclude(numbers[..., sound, :], origin[..., 0, :])
+        back = rule.from_numbers(numbers[..., sound, :], origin[..., 0, :])
         np.testing.assert_allclose(back.mean, belief.mean[..., sound, :], rtol=1e-9)
         np.testing.assert_allclose(back.cov, belief.cov[..., sound, :, :], rtol=1e-9, atol=1e-9)
     determinants = np.linalg.det(belief.cov[..., ::2, :, :])
-    np.testing.assert_allclose(sharpness[..., ::2], determinants**-0.25, rtol=1e-10)
-    np.testing.assert_allclose(rule.sharpness(numbers)[..., ::2], sharpness[..., ::2], rtol=1e-10)
-    assert np.isnan(sharpness[..., 1]).all()
+    np.testing.assert_allclose(inverse_volume[..., ::2], determinants**-0.25, rtol=1e-10)
+    np.testing.assert_allclose(
+        rule.inverse_volume(numbers)[..., ::2], inverse_volume[..., ::2], rtol=1e-10
+    )
+    assert np.isnan(inverse_volume[..., 1]).all()
 
 
-@pytest.mark.parametrize("by_sharpness", [False, True])
+@pytest.mark.parametrize("by_inverse_volume", [False, True])
 @pytest.mark.parametrize(
     ("rule", "direct"), [(MOMENTS, weighted_average), (INFORMATION, covariance_intersection)]
 )
 @settings(deadline=None, max_examples=30)
 @given(others=st.integers(1, 11), n=st.integers(1, 5), seed=SEEDS)
-def test_a_node_fuses_as_the_formula_says(rule, direct, by_sharpness, others, n, seed):
+def test_a_node_fuses_as_the_formula_says(rule, direct, by_inverse_volume, others, n, seed):
     generator = np.random.default_rng(seed)
     own, held = random_belief(generator, (), n), random_belief(generator, (others,), n)
     weights = random_weights(generator, (), 1 + others)
     weights[generator.integers(1 + others)] = 0.0
     weights /= weights.sum()
     means, covs = np.vstack([own.mean, held.mean]), np.concatenate([own.cov[None], held.cov])
-    sharpness = np.linalg.det(covs) ** (-1 / n)
-    expected = weights * sharpness / (weights @ sharpness) if by_sharpness else weights
+    inverse_volume = np.linalg.det(covs) ** (-1 / n)
+    expected = (
+        weights * inverse_volume / (weights @ inverse_volume) if by_inverse_volume else weights
+    )
     for ways in (rule.fuse, Directly(direct).fuse):
-        belief, used, sharp = ways(own, held, weights, by_sharpness)
-        np.testing.assert_allclose(sharp, sharpness, rtol=1e-10)
+        belief, used, sharp = ways(own, held, weights, by_inverse_volume)
+        np.testing.assert_allclose(sharp, inverse_volume, rtol=1e-10)
         np.testing.assert_allclose(used, expected, rtol=1e-10)
         there = direct(Gaussian(means, covs), expected)
         np.testing.assert_allclose(belief.mean, there.mean, rtol=1e-9, atol=1e-9)
@@ -93,18 +97,18 @@ def test_what_weighs_nothing_may_be_anything_and_what_is_no_belief_is_told(rule)
     own, held = random_belief(generator, (), 3), random_belief(generator, (9,), 3)
     weights = np.full(10, 1 / 9)
     weights[4] = 0.0
-    for by_sharpness in (False, True):
-        sound = rule.fuse(own, held, weights, by_sharpness)
+    for by_inverse_volume in (False, True):
+        sound = rule.fuse(own, held, weights, by_inverse_volume)
         held.mean[3], held.cov[3] = np.nan, np.nan
-        unheard = rule.fuse(own, held, weights, by_sharpness)
-        assert np.isnan(unheard.sharpness).tolist() == [place == 4 for place in range(10)]
+        unheard = rule.fuse(own, held, weights, by_inverse_volume)
+        assert np.isnan(unheard.inverse_volume).tolist() == [place == 4 for place in range(10)]
         np.testing.assert_array_equal(unheard.weights, sound.weights)
         np.testing.assert_array_equal(unheard.belief.cov, sound.belief.cov)
         np.testing.assert_array_equal(unheard.belief.mean, sound.belief.mean)
         held.mean[3], held.cov[3] = own
     held.cov[6] = np.diag([1.0, -1.0, 1.0])
     failed = rule.fuse(own, held, weights, True)
-    assert np.isnan(failed.sharpness).tolist() == [place == 7 for place in range(10)]
+    assert np.isnan(failed.inverse_volume).tolist() == [place == 7 for place in range(10)]
     assert np.isnan(failed.belief.mean).all() and np.isnan(failed.belief.cov).all()
 
 

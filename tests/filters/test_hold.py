@@ -3,7 +3,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from filters.fusion.hold import drop, full, held_weights, in_step, renormalise, sharpened, sharpness
+from filters.fusion.hold import (
+    drop,
+    full,
+    held_weights,
+    in_step,
+    inverse_volume,
+    renormalise,
+    times_inverse_volume,
+)
 from tests.filters.support import BATCHES, random_spd
 
 BASE = np.array([0.4, 0.3, 0.2, 0.1])
@@ -26,7 +34,7 @@ def rows(draw):
 def test_every_variant_gives_an_average(row, decay, determinant):
     base, ages, covs = row
     for weights in (
-        held_weights(base, ages, decay, sharpness(covs) if determinant else 1.0),
+        held_weights(base, ages, decay, inverse_volume(covs) if determinant else 1.0),
         full(base, ages),
         renormalise(base, ages),
         in_step(base, ages, 2),
@@ -46,9 +54,11 @@ def test_weights_by_age_can_be_sharpened_afterwards(row, decay):
         (ages[..., -1] < 0)[..., None, None], np.nan, covs[..., -1, :, :]
     )
     by_age = held_weights(base, ages, decay)
-    at_once = held_weights(base, ages, decay, sharpness(covs))
+    at_once = held_weights(base, ages, decay, inverse_volume(covs))
     # Weights that are no normal number any more keep few digits, whichever way they come about.
-    np.testing.assert_allclose(sharpened(by_age, sharpness(covs)), at_once, rtol=1e-12, atol=1e-300)
+    np.testing.assert_allclose(
+        times_inverse_volume(by_age, inverse_volume(covs)), at_once, rtol=1e-12, atol=1e-300
+    )
 
 
 @given(row=rows())
@@ -72,7 +82,9 @@ def test_with_everyone_heard_now_the_row_stays(row):
     ):
         np.testing.assert_allclose(weights, base, rtol=1e-12)
     equal = np.broadcast_to(covs[..., :1, :, :], covs.shape)
-    np.testing.assert_allclose(held_weights(base, now, 0.3, sharpness(equal)), base, rtol=1e-10)
+    np.testing.assert_allclose(
+        held_weights(base, now, 0.3, inverse_volume(equal)), base, rtol=1e-10
+    )
 
 
 @given(row=rows(), cycles=st.integers(0, 5))
@@ -87,7 +99,9 @@ def test_within_the_step_a_share_counts_until_its_age_reaches_back_before_it(row
 def test_formula_by_hand():
     """n = 1: 0.4 / 1, 0.3 / 4, 0.2 * 0.5^2 / 0.25, 0; and without determinants."""
     worth = np.array([0.4, 0.075, 0.2, 0.0])
-    np.testing.assert_allclose(held_weights(BASE, AGES, 0.5, sharpness(COVS)), worth / worth.sum())
+    np.testing.assert_allclose(
+        held_weights(BASE, AGES, 0.5, inverse_volume(COVS)), worth / worth.sum()
+    )
     worth = np.array([0.4, 0.3, 0.05, 0.0])
     np.testing.assert_allclose(held_weights(BASE, AGES, 0.5), worth / worth.sum())
 
@@ -103,9 +117,9 @@ def test_determinant_weights_do_not_depend_on_units(row, exponents):
     base, ages, covs = row
     units = 10.0 ** np.array(exponents)  # scaled determinants reach 1e+-900: beyond a float
     scaled = covs * units[:, None] * units
-    expected = held_weights(base, ages, 0.5, sharpness(covs))
+    expected = held_weights(base, ages, 0.5, inverse_volume(covs))
     np.testing.assert_allclose(
-        held_weights(base, ages, 0.5, sharpness(scaled)), expected, rtol=1e-8
+        held_weights(base, ages, 0.5, inverse_volume(scaled)), expected, rtol=1e-8
     )
 
 
@@ -117,7 +131,7 @@ def test_a_lane_with_nothing_else_keeps_its_own_belief():
         renormalise(base, ages),
         in_step(base, ages, 1),
         drop(base, ages),
-        held_weights(base, ages, 0.0, sharpness(covs)),
+        held_weights(base, ages, 0.0, inverse_volume(covs)),
     ):
         np.testing.assert_array_equal(weights, expected)
 
@@ -125,7 +139,7 @@ def test_a_lane_with_nothing_else_keeps_its_own_belief():
 def test_a_covariance_that_is_not_definite_spoils_its_lane_alone():
     covs = np.broadcast_to(np.eye(2), (2, 3, 2, 2)).copy()
     covs[0, 1] = -np.eye(2)  # of positive determinant
-    weights = held_weights(np.full(3, 1 / 3), np.zeros((2, 3)), 0.5, sharpness(covs))
+    weights = held_weights(np.full(3, 1 / 3), np.zeros((2, 3)), 0.5, inverse_volume(covs))
     assert np.isnan(weights[0]).all()
     np.testing.assert_allclose(weights[1], 1 / 3)
 

@@ -54,7 +54,7 @@ def test_before_any_round_hybrid_consensus_is_the_local_filter(lanes, nodes, n, 
     priors = random_belief(generator, (*lanes, nodes), n)
     after = posteriors(generator, priors)
     known = hybrid_consensus.begin(priors, after, np.eye(nodes))
-    belief = hybrid_consensus.conclude(known, n, safe_gain)
+    belief = hybrid_consensus.from_information(known, n, safe_gain)
     np.testing.assert_allclose(belief.mean, after.mean, rtol=1e-8, atol=1e-9)
     np.testing.assert_allclose(belief.cov, after.cov, rtol=1e-8, atol=1e-10)
     assert hybrid_consensus.sound(known, n).all()
@@ -68,7 +68,7 @@ def test_hybrid_consensus_is_its_formula(gain, nodes, n, rounds, seed):
     priors = random_belief(generator, (nodes,), n)
     after = posteriors(generator, priors)
     known = hybrid_consensus.begin(priors, after, np.eye(nodes))
-    belief = hybrid_consensus.conclude(after_rounds(known, weights, rounds), n, gain)
+    belief = hybrid_consensus.from_information(after_rounds(known, weights, rounds), n, gain)
     power = np.linalg.matrix_power(weights, rounds)
     old, added = to_information(priors), novelty(priors, after)
     for i, row in enumerate(power):
@@ -134,7 +134,7 @@ def overconfidence(generator, nodes, n, rank, rounds, gain) -> tuple[np.ndarray,
     actual = stacked @ joint @ stacked.T + (reading_gains * R @ reading_gains.mT).sum(axis=0)
     after = Gaussian(np.zeros((nodes, n)), np.linalg.inv(old + added))
     known = hybrid_consensus.begin(Gaussian(np.zeros((nodes, n)), covs), after, np.eye(nodes))
-    report = hybrid_consensus.conclude(average(known, row), n, gain).cov
+    report = hybrid_consensus.from_information(average(known, row), n, gain).cov
     np.testing.assert_allclose(report, cov, rtol=1e-6, atol=1e-9)
     return np.linalg.eigvalsh(report - (actual + actual.T) / 2), float(np.trace(report))
 
@@ -144,7 +144,7 @@ def test_with_the_classical_gain_a_novelty_that_counts_twice_is_overconfident():
     priors = Gaussian(np.zeros((2, 1)), np.full((2, 1, 1), 1e6))
     after = Gaussian(np.zeros((2, 1)), np.array([[[1.0]], [[1e6]]]))
     known = hybrid_consensus.begin(priors, after, np.eye(2))
-    report = hybrid_consensus.conclude(known, 1, classical_gain).cov
+    report = hybrid_consensus.from_information(known, 1, classical_gain).cov
     assert report[0, 0, 0] == pytest.approx(0.5, rel=1e-5)
 
 
@@ -158,8 +158,10 @@ def test_information_weighted_consensus_is_hybrid_consensus_with_the_classical_g
     after = posteriors(generator, priors)
     pairs = hybrid_consensus.begin(priors, after, np.eye(nodes))
     pair = information_weighted.begin(priors, after, nodes)
-    hybrid = hybrid_consensus.conclude(after_rounds(pairs, weights, rounds), n, classical_gain)
-    weighted = information_weighted.conclude(after_rounds(pair, weights, rounds), nodes)
+    hybrid = hybrid_consensus.from_information(
+        after_rounds(pairs, weights, rounds), n, classical_gain
+    )
+    weighted = information_weighted.from_information(after_rounds(pair, weights, rounds), nodes)
     np.testing.assert_allclose(weighted.mean, hybrid.mean, rtol=1e-9, atol=1e-10)
     np.testing.assert_allclose(weighted.cov, hybrid.cov, rtol=1e-10, atol=1e-12)
 
@@ -170,17 +172,17 @@ def test_a_failed_lane_fails_alone():
     after = posteriors(generator, priors)
     priors.cov[0, 1] = -np.eye(2)
     uniform = np.full((3, 3), 1 / 3)
-    for known, conclude in (
+    for known, from_information in (
         (
             hybrid_consensus.begin(priors, after, np.eye(3)),
-            partial(hybrid_consensus.conclude, states=2, gain=safe_gain),
+            partial(hybrid_consensus.from_information, states=2, gain=safe_gain),
         ),
         (
             information_weighted.begin(priors, after, 3),
-            partial(information_weighted.conclude, nodes=3),
+            partial(information_weighted.from_information, nodes=3),
         ),
     ):
-        belief = conclude(after_rounds(known, uniform, 0))
+        belief = from_information(after_rounds(known, uniform, 0))
         failed = np.isnan(belief.mean).all(axis=-1)
         assert failed.tolist() == [[False, True, False], [False] * 3]
 
@@ -215,4 +217,4 @@ def test_averages_of_sound_shares_always_come_to_a_belief(gain, nodes, n, seed):
     if len(sound) == 0:
         return
     mixed = average(sound, generator.dirichlet(np.ones(len(sound))))
-    assert np.isfinite(hybrid_consensus.conclude(mixed, n, gain).cov).all()
+    assert np.isfinite(hybrid_consensus.from_information(mixed, n, gain).cov).all()

@@ -5,11 +5,11 @@ from hypothesis import strategies as st
 
 from filters.fusion.packed import (
     average,
-    concluded,
-    informed,
+    from_packed_information,
     pack,
+    packed_inverse_volume,
     packed_length,
-    packed_sharpness,
+    to_packed_information,
     unpack,
 )
 from filters.gaussian import Gaussian, Information
@@ -93,9 +93,9 @@ def test_sharpness_is_the_root_of_the_determinant_however_small_or_large(lanes, 
     covs = scale * random_spd(generator, lanes, n)
     numbers = pack(Information(np.zeros((*lanes, n)), covs))
     expected = np.exp(-np.linalg.slogdet(covs).logabsdet / n)
-    np.testing.assert_allclose(packed_sharpness(numbers), expected, rtol=1e-11)
-    _, sharpness = informed(Gaussian(np.zeros((*lanes, n)), covs))
-    np.testing.assert_allclose(sharpness, expected, rtol=1e-11)
+    np.testing.assert_allclose(packed_inverse_volume(numbers), expected, rtol=1e-11)
+    _, inverse_volume = to_packed_information(Gaussian(np.zeros((*lanes, n)), covs))
+    np.testing.assert_allclose(inverse_volume, expected, rtol=1e-11)
 
 
 @pytest.mark.parametrize("bad", [0.0, -1.0, np.nan])
@@ -105,11 +105,11 @@ def test_what_is_not_positive_definite_has_no_sharpness_and_fails_alone(count, b
     belief.cov[1, 2, 2] = bad
     triangles = np.ascontiguousarray(pack(Information(*belief)).T).T
     failed = np.arange(count) == 1
-    np.testing.assert_array_equal(np.isnan(packed_sharpness(triangles)), failed)
-    numbers, sharpness = informed(belief)
-    np.testing.assert_array_equal(np.isnan(sharpness), failed)
+    np.testing.assert_array_equal(np.isnan(packed_inverse_volume(triangles)), failed)
+    numbers, inverse_volume = to_packed_information(belief)
+    np.testing.assert_array_equal(np.isnan(inverse_volume), failed)
     np.testing.assert_array_equal(np.isnan(numbers).any(axis=-1), failed)
-    back = concluded(numbers)
+    back = from_packed_information(numbers)
     np.testing.assert_array_equal(np.isnan(back.cov).any(axis=(-1, -2)), failed)
     np.testing.assert_allclose(back.mean[~failed], belief.mean[~failed], rtol=1e-14)
 
@@ -119,4 +119,4 @@ def test_sharpness_along_many_lanes_is_the_root_of_the_determinant():
     numbers = pack(Information(np.zeros((100, 4)), covs))
     lanes_last = np.ascontiguousarray(numbers.T).T
     expected = np.linalg.det(covs) ** -0.25
-    np.testing.assert_allclose(packed_sharpness(lanes_last), expected, rtol=1e-11)
+    np.testing.assert_allclose(packed_inverse_volume(lanes_last), expected, rtol=1e-11)

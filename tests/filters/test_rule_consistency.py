@@ -43,12 +43,12 @@ def beliefs_averaged(rule, rounds: int, priors: Gaussian, after: Gaussian) -> Ga
 
 def hybrid(gain, rounds: int, priors: Gaussian, after: Gaussian) -> Gaussian:
     known = hybrid_consensus.begin(priors, after, np.eye(NODES))
-    return hybrid_consensus.conclude(averaged(known, rounds), 2, gain)
+    return hybrid_consensus.from_information(averaged(known, rounds), 2, gain)
 
 
 def weighted(rounds: int, priors: Gaussian, after: Gaussian) -> Gaussian:
     known = information_weighted.begin(priors, after, NODES)
-    return information_weighted.conclude(averaged(known, rounds), NODES)
+    return information_weighted.from_information(averaged(known, rounds), NODES)
 
 
 def nees(fuse: Fuse, seed: int = 11) -> np.ndarray:

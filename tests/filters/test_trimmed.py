@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.linalg import eigh
 
 from filters.fusion.averaging import covariance_intersection
-from filters.fusion.hold import sharpness
+from filters.fusion.hold import inverse_volume
 from filters.fusion.trimmed import trimmed_intersection
 from filters.gaussian import Gaussian
 
@@ -76,7 +76,7 @@ def test_plain_intersection_goes_wherever_a_liar_wants():
 @given(seed=st.integers(0, 2**32 - 1), honest=st.integers(0, 5))
 def test_without_liars_to_fear_it_is_covariance_intersection_by_sharpness(seed: int, honest: int):
     beliefs, weights = neighbourhood(seed, honest, 0, 0.0, 1.0)
-    worth = weights * sharpness(beliefs.cov)
+    worth = weights * inverse_volume(beliefs.cov)
     plain = covariance_intersection(beliefs, worth / worth.sum())
     fused = trimmed_intersection(beliefs, weights, 0)
     np.testing.assert_allclose(fused.mean, plain.mean, rtol=1e-9, atol=1e-12)

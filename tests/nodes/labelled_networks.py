@@ -13,7 +13,7 @@ from bus.schedule import Schedule
 from filters.gaussian import Gaussian
 from nodes.belief_codec import BeliefCodec
 from nodes.messages import Measured, decode, from_wire
-from nodes.rules.labelled import Content, LabelledFlooding
+from nodes.rules.labelled import LabelledContent, LabelledFlooding
 from nodes.rules.labelled_frame import LabelledFrameCodec
 from nodes.rules.record_codec import RecordCodec
 from nodes.rules.window_filter import WindowFilter
@@ -163,7 +163,7 @@ def held_by(states: Iterable[Any]) -> Held:
     """Return the records that the nodes hold at the end of a run."""
     found: Held = []
     for state in states:
-        content: Content = state.content
+        content: LabelledContent = state.content
         first = content.window.base_step + 1
         found.append(
             {(first + place, j) for place, some in enumerate(content.window.records) for j in some}

@@ -19,7 +19,7 @@ from filters.gaussian import Gaussian
 from filters.linalg import unpack_upper
 from filters.sigma_points import scaled_unscented
 from nodes.belief_codec import BeliefCodec
-from nodes.environment_state import Controller, EnvironmentConfig
+from nodes.environment_state import ControlStep, EnvironmentConfig
 from nodes.faults.losses import LinkState
 from nodes.messages import Estimate, decode, from_wire
 from nodes.node import NodeConfig, NodeState
@@ -32,12 +32,12 @@ from topology.weights import metropolis
 
 Adjacency = NDArray[np.bool_]
 
-DROP = HoldPolicy(lambda base, ages, sharpness, cycles: hold.drop(base, ages), carried=False)
-PREDICT = HoldPolicy(lambda base, ages, sharpness, cycles: hold.full(base, ages), carried=True)
+DROP = HoldPolicy(lambda base, ages, inverse_volume, cycles: hold.drop(base, ages), carried=False)
+PREDICT = HoldPolicy(lambda base, ages, inverse_volume, cycles: hold.full(base, ages), carried=True)
 DECAYED = HoldPolicy(
-    lambda base, ages, sharpness, cycles: hold.held_weights(base, ages, 0.5, sharpness),
+    lambda base, ages, inverse_volume, cycles: hold.held_weights(base, ages, 0.5, inverse_volume),
     carried=True,
-    by_sharpness=True,
+    by_inverse_volume=True,
 )
 HOLDS = {"drop": DROP, "predict": PREDICT, "decayed": DECAYED}
 SEEDS = st.integers(0, 2**32 - 1)
@@ -121,7 +121,7 @@ def network(
     number: str = "<f8",
     seeing: Sequence[int] = (),
     lead: int = 4,
-    controller: Controller | None = None,
+    controller: ControlStep | None = None,
     seed: int = 0,
 ) -> Network:
     """Nodes with these priors on this graph (N, N), Metropolis weights, a linear plant."""

@@ -11,7 +11,7 @@ from filters.gaussian import Gaussian
 from runtime.in_process import Link
 from scenarios.catalogue import kind_of
 from scenarios.rules import build_estimator, hold_policy
-from scenarios.seat import RuleContext, Seat
+from scenarios.seat import NodeContext, RuleContext
 from tests.nodes.networks import (
     Adjacency,
     Network,
@@ -65,7 +65,7 @@ def ruled(
     for config in net.nodes:
         plain = config.estimator
         context = RuleContext(len(priors[0].mean), neighbours, hold_policy(scenario), 0.0, number)
-        seat = Seat(
+        seat = NodeContext(
             config.index,
             context,
             plain.place.weights,  # type: ignore[attr-defined]

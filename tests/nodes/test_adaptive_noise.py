@@ -12,7 +12,7 @@ from plants.oscillator import Oscillation, ScalarSensor
 from scenarios.catalogue import kind_of
 from scenarios.rules import build_estimator, hold_policy
 from scenarios.scenario import Scenario
-from scenarios.seat import RuleContext, Seat
+from scenarios.seat import NodeContext, RuleContext
 
 MODEL = Oscillation()
 SENSOR = ScalarSensor(np.array([1.0, 0.0]), np.array(0.5))
@@ -21,9 +21,9 @@ PRIOR = Gaussian(np.zeros(2), np.eye(2))
 RULES = ("ci", "wac", "local", "hcmci", "icf", "diffusion", "kcf")
 
 
-def seat() -> tuple[Scenario, Seat]:
+def seat() -> tuple[Scenario, NodeContext]:
     scenario = kind_of("oscillator").defaults.with_(nodes=2, graph="path", steps=1)
-    return scenario, Seat(
+    return scenario, NodeContext(
         node=0,
         context=RuleContext(len(PRIOR.mean), [[1], [0]], hold_policy(scenario), 0.0, "<f8"),
         weights=np.array([0.5, 0.5]),
@@ -59,19 +59,19 @@ def learnt(content: Learnt) -> np.ndarray:
 
 
 def run(estimator, taken):
-    content, troubles = estimator.start(), ()
+    content, failures = estimator.start(), ()
     for step, reading in enumerate(taken):
         content, more = estimator.begin_step(content, Measured(0, step, [reading]))
         content, _ = estimator.compose(content)
         content, fused = estimator.fuse(content, (None,))
-        troubles += (*more, *fused)
-    return content, troubles
+        failures += (*more, *fused)
+    return content, failures
 
 
 @pytest.mark.parametrize("rule", RULES)
 def test_it_learns_that_a_sensor_has_become_noisy(rule):
-    content, troubles = run(around(rule), readings(3.0, 400))
-    assert troubles == ()
+    content, failures = run(around(rule), readings(3.0, 400))
+    assert failures == ()
     # The average spans fifty readings: its deviation is a fifth of it.
     assert np.sqrt(learnt(content)[0]) == pytest.approx(1.5, rel=0.35)
 

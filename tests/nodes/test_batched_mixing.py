@@ -63,15 +63,19 @@ def test_few_nodes_and_many_go_different_ways_to_the_same_beliefs(asked, monkeyp
     np.testing.assert_allclose(few.cov, many.cov, rtol=1e-10, atol=1e-10)
 
 
-def network(rounds: int, by_sharpness: bool) -> tuple[BatchedBeliefs, list[list[int]]]:
+def network(rounds: int, by_inverse_volume: bool) -> tuple[BatchedBeliefs, list[list[int]]]:
     """Seven nodes in three runs, where what is held weighs like what is fresh; a node may give all
     of its weight to others."""
     setup = prepare(
         scenario(
-            "target-crossing", nodes=7, rounds=rounds, determinant_weights=by_sharpness, decay=1.0
+            "target-crossing",
+            nodes=7,
+            rounds=rounds,
+            determinant_weights=by_inverse_volume,
+            decay=1.0,
         )
     )
-    rule = build_network(setup, range(3)).eras[0].regime.rule
+    rule = build_network(setup, range(3)).segments[0].settings.rule
     assert isinstance(rule, BatchedBeliefs)
     base = rule.base._replace(own=np.array([[0.0, 0.2, 0.3, 0.1, 0.2, 0.5, 0.2]]))
     return replace(rule, base=base), setup.neighbours
@@ -101,7 +105,7 @@ def rounds_by_loops(
                 if other in held[node]
             ]
             used = [(one, weight) for one, weight in known if weight > 0] or [(beliefs[node], 1.0)]
-            if rule.hold.by_sharpness:
+            if rule.hold.by_inverse_volume:
                 used = [
                     (one, w * np.linalg.det(one[0]) ** 0.25 if len(used) > 1 else w)
                     for one, w in used
@@ -123,9 +127,9 @@ def rounds_by_loops(
     st.booleans(),
     st.integers(0, 99),
 )
-def test_rounds_are_averages_whoever_is_silent_in_them(full, by_sharpness, broken, seed):
+def test_rounds_are_averages_whoever_is_silent_in_them(full, by_inverse_volume, broken, seed):
     generator = np.random.default_rng(seed)
-    rule, neighbours = network(len(full), by_sharpness)
+    rule, neighbours = network(len(full), by_inverse_volume)
     root = generator.standard_normal((3, 7, 4, 6))
     given_ = Gaussian(generator.standard_normal((3, 7, 4)), root @ root.mT + 0.1 * np.eye(4))
     if broken:

@@ -58,14 +58,14 @@ def assert_close(belief: Gaussian, expected: Gaussian) -> None:
 def test_a_step_is_predict_and_one_update_for_each_reading(readings: list, first: int):
     rule = estimator(sees=True)
     number = 1 - first
-    content, troubles = rule.begin_step(
+    content, failures = rule.begin_step(
         rule.start(), Measured(0, number, [list(reading) for reading in readings])
     )
     expected = PRIOR if first else Gaussian(F @ PRIOR.mean, F @ PRIOR.cov @ F.T + Q)
     for reading in readings:
         expected = kalman(expected, np.array(reading))
     assert_close(rule.belief(content), expected)
-    assert troubles == ()
+    assert failures == ()
 
 
 def test_the_control_that_drove_the_plant_drives_the_prediction():
@@ -76,22 +76,22 @@ def test_the_control_that_drove_the_plant_drives_the_prediction():
 
 def test_a_reading_beyond_the_gate_is_refused_and_named():
     rule = estimator(sees=True, gate=9.0)
-    content, troubles = rule.begin_step(rule.start(), Measured(0, 0, [[1e3, 0.0]]))
-    assert troubles == ("gated",)
+    content, failures = rule.begin_step(rule.start(), Measured(0, 0, [[1e3, 0.0]]))
+    assert failures == ("gated",)
     assert_close(rule.belief(content), PRIOR)
 
 
 def test_an_update_that_fails_is_named_and_leaves_the_belief():
     rule = replace(estimator(sees=True), sensor=WholeState(-10 * R))
-    content, troubles = rule.begin_step(rule.start(), Measured(0, 0, [[1.0, 2.0]]))
-    assert troubles == ("update-failed",)
+    content, failures = rule.begin_step(rule.start(), Measured(0, 0, [[1.0, 2.0]]))
+    assert failures == ("update-failed",)
     assert_close(rule.belief(content), PRIOR)
 
 
 def test_a_prediction_that_fails_is_named_and_leaves_the_belief():
     rule = replace(estimator(), model=Linear(np.full((2, 2), np.nan), Q))
-    content, troubles = rule.begin_step(rule.start(), Measured(0, 1, BLIND))
-    assert "predict-failed" in troubles
+    content, failures = rule.begin_step(rule.start(), Measured(0, 1, BLIND))
+    assert "predict-failed" in failures
     assert_close(rule.belief(content), PRIOR)
 
 
@@ -129,8 +129,8 @@ def test_a_held_pair_is_carried_through_the_plant_if_the_policy_says_so(
 def test_a_share_that_is_no_covariance_is_dropped_and_named():
     rule = estimator(PREDICT)
     broken = Gaussian(LEFT.mean, np.array([[1.0, 2.0], [2.0, 1.0]]))
-    content, troubles = rule.fuse(rule.start(), (told(broken), told(RIGHT)))
-    assert troubles == ("rejected not-positive-definite",)
+    content, failures = rule.fuse(rule.start(), (told(broken), told(RIGHT)))
+    assert failures == ("rejected not-positive-definite",)
     alone, _ = rule.fuse(rule.start(), (None, told(RIGHT)))
     assert_close(rule.belief(content), rule.belief(alone))
     assert rule.ages(content).tolist() == [-1, 0]

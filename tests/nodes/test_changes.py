@@ -10,8 +10,20 @@ from experiments.results.trace import Trace
 from filters.gaussian import Gaussian
 from nodes import node as state_machine
 from nodes import node_changes
-from nodes.changes import UNCHANGED, Cut, Event, Gone, Healed, Joined, Left, Loss, Pace, Set, after
-from nodes.history import Absence, Epoch, history_of
+from nodes.changes import (
+    UNCHANGED,
+    Cut,
+    Event,
+    Gone,
+    Healed,
+    Joined,
+    Left,
+    Loss,
+    PaceChange,
+    Set,
+    after,
+)
+from nodes.history import AbsentSteps, Epoch, history_of
 from nodes.messages import CycleClosed, Estimate, Measured, ShareHeard, to_wire
 from nodes.node import initial_state
 from scenarios.build import build_node
@@ -202,7 +214,7 @@ def test_changes_add_up():
     standing = UNCHANGED
     for change in (
         Left(3), Gone(1), Joined(3), Cut(1, 2), Cut(0, 1), Healed(1, 2), Loss(0.5), Loss(0.1, 1, 2),
-        Loss(0.2, 1, 2), Set({"rounds": 2}, 30), Pace(True, 0),
+        Loss(0.2, 1, 2), Set({"rounds": 2}, 30), PaceChange(True, 0),
     ):  # fmt: skip
         standing = after(standing, 10, change)
     assert standing.absent == (1,)
@@ -215,7 +227,7 @@ def test_a_history_knows_who_was_in_and_where_a_cycle_belongs():
     events = [(4, Left(1)), (6, Joined(1)), (8, Gone(1)), (5, Set({"rounds": 2}, 15))]
     history = history_of(3, [Event(step, change) for step, change in events])
     assert history.epochs == (Epoch(0, 0, 3), Epoch(5, 15, 2))
-    assert history.absences == (Absence(1, 4, 6), Absence(1, 8, None))
+    assert history.absent_steps == (AbsentSteps(1, 4, 6), AbsentSteps(1, 8, None))
     assert [history.is_in(1, step) for step in range(3, 10)] == [1, 0, 0, 1, 1, 0, 0]
     assert [history.place(cycle) for cycle in (0, 14, 15, 16, 17)] == [
         (0, 0), (4, 2), (5, 0), (5, 1), (6, 0),

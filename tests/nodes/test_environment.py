@@ -14,7 +14,7 @@ from bus.schedule import Schedule, dynamic_only, hybrid
 from filters.gaussian import Gaussian
 from nodes import environment, environment_changes
 from nodes.changes import Gone, Joined
-from nodes.environment_state import Controller, EnvironmentConfig, EnvironmentState
+from nodes.environment_state import ControlStep, EnvironmentConfig, EnvironmentState
 from nodes.messages import (
     Allowed,
     Bid,
@@ -157,7 +157,7 @@ def proportional(state: np.ndarray, memory: np.ndarray, step: int) -> tuple[np.n
 
 def driven(node: int | None, lead: int = 1, nodes: int = 3, gain: float = GAIN) -> Outcome:
     """An unstable plant x -> 1.2 x + u + w under u = -0.9 of what `node` believes."""
-    controller = Controller(lambda x, memory, step: (-gain * x, memory), None, node)
+    controller = ControlStep(lambda x, memory, step: (-gain * x, memory), None, node)
     return run(
         network(
             path(nodes),
@@ -242,7 +242,7 @@ def test_a_loop_through_the_estimates_needs_a_lead_of_one():
 
 
 def test_loss_does_not_stop_a_closed_loop():
-    controller = Controller(proportional, None, 2)
+    controller = ControlStep(proportional, None, 2)
     net = network(
         path(3),
         [PRIOR] * 3,

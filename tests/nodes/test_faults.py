@@ -65,8 +65,8 @@ def test_nothing_is_other_before_its_step_and_nothing_after_it_is_withdrawn_at_o
 @pytest.mark.parametrize("word", [word for word in FAULTS if word not in ALONE])
 def test_only_what_should_be_harmless_is(word: str):
     setup, fault = ring(), FAULTS[word]
-    certain = [1.0 if number.name == "P" else 3.0 for number in fault.numbers]
-    numbers = " ".join(f"{number:g}" for number in certain)
+    set_valued = [1.0 if number.name == "P" else 3.0 for number in fault.numbers]
+    numbers = " ".join(f"{number:g}" for number in set_valued)
     node = {"link": "", "bus": "", "node": "1", "two nodes": "1 2"}[fault.place]
     lines = {"drift": "drift 1 1500", "guardian": "guardian 1"}
     line = lines.get(word, " ".join((word, *node.split(), numbers)))

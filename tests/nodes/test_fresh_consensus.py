@@ -55,25 +55,25 @@ def assert_close(belief: Gaussian, expected: Gaussian) -> None:
 @EACH
 def test_a_step_is_predict_and_one_update_for_each_reading(rule: str):
     node = estimator(rule)
-    content, troubles = node.begin_step(
+    content, failures = node.begin_step(
         node.start(), Measured(1, 1, [[0.4, -1.2], [2.0, 0.1]], [1.0, -2.0])
     )
     prior = Gaussian(F @ PRIORS[1].mean + [1.0, -2.0], F @ PRIORS[1].cov @ F.T + Q)
     assert_close(content.own.prior, prior)
     once = kalman(prior, np.array([0.4, -1.2]), noise_cov(1))
     assert_close(node.belief(content), kalman(once, np.array([2.0, 0.1]), noise_cov(1)))
-    assert troubles == ()
+    assert failures == ()
 
 
 @EACH
 def test_what_fails_is_named_and_leaves_the_belief(rule: str):
     lost = replace(estimator(rule), model=Linear(np.full((2, 2), np.nan), Q))
-    content, troubles = lost.begin_step(lost.start(), Measured(1, 1, BLIND))
-    assert troubles == ("predict-failed",)
+    content, failures = lost.begin_step(lost.start(), Measured(1, 1, BLIND))
+    assert failures == ("predict-failed",)
     assert_close(lost.belief(content), PRIORS[1])
     misled = replace(estimator(rule), sensor=WholeState(-20 * noise_cov(1)))
-    content, troubles = misled.begin_step(misled.start(), Measured(1, 0, READING))
-    assert troubles == ("update-failed",)
+    content, failures = misled.begin_step(misled.start(), Measured(1, 0, READING))
+    assert failures == ("update-failed",)
     assert_close(misled.belief(content), PRIORS[1])
 
 
@@ -109,8 +109,8 @@ def test_a_share_that_is_no_information_is_dropped_and_counted(rule: str):
     sound = neighbours_share(rule)
     broken = np.frombuffer(sound).copy()
     broken[2] = -1e3  # the first entry of the first matrix
-    fused, troubles = node.fuse(content, (broken.tobytes(), sound))
-    assert troubles == ("rejected unsound",)
+    fused, failures = node.fuse(content, (broken.tobytes(), sound))
+    assert failures == ("rejected unsound",)
     assert node.ages(fused).tolist() == [-1, 0]
     without, _ = node.fuse(content, (None, sound))
     np.testing.assert_array_equal(node.belief(fused).mean, node.belief(without).mean)

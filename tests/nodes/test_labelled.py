@@ -297,8 +297,8 @@ def test_records_of_steps_in_the_base_are_late():
         content, _ = estimator.begin_step(content, Measured(1, step, [[None, None]]))
         content, _ = estimator.fuse(content, (None, None))
     old = estimator.frames.decode(bytes((0, 1, 0, 3)) + np.zeros(2).tobytes())
-    after, troubles = estimator.fuse(content, (old, None))
-    assert troubles == ("record-late",)
+    after, failures = estimator.fuse(content, (old, None))
+    assert failures == ("record-late",)
     assert after.window.belief.cov.tobytes() == content.window.belief.cov.tobytes()
 
 
@@ -366,7 +366,7 @@ def test_a_reading_that_no_integer_can_say_is_counted():
     estimator = lone([1])
     codecs = [None, RecordCodec(1, 2, "<i2", np.full(2, 1e-3)), None]
     estimator = replace(estimator, filter=replace(estimator.filter, codecs=codecs))
-    _, troubles = estimator.begin_step(estimator.start(), Measured(1, 0, [[1.0, 40.0]]))
-    assert troubles == ("record-range",)
-    _, troubles = estimator.begin_step(estimator.start(), Measured(1, 0, [[1.0, 30.0]]))
-    assert troubles == ()
+    _, failures = estimator.begin_step(estimator.start(), Measured(1, 0, [[1.0, 40.0]]))
+    assert failures == ("record-range",)
+    _, failures = estimator.begin_step(estimator.start(), Measured(1, 0, [[1.0, 30.0]]))
+    assert failures == ()

@@ -64,9 +64,9 @@ def test_a_gate_counts_the_noise_that_grows_with_the_state():
 
 def test_a_node_that_knows_nothing_refuses_nothing():
     estimator = replace(lone(), gates=(1e-6, 1e-6))
-    content, troubles = estimator.begin_step(estimator.start(), Measured(1, 0, [[9.0, 9.0]]))
-    assert troubles == ("gated",)
+    content, failures = estimator.begin_step(estimator.start(), Measured(1, 0, [[9.0, 9.0]]))
+    assert failures == ("gated",)
     content, _ = estimator.fuse(content, (None, None))
     lost = estimator.restart(PRIOR, content.window.heartbeats)
-    _, troubles = estimator.begin_step(lost, Measured(1, 1, [[9.0, 9.0]]))
-    assert troubles == ()
+    _, failures = estimator.begin_step(lost, Measured(1, 1, [[9.0, 9.0]]))
+    assert failures == ()

@@ -135,8 +135,8 @@ def step_of(node: ReceiverNode, content, step: int, *shares, control=None):
 
 def test_at_step_zero_it_believes_the_prior():
     node = receiver()
-    content, troubles = step_of(node, node.start(), 0, np.array([5.0, 5.0]), None)
-    assert troubles == ()
+    content, failures = step_of(node, node.start(), 0, np.array([5.0, 5.0]), None)
+    assert failures == ()
     np.testing.assert_array_equal(node.belief(content).mean, PRIOR.mean)
     assert node.ages(content).tolist() == [-1, -1]
 
@@ -171,8 +171,8 @@ def test_half_a_measurement_is_none():
 @pytest.mark.parametrize("method", [RECOMMENDED, PAPER_LITERAL, PAPER_LITERAL_R])
 def test_a_filter_that_breaks_down_says_so_once_and_goes_on(method):
     node = receiver(method, Gaussian(PRIOR.mean, np.diag([1.0, -1.0])))
-    content, troubles = step_of(node, node.start(), 1, np.array([1.0, 2.0]), None)
-    assert troubles == ("predict-failed",)
+    content, failures = step_of(node, node.start(), 1, np.array([1.0, 2.0]), None)
+    assert failures == ("predict-failed",)
     assert np.isnan(node.belief(content).mean).all()
     assert step_of(node, content, 2, None, np.array([1.0, np.nan]))[1] == ()
 

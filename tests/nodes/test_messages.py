@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from nodes.changes import Event, Gone, Joined, Left, Loss, Pace, Set, Standing, Welcome
+from nodes.changes import Event, Gone, Joined, Left, Loss, PaceChange, Set, Standing, Welcome
 from nodes.messages import (
     Bid,
     Estimate,
@@ -70,7 +70,7 @@ MESSAGES = [
     (Measured(3, 5, [[1.0]], None, (Left(2), Set({"rounds": 2}, 9))), "measured/3"),
     (Event(5, Joined(1, [1.0, None], [2.0])), "event"),
     (Event(5, Loss(0.5, 1, 2)), "event"),
-    (Event(5, Pace(True, 20.0)), "event"),
+    (Event(5, PaceChange(True, 20.0)), "event"),
     (Gone(4), "gone"),
     (Start(12345.678), "start"),
     (Timing(2, 5, 0.001, [0.002, 1e-5], 1, 0, 0.04), "timing/2"),

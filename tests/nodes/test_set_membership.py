@@ -136,7 +136,7 @@ class First:
 
 def one_node(shape, **changes) -> SetAtNode:
     prior = Gaussian(np.zeros(2), np.eye(2))
-    length = len(shape.numbers_of(shape.around(prior)))
+    length = len(shape.numbers_of(shape.containing(prior)))
     return SetAtNode(
         SetMembership(shape, **changes),
         Place(np.array(0), np.array([0.5, 0.5])),
@@ -150,7 +150,7 @@ def one_node(shape, **changes) -> SetAtNode:
 
 def told(shape, centre: list[float], variance: float) -> bytes:
     """The body of a share of a ball."""
-    ball = shape.around(Gaussian(np.array(centre), variance * np.eye(2)))
+    ball = shape.containing(Gaussian(np.array(centre), variance * np.eye(2)))
     return shape.numbers_of(ball).tobytes()
 
 
@@ -165,15 +165,15 @@ def reading(step: int, value: float | None) -> Measured:
 def test_a_reading_that_contradicts_the_set_is_counted_and_left_out(shape):
     node = one_node(shape)
     start = node.start()
-    content, troubles = node.begin_step(start, reading(0, 3.0))
-    assert troubles == ("contradicting-reading",)
+    content, failures = node.begin_step(start, reading(0, 3.0))
+    assert failures == ("contradicting-reading",)
     assert node.belief(content).cov.tobytes() == node.belief(start).cov.tobytes()
-    content, troubles = node.begin_step(start, reading(0, 0.5))
-    assert troubles == ()
+    content, failures = node.begin_step(start, reading(0, 0.5))
+    assert failures == ()
     assert node.belief(content).mean[0] == pytest.approx(0.5, abs=0.05)
     assert np.trace(node.belief(content).cov) < np.trace(node.belief(start).cov)
-    content, troubles = node.begin_step(start, reading(0, None))
-    assert troubles == ()
+    content, failures = node.begin_step(start, reading(0, None))
+    assert failures == ()
     assert node.belief(content).cov.tobytes() == node.belief(start).cov.tobytes()
 
 
@@ -181,8 +181,8 @@ def test_a_reading_that_contradicts_the_set_is_counted_and_left_out(shape):
 def test_a_share_that_contradicts_the_set_is_counted_and_not_held(shape):
     node = one_node(shape)
     content, _ = node.begin_step(node.start(), reading(0, 0.0))
-    after, troubles = node.fuse(content, (told(shape, [5.0, 5.0], 0.01),))
-    assert troubles == ("contradicting-share",)
+    after, failures = node.fuse(content, (told(shape, [5.0, 5.0], 0.01),))
+    assert failures == ("contradicting-share",)
     assert node.ages(after).tolist() == [-1]
     assert node.belief(after).cov.tobytes() == node.belief(content).cov.tobytes()
 

@@ -75,9 +75,9 @@ def test_numbers_that_are_no_ellipsoid_are_refused(numbers: list[float]):
 
 @pytest.mark.parametrize("shape", [Ellipsoids(2), Zonotopes(2)])
 def test_sets_with_nothing_in_common_are_told_apart(shape):
-    ball = shape.around(Gaussian(np.zeros(2), np.eye(2)))
-    far = shape.around(Gaussian(np.array([5.0, 0.0]), np.eye(2)))
-    near = shape.around(Gaussian(np.array([0.5, 0.0]), np.eye(2)))
+    ball = shape.containing(Gaussian(np.zeros(2), np.eye(2)))
+    far = shape.containing(Gaussian(np.array([5.0, 0.0]), np.eye(2)))
+    near = shape.containing(Gaussian(np.array([0.5, 0.0]), np.eye(2)))
     assert not shape.meet(ball, far)[1]
     assert shape.size(shape.meet(ball, near)[0]) <= shape.size(ball) * (1 + 1e-12)
     row = np.array([1.0, 0.0])

@@ -77,17 +77,17 @@ class Telling:
         return getattr(self._inner, name)
 
     def begin_step(self, content: Any, measured: Measured) -> tuple[Any, tuple[str, ...]]:
-        after, troubles = self._inner.begin_step(content, measured)
+        after, failures = self._inner.begin_step(content, measured)
         before, now = self._inner.belief(content), self._inner.belief(after)
         what = "takes its reading" if measured.readings != [[None]] else "reads nothing"
         if measured.step > 0:
             what = f"predicts, {what}"
         told = [_belief(before), _belief(now)]
         self._story.tell("", self._name, f"{what}: {' becomes '.join(dict.fromkeys(told))}")
-        return after, troubles
+        return after, failures
 
     def fuse(self, content: Any, shares: tuple[Any, ...]) -> tuple[Any, tuple[str, ...]]:
-        after, troubles = self._inner.fuse(content, shares)
+        after, failures = self._inner.fuse(content, shares)
         ages: np.ndarray = self._inner.ages(after)
         pairs = zip(self._node.neighbours, shares, strict=True)
         fresh = [j for j, share in pairs if share is not None]
@@ -102,7 +102,7 @@ class Telling:
             self._story.tell(f"cycle {self._cycle}", self._name, vain)
         self._story.tell(f"cycle {self._cycle}", self._name, what)
         self._cycle += 1
-        return after, troubles
+        return after, failures
 
     @property
     def _name(self) -> str:

@@ -8,19 +8,19 @@ from scipy import stats
 
 from experiments.cli.reproduce import carry_out
 from experiments.scenario_options import scenario_of
-from papers.labelled.cases import Case, CaseOutcome, halves, runs_of_case
+from papers.labelled.cases import CaseOutcome, FaultCase, halves, runs_of_case
 from papers.labelled.cases_section import CASES, cases_section
 from papers.labelled.reproduce import PAPER, error_section, figure_of
-from papers.labelled.study import FORMS, OCCUPANCIES, Form, Job, Outcome, cell
+from papers.labelled.study import FORMS, OCCUPANCIES, Form, RunOutcome, StudyJob, cell
 from papers.labelled.study import outcomes as runs_of
 from scenarios.preparation import prepare
 
 
-def outcomes(generator: np.random.Generator, runs: int) -> list[Outcome]:
+def outcomes(generator: np.random.Generator, runs: int) -> list[RunOutcome]:
     central = generator.chisquare(20, runs) / 20
     network = central * generator.normal(1.44, 0.1, runs)
     return [
-        Outcome(n, c, np.array([1.0, 1.1]) + c, 1.0 * c, 100.0, 200.0, 300.0, 0.9, 0.1)
+        RunOutcome(n, c, np.array([1.0, 1.1]) + c, 1.0 * c, 100.0, 200.0, 300.0, 0.9, 0.1)
         for n, c in zip(network, central, strict=True)
     ]
 
@@ -41,7 +41,7 @@ def test_the_interval_is_that_of_the_delta_method():
 
 def test_a_run_is_what_a_summary_would_say():
     form = Form("labelled", {"rule": "labelled", "schedule": "dynamic", "steps": 30})
-    (found, _) = runs_of(Job(form, 0.25, 1, 2))
+    (found, _) = runs_of(StudyJob(form, 0.25, 1, 2))
     assert 1.0 < np.sqrt(found.squared / found.squared_centralised) < 3.0
     assert found.consistency.shape == (20,)
     # Fifteen frames a step at most, each of at least ten bytes and at most 254, and 8 around.
@@ -65,7 +65,9 @@ def test_the_halves_of_the_cut_hang_together():
 
 def test_a_case_loses_what_it_says():
     options = {"occupancy": 1.0, "steps": 12}
-    (clean,), (lossy,) = (runs_of_case(Case({**options, "loss": loss}), 1) for loss in (0.0, 0.8))
+    (clean,), (lossy,) = (
+        runs_of_case(FaultCase({**options, "loss": loss}), 1) for loss in (0.0, 0.8)
+    )
     assert lossy.squared[6:].mean() > 1.5 * clean.squared[6:].mean()
     np.testing.assert_array_equal(clean.squared_centralised, lossy.squared_centralised)
 

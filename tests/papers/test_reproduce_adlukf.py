@@ -9,7 +9,7 @@ import pytest
 
 from experiments.__main__ import main
 from experiments.monte_carlo.intervals import Interval
-from papers.adlukf.claims import Evidence, Printed, claims
+from papers.adlukf.claims import AdlukfEvidence, Printed, claims
 from papers.adlukf.consistency import average_nees, matched_study
 from papers.adlukf.cost import costs
 from papers.adlukf.elsewhere import Elsewhere, in_words
@@ -167,7 +167,7 @@ def _exactly(*values: float) -> tuple[Interval, ...]:
     return tuple(Interval(value, value, value) for value in values)
 
 
-MEASURED = Evidence(
+MEASURED = AdlukfEvidence(
     printed=Printed((0.126, 0.139), (0.338, 0.0704, 0.311), 17.9, 193.4),
     beaten={
         ("rmse", "yaw rate"): _exactly(0.02, -0.05, 0.02, 0.01),

@@ -8,7 +8,7 @@ import pytest
 
 from experiments.__main__ import main
 from papers.kit.report import check_runs
-from papers.liu2021.claims import Evidence, claims
+from papers.liu2021.claims import Liu2021Evidence, claims
 from papers.liu2021.figures import blocks
 from papers.liu2021.mutants import Mutant, mutant_of_rule, mutant_of_sign
 from papers.liu2021.reproduce import PAPER
@@ -48,7 +48,7 @@ def test_estimates_by_the_cycle_are_laid_out_step_by_step():
         assert (np.abs(batch.states[0, 1:] - centre) <= width * (1 + 1e-9)).all()
 
 
-MEASURED = Evidence(
+MEASURED = Liu2021Evidence(
     outside=0, instants=2613, largest=0.98, flipped=Mutant(37, 270, 130, 2613, 201),
     wrong_rule=Mutant(23, 101, 45, 2613, 201), rank=4, size=14, apart=(5.7e-4, 0.35, 1.9e-3),
     relative=(3e-4, 0.047, 2.1e-3), winners=(4, 3, 3), tables_need=4, agreeing=1,

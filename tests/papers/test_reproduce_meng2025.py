@@ -13,20 +13,20 @@ from experiments.cli.reproduce import carry_out
 from experiments.monte_carlo.intervals import Interval
 from experiments.results.trace import read_trace
 from papers.kit.report import check_runs
-from papers.meng2025.claims import Evidence, claims, gather
+from papers.meng2025.claims import Meng2025Evidence, claims, gather
 from papers.meng2025.errata import order_of_slots
 from papers.meng2025.particles import log_likelihood, track
 from papers.meng2025.reproduce import PAPER, checks_of
 from papers.meng2025.runs import (
-    Batch,
-    Method,
-    Outcome,
+    ComparedMethod,
+    MeasuredBatch,
+    SlotEstimates,
     methods,
     ranks_of_printed_cov,
     simulate,
 )
 from papers.meng2025.runs import carry_out as estimate_by
-from papers.meng2025.table import Row, row
+from papers.meng2025.table import EstimatorRow, row
 from plants import meng2025
 from runtime.drivers import in_memory
 from scenarios.definitions.meng2025 import SYSTEM
@@ -52,18 +52,18 @@ STUDIES_APART = 3 * np.sqrt(2) / 1.97
 
 
 @pytest.fixture(scope="module")
-def batch() -> Batch:
+def batch() -> MeasuredBatch:
     return simulate(1, 200, 100)
 
 
 @pytest.fixture(scope="module")
-def outcomes(batch: Batch) -> dict[str, Outcome]:
+def outcomes(batch: MeasuredBatch) -> dict[str, SlotEstimates]:
     found = {name: estimate_by(batch, method) for name, method in methods().items()}
     return found | {"particles": track(batch, methods()["recommended"].schedule, particles=200)}
 
 
 @pytest.fixture(scope="module")
-def rows(batch: Batch, outcomes: dict[str, Outcome]) -> dict[str, Row]:
+def rows(batch: MeasuredBatch, outcomes: dict[str, SlotEstimates]) -> dict[str, EstimatorRow]:
     ours = outcomes["recommended"]
     return {
         name: row(name, name, batch, outcome, None if outcome is ours else ours)
@@ -95,7 +95,7 @@ def test_a_run_does_not_depend_on_how_many_there_are():
 
 
 @pytest.mark.parametrize("name", STUDY)
-def test_figures_are_those_of_the_study(name: str, rows: dict[str, Row]):
+def test_figures_are_those_of_the_study(name: str, rows: dict[str, EstimatorRow]):
     first, second, anees = STUDY[name]
     found = rows[name]
     assert found.diverged == 0
@@ -105,7 +105,7 @@ def test_figures_are_those_of_the_study(name: str, rows: dict[str, Row]):
     assert abs(found.anees.value - anees) < STUDIES_APART * half(found.anees) + 0.05
 
 
-def test_the_ranking_is_significant(rows: dict[str, Row]):
+def test_the_ranking_is_significant(rows: dict[str, EstimatorRow]):
     for name, sign in (("wtodp", -1), ("all", -1), ("rrp", 1), ("prediction", 1)):
         difference = rows[name].difference
         assert difference is not None
@@ -122,7 +122,10 @@ def test_the_ranking_is_significant(rows: dict[str, Row]):
     ids=["h", "f"],
 )
 def test_time_off_by_one_costs_what_the_study_says(
-    batch: Batch, outcomes: dict[str, Outcome], shifted: dict, published: tuple[float, float]
+    batch: MeasuredBatch,
+    outcomes: dict[str, SlotEstimates],
+    shifted: dict,
+    published: tuple[float, float],
 ):
     """So the test of the figures would fail if f or h were off by one."""
     method = methods()["recommended"]._replace(system=replace(SYSTEM, **shifted))
@@ -134,8 +137,8 @@ def test_time_off_by_one_costs_what_the_study_says(
     assert found.difference is not None and found.difference.low > 0
 
 
-def test_printed_ranks(batch: Batch):
-    few = Batch(1, batch.truth[:, :10], batch.measurement[:, :10])
+def test_printed_ranks(batch: MeasuredBatch):
+    few = MeasuredBatch(1, batch.truth[:, :10], batch.measurement[:, :10])
     ranks = ranks_of_printed_cov(few)
     assert ranks.shape == (100, 10)
     assert ranks.max() == 5
@@ -159,7 +162,7 @@ def test_the_likelihood_is_that_of_a_gaussian_given_the_state():
             assert found[run, particle] == pytest.approx(expected, rel=1e-12)
 
 
-def test_particles_are_no_worse_than_the_recommended_filter(rows: dict[str, Row]):
+def test_particles_are_no_worse_than_the_recommended_filter(rows: dict[str, EstimatorRow]):
     # Two hundred particles only: of two thousand the study says 3 % better.
     difference = rows["particles"].difference
     assert difference is not None
@@ -176,8 +179,8 @@ def test_figures_of_errors_that_are_what_is_reported():
     errors = generator.standard_normal((steps + 1, runs, 2)) @ root.T
     truth = np.zeros((steps + 1, runs, 2))
     cov = np.broadcast_to(root @ root.T, (steps + 1, runs, 2, 2))
-    known = Batch(1, truth, truth)
-    found = row("a", "a", known, Outcome(errors, cov, np.empty(0)), None)
+    known = MeasuredBatch(1, truth, truth)
+    found = row("a", "a", known, SlotEstimates(errors, cov, np.empty(0)), None)
     assert found.anees is not None and found.coverage is not None
     for one, expected in (
         (found.anees, 2.0), (found.coverage, 0.95), (found.mse, np.trace(root @ root.T)),
@@ -191,10 +194,12 @@ def test_figures_of_errors_that_are_what_is_reported():
 def test_runs_that_diverge_are_counted_and_left_out():
     truth = np.zeros((5, 4, 2))
     mean, cov = np.full((5, 4, 2), 0.1), np.broadcast_to(np.eye(2), (5, 4, 2, 2))
-    sound = Outcome(mean, cov, np.empty(0))
+    sound = SlotEstimates(mean, cov, np.empty(0))
     lost = mean.copy()
     lost[3, 1], lost[4, 2, 0] = np.nan, 2e3
-    found = row("a", "a", Batch(1, truth, truth), Outcome(lost, cov, np.empty(0)), sound)
+    found = row(
+        "a", "a", MeasuredBatch(1, truth, truth), SlotEstimates(lost, cov, np.empty(0)), sound
+    )
     assert found.diverged == 0.5
     assert found.largest_error == pytest.approx(0.1)
     assert found.difference == Interval(0.0, 0.0, 0.0)
@@ -204,11 +209,13 @@ def test_runs_that_diverge_are_counted_and_left_out():
 
 
 @pytest.fixture(scope="module")
-def evidence(batch: Batch, outcomes: dict[str, Outcome], rows: dict[str, Row]) -> Evidence:
+def evidence(
+    batch: MeasuredBatch, outcomes: dict[str, SlotEstimates], rows: dict[str, EstimatorRow]
+) -> Meng2025Evidence:
     return gather(batch, outcomes, rows)
 
 
-def test_claims_get_the_verdicts_that_the_figures_say(evidence: Evidence):
+def test_claims_get_the_verdicts_that_the_figures_say(evidence: Meng2025Evidence):
     found = {claim.says: claim.verdict for claim in claims(evidence)}
     assert found == {
         "the gain is P_xy P_yy^-1": "contradicts itself",
@@ -220,11 +227,11 @@ def test_claims_get_the_verdicts_that_the_figures_say(evidence: Evidence):
     }
 
 
-def test_every_claim_can_fail(evidence: Evidence):
+def test_every_claim_can_fail(evidence: Meng2025Evidence):
     every_claim_can_fail(claims, evidence)
 
 
-def test_bands_come_from_the_runs_own_intervals(rows: dict[str, Row]):
+def test_bands_come_from_the_runs_own_intervals(rows: dict[str, EstimatorRow]):
     exact = {check.name: check for check in checks_of(200, rows)}
     assert all(check.ok for check in exact.values())
     ours = rows["recommended"]
@@ -235,7 +242,7 @@ def test_bands_come_from_the_runs_own_intervals(rows: dict[str, Row]):
     assert not worse["recommended: RMSE x1"].ok
 
 
-def test_the_order_of_slots(outcomes: dict[str, Outcome]):
+def test_the_order_of_slots(outcomes: dict[str, SlotEstimates]):
     assert order_of_slots(outcomes["recommended"], 10) == "1 2 3 4 d 1 2 3 4 d"
     assert order_of_slots(outcomes["round-robin"], 4) == "1 2 3 4"
 
@@ -278,7 +285,7 @@ def test_methods_differ_from_the_first_in_one_thing():
     for method in others:
         changed = [
             field
-            for field in Method._fields
+            for field in ComparedMethod._fields
             if field != "label" and getattr(method, field) != getattr(first, field)
         ]
         assert len(changed) == 1, method.label

@@ -11,7 +11,7 @@ from experiments.cli import reproduce
 from experiments.cli.reproduce import carry_out
 from experiments.monte_carlo.intervals import Interval, mean_t
 from papers.kit.checks import Check, above, agrees, at_most, below, near, refused
-from papers.kit.claims import Claim, Erratum, Finding, Test, needs, verdict_of
+from papers.kit.claims import Claim, ClaimFinding, Erratum, Test, needs, verdict_of
 from papers.kit.report import Paper, Section, markdown_table, report_of, to_markdown
 
 
@@ -110,7 +110,9 @@ UNKNOWN = needs(NAN, at_most=1.0)
         ([HOLDS], "print against print", "holds"),
     ],
 )
-def test_a_verdict_follows_from_the_findings(findings: list[Finding], test: Test, verdict: str):
+def test_a_verdict_follows_from_the_findings(
+    findings: list[ClaimFinding], test: Test, verdict: str
+):
     assert verdict_of(findings, test) == verdict
     assert Claim("1", "so", findings, "", test=test).verdict == verdict
 

@@ -25,7 +25,7 @@ from papers.wac import loops as reproduce_wac_loops
 from papers.wac import unstable as reproduce_wac_unstable
 from papers.wac.claims import judge
 from papers.wac.errata import ERRATA
-from papers.wac.evidence import Evidence, gather
+from papers.wac.evidence import WacEvidence, gather
 from papers.wac.loop_checks import checks_of as loop_checks_of
 from papers.wac.loops import Loops
 from papers.wac.network import beliefs_of, network_of
@@ -85,7 +85,7 @@ def test_where_all_nodes_publish_missing_shares_do_not_matter(rule: str):
 def test_rules_of_fresh_shares_weigh_missing_shares_as_asked(unheard: str, weigh):
     scenario = small("dc-motor-position", rule="icf", **HALF)
     network = network_of(prepare(scenario.with_(bus="ideal")), scenario, [0], unheard)
-    in_batch = network.eras[0].regime.rule
+    in_batch = network.segments[0].settings.rule
     assert isinstance(in_batch, InBatch)
     rule, states, generator = in_batch.rule, 3, np.random.default_rng(7)
 
@@ -177,12 +177,12 @@ def exact_of(rmse: float, largest: float) -> reproduce_wac_exact.Exact:
 
 
 @pytest.fixture(scope="module")
-def evidence(loops: Loops) -> Evidence:
+def evidence(loops: Loops) -> WacEvidence:
     unstable = reproduce_wac_unstable.measure()
     return gather(loops, exact_of(1.3, 0.9), unstable, trials_of())
 
 
-def verdicts(evidence: Evidence) -> dict[str, str]:
+def verdicts(evidence: WacEvidence) -> dict[str, str]:
     return {claim.says: claim.verdict for claim in judge(evidence)}
 
 
@@ -207,7 +207,7 @@ def test_another_loop_fails_its_check(loops: Loops, field: str, value, name: str
     assert name in [check.name for check in checks if not check.ok]
 
 
-def test_what_the_paper_gets_right_and_wrong(evidence: Evidence):
+def test_what_the_paper_gets_right_and_wrong(evidence: WacEvidence):
     found = [(claim.verdict, claim.erratum) for claim in judge(evidence)]
     assert {number for verdict, number in found if verdict == "does not hold"} == {
         None, 2, 8, 9, 18, 19, 20, 22,
@@ -218,7 +218,7 @@ def test_what_the_paper_gets_right_and_wrong(evidence: Evidence):
     assert counts.count("not comparable") == 2
 
 
-def test_every_claim_can_fail(evidence: Evidence):
+def test_every_claim_can_fail(evidence: WacEvidence):
     every_claim_can_fail(judge, evidence)
 
 
@@ -248,7 +248,7 @@ HIDDEN = {"pitch": (0.2, 0.1, 0.9), "position": (0.9, 0.1, 0.1)}
     ],
 )
 def test_another_number_gives_another_verdict(
-    evidence: Evidence, field: str, value, claim: str, verdict: str
+    evidence: WacEvidence, field: str, value, claim: str, verdict: str
 ):
     name = field.removeprefix("loops.")
     if name == field:
@@ -268,7 +268,7 @@ def test_a_blind_node_worse_than_a_measurement_is_told(loops: Loops):
     assert verdicts(bad)["the estimate tracks the true output"] == "does not hold"
 
 
-def test_every_erratum_has_its_number_and_every_claim_a_known_one(evidence: Evidence):
+def test_every_erratum_has_its_number_and_every_claim_a_known_one(evidence: WacEvidence):
     assert [erratum.number for erratum in ERRATA] == list(range(1, 24))
     assert {claim.erratum for claim in judge(evidence)} <= {None, *range(1, 24)}
 
@@ -349,7 +349,7 @@ def test_root_loci_have_twelve_panels_with_branches(tmp_path: Path, monkeypatch)
 
 def test_printed_values_inside_and_outside_are_told_apart():
     variant = occupancy.Variant("ci", "renorm")
-    cell = bench.Cell(2.5, 2.4, 2.6, 1.0, 0.6, 0.7)
+    cell = bench.VariantCell(2.5, 2.4, 2.6, 1.0, 0.6, 0.7)
     table = {(variant, 0.5): cell, (variant, 0.25): cell}
     printed = {"CI renorm": ("-", "2.42/1/.5", "2.78/1/.5", "-")}
     assert reproduce_wac_bus.coverage(table, printed) == (1, 2, ["CI renorm at 25 %"])

@@ -5,14 +5,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from papers.adlukf import sage_husa_as_printed as sage_husa_literal
-from papers.adlukf.sage_husa_as_printed import Evidence
+from papers.adlukf.sage_husa_as_printed import NoiseEvidence
 
 
-def evidence(generator: np.random.Generator, scale: float = 1.0) -> Evidence:
+def evidence(generator: np.random.Generator, scale: float = 1.0) -> NoiseEvidence:
     def draw(size: int) -> np.ndarray:
         return scale * generator.standard_normal((5, size))
 
-    return Evidence(draw(2), draw(3), draw(3) ** 2, draw(3), draw(3) ** 2, draw(2), draw(2) ** 2)
+    return NoiseEvidence(
+        draw(2), draw(3), draw(3) ** 2, draw(3), draw(3) ** 2, draw(2), draw(2) ** 2
+    )
 
 
 def test_the_printed_form_is_the_papers_equations():

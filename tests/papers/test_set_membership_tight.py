@@ -18,8 +18,8 @@ from filters.sets.ellipsoid_intersection import strip_intersection
 from filters.sets.zonotope import Zonotope, around, gauge
 from filters.sets.zonotope import half_widths as zonotope_half_widths
 from papers.liu2021.bus import MeasuredPlant, augmented, cycle_evidence, step_evidence
-from papers.liu2021.evidence import Evidence, Motion, Readings, no_readings
-from papers.liu2021.flexray_cycle import Received
+from papers.liu2021.evidence import BoundedMotion, Readings, StepReadings, no_readings
+from papers.liu2021.flexray_cycle import DeliveredValues
 from papers.liu2021.recursive_estimator import optimal_step
 from papers.liu2021.tight_estimator import conditioned_step, step_by_step
 from papers.liu2021.zonotope_filter import zonotope_step
@@ -34,7 +34,7 @@ def unit_ball(lanes: tuple[int, ...], n: int) -> Ellipsoid:
     return Ellipsoid(np.zeros((*lanes, n)), np.broadcast_to(np.eye(n), (*lanes, n, n)))
 
 
-def by_cycle(plant: MeasuredPlant, states: np.ndarray, received: Received):
+def by_cycle(plant: MeasuredPlant, states: np.ndarray, received: DeliveredValues):
     """Squared radii of the truth after each cycle, and the ellipsoids."""
     n, g = states.shape[-1], plant.length
     kept, radii, sets = unit_ball(states.shape[:1], n), [], []
@@ -47,7 +47,7 @@ def by_cycle(plant: MeasuredPlant, states: np.ndarray, received: Received):
     return np.array(radii), sets
 
 
-def by_step(plant: MeasuredPlant, states: np.ndarray, received: Received) -> np.ndarray:
+def by_step(plant: MeasuredPlant, states: np.ndarray, received: DeliveredValues) -> np.ndarray:
     kept, radii = unit_ball(states.shape[:1], states.shape[-1]), []
     for cycle in range(received.values.shape[-2]):
         for after in step_by_step(kept, step_evidence(plant, received, cycle)):
@@ -137,7 +137,7 @@ def test_without_readings_it_is_the_sum_of_ellipsoids():
     before = Ellipsoid(rng.standard_normal(3), rng.standard_normal((3, 3)))
     transition, noise = rng.standard_normal((3, 3)), rng.standard_normal((3, 2))
     nothing = nothing_read(3, 2)
-    evidence = Evidence(Motion(transition, noise[:, None]), nothing, nothing)
+    evidence = StepReadings(BoundedMotion(transition, noise[:, None]), nothing, nothing)
     after = conditioned_step(before, evidence)
     closed = sum_factor(transition @ before.factor, noise)
     np.testing.assert_allclose(shape_matrix(after), closed @ closed.T, rtol=1e-3, atol=1e-4)
@@ -158,11 +158,11 @@ def test_one_sensor_is_the_classical_filter(seed: int, n: int):
     row, half_width = rng.standard_normal(n), rng.uniform(0.05, 2.0)
     truth = before.centre + before.factor @ (0.9 * on_the_sphere(rng, n))
     value = row @ truth + half_width * rng.uniform(-1, 1)
-    still = Motion(np.eye(n), np.zeros((n, 1, 1)))
+    still = BoundedMotion(np.eye(n), np.zeros((n, 1, 1)))
     reading = Readings(row[None], np.array([[[half_width]]]), np.array([value]), np.zeros(1))
-    as_noise = conditioned_step(before, Evidence(still, reading, nothing_read(n, 1)))
+    as_noise = conditioned_step(before, StepReadings(still, reading, nothing_read(n, 1)))
     strip = Readings(row[None], np.zeros((1, 1, 1)), np.array([value]), np.array([half_width]))
-    as_strip = conditioned_step(before, Evidence(still, nothing_read(n, 1), strip))
+    as_strip = conditioned_step(before, StepReadings(still, nothing_read(n, 1), strip))
     classical = strip_intersection(before, row, np.array(value), np.array(half_width))
     expected = np.trace(shape_matrix(classical))
     # It is never larger than the strip's; noise as an unknown of its own cuts no less.
@@ -175,8 +175,8 @@ def test_exact_readings_of_everything_leave_a_point():
     truth = np.array([0.3, -0.4])
     rows = rng.standard_normal((2, 2))
     reading = Readings(rows, np.zeros((2, 1, 1)), rows @ truth, np.zeros(2))
-    still = Motion(np.eye(2), np.zeros((2, 1, 1)))
-    evidence = Evidence(still, reading, no_readings(reading))
+    still = BoundedMotion(np.eye(2), np.zeros((2, 1, 1)))
+    evidence = StepReadings(still, reading, no_readings(reading))
     after = conditioned_step(unit_ball((), 2), evidence)
     assert half_widths(after).max() < 1e-6
     assert squared_radius(after, truth) <= 1
@@ -188,23 +188,23 @@ def test_exact_readings_of_everything_leave_a_point():
 def test_a_reading_that_was_not_taken_is_no_reading():
     rng = np.random.default_rng(4)
     before = Ellipsoid(np.zeros((2, 3)), np.broadcast_to(np.eye(3), (2, 3, 3)))
-    motion = Motion(rng.standard_normal((3, 3)), 0.3 * rng.standard_normal((3, 1, 2)))
+    motion = BoundedMotion(rng.standard_normal((3, 3)), 0.3 * rng.standard_normal((3, 1, 2)))
     rows, noise = rng.standard_normal((2, 3)), 0.3 * rng.standard_normal((2, 1, 2))
     values = np.array([[0.2, np.nan], [0.2, 0.1]])
     exact = Readings(rows, noise, values, np.zeros((2, 2)))
     strips = Readings(rows, noise, np.array([[np.nan, 0.1], [0.3, 0.1]]), np.full((2, 2), 0.5))
-    both = conditioned_step(before, Evidence(motion, exact, strips))
+    both = conditioned_step(before, StepReadings(motion, exact, strips))
     fewer = Readings(rows[:1], noise[:1], values[:1, :1], np.zeros((1, 1)))
     strip = Readings(rows[1:], noise[1:], np.array([[0.1]]), np.full((1, 1), 0.5))
     first = Ellipsoid(before.centre[:1], before.factor[:1])
-    alone = conditioned_step(first, Evidence(motion, fewer, strip))
+    alone = conditioned_step(first, StepReadings(motion, fewer, strip))
     np.testing.assert_allclose(shape_matrix(both)[0], shape_matrix(alone)[0], rtol=1e-3, atol=1e-4)
     np.testing.assert_allclose(both.centre[0], alone.centre[0], atol=1e-4)
     wide, narrow = (
         zonotope_step(around(one), evidence)
         for one, evidence in (
-            (before, Evidence(motion, exact, strips)),
-            (first, Evidence(motion, fewer, strip)),
+            (before, StepReadings(motion, exact, strips)),
+            (first, StepReadings(motion, fewer, strip)),
         )
     )
     np.testing.assert_allclose(wide.centre[0], narrow.centre[0], atol=1e-12)
@@ -212,13 +212,13 @@ def test_a_reading_that_was_not_taken_is_no_reading():
 
 def test_readings_that_contradict_the_bounds_lose_their_lane_alone():
     before = Ellipsoid(np.zeros((2, 2)), np.broadcast_to(np.eye(2), (2, 2, 2)))
-    still = Motion(np.eye(2), np.zeros((2, 1, 1)))
+    still = BoundedMotion(np.eye(2), np.zeros((2, 1, 1)))
     values = np.array([[1.5], [0.5]])
     strip = Readings(np.array([[1.0, 0.0]]), np.zeros((1, 1, 1)), values, np.full((2, 1), 0.1))
-    after = conditioned_step(before, Evidence(still, no_readings(strip), strip))
+    after = conditioned_step(before, StepReadings(still, no_readings(strip), strip))
     assert np.isnan(after.factor[0]).all()
     assert np.isfinite(after.factor[1]).all()
-    again = conditioned_step(after, Evidence(still, no_readings(strip), strip))
+    again = conditioned_step(after, StepReadings(still, no_readings(strip), strip))
     assert np.isnan(again.centre[0]).all()
     np.testing.assert_allclose(again.centre[1, 0], 0.5, atol=0.05)
 
@@ -228,7 +228,7 @@ def test_prediction_agrees_with_the_networks_closed_form():
     before = Ellipsoid(rng.standard_normal(3), rng.standard_normal((3, 3)))
     transition, noise = rng.standard_normal((3, 3)), rng.standard_normal((3, 1))
     nothing = nothing_read(3, 1)
-    evidence = Evidence(Motion(transition, noise[:, None]), nothing, nothing)
+    evidence = StepReadings(BoundedMotion(transition, noise[:, None]), nothing, nothing)
     after = conditioned_step(before, evidence)
     closed = moved(before, transition @ before.centre, transition, noise)
     assert np.trace(shape_matrix(after)) == pytest.approx(np.trace(shape_matrix(closed)), rel=1e-5)

@@ -7,7 +7,7 @@ import pytest
 
 from plants.vehicle.manoeuvres import (
     MANOEUVRES,
-    Motion,
+    CarMotion,
     OpenLoop,
     PathFollower,
     Program,
@@ -43,10 +43,10 @@ def test_the_double_lane_change_is_the_iso_track():
 def test_the_driver_steers_the_circle_through_the_point_ahead():
     """From the origin, heading along x, at lateral offset e after distance d: radius d^2 / 2 e."""
     follower = PathFollower(Program((0.0,), (0.5,)), 2.5, preview_s=1.0, lag_s=0.1)
-    angle = follower.steering(0.0, Motion(0.0, 0.0, 0.0, 20.0, 0.0))
+    angle = follower.steering(0.0, CarMotion(0.0, 0.0, 0.0, 20.0, 0.0))
     radius = 20.0**2 / (2 * 0.5)
     assert angle == pytest.approx(2.5 / radius)
-    assert follower.steering(0.0, Motion(0.0, 0.5, 0.0, 20.0, 0.0)) == 0.0
+    assert follower.steering(0.0, CarMotion(0.0, 0.5, 0.0, 20.0, 0.0)) == 0.0
 
 
 def test_names_and_durations_are_sensible():

@@ -14,12 +14,12 @@ from nodes.commands import Kill, Restart, Speed
 from nodes.environment_state import EnvironmentConfig
 from nodes.messages import Bid, BidsClosed, Grant, decode, encode, topic
 from nodes.tempo import Tempo
-from runtime.network.links import Links
+from runtime.network.links import ZenohEndpoints
 from runtime.processes import republisher as said
 from runtime.processes.environment import inbox
 from runtime.processes.environment import process as environment_process
 from runtime.processes.environment.management import Management
-from runtime.processes.environment.notices import Hello, Presence, Recorded
+from runtime.processes.environment.notices import Hello, Presence, RecorderCaughtUp
 from runtime.processes.environment.pacing import EnvironmentPacing, Lockstep, RealTime
 from runtime.processes.environment.process import EnvironmentProcess
 from runtime.processes.environment.timetable import Beat
@@ -78,7 +78,7 @@ def process_of(
     nobody = Management(
         lambda node: None, lambda node: None, lambda _, given: given, lambda step: None, b"{}"
     )
-    links = Links("peer", (), (), 1.0)
+    links = ZenohEndpoints("peer", (), (), 1.0)
     process = EnvironmentProcess("run", links, config, "a" * 64, nobody, pacing, ())
     wire = process.transport
     assert isinstance(wire, Wire)
@@ -131,7 +131,7 @@ def test_a_killed_node_is_not_let_in_before_it_is_restarted(monkeypatch: pytest.
     process.attend(Beat())
     assert list(controller.state.standing.absent) == [2]
     # The kill is ordered when the recorder has kept all, and carried out a little later.
-    for notice in (hello, Recorded(2), hello):
+    for notice in (hello, RecorderCaughtUp(2), hello):
         process.attend(notice)
         assert not controller._ready
     process.attend(Presence(2, False))

@@ -13,7 +13,7 @@ from experiments.results.trace import Trace, read_trace
 from experiments.scenario_options import scenario_of
 from nodes.rules.labelled import LabelledFlooding
 from nodes.rules.record_sets import lacked, newest_first
-from papers.labelled.cases import Case, runs_of_case
+from papers.labelled.cases import FaultCase, runs_of_case
 from papers.labelled.exact import FULL_INFORMATION, audit, full_information
 from papers.labelled.exact_section import NETWORKS, exact_section
 from runtime.drivers import DRIVERS, in_memory
@@ -155,9 +155,9 @@ def test_a_gate_lets_pass_what_is_as_likely_as_it_should_be():
 def test_a_wrong_reading_is_used_by_nobody():
     """Behind the gate errors are as without outliers; without it they are many times that."""
     part = {"occupancy": 0.5, "schedule": "hybrid", "steps": 40}
-    (clean,) = runs_of_case(Case(part), 1)
-    (gated,) = runs_of_case(Case({**part, "gate_probability": 1e-4}, outliers=0.1), 1)
-    (open_to_all,) = runs_of_case(Case(part, outliers=0.1), 1)
+    (clean,) = runs_of_case(FaultCase(part), 1)
+    (gated,) = runs_of_case(FaultCase({**part, "gate_probability": 1e-4}, outliers=0.1), 1)
+    (open_to_all,) = runs_of_case(FaultCase(part, outliers=0.1), 1)
     assert gated.wrong_refused >= 0.9 * gated.wrong > 0 and gated.right_refused <= 2
     assert open_to_all.wrong_refused == 0
     errors = [np.sqrt(one.squared[20:].mean()) for one in (clean, gated, open_to_all)]

@@ -28,15 +28,15 @@ def error_m(rule: str, *changes: str, liars: int = 1) -> float:
     return float(np.sqrt(np.square(off).sum(axis=-1).mean(axis=0)).max())
 
 
-def lies(size: float, sharpness: float, *liars: int) -> list[str]:
-    return [f"{FROM_STEP} lie {liar} {size:g} {sharpness:g}" for liar in liars]
+def lies(size: float, inverse_volume: float, *liars: int) -> list[str]:
+    return [f"{FROM_STEP} lie {liar} {size:g} {inverse_volume:g}" for liar in liars]
 
 
 def test_as_many_liars_as_were_said_do_not_drag_it_away_and_one_more_does():
     plain = error_m("ci")
     assert error_m("ci", *lies(20, 100, 3)) > 10 * plain
-    for size, sharpness in ((20, 100), (-1, 4), (1000, 1)):
-        assert error_m("trimmed-ci", *lies(size, sharpness, 3)) < 2.5 * plain
+    for size, inverse_volume in ((20, 100), (-1, 4), (1000, 1)):
+        assert error_m("trimmed-ci", *lies(size, inverse_volume, 3)) < 2.5 * plain
     # Two that say the same are the worst that two can do.
     assert error_m("trimmed-ci", *lies(5, 100, *LIARS), liars=2) < 2.5 * plain
     assert error_m("trimmed-ci", *lies(5, 100, *LIARS), liars=1) > 10 * plain

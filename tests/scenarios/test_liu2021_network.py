@@ -11,7 +11,7 @@ from plants.bounded_network import BoundedNetwork, on_the_bound
 from runtime.drivers import DRIVERS
 from scenarios.catalogue import kind_of
 from scenarios.preparation import prepare
-from scenarios.rules import is_certain
+from scenarios.rules import is_set_valued
 from tests.experiments.support import scenario, small, trace_of
 
 NAME = "liu2021-network"
@@ -86,11 +86,11 @@ def test_what_cannot_hold_the_truth_is_refused():
 
 
 def test_set_rules_are_certain_and_gaussian_rules_run_on_it_too():
-    assert is_certain(scenario(NAME))
-    assert is_certain(scenario(NAME, rule="zonotope"))
+    assert is_set_valued(scenario(NAME))
+    assert is_set_valued(scenario(NAME, rule="zonotope"))
     for rule in GAUSSIAN_RULES:
         asked = small(NAME, rule=rule)
-        assert not is_certain(asked.scenario)
+        assert not is_set_valued(asked.scenario)
 
 
 @pytest.mark.zenoh

@@ -17,7 +17,7 @@ from runtime.drivers import DRIVERS, in_memory
 from runtime.recording import MemoryRecorder
 from scenarios.baselines import centralised, local_only
 from scenarios.build import build_bus, build_environment, build_node
-from scenarios.definitions.measurement_runs import Estimator, estimate, first_received, slots_of
+from scenarios.definitions.measurement_runs import BusFilter, estimate, first_received, slots_of
 from scenarios.definitions.meng2025 import FILTERS, SYSTEM, bus_of, paper_points
 from scenarios.preparation import prepare
 from scenarios.scenario import Scenario
@@ -47,7 +47,7 @@ def as_arrays(setup: Setup, trace: Trace) -> tuple[Gaussian, np.ndarray]:
     received = first_received(SYSTEM, meng2025.PRIOR_MEAN)
     slots = slots_of(bus, trace.readings[:, 1:, 0, 0], received)
     prior = Gaussian(meng2025.PRIOR_MEAN, meng2025.PRIOR_COV)
-    estimator = Estimator(SYSTEM, FILTERS[asked.filter.name], paper_points(), prior)
+    estimator = BusFilter(SYSTEM, FILTERS[asked.filter.name], paper_points(), prior)
     return estimate(estimator, Received(slots.received, slots.fresh)), slots.sent
 
 

@@ -11,7 +11,7 @@ from plants.linear import LinearModel, LinearPlant, LinearSensor
 from runtime.drivers import in_memory
 from scenarios import catalogue
 from scenarios.catalogue import kind_of
-from scenarios.kind import Kind, Score
+from scenarios.kind import ScenarioDefinition, Score
 from scenarios.preparation import prepare
 from scenarios.setup import Setup
 from scenarios.warnings import warnings_of
@@ -49,7 +49,7 @@ def growing(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Setup]:
         )
         usual = kind_of("oscillator").defaults
         defaults = usual.with_(nodes=8, steps=70, rule="wac", hold="drop")
-        kind = Kind(
+        kind = ScenarioDefinition(
             defaults=defaults,
             check=lambda _: None,
             plant=lambda _: plant,

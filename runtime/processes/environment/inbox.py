@@ -12,7 +12,7 @@ from nodes.commands import Answer
 from nodes.messages import END, MalformedMessage, Unreachable, decode
 from runtime.network.zenoh_transport import Transport
 from runtime.processes.counter import Counter
-from runtime.processes.environment.notices import Asked, Hello, Notice, Recorded, Repeated
+from runtime.processes.environment.notices import Asked, Hello, Notice, RecorderCaughtUp, Repeated
 from runtime.processes.overflow import Overflow
 from runtime.processes.republisher import AGAIN
 
@@ -128,7 +128,7 @@ class EnvironmentInbox:
         if node is None:
             self.refuse(f"topic {name[:60]!r} is of no node")
         else:
-            self.notify(Recorded(node))
+            self.notify(RecorderCaughtUp(node))
 
     def _hear_unreachable(self, name: str, data: bytes) -> None:
         try:

@@ -31,7 +31,7 @@ class Repeated(NamedTuple):
     event: Bid | Estimate
 
 
-class Recorded(NamedTuple):
+class RecorderCaughtUp(NamedTuple):
     """The recorder has kept all messages of a node that leaves on command."""
 
     node: int
@@ -45,11 +45,19 @@ class Asked(NamedTuple):
 
 
 Notice = (
-    Presence | Hello | Repeated | Recorded | Asked | Beat | Unreachable | BidsClosed | StepClosed
+    Presence
+    | Hello
+    | Repeated
+    | RecorderCaughtUp
+    | Asked
+    | Beat
+    | Unreachable
+    | BidsClosed
+    | StepClosed
 )
 
 
-class State(msgspec.Struct, frozen=True):
+class NetworkState(msgspec.Struct, frozen=True):
     """The answer to the question how the network stands.
 
     `refused` counts messages that could not be decoded or used.

@@ -21,15 +21,22 @@ from nodes.messages import (
     decode,
     encode,
 )
-from nodes.run_controller import RunController, Scripted, Stage
-from runtime.network.links import RECORDER, WORLD, Links
+from nodes.run_controller import ProcessStarter, RunController, Scripted
+from runtime.network.links import RECORDER, WORLD, ZenohEndpoints
 from runtime.network.zenoh_transport import Transport
 from runtime.processes.clock import EnvironmentClock
 from runtime.processes.environment.failures import Deserted
 from runtime.processes.environment.gathering import await_hellos, await_processes
 from runtime.processes.environment.inbox import ENVIRONMENT_QUEUE, TOPICS, EnvironmentInbox
 from runtime.processes.environment.management import Management
-from runtime.processes.environment.notices import Asked, Hello, Notice, Presence, Recorded, Repeated
+from runtime.processes.environment.notices import (
+    Asked,
+    Hello,
+    Notice,
+    Presence,
+    RecorderCaughtUp,
+    Repeated,
+)
 from runtime.processes.environment.pacing import EnvironmentPacing, Lines
 from runtime.processes.environment.reports import last_words, standing
 from runtime.processes.environment.timetable import Beat
@@ -45,7 +52,7 @@ _NOT_OURS = "nodes run on hosts of their own; end and start `concord node` there
 
 def run_environment(
     run: str,
-    links: Links,
+    links: ZenohEndpoints,
     config: EnvironmentConfig,
     fingerprint: str,
     management: Management,
@@ -68,7 +75,7 @@ class EnvironmentProcess:
     def __init__(
         self,
         run: str,
-        links: Links,
+        links: ZenohEndpoints,
         config: EnvironmentConfig,
         fingerprint: str,
         management: Management,
@@ -81,7 +88,7 @@ class EnvironmentProcess:
         self._leaving: set[int] = set()
         # Nodes whose processes are being killed.
         self._dying: set[int] = set()
-        stage = Stage(self._leaving.add, self._start_node, management.check)
+        stage = ProcessStarter(self._leaving.add, self._start_node, management.check)
         config = pacing.configured(config)
         self.controller = RunController(config, script, stage, pacing.timed)
         seconds = _PEER_TIMEOUT_S if management.keeps_nodes else math.inf
@@ -163,7 +170,7 @@ class EnvironmentProcess:
                 self._see(node, is_there)
             case Hello():
                 self._let_in(notice)
-            case Recorded(node):
+            case RecorderCaughtUp(node):
                 self._end(node)
             case Asked(payload, answer):
                 answer.put(self._obey(payload))

@@ -7,7 +7,7 @@ import msgspec
 from nodes import environment
 from nodes.environment_state import EnvironmentConfig, EnvironmentState
 from nodes.run_controller import RunController
-from runtime.processes.environment.notices import State
+from runtime.processes.environment.notices import NetworkState
 from runtime.processes.recorder.process import Finished
 
 
@@ -22,7 +22,7 @@ def standing(
     """Encode how the network stands."""
     state = controller.state
     return msgspec.json.encode(
-        State(
+        NetworkState(
             run,
             msgspec.Raw(setup),
             begun,

@@ -6,7 +6,7 @@ from collections.abc import Collection
 import msgspec
 
 from nodes.node_state import NodeConfig
-from runtime.network.links import Links
+from runtime.network.links import ZenohEndpoints
 
 
 class Membership(msgspec.Struct, frozen=True):
@@ -24,7 +24,7 @@ class Membership(msgspec.Struct, frozen=True):
     """
 
     run: str
-    links: Links
+    links: ZenohEndpoints
     config: NodeConfig
     peers: Collection[int]
     fingerprint: str

@@ -9,7 +9,7 @@ import msgspec
 from nodes.bounds import UNREADABLE, node_of
 from nodes.changes import Event, Left
 from nodes.messages import END, MalformedMessage, decode, is_topic
-from runtime.network.links import RECORDER, WATCH, Links
+from runtime.network.links import RECORDER, WATCH, ZenohEndpoints
 from runtime.network.zenoh_transport import Transport
 from runtime.processes.departed_peers import DepartedPeers
 from runtime.processes.recorder.subscribers import Subscribers
@@ -44,7 +44,7 @@ _estimated = msgspec.json.Decoder(_Estimated)
 
 
 def run_recorder(
-    run: str, links: Links, watch: Links, recorder: Recorder, steps: WholeSteps
+    run: str, links: ZenohEndpoints, watch: ZenohEndpoints, recorder: Recorder, steps: WholeSteps
 ) -> None:
     """Record every message until the environment has finished and all last estimates have come.
 
