@@ -53,8 +53,8 @@ class _Averaged(NamedTuple):
 def _of_beliefs(rule: Averaging, nodes: int, states: int) -> _Averaged:
     origin = np.zeros(states)
     return _Averaged(
-        lambda _, posterior: rule.weigh_up(posterior, origin)[0],
-        lambda numbers: rule.conclude(numbers, origin),
+        lambda _, posterior: rule.to_numbers(posterior, origin)[0],
+        lambda numbers: rule.from_numbers(numbers, origin),
     )
 
 
@@ -62,7 +62,7 @@ def _hybrid(nodes: int, states: int) -> _Averaged:
     gain = hybrid_consensus.safe_gain
     return _Averaged(
         partial(hybrid_consensus.begin, row=np.eye(nodes)),
-        partial(hybrid_consensus.conclude, states=states, gain=gain),
+        partial(hybrid_consensus.from_information, states=states, gain=gain),
         pairs=2,
     )
 
@@ -70,7 +70,7 @@ def _hybrid(nodes: int, states: int) -> _Averaged:
 def _weighted_information(nodes: int, states: int) -> _Averaged:
     return _Averaged(
         partial(information_weighted.begin, nodes=nodes),
-        partial(information_weighted.conclude, nodes=nodes),
+        partial(information_weighted.from_information, nodes=nodes),
     )
 
 
@@ -93,7 +93,7 @@ def _fusion(
     probes = np.eye(numbers.shape[-1])[vectors]
     probes = np.concatenate((0 * probes[:1], probes))
     probes = np.expand_dims(probes, tuple(range(1, numbers.ndim - 1)))
-    mean, fused = rule.conclude(averaging @ numbers[0] + probes)
+    mean, fused = rule.from_numbers(averaging @ numbers[0] + probes)
     # Entry k of the average moves the mean of node i by `slope`; errors of j move it by `effect`.
     slope = np.moveaxis(mean[1:], 0, -1)[..., :, None, :, :]
     effect = np.moveaxis(numbers[1:][..., vectors], 0, -1)[..., None, :, :, :]
