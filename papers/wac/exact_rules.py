@@ -41,12 +41,12 @@ Rule = Callable[[np.ndarray, np.ndarray, np.ndarray], Fusion]
 class _Averaged(NamedTuple):
     """A rule as what it averages.
 
-    `express(prior, posterior)` are the numbers (..., N, m) of nodes, and `conclude(numbers)` the
-    beliefs that averages come to. The first `pairs` parts of the numbers are packed pairs.
+    `express(prior, posterior)` are the numbers (..., N, m) of nodes, and `from_numbers(numbers)`
+    the beliefs that averages come to. The first `pairs` parts of the numbers are packed pairs.
     """
 
     express: Callable[[Gaussian, Gaussian], np.ndarray]
-    conclude: Callable[[np.ndarray], Gaussian]
+    from_numbers: Callable[[np.ndarray], Gaussian]
     pairs: int = 1
 
 
