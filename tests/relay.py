@@ -42,8 +42,8 @@ class Relay:
     def cut(self, *, for_good: bool = False) -> None:
         """Break the link; it can be opened again at once, or never."""
         self._refusing = for_good
-        while self._open:
-            link = self._open.pop()
+        links, self._open = self._open, []
+        for link in links:
             for one in (link.near, link.far):
                 with suppress(OSError):
                     one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _AT_ONCE)
@@ -62,25 +62,32 @@ class Relay:
                 if self._refusing:
                     near.close()
                     continue
-                try:
-                    far = socket.create_connection(("127.0.0.1", self._target))
-                except OSError:
-                    near.close()
-                    continue
-                link = _Link(near, far)
-                self._open.append(link)
-                for source, sink in ((near, far), (far, near)):
-                    source.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                    passing = (link, source, sink)
-                    threading.Thread(target=self._pass, args=passing, daemon=True).start()
+                with suppress(OSError):
+                    self._join(near)
 
-    def _pass(self, link: "_Link", source: socket.socket, sink: socket.socket) -> None:
+    def _join(self, near: socket.socket) -> None:
+        """Pass on both ways; an error here ends this link alone."""
+        try:
+            far = socket.create_connection(("127.0.0.1", self._target))
+        except OSError:
+            near.close()
+            raise
+        for one in (near, far):
+            one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        link = _Link(near, far)
+        self._open.append(link)
+        for passing in ((link, near, far), (link, far, near)):
+            threading.Thread(target=self._pass, args=passing, daemon=True).start()
+
+    def _pass(self, link: _Link, source: socket.socket, sink: socket.socket) -> None:
         with suppress(OSError):
             while data := source.recv(65536):
                 if link.is_dropping:
                     self.lost += len(data)
                 else:
                     sink.sendall(data)
+        # Closing alone leaves a thread that reads the socket, and so the link, as they are.
         for one in (source, sink):
             with suppress(OSError):
-                one.close()
+                one.shutdown(socket.SHUT_RDWR)
+            one.close()
