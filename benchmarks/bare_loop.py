@@ -27,7 +27,14 @@ from filters.sigma_points import scaled_unscented
 from filters.ukf import predict, update
 from nodes.belief_codec import BeliefCodec
 from nodes.messages import Estimate, Measured, decode, encode, to_wire
-from runtime.network.links import RECORDER, WORLD, ZenohEndpoints, free_ports, names, plan_links
+from runtime.network.links import (
+    ENVIRONMENT,
+    RECORDER,
+    ZenohEndpoints,
+    free_ports,
+    names,
+    plan_links,
+)
 from runtime.network.zenoh_transport import Transport, start_router
 from runtime.processes.supervisor import Ended, Supervisor
 
@@ -61,12 +68,12 @@ def main() -> None:
         if "router" in ports:
             supervisor.start("router", partial(_route, ports["router"]))
         supervisor.start(RECORDER, partial(_record, run, links[RECORDER], load))
-        supervisor.start(WORLD, partial(_drive, run, links[WORLD], load))
+        supervisor.start(ENVIRONMENT, partial(_drive, run, links[ENVIRONMENT], load))
         for node in range(len(load.neighbours)):
             supervisor.start(str(node), partial(_pass_on, run, links[str(node)], load, node))
         while True:
             ended = supervisor.wait(sys.stdin.fileno())
-            if isinstance(ended, Ended) and (ended.name == WORLD or ended.code):
+            if isinstance(ended, Ended) and (ended.name == ENVIRONMENT or ended.code):
                 return
     finally:
         supervisor.stop()
@@ -163,7 +170,7 @@ def pass_on(transport: Transport, load: Load, node: int) -> None:
     neighbours = load.neighbours[node]
     heartbeat = f"measured/{node}"
     shares = [(j, f"share/{j}") for j in neighbours]
-    transport.join(str(node), {WORLD, RECORDER, *map(str, neighbours)})
+    transport.join(str(node), {ENVIRONMENT, RECORDER, *map(str, neighbours)})
     transport.send(f"hello/{node}", b"")
     language, filters = _language(load), _Filters(len(neighbours))
     seen = 0.0
@@ -222,7 +229,7 @@ class _Filters:
 def _drive(run: str, links: ZenohEndpoints, load: Load) -> None:
     nodes = len(load.neighbours)
     transport = Transport(run, links, ["hello/*", "estimate/*"], 16_384)
-    transport.join(WORLD, {RECORDER, *map(str, range(nodes))})
+    transport.join(ENVIRONMENT, {RECORDER, *map(str, range(nodes))})
     for _ in range(nodes):
         transport.receive("hello/*")
     language = _language(load)

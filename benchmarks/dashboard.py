@@ -27,7 +27,7 @@ from runtime.network.control_client import Client
 from runtime.network.network_file import read_network
 from runtime.recording import McapRecorder
 from scenarios.bus_plan import frame_format
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.preparation import prepare
 from scenarios.setup import Setup
 
@@ -100,7 +100,7 @@ def _compared(apart: "list[_Pace]", together: "list[_Pace]") -> BenchmarkFigures
 
 def _setup(nodes: int, steps: int) -> Setup:
     # A neighbourhood of a few nodes at every size; half of 24 publish in a cycle, fewer of more.
-    defaults = kind_of("target-tracking").defaults
+    defaults = definition_of("target-tracking").defaults
     return prepare(
         defaults.with_(
             nodes=nodes,

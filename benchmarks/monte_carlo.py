@@ -21,7 +21,7 @@ from filters.sigma_points import scaled_unscented
 from filters.ukf import predict, update
 from plants.targets import Target
 from runtime.batched.build import build_network
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.preparation import prepare
 from scenarios.setup import Setup
 
@@ -84,8 +84,8 @@ def _start(setup: Setup) -> Gaussian:
 
 
 def _filters(setup: Setup) -> Callable[[], float]:
-    kind = kind_of(setup.scenario.name)
-    plant = kind.plant(setup.scenario)
+    definition = definition_of(setup.scenario.name)
+    plant = definition.plant(setup.scenario)
     assert isinstance(plant, Target)
     model, sensors = plant.model, plant.sensors
     rule, start = scaled_unscented(len(setup.prior_mean)), _start(setup)

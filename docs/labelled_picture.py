@@ -17,7 +17,7 @@ from experiments.results.record_spread import RecordSpread
 from experiments.results.trace import Trace, read_trace
 from experiments.scenario_options import scenario_of
 from runtime.drivers import in_memory
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.preparation import prepare
 from scenarios.setup import Setup
 
@@ -32,7 +32,7 @@ def draw_spread(
     axes: Axes, setup: Setup, trace: Trace, spread: RecordSpread, source: int, node: int
 ) -> None:
     """Draw the delay after which each node held the record of one source."""
-    positions = kind_of(setup.scenario.name).plant(setup.scenario).positions(0)
+    positions = definition_of(setup.scenario.name).plant(setup.scenario).positions(0)
     assert positions is not None
     links = [
         (positions[i], positions[j]) for i, heard in enumerate(setup.neighbours) for j in heard

@@ -17,7 +17,7 @@ from experiments.results.trace import Trace, read_trace
 from experiments.scenario_options import scenario_of
 from runtime.drivers import in_memory
 from scenarios.baselines import centralised
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.preparation import prepare
 from scenarios.setup import Setup
 
@@ -27,7 +27,7 @@ SKY, ORANGE, GREEN, PINK, GREY = "#56B4E9", "#E69F00", "#009E73", "#CC79A7", "#9
 
 def draw_map(axes: Axes, setup: Setup, trace: Trace) -> None:
     """Draw nodes and links, the target's path, and each node's belief at a few instants."""
-    positions = kind_of(setup.scenario.name).plant(setup.scenario).positions(0)
+    positions = definition_of(setup.scenario.name).plant(setup.scenario).positions(0)
     assert positions is not None
     links = [
         (positions[i], positions[j]) for i, heard in enumerate(setup.neighbours) for j in heard

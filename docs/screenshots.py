@@ -19,7 +19,7 @@ from runtime.batched.build import without_array_form
 from runtime.drivers import drive
 from runtime.recording import McapRecorder
 from scenarios.bus_plan import frame_format
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.preparation import prepare
 from scenarios.rules import is_set_valued
 from scenarios.setup import Setup
@@ -106,7 +106,7 @@ def main() -> None:
 
 
 def _take(browser: Any, shot: Shot, file: Path) -> None:
-    setup = prepare(kind_of(shot.scenario).defaults.with_(**shot.changes))
+    setup = prepare(definition_of(shot.scenario).defaults.with_(**shot.changes))
     with tempfile.TemporaryDirectory() as folder:
         recording = Path(folder) / "run.mcap"
         recorder = McapRecorder(

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from functools import cache
 from typing import Any, NamedTuple
 
-from scenarios.catalogue import kind_of, kinds
+from scenarios.catalogue import definition_of, definitions
 from scenarios.scenario import Scenario
 from scenarios.script import with_files
 from scenarios.types.assignment import flat, refuse_left
@@ -59,7 +59,7 @@ class OfferedOption(NamedTuple):
     @property
     def default(self) -> Any:
         """Its value when nothing is said, in the default scenario where that has the option."""
-        usual = flat(kind_of(DEFAULT_SCENARIO).defaults)
+        usual = flat(definition_of(DEFAULT_SCENARIO).defaults)
         return usual.get(self.name, self.declaration.default)
 
     @property
@@ -69,7 +69,7 @@ class OfferedOption(NamedTuple):
             return False
         values = {
             str(chosen[self.name])
-            for chosen in (flat(kind.defaults) for kind in kinds().values())
+            for chosen in (flat(definition.defaults) for definition in definitions().values())
             if self.name in chosen
         }
         return len(values) > 1
@@ -93,7 +93,7 @@ class OfferedOption(NamedTuple):
         """Its default as `--help` shows it."""
         value = self.default
         shown = {None: "computed", (): "none"}.get(value, value)
-        is_usual = self.name in flat(kind_of(DEFAULT_SCENARIO).defaults)
+        is_usual = self.name in flat(definition_of(DEFAULT_SCENARIO).defaults)
         varies = f" for {DEFAULT_SCENARIO}" if is_usual and self.varies else ""
         return f"(default: {shown}{varies})"
 
@@ -127,19 +127,19 @@ def scenario_with_known(
     Raises:
         ValueError: there is no such scenario, or its data cannot be read.
     """
-    kind = kind_of(scenario)
+    definition = definition_of(scenario)
     if "changes" in options:
         options = {**options, "changes": with_files(options["changes"])}
-    found, left = kind.defaults.with_known(**options)
-    if kind.all_steps is not None and "steps" not in options:
-        found = found.with_(steps=kind.all_steps(found))
+    found, left = definition.defaults.with_known(**options)
+    if definition.all_steps is not None and "steps" not in options:
+        found = found.with_(steps=definition.all_steps(found))
     return found, left
 
 
 def in_options(scenario: Scenario) -> list[str]:
     """The words of the command line that say a scenario of a name, without its defaults."""
-    usual, chosen = kind_of(scenario.name).defaults, flat(scenario)
-    is_choice = {name: bool(offered_options()[name].declaration.members) for name in chosen}
+    usual, chosen = definition_of(scenario.name).defaults, flat(scenario)
+    is_choice = {name: bool(offered_options()[name].declaration.choices) for name in chosen}
     choices = {name: value for name, value in chosen.items() if is_choice[name]}
     before, with_choices = flat(usual), flat(usual.with_known(**choices)[0])
     words: list[str] = []

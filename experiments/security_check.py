@@ -23,7 +23,7 @@ from runtime.network.certificates import (
     read_authority,
     zenoh_settings,
 )
-from runtime.network.links import LOOPBACK, RECORDER, WORLD, ZenohEndpoints, free_ports
+from runtime.network.links import ENVIRONMENT, LOOPBACK, RECORDER, ZenohEndpoints, free_ports
 from runtime.network.zenoh_transport import LinkError, Transport, start_router
 
 RUN = "security-check"
@@ -72,7 +72,7 @@ class _Guarded:
         _first(f"{certificate_name(1)}.json", folder)
         self._router = start_router(self.endpoint, router_keys)
         self._recorder = self.join(self.keys(RECORDER), ("**",))
-        self._world = self.join(self.keys(WORLD))
+        self._environment = self.join(self.keys(ENVIRONMENT))
 
     def keys(self, name: str) -> str:
         return str(_first(f"{name}.json", self._folder))
@@ -84,7 +84,7 @@ class _Guarded:
     def arrived(self) -> dict[tuple[str, bytes], int]:
         """How often each (topic, bytes) has come since the last call."""
         time.sleep(_SETTLE_S)
-        self._world.send("end", b"end")
+        self._environment.send("end", b"end")
         counts: dict[tuple[str, bytes], int] = {}
         while (message := self._recorder.receive("**")) != ("end", b"end"):
             if message is not None:
@@ -93,10 +93,10 @@ class _Guarded:
 
     def answer(self, topic: str) -> None:
         """Make the environment answer queries on a topic."""
-        self._world.answer(topic, lambda question: question)
+        self._environment.answer(topic, lambda question: question)
 
     def close(self) -> None:
-        for session in (self._world, self._recorder, self._router):
+        for session in (self._environment, self._recorder, self._router):
             session.close()
 
 
@@ -115,16 +115,16 @@ def _writers(guarded: _Guarded) -> list[IntrusionAttempt]:
     """Check that members can publish on their own topics and on no others."""
     own = ("hello/0", "bid/0", "share/0", "estimate/0")
     of_another = tuple(topic.replace("0", "1") for topic in own)
-    of_the_world = ("measured/0", "grant", "truth", "finished", "end/0", "welcome/0")
+    of_the_environment = ("measured/0", "grant", "truth", "finished", "end/0", "welcome/0")
     node = certificate_name(0)
     plan = [
         (node, "its own keys", own, _DELIVERED),
         (node, "a share too long for a frame", ("share/0",), _REFUSED),
         (node, "an estimate of more than 1 MiB", ("estimate/0",), _REFUSED),
         (node, "another node's keys", of_another, _REFUSED),
-        (node, "the world's keys", of_the_world, _REFUSED),
+        (node, "the environment's keys", of_the_environment, _REFUSED),
         (MONITOR, "a node's keys", own, _REFUSED),
-        (MONITOR, "the world's keys", of_the_world, _REFUSED),
+        (MONITOR, "the environment's keys", of_the_environment, _REFUSED),
     ]
     marks = [str(number).encode() for number in range(len(plan))]
     marks[1] = b"1".ljust(MAX_FRAME_BYTES + 1)

@@ -16,7 +16,7 @@ from nodes.history import history_of, with_event
 from nodes.messages import MalformedMessage, decode
 
 # More than the environment ever runs ahead of the slowest estimate.
-_PATIENCE_STEPS = 8
+_STEPS_AHEAD = 8
 # A cycle may seem to be far ahead until it is told that steps have more cycles from now on.
 _FAR_STEPS = 100
 
@@ -76,7 +76,7 @@ class WholeSteps:
             return []
         number = self._step_of(kind, data)
         # Only the plant's truth may be further ahead than the messages under way.
-        soon = kind == "truth" or (number or 0) <= self._reached + _PATIENCE_STEPS
+        soon = kind == "truth" or (number or 0) <= self._reached + _STEPS_AHEAD
         if number is None or number < self._next or not soon:
             return []
         step = self._steps.get(number)
@@ -120,7 +120,7 @@ class WholeSteps:
             number = min(self._steps)
             step = self._steps[number]
             is_next = number == self._next and step.is_complete()
-            if not is_next and self._reached <= number + _PATIENCE_STEPS:
+            if not is_next and self._reached <= number + _STEPS_AHEAD:
                 break
             shares = self._shares_of(number)
             if step.has_truth:

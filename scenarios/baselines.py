@@ -14,7 +14,7 @@ from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule, scaled_unscented
 from filters.ukf import predict, update
 from nodes.rules.local_filter import LocalFilters, Sensor, SensorGroup, update_with_readings
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.preparation import setup_of_run
 from scenarios.rules import rule_of
 from scenarios.setup import Setup
@@ -24,7 +24,7 @@ from scenarios.setup import Setup
 # batch is linearised where those before have led.
 READINGS_AT_ONCE = 200
 
-Listener = Callable[[Gaussian, int, np.ndarray, np.ndarray | None], Gaussian]
+BaselineStep = Callable[[Gaussian, int, np.ndarray, np.ndarray | None], Gaussian]
 """(belief of the step before, step, readings (N, r, d), control (p,)) -> belief of the step."""
 
 
@@ -44,9 +44,9 @@ def centralised_of_runs(
     """`centralised` in the runs of these numbers: readings (R, steps, N, r, d), control (R, steps,
     p); mean (R, steps, n), cov (R, steps, n, n)."""
     nodes = list(range(setup.scenario.nodes))
-    if not listens_step_by_step(setup):
+    if not filters_step_by_step(setup):
         return _one_by_one(setup, runs, nodes, readings, control)
-    return _stepwise(setup, runs, listener(setup, nodes), readings, control)
+    return _stepwise(setup, runs, baseline_step(setup, nodes), readings, control)
 
 
 def local_only_of_runs(
@@ -54,13 +54,13 @@ def local_only_of_runs(
 ) -> Gaussian:
     """`local_only` in the runs of these numbers: mean (R, steps, N, n), cov (R, steps, N, n, n)."""
     nodes = range(setup.scenario.nodes)
-    kind = kind_of(setup.scenario.name)
-    if listens_step_by_step(setup) and kind.sensors is not None and readings.shape[-2] == 1:
+    definition = definition_of(setup.scenario.name)
+    if filters_step_by_step(setup) and definition.sensors is not None and readings.shape[-2] == 1:
         return _all_alone(setup, runs, readings, control)
     alone = [
         _one_by_one(setup, runs, [node], readings, control)
-        if not listens_step_by_step(setup)
-        else _stepwise(setup, runs, listener(setup, [node]), readings, control)
+        if not filters_step_by_step(setup)
+        else _stepwise(setup, runs, baseline_step(setup, [node]), readings, control)
         for node in nodes
     ]
     return Gaussian(
@@ -73,13 +73,13 @@ def _all_alone(
     setup: Setup, runs: Sequence[int], readings: np.ndarray, control: np.ndarray | None
 ) -> Gaussian:
     """Nodes that take one reading each a step at most, all at once."""
-    kind, scenario = kind_of(setup.scenario.name), setup.scenario
-    assert kind.sensors is not None, "the caller has looked"
-    group = SensorGroup(slice(None), kind.sensors(scenario))
+    definition, scenario = definition_of(setup.scenario.name), setup.scenario
+    assert definition.sensors is not None, "the caller has looked"
+    group = SensorGroup(slice(None), definition.sensors(scenario))
     points = scaled_unscented(len(setup.prior_mean))
-    filters = LocalFilters(kind.model(scenario), (group,), points)
+    filters = LocalFilters(definition.model(scenario), (group,), points)
 
-    def listen(
+    def advance(
         belief: Gaussian, step: int, delivered: np.ndarray, driven: np.ndarray | None
     ) -> Gaussian:
         if step > 0:
@@ -92,7 +92,7 @@ def _all_alone(
         np.broadcast_to(prior.mean[:, None], (*shape, *prior.mean.shape[1:])),
         np.broadcast_to(prior.cov[:, None], (*shape, *prior.cov.shape[1:])),
     )
-    return _through(everywhere, listen, readings, control)
+    return _through(everywhere, advance, readings, control)
 
 
 def _one_run(
@@ -113,17 +113,17 @@ def _one_by_one(
     control: np.ndarray | None,
 ) -> Gaussian:
     """Filters that listen to a whole run at once, run by run."""
-    kind = kind_of(setup.scenario.name)
+    definition = definition_of(setup.scenario.name)
     beliefs = []
     for place, run in enumerate(runs):
         own = setup_of_run(setup, run)
-        if kind.listen is not None:
-            beliefs.append(kind.listen(own, nodes, readings[place]))
+        if definition.baseline_filter is not None:
+            beliefs.append(definition.baseline_filter(own, nodes, readings[place]))
         else:
-            rule_listens = rule_of(setup.scenario).listen
-            assert rule_listens is not None, "listens_step_by_step has looked"
+            filter_of_rule = rule_of(setup.scenario).baseline_filter
+            assert filter_of_rule is not None, "listens_step_by_step has looked"
             driven = None if control is None else control[place]
-            beliefs.append(rule_listens(own, nodes, readings[place], driven))
+            beliefs.append(filter_of_rule(own, nodes, readings[place], driven))
     return Gaussian(
         np.stack([belief.mean for belief in beliefs]), np.stack([belief.cov for belief in beliefs])
     )
@@ -132,11 +132,11 @@ def _one_by_one(
 def _stepwise(
     setup: Setup,
     runs: Sequence[int],
-    listen: Listener,
+    advance: BaselineStep,
     readings: np.ndarray,
     control: np.ndarray | None,
 ) -> Gaussian:
-    return _through(_priors(setup, runs), listen, readings, control)
+    return _through(_priors(setup, runs), advance, readings, control)
 
 
 def _priors(setup: Setup, runs: Sequence[int]) -> Gaussian:
@@ -149,7 +149,7 @@ def _priors(setup: Setup, runs: Sequence[int]) -> Gaussian:
 
 
 def _through(
-    belief: Gaussian, listen: Listener, readings: np.ndarray, control: np.ndarray | None
+    belief: Gaussian, advance: BaselineStep, readings: np.ndarray, control: np.ndarray | None
 ) -> Gaussian:
     """Beliefs (R, steps, ...) after each step, of those (R, ...) before the first."""
     means, covs = [], []
@@ -158,29 +158,29 @@ def _through(
         if driven is not None and np.isnan(driven).all():
             # The node that closes the loop was not present yet.
             driven = None
-        belief = listen(belief, step, readings[:, step], driven)
+        belief = advance(belief, step, readings[:, step], driven)
         means.append(belief.mean)
         covs.append(belief.cov)
     return Gaussian(np.stack(means, axis=1), np.stack(covs, axis=1))
 
 
-def listens_step_by_step(setup: Setup) -> bool:
-    """Whether `listener` is the filter of this scenario; others listen to a whole run at once."""
-    kind = kind_of(setup.scenario.name)
-    return kind.listen is None and rule_of(setup.scenario).listen is None
+def filters_step_by_step(setup: Setup) -> bool:
+    """Whether `baseline_step` is the scenario's filter; other filters take a whole run at once."""
+    definition = definition_of(setup.scenario.name)
+    return definition.baseline_filter is None and rule_of(setup.scenario).baseline_filter is None
 
 
-def listener(setup: Setup, nodes: list[int]) -> Listener:
+def baseline_step(setup: Setup, nodes: list[int]) -> BaselineStep:
     """One filter that takes the readings of these nodes, one step at a time.
 
     Beliefs, readings and control may have leading axes, one entry a run.
     """
-    kind = kind_of(setup.scenario.name)
-    model = kind.model(setup.scenario)
+    definition = definition_of(setup.scenario.name)
+    model = definition.model(setup.scenario)
     points = scaled_unscented(len(setup.prior_mean))
     groups = _sensors(setup, nodes)
 
-    def listen(
+    def advance(
         belief: Gaussian, step: int, delivered: np.ndarray, driven: np.ndarray | None
     ) -> Gaussian:
         if step > 0:
@@ -194,14 +194,14 @@ def listener(setup: Setup, nodes: list[int]) -> Listener:
                 belief, _ = update_with_readings(belief, one, step, sensor, points)
         return belief
 
-    return listen
+    return advance
 
 
 def _sensors(setup: Setup, nodes: list[int]) -> list[SensorGroup]:
-    kind, scenario = kind_of(setup.scenario.name), setup.scenario
-    if kind.sensors is not None and len(nodes) == scenario.nodes:
-        return [SensorGroup(slice(None), kind.sensors(scenario))]
-    each = ((node, kind.sensor(scenario, node)) for node in nodes)
+    definition, scenario = definition_of(setup.scenario.name), setup.scenario
+    if definition.sensors is not None and len(nodes) == scenario.nodes:
+        return [SensorGroup(slice(None), definition.sensors(scenario))]
+    each = ((node, definition.sensor(scenario, node)) for node in nodes)
     return [SensorGroup(slice(i, i + 1), sensor) for i, sensor in each if sensor is not None]
 
 

@@ -16,14 +16,14 @@ from nodes.estimator import Estimator
 from nodes.messages import from_wire
 from nodes.node_state import NodeConfig
 from scenarios.bus_plan import plan_bus
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.definitions.control import control_node
 from scenarios.equipment import build_faults, spread_of
 from scenarios.links import link_state
+from scenarios.node_context import Beginning, Everybody, NodeContext, RuleContext
 from scenarios.preparation import complete_settings, share_bytes, with_settings
 from scenarios.rules import build_estimator, hold_policy, wire_number
 from scenarios.scenario import Scenario
-from scenarios.seat import Beginning, Everybody, NodeContext, RuleContext
 from scenarios.setup import Setup
 from scenarios.streams import generator
 from scenarios.types.buses import trigger_of
@@ -86,22 +86,28 @@ def _rebuilt(
 
 def _estimator(setup: Setup, node: int, schedule: Schedule, beginning: Beginning) -> Estimator:
     scenario = setup.scenario
-    kind = kind_of(scenario.name)
-    if kind.wiring is not None:
-        return kind.wiring.estimator(setup, node)
-    seat = NodeContext(
+    definition = definition_of(scenario.name)
+    if definition.wiring is not None:
+        return definition.wiring.estimator(setup, node)
+    context = NodeContext(
         node,
         rule_context(setup),
         weights=np.array(setup.weights[node]),
-        model=kind.model(scenario),
-        sensor=kind.sensor(scenario, node),
+        model=definition.model(scenario),
+        sensor=definition.sensor(scenario, node),
         prior=Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov)),
-        points=kind.points(scenario) if kind.points else scaled_unscented(len(setup.prior_mean)),
+        points=definition.points(scenario)
+        if definition.points
+        else scaled_unscented(len(setup.prior_mean)),
         everybody=partial(everybody_of, setup, schedule),
         beginning=beginning,
     )
-    rule = build_estimator(scenario, seat)
-    return kind.estimator_wrapper(scenario, seat, rule) if kind.estimator_wrapper else rule
+    rule = build_estimator(scenario, context)
+    return (
+        definition.estimator_wrapper(scenario, context, rule)
+        if definition.estimator_wrapper
+        else rule
+    )
 
 
 def rule_context(setup: Setup, contends: bool = True) -> RuleContext:
@@ -121,11 +127,11 @@ def rule_context(setup: Setup, contends: bool = True) -> RuleContext:
 def everybody_of(setup: Setup, schedule: Schedule) -> Everybody:
     """Return the knowledge that all nodes have of all nodes."""
     scenario = setup.scenario
-    kind = kind_of(scenario.name)
-    plant = kind.plant(scenario)
+    definition = definition_of(scenario.name)
+    plant = definition.plant(scenario)
     noise = plant.draw(partial(generator, scenario), 1).measurement[0]
     _, readings, channels = plant.observe(from_wire(setup.initial_state), noise, 0).shape
-    sensors = tuple(kind.sensor(scenario, node) for node in range(scenario.nodes))
+    sensors = tuple(definition.sensor(scenario, node) for node in range(scenario.nodes))
     return Everybody(scenario, schedule, sensors, (readings, channels))
 
 
@@ -133,8 +139,8 @@ def build_environment(setup: Setup) -> EnvironmentConfig:
     """Return the configuration of the environment, with all its randomness drawn."""
     scenario = setup.scenario
     bus = build_bus(setup)
-    kind = kind_of(scenario.name)
-    plant = kind.plant(scenario)
+    definition = definition_of(scenario.name)
+    plant = definition.plant(scenario)
     controller = build_controller(scenario)
     return EnvironmentConfig(
         plant=plant,
@@ -147,7 +153,7 @@ def build_environment(setup: Setup) -> EnvironmentConfig:
         lead=OPEN_LOOP_LEAD if controller is None or controller.node is None else 1,
         bus=bus,
         controller=controller,
-        delivery=kind.delivery(scenario) if kind.delivery else None,
+        delivery=definition.delivery(scenario) if definition.delivery else None,
         neighbours=setup.neighbours,
         rebuild=partial(_environment_rebuilt, setup),
         faults=build_faults(setup, bus),
@@ -167,7 +173,7 @@ def _environment_rebuilt(setup: Setup, standing: Standing) -> EnvironmentConfig:
 
 def build_controller(scenario: Scenario) -> ControlStep | None:
     """Return the plant's controller and the node whose belief it uses; None for an open loop."""
-    law = kind_of(scenario.name).controller(scenario)
+    law = definition_of(scenario.name).controller(scenario)
     if law is None:
         return None
     return ControlStep(law.control, law.initial_memory, control_node(scenario))

@@ -22,7 +22,7 @@ from bus.schedule import (
     publishers_per_cycle,
     round_robin,
 )
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.scenario import Scenario
 from scenarios.types.buses import FlexRay, arbiter_of, occupancy_of
 from scenarios.types.rules import latch_delay_of
@@ -75,7 +75,7 @@ def build_schedule(scenario: Scenario, neighbours: Neighbours = ()) -> Schedule:
     Raises:
         ValueError: there is no such schedule or arbiter here.
     """
-    wiring = kind_of(scenario.name).wiring
+    wiring = definition_of(scenario.name).wiring
     if wiring is not None:
         return wiring.schedule(scenario)
     chosen = scenario.bus.schedule

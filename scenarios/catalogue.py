@@ -10,33 +10,33 @@ from scenarios.definitions import (
     target_tracking,
     vehicle_network,
 )
-from scenarios.kind import ScenarioDefinition
+from scenarios.scenario_definition import ScenarioDefinition
 from topology.names import unknown_name
 
-_KINDS: dict[str, ScenarioDefinition] = {
+_DEFINITIONS: dict[str, ScenarioDefinition] = {
     "target-tracking": target_tracking.TURNING,
     "target-crossing": target_tracking.CROSSING,
-    "oscillator": oscillator.KIND,
-    "mrclam": mrclam.KIND,
-    **control.KINDS,
-    "meng2025": meng2025.KIND,
-    "meng2025-network": meng2025_network.KIND,
-    "liu2021-network": liu2021_network.KIND,
-    "vehicle-network": vehicle_network.KIND,
+    "oscillator": oscillator.DEFINITION,
+    "mrclam": mrclam.DEFINITION,
+    **control.DEFINITIONS,
+    "meng2025": meng2025.DEFINITION,
+    "meng2025-network": meng2025_network.DEFINITION,
+    "liu2021-network": liu2021_network.DEFINITION,
+    "vehicle-network": vehicle_network.DEFINITION,
 }
 
 
-def kinds() -> dict[str, ScenarioDefinition]:
+def definitions() -> dict[str, ScenarioDefinition]:
     """All scenarios by name."""
-    return dict(_KINDS)
+    return dict(_DEFINITIONS)
 
 
-def kind_of(name: str) -> ScenarioDefinition:
+def definition_of(name: str) -> ScenarioDefinition:
     """The scenario of that name.
 
     Raises:
         ValueError: there is none.
     """
-    if name not in _KINDS:
-        raise unknown_name("scenario", name, _KINDS)
-    return _KINDS[name]
+    if name not in _DEFINITIONS:
+        raise unknown_name("scenario", name, _DEFINITIONS)
+    return _DEFINITIONS[name]

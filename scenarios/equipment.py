@@ -7,7 +7,7 @@ import numpy as np
 from bus.bus import Bus
 from nodes.belief_codec import BeliefCodec
 from nodes.faults.active import Equipment, Faults
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.rules import rule_of, wire_number
 from scenarios.scenario import Scenario
 from scenarios.setup import Setup
@@ -38,7 +38,7 @@ def build_faults(setup: Setup, bus: Bus) -> Faults:
 def equipment_of(setup: Setup, bus: Bus) -> Equipment:
     """Return the equipment of a setup's network that faults can strike."""
     scenario, number, codec = setup.scenario, "", None
-    if kind_of(scenario.name).wiring is None:
+    if definition_of(scenario.name).wiring is None:
         rule = rule_of(scenario)
         number = "" if rule.share_numbers is None else wire_number(scenario)
         codec = BeliefCodec(len(setup.prior_mean), number) if rule.shares_beliefs else None
@@ -50,10 +50,10 @@ def equipment_of(setup: Setup, bus: Bus) -> Equipment:
 
 def spread_of(scenario: Scenario, readings: np.ndarray) -> np.ndarray:
     """Standard deviations (nodes, r, d) of what sensors deliver; 0 of what is no measurement."""
-    kind = kind_of(scenario.name)
+    definition = definition_of(scenario.name)
     spread = np.zeros(readings.shape)
     for node in range(len(readings)):
-        sensor = kind.sensor(scenario, node)
+        sensor = definition.sensor(scenario, node)
         for number, delivered in enumerate(readings[node]):
             if sensor is None or np.isnan(delivered).all():
                 continue

@@ -27,12 +27,12 @@ from nodes.rules.set_membership import SetAtNode
 from nodes.rules.window_filter import WindowFilter
 from nodes.vector_codec import VectorCodec
 from scenarios.labelled import frame_codec, gates_of
-from scenarios.seat import BatchContext, NodeContext, RuleContext
+from scenarios.node_context import BatchContext, NodeContext, RuleContext
 from scenarios.types.rules import TrimmedCovarianceIntersection
 
 AnyRule = LaneRule[Any, Any, Any]
 BuildRule = Callable[[RuleContext], AnyRule]
-Kind = TypeVar("Kind", bound=AtNode)
+NodeRule = TypeVar("NodeRule", bound=AtNode)
 
 
 # --- a rule, once --------------------------------------------------------------------------------
@@ -96,93 +96,94 @@ def pulled(context: RuleContext) -> AnyRule:
 # --- at one node ---------------------------------------------------------------------------------
 
 
-def at_node(build: BuildRule, what: str, seat: NodeContext) -> AtNode[Any, Any, Any]:
+def at_node(build: BuildRule, what: str, context: NodeContext) -> AtNode[Any, Any, Any]:
     """The estimator of a rule whose shares are vectors of numbers, and `what` they are."""
-    return _at_node(AtNode, build, what, seat)
+    return _at_node(AtNode, build, what, context)
 
 
-def set_at_node(build: BuildRule, what: str, seat: NodeContext) -> SetAtNode[Any]:
+def set_at_node(build: BuildRule, what: str, context: NodeContext) -> SetAtNode[Any]:
     """The same of a set-membership rule."""
-    return _at_node(SetAtNode, build, what, seat)
+    return _at_node(SetAtNode, build, what, context)
 
 
-def _at_node(kind: type[Kind], build: BuildRule, what: str, seat: NodeContext) -> Kind:
-    rule = build(seat.context)
-    place = Place(np.array(seat.node), seat.weights)
-    length = rule.say(rule.start(place.node, seat.prior, seat.prior)).shape[-1]
-    codec = VectorCodec(length, seat.context.number, what)
-    return kind(rule, place, seat.model, seat.sensor, seat.prior, seat.points, codec)
+def _at_node(kind: type[NodeRule], build: BuildRule, what: str, context: NodeContext) -> NodeRule:
+    rule = build(context.rule)
+    place = Place(np.array(context.node), context.weights)
+    length = rule.say(rule.start(place.node, context.prior, context.prior)).shape[-1]
+    codec = VectorCodec(length, context.rule.number, what)
+    return kind(rule, place, context.model, context.sensor, context.prior, context.points, codec)
 
 
-def flooding(seat: NodeContext) -> Estimator:
+def flooding(context: NodeContext) -> Estimator:
     """The estimator of labelled measurements."""
-    assert seat.everybody is not None, "whoever seats a node of this rule knows all nodes"
-    everybody, neighbours = seat.everybody(), seat.context.neighbours
-    frames = frame_codec(everybody, neighbours, seat.context.states)
+    assert context.everybody is not None, "a node of this rule is told of all nodes"
+    everybody, neighbours = context.everybody(), context.rule.neighbours
+    frames = frame_codec(everybody, neighbours, context.rule.states)
     return LabelledFlooding(
-        node=seat.node,
+        node=context.node,
         neighbours=neighbours,
-        prior=seat.prior,
-        filter=WindowFilter(seat.model, everybody.sensors, frames.codecs, seat.points),
+        prior=context.prior,
+        filter=WindowFilter(context.model, everybody.sensors, frames.codecs, context.points),
         frames=frames,
         schedule=everybody.schedule,
         rounds=everybody.scenario.rounds,
         gates=gates_of(everybody.scenario, everybody.readings_shape[1]),
-        first_step=seat.beginning.step,
-        first_cycle=seat.beginning.cycle,
+        first_step=context.beginning.step,
+        first_cycle=context.beginning.cycle,
     )
 
 
 # --- at all nodes of many runs -------------------------------------------------------------------
 
 
-def in_batch(build: BuildRule, what: str, seat: BatchContext) -> BatchedRule:
+def in_batch(build: BuildRule, what: str, context: BatchContext) -> BatchedRule:
     """A rule whose shares are vectors of numbers."""
-    rule = build(seat.context)
-    return InBatch(rule, seat.filters, seat.links, seat.base, seat.context.number, what)
+    rule = build(context.rule)
+    return InBatch(rule, context.filters, context.links, context.base, context.rule.number, what)
 
 
-def averages_in_batch(build: BuildRule, what: str, seat: BatchContext) -> BatchedRule:
+def averages_in_batch(build: BuildRule, what: str, context: BatchContext) -> BatchedRule:
     """The matrix form of a rule whose rounds are averages."""
-    rule = build(seat.context)
-    return AveragesInBatch(rule, seat.filters, seat.links, seat.base, seat.context.number, what)
-
-
-def alone_in_batch(seat: BatchContext) -> BatchedRule:
-    """The matrix form of the rule that fuses nothing."""
-    alone = HoldPolicy(lambda base, ages, _inverse_volume, _cycles: hold.alone(base, ages), False)
-    return beliefs_in_batch(MOMENTS, seat._replace(context=seat.context._replace(hold=alone)))
-
-
-def beliefs_in_batch(rule: Averaging, seat: BatchContext) -> BatchedRule:
-    """The matrix form of rules that average beliefs."""
-    context = seat.context
-    return BatchedBeliefs(
-        filters=seat.filters,
-        averaging=rule,
-        hold=context.hold,
-        links=seat.links,
-        base=seat.base,
-        rounds=seat.rounds,
-        contenders=seat.contenders,
-        number=context.number,
-        trigger=context.trigger,
+    rule = build(context.rule)
+    return AveragesInBatch(
+        rule, context.filters, context.links, context.base, context.rule.number, what
     )
 
 
-def flooding_in_batch(seat: BatchContext) -> BatchedRule:
+def alone_in_batch(context: BatchContext) -> BatchedRule:
+    """The matrix form of the rule that fuses nothing."""
+    alone = HoldPolicy(lambda base, ages, _inverse_volume, _cycles: hold.alone(base, ages), False)
+    return beliefs_in_batch(MOMENTS, context._replace(rule=context.rule._replace(hold=alone)))
+
+
+def beliefs_in_batch(rule: Averaging, context: BatchContext) -> BatchedRule:
+    """The matrix form of rules that average beliefs."""
+    return BatchedBeliefs(
+        filters=context.filters,
+        averaging=rule,
+        hold=context.rule.hold,
+        links=context.links,
+        base=context.base,
+        rounds=context.rounds,
+        contenders=context.contenders,
+        number=context.rule.number,
+        trigger=context.rule.trigger,
+    )
+
+
+def flooding_in_batch(context: BatchContext) -> BatchedRule:
     """Labelled measurements, in scenarios of which `scenarios.labelled.without_arrays` has nothing
     to name."""
-    everybody = seat.everybody()
-    frames = frame_codec(everybody, seat.context.neighbours, seat.context.states)
+    everybody = context.everybody()
+    frames = frame_codec(everybody, context.rule.neighbours, context.rule.states)
     codecs = tuple(codec for codec in frames.codecs if codec is not None)
     channels = everybody.readings_shape[1]
     return BatchedFlooding(
-        WindowFilters(seat.filters, codecs, frames.window_steps, channels),
+        WindowFilters(context.filters, codecs, frames.window_steps, channels),
         frames,
-        seat.links,
+        context.links,
         everybody.schedule,
-        seat.rounds,
+        context.rounds,
         GAP_STEPS,
         gates_of(everybody.scenario, channels),
     )

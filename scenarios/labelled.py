@@ -16,10 +16,10 @@ from nodes.rules.labelled_frame import (
 from nodes.rules.local_filter import Sensor, StateNoise
 from nodes.rules.record_codec import Calibrated, record_codec
 from scenarios.bus_plan import frame_format
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
+from scenarios.node_context import Everybody
 from scenarios.scenario import Scenario
 from scenarios.script import script_of
-from scenarios.seat import Everybody
 from scenarios.types.buses import FlexRay, occupancy_of, trigger_of
 from scenarios.types.rules import MeasurementFlooding
 
@@ -89,10 +89,10 @@ def digest_of(scenario: Scenario) -> int:
 
 def without_arrays(scenario: Scenario) -> str | None:
     """Return the part of a scenario that has no array form under this rule; None if all has."""
-    kind = kind_of(scenario.name)
-    if kind.sensors is None:
+    definition = definition_of(scenario.name)
+    if definition.sensors is None:
         return f"rule labelled where sensors are unlike (scenario {scenario.name})"
-    if not all(_is_plain(kind.sensor(scenario, node)) for node in range(scenario.nodes)):
+    if not all(_is_plain(definition.sensor(scenario, node)) for node in range(scenario.nodes)):
         return f"rule labelled with such sensors as those of scenario {scenario.name}"
     # Elsewhere a share may take several frames, or not fit beside others: that hangs on its length.
     bus = scenario.bus

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from nodes.faults.losses import LinkState, LinkUp, chance
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.scenario import Scenario
 from scenarios.setup import Setup
 from scenarios.streams import key_of
@@ -70,7 +70,7 @@ def places(scenario: Scenario, plan: LinkPlan) -> np.ndarray:
     Raises:
         ValueError: the plant has no places.
     """
-    plant = kind_of(scenario.name).plant(scenario)
+    plant = definition_of(scenario.name).plant(scenario)
     there = [plant.positions(step) for step in range(scenario.steps)]
     if there[0] is None:
         raise ValueError(

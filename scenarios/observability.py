@@ -15,7 +15,7 @@ import numpy as np
 
 from nodes.messages import from_wire
 from nodes.rules.local_filter import Sensor
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.setup import Setup
 from scenarios.streams import generator
 
@@ -46,15 +46,15 @@ def observability(setup: Setup, most_steps: int = 60) -> Observability:
             whose plant keeps another state than its filters.
     """
     scenario = setup.scenario
-    kind = kind_of(scenario.name)
+    definition = definition_of(scenario.name)
     n = len(setup.prior_mean)
-    if kind.wiring is not None or len(setup.initial_state) != n:
+    if definition.wiring is not None or len(setup.initial_state) != n:
         raise ValueError(
             f"scenario {scenario.name}: observability is linearised along the plant's own state, "
             "which its filters do not share; leave --scenario out"
         )
-    plant, model = kind.plant(scenario), kind.model(scenario)
-    sensors = [kind.sensor(scenario, node) for node in range(scenario.nodes)]
+    plant, model = definition.plant(scenario), definition.model(scenario)
+    sensors = [definition.sensor(scenario, node) for node in range(scenario.nodes)]
     steps = min(scenario.steps, most_steps)
     draws = plant.draw(partial(generator, scenario), steps)
     state = from_wire(setup.initial_state)

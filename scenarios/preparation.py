@@ -12,7 +12,7 @@ from nodes.changes import Settings
 from nodes.faults.active import Equipment
 from nodes.messages import to_wire
 from scenarios.bus_plan import plan_bus
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.equipment import equipment_of
 from scenarios.links import losses_of, network_of
 from scenarios.rules import check_rule, is_set_valued, share_size
@@ -41,11 +41,11 @@ def prepare(scenario: Scenario) -> Setup:
     from topology.weights import build_weights, check_weights, per_node
 
     check_ranges(scenario)
-    kind = kind_of(scenario.name)
-    kind.check(scenario)
-    plant = kind.plant(scenario)
+    definition = definition_of(scenario.name)
+    definition.check(scenario)
+    plant = definition.plant(scenario)
     positions = plant.positions(0)
-    radius = kind.radio_range_m if positions is not None else None
+    radius = definition.radio_range_m if positions is not None else None
     data = os.environ.get(DATA_VARIABLE)
 
     def build(name: str) -> Network:
@@ -79,7 +79,7 @@ def _equipment(setup: Setup, settings: Settings) -> Equipment:
 def setup_of_run(setup: Setup, run: int) -> Setup:
     """The same network in the run of that number: where truth and filters begin is drawn anew."""
     scenario = msgspec.structs.replace(setup.scenario, run=run)
-    plant = kind_of(scenario.name).plant(scenario)
+    plant = definition_of(scenario.name).plant(scenario)
     draws = plant.draw(partial(generator, scenario), scenario.steps)
     initial_state, prior_mean, prior_cov = plant.initial(draws.initial)
     return msgspec.structs.replace(
@@ -102,9 +102,9 @@ def check_network(setup: Setup) -> None:
 
     scenario = setup.scenario
     check_ranges(scenario)
-    kind = kind_of(scenario.name)
-    kind.check(scenario)
-    if kind.wiring is None:
+    definition = definition_of(scenario.name)
+    definition.check(scenario)
+    if definition.wiring is None:
         _check_filter(scenario)
         check_rule(scenario, setup.neighbours, from_per_node(setup.weights, setup.neighbours))
     bus = plan_bus(scenario, share_bytes(setup), setup.neighbours)
@@ -132,7 +132,7 @@ def complete_settings(setup: Setup, before: Settings, asked: Settings) -> Settin
     for name in asked:
         if name not in SETTINGS:
             raise unknown_name("setting", name, SETTINGS)
-    if kind_of(scenario.name).wiring is not None:
+    if definition_of(scenario.name).wiring is not None:
         raise ValueError(f"set: {scenario.name} has one rule and schedule of its own; leave it out")
     settings = {**before, **asked}
     changed, left = scenario.with_known(**settings)
@@ -158,7 +158,7 @@ def with_settings(setup: Setup, settings: Settings) -> Setup:
 
 def share_bytes(setup: Setup) -> int:
     """Length of the longest share in the network of this setup."""
-    wiring = kind_of(setup.scenario.name).wiring
+    wiring = definition_of(setup.scenario.name).wiring
     if wiring is not None:
         return wiring.share_bytes(setup.scenario)
     return share_size(setup.scenario, len(setup.prior_mean))

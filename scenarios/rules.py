@@ -35,8 +35,8 @@ from scenarios.estimators import (
     weighted_information,
 )
 from scenarios.labelled import check_labelled, largest_share, without_arrays
+from scenarios.node_context import BatchContext, NodeContext
 from scenarios.scenario import Scenario, lossy_links
-from scenarios.seat import BatchContext, NodeContext
 from scenarios.setup import Setup
 from scenarios.types.buses import FullSchedule
 from scenarios.types.holds import Decayed, Dropped, Fading, InStep, Predicted, Raw
@@ -59,9 +59,9 @@ class Rule(NamedTuple):
         batched: builds the rule at all nodes of many runs.
         check: refuses scenario, neighbours of each node and weights (N, N) that it cannot do with.
         set_valued: covariances are shape matrices of ellipsoids that hold the truth for certain.
-        listen: (setup, nodes, readings (steps, N, r, d), control (steps, p) or None) -> beliefs
-            (steps,) of one filter that takes the readings of these nodes; None for the Gaussian
-            filter of the scenario.
+        baseline_filter: (setup, nodes, readings (steps, N, r, d), control (steps, p) or None) ->
+            beliefs (steps,) of one filter that takes the readings of these nodes; None for the
+            Gaussian filter of the scenario.
         lacking: what of a scenario the batched rule does not have; None if it has all.
         shares_beliefs: a share is a mean and a covariance.
         weighted: the network's consensus weights are used.
@@ -72,7 +72,9 @@ class Rule(NamedTuple):
     batched: Callable[[BatchContext], BatchedRule]
     check: "Callable[[Scenario, Sequence[Sequence[int]], Weights], None] | None" = None
     set_valued: bool = False
-    listen: Callable[[Setup, Sequence[int], np.ndarray, np.ndarray | None], Gaussian] | None = None
+    baseline_filter: (
+        Callable[[Setup, Sequence[int], np.ndarray, np.ndarray | None], Gaussian] | None
+    ) = None
     lacking: Callable[[Scenario], str | None] = lambda _: None
     shares_beliefs: bool = False
     weighted: bool = True
@@ -106,13 +108,13 @@ def check_rule(scenario: Scenario, neighbours: Sequence[Sequence[int]], weights:
         rule.check(scenario, neighbours, weights)
 
 
-def build_estimator(scenario: Scenario, seat: NodeContext) -> Estimator:
+def build_estimator(scenario: Scenario, context: NodeContext) -> Estimator:
     """The estimator at one node.
 
     Raises:
         ValueError: there is no such rule.
     """
-    return rule_of(scenario).estimator(seat)
+    return rule_of(scenario).estimator(context)
 
 
 def share_size(scenario: Scenario, states: int) -> int:
@@ -340,7 +342,7 @@ _RULES: dict[str, Rule] = {
         partial(in_batch, partial(set_rules.set_membership, Ellipsoids), "belief"),
         check=set_rules.check_bounded,
         set_valued=True,
-        listen=partial(set_rules.listen, Ellipsoids),
+        baseline_filter=partial(set_rules.baseline_filter, Ellipsoids),
         weighted=False,
     ),
     "zonotope": Rule(
@@ -349,7 +351,7 @@ _RULES: dict[str, Rule] = {
         partial(in_batch, partial(set_rules.set_membership, Zonotopes), "share"),
         check=set_rules.check_bounded,
         set_valued=True,
-        listen=partial(set_rules.listen, Zonotopes),
+        baseline_filter=partial(set_rules.baseline_filter, Zonotopes),
         weighted=False,
     ),
 }

@@ -43,7 +43,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     changes: Annotated[
         tuple[str, ...],
         Option(
-            'What becomes of the network, each with its step: "10 kill 3" "20 restart 3" '
+            'Changes to the network, each with its step: "10 kill 3" "20 restart 3" '
             '"25 cut 1 2" "30 heal 1 2" "40 loss 0.2" "50 corrupt 0.05" "60 set rule=hcmci '
             'rounds=2" (docs/faults.md has all words); file:PATH reads them from a file, one in '
             "each line.", group="faults",

@@ -16,9 +16,9 @@ from nodes.rules.set_membership import (
     take_strips,
 )
 from nodes.rules.set_shapes import Shape
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
+from scenarios.node_context import RuleContext
 from scenarios.scenario import Scenario
-from scenarios.seat import RuleContext
 from scenarios.setup import Setup
 
 if TYPE_CHECKING:
@@ -41,10 +41,10 @@ def check_bounded(
     Raises:
         ValueError: naming what is in the way, and the cure.
     """
-    _bounded_model(kind_of(scenario.name).model(scenario), scenario)
+    _bounded_model(definition_of(scenario.name).model(scenario), scenario)
 
 
-def listen(
+def baseline_filter(
     make: MakeShape,
     setup: Setup,
     nodes: Sequence[int],
@@ -52,12 +52,12 @@ def listen(
     control: np.ndarray | None,
 ) -> Gaussian:
     """One set that is cut with the readings (steps, N, r, d) of these nodes, after every step."""
-    kind = kind_of(setup.scenario.name)
-    model, points = kind.model(setup.scenario), scaled_unscented(len(setup.prior_mean))
+    definition = definition_of(setup.scenario.name)
+    model, points = definition.model(setup.scenario), scaled_unscented(len(setup.prior_mean))
     groups = {
         node: SensorGroup(slice(None), sensor)
         for node in nodes
-        if (sensor := kind.sensor(setup.scenario, node)) is not None
+        if (sensor := definition.sensor(setup.scenario, node)) is not None
     }
     shape = make(len(setup.prior_mean), "<f8")
     own = shape.containing(Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov)))

@@ -17,7 +17,7 @@ from experiments.monte_carlo.simulate import COV, OPTIONAL, Histories, simulate
 from experiments.results.trace import read_trace
 from runtime.batched.build import without_array_form
 from runtime.drivers import in_memory
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.preparation import prepare, setup_of_run
 from scenarios.scenario import Scenario
 from scenarios.setup import Setup
@@ -123,7 +123,7 @@ def scenarios(draw: st.DrawFn) -> Scenario:
     if name in ("dc-motor-position", "cruise-control"):
         asked["control"] = draw(st.sampled_from(["open", "truth", "0"]))
     # Options of other rules and schedules than those that were drawn are left out.
-    return kind_of(name).defaults.with_known(**asked)[0]
+    return definition_of(name).defaults.with_known(**asked)[0]
 
 
 @given(scenarios())
@@ -219,7 +219,7 @@ def test_graphs_that_change_agree(links: str, rule: str):
 def bounded_scenarios(draw: st.DrawFn) -> Scenario:
     """Small networks of sets, of every hold policy that keeps the truth inside."""
     schedule = draw(st.sampled_from(["full", "round-robin", "hybrid", "dynamic"]))
-    asked = kind_of("liu2021-network").defaults.with_known(
+    asked = definition_of("liu2021-network").defaults.with_known(
         rule=draw(st.sampled_from(["ellipsoid", "zonotope"])),
         nodes=draw(st.integers(1, 5)),
         graph=draw(st.sampled_from(["ring", "path", "complete"])),

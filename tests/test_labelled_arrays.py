@@ -11,7 +11,7 @@ from experiments.monte_carlo.simulate import simulate
 from experiments.results.trace import read_trace
 from runtime.batched.build import build_network, without_array_form
 from runtime.drivers import in_memory
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.preparation import prepare, setup_of_run
 from scenarios.scenario import Scenario
 from tests.changing_networks import changing
@@ -24,7 +24,7 @@ FINAL = ("kill", "cut", "heal", "loss", "loss on")
 
 def labelled(name: str = "target-tracking", **options: Any) -> Scenario:
     # The time of the bus is not what is compared here.
-    usual = kind_of(name).defaults.with_(rule="labelled", stretch=100.0)
+    usual = definition_of(name).defaults.with_(rule="labelled", stretch=100.0)
     # An arbiter of a schedule without contenders is left out.
     return usual.with_known(**options)[0]
 

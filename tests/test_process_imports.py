@@ -43,10 +43,10 @@ def loaded(imports: str, work: str = "") -> set[str]:
 def test_a_node_process_stays_light(name: str):
     from msgspec import json
 
-    from scenarios.catalogue import kind_of
+    from scenarios.catalogue import definition_of
     from scenarios.preparation import prepare
 
-    defaults = kind_of(name).defaults.with_(nodes=6, steps=2)
+    defaults = definition_of(name).defaults.with_(nodes=6, steps=2)
     work = NODE_WORK.format(setup=json.encode(prepare(defaults)))
     heavy = (
         loaded("import runtime.processes.node.process, runtime.processes.launcher_process", work)

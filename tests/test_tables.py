@@ -20,7 +20,7 @@ from nodes.faults.vocabulary import EVERY_FAULT
 from runtime.batched.build import without_array_form
 from runtime.drivers import DRIVERS, in_memory
 from scenarios.bus_plan import cluster_names
-from scenarios.catalogue import kinds
+from scenarios.catalogue import definitions
 from scenarios.preparation import prepare
 from scenarios.scenario import Scenario
 from scenarios.setup import Setup
@@ -85,7 +85,7 @@ def prepared(entry: Entry, folder: Path) -> Setup:
         options["graph"] = options["graph"].replace("K-", "2-").replace("PATH", str(edges))
     small = {"nodes": NODES, "graph": "ring", "rounds": 1}
     refusals = []
-    for name in (FIRST, *kinds()):
+    for name in (FIRST, *definitions()):
         for network in (small, {}):
             try:
                 return prepare(scenario(name, **{"steps": STEPS, **network, **options}))

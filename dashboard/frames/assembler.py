@@ -17,7 +17,7 @@ from filters.gaussian import Gaussian
 from filters.linalg import unpack_upper
 from nodes.messages import Estimate, from_wire
 from runtime.whole_steps import WholeStep
-from scenarios.baselines import listener, listens_step_by_step
+from scenarios.baselines import baseline_step, filters_step_by_step
 
 # A restarted node tells nothing of the counters that died with it.
 _COUNTED = ("sent", "heard", "missed")
@@ -38,8 +38,8 @@ class Assembler:
         n, nodes = len(stage.setup.prior_mean), stage.nodes
         prior = Gaussian(np.array(stage.setup.prior_mean), np.array(stage.setup.prior_cov))
         self._listen = None
-        if listens_step_by_step(stage.setup):
-            self._listen = listener(stage.setup, list(range(nodes)))
+        if filters_step_by_step(stage.setup):
+            self._listen = baseline_step(stage.setup, list(range(nodes)))
         self._central: Gaussian | None = prior
         self._belief = Gaussian(np.full((nodes, n), np.nan), np.full((nodes, n, n), np.nan))
         self._zonotopes: list[np.ndarray | None] = [None] * nodes

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from bus.bus import Bus
 from scenarios.build import build_bus
-from scenarios.catalogue import kind_of
-from scenarios.kind import Score
+from scenarios.catalogue import definition_of
 from scenarios.rules import is_set_valued
+from scenarios.scenario_definition import Score
 from scenarios.setup import Setup
 
 SCENE_WIDTH = 20.0
@@ -104,8 +104,8 @@ class Stage:
 
 def set_stage(setup: Setup) -> Stage:
     """Return the stage of a setup."""
-    kind = kind_of(setup.scenario.name)
-    plant = kind.plant(setup.scenario)
+    definition = definition_of(setup.scenario.name)
+    plant = definition.plant(setup.scenario)
     places = plant.positions(0)
     positions: Callable[[int], np.ndarray]
     if places is not None:
@@ -115,7 +115,7 @@ def set_stage(setup: Setup) -> Stage:
         track = set(_CAR_STATES) <= set(plant.state_names)
         picture, positions = PlantDrawing.TRACK if track else PlantDrawing.GRAPH, lambda _: layout
     links = {(min(i, j), max(i, j)) for i, heard in enumerate(setup.neighbours) for j in heard}
-    hearing = [(i, j) for i, heard in enumerate(setup.neighbours) for j in heard]
+    directed = [(i, j) for i, heard in enumerate(setup.neighbours) for j in heard]
     return Stage(
         setup=setup,
         bus=build_bus(setup),
@@ -123,11 +123,11 @@ def set_stage(setup: Setup) -> Stage:
         state_names=tuple(plant.state_names),
         state_units=tuple(plant.state_units),
         edges=np.array(sorted(links), dtype=np.int64).reshape(-1, 2),
-        heard=np.array(hearing, dtype=np.int64).reshape(-1, 2),
-        score=kind.score,
+        heard=np.array(directed, dtype=np.int64).reshape(-1, 2),
+        score=definition.score,
         set_valued=is_set_valued(setup.scenario),
         picture=picture,
-        place=tuple(kind.score.states[:2]) if picture is PlantDrawing.PLANE else (),
+        place=tuple(definition.score.states[:2]) if picture is PlantDrawing.PLANE else (),
         positions=positions,
         sight_range_m=getattr(plant, "field_of_view_m", None),
     )

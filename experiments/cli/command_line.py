@@ -31,10 +31,10 @@ COMMANDS = {
     "keys": ("keys", "keys"),
     "setup": ("hosts", "setup"),
     "router": ("hosts", "router"),
-    "world": ("hosts", "world"),
+    "world": ("hosts", "environment"),
     "node": ("hosts", "node"),
     "doctor": ("doctor", "doctor"),
-    "torture": ("torture", "torture"),
+    "torture": ("simulation_testing", "simulation_testing"),
 }
 # Those that have commands of their own; beside the function stands their SUMMARY.
 GROUPS = {

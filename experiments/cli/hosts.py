@@ -20,7 +20,7 @@ from experiments.results.folder import RECORDING, describe, make_folder, new_nam
 from experiments.user_errors import user_errors
 from nodes.commands import Kill, Restart
 from runtime.drivers import RunPace
-from runtime.network.links import RECORDER, WORLD, checked_endpoints, checked_run
+from runtime.network.links import ENVIRONMENT, RECORDER, checked_endpoints, checked_run
 from runtime.processes.job import Happened, Job
 from scenarios.preparation import prepare
 from scenarios.script import script_of
@@ -132,7 +132,7 @@ class HostOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class WorldOptions(HostOptions):
+class EnvironmentOptions(HostOptions):
     """Folder for the results."""
 
     out: Path | None = None
@@ -141,11 +141,11 @@ class WorldOptions(HostOptions):
     """Print one JSON object instead of a table."""
 
 
-def world(options: Annotated[WorldOptions, tyro.conf.arg(name="")]) -> None:
+def environment(options: Annotated[EnvironmentOptions, tyro.conf.arg(name="")]) -> None:
     """Run the environment and recorder processes on this host until the run ends."""
     with user_errors():
         description = read_setup(options.setup)
-        place = place_of([RECORDER, WORLD], options.connect, options.keys)
+        place = place_of([RECORDER, ENVIRONMENT], options.connect, options.keys)
         folder = make_folder(options.out, description.run)
         write_description(folder, description)
     sys.stderr.write(f"run {description.run}; results in {folder}\n")
@@ -176,7 +176,7 @@ class NodeOptions(HostOptions):
 
     nodes: tyro.conf.Positional[tuple[int, ...]]
     """Their numbers, one process each."""
-    patience: float = 60.0
+    peer_timeout: float = 60.0
     """Seconds that a node waits without the environment before it ends."""
 
 
@@ -185,7 +185,7 @@ def node(options: Annotated[NodeOptions, tyro.conf.arg(name="")]) -> None:
     with user_errors():
         description = read_setup(options.setup)
         names = _checked_nodes(options.nodes, description.setup.scenario.nodes)
-        place = place_of(names, options.connect, options.keys, options.patience)
+        place = place_of(names, options.connect, options.keys, options.peer_timeout)
     job = Job(description.setup, description.run, "", None, description.tempo, place)
 
     def on_event(happened: Happened) -> None:

@@ -13,7 +13,7 @@ from rich.table import Table
 from experiments.scenario_options import offered_options
 from nodes.faults.vocabulary import EVERY_FAULT, usage
 from scenarios.bus_plan import arbiter_names, cluster_names, schedule_names
-from scenarios.catalogue import kinds
+from scenarios.catalogue import definitions
 from scenarios.types.rules import RULE_SUMMARIES
 from topology.choices import GRAPHS, WEIGHTS
 from topology.link_names import NAMES as LINK_NAMES
@@ -39,9 +39,13 @@ def list_all(options: Annotated[ListOptions, tyro.conf.arg(name="")]) -> None:
         "holds": list(offered_options()["hold"].names),
         "buses": list(offered_options()["bus"].names),
     }
-    own = {name: kind.wiring.names for name, kind in kinds().items() if kind.wiring}
+    own = {
+        name: definition.wiring.names
+        for name, definition in definitions().items()
+        if definition.wiring
+    }
     if options.json:
-        scenarios = {name: kind.defaults for name, kind in kinds().items()}
+        scenarios = {name: definition.defaults for name, definition in definitions().items()}
         faults = {word: fault.summary for word, fault in EVERY_FAULT.items()}
         everything = {
             "scenarios": scenarios, "rules": RULE_SUMMARIES, **names, "own": own, "faults": faults,
@@ -50,8 +54,8 @@ def list_all(options: Annotated[ListOptions, tyro.conf.arg(name="")]) -> None:
         return
     console = Console()
     scenarios = Table("scenario", "what it is", "nodes", "graph", "steps")
-    for name, kind in kinds().items():
-        d = kind.defaults
+    for name, definition in definitions().items():
+        d = definition.defaults
         scenarios.add_row(
             name, type(d.plant).summary(), str(d.nodes), d.network.graph, str(d.steps)
         )

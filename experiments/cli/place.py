@@ -49,17 +49,17 @@ def read_setup(path: Path) -> Description:
 
 
 def place_of(
-    cast: Sequence[str], connect: Sequence[str], keys: Path | None, patience_s: float = 60.0
+    cast: Sequence[str], connect: Sequence[str], keys: Path | None, peer_timeout_s: float = 60.0
 ) -> HostPlace:
     """Return the part of a network that is to be on this host.
 
     Raises:
         ValueError: endpoints or keys that cannot be.
     """
-    if not patience_s > 0:
-        raise ValueError(f"--patience {patience_s:g}: must be above 0 seconds")
+    if not peer_timeout_s > 0:
+        raise ValueError(f"--peer-timeout {peer_timeout_s:g}: must be above 0 seconds")
     endpoints = checked_endpoints("--connect", connect, keys is not None)
-    return HostPlace(list(cast), list(endpoints), key_files(keys, cast), patience_s)
+    return HostPlace(list(cast), list(endpoints), key_files(keys, cast), peer_timeout_s)
 
 
 def take_part(job: Job, folder: Path | None, on_event: Callable[[Happened], None]) -> None:

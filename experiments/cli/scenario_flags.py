@@ -12,12 +12,12 @@ from experiments.scenario_options import OfferedOption, offered_options, scenari
 from scenarios.scenario import Scenario
 
 GROUPS = {
-    "plant": "What is simulated.",
+    "plant": "Simulated plant.",
     "network": "Nodes and who hears whom.",
     "rule": "How nodes fuse what they hear.",
     "bus": "How shares travel.",
     "filter": "How a node filters its readings.",
-    "faults": "What goes wrong.",
+    "faults": "Faults of links and processes.",
     "run": "How long, and with which randomness.",
 }
 
@@ -96,7 +96,7 @@ if TYPE_CHECKING:
         """Options of a scenario that the user has given, by group."""
 
 else:
-    ScenarioFlags = grouped_flags("Options", "What is simulated.", _typed)
+    ScenarioFlags = grouped_flags("Options", "Simulated plant.", _typed)
 
 
 def resolved(flags: ScenarioFlags) -> Scenario:

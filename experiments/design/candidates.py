@@ -14,7 +14,7 @@ from experiments.sweep.cells import sorted_out
 from experiments.sweep.pieces import Piece, compute
 from experiments.sweep.specification import Cell
 from experiments.sweep.workers import Engine
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.types.assignment import refuse_left
 
 Cost = Literal["occupancy", "bytes", "energy"]
@@ -120,7 +120,7 @@ def with_runs(
 
 
 def _kept(cell: Cell, figures: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    first = kind_of(cell.scenario.name).score.first_step
+    first = definition_of(cell.scenario.name).score.first_step
     bound = figures["bound"][min(first, len(figures["bound"]) - 1) :]
     runs = len(figures["rmse"])
     mean = np.full(runs, np.sqrt(np.mean(bound**2)))

@@ -14,7 +14,7 @@ from experiments.monte_carlo.intervals import Interval, mean_t
 from experiments.results.folder import commit, versions
 from experiments.sweep.specification import FIELDS, shown
 from runtime.disk import writing
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 
 
 class Tried(msgspec.Struct, frozen=True):
@@ -78,7 +78,7 @@ def design_of(
         settled=settled,
         seed=scenario.seed,
         target=target,
-        unit=kind_of(scenario.name).score.unit,
+        unit=definition_of(scenario.name).score.unit,
         minimise=minimise,
         tried=[_tried(one, target, one.cell.number in line) for one in found.candidates],
         refused=found.refused,

@@ -5,7 +5,7 @@ import itertools
 from collections.abc import Iterable, Mapping, Sequence
 
 from experiments.sweep.specification import Specification, Value
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 
 Values = dict[str, Value]
 
@@ -37,7 +37,7 @@ def space_of(specification: Specification) -> tuple[Values, dict[str, list[Value
     """
     settled = dict(specification.base)
     name = str(settled.get("scenario", "target-tracking"))
-    own = kind_of(name).defaults.network.graph
+    own = definition_of(name).defaults.network.graph
     space = {field: list(values) for field, values in OPEN.items() if field not in settled}
     if "graph" in space and own not in space["graph"]:
         space["graph"].insert(0, own)

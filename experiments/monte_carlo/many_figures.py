@@ -13,7 +13,7 @@ from experiments.monte_carlo.simulate import Histories
 from filters.gaussian import Gaussian
 from filters.metrics import largest_of_known, mean_of_known, nees, rmse
 from scenarios.baselines import centralised_of_runs, local_only_of_runs
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.rules import is_set_valued
 
 _TABLE_NODES = 60
@@ -73,7 +73,7 @@ def summarise(histories: Histories, cost: RunCost) -> ManyFigures:
     """Return the figures of histories with their readings."""
     setup, scenario = histories.setup, histories.setup.scenario
     assert histories.readings is not None, "keep the readings"
-    score = kind_of(scenario.name).score
+    score = definition_of(scenario.name).score
     counted = scored_steps(score, histories.readings)
     runs, nodes = histories.runs.tolist(), scenario.nodes
     alone = local_only_of_runs(setup, runs, histories.readings, histories.control)
@@ -141,7 +141,7 @@ def _frames(histories: Histories, name: str) -> np.ndarray:
 def _centralised(histories: Histories, counted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Errors (R, S, m) of one filter that hears everything, and its ANEES (R,)."""
     setup = histories.setup
-    score = kind_of(setup.scenario.name).score
+    score = definition_of(setup.scenario.name).score
     shape = histories.truth.shape
     assert histories.readings is not None, "keep the readings"
     runs = histories.runs.tolist()

@@ -25,7 +25,7 @@ from experiments.monte_carlo.simulate import READINGS, simulate
 from experiments.priority import give_way
 from runtime.batched.build import without_array_form
 from runtime.interpreter import fresh_command, fresh_variables
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.rules import is_set_valued
 from scenarios.setup import Setup
 
@@ -68,7 +68,7 @@ def told_by(setup: Setup, runs: int, rest: Callable[[int], None] = lambda done: 
     low, high = (np.where(differing, limit, np.nan) for limit in (low, high))
     bound = np.full(len(low), np.nan)
     if bounded:
-        states = list(kind_of(setup.scenario.name).score.states)
+        states = list(definition_of(setup.scenario.name).score.states)
         variances = np.diagonal(bound_of(setup, histories), axis1=-2, axis2=-1)
         bound = np.sqrt(variances[:, states].sum(axis=-1))
     return NeesRange(_plain(low), _plain(high), _plain(bound))

@@ -11,8 +11,8 @@ import numpy as np
 
 from experiments.monte_carlo.posterior_bound import Truths, posterior_bound
 from experiments.monte_carlo.simulate import Histories
-from scenarios.baselines import centralised_of_runs, listens_step_by_step
-from scenarios.catalogue import kind_of
+from scenarios.baselines import centralised_of_runs, filters_step_by_step
+from scenarios.catalogue import definition_of
 from scenarios.setup import Setup
 
 _KEPT = 64
@@ -31,7 +31,7 @@ _frames: dict[bytes, RunFrame] = {}
 
 def frame_of(setup: Setup, runs: range, histories: Histories) -> RunFrame:
     """Return the frame of these runs; computed once per process for equal truths and readings."""
-    key = _key(setup, runs, histories) if listens_step_by_step(setup) else None
+    key = _key(setup, runs, histories) if filters_step_by_step(setup) else None
     if key is not None and key in _frames:
         return _frames[key]
     frame = _frame(setup, runs, histories)
@@ -66,12 +66,14 @@ def _frame(setup: Setup, runs: range, histories: Histories) -> RunFrame:
 def bound_of(setup: Setup, histories: Histories) -> np.ndarray:
     """The posterior Cramer-Rao bound (steps, n, n) of these runs, which have kept their readings;
     NaN where it is not defined."""
-    kind = kind_of(setup.scenario.name)
+    definition = definition_of(setup.scenario.name)
     steps, n = histories.truth.shape[1:]
     # The bound's model does not cover another wiring, a set-valued rule or a gate.
-    if kind.wiring is not None or not listens_step_by_step(setup):
+    if definition.wiring is not None or not filters_step_by_step(setup):
         return np.full((steps, n, n), np.nan)
-    sensors = [kind.sensor(setup.scenario, node) for node in range(setup.scenario.nodes)]
+    sensors = [definition.sensor(setup.scenario, node) for node in range(setup.scenario.nodes)]
     assert histories.readings is not None, "keep the readings"
     truths = Truths(histories.truth, histories.readings, histories.control)
-    return posterior_bound(truths, np.array(setup.prior_cov), kind.model(setup.scenario), sensors)
+    return posterior_bound(
+        truths, np.array(setup.prior_cov), definition.model(setup.scenario), sensors
+    )

@@ -16,7 +16,7 @@ from experiments.monte_carlo.simulate import AGES, COV, READINGS, Histories, Int
 from experiments.progress import progress
 from experiments.results.folder import Description, write_whole
 from runtime.batched.build import without_array_form
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.setup import Setup
 
 
@@ -65,8 +65,8 @@ def write_histories(folder: Path, description: Description, histories: Histories
     import xarray
 
     setup = histories.setup
-    kind = kind_of(setup.scenario.name)
-    plant = kind.plant(setup.scenario)
+    definition = definition_of(setup.scenario.name)
+    plant = definition.plant(setup.scenario)
     names = list(plant.state_names)
     state = ("run", "step", "node", "state")
     per_share = ("run", "step", "round", "node")
@@ -77,7 +77,7 @@ def write_histories(folder: Path, description: Description, histories: Histories
         "nees": (
             state[:-1],
             histories.nees,
-            {"states": [names[i] for i in kind.score.nees_states]},
+            {"states": [names[i] for i in definition.score.nees_states]},
         ),
         "payload_bytes": (per_share, histories.payload_bytes, {"units": "B"}),
         "asked": (per_share, histories.asked.astype(np.int8)),

@@ -21,7 +21,7 @@ from runtime.batched.build import build_network, without_array_form
 from runtime.batched.driver import Instant, run
 from runtime.batched.memory import keep_freed_memory
 from runtime.drivers import in_memory
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.preparation import setup_of_run
 from scenarios.setup import Setup
 
@@ -46,7 +46,8 @@ class Histories(NamedTuple):
             that is not driven.
         mean: (R, S, N, n), estimates after the last round of a step.
         cov_trace: (R, S, N), of their covariances.
-        nees: (R, S, N), over the states `kind_of(...).score.nees_states`; NaN for unknown truth.
+        nees: (R, S, N), over the states `definition_of(...).score.nees_states`; NaN for unknown
+            truth.
         payload_bytes: (R, S, L, N), sent by a node in a communication cycle; 0 if it sent nothing.
         asked: (R, S, L, N), True where a node bid for the dynamic segment.
         counters: totals (R, N) by name, as nodes count them; what never happened has no name.
@@ -268,7 +269,7 @@ def _write(
     """Put one step of some runs in its place, `at` (number of all runs, which, step)."""
     runs, place, step = at
     belief, truth = recorded.belief, recorded.truth
-    states = list(kind_of(setup.scenario.name).score.nees_states)
+    states = list(definition_of(setup.scenario.name).score.nees_states)
     errors = (belief.mean - truth[:, None])[..., states]
     values: dict[str, np.ndarray | None] = {
         "truth": truth,

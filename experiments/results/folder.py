@@ -18,7 +18,7 @@ from experiments.results.trace import Trace
 from filters.metrics import consensus, nees
 from nodes.tempo import Tempo
 from runtime.disk import writing
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.rules import is_set_valued
 from scenarios.setup import Setup
 
@@ -139,12 +139,12 @@ def write_arrays(folder: Path, description: Description, trace: Trace) -> None:
     import xarray
 
     setup = description.setup
-    kind = kind_of(setup.scenario.name)
-    plant = kind.plant(setup.scenario)
+    definition = definition_of(setup.scenario.name)
+    plant = definition.plant(setup.scenario)
     names = list(plant.state_names)
     truth = trace.truth[:, None, :]
     state = ("step", "node", "state")
-    score = list(kind.score.nees_states)
+    score = list(definition.score.nees_states)
     errors = trace.mean - truth
     variables: dict[str, Any] = {
         "truth": (("step", "state"), trace.truth),

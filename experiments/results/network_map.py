@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from experiments.results.palette import GREY, SEQUENTIAL
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.setup import Setup
 
 if TYPE_CHECKING:
@@ -59,8 +59,10 @@ def _draw(axes: Any, network: Mapped, scale: Any) -> Any:
     # Many links make a grey sheet unless each is faint.
     faint = float(np.clip(12 / np.sqrt(max(len(links), 1)), 0.15, 0.8))
     axes.add_collection(LineCollection(links, colors=GREY, linewidths=0.6, alpha=faint))
-    kind = kind_of(setup.scenario.name)
-    blind = np.array([kind.sensor(setup.scenario, node) is None for node in range(len(positions))])
+    definition = definition_of(setup.scenario.name)
+    blind = np.array(
+        [definition.sensor(setup.scenario, node) is None for node in range(len(positions))]
+    )
     size = float(np.clip(1600 / len(positions), 8, 70))
     look = {"cmap": f"{SEQUENTIAL}_r", "norm": scale, "s": size, "zorder": 3,
             "edgecolors": "black", "linewidths": 0.5}  # fmt: skip
@@ -85,7 +87,7 @@ def _draw(axes: Any, network: Mapped, scale: Any) -> Any:
 
 def _positions(setup: Setup) -> tuple[np.ndarray, str]:
     """Where the nodes are (N, 2), in m; without a unit where a drawing puts them."""
-    positions = kind_of(setup.scenario.name).plant(setup.scenario).positions(0)
+    positions = definition_of(setup.scenario.name).plant(setup.scenario).positions(0)
     if positions is not None:
         return positions[:, :2], "m"
     import networkx

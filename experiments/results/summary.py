@@ -17,9 +17,9 @@ from experiments.results.trace import Trace
 from filters.gaussian import Gaussian
 from filters.metrics import anees, disagreement, largest_of_known, rmse
 from scenarios.baselines import centralised, local_only
-from scenarios.catalogue import kind_of
-from scenarios.kind import Score
+from scenarios.catalogue import definition_of
 from scenarios.rules import is_set_valued
+from scenarios.scenario_definition import Score
 from scenarios.setup import Setup
 
 _TRAFFIC = ("sent", "heard", "missed")
@@ -78,7 +78,7 @@ class Figures(msgspec.Struct, frozen=True):
 
 def summarise(setup: Setup, trace: Trace) -> Figures:
     """The figures of a trace with at least one complete step."""
-    score = kind_of(setup.scenario.name).score
+    score = definition_of(setup.scenario.name).score
     first = _first_scored(score, trace)
     alone = local_only(setup, trace.readings, trace.control)
     central = centralised(setup, trace.readings, trace.control)

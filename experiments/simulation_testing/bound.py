@@ -12,7 +12,7 @@ from experiments.monte_carlo.posterior_bound import Truths, posterior_bound
 from experiments.simulation_testing.broken import Broken
 from experiments.simulation_testing.promises import BOUNDED, LINEAR, nodes_are_honest, promises
 from experiments.simulation_testing.verdict import EstimateHistory
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.types.plants import noise_of
 from scenarios.types.rules import number_of
 
@@ -50,9 +50,11 @@ def check_bound(run: EstimateHistory) -> None:
 def _bound(run: EstimateHistory) -> np.ndarray:
     """Covariance (steps, n, n) of the filter with every reading that there is."""
     scenario = run.setup.scenario
-    kind = kind_of(scenario.name)
-    sensors = [kind.sensor(scenario, node) for node in range(scenario.nodes)]
+    definition = definition_of(scenario.name)
+    sensors = [definition.sensor(scenario, node) for node in range(scenario.nodes)]
     # Of a linear plant it hangs on which readings come, and on no number in them.
     control = None if run.control is None else run.control[None]
     truths = Truths(run.truth[None], run.readings[None], control)
-    return posterior_bound(truths, np.array(run.setup.prior_cov), kind.model(scenario), sensors)
+    return posterior_bound(
+        truths, np.array(run.setup.prior_cov), definition.model(scenario), sensors
+    )

@@ -18,7 +18,7 @@ class SimulationCase(msgspec.Struct, frozen=True):
     Attributes:
         seed: of what the wire does to messages.
         scenario: what is simulated; its `changes` are faults and their ends.
-        wire: kinds and probabilities, "garbage 0.2" (`torture_wire`).
+        wire: kinds and probabilities, "garbage 0.2" (`wire`).
     """
 
     seed: int

@@ -42,7 +42,7 @@ class SimulationOutcome(NamedTuple):
     struck: Counter[str]
 
 
-def torture(case: SimulationCase) -> SimulationOutcome:
+def run_case(case: SimulationCase) -> SimulationOutcome:
     """Run a case to its end or to the first invariant that breaks."""
     injected = Counter(line.split()[1] for line in case.scenario.changes)
     struck: Counter[str] = Counter()
@@ -69,25 +69,25 @@ def _run(case: SimulationCase, injected: Counter[str], struck: Counter[str]) -> 
     configs = [build_node(setup, node) for node in range(case.scenario.nodes)]
     faults, calm_step = read_wire(case.wire), case.calm_step
     bus, loses_frames = configs[0].bus, bool({*faults} & {*LOSING})
-    books = OracleLedger(bus, case.scenario.rounds, len(configs), loses_frames)
+    ledger = OracleLedger(bus, case.scenario.rounds, len(configs), loses_frames)
     wire = Wire(
-        case.seed, faults, lambda cycle: books.step_of(cycle) >= calm_step, bus.frame_format
+        case.seed, faults, lambda cycle: ledger.step_of(cycle) >= calm_step, bus.frame_format
     )
     try:
         in_process.run(
             build_environment(setup),
-            [watched(config, books, case.scenario) for config in configs],
-            books,
+            [watched(config, ledger, case.scenario) for config in configs],
+            ledger,
             link=wire.carry,
             pick=wire.pick,
-            watch=books.watch,
+            watch=ledger.watch,
             script=script_of(case.scenario),
             check=partial(complete_settings, setup),
         )
     finally:
         injected.update(wire.injected)
-        struck.update(books.struck)
-    return history_of_run(setup, books)
+        struck.update(ledger.struck)
+    return history_of_run(setup, ledger)
 
 
 def _without_faults(case: SimulationCase) -> SimulationCase:

@@ -138,7 +138,7 @@ def _drawn(generator: np.random.Generator) -> Scenario:
         "number": one("float64", "float64", "float32"),
         "links": one(*_LINKS),
         "loss": one(0.0, 0.0, 0.0, 0.05, 0.2),
-        # The time of the bus is not what is tortured here.
+        # The time of the bus is not tested here.
         "stretch": 1000.0,
     }
     if rule in _CERTAIN:

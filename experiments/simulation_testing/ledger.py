@@ -1,6 +1,6 @@
 """Double-entry book-keeping of frames: what must have become of each, beside what nodes count.
 
-The books follow from what was sent, what arrived, and which changes were announced. They are made
+The ledger follows from what was sent, what arrived, and which changes were announced. They are made
 frame by frame and compared with the counters of a node after every event; so every frame that
 arrives is heard, lost, late, repeated or rejected, and exactly once.
 """
@@ -54,7 +54,7 @@ class OracleLedger:
         self._owners: dict[tuple[int, int], int] = {}
         self._unchecked: list[Sent] = []
         self._genuine: dict[bytes, Sent] = {}
-        self._pages = [NodeLedger(0, 0) for _ in range(nodes)]
+        self._node_ledgers = [NodeLedger(0, 0) for _ in range(nodes)]
         self._cuts: set[tuple[int, int]] = set()
         self._wrong: dict[tuple[str, tuple[int, ...]], Fault] = {}
         self._events = 0
@@ -98,7 +98,7 @@ class OracleLedger:
         )
         self._genuine[frame] = sent
         self._sent.setdefault((node, fragment.cycle), []).append(sent)
-        self._pages[node].counts["sent"] += 1
+        self._node_ledgers[node].counts["sent"] += 1
         slot = (fragment.cycle, fragment.frame_id)
         if slot in self._owners:
             raise Broken(
@@ -148,42 +148,48 @@ class OracleLedger:
         """Enter an event of a node, and compare the counters."""
         node = config.index
         if isinstance(event, Welcome):
-            self._pages[node] = NodeLedger(state.cycle, _end_cycle(config, state))
+            self._node_ledgers[node] = NodeLedger(state.cycle, _end_cycle(config, state))
             return
         self._check_progress()
         self._check_turns(config)
-        page = self._pages[node]
+        ledger = self._node_ledgers[node]
         if isinstance(event, CycleClosed):
-            self._check_patience(node, page, event)
+            self._check_peer_timeout(node, ledger, event)
         if isinstance(event, ShareHeard):
-            self._book(config, page, event.sender, event.frame)
+            self._book(config, ledger, event.sender, event.frame)
         end = _end_cycle(config, state)
-        if end != page.end_cycle:
-            page.end_cycle = end
-            due = [one for one in page.early if one[2][1] < end]
+        if end != ledger.end_cycle:
+            ledger.end_cycle = end
+            due = [one for one in ledger.early if one[2][1] < end]
             # Once a step is open it is known in whose slots frames of later ones must be.
-            later = [one for one in page.early if one[2][1] >= end]
-            page.early = [one for one in later if one[1] is not None]
-            page.counts["rejected"] += len(later) - len(page.early)
+            later = [one for one in ledger.early if one[2][1] >= end]
+            ledger.early = [one for one in later if one[1] is not None]
+            ledger.counts["rejected"] += len(later) - len(ledger.early)
             for sender, sent, _ in due:
-                self._file(config, page, sender, sent)
-        page.cycle, page.group, page.phase = state.cycle, state.group, state.phase
-        self._settle(config, page)
-        page.book_what_was_late()
-        silent = self._keeps_silent(config, page, state.step)
-        self._compare(node, page, state.counters, silent)
+                self._file(config, ledger, sender, sent)
+        ledger.cycle, ledger.group, ledger.phase = (
+            state.cycle,
+            state.group,
+            state.phase,
+        )
+        self._settle(config, ledger)
+        ledger.book_what_was_late()
+        silent = self._keeps_silent(config, ledger, state.step)
+        self._compare(node, ledger, state.counters, silent)
 
-    def _keeps_silent(self, config: NodeConfig, page: NodeLedger, step: int) -> bool:
+    def _keeps_silent(self, config: NodeConfig, ledger: NodeLedger, step: int) -> bool:
         """Return whether a node has let a turn pass in the open group of the cycle."""
-        if page.phase not in (Phase.GRANT, Phase.SHARES):
+        if ledger.phase not in (Phase.GRANT, Phase.SHARES):
             return False
         granted = (
-            self.grants.get((page.cycle, page.group), ()) if page.phase is Phase.SHARES else ()
+            self.grants.get((ledger.cycle, ledger.group), ())
+            if ledger.phase is Phase.SHARES
+            else ()
         )
-        turns = (*config.schedule.groups(page.cycle)[page.group].senders, *granted)
+        turns = (*config.schedule.groups(ledger.cycle)[ledger.group].senders, *granted)
         faults = self._faults(config, step)
         return config.index in turns and bool(
-            must_be_silent(faults, step, page.cycle, config.index)
+            must_be_silent(faults, step, ledger.cycle, config.index)
         )
 
     def _check_turns(self, config: NodeConfig) -> None:
@@ -197,52 +203,52 @@ class OracleLedger:
                     "who sends has a turn", f"node {one.sender} has none in cycle {one.cycle}"
                 )
 
-    def _check_patience(self, node: int, page: NodeLedger, closed: CycleClosed) -> None:
+    def _check_peer_timeout(self, node: int, ledger: NodeLedger, closed: CycleClosed) -> None:
         """Time runs out only where something that was sent never comes."""
-        if (page.cycle, page.group) != (closed.cycle, closed.group):
+        if (ledger.cycle, ledger.group) != (closed.cycle, closed.group):
             return
-        if page.phase is Phase.GRANT or not self._loses_frames:
-            what = "a grant" if page.phase is Phase.GRANT else "a share"
-            raise Broken("nobody waits in vain", f"node {node} in cycle {page.cycle} for {what}")
+        if ledger.phase is Phase.GRANT or not self._loses_frames:
+            what = "a grant" if ledger.phase is Phase.GRANT else "a share"
+            raise Broken("nobody waits in vain", f"node {node} in cycle {ledger.cycle} for {what}")
 
     def _check_progress(self) -> None:
         self._events += 1
         if self._events > 10_000 + _EVENTS_PER_FRAME * (len(self._genuine) + len(self.estimates)):
             raise Broken("progress", f"{self._events} events and no end")
 
-    def _book(self, config: NodeConfig, page: NodeLedger, sender: int, frame: bytes) -> None:
+    def _book(self, config: NodeConfig, ledger: NodeLedger, sender: int, frame: bytes) -> None:
         """One frame that has arrived."""
         sent = self._genuine.get(frame)
         if sent is None:
-            page.counts["rejected"] += 1
+            ledger.counts["rejected"] += 1
             return
         key = (sender, sent.cycle, sent.frame_id)
-        if sent.cycle < page.cycle:
-            page.counts["late"] += 1
+        if sent.cycle < ledger.cycle:
+            ledger.counts["late"] += 1
         elif sent.sender != sender:
-            self._book_spoof(page, sender, sent, key)
-        elif key in page.seen:
-            page.counts["repeated"] += 1
+            self._book_spoof(ledger, sender, sent, key)
+        elif key in ledger.seen:
+            ledger.counts["repeated"] += 1
         else:
-            page.seen.add(key)
-            if sent.cycle >= page.end_cycle:
-                page.early.append((sender, sent, key))
+            ledger.seen.add(key)
+            if sent.cycle >= ledger.end_cycle:
+                ledger.early.append((sender, sent, key))
             else:
-                self._file(config, page, sender, sent)
+                self._file(config, ledger, sender, sent)
 
-    def _book_spoof(self, page: NodeLedger, sender: int, sent: Sent, key: Key) -> None:
+    def _book_spoof(self, ledger: NodeLedger, sender: int, sent: Sent, key: Key) -> None:
         """Enter a valid frame that another node sent in its own slot."""
-        if sent.cycle < page.end_cycle or page.phase is not Phase.MEASUREMENT:
-            page.counts["rejected"] += 1
-        elif any(key == other for *_, other in page.early):
-            page.counts["repeated"] += 1
+        if sent.cycle < ledger.end_cycle or ledger.phase is not Phase.MEASUREMENT:
+            ledger.counts["rejected"] += 1
+        elif any(key == other for *_, other in ledger.early):
+            ledger.counts["repeated"] += 1
         else:
-            page.early.append((sender, None, key))
+            ledger.early.append((sender, None, key))
 
-    def _file(self, config: NodeConfig, page: NodeLedger, sender: int, sent: Sent | None) -> None:
+    def _file(self, config: NodeConfig, ledger: NodeLedger, sender: int, sent: Sent | None) -> None:
         """Enter a frame of the open step."""
         if sent is None:
-            page.counts["rejected"] += 1
+            ledger.counts["rejected"] += 1
             return
         # The changes, not the node, tell which links are cut.
         step, _ = self.history.place(sent.cycle)
@@ -253,10 +259,10 @@ class OracleLedger:
         if arrives and self._wrong:
             fate = self._fate(config, step, sender, sent)
             self.struck.update(fate.struck)
-            page.suffer(sender, sent, fate)
+            ledger.suffer(sender, sent, fate)
             return
-        page.counts["lost"] += not arrives
-        page.arrive(sender, sent, arrives)
+        ledger.counts["lost"] += not arrives
+        ledger.arrive(sender, sent, arrives)
 
     def _fate(self, config: NodeConfig, step: int, sender: int, sent: Sent) -> Fate:
         way = Passage(step, sent.cycle, sender, config.index, sent.number, sent.frame_id)
@@ -274,32 +280,32 @@ class OracleLedger:
         senders = config.schedule.groups(cycle)[group].senders
         due = {*senders, *self.grants.get((cycle, group), ())}
         step, _ = self.history.place(cycle)
-        page = self._pages[config.index]
-        page.counts["missed"] += sum(j in due and self.history.is_in(j, step) for j in silent)
-        page.fused.append(cycle)
+        ledger = self._node_ledgers[config.index]
+        ledger.counts["missed"] += sum(j in due and self.history.is_in(j, step) for j in silent)
+        ledger.fused.append(cycle)
         if config.index in due:
-            page.turns.append((step, cycle))
+            ledger.turns.append((step, cycle))
 
     def used(self, node: int, sender: int, cycle: int) -> None:
         """Enter that a node's estimator receives a neighbour's share of a cycle."""
-        self._pages[node].used.append((sender, cycle))
+        self._node_ledgers[node].used.append((sender, cycle))
 
-    def _settle(self, config: NodeConfig, page: NodeLedger) -> None:
+    def _settle(self, config: NodeConfig, ledger: NodeLedger) -> None:
         """Check the fused cycles of an event after all of its entries are made."""
-        page.let_in_overtaken()
-        for step, cycle in page.turns:
+        ledger.let_in_overtaken()
+        for step, cycle in ledger.turns:
             self._check_turn_is_used(config, step, cycle)
-        for sender, cycle in page.used:
-            if not page.is_whole(sender, cycle):
+        for sender, cycle in ledger.used:
+            if not ledger.is_whole(sender, cycle):
                 seen = f"node {config.index} has used that of node {sender} in cycle {cycle}"
                 raise Broken("what did not come is not used", seen)
-        page.fused, page.turns, page.used = [], [], []
+        ledger.fused, ledger.turns, ledger.used = [], [], []
 
     def _check_turn_is_used(self, config: NodeConfig, step: int, cycle: int) -> None:
         """Check that a node with a turn sends, unless a fault silences it."""
         node = config.index
         why = must_be_silent(self._faults(config, step), step, cycle, node)
-        self._pages[node].counts["silent"] += bool(why)
+        self._node_ledgers[node].counts["silent"] += bool(why)
         if why:
             self.struck[why] += 1
         if bool(why) == bool(self._sent.get((node, cycle))):
@@ -323,21 +329,23 @@ class OracleLedger:
         """
         if not body.startswith(_NO_NUMBERS):
             raise Broken("a share that was said is read", f"node {node} has refused one")
-        page = self._pages[node]
+        ledger = self._node_ledgers[node]
         self.struck["nan"] += 1
-        page.counts["heard"] -= 1
-        page.counts["rejected"] += 1
+        ledger.counts["heard"] -= 1
+        ledger.counts["rejected"] += 1
 
     def refused(self, node: int, shares: int) -> None:
         """A node's estimator has refused so many shares that it had heard."""
         self.struck["indefinite"] += shares
-        self._pages[node].refused_shares += shares
+        self._node_ledgers[node].refused_shares += shares
 
-    def _compare(self, node: int, page: NodeLedger, counters: dict[str, int], silent: bool) -> None:
+    def _compare(
+        self, node: int, ledger: NodeLedger, counters: dict[str, int], silent: bool
+    ) -> None:
         rejected = sum(n for name, n in counters.items() if name.startswith("rejected "))
         said = {name: counters.get(name, 0) for name in _BOOKED}
-        said["rejected"] = rejected - page.refused_shares
-        booked = {name: page.counts[name] for name in said}
+        said["rejected"] = rejected - ledger.refused_shares
+        booked = {name: ledger.counts[name] for name in said}
         booked["silent"] += silent
         if said != booked:
             wrong = [
@@ -346,7 +354,8 @@ class OracleLedger:
                 if said[name] != booked[name]
             ]
             raise Broken(
-                "counters add up", f"node {node} in cycle {page.cycle} counts {', '.join(wrong)}"
+                "counters add up",
+                f"node {node} in cycle {ledger.cycle} counts {', '.join(wrong)}",
             )
 
 

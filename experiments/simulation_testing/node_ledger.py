@@ -1,4 +1,4 @@
-"""One node's page in the books of a run: what it must have counted, and what is still to come."""
+"""Ledger of one node in a run: the counts that it must report, and the shares still to come."""
 
 from collections import Counter
 from typing import NamedTuple
@@ -22,7 +22,7 @@ class Sent(NamedTuple):
 
 
 class NodeLedger:
-    """The books of one node since it was started."""
+    """Ledger of one node since its start."""
 
     def __init__(self, cycle: int, end_cycle: int) -> None:
         self.cycle, self.end_cycle = cycle, end_cycle

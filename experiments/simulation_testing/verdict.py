@@ -65,7 +65,7 @@ class EstimateHistory(NamedTuple):
         return self.mean - self.truth[:, None]
 
 
-def history_of_run(setup: Setup, books: OracleLedger) -> EstimateHistory:
+def history_of_run(setup: Setup, ledger: OracleLedger) -> EstimateHistory:
     """Return the arrays of a run that came to its end.
 
     Raises:
@@ -77,23 +77,23 @@ def history_of_run(setup: Setup, books: OracleLedger) -> EstimateHistory:
     cov = np.full((*shape, shape[-1]), np.nan)
     for step in range(scenario.steps):
         for node in range(scenario.nodes):
-            said = books.estimates.get((step, node))
-            if (said is not None) != books.history.is_in(node, step):
+            said = ledger.estimates.get((step, node))
+            if (said is not None) != ledger.history.is_in(node, step):
                 what = "no" if said is None else "an"
                 raise Broken("one estimate a step", f"node {node} gave {what} estimate of {step}")
             if said is not None:
                 mean[step, node] = from_wire(said.mean)
                 cov[step, node] = unpack_upper(from_wire(said.cov))
-    truth = np.array([from_wire(books.truths[step].state) for step in range(scenario.steps)])
-    return EstimateHistory(setup, truth, mean, cov, *_told(scenario, books))
+    truth = np.array([from_wire(ledger.truths[step].state) for step in range(scenario.steps)])
+    return EstimateHistory(setup, truth, mean, cov, *_told(scenario, ledger))
 
 
-def _told(scenario: Scenario, books: OracleLedger) -> tuple[np.ndarray, np.ndarray | None]:
+def _told(scenario: Scenario, ledger: OracleLedger) -> tuple[np.ndarray, np.ndarray | None]:
     """Return the readings and control that the environment has sent to the nodes."""
-    some = next(iter(books.measured.values()))
+    some = next(iter(ledger.measured.values()))
     came = {
         place: np.array([from_wire(reading) for reading in measured.readings])
-        for place, measured in books.measured.items()
+        for place, measured in ledger.measured.items()
     }
     shape = next(iter(came.values())).shape
     readings = np.full((scenario.steps, scenario.nodes, *shape), np.nan)
@@ -101,7 +101,7 @@ def _told(scenario: Scenario, books: OracleLedger) -> tuple[np.ndarray, np.ndarr
         readings[place] = arrays
     if some.control is None:
         return readings, None
-    first = {step: measured.control for (step, _), measured in books.measured.items()}
+    first = {step: measured.control for (step, _), measured in ledger.measured.items()}
     return readings, np.array([first[step] for step in range(scenario.steps)], dtype=float)
 
 

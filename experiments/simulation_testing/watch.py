@@ -40,16 +40,16 @@ class _Share(NamedTuple):
     body: bytes
 
 
-def watched(config: NodeConfig, books: OracleLedger, scenario: Scenario) -> NodeConfig:
+def watched(config: NodeConfig, ledger: OracleLedger, scenario: Scenario) -> NodeConfig:
     """Return the same node, and every node that it becomes, with an eye on its estimator."""
     rebuild = config.rebuild
 
     def rebuilt(standing: Standing, step: int, belief: Gaussian | None) -> NodeConfig:
         assert rebuild is not None, "a node of a scenario can be rebuilt"
         changed, _ = scenario.with_known(**standing.settings)
-        return watched(rebuild(standing, step, belief), books, changed)
+        return watched(rebuild(standing, step, belief), ledger, changed)
 
-    return replace(config, estimator=WatchedEstimator(config, books, scenario), rebuild=rebuilt)
+    return replace(config, estimator=WatchedEstimator(config, ledger, scenario), rebuild=rebuilt)
 
 
 class _ShownRule(NamedTuple):
@@ -75,8 +75,8 @@ class WatchedEstimator:
     A broken invariant raises `Broken`.
     """
 
-    def __init__(self, config: NodeConfig, books: OracleLedger, scenario: Scenario) -> None:
-        self._config, self._books, self._scenario = config, books, scenario
+    def __init__(self, config: NodeConfig, ledger: OracleLedger, scenario: Scenario) -> None:
+        self._config, self._ledger, self._scenario = config, ledger, scenario
         self._inner = self._with_weights_shown(config.estimator)
         self._cycle = self._group = -1
         self._heard: dict[int, int] = {}
@@ -103,9 +103,9 @@ class WatchedEstimator:
         try:
             meaning = self._inner.accept(body)
         except Rejected:
-            self._books.rejected(self._config.index, body)
+            self._ledger.rejected(self._config.index, body)
             raise
-        self._books.accepted(self._config.index, body)
+        self._ledger.accepted(self._config.index, body)
         return _Share(meaning, body)
 
     def fuse(self, content: Any, shares: tuple[_Share | None, ...]) -> tuple[Any, tuple[str, ...]]:
@@ -114,7 +114,7 @@ class WatchedEstimator:
         came = {j: share for j, share in zip(near, shares, strict=True) if share is not None}
         for sender, share in came.items():
             self._check_share(sender, share)
-        self._books.missed(self._config, self._cycle, self._group, {*near} - {*came})
+        self._ledger.missed(self._config, self._cycle, self._group, {*near} - {*came})
         self._check_mixing(content, [j in came for j in near])
         meanings = tuple(None if share is None else share.meaning for share in shares)
         content, failures = self._inner.fuse(content, meanings)
@@ -150,18 +150,18 @@ class WatchedEstimator:
             raise self._broken(
                 "a covariance that is none is refused", f"{refused} shares for {indefinite}"
             )
-        self._books.refused(self._config.index, refused)
+        self._ledger.refused(self._config.index, refused)
 
     def _check_share(self, sender: int, share: _Share) -> None:
         label = (sender, self._cycle)
         if label in self._used:
             raise self._broken("no share used twice", f"that of node {sender} was used again")
         self._used.add(label)
-        if self._books.body(*label) != share.body:
+        if self._ledger.body(*label) != share.body:
             raise self._broken(
                 "a share is used in its own cycle", f"node {sender} has not said that in it"
             )
-        self._books.used(self._config.index, *label)
+        self._ledger.used(self._config.index, *label)
 
     def _check_belief(self, belief: Gaussian, rounding: float) -> None:
         mean, cov = belief
@@ -212,7 +212,7 @@ class WatchedEstimator:
 
     def _check_average(self, beliefs: Gaussian, weights: np.ndarray, fused: Gaussian) -> None:
         self._check_weights(weights)
-        liars = [1 + n for n, j in enumerate(self._config.neighbours) if j in self._books.liars]
+        liars = [1 + n for n, j in enumerate(self._config.neighbours) if j in self._ledger.liars]
         rule = self._scenario.rule
         if isinstance(rule, TrimmedCovarianceIntersection) and np.isfinite(fused.mean).all():
             seen = broken_promise(beliefs, weights, fused, liars, rule.liars)

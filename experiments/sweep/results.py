@@ -14,8 +14,8 @@ from experiments.monte_carlo.run_figures import FIGURES
 from experiments.results.folder import commit, versions
 from experiments.results.netcdf_file import write_dataset
 from experiments.sweep.specification import Cell, Specification, Value, cells_of
-from scenarios.catalogue import kind_of
-from scenarios.kind import ScenarioDefinition
+from scenarios.catalogue import definition_of
+from scenarios.scenario_definition import ScenarioDefinition
 
 if TYPE_CHECKING:
     import xarray
@@ -37,15 +37,15 @@ def assemble(
 
     fields = _fields(specification, cells)
     shape = tuple(len(values) for values in fields.values())
-    kinds = [kind_of(cell.scenario.name) for cell in cells]
-    states = _states(cells, kinds)
+    definitions = [definition_of(cell.scenario.name) for cell in cells]
+    states = _states(cells, definitions)
     sizes = {
         "run": specification.runs,
         "step": max(cell.scenario.steps for cell in cells),
         "node": max(cell.scenario.nodes for cell in cells),
         "state": len(states),
     }
-    unit = score_unit(kinds)
+    unit = score_unit(definitions)
     variables: dict[str, Any] = {}
     for name, figure in FIGURES.items():
         whole = np.full((*shape, *(sizes[d] for d in figure.dimensions)), np.nan)
@@ -61,13 +61,13 @@ def assemble(
                           _provenance(specification, cells))  # fmt: skip
 
 
-def score_unit(kinds: Sequence[ScenarioDefinition]) -> str:
+def score_unit(definitions: Sequence[ScenarioDefinition]) -> str:
     """Return the one unit in which the errors of all cells are.
 
     Raises:
         ValueError: there are several.
     """
-    units = sorted({kind.score.unit for kind in kinds})
+    units = sorted({definition.score.unit for definition in definitions})
     if len(units) > 1:
         raise ValueError(
             f"the swept scenarios measure their errors in {' and '.join(units)}, which cannot "
@@ -136,12 +136,15 @@ def _fields(specification: Specification, cells: Sequence[Cell]) -> dict[str, Se
     return dict(specification.levels)
 
 
-def _states(cells: Sequence[Cell], kinds: Sequence[ScenarioDefinition]) -> dict[str, str]:
+def _states(cells: Sequence[Cell], definitions: Sequence[ScenarioDefinition]) -> dict[str, str]:
     """Names of all states and their units, in order."""
     states: dict[str, str] = {}
-    for kind, scenario in {cell.scenario.name: (kind, cell.scenario)
-                           for cell, kind in zip(cells, kinds, strict=True)}.values():  # fmt: skip
-        plant = kind.plant(scenario)
+    by_name = {
+        cell.scenario.name: (definition, cell.scenario)
+        for cell, definition in zip(cells, definitions, strict=True)
+    }
+    for definition, scenario in by_name.values():
+        plant = definition.plant(scenario)
         states |= dict(zip(plant.state_names, plant.state_units, strict=True))
     return states
 
@@ -152,7 +155,7 @@ def _placed(
     """Values of a cell, its states put where the data set has them."""
     if "state" not in dimensions:
         return values
-    names = kind_of(cell.scenario.name).plant(cell.scenario).state_names
+    names = definition_of(cell.scenario.name).plant(cell.scenario).state_names
     wide = np.full((*values.shape[:-1], len(states)), np.nan)
     wide[..., [list(states).index(name) for name in names]] = values
     return wide
@@ -180,7 +183,7 @@ def _coordinates(
             for field in specification.dimensions
         }
     plants = {cell.scenario.name: cell.scenario for cell in cells}.values()
-    lengths = {kind_of(one.name).plant(one).time_step_s for one in plants}
+    lengths = {definition_of(one.name).plant(one).time_step_s for one in plants}
     if len(lengths) == 1:
         coordinates["time"] = ("step", np.arange(sizes["step"]) * lengths.pop(), {"units": "s"})
     return coordinates

@@ -19,7 +19,7 @@ from experiments.sweep.results import (
 from experiments.sweep.specification import Cell, Specification
 from experiments.sweep.store import check_same, load_cells, open_store, remove_store, save_cell
 from experiments.sweep.workers import Engine
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 
 if TYPE_CHECKING:
     import xarray
@@ -52,7 +52,7 @@ def begin(specification: Specification, out: Path | None) -> Begin:
         ValueError: a cell that cannot run, or an `out` that belongs to another sweep.
     """
     cells = checked_cells(specification)
-    score_unit([kind_of(cell.scenario.name) for cell in cells])
+    score_unit([definition_of(cell.scenario.name) for cell in cells])
     if out is None:
         return Begin(specification, None, None, cells, {})
     if out.exists():

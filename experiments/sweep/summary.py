@@ -12,7 +12,7 @@ from experiments.monte_carlo.convergence import settling_interval
 from experiments.monte_carlo.intervals import METHODS, Interval
 from experiments.sweep.results import flattened, specification_of
 from experiments.sweep.specification import shown
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 
 if TYPE_CHECKING:
     import xarray
@@ -110,7 +110,7 @@ def _plain(seed: object) -> int | str:
 
 
 def _first_scored(name: str) -> int:
-    return kind_of(name).score.first_step
+    return definition_of(name).score.first_step
 
 
 def table(figures: SweepFigures, dataset: "xarray.Dataset", width: int) -> Table:

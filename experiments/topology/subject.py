@@ -10,7 +10,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from experiments.scenario_options import scenario_of
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.links import link_up
 from scenarios.preparation import prepare
 from scenarios.setup import Setup
@@ -169,7 +169,7 @@ def _of_scenario(source: str, options: SubjectOptions) -> Subject:
     neighbours = setup.neighbours
     hearers = np.repeat(np.arange(len(neighbours)), [len(heard) for heard in neighbours])
     adjacency = from_links(len(neighbours), hearers, [j for heard in neighbours for j in heard])
-    positions = kind_of(scenario.name).plant(scenario).positions(0)
+    positions = definition_of(scenario.name).plant(scenario).positions(0)
     delivery: np.ndarray | None = None
     if setup.losses is not None:
         delivery = 1 - np.array([loss for losses in setup.losses for loss in losses])

@@ -41,7 +41,7 @@ def determinant_intersection(own: Gaussian, other: Gaussian) -> Gaussian:
         np.stack(np.broadcast_arrays(own.cov, other.cov), axis=-3),
     )
     fused = covariance_intersection(pair, weights)
-    return _take(weight == 1.0, own, _take(weight == 0.0, other, fused))
+    return _chosen(weight == 1.0, own, _chosen(weight == 0.0, other, fused))
 
 
 def _relative_eigenvalues(own_cov: np.ndarray, other_cov: np.ndarray) -> np.ndarray:
@@ -71,7 +71,7 @@ def _best_weight(eigenvalues: np.ndarray) -> np.ndarray:
     return np.where(np.isnan(eigenvalues).any(axis=-1), np.nan, weight)
 
 
-def _take(where: np.ndarray, left: Gaussian, right: Gaussian) -> Gaussian:
+def _chosen(where: np.ndarray, left: Gaussian, right: Gaussian) -> Gaussian:
     return Gaussian(
         np.where(where[..., None], left.mean, right.mean),
         np.where(where[..., None, None], left.cov, right.cov),

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from msgspec.structs import replace
 
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.scenario import Scenario
 from scenarios.streams import generator
 
@@ -31,8 +31,8 @@ def plant_runs(scenario: Scenario, numbers: Sequence[int]) -> PlantRuns:
 
     The loop is closed through the truth, or open.
     """
-    kind = kind_of(scenario.name)
-    plant: Any = kind.plant(scenario)
+    definition = definition_of(scenario.name)
+    plant: Any = definition.plant(scenario)
     draws = [
         plant.draw(partial(generator, replace(scenario, run=run)), scenario.steps)
         for run in numbers
@@ -40,7 +40,7 @@ def plant_runs(scenario: Scenario, numbers: Sequence[int]) -> PlantRuns:
     process = np.stack([one.process for one in draws], axis=1)
     sensing = np.stack([one.measurement for one in draws], axis=1)
     state, prior_mean, prior_cov = plant.initial(np.stack([one.initial for one in draws]))
-    law = kind.controller(scenario)
+    law = definition.controller(scenario)
     memory = np.zeros(0) if law is None else law.initial_memory
     truth, readings, controls = [], [], []
     for step in range(scenario.steps):

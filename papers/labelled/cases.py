@@ -25,7 +25,7 @@ from runtime.batched.build import build_network
 from runtime.recording import MemoryRecorder
 from scenarios.baselines import centralised
 from scenarios.build import build_environment, build_node
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.links import link_state
 from scenarios.preparation import prepare, setup_of_run
 from scenarios.setup import Setup
@@ -102,7 +102,7 @@ def outcome(setup: Setup, course: Course) -> CaseOutcome:
     taken = np.logical_not(np.isnan(course.readings).all(axis=(2, 3)))
     right = np.where((wrong & taken)[..., None, None], np.nan, course.readings)
     central = centralised(setup, right, None)
-    score = kind_of("target-tracking").score
+    score = definition_of("target-tracking").score
     errors = course.belief.mean - course.truth[:, None]
     scored, place = list(score.nees_states), list(score.states)
     refused = taken & ~course.kept

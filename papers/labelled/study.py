@@ -20,7 +20,7 @@ from filters.gaussian import Gaussian
 from filters.metrics import nees
 from scenarios.baselines import centralised_of_runs
 from scenarios.build import build_bus
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.preparation import prepare, share_bytes
 from scenarios.setup import Setup
 
@@ -177,7 +177,7 @@ def cell(outcomes: Sequence[RunOutcome]) -> FormCell:
 def _scored(setup: Setup, truth: np.ndarray, belief: Gaussian) -> tuple[np.ndarray, np.ndarray]:
     """Mean squared error and mean NEES over dimension of each node (R, N) of beliefs (R, steps, N,
     n), against the truth (R, steps, n)."""
-    score = kind_of(setup.scenario.name).score
+    score = definition_of(setup.scenario.name).score
     scored = slice(score.first_step, None)
     errors = belief.mean[:, scored] - truth[:, scored, None]
     states = list(score.nees_states)

@@ -6,7 +6,7 @@ from bus.schedule import Schedule
 from filters.particle import Particles, cov, mean, resample
 from papers.meng2025.runs import MeasuredBatch, SlotEstimates, transmit
 from plants import meng2025
-from scenarios.definitions.meng2025 import KIND, SYSTEM
+from scenarios.definitions.meng2025 import DEFINITION, SYSTEM
 from scenarios.streams import generator
 
 PARTICLES = 2000
@@ -35,7 +35,8 @@ def _track(
     """Means (S + 1, R, n) and covariances of some runs."""
     n, numbers = meng2025.STATES, meng2025.STATES + SYSTEM.process(0).numbers
     streams = [
-        generator(KIND.defaults.with_(seed=seed, run=int(run)), "particles", 0) for run in runs
+        generator(DEFINITION.defaults.with_(seed=seed, run=int(run)), "particles", 0)
+        for run in runs
     ]
     start = np.stack([stream.standard_normal((particles, n)) for stream in streams])
     states = meng2025.PRIOR_MEAN + start @ np.linalg.cholesky(meng2025.PRIOR_COV).T

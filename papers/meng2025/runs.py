@@ -31,7 +31,7 @@ from papers.meng2025.filter_as_printed import (
 from plants import meng2025
 from plants.stochastic import StochasticNonlinearity, StochasticSystem
 from scenarios.definitions.measurement_runs import BusFilter, estimate, first_received, slots_of
-from scenarios.definitions.meng2025 import KIND, SENSORS, SYSTEM, paper_points
+from scenarios.definitions.meng2025 import DEFINITION, SENSORS, SYSTEM, paper_points
 
 EVERYBODY = range(1, SENSORS + 1)
 STATIC = range(1, meng2025.STATIC_SLOTS + 1)
@@ -102,7 +102,7 @@ def deterministic() -> StochasticSystem:
 
 def simulate(seed: int, runs: int, steps: int) -> MeasuredBatch:
     """Runs 0, 1, ... under a seed, for steps 0..steps."""
-    driven = plant_runs(KIND.defaults.with_(seed=seed, steps=steps + 1), range(runs))
+    driven = plant_runs(DEFINITION.defaults.with_(seed=seed, steps=steps + 1), range(runs))
     measurement = driven.readings[:, :, 1:, 0].copy()
     measurement[0] = np.nan
     return MeasuredBatch(seed, driven.truth, measurement)

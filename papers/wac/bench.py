@@ -12,7 +12,7 @@ from filters.gaussian import Gaussian
 from filters.metrics import nees
 from papers.wac.network import beliefs_of, network_of
 from scenarios.baselines import centralised_of_runs
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.preparation import prepare
 from scenarios.scenario import Scenario
 from scenarios.setup import Setup
@@ -105,7 +105,7 @@ def bootstrap(squared: np.ndarray, reference: np.ndarray) -> tuple[float, float]
 def _scale(study: PaperScenario, central: Gaussian) -> np.ndarray:
     n = central.mean.shape[-1]
     if study.position_only:
-        scored = kind_of(study.scenario.name).score.states
+        scored = definition_of(study.scenario.name).score.states
         return np.isin(np.arange(n), scored).astype(np.float64)
     return 1 / (n * np.asarray(np.diagonal(central.cov[-1, 0])))
 

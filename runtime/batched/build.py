@@ -21,21 +21,21 @@ from nodes.rules.local_filter import LocalFilters, SensorGroup
 from runtime.batched.changes import ScriptedChange, foreseen
 from runtime.batched.streams import streams_of
 from scenarios.build import build_bus, build_controller, everybody_of, rule_context
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.links import link_state
+from scenarios.node_context import BatchContext
 from scenarios.preparation import complete_settings, share_bytes, with_settings
 from scenarios.rules import rule_of
 from scenarios.scenario import Scenario
 from scenarios.script import script_of
-from scenarios.seat import BatchContext
 from scenarios.setup import Setup
 from scenarios.types.plants import VehicleNetwork
 
 
 def without_array_form(scenario: Scenario) -> str | None:
     """Return the part of a scenario that can only run message by message; None if none."""
-    kind = kind_of(scenario.name)
-    if kind.wiring is not None:
+    definition = definition_of(scenario.name)
+    if definition.wiring is not None:
         return f"scenario {scenario.name}"
     if isinstance(scenario.plant, VehicleNetwork) and scenario.plant.adaptive:
         return "noise that nodes learn (--adaptive)"
@@ -85,8 +85,8 @@ def build_network(
         raise ValueError(f"{lacking} has no array form; use --driver in-process")
     scenarios = [msgspec.structs.replace(setup.scenario, run=run) for run in runs]
     scenario = setup.scenario
-    kind = kind_of(scenario.name)
-    plant = kind.plant(scenario)
+    definition = definition_of(scenario.name)
+    plant = definition.plant(scenario)
     stream = streams_of(scenario, runs)
     draws = [plant.draw(partial(stream, which), scenario.steps) for which in range(len(runs))]
     states, means, covs = zip(*(plant.initial(one.initial) for one in draws), strict=True)
@@ -105,7 +105,7 @@ def build_network(
         measurement=np.stack([one.measurement for one in draws], axis=1),
         steps=scenario.steps,
         controller=build_controller(scenario),
-        delivery=kind.delivery(scenario) if kind.delivery else None,
+        delivery=definition.delivery(scenario) if definition.delivery else None,
         receivers=links.receiver,
         segments=tuple(_segments(setup, scenarios, links, bus_of)),
     )
@@ -143,20 +143,24 @@ def _settings(setup: Setup, bus: Bus, links: Links, standing: Standing, runs: in
         partial(_contest, setup, bus),
         begin_arbitration(setup.scenario.nodes, (runs,)),
         partial(framed, setup, bus),
-        rule.batched(_seat(setup, bus, links)),
+        rule.batched(_batch_context(setup, bus, links)),
     )
 
 
-def _seat(setup: Setup, bus: Bus, links: Links) -> BatchContext:
+def _batch_context(setup: Setup, bus: Bus, links: Links) -> BatchContext:
     scenario = setup.scenario
-    kind = kind_of(scenario.name)
+    definition = definition_of(scenario.name)
     own = np.array([row[0] for row in setup.weights])
     link = np.array([weight for row in setup.weights for weight in row[1:]])
-    points = kind.points(scenario) if kind.points else scaled_unscented(len(setup.prior_mean))
+    points = (
+        definition.points(scenario)
+        if definition.points
+        else scaled_unscented(len(setup.prior_mean))
+    )
     contenders = {node for row in bus.schedule.contender_table for node in row}
     return BatchContext(
         rule_context(setup, bool(contenders)),
-        LocalFilters(kind.model(scenario), sensor_groups(scenario), points),
+        LocalFilters(definition.model(scenario), sensor_groups(scenario), points),
         links,
         Shares(own[None], link[None]),
         scenario.rounds,
@@ -167,10 +171,10 @@ def _seat(setup: Setup, bus: Bus, links: Links) -> BatchContext:
 
 def sensor_groups(scenario: Scenario) -> tuple[SensorGroup, ...]:
     """The sensors of all nodes: one for all where the scenario has such, else one for each."""
-    kind = kind_of(scenario.name)
-    if kind.sensors is not None:
-        return (SensorGroup(slice(None), kind.sensors(scenario)),)
-    single = ((node, kind.sensor(scenario, node)) for node in range(scenario.nodes))
+    definition = definition_of(scenario.name)
+    if definition.sensors is not None:
+        return (SensorGroup(slice(None), definition.sensors(scenario)),)
+    single = ((node, definition.sensor(scenario, node)) for node in range(scenario.nodes))
     return tuple(SensorGroup(slice(i, i + 1), one) for i, one in single if one is not None)
 
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from nodes.bounds import MAX_FRAME_BYTES, MAX_MESSAGE_BYTES
-from runtime.network.links import RECORDER, WORLD
+from runtime.network.links import ENVIRONMENT, RECORDER
 
 MONITOR, OPERATOR, ROUTER_NAME = "monitor", "operator", "router"
 _SUBSCRIBING = ("declare_subscriber", "declare_liveliness_subscriber", "liveliness_query")
@@ -48,7 +48,7 @@ def rights(nodes: int) -> dict[str, Rights]:
     Routers are not listed: what they pass on between hosts has been checked where it came in.
     """
     table = {certificate_name(node): _rights_of_node(node) for node in range(nodes)}
-    table[WORLD] = Rights(
+    table[ENVIRONMENT] = Rights(
         says=tuple(
             f"{below}{topics}"
             for below in ("", *_REPEATED)
@@ -57,7 +57,7 @@ def rights(nodes: int) -> dict[str, Rights]:
                 "gone/*", "welcome/*",
             )
         ),
-        is_ready=(f"ready/{WORLD}",),
+        is_ready=(f"ready/{ENVIRONMENT}",),
         hears=(
             "hello/*", "bid/*", "estimate/*", "recorded/*", "unreachable/*", "end", "ready/*",
             "again/hello/*", "again/bid/*", "again/estimate/*",

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-WORLD, RECORDER, ROUTER = "world", "recorder", "router"
+ENVIRONMENT, RECORDER, ROUTER = "world", "recorder", "router"
 # Where the recorder lets others hear what it has recorded.
 WATCH = "watch"
 LOOPBACK = "127.0.0.1"
@@ -47,7 +47,7 @@ def names(neighbours: Sequence[Sequence[int]]) -> list[str]:
     """The processes that listen, in the order in which they are given ports."""
     if wants_router(neighbours):
         return [ROUTER, WATCH]
-    return [WORLD, RECORDER, *(str(node) for node in range(len(neighbours))), WATCH]
+    return [ENVIRONMENT, RECORDER, *(str(node) for node in range(len(neighbours))), WATCH]
 
 
 def plan_links(
@@ -59,18 +59,18 @@ def plan_links(
     Router: every process is its client.
     """
     at = {name: f"tcp/{LOOPBACK}:{port}" for name, port in ports.items()}
-    everyone = [WORLD, RECORDER, *(str(node) for node in range(len(neighbours)))]
+    everyone = [ENVIRONMENT, RECORDER, *(str(node) for node in range(len(neighbours)))]
     watch = {WATCH: ZenohEndpoints("peer", (at[WATCH],), ())}
     if ROUTER in ports:
         return {**watch, **{name: ZenohEndpoints("client", (), (at[ROUTER],)) for name in everyone}}
     links = {
         **watch,
         RECORDER: ZenohEndpoints("peer", (at[RECORDER],), ()),
-        WORLD: ZenohEndpoints("peer", (at[WORLD],), (at[RECORDER],)),
+        ENVIRONMENT: ZenohEndpoints("peer", (at[ENVIRONMENT],), (at[RECORDER],)),
     }
     for node in range(len(neighbours)):
         lower = tuple(at[str(j)] for j in peers_of(node, neighbours) if j < node)
-        connect = (at[WORLD], at[RECORDER], *lower)
+        connect = (at[ENVIRONMENT], at[RECORDER], *lower)
         links[str(node)] = ZenohEndpoints("peer", (at[str(node)],), connect)
     return links
 
@@ -136,7 +136,7 @@ def checked_run(run: str) -> str:
 
 def subscribers_endpoints(ports: dict[str, int]) -> list[str]:
     """Where a watcher connects to: what is recorded, and who answers."""
-    answers = ROUTER if ROUTER in ports else WORLD
+    answers = ROUTER if ROUTER in ports else ENVIRONMENT
     return [f"tcp/{LOOPBACK}:{ports[name]}" for name in (WATCH, answers)]
 
 

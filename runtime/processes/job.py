@@ -13,13 +13,13 @@ class HostPlace(msgspec.Struct, frozen=True):
         cast: the names of its processes: environment and recorder, or numbers of nodes.
         connect: endpoints of routers, of which each process takes the first that answers.
         keys: the file of `concord keys` of each process, where they prove their identity.
-        patience_s: how long a node goes on without the environment process.
+        peer_timeout_s: how long a node goes on without the environment process.
     """
 
     cast: list[str]
     connect: list[str]
     keys: dict[str, str] = {}
-    patience_s: float = 60.0
+    peer_timeout_s: float = 60.0
 
 
 class Job(msgspec.Struct, frozen=True):

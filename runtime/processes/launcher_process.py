@@ -18,10 +18,10 @@ import msgspec
 
 from nodes.node_state import NodeConfig
 from runtime.network.links import (
+    ENVIRONMENT,
     RECORDER,
     ROUTER,
     WATCH,
-    WORLD,
     ZenohEndpoints,
     free_ports,
     links_to_routers,
@@ -80,7 +80,7 @@ def _plans(job: Job) -> Iterator[_Plan]:
     if job.place is not None:
         yield _at(job.place)
         return
-    everybody = [RECORDER, WORLD, *map(str, range(job.setup.scenario.nodes))]
+    everybody = [RECORDER, ENVIRONMENT, *map(str, range(job.setup.scenario.nodes))]
     wanted = names(job.setup.neighbours)
     for _ in range(_LAUNCH_TRIES):
         ports = free_ports(wanted) if job.port is None else ports_from(job.port, wanted)
@@ -121,7 +121,7 @@ def _serve(job: Job, plan: _Plan) -> End:
         for name in plan.cast:
             if name == RECORDER:
                 supervisor.start(name, partial(be_recorder, job, plan.links, tell))
-            elif name == WORLD:
+            elif name == ENVIRONMENT:
                 link = plan.links[name]
                 supervisor.start(name, partial(be_environment, job, link, tell, give_orders))
             else:
@@ -152,7 +152,7 @@ class _Watch:
         self._supervisor, self._orders = supervisor, orders
         self._job, self._plan, self._nodes = job, plan, nodes
         # Until the network is ready it needs every node; on one of several hosts that is unknown.
-        self._tolerant = WORLD not in plan.cast
+        self._tolerant = ENVIRONMENT not in plan.cast
 
     def keep(self) -> End:
         """Run until the network ends."""

@@ -105,7 +105,7 @@ def be_environment(
 def be_node(job: Job, links: ZenohEndpoints, config: NodeConfig, late: bool = False) -> None:
     """Be one node; `late` where the network may run already."""
     peers = peers_of(config.index, job.setup.neighbours)
-    timeout_s = math.inf if job.place is None else job.place.patience_s
+    timeout_s = math.inf if job.place is None else job.place.peer_timeout_s
     membership = Membership(job.run, links, config, peers, fingerprint(job.setup), late, timeout_s)
     paced = LockstepNode if job.tempo is None else partial(RealTimeNode, tempo=job.tempo)
     _joining(lambda: run_node(membership, paced(membership)))

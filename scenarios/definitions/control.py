@@ -18,8 +18,8 @@ from plants.control.motor import (
 from plants.control.pitch import pitch, pitch_controller
 from plants.control.suspension import suspension, suspension_controller
 from plants.linear import LinearModel, LinearPlant, LinearSensor
-from scenarios.kind import ScenarioDefinition, Score
 from scenarios.scenario import Scenario
+from scenarios.scenario_definition import ScenarioDefinition, Score
 from scenarios.types.buses import FlexRay
 from scenarios.types.network import SensorNetwork
 from scenarios.types.plants import (
@@ -135,7 +135,7 @@ def _warnings(scenario: Scenario) -> tuple[str, ...]:
     return (warning,) if warning else ()
 
 
-def _kind(plant: _Plant) -> ScenarioDefinition:
+def _definition(plant: _Plant) -> ScenarioDefinition:
     def controller(scenario: Scenario) -> Any:
         return None if controlled(scenario).control == OPEN else plant.controller()
 
@@ -162,4 +162,4 @@ def _kind(plant: _Plant) -> ScenarioDefinition:
     )
 
 
-KINDS = {name: _kind(plant) for name, plant in _PLANTS.items()}
+DEFINITIONS = {name: _definition(plant) for name, plant in _PLANTS.items()}

@@ -11,8 +11,8 @@ from functools import cache
 from plants import liu2021
 from plants.bounded_network import BoundedNetwork, BoundedNetworkModel, OutputSensor
 from scenarios.definitions.control import OPEN, check_control, controlled
-from scenarios.kind import ScenarioDefinition, Score
 from scenarios.scenario import Scenario
+from scenarios.scenario_definition import ScenarioDefinition, Score
 from scenarios.types.network import SensorNetwork
 from scenarios.types.plants import UnstableBounded
 from scenarios.types.rules import EllipsoidIntersection
@@ -41,7 +41,7 @@ def _controller(scenario: Scenario) -> liu2021.Stabiliser | None:
     return None if controlled(scenario).control == OPEN else liu2021.Stabiliser()
 
 
-KIND = ScenarioDefinition(
+DEFINITION = ScenarioDefinition(
     defaults=Scenario(
         plant=UnstableBounded(),
         network=SensorNetwork(nodes=6, graph="ring"),

@@ -33,8 +33,8 @@ from plants.sensed import SensedPlant, sensors_on_a_bus
 from scenarios.definitions import measurement_runs
 from scenarios.definitions.measurement_runs import first_received
 from scenarios.definitions.stochastic_models import SystemModel, SystemSensor
-from scenarios.kind import NetworkWiring, ScenarioDefinition, Score
 from scenarios.scenario import Scenario, require
+from scenarios.scenario_definition import NetworkWiring, ScenarioDefinition, Score
 from scenarios.setup import Setup
 from scenarios.types.assignment import flat
 from scenarios.types.buses import FlexRay, SensorSlots, trigger_of
@@ -126,7 +126,7 @@ def _estimator(setup: Setup, node: int) -> Estimator:
     )
 
 
-def _listen(setup: Setup, nodes: Sequence[int], readings: np.ndarray) -> Gaussian:
+def _baseline_filter(setup: Setup, nodes: Sequence[int], readings: np.ndarray) -> Gaussian:
     """The recommended filter with all readings (steps, N, 1, d) of some sensors at every step."""
     values = np.full((len(readings) - 1, SYSTEM.entries), np.nan)
     bus = bus_of(setup.scenario)
@@ -159,7 +159,7 @@ _NAMES = {
 }
 _WHO = f"node 0 estimates and hears the sensors, nodes 1 to {SENSORS}"
 
-KIND = ScenarioDefinition(
+DEFINITION = ScenarioDefinition(
     defaults=Scenario(
         plant=StochasticReceiver(),
         network=SensorNetwork(nodes=1 + SENSORS, graph="star"),
@@ -180,5 +180,5 @@ KIND = ScenarioDefinition(
         estimator=_estimator,
         names=_NAMES,
     ),
-    listen=_listen,
+    baseline_filter=_baseline_filter,
 )

@@ -21,8 +21,8 @@ from plants.stochastic import replicated
 from scenarios.definitions.measurement_runs import BusFilter, estimate, first_received
 from scenarios.definitions.meng2025 import SENSORS, SYSTEM, paper_points, static_slots_of
 from scenarios.definitions.stochastic_models import SystemModel, SystemSensor
-from scenarios.kind import ScenarioDefinition, Score
 from scenarios.scenario import Scenario
+from scenarios.scenario_definition import ScenarioDefinition, Score
 from scenarios.setup import Setup
 from scenarios.types.network import SensorNetwork
 from scenarios.types.plants import StochasticNetwork
@@ -54,7 +54,7 @@ def _delivery(scenario: Scenario) -> Delivery:
     return Delivery(partial(_transmit, bus), received)
 
 
-def _listen(setup: Setup, nodes: Sequence[int], readings: np.ndarray) -> Gaussian:
+def _baseline_filter(setup: Setup, nodes: Sequence[int], readings: np.ndarray) -> Gaussian:
     """The recommended filter with what the buses of some nodes delivered (steps, N, 1, m).
 
     All of it at once: how one filter took them one by one would hang on their order.
@@ -70,7 +70,7 @@ def _check(scenario: Scenario) -> None:
     static_slots_of(scenario)
 
 
-KIND = ScenarioDefinition(
+DEFINITION = ScenarioDefinition(
     defaults=Scenario(
         plant=StochasticNetwork(), network=SensorNetwork(nodes=8, graph="ring"), steps=101
     ),
@@ -82,5 +82,5 @@ KIND = ScenarioDefinition(
     score=Score(states=(0, 1), unit="1", nees_states=(0, 1), first_step=1),
     points=lambda _: paper_points(),
     delivery=_delivery,
-    listen=_listen,
+    baseline_filter=_baseline_filter,
 )

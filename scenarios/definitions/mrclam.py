@@ -7,8 +7,8 @@ from plants.recorded.confined_motion import ConfinedMotion
 from plants.recorded.mrclam import RecordedTarget, recorded_target
 from plants.recorded.mrclam_files import read_recording
 from plants.recorded.sighting import Sighting
-from scenarios.kind import ScenarioDefinition, Score
 from scenarios.scenario import Scenario
+from scenarios.scenario_definition import ScenarioDefinition, Score
 from scenarios.types.network import SensorNetwork
 from scenarios.types.plants import RecordedRobots
 
@@ -53,7 +53,7 @@ def _sensor(_: Scenario, node: int) -> Sighting:
     return Sighting().for_node(node)
 
 
-KIND = ScenarioDefinition(
+DEFINITION = ScenarioDefinition(
     defaults=Scenario(
         plant=RecordedRobots(),
         network=SensorNetwork(nodes=_NODES, graph="complete"),

@@ -3,8 +3,8 @@
 from functools import cache
 
 from plants.oscillator import Oscillation, Oscillator, ScalarSensor
-from scenarios.kind import ScenarioDefinition, Score
 from scenarios.scenario import Scenario
+from scenarios.scenario_definition import ScenarioDefinition, Score
 from scenarios.types.network import SensorNetwork
 from scenarios.types.plants import DampedOscillator
 
@@ -30,7 +30,7 @@ def _check(_: Scenario) -> None:
     """Any number of nodes will do."""
 
 
-KIND = ScenarioDefinition(
+DEFINITION = ScenarioDefinition(
     defaults=DEFAULTS,
     check=_check,
     plant=lambda scenario: _plant(scenario.nodes),

@@ -10,8 +10,8 @@ from functools import cache
 from plants.placement import place_sensors
 from plants.range_bearing import RangeBearing
 from plants.targets import Target, straight_target, turning_target
-from scenarios.kind import ScenarioDefinition, Score
 from scenarios.scenario import Scenario
+from scenarios.scenario_definition import ScenarioDefinition, Score
 from scenarios.types.network import SensorNetwork
 from scenarios.types.plants import TargetCrossing, TargetTracking
 
@@ -28,7 +28,7 @@ def _check(scenario: Scenario) -> None:
     _target(turning_target, scenario.nodes)
 
 
-def _kind(
+def _definition(
     plant: TargetTracking | TargetCrossing, make: Callable[..., Target], states: int
 ) -> ScenarioDefinition:
     def sensor(scenario: Scenario, node: int) -> RangeBearing:
@@ -48,12 +48,12 @@ def _kind(
     )
 
 
-TURNING = _kind(
+TURNING = _definition(
     TargetTracking(),
     turning_target,
     states=5,
 )
-CROSSING = _kind(
+CROSSING = _definition(
     TargetCrossing(),
     straight_target,
     states=4,

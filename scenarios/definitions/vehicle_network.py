@@ -34,9 +34,9 @@ from plants.vehicle.network import (
 )
 from plants.vehicle.parameters import Car
 from plants.vehicle.sensors import SensorError
-from scenarios.kind import ScenarioDefinition, Score
+from scenarios.node_context import NodeContext
 from scenarios.scenario import Scenario
-from scenarios.seat import NodeContext
+from scenarios.scenario_definition import ScenarioDefinition, Score
 from scenarios.setup import Setup
 from scenarios.types.buses import FlexRay
 from scenarios.types.network import SensorNetwork
@@ -130,7 +130,7 @@ def _check(scenario: Scenario) -> None:
     simulated_only = [
         f"--{option} {getattr(vehicle, option)}"
         for option in ("car", "manoeuvre", "noise")
-        if getattr(vehicle, option) != getattr(KIND.defaults.plant, option)
+        if getattr(vehicle, option) != getattr(DEFINITION.defaults.plant, option)
     ]
     if vehicle.data is not None and simulated_only:
         raise ValueError(
@@ -145,14 +145,14 @@ def _check(scenario: Scenario) -> None:
         )
 
 
-def _estimator_wrapper(scenario: Scenario, seat: NodeContext, rule: Estimator) -> Estimator:
+def _estimator_wrapper(scenario: Scenario, context: NodeContext, rule: Estimator) -> Estimator:
     if not vehicle_of(scenario).adaptive:
         return rule
-    assert seat.sensor is not None, "every node of the car has a sensor"
-    return AdaptiveNoise(rule, seat.sensor, seat.points)
+    assert context.sensor is not None, "every node of the car has a sensor"
+    return AdaptiveNoise(rule, context.sensor, context.points)
 
 
-def _listen(setup: Setup, nodes: Sequence[int], readings: np.ndarray) -> Gaussian:
+def _baseline_filter(setup: Setup, nodes: Sequence[int], readings: np.ndarray) -> Gaussian:
     """Beliefs (steps,) of one filter that takes the readings of these nodes, and learns as they."""
     scenario = setup.scenario
     model, points = _model(scenario), scaled_unscented(len(setup.prior_mean))
@@ -178,7 +178,7 @@ def _listen(setup: Setup, nodes: Sequence[int], readings: np.ndarray) -> Gaussia
     return Gaussian(np.array(means), np.array(covs))
 
 
-KIND = ScenarioDefinition(
+DEFINITION = ScenarioDefinition(
     defaults=Scenario(
         plant=VehicleNetwork(),
         network=SensorNetwork(nodes=len(NODES), graph="complete"),
@@ -194,5 +194,5 @@ KIND = ScenarioDefinition(
     score=Score(states=(SIDE_SLIP,), unit="rad", nees_states=(SIDE_SLIP,), first_step=200),
     all_steps=lambda scenario: _plant(scenario).steps,
     estimator_wrapper=_estimator_wrapper,
-    listen=_listen,
+    baseline_filter=_baseline_filter,
 )

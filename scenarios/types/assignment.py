@@ -26,7 +26,7 @@ def flat(value: msgspec.Struct) -> dict[str, Any]:
         held = getattr(value, declared.field)
         if is_nested(declared):
             found |= flat(held)
-        elif declared.members:
+        elif declared.choices:
             found |= {declared.name: held.name, **flat(held)}
         elif _has(value, declared.says.needs, {}):
             found[declared.name] = held
@@ -52,7 +52,7 @@ def _assigned(value: Any, left: dict[str, Any]) -> Any:
         before = getattr(value, declared.field)
         if is_nested(declared):
             changes[declared.field] = _assigned(left.pop(declared.name, before), left)
-        elif declared.members:
+        elif declared.choices:
             chosen = before
             if declared.name in left:
                 chosen = _chosen(declared, before, left.pop(declared.name))
@@ -68,35 +68,35 @@ def _has(value: msgspec.Struct, flag: str, changes: Mapping[str, Any]) -> bool:
 
 
 def _chosen(declared: Declaration, before: Any, asked: object) -> Any:
-    if isinstance(asked, declared.members):
+    if isinstance(asked, declared.choices):
         return asked
-    for member in declared.members:
-        if name_of(member) == asked:
+    for choice in declared.choices:
+        if name_of(choice) == asked:
             return (
                 before
-                if isinstance(before, member) and type(before) is member
-                else _kept(member, before)
+                if isinstance(before, choice) and type(before) is choice
+                else _kept(choice, before)
             )
     name = asked.name if isinstance(asked, Choice) else str(asked)
     raise unknown_name(_in_words(declared.name), name, declared.names)
 
 
-def _kept(member: type[msgspec.Struct], before: Any) -> msgspec.Struct:
+def _kept(choice: type[msgspec.Struct], before: Any) -> msgspec.Struct:
     """A value of a class with what it shares with the value that was chosen before."""
     known = {declared.field: declared for declared in declarations(type(before))}
     kept: dict[str, Any] = {}
-    for declared in declarations(member):
+    for declared in declarations(choice):
         if declared.field not in known:
             continue
         held = getattr(before, declared.field)
-        if not declared.members:
+        if not declared.choices:
             if not declared.names or held in declared.names:
                 kept[declared.field] = held
             continue
-        same = [one for one in declared.members if name_of(one) == held.name]
+        same = [one for one in declared.choices if name_of(one) == held.name]
         if same:
             kept[declared.field] = held if type(held) is same[0] else _kept(same[0], held)
-    return member(**kept)
+    return choice(**kept)
 
 
 def typed(declared: Declaration, value: object) -> Any:
@@ -131,7 +131,7 @@ def check_ranges(value: msgspec.Struct) -> None:
     """
     for declared in declarations(type(value)):
         held = getattr(value, declared.field)
-        if declared.members:
+        if declared.choices:
             check_ranges(held)
         elif isinstance(held, int | float) and not declared.says.holds(held):
             rule = declared.says.range

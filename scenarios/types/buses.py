@@ -31,7 +31,7 @@ class ContendedSchedule(PartialSchedule, frozen=True, kw_only=True):
 
     arbiter: Annotated[
         str,
-        Option("Who wins the dynamic segment: wtod, minislot, round-robin.", is_setting=True),
+        Option("Arbiter of the dynamic segment: wtod, minislot, round-robin.", is_setting=True),
     ] = "wtod"
     trigger: Annotated[
         float,
@@ -71,7 +71,7 @@ ScheduleChoice = (
     | SilentSchedule
 )
 TimelessSchedule = FullSchedule | RoundRobinSchedule
-SCHEDULE = Option("Who may publish in a cycle.", group="bus", is_setting=True)
+SCHEDULE = Option("Schedule: which nodes may publish in a cycle.", group="bus", is_setting=True)
 
 
 class SharedBus(Choice, frozen=True, kw_only=True):

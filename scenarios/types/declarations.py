@@ -26,15 +26,15 @@ class Declaration(NamedTuple):
     name: str
     field: str
     annotation: Any
-    members: tuple[type[msgspec.Struct], ...]
+    choices: tuple[type[msgspec.Struct], ...]
     says: Option
     default: Any
 
     @property
     def names(self) -> tuple[str, ...]:
         """The names that a choice takes, or the words that a plain value may be."""
-        if self.members:
-            return tuple(name_of(member) for member in self.members)
+        if self.choices:
+            return tuple(name_of(choice) for choice in self.choices)
         if typing.get_origin(self.annotation) is typing.Literal:
             return tuple(typing.get_args(self.annotation))
         return ()
@@ -54,12 +54,12 @@ def declarations(owner: type[msgspec.Struct]) -> tuple[Declaration, ...]:
     found: list[Declaration] = []
     for info in msgspec.structs.fields(owner):
         annotation, says = _described(info.type)
-        members = _members(annotation)
+        choices = _choices(annotation)
         default = info.default
         if default is msgspec.NODEFAULT and info.default_factory is not msgspec.NODEFAULT:
             default = info.default_factory()
         name = says.flag or info.name
-        found.append(Declaration(name, info.name, annotation, members, says, default))
+        found.append(Declaration(name, info.name, annotation, choices, says, default))
     return tuple(found)
 
 
@@ -83,16 +83,16 @@ def _below(
     for declared in declarations(owner):
         own = declared.says.group or group
         if is_nested(declared):
-            yield from _below(declared.members[0], owners, own)
+            yield from _below(declared.choices[0], owners, own)
             continue
         yield Owned(declared, owners, own)
-        for member in declared.members:
-            yield from _below(member, (*owners, (declared.name, name_of(member))), own)
+        for choice in declared.choices:
+            yield from _below(choice, (*owners, (declared.name, name_of(choice))), own)
 
 
 def is_nested(declared: Declaration) -> bool:
     """Whether the field is a value that has no other to choose from, and no name."""
-    return len(declared.members) == 1 and declared.members[0].__struct_config__.tag is None
+    return len(declared.choices) == 1 and declared.choices[0].__struct_config__.tag is None
 
 
 def _described(annotation: Any) -> tuple[Any, Option]:
@@ -102,7 +102,7 @@ def _described(annotation: Any) -> tuple[Any, Option]:
     return plain, next(one for one in described if isinstance(one, Option))
 
 
-def _members(annotation: Any) -> tuple[type[msgspec.Struct], ...]:
+def _choices(annotation: Any) -> tuple[type[msgspec.Struct], ...]:
     kinds = (
         typing.get_args(annotation) if isinstance(annotation, types.UnionType) else (annotation,)
     )

@@ -13,7 +13,7 @@ class SensorNetwork(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     nodes: Annotated[int, Option("Number of sensor nodes.", at_least=1)]
     graph: Annotated[
         str,
-        Option("Who hears whom: ring, path, star, grid, complete, 4-regular, geometric, "
+        Option("Graph of the network: ring, path, star, grid, complete, 4-regular, geometric, "
                "file:PATH, ..."),
     ]  # fmt: skip
     weights: Annotated[
@@ -21,7 +21,7 @@ class SensorNetwork(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     ] = "metropolis"
     links: Annotated[
         str,
-        Option("What becomes of links: static, measured (by the graph's own chances), "
+        Option("Behaviour of links over time: static, measured (by the graph's own chances), "
                "bernoulli:0.1, markov:0.05,0.3, switching:ring,star:10, moving:300.",
                group="faults"),
     ] = "static"  # fmt: skip

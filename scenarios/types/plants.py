@@ -35,11 +35,11 @@ class ControlledPlant(SensedPlantChoice, frozen=True, kw_only=True):
 
     control: Annotated[
         str,
-        Option("Whose knowledge closes the loop of the plant: a node's number, truth, or open."),
+        Option("Source of the estimate that closes the loop: a node's number, truth, or open."),
     ] = "0"
     noise: Annotated[
         Literal["matched", "paper"],
-        Option("What the sensors really do: matched (as the filters believe) or paper (as "
+        Option("Noise of the sensors: matched (as the filters believe) or paper (as "
                "printed)."),
     ] = "matched"  # fmt: skip
 
@@ -92,11 +92,11 @@ class VehicleNetwork(SensedPlantChoice, frozen=True, kw_only=True, tag="vehicle-
         str, Option("Which car is simulated: bmw-320i, bmw-320i-soft, ford-escort or vw-vanagon.")
     ] = "bmw-320i"
     manoeuvre: Annotated[
-        str, Option("What the driver does: double-lane-change, serpentine, ramp-steer, ...")
+        str, Option("Manoeuvre of the driver: double-lane-change, serpentine, ramp-steer, ...")
     ] = "serpentine"
     noise: Annotated[
         Literal["matched", "growing", "small", "outliers", "biased"],
-        Option("What the sensors of the car really do."),
+        Option("Noise of the sensors of the car."),
     ] = "growing"
     adaptive: Annotated[bool, Option("Let nodes learn the noise of their own sensors.")] = True
     data: Annotated[str | None, DATA] = None

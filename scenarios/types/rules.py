@@ -16,9 +16,7 @@ from scenarios.types.holds import (
 from scenarios.types.option import Choice, Option, name_of
 
 Number = Literal["float64", "float32"]
-HOLD = Option(
-    "What becomes of the last share of a silent neighbour.", group="rule", is_setting=True
-)
+HOLD = Option("Use of the last share of a silent neighbour.", group="rule", is_setting=True)
 
 
 class FusionRule(Choice, frozen=True, kw_only=True):
@@ -128,7 +126,7 @@ class MeasurementFlooding(FusionRule, frozen=True, kw_only=True, tag="labelled")
     ] = False
     latch_delay_us: Annotated[
         float,
-        Option("What a host needs to relay, from the last bit of a frame to the first of its own.",
+        Option("Time of a host to relay, from the last bit of a frame to the first of its own.",
                unit="us", at_least=0, needs="relay"),
     ] = 5.0  # fmt: skip
 

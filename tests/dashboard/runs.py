@@ -6,7 +6,7 @@ from dashboard.frames.frame import StepFrame
 from dashboard.frames.replay import assembled
 from dashboard.frames.stage import Stage, set_stage
 from runtime.drivers import in_memory
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.preparation import prepare
 from scenarios.setup import Setup
 
@@ -15,7 +15,7 @@ Messages = list[tuple[str, bytes]]
 
 def setup_of(name: str, **changes) -> Setup:
     """A scenario with its own defaults but for these changes, worked out."""
-    return prepare(kind_of(name).defaults.with_(**changes))
+    return prepare(definition_of(name).defaults.with_(**changes))
 
 
 def run_of(name: str, **changes) -> tuple[Stage, Messages]:

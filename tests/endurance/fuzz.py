@@ -22,9 +22,9 @@ from bus.flexray.share_frames import SHARE_FRAMES
 from nodes.commands import Speed
 from nodes.messages import Estimate, decode
 from runtime.drivers import in_memory
-from runtime.network.links import RECORDER, WORLD, names
+from runtime.network.links import ENVIRONMENT, RECORDER, names
 from runtime.recorded import meaning, message_of
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.preparation import prepare
 from tests.endurance.intruder import Intruder, intruders
 from tests.endurance.malformed import malformed
@@ -61,7 +61,7 @@ class Outcome(msgspec.Struct):
 def storm(everybody: list[Intruder], messages: int, seed: int) -> tuple[Counter, Counter]:
     """Say it all; returns how many were sent to whom, and how many questions were refused."""
     rng = np.random.default_rng(seed)
-    (world,) = (one for one in everybody if one.name == WORLD)
+    (world,) = (one for one in everybody if one.name == ENVIRONMENT)
     sent: Counter[str] = Counter()
     refused: Counter[str] = Counter()
     for number in range(messages):
@@ -95,7 +95,7 @@ def believed(messages: list[tuple[str, bytes]], nodes: int) -> tuple[dict, dict[
 
 def fuzz(messages: int, seed: int, steps: int = STEPS) -> Outcome:
     """A network of four in lockstep in such a storm."""
-    defaults = kind_of("oscillator").defaults
+    defaults = definition_of("oscillator").defaults
     wanted = {"nodes": NODES, "graph": "ring", "steps": steps}
     setup = prepare(defaults.with_(**wanted))
     sound = in_memory(setup)
@@ -113,14 +113,14 @@ def fuzz(messages: int, seed: int, steps: int = STEPS) -> Outcome:
         before, began_s = memory_mb(pids), time.monotonic()
         sent, refused = storm(everybody, messages, seed)
         # The last messages are still on their way; wait until the environment has refused its own.
-        while client.state()["refused"] < sent[WORLD] and time.monotonic() - began_s < 600:
+        while client.state()["refused"] < sent[ENVIRONMENT] and time.monotonic() - began_s < 600:
             time.sleep(0.05)
         client.command(Speed(RATE))
         now = client.state()["completed"]
         while client.state()["completed"] < min(now + 20, steps - 1):
             time.sleep(0.05)
         seconds, after = time.monotonic() - began_s, memory_mb(pids)
-        refused[WORLD] = client.state()["refused"]
+        refused[ENVIRONMENT] = client.state()["refused"]
         for one in everybody:
             one.transport.close()
         running.end()

@@ -7,7 +7,7 @@ import msgspec
 
 from nodes.commands import Answer
 from nodes.messages import END
-from runtime.network.links import RECORDER, WORLD, ZenohEndpoints
+from runtime.network.links import ENVIRONMENT, RECORDER, ZenohEndpoints
 from runtime.network.zenoh_transport import Transport
 from tests.endurance.malformed import DAMAGED, FRAMES, JSON, MISFITS, WHOLE, Spoil
 
@@ -116,5 +116,5 @@ def intruders(
             heard[topic].append(data)
     nodes = len(neighbours)
     told = {str(i): to_node(i, neighbours[i], heard) for i in range(nodes)}
-    told |= {WORLD: to_world(nodes, heard), RECORDER: to_recorder(nodes, heard)}
+    told |= {ENVIRONMENT: to_world(nodes, heard), RECORDER: to_recorder(nodes, heard)}
     return [Intruder(run, name, ports[name], said) for name, said in told.items()]

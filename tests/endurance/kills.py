@@ -26,7 +26,7 @@ from experiments.results.trace import Trace, read_trace
 from nodes.commands import Restart, Speed
 from nodes.tempo import Tempo
 from runtime.network.network_file import read_network
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.preparation import prepare
 from scenarios.setup import Setup
 from scenarios.tempo import tempo_of
@@ -248,7 +248,7 @@ def cycles_to_agree(mean: np.ndarray, rounds: int) -> np.ndarray:
 
 def main(options: Options) -> None:
     """Both, one after the other."""
-    defaults = kind_of("oscillator").defaults
+    defaults = definition_of("oscillator").defaults
     wanted = {"nodes": NODES, "graph": options.graph, "steps": 1_000_000}
     setup = prepare(defaults.with_(**wanted))
     rng = np.random.default_rng(options.seed)

@@ -10,7 +10,7 @@ from nodes.commands import Speed
 from nodes.tempo import Tempo
 from runtime.drivers import over_processes
 from runtime.network.control_client import Client
-from runtime.network.links import WORLD, ports_from
+from runtime.network.links import ENVIRONMENT, ports_from
 from runtime.network.network_file import read_network
 from runtime.recording import read_recording
 from scenarios.setup import Setup
@@ -67,7 +67,7 @@ class Running:
         self.client.command(Speed(0))
         self.client.close()
         if not self.ended_within(END_S):
-            os.kill(self.pids[WORLD], signal.SIGKILL)
+            os.kill(self.pids[ENVIRONMENT], signal.SIGKILL)
             raise RuntimeError(f"the network did not end within {END_S:g} s")
         if self.failure:
             raise self.failure

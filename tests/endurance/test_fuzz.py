@@ -9,13 +9,13 @@ import pytest
 
 from nodes.commands import Answer, Speed
 from nodes.messages import END, Estimate
-from runtime.network.links import RECORDER, WATCH, WORLD, ZenohEndpoints, names
+from runtime.network.links import ENVIRONMENT, RECORDER, WATCH, ZenohEndpoints, names
 from runtime.network.zenoh_transport import Transport
 from runtime.processes.environment.inbox import ENVIRONMENT_QUEUE
 from runtime.processes.recorder.process import STRANGE
 from runtime.recorded import message_of
 from runtime.recording import read_recording
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.preparation import prepare
 from scenarios.setup import Setup
 from scenarios.tempo import tempo_of
@@ -33,7 +33,7 @@ pytestmark = [
 def two_nodes(steps: int) -> tuple[Setup, dict[str, int]]:
     """A network of two, and its ports."""
     wanted = {"nodes": 2, "graph": "path", "steps": steps}
-    setup = prepare(kind_of("oscillator").defaults.with_(**wanted))
+    setup = prepare(definition_of("oscillator").defaults.with_(**wanted))
     return setup, neighbouring_ports(names(setup.neighbours))
 
 
@@ -99,7 +99,7 @@ def test_a_flood_that_nobody_waits_for_leaves_the_world_hearing(
     """No node contends here, so the environment waits for estimates alone; the end is far."""
     flood = 2 * ENVIRONMENT_QUEUE + 2000
     with pair(tmp_path) as (running, ports):
-        intruder = stranger(ports, WORLD)
+        intruder = stranger(ports, ENVIRONMENT)
         for _ in range(flood):
             intruder.send(topic, data)
         assert holds_within(20, lambda: running.client.state()["refused"] == flood)
@@ -146,11 +146,11 @@ def test_what_strangers_call_themselves_ends_nobody(tmp_path: Path):
             for intruder in here.values():
                 intruder.join(name, {name})
         for topic, data in WORLD_HEARS:
-            here[WORLD].send(topic, data)
+            here[ENVIRONMENT].send(topic, data)
         for topic, data in RECORDER_HEARS:
             here[RECORDER].send(topic, data)
         deep = b'{"do":"pause","x":' + DEEP
-        answer = msgspec.json.decode(here[WORLD].ask("control", deep) or b"", type=Answer)
+        answer = msgspec.json.decode(here[ENVIRONMENT].ask("control", deep) or b"", type=Answer)
         assert not answer.accepted and "not a command" in answer.detail
         count = len(WORLD_HEARS)
         assert holds_within(20, lambda: running.client.state()["refused"] == count)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from experiments.results.trace import Trace, read_trace
 from runtime.recording import read_recording
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.preparation import prepare
 from scenarios.scenario import Scenario
 from scenarios.setup import Setup
@@ -12,7 +12,7 @@ from scenarios.setup import Setup
 
 def scenario(name: str = "oscillator", **changes) -> Scenario:
     """A scenario with its own defaults but for these changes."""
-    return kind_of(name).defaults.with_(**changes)
+    return definition_of(name).defaults.with_(**changes)
 
 
 def small(name: str = "oscillator", **changes) -> Setup:

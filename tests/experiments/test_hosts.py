@@ -210,7 +210,10 @@ def test_a_node_with_another_setup_ends_the_run_and_is_named(tmp_path: Path):
         (["node", "{setup}.no", "1", "--connect", "tcp/a:1"], "cannot be read"),
         (["node", "{setup}", "1", "--connect", "tls/a:1", "--keys", "."], "no node-1.json"),
         (["node", "{setup}", "1", "--connect", "tcp/a:1", "--keys", "."], "over TLS"),
-        (["node", "{setup}", "1", "--connect", "tcp/a:1", "--patience", "0"], "--patience 0"),
+        (
+            ["node", "{setup}", "1", "--connect", "tcp/a:1", "--peer-timeout", "0"],
+            "--peer-timeout 0",
+        ),
         (["world", "{setup}", "--connect", "tcp/a:99999"], "1 to 65535"),
         (["world", "{setup}", "--connect", "tls/a:1", "--keys", "."], "recorder.json"),
         (["router", "--listen", "tcp/*:1"], "--listen tcp/*:1: not an endpoint"),

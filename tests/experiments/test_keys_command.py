@@ -31,9 +31,9 @@ def test_nobody_gets_in_and_a_hole_is_found(tmp_path: Path):
         ("node-0", "publishes a share too long for a frame"): "refused",
         ("node-0", "publishes an estimate of more than 1 MiB"): "refused",
         ("node-0", "publishes another node's keys"): "refused",
-        ("node-0", "publishes the world's keys"): "refused",
+        ("node-0", "publishes the environment's keys"): "refused",
         ("monitor", "publishes a node's keys"): "refused",
-        ("monitor", "publishes the world's keys"): "refused",
+        ("monitor", "publishes the environment's keys"): "refused",
         ("monitor", "hears a node's shares"): "delivered",
         ("node-0", "says that node 1 is ready"): "refused",
         ("node-1", "says that node 1 is ready"): "delivered",
@@ -72,7 +72,7 @@ def test_nobody_gets_in_and_a_hole_is_found(tmp_path: Path):
     }
     assert ("node-0", "publishes a share too long for a frame") in broken
     assert ("node-0", "publishes another node's keys") in broken
-    assert ("monitor", "publishes the world's keys") in broken
+    assert ("monitor", "publishes the environment's keys") in broken
     assert ("monitor", "commands the network") in broken
     assert ("node-0", "publishes an estimate of more than 1 MiB") in broken
     assert ("unlisted name", "joins, publishes share/0") in broken

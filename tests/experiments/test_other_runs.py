@@ -18,8 +18,8 @@ from experiments.monte_carlo.other_runs import OtherRuns, Question, expected, to
 from experiments.priority import give_way
 from filters.gaussian import Gaussian
 from runtime.drivers import in_memory
-from scenarios.baselines import listener
-from scenarios.catalogue import kind_of
+from scenarios.baselines import baseline_step
+from scenarios.catalogue import definition_of
 from scenarios.preparation import prepare, setup_of_run
 from tests.dashboard.runs import setup_of
 from tests.processes import holds_within
@@ -44,14 +44,14 @@ def test_the_band_is_that_of_runs_message_by_message():
 
 def test_the_bound_of_a_linear_plant_is_the_covariance_of_the_kalman_filter():
     told = told_by(SETUP, 3)
-    listen = listener(SETUP, list(range(4)))
+    listen = baseline_step(SETUP, list(range(4)))
     belief = Gaussian(np.array(SETUP.prior_mean), np.array(SETUP.prior_cov))
     taken = {}
     for topic, data in in_memory(SETUP):
         if topic.startswith("measured/"):
             said = json.loads(data)
             taken[said["step"], said["node"]] = said["readings"]
-    states = list(kind_of("oscillator").score.states)
+    states = list(definition_of("oscillator").score.states)
     for step in range(25):
         readings = np.array([taken[step, node] for node in range(4)], dtype=float)
         belief = listen(belief, step, readings, None)
@@ -69,7 +69,7 @@ def test_runs_of_what_was_recorded_once_are_no_band():
     data = ROOT.parent / "shared" / "data" / "mrclam6"
     if not data.is_dir():
         pytest.skip("needs the recorded robots in ../shared/data/mrclam6")
-    defaults = kind_of("mrclam").defaults
+    defaults = definition_of("mrclam").defaults
     setup = prepare(defaults.with_(data=str(data), target=4, steps=30))
     told = told_by(setup, 3)
     assert told.nees_low == told.nees_high == [None] * 30

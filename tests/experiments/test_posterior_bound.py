@@ -10,7 +10,7 @@ import pytest
 from experiments.monte_carlo.posterior_bound import Truths, posterior_bound
 from experiments.scenario_options import scenario_of
 from scenarios.baselines import centralised
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.preparation import prepare
 from scenarios.streams import generator
 
@@ -18,8 +18,8 @@ from scenarios.streams import generator
 def truths_of(name: str, runs: int, **fields) -> tuple[Truths, SimpleNamespace]:
     """Truths without any filter, and what the bound needs of the scenario."""
     scenario = scenario_of(name, **fields)
-    kind = kind_of(name)
-    plant = kind.plant(scenario)
+    definition = definition_of(name)
+    plant = definition.plant(scenario)
     truth, readings, priors = [], [], []
     cov = np.empty(0)
     for run in range(runs):
@@ -35,9 +35,13 @@ def truths_of(name: str, runs: int, **fields) -> tuple[Truths, SimpleNamespace]:
         truth.append(states)
         readings.append(seen)
         priors.append(mean)
-    sensors = [kind.sensor(scenario, node) for node in range(scenario.nodes)]
+    sensors = [definition.sensor(scenario, node) for node in range(scenario.nodes)]
     parts = SimpleNamespace(
-        scenario=scenario, model=kind.model(scenario), sensors=sensors, prior_cov=cov, priors=priors
+        scenario=scenario,
+        model=definition.model(scenario),
+        sensors=sensors,
+        prior_cov=cov,
+        priors=priors,
     )
     return Truths(np.array(truth), np.array(readings), None), parts
 

@@ -16,7 +16,7 @@ from experiments.results.summary import summarise as summarise_one
 from experiments.results.trace import read_trace
 from runtime.drivers import in_memory
 from scenarios.baselines import READINGS_AT_ONCE, centralised_of_runs
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.preparation import setup_of_run
 from scenarios.setup import Setup
 from tests.experiments.support import small
@@ -79,7 +79,7 @@ def test_a_large_network_has_a_centralised_filter_too():
     information = np.linalg.inv(setup.prior_cov)
     vector = information @ setup.prior_mean
     for node, (reading,) in enumerate(histories.readings[0, 0]):
-        sensor = kind_of("oscillator").sensor(setup.scenario, node)
+        sensor = definition_of("oscillator").sensor(setup.scenario, node)
         if sensor is not None and not np.isnan(reading).any():
             value, noise_cov = sensor.interpret(reading)
             row = sensor.measure(np.eye(2), 0).T

@@ -10,7 +10,7 @@ from experiments.cli.scenario_flags import said_in
 from experiments.sweep.cells import checked_cells, difference
 from experiments.sweep.options import FieldOptions
 from experiments.sweep.specification import FIELDS, Range, cells_of, specify
-from scenarios.catalogue import kinds
+from scenarios.catalogue import definitions
 from scenarios.types.assignment import flat
 
 
@@ -40,8 +40,8 @@ def test_what_becomes_of_the_network_is_swept_with_semicolons_between_changes():
 
 
 def test_every_field_of_a_scenario_can_be_swept():
-    for kind in kinds().values():
-        assert {*flat(kind.defaults)} - {"run"} <= {*FIELDS}
+    for definition in definitions().values():
+        assert {*flat(definition.defaults)} - {"run"} <= {*FIELDS}
     words = "--rounds 1,2 --relay true,false --window-steps none,3"
     specification = specify(said_in(tyro.cli(FieldOptions, args=words.split())))
     assert specification.levels == {

@@ -10,7 +10,7 @@ from bus.flexray.publication import Slot
 from bus.flexray.share_frames import SHARE_FRAMES, to_frames
 from experiments.cli.command_line import main
 from experiments.simulation_testing.case import SimulationCase
-from experiments.simulation_testing.case_run import torture
+from experiments.simulation_testing.case_run import run_case
 from experiments.simulation_testing.draw import draw_case
 from experiments.simulation_testing.promises import brings_back, liars_of
 from experiments.simulation_testing.script import WORDS, calm_from, is_harmless
@@ -117,7 +117,7 @@ def test_who_lies_is_forgiven_where_the_rule_expects_so_many_liars():
 def test_a_seed_is_a_case_and_its_run_to_the_last_bit():
     assert draw_case(7, {}) == draw_case(7, {})
     assert draw_case(7, {}) != draw_case(8, {})
-    assert torture(draw_case(7, {})) == torture(draw_case(7, {}))
+    assert run_case(draw_case(7, {})) == run_case(draw_case(7, {}))
 
 
 def test_what_is_fixed_is_so_and_the_rest_is_drawn():
@@ -130,14 +130,14 @@ def test_what_is_fixed_is_so_and_the_rest_is_drawn():
 @pytest.mark.parametrize("name", QUICK)
 def test_a_planted_bug_is_found(name: str):
     seed = QUICK[name]
-    assert torture(draw_case(seed, {})).broken is None
+    assert run_case(draw_case(seed, {})).broken is None
     with planted(bug_of(name)):
-        assert torture(draw_case(seed, {})).broken is not None
+        assert run_case(draw_case(seed, {})).broken is not None
 
 
 def test_the_books_know_when_it_is_known_whose_slot_a_frame_is_in():
     """A frame of a later step arrives during an open step, in a slot that is not its sender's."""
-    assert torture(draw_case(228, {})).broken is None
+    assert run_case(draw_case(228, {})).broken is None
 
 
 @pytest.mark.parametrize("bug", BUGS, ids=lambda bug: bug.name)

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
-from experiments.simulation_testing.case_run import SimulationOutcome, torture
+from experiments.simulation_testing.case_run import SimulationOutcome, run_case
 from experiments.simulation_testing.draw import draw_case
 
 MOST_SEEDS = 60
@@ -231,7 +231,7 @@ def first_found(bug: Bug, seeds: range) -> SimulationOutcome | None:
     """Return the outcome of the first seed that finds a bug."""
     with planted(bug):
         for seed in seeds:
-            outcome = torture(draw_case(seed, {}))
+            outcome = run_case(draw_case(seed, {}))
             if outcome.broken:
                 return outcome
     return None

@@ -9,9 +9,9 @@ from bus.ideal import TimelessBus
 from bus.schedule import Schedule
 from filters.gaussian import Gaussian
 from runtime.in_process import Link
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
+from scenarios.node_context import NodeContext, RuleContext
 from scenarios.rules import build_estimator, hold_policy
-from scenarios.seat import NodeContext, RuleContext
 from tests.nodes.networks import (
     Adjacency,
     Network,
@@ -59,13 +59,13 @@ def ruled(
         number=number,
         seed=seed,
     )
-    scenario = kind_of("oscillator").defaults.with_(nodes=len(priors), rule=rule, steps=steps)
+    scenario = definition_of("oscillator").defaults.with_(nodes=len(priors), rule=rule, steps=steps)
     neighbours = [node.neighbours for node in net.nodes]
     nodes = []
     for config in net.nodes:
         plain = config.estimator
         context = RuleContext(len(priors[0].mean), neighbours, hold_policy(scenario), 0.0, number)
-        seat = NodeContext(
+        node_context = NodeContext(
             config.index,
             context,
             plain.place.weights,  # type: ignore[attr-defined]
@@ -74,7 +74,7 @@ def ruled(
             prior=priors[config.index],
             points=plain.points,  # type: ignore[attr-defined]
         )
-        estimator = build_estimator(scenario, seat)
+        estimator = build_estimator(scenario, node_context)
         bus = TimelessBus(config.schedule, estimator.share_bytes)
         nodes.append(replace(config, estimator=estimator, bus=bus))
     return net._replace(nodes=nodes)

@@ -9,10 +9,10 @@ from nodes.estimator import Rejected
 from nodes.messages import Measured, to_wire
 from nodes.rules.adaptive_noise import AdaptiveNoise, Learnt, declared_noise, learn
 from plants.oscillator import Oscillation, ScalarSensor
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
+from scenarios.node_context import NodeContext, RuleContext
 from scenarios.rules import build_estimator, hold_policy
 from scenarios.scenario import Scenario
-from scenarios.seat import NodeContext, RuleContext
 
 MODEL = Oscillation()
 SENSOR = ScalarSensor(np.array([1.0, 0.0]), np.array(0.5))
@@ -21,11 +21,11 @@ PRIOR = Gaussian(np.zeros(2), np.eye(2))
 RULES = ("ci", "wac", "local", "hcmci", "icf", "diffusion", "kcf")
 
 
-def seat() -> tuple[Scenario, NodeContext]:
-    scenario = kind_of("oscillator").defaults.with_(nodes=2, graph="path", steps=1)
+def node_context() -> tuple[Scenario, NodeContext]:
+    scenario = definition_of("oscillator").defaults.with_(nodes=2, graph="path", steps=1)
     return scenario, NodeContext(
         node=0,
-        context=RuleContext(len(PRIOR.mean), [[1], [0]], hold_policy(scenario), 0.0, "<f8"),
+        rule=RuleContext(len(PRIOR.mean), [[1], [0]], hold_policy(scenario), 0.0, "<f8"),
         weights=np.array([0.5, 0.5]),
         model=MODEL,
         sensor=SENSOR,
@@ -36,7 +36,7 @@ def seat() -> tuple[Scenario, NodeContext]:
 
 
 def around(rule: str) -> AdaptiveNoise:
-    scenario, place = seat()
+    scenario, place = node_context()
     inner = build_estimator(scenario.with_(rule=rule), place)
     return AdaptiveNoise(inner, SENSOR, POINTS)
 
@@ -84,7 +84,7 @@ def test_it_never_believes_less_noise_than_the_data_sheet():
 @pytest.mark.parametrize("rule", RULES)
 def test_without_anything_to_learn_it_is_the_rule_itself(rule):
     """Exactly so in the first step, which takes the reading with the noise of the data sheet."""
-    scenario, place = seat()
+    scenario, place = node_context()
     plain = build_estimator(scenario.with_(rule=rule), place)
     wrapped = around(rule)
     measured = Measured(0, 0, [[0.3]])
@@ -101,9 +101,9 @@ def test_without_anything_to_learn_it_is_the_rule_itself(rule):
 def test_a_learnt_noise_is_what_the_next_reading_is_taken_with():
     wrapped = around("local")
     content, _ = run(wrapped, readings(8.0, 60))
-    _, place = seat()
+    _, place = node_context()
     loud = ScalarSensor(SENSOR.row, np.sqrt(learnt(content)[0]))
-    scenario, _ = seat()
+    scenario, _ = node_context()
     plain = build_estimator(
         scenario.with_(rule="local"),
         place._replace(sensor=loud, prior=wrapped.belief(content)),

@@ -16,7 +16,7 @@ import pytest
 from experiments.cli.agree import first_difference
 from experiments.results.trace import Trace
 from runtime.drivers import in_this_process
-from runtime.network.links import RECORDER, WORLD, free_ports, names
+from runtime.network.links import ENVIRONMENT, RECORDER, free_ports, names
 from runtime.recording import read_recording
 from scenarios.setup import Setup
 from tests.experiments.support import small, trace_of
@@ -69,9 +69,9 @@ supervisor.start(RECORDER, record)
 management = Management(None, None, None, tell, b"{{}}")
 config = build_environment(setup)
 world = partial(
-    run_environment, "broken", links[WORLD], config, mark, management, Lockstep()
+    run_environment, "broken", links[ENVIRONMENT], config, mark, management, Lockstep()
 )
-supervisor.start(WORLD, world)
+supervisor.start(ENVIRONMENT, world)
 for i in range(count):
     supervisor.start(str(i), partial(be, i))
 for name, pid in supervisor.pids.items():
@@ -131,7 +131,7 @@ def await_step(run: Family, step: int) -> None:
     raise AssertionError(run.process.stderr.read())  # type: ignore[union-attr]
 
 
-@pytest.mark.parametrize(("one", "other"), [("2", "1"), ("2", RECORDER), (WORLD, RECORDER)])
+@pytest.mark.parametrize(("one", "other"), [("2", "1"), ("2", RECORDER), (ENVIRONMENT, RECORDER)])
 def test_what_a_broken_link_has_lost_is_said_again(tmp_path: Path, one: str, other: str):
     """Three times what is under way on a link is lost with it."""
     setup = small(steps=600)
@@ -156,7 +156,7 @@ def test_what_a_broken_link_has_lost_is_said_again(tmp_path: Path, one: str, oth
 def test_a_node_that_loses_the_world_is_let_in_again(tmp_path: Path):
     """The network counts the node as dead; then its link comes back."""
     setup = small(steps=600)
-    with network(setup, tmp_path, "2", WORLD) as (run, relay):
+    with network(setup, tmp_path, "2", ENVIRONMENT) as (run, relay):
         await_step(run, 100)
         relay.lose()
         time.sleep(0.02)
@@ -191,7 +191,7 @@ runtime.processes.environment.process._PEER_TIMEOUT_S = 3.0
 def test_a_recorder_that_stays_away_is_named_and_ends_the_run(tmp_path: Path):
     """Processes hold messages back, report the wait, and end the run after the peer timeout."""
     setup = small(steps=4000)
-    with network(setup, tmp_path, WORLD, RECORDER, SHORT) as (run, relay):
+    with network(setup, tmp_path, ENVIRONMENT, RECORDER, SHORT) as (run, relay):
         await_step(run, 50)
         relay.lose()
         relay.cut(for_good=True)

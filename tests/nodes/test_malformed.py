@@ -30,7 +30,7 @@ from nodes.node import NodeConfig, Phase, initial_state, step
 from nodes.node_changes import apply
 from runtime.recording import McapRecorder, read_recording
 from scenarios.build import build_node
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.preparation import prepare
 from tests.nodes.one_node import (
     ROUNDS,
@@ -255,7 +255,7 @@ def test_a_heartbeat_of_another_form_is_refused(misfit: dict):
 
 @pytest.mark.parametrize("settings", [{"rule": "nonsense"}, {"rounds": "x"}, {"steps": 3}])
 def test_settings_that_cannot_be_are_refused(settings: dict):
-    setup = prepare(kind_of("oscillator").defaults.with_(nodes=2, graph="path"))
+    setup = prepare(definition_of("oscillator").defaults.with_(nodes=2, graph="path"))
     config = build_node(setup, 0)
     heartbeat_ = Measured(0, 0, [[1.0]], changes=(Set(settings, 7),))
     state, _ = step(config, initial_state(config), heartbeat_)

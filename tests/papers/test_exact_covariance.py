@@ -28,7 +28,7 @@ from plants.oscillator import Oscillator
 from runtime import in_process
 from runtime.recording import MemoryRecorder
 from scenarios.build import build_environment, build_node
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.preparation import prepare
 from scenarios.scenario import Scenario
 from scenarios.types.rules import hold_of
@@ -62,7 +62,7 @@ def blocks(moments: Moments) -> np.ndarray:
 
 def scenario_of(rule: str, rounds: int, steps: int) -> Scenario:
     hold = {"hold": "renormalise"} if rule in ("ci", "wac") else {}
-    return kind_of("dc-motor-position").defaults.with_(
+    return definition_of("dc-motor-position").defaults.with_(
         rule=rule,
         rounds=rounds,
         steps=steps,
@@ -131,7 +131,7 @@ def test_monte_carlo_of_the_network_agrees(rule: str):
     )
     weights = averaging("ring", nodes, 1)
     moments = last(network, rule, weights, steps)
-    defaults = kind_of("oscillator").defaults
+    defaults = definition_of("oscillator").defaults
     nees = []
     for run in range(runs):
         scenario = defaults.with_(nodes=nodes, steps=steps, rule=rule, rounds=1, run=run)

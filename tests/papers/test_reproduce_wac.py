@@ -31,7 +31,7 @@ from papers.wac.loops import Loops
 from papers.wac.network import beliefs_of, network_of
 from papers.wac.responses import OUTPUT, Trial
 from runtime.drivers import in_memory
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.preparation import prepare
 from scenarios.scenario import Scenario
 from tests.papers.support import every_claim_can_fail
@@ -41,7 +41,7 @@ from tests.papers.support import every_claim_can_fail
 
 def small(name: str, **changes) -> Scenario:
     sizes = {"target-tracking": {"nodes": 8}, "dc-motor-position": {"control": "truth"}}
-    return kind_of(name).defaults.with_(steps=15, seed=5, **sizes[name], **changes)
+    return definition_of(name).defaults.with_(steps=15, seed=5, **sizes[name], **changes)
 
 
 HALF = {"schedule": "hybrid", "occupancy": 0.5}

@@ -77,8 +77,13 @@ RETIRED = (
 )
 
 
+# Names of the literature that contain a retired word.
+_TERMS = re.compile(r"small[ _-]world", re.IGNORECASE)
+
+
 def retired_in_prose(path: str, text: str) -> Iterator[Retired]:
     """Yield each retired word that a block of prose contains, once."""
+    text = _TERMS.sub("", text)
     for retired in RETIRED:
         if retired.in_prose and retired.holds_in(path):
             plural = "" if " " in retired.word else "s?"
@@ -116,7 +121,7 @@ def retired_in_identifier(path: str, name: str) -> Iterator[Retired]:
     A word that is retired in prose too may not be a part of an identifier; an ordinary English word
     may not be the whole of one.
     """
-    words = words_of(name)
+    words = words_of(_TERMS.sub("", name))
     text = f" {' '.join(words).lower()} "
     for retired in RETIRED:
         if not (retired.in_identifiers and retired.holds_in(path)):

@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from runtime.network.links import (
+    ENVIRONMENT,
     RECORDER,
     ROUTER,
     WATCH,
-    WORLD,
     free_ports,
     names,
     peers_of,
@@ -43,9 +43,9 @@ def test_a_mesh_has_one_link_per_edge_and_one_to_world_and_recorder(adjacency: A
     assert len(opened) == len({frozenset(pair) for pair in opened})
     graph = networkx.Graph(opened)
     for i, linked in enumerate(neighbours_of(adjacency)):
-        assert set(graph[str(i)]) == {WORLD, RECORDER, *map(str, linked)}
+        assert set(graph[str(i)]) == {ENVIRONMENT, RECORDER, *map(str, linked)}
         assert peers_of(i, neighbours) == linked
-    assert graph.has_edge(WORLD, RECORDER)
+    assert graph.has_edge(ENVIRONMENT, RECORDER)
     assert {link.mode for link in links.values()} == {"peer"}
 
 
@@ -63,7 +63,7 @@ def test_a_dense_graph_goes_through_a_router():
     assert wants_router(dense)
     links, ports = planned(dense)
     assert list(ports) == [ROUTER, WATCH]
-    assert set(links) == {WORLD, RECORDER, WATCH, *map(str, range(20))}
+    assert set(links) == {ENVIRONMENT, RECORDER, WATCH, *map(str, range(20))}
     assert links.pop(WATCH).connect == ()
     clients = {(link.mode, link.listen, link.connect) for link in links.values()}
     assert clients == {("client", (), (f"tcp/127.0.0.1:{ports[ROUTER]}",))}

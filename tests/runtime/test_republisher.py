@@ -6,7 +6,7 @@ from typing import cast
 
 import pytest
 
-from runtime.network.links import RECORDER, WORLD
+from runtime.network.links import ENVIRONMENT, RECORDER
 from runtime.network.zenoh_transport import Transport
 from runtime.processes import republisher
 
@@ -51,10 +51,10 @@ def test_a_link_is_back_that_was_broken_and_not_one_that_is_there_at_first():
     speaker = republisher.Republisher(
         cast(Transport, Standing()), "node 0", "estimate", 8, lambda: ""
     )
-    assert not speaker.see(WORLD, True)
-    assert not speaker.see(WORLD, False)
-    assert speaker.see(WORLD, True)
-    assert not speaker.see(WORLD, True)
+    assert not speaker.see(ENVIRONMENT, True)
+    assert not speaker.see(ENVIRONMENT, False)
+    assert speaker.see(ENVIRONMENT, True)
+    assert not speaker.see(ENVIRONMENT, True)
 
 
 def test_nothing_new_is_said_to_a_recorder_before_what_it_has_lost():

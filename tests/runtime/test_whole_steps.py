@@ -16,13 +16,15 @@ from nodes.messages import decode
 from runtime.drivers import in_memory
 from runtime.processes.recorder.throttled_feed import STEPS_PER_S, ThrottledFeed
 from runtime.whole_steps import WholeStep, WholeSteps
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.preparation import prepare
 
 NODES, STEPS, ROUNDS = 5, 24, 3
 CHANGES = ("6 kill 2", "10 restart 2", "13 set rounds=1", "17 kill 4", "19 set rounds=20")
 SETUP = prepare(
-    kind_of("oscillator").defaults.with_(nodes=NODES, steps=STEPS, rounds=ROUNDS, changes=CHANGES)
+    definition_of("oscillator").defaults.with_(
+        nodes=NODES, steps=STEPS, rounds=ROUNDS, changes=CHANGES
+    )
 )
 MESSAGES = in_memory(SETUP)
 Said = tuple[str, bytes]

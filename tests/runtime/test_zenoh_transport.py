@@ -53,7 +53,7 @@ def stand_in(name):
 """
 MESH = """
 supervisor.start(RECORDER, partial(stand_in, RECORDER))
-supervisor.start(WORLD, partial(stand_in, WORLD))
+supervisor.start(ENVIRONMENT, partial(stand_in, ENVIRONMENT))
 for me in range(len(neighbours)):
     supervisor.start(str(me), partial(meet, me))
 ends = [supervisor.wait(quiet) for _ in neighbours]
@@ -107,10 +107,10 @@ from runtime.processes.node.lockstep import LockstepNode
 from runtime.processes.node.membership import Membership
 from runtime.whole_steps import WholeSteps
 from scenarios.build import build_node, build_environment
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.preparation import prepare
 import msgspec
-defaults = kind_of("oscillator").defaults
+defaults = definition_of("oscillator").defaults
 setup = prepare(defaults.with_(nodes=2, graph="path", steps=3))
 links = plan_links(setup.neighbours, free_ports(names(setup.neighbours)))
 def record():
@@ -125,8 +125,9 @@ supervisor.start("0", partial(node, 0, 64 * "a"))
 supervisor.start("1", partial(node, 1, 64 * "b"))
 management = Management(None, None, None, lambda step: None, b"{}")
 config = build_environment(setup)
-world = partial(run_environment, "refuse", links[WORLD], config, 64 * "a", management, Lockstep())
-supervisor.start(WORLD, world)
+link = links[ENVIRONMENT]
+environment = partial(run_environment, "refuse", link, config, 64 * "a", management, Lockstep())
+supervisor.start(ENVIRONMENT, environment)
 say(*supervisor.wait(quiet))
 supervisor.stop()
 """

@@ -7,26 +7,26 @@ from hypothesis import strategies as st
 
 from experiments import options_page
 from experiments.scenario_options import in_options, offered_options, scenario_of
-from scenarios.catalogue import kind_of, kinds
+from scenarios.catalogue import definition_of, definitions
 from scenarios.scenario import Scenario
 from scenarios.types.assignment import assigned, check_ranges, flat
 from scenarios.types.buses import FlexRay, HybridSchedule, Ideal
 from scenarios.types.declarations import every_option
 from scenarios.types.rules import CovarianceIntersection, MeasurementFlooding
 
-USUAL = kind_of("oscillator").defaults
-EACH_KIND = pytest.mark.parametrize("name", kinds())
+USUAL = definition_of("oscillator").defaults
+EACH_KIND = pytest.mark.parametrize("name", definitions())
 CHOICES = {
     name: option.names
     for name, option in offered_options().items()
-    if option.declaration.members and name not in ("scenario", "filter")
+    if option.declaration.choices and name not in ("scenario", "filter")
 }
 
 
 @st.composite
 def scenarios(draw: st.DrawFn) -> Scenario:
     """Scenarios of any rule, hold, bus and schedule that can be said together."""
-    scenario = kind_of(draw(st.sampled_from(sorted(kinds())))).defaults
+    scenario = definition_of(draw(st.sampled_from(sorted(definitions())))).defaults
     for name, names in CHOICES.items():
         try:
             scenario, _ = scenario.with_known(**{name: draw(st.sampled_from(names))})
@@ -40,7 +40,7 @@ def scenarios(draw: st.DrawFn) -> Scenario:
 
 @given(scenarios())
 def test_flat_names_and_values_say_the_whole_scenario(scenario: Scenario):
-    found, left = assigned(kind_of(scenario.name).defaults, flat(scenario))
+    found, left = assigned(definition_of(scenario.name).defaults, flat(scenario))
     assert (found, left) == (scenario, {})
 
 
@@ -51,12 +51,12 @@ def test_json_says_the_whole_scenario(scenario: Scenario):
 
 @EACH_KIND
 def test_the_options_of_a_default_are_none(name: str):
-    assert in_options(kind_of(name).defaults) == []
+    assert in_options(definition_of(name).defaults) == []
 
 
 @EACH_KIND
 def test_every_option_of_a_scenario_is_offered_with_a_meaning(name: str):
-    for option in flat(kind_of(name).defaults):
+    for option in flat(definition_of(name).defaults):
         assert offered_options()[option].help
 
 

@@ -21,7 +21,7 @@ from runtime.recording import read_recording
 from scenarios.baselines import centralised
 from scenarios.build import build_node
 from scenarios.bus_plan import build_schedule
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.labelled import check_labelled, digest_of, gates_of, latency_steps, window_of
 from scenarios.preparation import prepare
 from scenarios.scenario import Scenario
@@ -79,12 +79,12 @@ def test_quantised_records_are_the_centralised_filter_that_knows_of_the_rounding
     """Readings in steps of a sixteenth of their deviation; R larger by a twelfth of its square."""
     setup = setup_of(scenario="target-tracking", nodes=6, graph="complete", rounds=1, steps=30)
     trace = trace_of(setup)
-    kind = kind_of("target-tracking")
+    definition = definition_of("target-tracking")
     step = np.array([10.0, np.deg2rad(2.0)]) / 16
     larger = np.sqrt(1 + 1 / (12 * 16**2))
 
     def noisier(scenario: Scenario, node: int):
-        sensor: Any = kind.sensor(scenario, node)
+        sensor: Any = definition.sensor(scenario, node)
         return replace(
             sensor,
             range_std_m=larger * sensor.range_std_m,
@@ -92,7 +92,8 @@ def test_quantised_records_are_the_centralised_filter_that_knows_of_the_rounding
         )
 
     monkeypatch.setattr(
-        "scenarios.baselines.kind_of", lambda _: kind._replace(sensor=noisier, sensors=None)
+        "scenarios.baselines.definition_of",
+        lambda _: definition._replace(sensor=noisier, sensors=None),
     )
     best = centralised(setup, step * np.round(trace.readings / step), None)
     np.testing.assert_allclose(trace.mean[:, 0], best.mean, rtol=0, atol=1e-8)

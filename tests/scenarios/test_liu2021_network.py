@@ -9,7 +9,7 @@ from experiments.cli.agree import first_difference
 from plants import liu2021
 from plants.bounded_network import BoundedNetwork, on_the_bound
 from runtime.drivers import DRIVERS
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.preparation import prepare
 from scenarios.rules import is_set_valued
 from tests.experiments.support import scenario, small, trace_of
@@ -19,7 +19,7 @@ GAUSSIAN_RULES = ("ci", "wac")
 
 
 def plant(**changes) -> BoundedNetwork:
-    made = kind_of(NAME).plant(scenario(NAME, **changes))
+    made = definition_of(NAME).plant(scenario(NAME, **changes))
     assert isinstance(made, BoundedNetwork)
     return made
 

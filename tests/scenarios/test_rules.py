@@ -16,7 +16,7 @@ from runtime.recording import read_recording
 from scenarios import rules
 from scenarios.baselines import centralised
 from scenarios.build import build_node
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.preparation import prepare, share_bytes
 from scenarios.scenario import Scenario
 from scenarios.setup import Setup
@@ -36,7 +36,7 @@ EACH = pytest.mark.parametrize("rule", FUSING)
 def scenario(rule: str, **changes) -> Scenario:
     """A short run of the oscillator under a rule."""
     settings = {"rule": rule, "steps": 6, **NEEDS.get(rule, {}), **changes}
-    return kind_of("oscillator").defaults.with_(**settings)
+    return definition_of("oscillator").defaults.with_(**settings)
 
 
 def trace(setup: Setup) -> Trace:

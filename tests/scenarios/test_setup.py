@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from runtime.drivers import in_memory
-from scenarios.catalogue import kinds
+from scenarios.catalogue import definitions
 from scenarios.preparation import fingerprint, prepare
 from scenarios.scenario import Scenario
 from scenarios.setup import Setup
@@ -69,14 +69,16 @@ def test_a_misspelt_field_is_refused():
 
 
 def test_every_scenario_says_what_it_is():
-    for name, kind in kinds().items():
-        assert kind.defaults.name == name
-        assert 10 < len(type(kind.defaults.plant).summary()) < 100
-        assert type(kind.defaults.plant).summary()[0].isupper()
+    for name, definition in definitions().items():
+        assert definition.defaults.name == name
+        assert 10 < len(type(definition.defaults.plant).summary()) < 100
+        assert type(definition.defaults.plant).summary()[0].isupper()
 
 
-@pytest.mark.parametrize("name", [n for n, kind in kinds().items() if kind.all_steps is None])
+@pytest.mark.parametrize(
+    "name", [n for n, definition in definitions().items() if definition.all_steps is None]
+)
 def test_every_scenario_runs_as_it_comes(name: str):
-    setup = prepare(kinds()[name].defaults.with_(steps=2))
+    setup = prepare(definitions()[name].defaults.with_(steps=2))
     assert len(setup.neighbours) == setup.scenario.nodes
     assert any(topic.startswith("estimate/") for topic, _ in in_memory(setup))

@@ -20,7 +20,7 @@ from plants.vehicle.network import SIDE_SLIP, STATE_NAMES
 from runtime.drivers import DRIVERS, in_memory
 from scenarios.baselines import local_only
 from scenarios.build import build_node
-from scenarios.catalogue import kind_of
+from scenarios.catalogue import definition_of
 from scenarios.preparation import prepare
 from scenarios.setup import Setup
 from tests.experiments.support import scenario, trace_of
@@ -140,6 +140,6 @@ def test_what_it_cannot_be_is_refused(changes: dict, says: str):
 
 
 def test_all_steps_are_those_of_the_drive():
-    kind = kind_of("vehicle-network")
-    assert kind.all_steps is not None
-    assert kind.all_steps(kind.defaults) == 2401
+    definition = definition_of("vehicle-network")
+    assert definition.all_steps is not None
+    assert definition.all_steps(definition.defaults) == 2401

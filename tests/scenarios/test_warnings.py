@@ -10,15 +10,15 @@ from experiments.results.trace import read_trace
 from plants.linear import LinearModel, LinearPlant, LinearSensor
 from runtime.drivers import in_memory
 from scenarios import catalogue
-from scenarios.catalogue import kind_of
-from scenarios.kind import ScenarioDefinition, Score
+from scenarios.catalogue import definition_of
 from scenarios.preparation import prepare
+from scenarios.scenario_definition import ScenarioDefinition, Score
 from scenarios.setup import Setup
 from scenarios.warnings import warnings_of
 
 
 def setup_of(**changes) -> Setup:
-    return prepare(kind_of("oscillator").defaults.with_(steps=5, **changes))
+    return prepare(definition_of("oscillator").defaults.with_(steps=5, **changes))
 
 
 def quiet(**changes) -> bool:
@@ -47,7 +47,7 @@ def growing(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Setup]:
             initial_state=np.zeros(1),
             prior_cov=np.eye(1),
         )
-        usual = kind_of("oscillator").defaults
+        usual = definition_of("oscillator").defaults
         defaults = usual.with_(nodes=8, steps=70, rule="wac", hold="drop")
         kind = ScenarioDefinition(
             defaults=defaults,

@@ -22,7 +22,7 @@ from nodes.messages import (
     encode,
 )
 from nodes.run_controller import ProcessStarter, RunController, Scripted
-from runtime.network.links import RECORDER, WORLD, ZenohEndpoints
+from runtime.network.links import ENVIRONMENT, RECORDER, ZenohEndpoints
 from runtime.network.zenoh_transport import Transport
 from runtime.processes.clock import EnvironmentClock
 from runtime.processes.environment.failures import Deserted
@@ -127,7 +127,7 @@ class EnvironmentProcess:
     def _gather(self) -> None:
         """Join, and wait for all others."""
         names = [RECORDER, *map(str, range(self._nodes))]
-        self.transport.join(WORLD, ())
+        self.transport.join(ENVIRONMENT, ())
         await_processes(self.transport, names)
         self.transport.watch(self._hear_of_presence)
         for name in self.transport.missing(names):

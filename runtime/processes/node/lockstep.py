@@ -12,7 +12,7 @@ from nodes import node_changes
 from nodes.changes import Joined
 from nodes.messages import NodeEvent, NodeMessage, Unreachable, encode, topic
 from nodes.node_state import NodeConfig, NodeState, Phase, count
-from runtime.network.links import WORLD
+from runtime.network.links import ENVIRONMENT
 from runtime.network.zenoh_transport import Transport
 from runtime.processes.departed_peers import DepartedPeers
 from runtime.processes.node.entry import await_links
@@ -44,7 +44,7 @@ class LockstepNode:
         self._neighbours = {str(j) for j in config.neighbours}
         self._unreachable: deque[int] = deque()
         self._departed = DepartedPeers(_GRACE_S, self._miss)
-        self._timeout = PeerTimeout(WORLD, membership.peer_timeout_s)
+        self._timeout = PeerTimeout(ENVIRONMENT, membership.peer_timeout_s)
         self._republisher = Republisher(
             self.transport, f"node {config.index}", "estimate", _KEPT, self._waits_for
         )
@@ -153,7 +153,7 @@ class LockstepNode:
         if name in self._neighbours:
             self._departed.see(name, is_there)
         # A hello is repeated for an environment process that is back, not for the first.
-        if self._republisher.see(name, is_there) and name == WORLD:
+        if self._republisher.see(name, is_there) and name == ENVIRONMENT:
             self._inbox.note_environment_back()
 
     def _miss(self, name: str) -> None:

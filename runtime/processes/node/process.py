@@ -12,7 +12,7 @@ from nodes import node as state_machine
 from nodes import node_changes
 from nodes.messages import NodeEvent, NodeMessage
 from nodes.node_state import NodeConfig, NodeState, Phase
-from runtime.network.links import RECORDER, WORLD
+from runtime.network.links import ENVIRONMENT, RECORDER
 from runtime.network.zenoh_transport import Transport
 from runtime.processes.node.membership import Membership
 
@@ -82,10 +82,10 @@ def run_node(membership: Membership, pacing: NodePacing) -> None:
     """
     name, config = str(membership.config.index), pacing.configured(membership.config)
     if membership.late:
-        pacing.transport.join(name, {WORLD, RECORDER})
+        pacing.transport.join(name, {ENVIRONMENT, RECORDER})
         config, state = pacing.enter()
     else:
-        pacing.transport.join(name, {WORLD, RECORDER, *map(str, membership.peers)})
+        pacing.transport.join(name, {ENVIRONMENT, RECORDER, *map(str, membership.peers)})
         pacing.say_hello()
         state = state_machine.initial_state(config)
     finished = False

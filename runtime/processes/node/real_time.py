@@ -30,7 +30,7 @@ from nodes.messages import (
 )
 from nodes.node_state import NodeConfig, NodeState, Phase, count
 from nodes.tempo import Tempo
-from runtime.network.links import WORLD
+from runtime.network.links import ENVIRONMENT
 from runtime.network.zenoh_transport import Transport
 from runtime.processes.node.entry import await_links
 from runtime.processes.node.heartbeats import Heartbeats
@@ -60,7 +60,7 @@ class RealTimeNode:
         self._first_step = 0
         self._cycle_of = membership.config.bus.frame_format.cycle_of
         self.transport = Transport(membership.run, membership.links, [], 1)
-        self.transport.watch(PeerTimeout(WORLD, membership.peer_timeout_s).see)
+        self.transport.watch(PeerTimeout(ENVIRONMENT, membership.peer_timeout_s).see)
         self._start = StartTime(self.transport)
         own = ("measured", "gone", "welcome")
         shares = (f"share/{j}" for j in membership.config.neighbours)

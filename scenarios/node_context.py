@@ -58,7 +58,7 @@ class NodeContext(NamedTuple):
     """
 
     node: int
-    context: RuleContext
+    rule: RuleContext
     weights: np.ndarray
     model: Model
     sensor: Sensor | None
@@ -75,7 +75,7 @@ class BatchContext(NamedTuple):
     segment; `everybody` as in `NodeContext`.
     """
 
-    context: RuleContext
+    rule: RuleContext
     filters: LocalFilters
     links: Links
     base: Shares

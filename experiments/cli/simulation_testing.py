@@ -14,8 +14,7 @@ import tyro
 from experiments.cli.scenario_flags import said_in
 from experiments.progress import progress
 from experiments.simulation_testing.case import SimulationCase
-from experiments.simulation_testing.case_run import SimulationOutcome
-from experiments.simulation_testing.case_run import torture as torture_case
+from experiments.simulation_testing.case_run import SimulationOutcome, run_case
 from experiments.simulation_testing.draw import draw_case
 from experiments.simulation_testing.options import FixedOptions, fixed_fields, read_seeds
 from experiments.simulation_testing.shrink import replay_command, run_command, shrink
@@ -27,7 +26,7 @@ MOST_SHRUNK = 3
 
 
 @dataclass(frozen=True, kw_only=True)
-class TortureOptions:
+class SimulationTestingOptions:
     """Which cases, and what computes them."""
 
     seeds: str = "1..100"
@@ -41,9 +40,9 @@ class TortureOptions:
     """Print one JSON object instead of lines."""
 
 
-def torture(
+def simulation_testing(
     fixed: Annotated[FixedOptions, tyro.conf.arg(name="")],
-    output: Annotated[TortureOptions, tyro.conf.OmitArgPrefixes],
+    output: Annotated[SimulationTestingOptions, tyro.conf.OmitArgPrefixes],
 ) -> None:
     """Draw a scenario and a swarm of faults from each seed, run it, and check after every cycle."""
     with user_errors():
@@ -57,7 +56,7 @@ def torture(
     began = time.monotonic()
     try:
         with progress("seeds", len(seeds)) as on_seeds, user_errors():
-            for place, outcome in engine(partial(_tortured, fields), seeds):
+            for place, outcome in engine(partial(_run_seed, fields), seeds):
                 outcomes[place] = outcome
                 on_seeds(len(outcomes))
     except KeyboardInterrupt:
@@ -71,8 +70,8 @@ def torture(
     sys.exit(1 if any(outcome.broken for outcome in in_order) else 0)
 
 
-def _tortured(fields: dict[str, Any], seed: int) -> SimulationOutcome:
-    return torture_case(draw_case(seed, fields))
+def _run_seed(fields: dict[str, Any], seed: int) -> SimulationOutcome:
+    return run_case(draw_case(seed, fields))
 
 
 def _show(
@@ -119,7 +118,7 @@ def _failure(outcome: SimulationOutcome, fields: dict[str, Any], smaller: bool) 
     case = draw_case(outcome.seed, fields)
 
     def breaks(tried: SimulationCase) -> bool:
-        return torture_case(tried).broken == outcome.broken
+        return run_case(tried).broken == outcome.broken
 
     if smaller:
         sys.stderr.write(f"seed {outcome.seed}: {outcome.broken}; making the case smaller ...\n")
@@ -127,7 +126,7 @@ def _failure(outcome: SimulationOutcome, fields: dict[str, Any], smaller: bool) 
     return {
         "seed": outcome.seed,
         "invariant": outcome.broken,
-        "seen": torture_case(case).seen,
+        "seen": run_case(case).seen,
         "again": replay_command(case),
         "run": run_command(case),
     }

@@ -11,8 +11,8 @@ from filters.sigma_points import SigmaPointRule
 from nodes.environment_state import Delivery
 from nodes.estimator import Estimator
 from nodes.rules.local_filter import Model, Sensor
+from scenarios.node_context import NodeContext
 from scenarios.scenario import Scenario
-from scenarios.seat import NodeContext
 from scenarios.setup import Setup
 
 
@@ -100,8 +100,9 @@ class ScenarioDefinition(NamedTuple):
         points: the sigma-point rule of the filters, None for that of the house.
         wiring: of a network in which not every node filters and fuses.
         delivery: what lies between sensors and their nodes, None where readings arrive as taken.
-        listen: (setup, nodes, readings (steps, N, r, d)) -> beliefs (steps,) of one filter that
-            takes the readings of these nodes; None for the one that model and sensors give.
+        baseline_filter: (setup, nodes, readings (steps, N, r, d)) -> beliefs (steps,) of one
+            filter that takes the readings of these nodes; None for the one that model and sensors
+            give.
         estimator_wrapper: what a node puts around its rule's estimator, None for nothing.
     """
 
@@ -118,6 +119,6 @@ class ScenarioDefinition(NamedTuple):
     points: Callable[[Scenario], SigmaPointRule] | None = None
     wiring: NetworkWiring | None = None
     delivery: Callable[[Scenario], Delivery] | None = None
-    listen: Callable[[Setup, Sequence[int], np.ndarray], Gaussian] | None = None
+    baseline_filter: Callable[[Setup, Sequence[int], np.ndarray], Gaussian] | None = None
     estimator_wrapper: Callable[[Scenario, NodeContext, Estimator], Estimator] | None = None
     sensors: Callable[[Scenario], Sensor] | None = None
