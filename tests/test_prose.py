@@ -1,10 +1,10 @@
-"""The prose checker finds planted violations of each rule, and passes sentences that keep them."""
+"""The project keeps the prose rules; the checker finds planted violations of each rule."""
 
 from pathlib import Path
 
 import pytest
 
-from tests.prose.check import findings, sentences
+from tests.prose.check import ROOT, files, findings, sentences
 
 FITS = " ".join(["Word"] + ["word"] * 33)
 LONG = f"{FITS} word word."
@@ -40,6 +40,7 @@ ALLOWED = [
     ("tests/a.py", "conductor = 1"),
     ("dashboard/a.py", "page = part = 1"),
     ("nodes/a.py", "said_again = 1"),
+    ("topology/a.py", '"""Return a small-world graph."""\nsmall_world = 1'),
 ]
 
 
@@ -54,6 +55,12 @@ def test_a_planted_violation_is_found_with_its_rule(
 @pytest.mark.parametrize(("path", "text"), ALLOWED)
 def test_allowed_prose_passes(tmp_path: Path, path: str, text: str):
     assert not _findings(tmp_path, path, text)
+
+
+def test_the_project_keeps_the_rules():
+    found = [str(finding) for file in files([ROOT]) for finding in findings(file)]
+    if found:
+        pytest.fail("\n".join(found), pytrace=False)
 
 
 def test_an_abbreviation_ends_no_sentence():

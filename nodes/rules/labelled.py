@@ -249,7 +249,7 @@ class LabelledFlooding:
             content = content._replace(known=known, sent=None)
         failures: list[str] = []
         for place, share in came:
-            content, late = self._take(content, place, share)
+            content, late = self._with_records_of(content, place, share)
             failures += late
         return self._closed(content, failures)
 
@@ -273,7 +273,7 @@ class LabelledFlooding:
             owed=content.owed or share.needs or strange,
         )
 
-    def _take(
+    def _with_records_of(
         self, content: LabelledContent, place: int, share: LabelledShare
     ) -> tuple[LabelledContent, list[str]]:
         """Take over a neighbour's records, and a base of the same step as the own."""
