@@ -18,8 +18,8 @@ from benchmarks.measure import BenchmarkFigures, figure, ratio
 from filters.sets.ellipsoid import Ellipsoid, shape_matrix
 from papers.liu2021.bus import augmented
 from papers.liu2021.closed_form import closed_form_step
-from papers.liu2021.cycle import Cycle, CycleResult, turned
-from papers.liu2021.flexray_cycle import DeliveredValues
+from papers.liu2021.cycle import CycleResult, turned
+from papers.liu2021.flexray_cycle import AugmentedCycle, DeliveredValues
 from papers.liu2021.multipliers import Problem
 from papers.liu2021.recursive_estimator import optimal_step, problem
 from papers.liu2021.runs import HELD, PLANT, G, N, simulate
@@ -87,10 +87,10 @@ def _solve(
 
 
 def _step(
-    step: Callable[[Ellipsoid, Cycle, np.ndarray], CycleResult],
+    step: Callable[[Ellipsoid, AugmentedCycle, np.ndarray], CycleResult],
     calls: int,
     kept: Ellipsoid,
-    model: Cycle,
+    model: AugmentedCycle,
     values: np.ndarray,
 ) -> None:
     for _ in range(calls):

@@ -7,9 +7,9 @@ import numpy as np
 
 from filters import ukf
 from filters.adaptive import sage_husa
-from filters.adaptive.sage_husa import BOUNDS, Bounds, NoiseEstimate
+from filters.adaptive.sage_husa import NoiseEstimate
 from filters.gaussian import Gaussian
-from filters.moments import Model, Residual, moments
+from filters.moments import Model, moments
 from filters.sigma_points import SigmaPointRule, sigma_points
 from filters.update import Update
 from papers.adlukf import dual_layer, fuzzy_noise
@@ -25,36 +25,20 @@ def update(
     measure: Model,
     rule: SigmaPointRule,
     *,
-    residual: Residual = np.subtract,
     gate: float | None = None,
-    forgetting: float = 0.98,
-    bounds: Bounds = BOUNDS,
     outlier_limit: float | None = None,
 ) -> tuple[Update, NoiseEstimate]:
     """`ukf.update` with the noise estimated so far, then that estimate by `sage_husa.adapt`.
 
-    With `sigma_points.cubature` it is an adaptive cubature filter.
-
-    Args:
-        belief: mean (..., n), cov (..., n, n).
-        noise: variances (..., m).
-        measurement: (..., m); an entry that is NaN was not taken.
-        measure: points (S, ..., n) -> predicted measurements (S, ..., m).
-        rule: a sigma-point rule for n dimensions.
-        residual: difference of two measurements, for measurements with angles.
-        gate: lanes whose normalised innovation squared exceeds it keep their belief; the noise
-            estimate takes the reading all the same, or it could never grow to let it in.
-        forgetting, bounds, outlier_limit: of `sage_husa.adapt`.
+    Lanes whose normalised innovation squared exceeds the `gate` keep their belief; the noise
+    estimate takes the reading all the same, or it could never grow to let it in.
 
     Raises:
         ValueError: the rule, the noise, the measurement or the model's values do not fit.
     """
-    after = ukf.update(belief, measurement, measure, noise.cov, rule, residual=residual, gate=gate)
-    left, spread = sage_husa.unexplained(after.belief, measurement, measure, rule, residual)
-    adapted = sage_husa.adapt(
-        noise, left, spread, forgetting=forgetting, bounds=bounds, outlier_limit=outlier_limit
-    )
-    return after, adapted
+    after = ukf.update(belief, measurement, measure, noise.cov, rule, gate=gate)
+    left, spread = sage_husa.unexplained(after.belief, measurement, measure, rule, np.subtract)
+    return after, sage_husa.adapt(noise, left, spread, outlier_limit=outlier_limit)
 
 
 def fuzzy_update(
@@ -63,16 +47,10 @@ def fuzzy_update(
     measurement: np.ndarray,
     measure: Model,
     rule: SigmaPointRule,
-    *,
-    residual: Residual = np.subtract,
-    bounds: Bounds = BOUNDS,
 ) -> tuple[Update, FuzzyNoise]:
-    """`ukf.update` with the noise estimated so far, then that estimate by `fuzzy_noise.adapt`.
-
-    Args and raises as `update`.
-    """
-    after = ukf.update(belief, measurement, measure, noise.cov, rule, residual=residual)
-    return after, fuzzy_noise.adapt(noise, after.innovation, after.innovation_cov, bounds)
+    """`ukf.update` with the noise estimated so far, then that estimate by `fuzzy_noise.adapt`."""
+    after = ukf.update(belief, measurement, measure, noise.cov, rule)
+    return after, fuzzy_noise.adapt(noise, after.innovation, after.innovation_cov)
 
 
 def dual_layer_step(
@@ -83,21 +61,16 @@ def dual_layer_step(
     measure: Model,
     process_noise_cov: np.ndarray,
     rule: SigmaPointRule,
-    *,
-    residual: Residual = np.subtract,
-    forgetting: float = 0.98,
-    bounds: Bounds = BOUNDS,
 ) -> tuple[Update, NoiseEstimate]:
     """The ADLUKF in the form that works: `dual_layer.literal`, then R alone by `sage_husa.adapt`.
 
-    Args and raises as `dual_layer.literal` and `update`.
+    Args and raises as `dual_layer.literal`.
     """
     R = noise.cov
-    step = dual_layer.literal(
-        belief, measurement, transition, measure, process_noise_cov, R, rule, residual=residual
-    )
-    left, spread = sage_husa.unexplained(step.update.belief, measurement, measure, rule, residual)
-    return step.update, sage_husa.adapt(noise, left, spread, forgetting=forgetting, bounds=bounds)
+    step = dual_layer.literal(belief, measurement, transition, measure, process_noise_cov, R, rule)
+    after = step.update.belief
+    left, spread = sage_husa.unexplained(after, measurement, measure, rule, np.subtract)
+    return step.update, sage_husa.adapt(noise, left, spread)
 
 
 def dual_layer_literal_step(
@@ -108,8 +81,6 @@ def dual_layer_literal_step(
     measure: Model,
     rule: SigmaPointRule,
     *,
-    residual: Residual = np.subtract,
-    forgetting: float = 0.97,
     means: bool = False,
 ) -> tuple[Update, NoiseStatistics]:
     """The ADLUKF as printed: `dual_layer.literal`, then everything by `sage_husa_literal.adapt`.
@@ -117,16 +88,14 @@ def dual_layer_literal_step(
     `means` adapts q and r too. Args and raises as `dual_layer.literal`.
     """
     measurement = np.asarray(measurement, dtype=float)
-    identity = np.eye(belief.mean.shape[-1])
     step = dual_layer.literal(
         belief,
         measurement,
         lambda points: transition(points) + noise.process_mean,
         lambda points: measure(points) + noise.measurement_mean,
-        noise.process_variances[..., None] * identity,
+        noise.process_variances[..., None] * np.eye(belief.mean.shape[-1]),
         noise.measurement_variances[..., None] * np.eye(measurement.shape[-1]),
         rule,
-        residual=residual,
     )
     moved = transition(sigma_points(belief, rule))  # f(X_i) of (30) and (31)
     predicted, deviations = moments(moved, rule, np.subtract)
@@ -140,7 +109,7 @@ def dual_layer_literal_step(
         measurement_residual=innovation + noise.measurement_mean,
         measurement_spread=_variances(step.measured_cov),
     )
-    adapted = sage_husa_literal.adapt(noise, evidence, forgetting=forgetting, means=means)
+    adapted = sage_husa_literal.adapt(noise, evidence, means=means)
     return step.update, adapted
 
 

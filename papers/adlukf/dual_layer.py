@@ -18,7 +18,7 @@ from filters import ukf
 from filters.conditioning import condition
 from filters.gaussian import Gaussian
 from filters.linalg import symmetrise
-from filters.moments import Model, Residual, check_noise, evaluate, moments
+from filters.moments import Model, check_noise, evaluate, moments
 from filters.sigma_points import SigmaPointRule, sigma_points
 from filters.update import Update
 
@@ -45,8 +45,6 @@ def literal(
     process_noise_cov: np.ndarray,
     measurement_noise_cov: np.ndarray,
     rule: SigmaPointRule,
-    *,
-    residual: Residual = np.subtract,
 ) -> DualLayerStep:
     """The belief one step later and given a measurement, as the paper has it: (6)-(27).
 
@@ -63,7 +61,6 @@ def literal(
         process_noise_cov: Q, (n, n) or (..., n, n).
         measurement_noise_cov: R, (m, m) or (..., m, m).
         rule: a sigma-point rule for n dimensions, used in both layers.
-        residual: difference of two measurements, for measurements with angles.
 
     Returns:
         A DualLayerStep; NaN in a lane that has lost positive definiteness.
@@ -75,16 +72,16 @@ def literal(
     m, Q, R = measurement.shape[-1], process_noise_cov, measurement_noise_cov
     check_noise(R, m, "measurement noise covariance")
     # (17) gives the outer points; an inner filter's own covariance, (18), the paper never uses.
-    points = _inner(belief, measurement, transition, measure, Q, R, rule, residual).mean
+    points = _inner(belief, measurement, transition, measure, Q, R, rule).mean
     mean, deviations = moments(points, rule, np.subtract)  # (19)
     weighted = (rule.cov_weights[:, None] * deviations).mT
     cov = symmetrise(weighted @ deviations + Q)  # (20)
     values = evaluate(measure, points, m, "measure")  # (21)
-    predicted, spread = moments(values, rule, residual)  # (22)
+    predicted, spread = moments(values, rule, np.subtract)  # (22)
     measured_cov = symmetrise((rule.cov_weights[:, None] * spread).mT @ spread)  # (23) without R
     outer = Gaussian(mean, cov)
     update = condition(
-        outer, measurement, predicted, measured_cov + R, weighted @ spread, residual
+        outer, measurement, predicted, measured_cov + R, weighted @ spread, np.subtract
     )  # (24)-(27)
     return DualLayerStep(update, mean, measured_cov)
 
@@ -97,8 +94,6 @@ def consistent(
     process_noise_cov: np.ndarray,
     measurement_noise_cov: np.ndarray,
     rule: SigmaPointRule,
-    *,
-    residual: Residual = np.subtract,
 ) -> DualLayerStep:
     """The same without counting the reading twice: each layer takes it with noise 2 R.
 
@@ -110,11 +105,11 @@ def consistent(
     measurement = np.asarray(measurement, dtype=float)
     Q, R = process_noise_cov, 2.0 * measurement_noise_cov
     check_noise(R, measurement.shape[-1], "measurement noise covariance")
-    inner = _inner(belief, measurement, transition, measure, Q, R, rule, residual)
+    inner = _inner(belief, measurement, transition, measure, Q, R, rule)
     mean, _ = moments(inner.mean, rule, np.subtract)
     cov = symmetrise(np.tensordot(rule.mean_weights, inner.cov, axes=1))
     outer = Gaussian(mean, cov)
-    update = ukf.update(outer, measurement, measure, R, rule, residual=residual)
+    update = ukf.update(outer, measurement, measure, R, rule)
     return DualLayerStep(update, mean, update.innovation_cov - R)
 
 
@@ -126,12 +121,9 @@ def _inner(
     process_noise_cov: np.ndarray,
     measurement_noise_cov: np.ndarray,
     rule: SigmaPointRule,
-    residual: Residual,
 ) -> Gaussian:
     """The beliefs (S, ..., n) of the inner filters, one for each outer point: (8)-(18)."""
     points = sigma_points(belief, rule)
     each = Gaussian(points, np.broadcast_to(belief.cov, (*points.shape, points.shape[-1])))
     each = ukf.predict(each, transition, process_noise_cov, rule)
-    return ukf.update(
-        each, measurement, measure, measurement_noise_cov, rule, residual=residual
-    ).belief
+    return ukf.update(each, measurement, measure, measurement_noise_cov, rule).belief

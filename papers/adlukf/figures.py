@@ -6,14 +6,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from papers.kit.figures import BLACK, BLUE, GREY, SKY, VERMILION
+from papers.kit.figures import BLACK, BLUE, GREY, SKY, VERMILION, legend_below
 
 TRUTH: dict[str, Any] = {"color": BLACK, "lw": 3.0, "label": "truth"}
-LOGGED: dict[str, Any] = {
-    "color": "#C8C8C8",
-    "lw": 1.0,
-    "label": "logged, sensor noise and all",
-}
+LOGGED: dict[str, Any] = {"color": "#C8C8C8", "lw": 1.0, "label": "logged, sensor noise and all"}
 LINES: dict[str, dict[str, Any]] = {
     "CKF": {"color": VERMILION, "ls": "-", "lw": 2.0},
     "FAUKF": {"color": SKY, "ls": "-", "lw": 1.3},
@@ -62,7 +58,8 @@ def manoeuvre_figure(title: str, traces: tuple[StateTrace, ...]) -> Figure:
     labels = (YAW_RATE, SIDE_SLIP, SPEED, SPEED_ERROR, YAW_RATE_ERROR)
     for axes, letter, label in zip(grid[:, 0], "abcde", labels, strict=True):
         axes.set_ylabel(f"({letter})  {label}")
-    _legend(figure, grid[0, 0], title)
+    figure.suptitle(title, fontsize=12)
+    legend_below(figure, grid[0, 0])
     return figure
 
 
@@ -78,7 +75,8 @@ def drives_figure(title: str, traces: tuple[StateTrace, ...]) -> Figure:
             axes.set_ylabel(f"({next(letters)})  {label}")
         _zoom_speed(column[2], (trace,))
         column[2].set(xlabel="time [s]", xlim=(0, trace.time_s[-1]))
-    _legend(figure, grid[0, 0], title)
+    figure.suptitle(title, fontsize=12)
+    legend_below(figure, grid[0, 0])
     return figure
 
 
@@ -99,9 +97,3 @@ def _zoom_speed(axes: Axes, traces: tuple[StateTrace, ...]) -> None:
     )
     margin = 0.08 * (high - low)
     axes.set_ylim(low - margin, high + margin)
-
-
-def _legend(figure: Figure, axes: Axes, title: str) -> None:
-    figure.suptitle(title, fontsize=12)
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)

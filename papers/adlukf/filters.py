@@ -54,18 +54,19 @@ def _fixed(
     return step
 
 
-def _adaptive(belief: Gaussian, noise: Memory, task: StepInput) -> tuple[Gaussian, Memory]:
-    moved = ukf.predict(belief, task.transition, task.process_noise_cov, UNSCENTED)
-    taken, noise = adaptive.update(moved, noise, task.measurement, task.measure, UNSCENTED)
-    return taken.belief, noise
+def _adaptive(
+    outlier_limit: float | None = None,
+) -> Callable[[Gaussian, Memory, StepInput], tuple[Gaussian, Memory]]:
+    """A UKF that adapts R; `outlier_limit` as in `sage_husa.adapt`."""
 
+    def step(belief: Gaussian, noise: Memory, task: StepInput) -> tuple[Gaussian, Memory]:
+        moved = ukf.predict(belief, task.transition, task.process_noise_cov, UNSCENTED)
+        taken, noise = adaptive.update(
+            moved, noise, task.measurement, task.measure, UNSCENTED, outlier_limit=outlier_limit
+        )
+        return taken.belief, noise
 
-def _limited(belief: Gaussian, noise: Memory, task: StepInput) -> tuple[Gaussian, Memory]:
-    moved = ukf.predict(belief, task.transition, task.process_noise_cov, UNSCENTED)
-    taken, noise = adaptive.update(
-        moved, noise, task.measurement, task.measure, UNSCENTED, outlier_limit=9.0
-    )
-    return taken.belief, noise
+    return step
 
 
 def _fuzzy(belief: Gaussian, noise: Memory, task: StepInput) -> tuple[Gaussian, Memory]:
@@ -98,9 +99,7 @@ def _dual_adaptive(belief: Gaussian, noise: Memory, task: StepInput) -> tuple[Ga
     return taken.belief, noise
 
 
-def _dual_printed(
-    means: bool,
-) -> Callable[[Gaussian, Memory, StepInput], tuple[Gaussian, Memory]]:
+def _dual_printed(means: bool) -> Callable[[Gaussian, Memory, StepInput], tuple[Gaussian, Memory]]:
     """The paper's filter; `means` adapts q and r too."""
 
     def step(belief: Gaussian, noise: Memory, task: StepInput) -> tuple[Gaussian, Memory]:
@@ -160,9 +159,9 @@ CONTESTANTS = {
             _noise_cov,
             _dual(dual_layer.consistent),
         ),
-        Contestant("AUKF", "ADLUKF's adaptation on a plain UKF", _sage_husa, _adaptive),
+        Contestant("AUKF", "ADLUKF's adaptation on a plain UKF", _sage_husa, _adaptive()),
         Contestant(
-            "AUKF limited", "AUKF, a reading counts as 3 sigma at most", _sage_husa, _limited
+            "AUKF limited", "AUKF, a reading counts as 3 sigma at most", _sage_husa, _adaptive(9.0)
         ),
         Contestant("MCUKF", "maximum-correntropy UKF", _noise_cov, _robust),
     )

@@ -42,10 +42,7 @@ def begin(variances: np.ndarray) -> FuzzyNoise:
 
 
 def adapt(
-    noise: FuzzyNoise,
-    innovation: np.ndarray,
-    innovation_cov: np.ndarray,
-    bounds: Bounds = BOUNDS,
+    noise: FuzzyNoise, innovation: np.ndarray, innovation_cov: np.ndarray, bounds: Bounds = BOUNDS
 ) -> FuzzyNoise:
     """The estimate after one reading more.
 

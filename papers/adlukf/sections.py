@@ -8,13 +8,7 @@ from experiments.monte_carlo.intervals import mean_t
 from papers.adlukf import tables
 from papers.adlukf.claims import MANOEUVRES
 from papers.adlukf.cost import FilterCost
-from papers.adlukf.study import (
-    ACCELERATION,
-    CASES,
-    CHANNELS,
-    PROCESS_VARIANCES,
-    STEERING,
-)
+from papers.adlukf.study import ACCELERATION, CASES, CHANNELS, PROCESS_VARIANCES, STEERING
 from papers.adlukf.tables import ScoresByFilter, case_index, ratio, state_index
 from papers.kit.checks import Check, above, agrees, at_most, near
 from papers.kit.report import Section, markdown_table
@@ -39,8 +33,7 @@ def set_up(drives: tuple[Drive, ...], seeds: int) -> Section:
             ]
         )
     driven = markdown_table(
-        ["manoeuvre", "length", "v_x [m/s]", "a_y at most [m/s²]", "β at most [°]", "ω [°/s]"],
-        rows,
+        ["manoeuvre", "length", "v_x [m/s]", "a_y at most [m/s²]", "β at most [°]", "ω [°/s]"], rows
     )
     noise = "; ".join(f"{name} {error.std:g}" for name, error in CHANNELS.items())
     parts = [

@@ -6,12 +6,7 @@ import numpy as np
 
 from papers.adlukf import tables
 from papers.adlukf.claims import MANOEUVRES
-from papers.adlukf.drives import (
-    DRIVEN,
-    IDENTIFIED_FROM,
-    Logged,
-    side_slip_rmse_deg,
-)
+from papers.adlukf.drives import DRIVEN, IDENTIFIED_FROM, Logged, side_slip_rmse_deg
 from papers.adlukf.elsewhere import Elsewhere, in_words
 from papers.adlukf.figures import StateTrace
 from papers.adlukf.sections import SHOWN

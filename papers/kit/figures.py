@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
@@ -32,6 +33,16 @@ def save_all(figures: Mapping[str, Figure], folder: Path, first: int, dpi: int =
 def shown(caption: str, file: str) -> str:
     """The Markdown of one figure with its caption below."""
     return f"![{caption}]({file})\n\n*{caption.rstrip('.')}.*"
+
+
+def legend_below(figure: Figure, *sources: Axes, **style: Any) -> None:
+    """Draw one legend for the whole figure, with each label of the sources once."""
+    found = {}
+    for axes in sources:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            found.setdefault(label, handle)
+    place = {"loc": "outside lower center", "frameon": False, "ncols": len(found), **style}
+    figure.legend(list(found.values()), list(found), **place)
 
 
 def one_axes(height_inches: float, width_inches: float = 7.5) -> tuple[Figure, Axes]:

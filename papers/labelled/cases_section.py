@@ -42,11 +42,7 @@ _KNOWN: dict[str, tuple[FaultCase, float]] = {
         "loss 10 %", {"loss": 0.1}, {False: (1.105, 1.325, 1.85), True: (1.017, 1.199, 1.65)}
     ),
     **_spread("loss 30 %", {"loss": 0.3}, {False: (1.19, 1.52, 2.8), True: (1.07, 1.39, 2.7)}),
-    **_spread(
-        "loss 30 %, no digest",
-        {"loss": 0.3, "digest_steps": 0},
-        {False: (1.35, 1.67, 3.1)},
-    ),
+    **_spread("loss 30 %, no digest", {"loss": 0.3, "digest_steps": 0}, {False: (1.35, 1.67, 3.1)}),
     **_spread(
         "path of 20", {"graph": "path"}, {False: (1.456, 2.113, 3.60), True: (1.147, 1.632, 3.48)}
     ),

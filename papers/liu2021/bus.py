@@ -9,13 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from papers.liu2021.evidence import (
-    BoundedMotion,
-    Readings,
-    StepReadings,
-    bus_evidence,
-    no_readings,
-)
+from papers.liu2021.evidence import BoundedMotion, Readings, StepReadings, bus_evidence, no_readings
 from papers.liu2021.flexray_cycle import (
     AugmentedCycle,
     DeliveredValues,

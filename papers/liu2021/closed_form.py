@@ -10,14 +10,15 @@ Source: Liu et al. (2021), theorem 1 with rho_j = 0; a sum of two ellipsoids aft
 import numpy as np
 
 from filters.sets.ellipsoid import Ellipsoid, replace_lost, rounding_bound
-from papers.liu2021.cycle import Cycle, CycleResult, follow, turned, unknowns
+from papers.liu2021.cycle import CycleResult, follow, turned, unknowns
+from papers.liu2021.flexray_cycle import AugmentedCycle
 
 _ITERATIONS = 60
 _EDGE = 1e-12
 _RANK_TOLERANCE = 1e-9
 
 
-def closed_form_step(before: Ellipsoid, cycle: Cycle, received: np.ndarray) -> CycleResult:
+def closed_form_step(before: Ellipsoid, cycle: AugmentedCycle, received: np.ndarray) -> CycleResult:
     """The ellipsoid after a cycle in which `received` (..., m) came."""
     position = turned(replace_lost(before, 0.0).factor, cycle)
     of = unknowns(position, cycle)

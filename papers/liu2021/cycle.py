@@ -1,13 +1,12 @@
 """One communication cycle as a set-membership filter sees it: what is unknown, and what is known.
 
 The unknowns are u, where in its ellipsoid the state was, and the noise v of the cycle's g samples,
-each within the unit ball. A cycle is `AugmentedCycle` of any plant; its noise maps have shape
-(rows, g, q).
+each within the unit ball. Noise maps have shape (rows, g, q).
 
 Source: Liu et al. (2021), section V.
 """
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,39 +21,7 @@ from filters.sets.ellipsoid import (
     rounding_bound,
     squared,
 )
-
-
-class Cycle(Protocol):
-    """A cycle as one step of a linear system, z+ = A z + B v and ybar = C z + D v, per lane.
-
-    transition A (..., N, N), noise B (..., N, g, q), output C (..., m, N), output_noise D. Of the
-    c contending outputs `winner` (...) was sent, because the weighted square of its change,
-    candidates (c, N) z + candidates_noise (c, g, q) v with weights (c,), is not below the others'.
-    """
-
-    @property
-    def transition(self) -> np.ndarray: ...
-
-    @property
-    def noise(self) -> np.ndarray: ...
-
-    @property
-    def output(self) -> np.ndarray: ...
-
-    @property
-    def output_noise(self) -> np.ndarray: ...
-
-    @property
-    def candidates(self) -> np.ndarray: ...
-
-    @property
-    def candidates_noise(self) -> np.ndarray: ...
-
-    @property
-    def weights(self) -> np.ndarray: ...
-
-    @property
-    def winner(self) -> np.ndarray: ...
+from papers.liu2021.flexray_cycle import AugmentedCycle
 
 
 class CycleResult(NamedTuple):
@@ -71,7 +38,7 @@ class Unknowns(NamedTuple):
     known: np.ndarray
 
 
-def unknowns(position: np.ndarray, cycle: Cycle) -> Unknowns:
+def unknowns(position: np.ndarray, cycle: AugmentedCycle) -> Unknowns:
     """Errors of the state and of the received values as they come from theta; no constant part.
 
     position: (..., N, r), a factor of the ellipsoid before, `turned` or as it is.
@@ -82,7 +49,7 @@ def unknowns(position: np.ndarray, cycle: Cycle) -> Unknowns:
     return Unknowns(_without_constant(image), _without_constant(known))
 
 
-def turned(factor: np.ndarray, cycle: Cycle) -> np.ndarray:
+def turned(factor: np.ndarray, cycle: AugmentedCycle) -> np.ndarray:
     """The factor with u turned so that as few entries as possible are seen; the others left out.
 
     The cycle depends on only some coordinates of the state (the last block and the held values).
@@ -97,7 +64,11 @@ def turned(factor: np.ndarray, cycle: Cycle) -> np.ndarray:
 
 
 def follow(
-    before: Ellipsoid, cycle: Cycle, received: np.ndarray, factor: np.ndarray, gain: np.ndarray
+    before: Ellipsoid,
+    cycle: AugmentedCycle,
+    received: np.ndarray,
+    factor: np.ndarray,
+    gain: np.ndarray,
 ) -> CycleResult:
     """(17) and the shape that was found, grown by the rounding of the whole step."""
     innovation = received - multiply(cycle.output, before.centre)
@@ -125,7 +96,7 @@ def _without_constant(matrix: np.ndarray) -> np.ndarray:
 
 
 def _rounding(
-    before: Ellipsoid, cycle: Cycle, received: np.ndarray, gain: np.ndarray
+    before: Ellipsoid, cycle: AugmentedCycle, received: np.ndarray, gain: np.ndarray
 ) -> np.ndarray:
     """Half-widths (..., N) within which truth and filter, both rounded, part from their equations.
 

@@ -5,7 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from filters.sets.ellipsoid import Ellipsoid, image, outline
-from papers.kit.figures import one_axes
+from papers.kit.figures import legend_below, one_axes
 from papers.liu2021.runs import BoundedEstimates, G, N, SequenceBatch
 
 TRUE, PAPER, TIGHT, LIGHT = "0.15", "C0", "C1", "0.75"
@@ -138,8 +138,7 @@ def _sets(
             if row == 0:
                 axes.set_title(f"$T_k$ = {(cycle + 1) * G}", fontsize=10)
             _tidy(axes)
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, frameon=False, ncols=4, loc="outside lower center")
+    legend_below(figure, grid[0, 0])
     return figure
 
 

@@ -57,6 +57,7 @@ class AugmentedCycle(NamedTuple):
         z+ = transition z + noise v,   ybar = output z + output_noise v
 
     candidates (m - l, N) and candidates_noise: change of each contending output since it was sent.
+    `winner` (...) of them was sent: its squared change times `weights` (m - l,) is the largest.
     """
 
     transition: np.ndarray

@@ -15,19 +15,12 @@ import numpy as np
 from filters.lanes import join_columns, join_stacks
 from filters.linalg import multiply
 from filters.sets.ellipsoid import Ellipsoid, half_widths, replace_lost, rounding_bound
-from papers.liu2021.cycle import (
-    Cycle,
-    CycleResult,
-    ball,
-    flat,
-    follow,
-    turned,
-    unknowns,
-)
+from papers.liu2021.cycle import CycleResult, ball, flat, follow, turned, unknowns
+from papers.liu2021.flexray_cycle import AugmentedCycle
 from papers.liu2021.multipliers import Problem, smallest_bound
 
 
-def optimal_step(before: Ellipsoid, cycle: Cycle, received: np.ndarray) -> CycleResult:
+def optimal_step(before: Ellipsoid, cycle: AugmentedCycle, received: np.ndarray) -> CycleResult:
     """The ellipsoid after a cycle in which `received` (..., m) came (corollary 1).
 
     NaN in lanes in which no theta meets the terms: the bounds are wrong.
@@ -37,7 +30,7 @@ def optimal_step(before: Ellipsoid, cycle: Cycle, received: np.ndarray) -> Cycle
     return follow(before, cycle, received, bound.factor, bound.gain)
 
 
-def problem(before: Ellipsoid, cycle: Cycle, position: np.ndarray) -> Problem:
+def problem(before: Ellipsoid, cycle: AugmentedCycle, position: np.ndarray) -> Problem:
     """The matrix inequality (20) as terms: -Omega + Xi = M(tau), Gamma = image - L known.
 
     position: R (..., N, r); the factor of `before` for (20) as printed, or that `turned`, which
@@ -55,7 +48,7 @@ def problem(before: Ellipsoid, cycle: Cycle, position: np.ndarray) -> Problem:
     return Problem(terms, len(balls), of.image, of.known)
 
 
-def _losers(before: Ellipsoid, cycle: Cycle, position: np.ndarray) -> np.ndarray:
+def _losers(before: Ellipsoid, cycle: AugmentedCycle, position: np.ndarray) -> np.ndarray:
     """Sigma' (Q_j - Q_winner) Sigma of every j but the winner: (..., c - 1, d, d) of (31)."""
     constant = multiply(cycle.candidates, before.centre)[..., None]
     noise = flat(cycle.candidates_noise)

@@ -6,17 +6,11 @@ from typing import NamedTuple
 import numpy as np
 
 from filters.sets import zonotope
-from filters.sets.ellipsoid import (
-    Ellipsoid,
-    half_widths,
-    image,
-    shape_matrix,
-    squared_radius,
-)
+from filters.sets.ellipsoid import Ellipsoid, half_widths, image, shape_matrix, squared_radius
 from filters.sets.zonotope import Zonotope
 from papers.liu2021.bus import MeasuredPlant, augmented, cycle_evidence, step_evidence
 from papers.liu2021.closed_form import closed_form_step
-from papers.liu2021.cycle import Cycle, CycleResult
+from papers.liu2021.cycle import CycleResult
 from papers.liu2021.flexray_cycle import (
     AugmentedCycle,
     DeliveredValues,
@@ -122,13 +116,13 @@ _NOISES = (_uniform, _ends, _square, _sinusoid)
 
 # --- the estimators ------------------------------------------------------------------------------
 
-CycleStep = Callable[[Ellipsoid, Cycle, np.ndarray], CycleResult]
+CycleStep = Callable[[Ellipsoid, AugmentedCycle, np.ndarray], CycleResult]
 
 
 def by_cycle(
     step: CycleStep,
     batch: SequenceBatch,
-    see: Callable[[AugmentedCycle], Cycle] = lambda cycle: cycle,
+    see: Callable[[AugmentedCycle], AugmentedCycle] = lambda cycle: cycle,
 ) -> BoundedEstimates:
     """The paper's estimator, exact or fast, on the augmented state; `see` may falsify a cycle."""
     size = G * N + HELD

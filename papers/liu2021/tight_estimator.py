@@ -30,13 +30,7 @@ from filters.sets.ellipsoid import (
     rounding_bound,
 )
 from papers.liu2021.cycle import flat
-from papers.liu2021.evidence import (
-    BoundedMotion,
-    Readings,
-    StepReadings,
-    magnitudes,
-    taken,
-)
+from papers.liu2021.evidence import BoundedMotion, Readings, StepReadings, magnitudes, taken
 from papers.liu2021.multipliers import Problem, smallest_bound
 
 _RANK_TOLERANCE = 1e-9

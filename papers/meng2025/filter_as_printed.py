@@ -19,13 +19,7 @@ from filters.gaussian import Gaussian
 from filters.linalg import inverse_spd, multiply, symmetrise
 from filters.moments import evaluate, points_last
 from filters.sigma_points import SigmaPointRule, sigma_points
-from filters.stochastic_ukf import (
-    Dynamics,
-    MeasurementFilter,
-    Observation,
-    Received,
-    expected_cov,
-)
+from filters.stochastic_ukf import Dynamics, MeasurementFilter, Observation, Received, expected_cov
 
 # Eigenvalues below this part of the largest count as zero in a pseudo-inverse.
 PSEUDO_INVERSE_CUTOFF = 1e-10
@@ -141,13 +135,5 @@ def _outputs(
     return outputs, rule.mean_weights @ points_last(outputs)
 
 
-PAPER_LITERAL = MeasurementFilter(
-    start,
-    predict,
-    partial(update, pseudo_inverse, on_fresh_rows),
-)
-PAPER_LITERAL_R = MeasurementFilter(
-    start,
-    predict,
-    partial(update, inverse_spd, on_all_rows),
-)
+PAPER_LITERAL = MeasurementFilter(start, predict, partial(update, pseudo_inverse, on_fresh_rows))
+PAPER_LITERAL_R = MeasurementFilter(start, predict, partial(update, inverse_spd, on_all_rows))

@@ -49,10 +49,7 @@ class WacEvidence(NamedTuple):
 
 
 def gather(
-    loops: Loops,
-    exact: Exact,
-    unstable: list[UnstableOutcome],
-    trials: dict[str, dict[str, Trial]],
+    loops: Loops, exact: Exact, unstable: list[UnstableOutcome], trials: dict[str, dict[str, Trial]]
 ) -> WacEvidence:
     """Everything, from what other parts of the reproduction measured and from formulas."""
     wac = np.concatenate([rules["wac"][..., 0].ravel() for rules in exact.after.values()])

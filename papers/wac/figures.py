@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from papers.kit.figures import BLACK, BLUE, GREY, ORANGE, SKY, VERMILION, save
+from papers.kit.figures import BLACK, BLUE, GREY, ORANGE, SKY, VERMILION, legend_below, save
 from papers.wac.responses import OUTPUT, Trial
 
 DPI = 110
@@ -67,7 +67,7 @@ def _followers(plant: str, trials: dict[str, Trial]) -> Figure:
     if plant == "pitch":
         grid[2, 0].set_ylabel("angle of attack $\\alpha$ [rad]")
     _share_limits(grid[1], trials, OUTPUT[plant])
-    _legend(figure, grid[0, 0], grid[1, 0])
+    legend_below(figure, grid[0, 0], grid[1, 0], ncols=5, fontsize=9)
     return figure
 
 
@@ -82,7 +82,7 @@ def _bus(trials: dict[str, Trial]) -> Figure:
         column[1].set_xlabel("time [s]")
     grid[0, 0].set_ylabel("suspension travel $y_1$ [mm]")
     grid[1, 0].set_ylabel("state of the body / its peak (in brackets)")
-    _legend(figure, grid[0, 0], grid[0, 1])
+    legend_below(figure, grid[0, 0], grid[0, 1], ncols=5, fontsize=9)
     return figure
 
 
@@ -185,15 +185,3 @@ def _share_limits(row: np.ndarray, trials: dict[str, Trial], output: int) -> Non
     largest = max(np.abs(t.measured - t.truth[:, output]).max() for t in trials.values())
     for axes in row:
         axes.set_ylim(-1.05 * largest, 1.05 * largest)
-
-
-def _legend(figure: Figure, *sources: Axes) -> None:
-    """One legend for all, below: each label once."""
-    found = {}
-    for axes in sources:
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            found.setdefault(label, handle)
-    figure.legend(
-        list(found.values()), list(found), loc="outside lower center", ncols=5, fontsize=9,
-        frameon=False,
-    )  # fmt: skip

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from papers.kit.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, save
+from papers.kit.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, legend_below, save
 from papers.wac.figures import DPI
 from papers.wac.root_loci import Panel, figure_7
 from plants.control.transfer_functions import root_locus
@@ -47,8 +47,7 @@ def draw(folder: Path) -> str:
         axes.set_xlabel("real part [1/s]")
     for axes in grid[:, 0]:
         axes.set_ylabel("imaginary part [rad/s]")
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=5, frameon=False)
+    legend_below(figure, grid[0, 0], ncols=5)
     return save(figure, folder, FILE, DPI)
 
 

@@ -118,7 +118,8 @@ def _speed_checks(loops: Loops) -> list[Check]:
 
 def _position_checks(loops: Loops) -> list[Check]:
     plant = motor.position_dynamics()
-    gain = loops.position_gain[None]
+    gain, volt = loops.position_gain[None], loops.position_fast_volt
+    fast, default = loops.position_fast, loops.position_default
     return [
         *_entries(
             "position, the paper's poles: K", loops.position_gain, ("2000000", "28050", "194")
@@ -135,43 +136,14 @@ def _position_checks(loops: Loops) -> list[Check]:
             loops.position_sampled_gain,
             ("338554", "7048.8", "79.05"),
         ),
-        near(
-            "position, sampled poles: settling",
-            loops.position_fast.settling_time_s,
-            0.05,
-            0.005,
-            "s",
-        ),
-        near(
-            "position, sampled poles: overshoot",
-            loops.position_fast.overshoot_percent,
-            2.5,
-            0.05,
-            "%",
-        ),
-        near(
-            "position, sampled poles: largest voltage per rad",
-            loops.position_fast_volt / 1e3,
-            458,
-            1,
-            "kV",
-        ),
+        near("position, sampled poles: settling", fast.settling_time_s, 0.05, 0.005, "s"),
+        near("position, sampled poles: overshoot", fast.overshoot_percent, 2.5, 0.05, "%"),
+        near("position, sampled poles: largest voltage per rad", volt / 1e3, 458, 1, "kV"),
         *_entries(
             "position, default poles: K", loops.position_default_gain, ("195", "12.99", "6.5")
         ),
-        near(
-            "position, default poles: settling",
-            loops.position_default.settling_time_s,
-            1.18,
-            0.005,
-            "s",
-        ),
-        at_most(
-            "position, default poles: overshoot",
-            loops.position_default.overshoot_percent,
-            0.05,
-            "%",
-        ),
+        near("position, default poles: settling", default.settling_time_s, 1.18, 0.005, "s"),
+        at_most("position, default poles: overshoot", default.overshoot_percent, 0.05, "%"),
     ]
 
 

@@ -65,11 +65,7 @@ class HoldingConsensus(FreshConsensus):
         return content._replace(held=LastShares(ages, numbers))
 
     def fuse(
-        self,
-        place: Place,
-        content: _HeldContent,
-        shares: np.ndarray,
-        heard: np.ndarray,
+        self, place: Place, content: _HeldContent, shares: np.ndarray, heard: np.ndarray
     ) -> tuple[_HeldContent, Failures]:
         """One round of the rule with the last share of each neighbour."""
         ages, before = content.held
