@@ -45,7 +45,7 @@ def selected_panel(stage: Stage, view: View, frame: StepFrame) -> str:
         f'<div data-testid="selected" style="font-size:12px;color:{css(theme.text)}"><b>node '
         f'{escape(stage.names[node])}</b> is {word}<table style="width:100%;text-align:right;'
         f'margin:6px 0;font-variant-numeric:tabular-nums"><tr style="color:{css(theme.quiet)}">'
-        f"<th>state</th><th>estimate</th><th>{'set' if stage.certain else '3σ'}</th><th>error</th>"
+        f"<th>state</th><th>estimate</th><th>{'set' if stage.set_valued else '3σ'}</th><th>error</th>"
         f'<th></th></tr>{"".join(rows)}</table><div style="color:{css(theme.quiet)}">age of what '
         f"it holds</div>{''.join(heard)}</div>"
     )
