@@ -10,6 +10,7 @@ from experiments.simulation_testing.bound import check_bound
 from experiments.simulation_testing.broken import Broken
 from experiments.simulation_testing.case import SimulationCase
 from experiments.simulation_testing.ledger import OracleLedger
+from experiments.simulation_testing.run_record import RunRecord
 from experiments.simulation_testing.script import is_harmless
 from experiments.simulation_testing.verdict import (
     EstimateHistory,
@@ -69,15 +70,16 @@ def _run(case: SimulationCase, injected: Counter[str], struck: Counter[str]) -> 
     configs = [build_node(setup, node) for node in range(case.scenario.nodes)]
     faults, calm_step = read_wire(case.wire), case.calm_step
     bus, loses_frames = configs[0].bus, bool({*faults} & {*LOSING})
-    ledger = OracleLedger(bus, case.scenario.rounds, len(configs), loses_frames)
+    record = RunRecord(bus, case.scenario.rounds)
+    ledger = OracleLedger(record, len(configs), loses_frames)
     wire = Wire(
-        case.seed, faults, lambda cycle: ledger.step_of(cycle) >= calm_step, bus.frame_format
+        case.seed, faults, lambda cycle: record.step_of(cycle) >= calm_step, bus.frame_format
     )
     try:
         in_process.run(
             build_environment(setup),
             [watched(config, ledger, case.scenario) for config in configs],
-            ledger,
+            record,
             link=wire.carry,
             pick=wire.pick,
             watch=ledger.watch,
@@ -87,7 +89,7 @@ def _run(case: SimulationCase, injected: Counter[str], struck: Counter[str]) -> 
     finally:
         injected.update(wire.injected)
         struck.update(ledger.struck)
-    return history_of_run(setup, ledger)
+    return history_of_run(setup, record)
 
 
 def _without_faults(case: SimulationCase) -> SimulationCase:

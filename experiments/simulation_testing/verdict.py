@@ -6,7 +6,6 @@ import numpy as np
 from scipy.special import chdtri
 
 from experiments.simulation_testing.broken import Broken
-from experiments.simulation_testing.ledger import OracleLedger
 from experiments.simulation_testing.promises import (
     CERTAIN,
     CONSISTENT,
@@ -18,6 +17,7 @@ from experiments.simulation_testing.promises import (
     promises,
     sensors_are_honest,
 )
+from experiments.simulation_testing.run_record import RunRecord
 from filters.linalg import unpack_upper
 from nodes.messages import from_wire
 from scenarios.scenario import Scenario
@@ -65,7 +65,7 @@ class EstimateHistory(NamedTuple):
         return self.mean - self.truth[:, None]
 
 
-def history_of_run(setup: Setup, ledger: OracleLedger) -> EstimateHistory:
+def history_of_run(setup: Setup, record: RunRecord) -> EstimateHistory:
     """Return the arrays of a run that came to its end.
 
     Raises:
@@ -77,23 +77,23 @@ def history_of_run(setup: Setup, ledger: OracleLedger) -> EstimateHistory:
     cov = np.full((*shape, shape[-1]), np.nan)
     for step in range(scenario.steps):
         for node in range(scenario.nodes):
-            said = ledger.estimates.get((step, node))
-            if (said is not None) != ledger.history.is_in(node, step):
+            said = record.estimates.get((step, node))
+            if (said is not None) != record.history.is_in(node, step):
                 what = "no" if said is None else "an"
                 raise Broken("one estimate a step", f"node {node} gave {what} estimate of {step}")
             if said is not None:
                 mean[step, node] = from_wire(said.mean)
                 cov[step, node] = unpack_upper(from_wire(said.cov))
-    truth = np.array([from_wire(ledger.truths[step].state) for step in range(scenario.steps)])
-    return EstimateHistory(setup, truth, mean, cov, *_told(scenario, ledger))
+    truth = np.array([from_wire(record.truths[step].state) for step in range(scenario.steps)])
+    return EstimateHistory(setup, truth, mean, cov, *_told(scenario, record))
 
 
-def _told(scenario: Scenario, ledger: OracleLedger) -> tuple[np.ndarray, np.ndarray | None]:
+def _told(scenario: Scenario, record: RunRecord) -> tuple[np.ndarray, np.ndarray | None]:
     """Return the readings and control that the environment has sent to the nodes."""
-    some = next(iter(ledger.measured.values()))
+    some = next(iter(record.measured.values()))
     came = {
         place: np.array([from_wire(reading) for reading in measured.readings])
-        for place, measured in ledger.measured.items()
+        for place, measured in record.measured.items()
     }
     shape = next(iter(came.values())).shape
     readings = np.full((scenario.steps, scenario.nodes, *shape), np.nan)
@@ -101,7 +101,7 @@ def _told(scenario: Scenario, ledger: OracleLedger) -> tuple[np.ndarray, np.ndar
         readings[place] = arrays
     if some.control is None:
         return readings, None
-    first = {step: measured.control for (step, _), measured in ledger.measured.items()}
+    first = {step: measured.control for (step, _), measured in record.measured.items()}
     return readings, np.array([first[step] for step in range(scenario.steps)], dtype=float)
 
 

@@ -157,7 +157,7 @@ class WatchedEstimator:
         if label in self._used:
             raise self._broken("no share used twice", f"that of node {sender} was used again")
         self._used.add(label)
-        if self._ledger.body(*label) != share.body:
+        if self._ledger.record.body(*label) != share.body:
             raise self._broken(
                 "a share is used in its own cycle", f"node {sender} has not said that in it"
             )
@@ -212,7 +212,9 @@ class WatchedEstimator:
 
     def _check_average(self, beliefs: Gaussian, weights: np.ndarray, fused: Gaussian) -> None:
         self._check_weights(weights)
-        liars = [1 + n for n, j in enumerate(self._config.neighbours) if j in self._ledger.liars]
+        liars = [
+            1 + n for n, j in enumerate(self._config.neighbours) if j in self._ledger.record.liars
+        ]
         rule = self._scenario.rule
         if isinstance(rule, TrimmedCovarianceIntersection) and np.isfinite(fused.mean).all():
             seen = broken_promise(beliefs, weights, fused, liars, rule.liars)
