@@ -6,10 +6,11 @@ is. For a frame that is due, both paths give the same result.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 from msgspec.structs import replace
 
-from nodes.estimator import Rejected, Share
+from nodes.estimator import Rejected
 from nodes.messages import NodeEvent, ShareHeard
 from nodes.node_state import NodeConfig, NodeState, Phase
 
@@ -28,7 +29,7 @@ def take_due(
     if inbox.shares or inbox.parts:
         known = inbox.shares.keys() | inbox.parts.keys()
         due = [j for j in due if (cycle, j) not in known]
-    shares: dict[tuple[int, int], Share] = {}
+    shares: dict[tuple[int, int], Any] = {}
     for event in events:
         if not isinstance(event, ShareHeard) or event.sender not in due:
             break

@@ -1,11 +1,11 @@
 """Estimator: a node's computation, apart from its timing; the interface of every fusion rule.
 
 `nodes/node.py` decides when a step begins, which nodes are awaited and when a round is over; an
-`Estimator` decides what is shared and what becomes of what was heard. Its `Content` is a value that
-only the estimator reads.
+`Estimator` decides what is shared and what becomes of what was heard. Only the estimator reads its
+`Content` and its `Share`; the state machine keeps them.
 """
 
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -13,11 +13,11 @@ from bus.bus import Rejected as Rejected
 from filters.gaussian import Gaussian
 from nodes.messages import Measured
 
-Content = Any
-Share = Any
+Content = TypeVar("Content")
+Share = TypeVar("Share")
 
 
-class Estimator(Protocol):
+class Estimator(Protocol[Content, Share]):
     """A fusion rule at one node."""
 
     @property
@@ -67,10 +67,13 @@ class Estimator(Protocol):
         ...
 
 
+AnyEstimator = Estimator[Any, Any]
+
+
 @runtime_checkable
 class KeepsZonotope(Protocol):
     """An estimator that may keep a zonotope around the centre that `belief` tells."""
 
-    def generators(self, content: Content) -> np.ndarray | None:
+    def generators(self, content: Any) -> np.ndarray | None:
         """Its generators (n, q); None of another set."""
         ...

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 from msgspec.structs import replace
@@ -13,7 +13,7 @@ from bus.bus import Bus, Fragment
 from bus.schedule import Schedule
 from filters.gaussian import Gaussian
 from nodes.changes import UNCHANGED, Standing
-from nodes.estimator import Content, Estimator, Share
+from nodes.estimator import AnyEstimator
 from nodes.faults.active import HEALTHY, Faults
 from nodes.faults.losses import PERFECT, LinkState
 from nodes.messages import Measured
@@ -48,7 +48,7 @@ class NodeConfig:
     rounds: int
     steps: int
     bus: Bus
-    estimator: Estimator
+    estimator: AnyEstimator
     links: LinkState = PERFECT
     first_step: int = 0
     first_cycle: int = 0
@@ -115,7 +115,7 @@ class Inbox(msgspec.Struct, frozen=True):
     measured: dict[int, Measured]
     grants: dict[tuple[int, int], tuple[int, ...]]
     parts: dict[tuple[int, int], dict[int, bytes | None]]
-    shares: dict[tuple[int, int], Share | None]
+    shares: dict[tuple[int, int], Any]
     early: dict[tuple[int, int, int], tuple[Fragment, bytes]]
     overtaken: dict[tuple[int, int], tuple[bytes | None, ...]]
     late: tuple[tuple[int, bytes], ...] = ()
@@ -134,7 +134,7 @@ class NodeState(msgspec.Struct, frozen=True):
     cycle: int
     group: int
     won: tuple[int, ...]
-    content: Content
+    content: Any
     inbox: Inbox
     counters: dict[str, int]
     absent: frozenset[int] = frozenset()

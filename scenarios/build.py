@@ -12,7 +12,7 @@ from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
 from nodes.changes import UNCHANGED, Standing
 from nodes.environment_state import ControlStep, EnvironmentConfig
-from nodes.estimator import Estimator
+from nodes.estimator import AnyEstimator
 from nodes.messages import from_wire
 from nodes.node_state import NodeConfig
 from scenarios.bus_plan import plan_bus
@@ -84,7 +84,7 @@ def _rebuilt(
     return dataclasses.replace(config, rebuild=partial(_rebuilt, setup, node))
 
 
-def _estimator(setup: Setup, node: int, schedule: Schedule, beginning: Beginning) -> Estimator:
+def _estimator(setup: Setup, node: int, schedule: Schedule, beginning: Beginning) -> AnyEstimator:
     scenario = setup.scenario
     definition = definition_of(scenario.name)
     if definition.wiring is not None:

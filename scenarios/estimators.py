@@ -10,7 +10,7 @@ from filters.fusion import diffusion, hold, hybrid_consensus, information_weight
 from filters.fusion.averaging import MOMENTS, Averaged, Averaging, Directly
 from filters.fusion.trimmed import trimmed_intersection
 from filters.gaussian import Gaussian
-from nodes.estimator import Estimator
+from nodes.estimator import AnyEstimator
 from nodes.lanes.batch import AveragesInBatch, InBatch
 from nodes.lanes.beliefs import BatchedBeliefs
 from nodes.lanes.labelled import BatchedFlooding
@@ -114,7 +114,7 @@ def _at_node(kind: type[NodeRule], build: BuildRule, what: str, context: NodeCon
     return kind(rule, place, context.model, context.sensor, context.prior, context.points, codec)
 
 
-def flooding(context: NodeContext) -> Estimator:
+def flooding(context: NodeContext) -> AnyEstimator:
     """The estimator of labelled measurements."""
     assert context.everybody is not None, "a node of this rule is told of all nodes"
     everybody, neighbours = context.everybody(), context.rule.neighbours

@@ -12,7 +12,7 @@ from filters.fusion.hybrid_consensus import classical_gain, safe_gain
 from filters.fusion.local import keep_own
 from filters.fusion.packed import packed_length
 from filters.gaussian import Gaussian
-from nodes.estimator import Estimator
+from nodes.estimator import AnyEstimator
 from nodes.lanes.network import BatchedRule
 from nodes.rules.belief_consensus import HoldPolicy
 from nodes.rules.set_shapes import Ellipsoids, Zonotopes
@@ -68,7 +68,7 @@ class Rule(NamedTuple):
     """
 
     share_numbers: Callable[[int, int], int] | None
-    estimator: Callable[[NodeContext], Estimator]
+    estimator: Callable[[NodeContext], AnyEstimator]
     batched: Callable[[BatchContext], BatchedRule]
     check: "Callable[[Scenario, Sequence[Sequence[int]], Weights], None] | None" = None
     set_valued: bool = False
@@ -108,7 +108,7 @@ def check_rule(scenario: Scenario, neighbours: Sequence[Sequence[int]], weights:
         rule.check(scenario, neighbours, weights)
 
 
-def build_estimator(scenario: Scenario, context: NodeContext) -> Estimator:
+def build_estimator(scenario: Scenario, context: NodeContext) -> AnyEstimator:
     """The estimator at one node.
 
     Raises:

@@ -9,7 +9,7 @@ from bus.schedule import Schedule
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule
 from nodes.environment_state import Delivery
-from nodes.estimator import Estimator
+from nodes.estimator import AnyEstimator
 from nodes.rules.local_filter import Model, Sensor
 from scenarios.node_context import NodeContext
 from scenarios.scenario import Scenario
@@ -78,7 +78,7 @@ class NetworkWiring(NamedTuple):
 
     schedule: Callable[[Scenario], Schedule]
     share_bytes: Callable[[Scenario], int]
-    estimator: Callable[[Setup, int], Estimator]
+    estimator: Callable[[Setup, int], AnyEstimator]
     names: dict[str, tuple[str, ...]]
 
 
@@ -120,5 +120,5 @@ class ScenarioDefinition(NamedTuple):
     wiring: NetworkWiring | None = None
     delivery: Callable[[Scenario], Delivery] | None = None
     baseline_filter: Callable[[Setup, Sequence[int], np.ndarray], Gaussian] | None = None
-    estimator_wrapper: Callable[[Scenario, NodeContext, Estimator], Estimator] | None = None
+    estimator_wrapper: Callable[[Scenario, NodeContext, AnyEstimator], AnyEstimator] | None = None
     sensors: Callable[[Scenario], Sensor] | None = None

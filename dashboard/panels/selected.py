@@ -41,11 +41,12 @@ def selected_panel(stage: Stage, view: View, frame: StepFrame) -> str:
             f"{escape(stage.names[sender])}: {when}{' (newest lost)' if lost else ''}</span>"
         )
     word = conditions(stage, frame)[node]
+    spread = "set" if stage.set_valued else "3σ"
     return (
         f'<div data-testid="selected" style="font-size:12px;color:{css(theme.text)}"><b>node '
         f'{escape(stage.names[node])}</b> is {word}<table style="width:100%;text-align:right;'
         f'margin:6px 0;font-variant-numeric:tabular-nums"><tr style="color:{css(theme.quiet)}">'
-        f"<th>state</th><th>estimate</th><th>{'set' if stage.set_valued else '3σ'}</th><th>error</th>"
+        f"<th>state</th><th>estimate</th><th>{spread}</th><th>error</th>"
         f'<th></th></tr>{"".join(rows)}</table><div style="color:{css(theme.quiet)}">age of what '
         f"it holds</div>{''.join(heard)}</div>"
     )

@@ -15,7 +15,7 @@ from filters.fusion.averaging import Averaged, Fused
 from filters.gaussian import Gaussian, joined
 from nodes.belief_codec import belief_of
 from nodes.changes import Standing
-from nodes.estimator import Estimator, Rejected
+from nodes.estimator import AnyEstimator, Rejected
 from nodes.messages import Measured
 from nodes.node_state import NodeConfig
 from nodes.rules import information_rounds
@@ -185,7 +185,7 @@ class WatchedEstimator:
         if bad:
             raise self._broken("sets of the truth meet", bad[0])
 
-    def _with_weights_shown(self, estimator: Estimator) -> Estimator:
+    def _with_weights_shown(self, estimator: AnyEstimator) -> AnyEstimator:
         """Return the same estimator, with an eye on its weights over fresh and held beliefs."""
         if not (isinstance(estimator, AtNode) and isinstance(estimator.rule, BeliefConsensus)):
             return estimator

@@ -8,7 +8,7 @@ travels.
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from nodes.messages import Measured, from_wire
 from nodes.rules.local_filter import Sensor
 
 
-class Learnt(NamedTuple):
+class Learnt(NamedTuple, Generic[Content]):
     """The content of the rule's estimator, and the noise learnt; None before the first reading."""
 
     content: Content
@@ -53,13 +53,13 @@ class AdaptedSensor(NamedTuple):
 
 
 @dataclass(frozen=True)
-class AdaptiveNoise:
+class AdaptiveNoise(Generic[Content, Share]):
     """The estimator `rule`, a dataclass with a field `sensor`, with noise that is learnt.
 
     The sensor's channels must be independent and of constant noise, as far as it knows.
     """
 
-    rule: Estimator
+    rule: Estimator[Content, Share]
     sensor: Sensor
     points: SigmaPointRule
 
@@ -68,11 +68,13 @@ class AdaptiveNoise:
         """Delegate to the wrapped rule."""
         return self.rule.share_bytes
 
-    def start(self) -> Learnt:
+    def start(self) -> Learnt[Content]:
         """Nothing learnt yet."""
         return Learnt(self.rule.start(), None)
 
-    def begin_step(self, content: Learnt, measured: Measured) -> tuple[Learnt, tuple[str, ...]]:
+    def begin_step(
+        self, content: Learnt[Content], measured: Measured
+    ) -> tuple[Learnt[Content], tuple[str, ...]]:
         """Take the readings with the noise learnt so far, then learn from them."""
         readings = [r for r in from_wire(measured.readings) if not np.isnan(r).all()]
         noise = content.noise
@@ -89,11 +91,11 @@ class AdaptiveNoise:
             noise = learn(noise, belief, reading, self.sensor, self.points, measured.step)
         return Learnt(inner, noise), failures
 
-    def bid(self, content: Learnt) -> int | None:
+    def bid(self, content: Learnt[Content]) -> int | None:
         """Delegate to the wrapped rule."""
         return self.rule.bid(content.content)
 
-    def compose(self, content: Learnt) -> tuple[Learnt, bytes]:
+    def compose(self, content: Learnt[Content]) -> tuple[Learnt[Content], bytes]:
         """Delegate to the wrapped rule."""
         inner, body = self.rule.compose(content.content)
         return content._replace(content=inner), body
@@ -103,17 +105,17 @@ class AdaptiveNoise:
         return self.rule.accept(body)
 
     def fuse(
-        self, content: Learnt, shares: tuple[Share | None, ...]
-    ) -> tuple[Learnt, tuple[str, ...]]:
+        self, content: Learnt[Content], shares: tuple[Share | None, ...]
+    ) -> tuple[Learnt[Content], tuple[str, ...]]:
         """Delegate to the wrapped rule."""
         inner, failures = self.rule.fuse(content.content, shares)
         return content._replace(content=inner), failures
 
-    def belief(self, content: Learnt) -> Gaussian:
+    def belief(self, content: Learnt[Content]) -> Gaussian:
         """Delegate to the wrapped rule."""
         return self.rule.belief(content.content)
 
-    def ages(self, content: Learnt) -> np.ndarray:
+    def ages(self, content: Learnt[Content]) -> np.ndarray:
         """Delegate to the wrapped rule."""
         return self.rule.ages(content.content)
 

@@ -25,7 +25,7 @@ from bus.schedule import Schedule
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule, scaled_unscented
 from filters.stochastic_ukf import RECOMMENDED, MeasurementFilter, Received
-from nodes.estimator import Estimator
+from nodes.estimator import AnyEstimator
 from nodes.rules.measurement_bus import ReceiverNode, SensorNode
 from nodes.rules.measurement_codec import MeasurementCodec
 from plants import meng2025
@@ -107,7 +107,7 @@ def _sensor(scenario: Scenario, node: int) -> SystemSensor | None:
     return None if node == RECEIVER else SystemSensor(SYSTEM, bus_of(scenario).rows(node))
 
 
-def _estimator(setup: Setup, node: int) -> Estimator:
+def _estimator(setup: Setup, node: int) -> AnyEstimator:
     scenario = setup.scenario
     prior = Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov))
     held = first_received(SYSTEM, prior.mean)

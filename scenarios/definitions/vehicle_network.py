@@ -13,7 +13,7 @@ import numpy as np
 from filters.adaptive.sage_husa import NoiseEstimate
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
-from nodes.estimator import Estimator
+from nodes.estimator import AnyEstimator
 from nodes.messages import Measured, to_wire
 from nodes.rules.adaptive_noise import AdaptedSensor, AdaptiveNoise, declared_noise, learn
 from nodes.rules.local_filter import predict_to_step, update_with_own
@@ -145,7 +145,9 @@ def _check(scenario: Scenario) -> None:
         )
 
 
-def _estimator_wrapper(scenario: Scenario, context: NodeContext, rule: Estimator) -> Estimator:
+def _estimator_wrapper(
+    scenario: Scenario, context: NodeContext, rule: AnyEstimator
+) -> AnyEstimator:
     if not vehicle_of(scenario).adaptive:
         return rule
     assert context.sensor is not None, "every node of the car has a sensor"

@@ -8,7 +8,7 @@ import numpy as np
 
 from bus.flexray.share_frames import read_frame
 from filters.gaussian import Gaussian
-from nodes.estimator import Estimator
+from nodes.estimator import AnyEstimator
 from nodes.messages import Bid, Estimate, Grant, Measured, Truth, decode, from_wire
 from nodes.node import NodeConfig
 from nodes.rules.belief_consensus import BeliefConsensus
@@ -69,7 +69,7 @@ class Storyteller:
 class Telling:
     """An estimator that tells what it does, and otherwise does what another does."""
 
-    def __init__(self, inner: Estimator, node: NodeConfig, story: Storyteller) -> None:
+    def __init__(self, inner: AnyEstimator, node: NodeConfig, story: Storyteller) -> None:
         self._inner, self._node, self._story = inner, node, story
         self._cycle = 0
 
