@@ -5,9 +5,8 @@ expressed in them once, and not by each node that hears it. Between the rounds o
 beliefs stay such numbers too, where no caller asks for the beliefs.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -25,11 +24,9 @@ from nodes.lanes.filter import (
     with_lanes,
 )
 from nodes.lanes.links import Links, Shares, unheard
-from nodes.lanes.mixing import Mixing, mixed, summed, weighed
+from nodes.lanes.mixing import Mixing, MixingWeights, mixed, summed
 from nodes.rules.belief_consensus import HoldPolicy
 from nodes.rules.local_filter import finite_lanes, predict_to_step, where
-
-_ALIKE = np.ones(1)
 
 
 class Numbers(NamedTuple):
@@ -48,6 +45,21 @@ class Numbers(NamedTuple):
         if self.rounds is None:
             return self
         return Numbers(summed(self.rounds, self.values), self.inverse_volume)
+
+    def in_slots(self, links: Links) -> "Numbers":
+        """Those of nodes (R, N) in the order of slots (R, K)."""
+        if links.perfect:
+            return self
+        return Numbers(self.values[:, links.source], self.inverse_volume[:, links.source])
+
+    def refreshed(self, new: "Numbers", fresh: np.ndarray) -> "Numbers":
+        """These, with the `new` ones where they are `fresh` (R, K)."""
+        if fresh.all():
+            return new
+        return Numbers(
+            np.where(fresh[..., None], new.values, self.values),
+            np.where(fresh, new.inverse_volume, self.inverse_volume),
+        )
 
 
 class BatchedContent(NamedTuple):
@@ -162,7 +174,7 @@ class BatchedBeliefs:
                 held, ages = self._caught_up(content, fresh)
             ages = np.where(fresh[:, self.links.slot], 0, np.where(ages < 0, -1, ages + 1))
         content = content._replace(
-            held=self._refreshed(held, shared, fresh),
+            held=held.refreshed(shared.in_slots(self.links), fresh),
             held_origin=content.origin,
             ages=ages,
             published=content.published.sent(content.belief, sends),
@@ -174,7 +186,7 @@ class BatchedBeliefs:
     def _fused(self, content: BatchedContent) -> Numbers:
         """Return the numbers after averaging at all nodes."""
         own, held = content.own, content.held
-        mixing = self._mixing(content.ages, content.cycles_in_step - 1)
+        mixing = self._weights.at(content.ages, content.cycles_in_step - 1)
         together = own is held and isinstance(mixing.whole, np.ndarray)
         if together and not (self.hold.by_inverse_volume or self.eager):
             # No caller needs the result of a single round.
@@ -192,24 +204,8 @@ class BatchedBeliefs:
         return Numbers(sums[..., :-1] / sums[..., -1:], own.inverse_volume)
 
     @cached_property
-    def _mixing_of_one(self) -> Callable[[bytes, int], Mixing]:
-        # Kept: few patterns of ages come again and again.
-        @lru_cache(maxsize=16)
-        def mixing(ages: bytes, turn: int) -> Mixing:
-            return self._mixing_of(np.frombuffer(ages, dtype=np.int64)[None], turn)
-
-        return mixing
-
-    def _mixing(self, ages: np.ndarray, turn: int) -> Mixing:
-        """The weights in a turn of the step, beliefs as sharp as each other."""
-        one = len(ages) == 1
-        return self._mixing_of_one(ages.tobytes(), turn) if one else self._mixing_of(ages, turn)
-
-    def _mixing_of(self, ages: np.ndarray, turn: int) -> Mixing:
-        def weigh(base: np.ndarray, ages: np.ndarray) -> np.ndarray:
-            return self.hold.weigh(base, ages, _ALIKE, turn)
-
-        return weighed(self.links, self.base, ages, weigh)
+    def _weights(self) -> MixingWeights:
+        return MixingWeights(self.links, self.base, self.hold)
 
     def _settled(self, content: BatchedContent, fused: Numbers) -> BatchedContent:
         """With the fused beliefs where fusion went well."""
@@ -224,11 +220,7 @@ class BatchedBeliefs:
             belief = where(sound, after, belief)
         counters = added(content.counters, {"fuse-failed": ~sound})
         if not sound.all():
-            before = content.own.taken()
-            fused = Numbers(
-                np.where(sound[..., None], fused.values, before.values),
-                np.where(sound, fused.inverse_volume, before.inverse_volume),
-            )
+            fused = content.own.taken().refreshed(fused, sound)
         return content._replace(belief=belief, own=fused, counters=counters)
 
     def _shared(self, content: BatchedContent) -> tuple[Numbers, np.ndarray]:
@@ -266,23 +258,6 @@ class BatchedBeliefs:
         now = self._expressed(old, content.origin[runs, 0])
         values[runs, slots], inverse_volume[runs, slots] = now.values, now.inverse_volume
         return Numbers(values, inverse_volume), ages
-
-    def _by_slot(self, numbers: Numbers) -> Numbers:
-        """Return the numbers of nodes in the order of slots."""
-        if self.links.perfect:
-            return numbers
-        source = self.links.source
-        return Numbers(numbers.values[:, source], numbers.inverse_volume[:, source])
-
-    def _refreshed(self, held: Numbers, shared: Numbers, fresh: np.ndarray) -> Numbers:
-        """Return the held shares after the slots that are `fresh` (R, K) have been filled."""
-        shared = self._by_slot(shared)
-        if fresh.all():
-            return shared
-        return Numbers(
-            np.where(fresh[..., None], shared.values, held.values),
-            np.where(fresh, shared.inverse_volume, held.inverse_volume),
-        )
 
     def _traffic(
         self, sends: np.ndarray, lost: np.ndarray | None, readable: np.ndarray, sound: np.ndarray

@@ -1,11 +1,15 @@
 """A round of averaging at all nodes of many runs, as a matrix: weights, and sums along links."""
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from nodes.lanes.links import Links, Shares
+from nodes.rules.belief_consensus import HoldPolicy
+
+_ALIKE = np.ones(1)
 
 # Up to so many nodes a full matrix is multiplied faster than a sparse one, and many rounds of it
 # cost what one costs.
@@ -54,6 +58,28 @@ def weighed(
     from scipy.sparse import diags_array
 
     return Mixing(own, matrix, (matrix + diags_array(own[0])).tocsr() if alike else None)
+
+
+class MixingWeights:
+    """The weights of a network in each turn of a step, beliefs as sharp as each other."""
+
+    def __init__(self, links: Links, base: Shares, hold: HoldPolicy) -> None:
+        self._links, self._base, self._hold = links, base, hold
+        # Kept: few patterns of ages come again and again.
+        self._of_one = lru_cache(maxsize=16)(self._from_bytes)
+
+    def at(self, ages: np.ndarray, turn: int) -> Mixing:
+        """Return the weights at ages (R, E), or (1, E), in a turn of the step."""
+        return self._of_one(ages.tobytes(), turn) if len(ages) == 1 else self._of(ages, turn)
+
+    def _from_bytes(self, ages: bytes, turn: int) -> Mixing:
+        return self._of(np.frombuffer(ages, dtype=np.int64)[None], turn)
+
+    def _of(self, ages: np.ndarray, turn: int) -> Mixing:
+        def weigh(base: np.ndarray, ages: np.ndarray) -> np.ndarray:
+            return self._hold.weigh(base, ages, _ALIKE, turn)
+
+        return weighed(self._links, self._base, ages, weigh)
 
 
 def _matrix(links: Links, weights: np.ndarray) -> Any:

@@ -49,7 +49,7 @@ def growing(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Setup]:
         )
         usual = definition_of("oscillator").defaults
         defaults = usual.with_(nodes=8, steps=70, rule="wac", hold="drop")
-        kind = ScenarioDefinition(
+        definition = ScenarioDefinition(
             defaults=defaults,
             check=lambda _: None,
             plant=lambda _: plant,
@@ -57,7 +57,7 @@ def growing(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Setup]:
             sensor=lambda _, node: plant.sensor(node),
             score=Score((0,), "1", (0,), 0),
         )
-        monkeypatch.setattr(catalogue, "_KINDS", {"oscillator": kind})
+        monkeypatch.setattr(catalogue, "_DEFINITIONS", {"oscillator": definition})
         return prepare(defaults.with_(**changes))
 
     return make

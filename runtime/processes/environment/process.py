@@ -84,10 +84,9 @@ class EnvironmentProcess:
     ) -> None:
         self._run, self._nodes, self._fingerprint = run, config.nodes, fingerprint
         self._management, self._pacing = management, pacing
-        # Nodes that leave on command, and may be killed when the recorder has kept what they said.
-        self._leaving: set[int] = set()
-        # Nodes whose processes are being killed.
-        self._dying: set[int] = set()
+        # Nodes that leave on command, until the recorder has kept what they said; then nodes whose
+        # processes are being killed.
+        self._leaving, self._dying = set[int](), set[int]()
         stage = ProcessStarter(self._leaving.add, self._start_node, management.check)
         config = pacing.configured(config)
         self.controller = RunController(config, script, stage, pacing.timed)
@@ -109,17 +108,15 @@ class EnvironmentProcess:
         self.republisher.begin()
         self.inbox.begin()
         self._management.on_step(0)
-        completed = 0
         self._send(self._pacing.begin(self.controller, self._lines))
         while not self.controller.finished:
+            before = self.controller.state.completed
             self._go_on()
-            if self.controller.state.completed > completed:
-                completed = self.controller.state.completed
-                self._management.on_step(completed)
+            if self.controller.state.completed > before:
+                self._management.on_step(self.controller.state.completed)
         self.inbox.finished = True
         self._pacing.close()
-        words = last_words(self.controller.config, self.controller.state)
-        self.republisher.say("finished", words)
+        self.republisher.say("finished", last_words(self.controller.config, self.controller.state))
         self.inbox.await_end()
         self.republisher.close()
         self.transport.close()
