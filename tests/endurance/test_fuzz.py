@@ -64,13 +64,13 @@ from runtime.processes.recorder.process import RECORDER_QUEUE
 from runtime.network.zenoh_transport import Transport
 port = f"tcp/127.0.0.1:{free_ports(['full'])['full']}"
 def talk():
-    transport = Transport("full", Links("peer", (), (port,), 10.0), [], 1)
+    transport = Transport("full", ZenohEndpoints("peer", (), (port,), 10.0), [], 1)
     transport.join("talks", ["listens"])
     for number in range(RECORDER_QUEUE + 1000):
         transport.send("many", b"m")
     time.sleep(20)
 def listen():
-    transport = Transport("full", Links("peer", (port,), ()), ["**"], RECORDER_QUEUE)
+    transport = Transport("full", ZenohEndpoints("peer", (port,), ()), ["**"], RECORDER_QUEUE)
     before = memory_mb({"own": os.getpid()})["own"]
     transport.join("listens", ["talks"])
     taken, grown = -1, 0

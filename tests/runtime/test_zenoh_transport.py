@@ -80,7 +80,7 @@ taken.bind(("127.0.0.1", 0))
 taken.listen()
 endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
 for attempt in (
-    lambda: Transport("x", Links("peer", (endpoint,), ()), [], 8),
+    lambda: Transport("x", ZenohEndpoints("peer", (endpoint,), ()), [], 8),
     lambda: start_router(endpoint),
 ):
     try:
@@ -184,13 +184,13 @@ HUGE = """
 from runtime.network.zenoh_transport import Transport
 port = f"tcp/127.0.0.1:{free_ports(['huge'])['huge']}"
 def talk():
-    transport = Transport("huge", Links("peer", (), (port,), 10.0), [], 8)
+    transport = Transport("huge", ZenohEndpoints("peer", (), (port,), 10.0), [], 8)
     transport.join("talks", ["listens"])
     for size in (1, 1 << 20, 70_000_000, 2):
         transport.send("many", bytes(size))
     time.sleep(20)
 def listen():
-    transport = Transport("huge", Links("peer", (port,), ()), ["many"], 8)
+    transport = Transport("huge", ZenohEndpoints("peer", (port,), ()), ["many"], 8)
     transport.join("listens", ["talks"])
     say(*(len(transport.receive("many")[1]) for _ in range(3)))
 supervisor.start("talks", talk)
@@ -210,7 +210,7 @@ LEAVING = """
 from runtime.network.zenoh_transport import Transport
 def leave():
     endpoint = f"tcp/127.0.0.1:{free_ports(['own'])['own']}"
-    transport = Transport("leaving", Links("peer", (endpoint,), (), 5.0), ["many"], 8)
+    transport = Transport("leaving", ZenohEndpoints("peer", (endpoint,), (), 5.0), ["many"], 8)
     transport.close()
     say("heard", transport.receive_at_once("many"))
     transport.wake("many")
@@ -228,7 +228,7 @@ TOGETHER = """
 from runtime.network.zenoh_transport import Transport
 def take():
     endpoint = f"tcp/127.0.0.1:{free_ports(['own'])['own']}"
-    transport = Transport("together", Links("peer", (endpoint,), (), 5.0), ["many/*"], 8)
+    transport = Transport("together", ZenohEndpoints("peer", (endpoint,), (), 5.0), ["many/*"], 8)
     for number in range(3):
         transport.send(f"many/{number}", str(number).encode())
     transport.wake("many/*")
