@@ -25,37 +25,32 @@ BENCHMARKS = {
     "set-membership": "set_membership",
     "dashboard": "dashboard",
 }
-# A study of errors, not of time; it is run by name alone.
-STUDIES = {"occupancy": "occupancy"}
 KEPT = Path("runs/bench.json")
 
 
 def main() -> None:
     """Run the benchmarks that are named, or all, and keep their figures."""
-    known = BENCHMARKS | STUDIES
     parser = argparse.ArgumentParser(prog="benchmarks", description=__doc__)
-    parser.add_argument("names", nargs="*", help=f"any of {', '.join(known)}")
+    parser.add_argument("names", nargs="*", help=f"any of {', '.join(BENCHMARKS)}")
     parser.add_argument("--json", action="store_true", help="print one JSON object at the end")
     parser.add_argument("--output", type=Path, default=KEPT, help="where figures are kept")
     parser.add_argument("--picture", type=Path, help="also draw the figures (PNG)")
     arguments = parser.parse_args()
-    if wrong := set(arguments.names) - set(known):
-        parser.error(f"no benchmark {', '.join(wrong)}; there are {', '.join(known)}")
+    if wrong := set(arguments.names) - set(BENCHMARKS):
+        parser.error(f"no benchmark {', '.join(wrong)}; there are {', '.join(BENCHMARKS)}")
     about = machine()
     say("; ".join(f"{name} {value}" for name, value in about.items()))
     results: dict[str, BenchmarkFigures] = {}
-    figures: dict[str, BenchmarkFigures] = {}
     for name in arguments.names or BENCHMARKS:
-        results[name] = importlib.import_module(f"benchmarks.{known[name]}").main()
+        results[name] = importlib.import_module(f"benchmarks.{BENCHMARKS[name]}").main()
         # Kept at once: a later one may fail.
-        figures = {one: found for one, found in results.items() if one in BENCHMARKS}
-        _keep(Kept(about, figures), arguments.output)
+        _keep(Kept(about, results), arguments.output)
     about["load"] += f" at the start, {machine()['load']} at the end"
-    _keep(Kept(about, figures), arguments.output)
-    say("\n" + table(figures))
+    _keep(Kept(about, results), arguments.output)
+    say("\n" + table(results))
     say(f"\nload {about['load']}; peak memory {peak_mb():.0f} MB; kept in {arguments.output}")
     if arguments.picture:
-        draw(figures, arguments.picture)
+        draw(results, arguments.picture)
     if arguments.json:
         sys.stdout.write(msgspec.json.encode(results).decode() + "\n")
 
