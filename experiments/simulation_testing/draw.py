@@ -17,8 +17,10 @@ from experiments.simulation_testing.case import OWN_FIELDS, SimulationCase, chec
 from experiments.simulation_testing.script import draw_script
 from experiments.simulation_testing.verdict import RECOVERY_STEPS
 from experiments.simulation_testing.wire import WIRE_FAULTS
+from scenarios.bus_plan import arbiter_names, schedule_names
 from scenarios.preparation import prepare
 from scenarios.scenario import Scenario
+from scenarios.types.rules import RULE_SUMMARIES
 from topology.names import unknown_name
 
 _ATTEMPTS = 200
@@ -34,21 +36,11 @@ _PLANTS = {
     "liu2021-network": 3,
 }
 _CERTAIN = ("ellipsoid", "zonotope")
-_RULES = {
-    "ci": 5,
-    "hcmci": 4,
-    "labelled": 5,
-    "wac": 3,
-    "trimmed-ci": 3,
-    "hcmci-classical": 1,
-    "icf": 1,
-    "diffusion": 1,
-    "kcf": 1,
-    "local": 1,
-    "centralised": 1,
-}
+_OFTEN = {"ci": 5, "hcmci": 4, "labelled": 5, "wac": 3, "trimmed-ci": 3}
+# Rules that only scenarios of their own have.
+_OWN = ("reception", *_CERTAIN)
+_RULES = _OFTEN | {rule: 1 for rule in RULE_SUMMARIES if rule not in {*_OFTEN, *_OWN}}
 _GRAPHS = ("ring", "path", "star", "complete", "grid", "erdos-renyi", "scale-free", "3-regular")
-_SCHEDULES = ("full", "round-robin", "hybrid", "hybrid-leaves", "dynamic")
 _HOLDS = ("decayed", "decayed", "predict", "drop", "renormalise", "in-step", "raw")
 _HOLDS_OF_SETS = {"decayed": "predict", "renormalise": "drop", "in-step": "drop"}
 _LINKS = ("static", "static", "static", "bernoulli:0.2", "markov:0.1,0.5", "switching:ring,star:4")
@@ -118,7 +110,7 @@ def _drawn(generator: np.random.Generator) -> Scenario:
     rule = _weighted(generator, _RULES)
     if name == "liu2021-network" and generator.random() < 0.7:
         rule = one(*_CERTAIN)
-    schedule = one(*_SCHEDULES)
+    schedule = one(*schedule_names())
     asked: dict[str, Any] = {
         "nodes": int(generator.integers(3, one(6, 9, 13))),
         "graph": one(*_GRAPHS, *(("geometric",) * 4 if name.startswith("target") else ())),
@@ -130,7 +122,7 @@ def _drawn(generator: np.random.Generator) -> Scenario:
         "schedule": schedule,
         "occupancy": 1.0 if schedule == "full" else one(0.2, 0.5, 0.8),
         "cluster": one("fitted", "fitted-ab", "fitted-ab", ""),
-        "arbiter": one("wtod", "wtod", "minislot", "round-robin"),
+        "arbiter": one("wtod", *arbiter_names()),
         "trigger": one(0.0, 0.0, 0.0, 0.5),
         "hold": one(*_HOLDS),
         "decay": one(0.0, 0.5, 0.9, 1.0),

@@ -25,6 +25,7 @@ from nodes.faults.active import Equipment
 from nodes.faults.vocabulary import CHANNELS, EVERY_FAULT, Number
 from nodes.run_controller import Scripted
 from scenarios.build import build_bus
+from scenarios.bus_plan import arbiter_names
 from scenarios.equipment import equipment_of
 from scenarios.preparation import complete_settings, with_settings
 from scenarios.setup import Setup
@@ -41,7 +42,7 @@ _SETTINGS: dict[str, tuple[Any, ...]] = {
     "rounds": (1, 2, 3),
     "occupancy": (0.3, 0.6, 1),
     "schedule": ("full", "round-robin", "hybrid", "dynamic"),
-    "arbiter": ("wtod", "minislot", "round-robin"),
+    "arbiter": arbiter_names(),
     "hold": ("decayed", "predict", "drop", "renormalise"),
     "decay": (0.2, 0.7),
 }
