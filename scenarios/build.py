@@ -15,6 +15,7 @@ from nodes.environment_state import ControlStep, EnvironmentConfig
 from nodes.estimator import AnyEstimator
 from nodes.messages import from_wire
 from nodes.node_state import NodeConfig
+from nodes.rules.local_filter import SensorGroup
 from scenarios.bus_plan import plan_bus
 from scenarios.catalogue import definition_of
 from scenarios.definitions.control import control_node
@@ -132,7 +133,17 @@ def everybody_of(setup: Setup, schedule: Schedule) -> Everybody:
     noise = plant.draw(partial(generator, scenario), 1).measurement[0]
     _, readings, channels = plant.observe(from_wire(setup.initial_state), noise, 0).shape
     sensors = tuple(definition.sensor(scenario, node) for node in range(scenario.nodes))
-    return Everybody(scenario, schedule, sensors, (readings, channels))
+    groups = sensor_groups(scenario)
+    return Everybody(scenario, schedule, sensors, groups, (readings, channels))
+
+
+def sensor_groups(scenario: Scenario) -> tuple[SensorGroup, ...]:
+    """The sensors of all nodes: one for all where the scenario has such, else one for each."""
+    definition = definition_of(scenario.name)
+    if definition.sensors is not None:
+        return (SensorGroup(slice(None), definition.sensors(scenario)),)
+    single = ((node, definition.sensor(scenario, node)) for node in range(scenario.nodes))
+    return tuple(SensorGroup(slice(i, i + 1), one) for i, one in single if one is not None)
 
 
 def build_environment(setup: Setup) -> EnvironmentConfig:

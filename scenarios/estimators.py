@@ -10,24 +10,27 @@ from filters.fusion import diffusion, hold, hybrid_consensus, information_weight
 from filters.fusion.averaging import MOMENTS, Averaged, Averaging, Directly
 from filters.fusion.trimmed import trimmed_intersection
 from filters.gaussian import Gaussian
+from filters.sigma_points import SigmaPointRule
 from nodes.estimator import AnyEstimator
 from nodes.lanes.batch import AveragesInBatch, InBatch
 from nodes.lanes.beliefs import BatchedBeliefs
 from nodes.lanes.labelled import BatchedFlooding
 from nodes.lanes.network import BatchedRule
-from nodes.lanes.window import WindowFilters
+from nodes.rules.all_sensors import AllSensors
 from nodes.rules.at_node import AtNode
 from nodes.rules.belief_consensus import BeliefConsensus, HoldPolicy
 from nodes.rules.fresh_consensus import FreshConsensus
 from nodes.rules.information_rounds import InformationRounds
-from nodes.rules.labelled import GAP_STEPS, LabelledFlooding
+from nodes.rules.labelled import LabelledFlooding
+from nodes.rules.labelled_frame import LabelledFrameCodec
 from nodes.rules.lane_rule import LaneRule, Place
+from nodes.rules.local_filter import Model, SensorGroup
 from nodes.rules.novelty_rounds import NoveltyRounds
 from nodes.rules.set_membership import SetAtNode
 from nodes.rules.window_filter import WindowFilter
 from nodes.vector_codec import VectorCodec
 from scenarios.labelled import frame_codec, gates_of
-from scenarios.node_context import BatchContext, NodeContext, RuleContext
+from scenarios.node_context import BatchContext, Everybody, NodeContext, RuleContext
 from scenarios.types.rules import TrimmedCovarianceIntersection
 
 AnyRule = LaneRule[Any, Any, Any]
@@ -123,7 +126,8 @@ def flooding(context: NodeContext) -> AnyEstimator:
         node=context.node,
         neighbours=neighbours,
         prior=context.prior,
-        filter=WindowFilter(context.model, everybody.sensors, frames.codecs, context.points),
+        own=() if context.sensor is None else (SensorGroup(slice(None), context.sensor),),
+        filter=_window_filter(everybody, frames, context.model, context.points),
         frames=frames,
         schedule=everybody.schedule,
         rounds=everybody.scenario.rounds,
@@ -131,6 +135,13 @@ def flooding(context: NodeContext) -> AnyEstimator:
         first_step=context.beginning.step,
         first_cycle=context.beginning.cycle,
     )
+
+
+def _window_filter(
+    everybody: Everybody, frames: LabelledFrameCodec, model: Model, points: SigmaPointRule
+) -> WindowFilter:
+    sensors = AllSensors(everybody.groups, len(everybody.sensors), everybody.readings_shape)
+    return WindowFilter(model, points, sensors, frames.codecs)
 
 
 # --- at all nodes of many runs -------------------------------------------------------------------
@@ -174,16 +185,16 @@ def beliefs_in_batch(rule: Averaging, context: BatchContext) -> BatchedRule:
 def flooding_in_batch(context: BatchContext) -> BatchedRule:
     """Labelled measurements, in scenarios of which `scenarios.labelled.without_arrays` has nothing
     to name."""
-    everybody = context.everybody()
+    everybody, filters = context.everybody(), context.filters
     frames = frame_codec(everybody, context.rule.neighbours, context.rule.states)
-    codecs = tuple(codec for codec in frames.codecs if codec is not None)
-    channels = everybody.readings_shape[1]
     return BatchedFlooding(
-        WindowFilters(context.filters, codecs, frames.window_steps, channels),
-        frames,
-        context.links,
-        everybody.schedule,
-        context.rounds,
-        GAP_STEPS,
-        gates_of(everybody.scenario, channels),
+        own=everybody.groups,
+        filter=_window_filter(everybody, frames, filters.model, filters.points),
+        frames=frames,
+        links=context.links,
+        schedule=everybody.schedule,
+        rounds=context.rounds,
+        gates=gates_of(everybody.scenario, everybody.readings_shape[1]),
+        first_step=context.beginning.step,
+        first_cycle=context.beginning.cycle,
     )

@@ -6,17 +6,15 @@ import numpy as np
 
 from bus.schedule import publishers_per_cycle
 from nodes.belief_codec import BeliefCodec
-from nodes.commands import Configure, Restart
+from nodes.commands import Restart
 from nodes.rules.labelled_frame import (
     MAX_SOURCES,
     MAX_WINDOW_STEPS,
     LabelledFrameCodec,
     check_limit,
 )
-from nodes.rules.local_filter import Sensor, StateNoise
-from nodes.rules.record_codec import Calibrated, record_codec
+from nodes.rules.record_codec import record_codec
 from scenarios.bus_plan import frame_format
-from scenarios.catalogue import definition_of
 from scenarios.node_context import Everybody
 from scenarios.scenario import Scenario
 from scenarios.script import script_of
@@ -89,24 +87,14 @@ def digest_of(scenario: Scenario) -> int:
 
 def without_arrays(scenario: Scenario) -> str | None:
     """Return the part of a scenario that has no array form under this rule; None if all has."""
-    definition = definition_of(scenario.name)
-    if definition.sensors is None:
-        return f"rule labelled where sensors are unlike (scenario {scenario.name})"
-    if not all(_is_plain(definition.sensor(scenario, node)) for node in range(scenario.nodes)):
-        return f"rule labelled with such sensors as those of scenario {scenario.name}"
     # Elsewhere a share may take several frames, or not fit beside others: that hangs on its length.
     bus = scenario.bus
     if isinstance(bus, FlexRay) and bus.cluster not in ("fitted", "fitted-ab"):
         return f"rule labelled on a cluster of its own (--cluster {bus.cluster})"
-    if any(isinstance(one.command, Restart | Configure) for one in script_of(scenario)):
+    if any(isinstance(one.command, Restart) for one in script_of(scenario)):
         # Windows of one network would begin at different steps.
-        return "rule labelled where nodes come back or settings change (--changes restart, set)"
+        return "rule labelled where nodes come back (--changes restart)"
     return None
-
-
-def _is_plain(sensor: Sensor | None) -> bool:
-    """Reads what it measures, and is as noisy whatever the state is."""
-    return isinstance(sensor, Calibrated) and not isinstance(sensor, StateNoise)
 
 
 def gates_of(scenario: Scenario, channels: int) -> tuple[float, ...]:

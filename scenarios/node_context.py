@@ -10,7 +10,7 @@ from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule
 from nodes.lanes.links import Links, Shares
 from nodes.rules.belief_consensus import HoldPolicy
-from nodes.rules.local_filter import LocalFilters, Model, Sensor
+from nodes.rules.local_filter import LocalFilters, Model, Sensor, SensorGroup
 from scenarios.scenario import Scenario
 from scenarios.types.rules import CovarianceIntersection, FusionRule
 
@@ -18,12 +18,14 @@ from scenarios.types.rules import CovarianceIntersection, FusionRule
 class Everybody(NamedTuple):
     """Knowledge that all nodes have of all nodes.
 
-    `sensors` has one entry per node; readings of each are of shape `readings_shape` (r, d).
+    `sensors` has one entry per node, and `groups` the same with one value for nodes that are alike;
+    readings of each are of shape `readings_shape` (r, d).
     """
 
     scenario: Scenario
     schedule: Schedule
     sensors: tuple[Sensor | None, ...]
+    groups: tuple[SensorGroup, ...]
     readings_shape: tuple[int, int]
 
 
@@ -72,7 +74,7 @@ class BatchContext(NamedTuple):
     """Input of a rule at all nodes of many runs.
 
     `base` are the weights of a run, `contenders` (C,) the nodes that may ask for the dynamic
-    segment; `everybody` as in `NodeContext`.
+    segment; `everybody` and `beginning` as in `NodeContext`.
     """
 
     rule: RuleContext
@@ -82,3 +84,4 @@ class BatchContext(NamedTuple):
     rounds: int
     contenders: np.ndarray
     everybody: Callable[[], Everybody]
+    beginning: Beginning = Beginning()

@@ -1,7 +1,8 @@
 """The rule `labelled` in arrays: `nodes.rules.labelled` at all nodes of all runs at once.
 
-Nothing is late here, so windows have the same steps everywhere, and the first copy of a record is
-any copy.
+The sets of records are arrays here, and integers and dictionaries at a node. Both filter their
+windows by the same functions (`nodes.rules.window_filter`). No record is late here, so windows have
+the same steps everywhere, and all copies of a record are alike.
 """
 
 from dataclasses import dataclass
@@ -29,22 +30,25 @@ from nodes.lanes.records import (
     one_step_on,
     packed,
 )
-from nodes.lanes.window import WindowFilters, Windows
-from nodes.rules.labelled import SILENCE, URGENCY, urgencies
+from nodes.rules.labelled import GAP_STEPS, SILENCE
 from nodes.rules.labelled_frame import LabelledFrameCodec
-from nodes.rules.local_filter import finite_lanes
-from nodes.rules.source_gate import without_outliers
+from nodes.rules.local_filter import SensorGroup, finite_lanes
+from nodes.rules.record_sets import URGENCY, urgencies
+from nodes.rules.source_gate import judged
+from nodes.rules.window_filter import WindowFilter, Windows, one_place_on
 
 
 class BatchedLabelledContent(NamedTuple):
     """Knowledge of all nodes; `nodes.rules.labelled.LabelledContent` in arrays.
 
-    held: (R, N, W, B). known, confirmed: (R, E, W, B) of each link, what its receiver believes
-    that its sender holds, and what that has said of itself. owed: (R, N). heard: steps (R, E).
-    share_cycles: (R, E). sent_cycle: (R, N). carried: of the step, without what is held.
+    costs: bytes of each record in a share (R, W, N). held: (R, N, W, B). known, confirmed:
+    (R, E, W, B) of each link, what its receiver believes that its sender holds, and what that has
+    said of itself. owed: (R, N). heard: steps (R, E). share_cycles: (R, E). sent_cycle: (R, N).
+    carried: of the step, without what is held.
     """
 
     windows: Windows
+    costs: np.ndarray
     held: RecordSets
     known: RecordSets
     confirmed: RecordSets
@@ -84,13 +88,16 @@ class _Came(NamedTuple):
 class BatchedFlooding:
     """All nodes of a network; the fields are those of `nodes.rules.labelled.LabelledFlooding`."""
 
-    windows: WindowFilters
+    own: tuple[SensorGroup, ...]
+    filter: WindowFilter
     frames: LabelledFrameCodec
     links: Links
     schedule: Schedule
     rounds: int
-    gap_steps: int
-    gates: tuple[float, ...]
+    gates: tuple[float, ...] = ()
+    first_step: int = 0
+    first_cycle: int = 0
+    gap_steps: int = GAP_STEPS
 
     def start(self, prior: Gaussian) -> BatchedLabelledContent:
         """The priors, and no record."""
@@ -99,15 +106,16 @@ class BatchedFlooding:
         # A node without neighbours has no link, and yet the arrays have a place.
         known = nothing((runs, max(links, 1)))
         return BatchedLabelledContent(
-            windows=self.windows.start(prior),
+            windows=self.filter.start(prior, self.first_step, self._window),
+            costs=np.zeros((runs, self._window, self._nodes), dtype=np.int64),
             held=nothing((runs, self._nodes)),
             known=known,
             confirmed=known,
             owed=np.zeros((runs, self._nodes), dtype=bool),
-            heard=np.zeros((runs, links), dtype=np.int64),
+            heard=np.full((runs, links), self.first_step),
             share_cycles=np.full((runs, links), -1),
             sent_cycle=np.full((runs, self._nodes), -1),
-            cycle=0,
+            cycle=self.first_cycle,
             group=0,
             carried=np.zeros((3, self.rounds, runs, self._nodes), dtype=np.int64),
             counters={},
@@ -122,27 +130,27 @@ class BatchedFlooding:
     ) -> BatchedLabelledContent:
         """Let the oldest step go into the base, and record the own readings."""
         owed = content.owed
-        if step >= self._window:
+        if content.held[:, :, 0].any():
             lacking = self._absent(content, *self._everybody(len(owed)))[:, :, 0]
             owed = owed | lacking.any(axis=(1, 2)).reshape(owed.shape)
-        windows = self.windows.opened(content.windows, control)
-        counters = content.counters
-        sensor = self.windows.filters.groups[0].sensor
-        if sensor.gate is not None or self.gates:
-            belief, sound = self.windows.predicted(windows)
-            readings, gated = without_outliers(
-                belief, readings, sensor, step, self.windows.filters.points, self.gates
-            )
-            counters = added(counters, {"predict-failed": ~sound, "gated": gated})
-        codecs = self.windows.codecs
-        written = np.stack([c.received(readings[:, j]) for j, c in enumerate(codecs)], axis=1)
-        beyond = np.stack([c.beyond(readings[:, j]) > 0 for j, c in enumerate(codecs)], axis=1)
-        windows.values[:, -1] = written[:, :, 0]
-        held = one_step_on(content.held)
-        recorded = np.isfinite(written).any(axis=(2, 3))
-        held[:, :, -1] = packed(np.eye(self._nodes, dtype=bool) & np.expand_dims(recorded, -1))
+        readings, failures = judged(
+            self.filter, content.windows, readings, control, self.own, self.gates
+        )
+        written, beyond = np.full(readings.shape, np.nan), np.zeros(owed.shape, dtype=bool)
+        lengths = np.zeros(owed.shape, dtype=np.int64)
+        for node, codec in enumerate(self.filter.codecs):
+            if codec is not None:
+                written[:, node], lengths[:, node] = codec.received(readings[:, node])
+                beyond[:, node] = codec.beyond(readings[:, node]) > 0
+        windows = self.filter.opened(content.windows, control)
+        newest = np.array([self._window - 1])
+        held, costs = one_step_on(content.held), one_place_on(content.costs, 1)
+        held[:, :, -1] = packed(np.eye(self._nodes, dtype=bool) & (lengths > 0)[..., None])
+        costs[:, -1] = self.frames.cost(lengths)
+        counters = added(content.counters, failures)
         return content._replace(
-            windows=windows,
+            windows=self.filter.with_readings(windows, newest, written[:, None]),
+            costs=costs,
             held=held,
             known=one_step_on(content.known),
             confirmed=one_step_on(content.confirmed),
@@ -194,13 +202,13 @@ class BatchedFlooding:
             wanted = (missing, unsure)
         owed = content.owed[runs, nodes]
         room = np.where(owed, self.frames.room(True), self.frames.room(False))
-        records, taken, count = first_that_fit(wanted, self._costs, room)
+        records, taken, count = first_that_fit(wanted, content.costs[runs], room)
         base = Gaussian(*(values[runs, nodes] for values in content.windows.base))
         checkpoint, sound = (
             _as_sent(base, self.frames.belief.number) if owed.any() else (base, owed)
         )
         carried, sent_cycle = content.carried.copy(), content.sent_cycle.copy()
-        turn = content.cycle % self.rounds
+        turn = (content.cycle - self.first_cycle) % self.rounds
         body_bytes = self.frames.limit_bytes - room + taken
         for kind, values in enumerate((body_bytes, owed, count)):
             carried[kind, turn, runs, nodes] = values
@@ -311,10 +319,10 @@ class BatchedFlooding:
         if content.group + 1 < len(self.schedule.groups(content.cycle)):
             return content._replace(group=content.group + 1)
         content = content._replace(cycle=content.cycle + 1, group=0)
-        if content.cycle % self.rounds:
+        if (content.cycle - self.first_cycle) % self.rounds:
             return content
         held = flags_of(content.held, self._nodes)
-        windows, failures = self.windows.filtered(content.windows, held)
+        windows, failures = self.filter.filtered(content.windows, held)
         return content._replace(windows=windows, counters=added(content.counters, failures))
 
     def belief(self, content: BatchedLabelledContent) -> Gaussian:
@@ -367,11 +375,6 @@ class BatchedFlooding:
     @cached_property
     def _urgencies(self) -> np.ndarray:
         return np.array(urgencies(self._window))
-
-    @cached_property
-    def _costs(self) -> np.ndarray:
-        """Bytes of a record of each source in a share, (N,)."""
-        return np.array([self.frames.cost(codec.size_max) for codec in self.windows.codecs])
 
     @cached_property
     def _near(self) -> Padded:

@@ -54,22 +54,20 @@ def first_that_fit(
     The order is newest first, sources ascending, until a record does not fit.
 
     Args:
-        costs: bytes of a record of each source (N,).
+        costs: bytes of each record (L, W, N).
         room: bytes that records may take (L,).
 
     Returns:
         What it takes (L, W, B); how many bytes and how many records (L,).
     """
-    nodes = len(costs)
-    flags = [flags_of(sets, nodes)[:, ::-1] for sets in wanted]
-    queue = np.concatenate([one.reshape(len(one), -1) for one in flags], axis=1)
-    length = np.where(queue, np.tile(costs, queue.shape[1] // nodes), 0)
+    queue = flags_of(np.stack(wanted, axis=1)[:, :, ::-1], costs.shape[-1])
+    length = np.where(queue, costs[:, None, ::-1], 0).reshape(len(queue), -1)
     if (length.sum(axis=1) > room).any():
-        queue = queue & (length.cumsum(axis=1) <= room[:, None])
-        length = np.where(queue, length, 0)
-    parts = queue.reshape(len(queue), len(wanted), -1, nodes)
-    chosen = packed(np.flip(parts.any(axis=1), axis=1))
-    return chosen, length.sum(axis=1), queue.sum(axis=1)
+        fits = length.cumsum(axis=1) <= room[:, None]
+        queue = queue & fits.reshape(queue.shape)
+        length = np.where(fits, length, 0)
+    chosen = packed(np.asarray(queue.any(axis=1))[:, ::-1])
+    return chosen, length.sum(axis=1), queue.sum(axis=(1, 2, 3))
 
 
 def joined(

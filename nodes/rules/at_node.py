@@ -11,7 +11,6 @@ from filters.sigma_points import SigmaPointRule
 from nodes.bids import asked
 from nodes.messages import Measured, from_wire
 from nodes.rules.lane_rule import (
-    Failures,
     Held,
     LaneContent,
     LaneRule,
@@ -21,7 +20,14 @@ from nodes.rules.lane_rule import (
     Share,
     mapped,
 )
-from nodes.rules.local_filter import LocalFilters, Model, Sensor, SensorGroup, control_of
+from nodes.rules.local_filter import (
+    LocalFilters,
+    Model,
+    Sensor,
+    SensorGroup,
+    control_of,
+    failure_names,
+)
 from nodes.vector_codec import VectorCodec
 
 _SENDS = np.array(True)
@@ -67,7 +73,7 @@ class AtNode(Generic[Own, Held, Share]):
         readings = from_wire(taken) if taken else np.empty((0, 0))
         now = LocalStep(self._filters, readings, control_of(measured), measured.step)
         content, failures = self.rule.begin_step(self.place.node, content, now)
-        return content, _names(failures)
+        return content, failure_names(failures)
 
     @cached_property
     def _filters(self) -> LocalFilters:
@@ -101,7 +107,7 @@ class AtNode(Generic[Own, Held, Share]):
         if again:
             heard = heard & _placed(cast(np.ndarray, sound), heard)
         content, failures = self.rule.fuse(self.place, content, decoded, heard)
-        return content, again + _names(failures) if failures or again else ()
+        return content, again + failure_names(failures) if failures or again else ()
 
     def belief(self, content: LaneContent[Own, Held]) -> Gaussian:
         """The node's belief now."""
@@ -117,8 +123,3 @@ def _placed(values: np.ndarray, heard: np.ndarray) -> np.ndarray:
     found = np.zeros((len(heard), *values.shape[1:]), values.dtype)
     found[heard] = values
     return found
-
-
-def _names(failures: Failures) -> tuple[str, ...]:
-    """The name of each failure, as often as it happened."""
-    return tuple(name for name, count in failures.items() for _ in range(int(count)))

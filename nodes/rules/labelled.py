@@ -18,30 +18,21 @@ from filters.gaussian import Gaussian
 from nodes.estimator import Rejected
 from nodes.messages import Measured, from_wire
 from nodes.rules.labelled_frame import Labelled, LabelledFrameCodec, LabelledShare
-from nodes.rules.local_filter import finite
+from nodes.rules.local_filter import SensorGroup, control_of, failure_names, finite
 from nodes.rules.record_sets import (
+    URGENCY,
     RecordSet,
     lacked,
     need,
     newest_first,
     record_bit,
     sources_at,
+    urgencies,
     with_sources,
 )
-from nodes.rules.source_gate import without_outliers
-from nodes.rules.window_filter import (
-    Window,
-    WindowFilter,
-    empty_window,
-    opened,
-    shortened,
-    with_base,
-    with_records,
-)
+from nodes.rules.source_gate import judged
+from nodes.rules.window_filter import WindowFilter, Windows, one_lane
 
-# A record that one neighbour lacks, and what it loses of that urgency with every step of age.
-URGENCY = 65536
-_DISCOUNT = 0.9
 # Equal needs are served in the order of silence, up to so many cycles.
 SILENCE = 4096
 # Steps of silence after which a neighbour is owed a checkpoint.
@@ -52,7 +43,9 @@ class LabelledContent(NamedTuple):
     """A node's knowledge.
 
     Attributes:
-        window: the window to filter. held: the records in it.
+        windows: the window to filter. records: what was taken by which source, for each place of
+            the window. held: the same as a set.
+        unread: (place, source) of the records that the window does not have yet.
         known: the records that each neighbour is believed to hold.
         confirmed: the records that each neighbour itself reported to hold.
         sent: the content of the share composed in the open group; None if there was none.
@@ -62,7 +55,9 @@ class LabelledContent(NamedTuple):
         cycle, group: the open group. sent_cycle: the last in which the node sent.
     """
 
-    window: Window
+    windows: Windows
+    records: tuple[Mapping[int, bytes], ...]
+    unread: tuple[tuple[int, int], ...]
     held: RecordSet
     known: tuple[RecordSet, ...]
     confirmed: tuple[RecordSet, ...]
@@ -82,7 +77,8 @@ class LabelledFlooding:
 
     `neighbours` are those of every node, ascending; `prior` is common to all; a neighbour that was
     not heard for more than `gap_steps` is owed a checkpoint. An own reading of 1, 2, ... entries
-    beyond the chi-square threshold in `gates` is not recorded; none for no such gate.
+    beyond the chi-square threshold in `gates` is not recorded; none for no such gate. `own` is the
+    node's sensor; none for a blind node.
 
     Source: the project's study of fusion under bus limits (labelled-measurement flooding).
     """
@@ -90,6 +86,7 @@ class LabelledFlooding:
     node: int
     neighbours: Sequence[Sequence[int]]
     prior: Gaussian
+    own: tuple[SensorGroup, ...]
     filter: WindowFilter
     frames: LabelledFrameCodec
     schedule: Schedule
@@ -106,72 +103,66 @@ class LabelledFlooding:
 
     def start(self) -> LabelledContent:
         """The common prior, and no record."""
-        return self._empty(empty_window(self.first_step - 1, self.prior), self.first_step)
+        width = self.frames.window_steps
+        windows = self.filter.start(one_lane(self.prior), self.first_step, width)
+        return self._empty(windows, self.first_step)
 
-    def restart(self, prior: Gaussian, heartbeats: Sequence[Measured]) -> LabelledContent:
-        """A node that has lost everything, before the step after the last of `heartbeats`.
+    def restart(self, prior: Gaussian, content: LabelledContent) -> LabelledContent:
+        """A node that has lost everything between two steps but what drove the plant.
 
-        These are the last steps, a window of them at most. Its beliefs are NaN until a checkpoint
-        has come.
+        Its beliefs are NaN until a checkpoint has come.
         """
-        heartbeats = heartbeats[-self.frames.window_steps :]
-        window = empty_window(heartbeats[0].step - 1, prior)
-        for heartbeat in heartbeats:
-            window = opened(window, heartbeat)
-        content = self._empty(self.filter.filtered(window)[0], window.step + 1)
-        return content._replace(needs=True)
+        windows = self.filter.forgotten(content.windows, one_lane(prior))
+        return self._empty(windows, windows.step + 1)._replace(needs=True)
 
-    def _empty(self, window: Window, step: int) -> LabelledContent:
-        nobody = (-1,) * len(self._near)
+    def _empty(self, windows: Windows, step: int) -> LabelledContent:
         cycle = self.first_cycle + (step - self.first_step) * self.rounds
         nothing: tuple[RecordSet, ...] = (0,) * len(self._near)
         return LabelledContent(
-            window,
-            0,
-            nothing,
-            nothing,
-            None,
-            False,
-            False,
-            (step,) * len(self._near),
-            nobody,
-            cycle,
-            0,
-            -1,
+            windows=windows,
+            records=({},) * self.frames.window_steps,
+            unread=(),
+            held=0,
+            known=nothing,
+            confirmed=nothing,
+            sent=None,
+            owed=False,
+            needs=False,
+            heard=(step,) * len(self._near),
+            share_cycles=(-1,) * len(self._near),
+            cycle=cycle,
+            group=0,
+            sent_cycle=-1,
         )
 
     def begin_step(
         self, content: LabelledContent, measured: Measured
     ) -> tuple[LabelledContent, tuple[str, ...]]:
         """Let the oldest step go into the base, and record the own readings."""
-        if len(content.window.heartbeats) == self.frames.window_steps:
-            content = self._shortened(content)
-        window = content.window
-        delivered = from_wire(measured.readings)
-        sensor = self.filter.sensors[self.node]
+        delivered, control = from_wire(measured.readings), control_of(measured)
+        driven = None if control is None else control[None]
         failures: tuple[str, ...] = ()
-        judged = sensor is not None and (sensor.gate is not None or len(self.gates) > 0)
         # A node that needs a checkpoint has no belief by which to refuse a reading.
-        if sensor is not None and judged and not content.needs:
-            belief, failures = self.filter.predicted(window.belief, measured)
-            delivered, gated = without_outliers(
-                belief, delivered, sensor, measured.step, self.filter.points, self.gates
+        if not content.needs:
+            kept, counted = judged(
+                self.filter, content.windows, delivered[None, None], driven, self.own, self.gates
             )
-            failures += ("gated",) * int(gated)
+            delivered, failures = kept[0, 0], failure_names(counted)
         codec = self.filter.codecs[self.node]
         record = None if codec is None else codec.encode(delivered)
         if codec is not None and codec.beyond(delivered):
             failures = (*failures, "record-range")
-        content = content._replace(window=opened(window, measured))
+        content = self._moved_on(content, driven)
         if record is None:
             return content, failures
-        return self._with_records(content, {measured.step: {self.node: record}}), failures
+        return self._with_records(content, {(self._newest, self.node): record}), failures
 
-    def _shortened(self, content: LabelledContent) -> LabelledContent:
-        """The base moves on; a neighbour that never got the step's records is owed a checkpoint."""
+    def _moved_on(self, content: LabelledContent, control: np.ndarray | None) -> LabelledContent:
+        """A step later; a neighbour that never got the records forgotten is owed a checkpoint."""
         missing = sources_at(lacked(content.held, content.known), 0, self._nodes) > 0
         return content._replace(
-            window=shortened(content.window),
+            windows=self.filter.opened(content.windows, control),
+            records=(*content.records[1:], {}),
             held=content.held >> self._nodes,
             known=tuple(records >> self._nodes for records in content.known),
             confirmed=tuple(records >> self._nodes for records in content.confirmed),
@@ -183,8 +174,7 @@ class LabelledFlooding:
 
         An integer. A digest is worth a frame without records: its receivers learn what to resend.
         """
-        of_places = self._urgencies[-len(content.window.heartbeats) :]
-        urgency = need(content.held, content.known, of_places, self._nodes)
+        urgency = need(content.held, content.known, self._urgencies, self._nodes)
         urgency += URGENCY * (content.owed + content.needs)
         if urgency == 0 and self.frames.digest_steps == 0:
             return None
@@ -192,26 +182,27 @@ class LabelledFlooding:
 
     def compose(self, content: LabelledContent) -> tuple[LabelledContent, bytes]:
         """A checkpoint if one is owed, and what some neighbour lacks, newest first."""
-        window = content.window
-        checkpoint = window.base if content.owed and not content.needs else None
+        base = content.windows.base
+        checkpoint = None
+        if content.owed and not content.needs:
+            checkpoint = Gaussian(base.mean[0, 0], base.cov[0, 0])
         records = self._chosen(content, self.frames.room(checkpoint is not None))
         share = LabelledShare(content.needs, checkpoint, self._digest(content), records)
-        newest = len(window.heartbeats) - 1
-        sent = sum(record_bit(newest - age, source, self._nodes) for source, age, _ in records)
+        sent = sum(
+            record_bit(self._newest - age, source, self._nodes) for source, age, _ in records
+        )
         owed = content.owed and checkpoint is None
         content = content._replace(sent=sent, owed=owed, sent_cycle=content.cycle)
         return content, self.frames.encode(share)
 
     def _chosen(self, content: LabelledContent, room: int) -> tuple[Labelled, ...]:
-        window = content.window
-        newest = len(window.heartbeats) - 1
         chosen: list[Labelled] = []
         for place, source in self._wanted(content):
-            record = window.records[place][source]
+            record = content.records[place][source]
             room -= self.frames.cost(len(record))
             if room < 0:
                 break
-            chosen.append(Labelled(source, newest - place, record))
+            chosen.append(Labelled(source, self._newest - place, record))
         return tuple(chosen)
 
     def _wanted(self, content: LabelledContent) -> Iterator[tuple[int, int]]:
@@ -219,14 +210,13 @@ class LabelledFlooding:
         missing = lacked(content.held, content.known)
         yield from newest_first(missing, self._nodes)
         if self.frames.digest_steps:
-            old = max(len(content.window.heartbeats) - self.frames.digest_steps, 0) * self._nodes
+            old = (self.frames.window_steps - self.frames.digest_steps) * self._nodes
             unsure = lacked(content.held, content.confirmed) & ~missing
             yield from newest_first(unsure >> old << old, self._nodes)
 
     def _digest(self, content: LabelledContent) -> tuple[int, ...]:
-        newest = len(content.window.heartbeats) - 1
         return tuple(
-            sources_at(content.held, newest - age, self._nodes) if age <= newest else 0
+            sources_at(content.held, self._newest - age, self._nodes)
             for age in range(self.frames.digest_steps)
         )
 
@@ -255,20 +245,19 @@ class LabelledFlooding:
 
     def _hear(self, content: LabelledContent, place: int, share: LabelledShare) -> LabelledContent:
         """Note a neighbour's statements about itself."""
-        window = content.window
         theirs, sure = content.known[place], content.confirmed[place]
-        for age, sources in enumerate(share.digest[: len(window.heartbeats)]):
-            step_place = len(window.heartbeats) - 1 - age
-            theirs = with_sources(theirs, step_place, sources, self._nodes)
-            sure = with_sources(sure, step_place, sources, self._nodes)
+        for age, sources in enumerate(share.digest):
+            theirs = with_sources(theirs, self._newest - age, sources, self._nodes)
+            sure = with_sources(sure, self._newest - age, sources, self._nodes)
         if share.needs:
             # It has lost whatever was sent to it.
             theirs = sure = 0
-        strange = window.step - content.heard[place] > self.gap_steps
+        step = content.windows.step
+        strange = step - content.heard[place] > self.gap_steps
         return content._replace(
             known=_replaced(content.known, place, theirs),
             confirmed=_replaced(content.confirmed, place, sure),
-            heard=_replaced(content.heard, place, window.step),
+            heard=_replaced(content.heard, place, step),
             share_cycles=_replaced(content.share_cycles, place, content.cycle),
             owed=content.owed or share.needs or strange,
         )
@@ -277,20 +266,18 @@ class LabelledFlooding:
         self, content: LabelledContent, place: int, share: LabelledShare
     ) -> tuple[LabelledContent, list[str]]:
         """Take over a neighbour's records, and a base of the same step as the own."""
-        window = content.window
-        told = 0
-        new: dict[int, dict[int, bytes]] = {}
-        late = 0
+        first = content.windows.first
+        told, late = 0, 0
+        new: dict[tuple[int, int], bytes] = {}
         for source, age, record in share.records:
-            step = window.step - age
-            if step <= window.base_step:
+            step_place = self._newest - age
+            if step_place < first:
                 late += 1
                 continue
-            label = record_bit(step - window.base_step - 1, source, self._nodes)
-            told |= label
+            told |= record_bit(step_place, source, self._nodes)
             # The first copy stays: a label is counted once, whatever comes under it.
-            if not content.held & label:
-                new.setdefault(step, {}).setdefault(source, record)
+            if source not in content.records[step_place]:
+                new.setdefault((step_place, source), record)
         witnesses = {place, *self._overhearing[place]}
         known = tuple(
             records | told if other in witnesses else records
@@ -305,26 +292,27 @@ class LabelledFlooding:
         return content, failures
 
     def _with_records(
-        self, content: LabelledContent, new: Mapping[int, Mapping[int, bytes]]
+        self, content: LabelledContent, new: Mapping[tuple[int, int], bytes]
     ) -> LabelledContent:
-        """With records by step and source that are not held yet."""
-        window = content.window
-        held = content.held
-        for step, by_source in new.items():
-            for source in by_source:
-                held |= record_bit(step - window.base_step - 1, source, self._nodes)
-        return content._replace(window=with_records(window, new), held=held)
+        """With records by place and source that are not held yet."""
+        held, records = content.held, list(content.records)
+        for (place, source), record in new.items():
+            held |= record_bit(place, source, self._nodes)
+            records[place] = {**records[place], source: record}
+        return content._replace(records=tuple(records), unread=(*content.unread, *new), held=held)
 
     def _fuse_base(
         self, content: LabelledContent, checkpoint: Gaussian
     ) -> tuple[LabelledContent, list[str]]:
-        base = determinant_intersection(content.window.base, checkpoint)
+        windows = content.windows
+        base = determinant_intersection(windows.base, one_lane(checkpoint))
         if not finite(base):
             return content, ["checkpoint-failed"]
         content = content._replace(needs=False)
-        if base.mean.tobytes() == content.window.base.mean.tobytes():
+        if base.mean.tobytes() == windows.base.mean.tobytes():
             return content, ["checkpoint-known"]
-        return content._replace(window=with_base(content.window, base)), ["checkpoint-fused"]
+        windows = windows._replace(base=base, right=np.zeros_like(windows.right))
+        return content._replace(windows=windows), ["checkpoint-fused"]
 
     def _closed(
         self, content: LabelledContent, failures: list[str]
@@ -334,10 +322,23 @@ class LabelledFlooding:
             return content._replace(group=content.group + 1), tuple(failures)
         content = content._replace(cycle=content.cycle + 1, group=0)
         if (content.cycle - self.first_cycle) % self.rounds == 0:
-            window, failed = self.filter.filtered(content.window)
-            content = content._replace(window=window)
-            failures += failed
+            windows, counted = self.filter.filtered(self._read(content))
+            content = content._replace(windows=windows, unread=())
+            failures += failure_names(counted)
         return content, tuple(failures)
+
+    def _read(self, content: LabelledContent) -> Windows:
+        """The window with what the unread records say."""
+        if not content.unread:
+            return content.windows
+        places = sorted({place for place, _ in content.unread})
+        readings = np.full((1, len(places), self._nodes, *self.filter.sensors.delivered), np.nan)
+        for place, source in content.unread:
+            codec = self.filter.codecs[source]
+            assert codec is not None, "the frame codec knows no such source"
+            readings[0, places.index(place), source] = codec.decode(content.records[place][source])
+        windows = self.filter.with_readings(content.windows, np.array(places), readings)
+        return windows._replace(right=np.minimum(windows.right, places[0]))
 
     def belief(self, content: LabelledContent) -> Gaussian:
         """The posterior of the step; NaN while the node knows nothing."""
@@ -345,12 +346,23 @@ class LabelledFlooding:
             return Gaussian(
                 np.full_like(self.prior.mean, np.nan), np.full_like(self.prior.cov, np.nan)
             )
-        return content.window.belief
+        mean, cov = content.windows.beliefs
+        return Gaussian(mean[0, 0], cov[0, 0])
+
+    def labels(self, content: LabelledContent) -> set[tuple[int, int]]:
+        """The (step, source) of each record in the window."""
+        step_at = content.windows.step_at
+        return {(step_at(p), source) for p, some in enumerate(content.records) for source in some}
 
     def ages(self, content: LabelledContent) -> np.ndarray:
         """Cycles since each neighbour's last share was sent."""
         last = np.array(content.share_cycles, dtype=int)
         return np.where(last < 0, -1, content.cycle - 1 - last)
+
+    @property
+    def _newest(self) -> int:
+        """The place of the step."""
+        return self.frames.window_steps - 1
 
     @property
     def _nodes(self) -> int:
@@ -374,12 +386,6 @@ class LabelledFlooding:
     def _urgencies(self) -> tuple[int, ...]:
         """Of one lacked record, by age: the oldest that a window can hold first."""
         return urgencies(self.frames.window_steps)
-
-
-def urgencies(window_steps: int) -> tuple[int, ...]:
-    """Of one lacked record of each step of a window, the oldest first."""
-    ages = reversed(range(window_steps))
-    return tuple(int(URGENCY * _DISCOUNT**age + 0.5) for age in ages)
 
 
 def _positive_definite(belief: Gaussian) -> bool:

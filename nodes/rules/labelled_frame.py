@@ -9,12 +9,16 @@ a N + j of the digest means "I hold the record of source j of a steps ago".
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
+
+import numpy as np
 
 from filters.gaussian import Gaussian
 from nodes.belief_codec import BeliefCodec
 from nodes.estimator import Rejected
 from nodes.rules.record_codec import RecordCodec
+
+Size = TypeVar("Size", int, np.ndarray)
 
 MAX_SOURCES = 256
 MAX_WINDOW_STEPS = 255
@@ -78,8 +82,8 @@ class LabelledFrameCodec:
         return self.limit_bytes - taken
 
     @staticmethod
-    def cost(record_bytes: int) -> int:
-        """Bytes that a record of that length takes in a frame."""
+    def cost(record_bytes: Size) -> Size:
+        """Bytes that a record of that length, or records of those (...), take in a frame."""
         return _LABEL_BYTES + record_bytes
 
     def encode(self, share: LabelledShare) -> bytes:

@@ -1,6 +1,7 @@
 """The part of every rule before any share is heard: predict, and take the node's own readings."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import NamedTuple, Protocol, cast, runtime_checkable
@@ -138,7 +139,12 @@ def update_with_own(
     if sensor is None or not taken:
         return belief, ()
     belief, failures = update_with_readings(belief, from_wire(taken), measured.step, sensor, points)
-    return belief, tuple(name for name, count in failures.items() for _ in range(int(count)))
+    return belief, failure_names(failures)
+
+
+def failure_names(failures: Mapping[str, np.ndarray]) -> tuple[str, ...]:
+    """Return the name of each failure of a single lane, as often as it happened."""
+    return tuple(name for name, count in failures.items() for _ in range(int(count.item())))
 
 
 class SensorGroup(NamedTuple):

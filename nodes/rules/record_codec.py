@@ -62,13 +62,17 @@ class RecordCodec:
         mask = b"" if self.readings == 1 else np.packbits(taken, bitorder="little").tobytes()
         return mask + entries[taken].astype(self.number).tobytes()
 
-    def received(self, delivered: np.ndarray) -> np.ndarray:
-        """Return the readings (..., r, d) that readers of the record get: NaN if not written."""
+    def received(self, delivered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the readings (..., r, d) that readers of the record get: NaN if not written.
+
+        Return also the lengths (...) of the records in bytes; 0 where there is none.
+        """
         entries, taken = self._entries(delivered)
         found = np.full(delivered.shape, np.nan)
         data = np.where(taken[..., None], entries, 0).astype(self.number)
         found[..., : self.channels] = np.where(taken[..., None], self._values(data), np.nan)
-        return found
+        count = np.asarray(taken.sum(axis=-1))
+        return found, np.where(count > 0, self._mask_bytes + count * self._reading_bytes, 0)
 
     def _entries(self, delivered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the entries written of readings (..., r, d), and of which readings (..., r)."""

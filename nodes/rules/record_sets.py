@@ -8,6 +8,10 @@ from collections.abc import Iterator, Sequence
 
 RecordSet = int
 
+# A record that one neighbour lacks, and what it loses of that urgency with every step of age.
+URGENCY = 65536
+_DISCOUNT = 0.9
+
 
 def record_bit(place: int, source: int, nodes: int) -> RecordSet:
     """The set of this one record."""
@@ -43,6 +47,12 @@ def need(held: RecordSet, known: Sequence[RecordSet], urgencies: Sequence[int], 
             total += urgencies[place] * newest.bit_count()
             absent ^= newest << place * nodes
     return total
+
+
+def urgencies(window_steps: int) -> tuple[int, ...]:
+    """Return the urgency of one lacked record of each step of a window, the oldest first."""
+    ages = reversed(range(window_steps))
+    return tuple(int(URGENCY * _DISCOUNT**age + 0.5) for age in ages)
 
 
 def newest_first(records: RecordSet, nodes: int) -> Iterator[tuple[int, int]]:

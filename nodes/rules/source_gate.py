@@ -10,7 +10,35 @@ import numpy as np
 
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule
-from nodes.rules.local_filter import Sensor, finite_lanes, update_with_reading, where
+from nodes.rules.lane_rule import Failures
+from nodes.rules.local_filter import Sensor, SensorGroup, finite_lanes, update_with_reading, where
+from nodes.rules.window_filter import WindowFilter, Windows
+
+
+def judged(
+    window_filter: WindowFilter,
+    windows: Windows,
+    readings: np.ndarray,
+    control: np.ndarray | None,
+    own: Sequence[SensorGroup],
+    gates: Sequence[float],
+) -> tuple[np.ndarray, Failures]:
+    """Readings (R, M, r, d) of lanes in the step after that of the windows, without outliers.
+
+    `own` are the sensors of the lanes. Returns also how often what went wrong.
+    """
+    judges = [group for group in own if group.sensor.gate is not None or gates]
+    if not judges:
+        return readings, {}
+    belief, sound = window_filter.predicted(windows, control)
+    kept, gated = readings.copy(), np.zeros(sound.shape, dtype=np.int64)
+    step, points = windows.step + 1, window_filter.points
+    for nodes, sensor in judges:
+        before = Gaussian(belief.mean[:, nodes], belief.cov[:, nodes])
+        kept[:, nodes], gated[:, nodes] = without_outliers(
+            before, readings[:, nodes], sensor, step, points, gates
+        )
+    return kept, {"predict-failed": ~sound, "gated": gated}
 
 
 def without_outliers(

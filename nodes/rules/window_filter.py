@@ -1,13 +1,12 @@
 """A filter over a sliding window: records may come late and in any order, and each counts once.
 
-A `Window` is a value: the belief at its base, the labelled records of the steps after it, and the
-posteriors that are still right. A change of a step drops the posteriors from there on; `filtered`
-computes them anew.
+Lanes are nodes of runs, (R, M); a node by itself is one lane. A window is filtered again from
+the first step whose records have changed; a reading that a lane does not hold is NaN to it.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -15,196 +14,236 @@ import numpy as np
 from filters.gaussian import Gaussian
 from filters.sigma_points import SigmaPointRule
 from filters.ukf import update
-from nodes.messages import Measured
-from nodes.rules.local_filter import Model, Sensor, StateNoise, control_of, finite, predict_to_step
+from nodes.rules.all_sensors import AllSensors, SourceSensors
+from nodes.rules.lane_rule import Failures
+from nodes.rules.local_filter import Carried, Model, finite_lanes, predict_to_step, where
 from nodes.rules.record_codec import RecordCodec
 
-# More than a window of most networks holds.
-_KEPT_RECORDS = 4096
 
-
-class Window(NamedTuple):
-    """A node's records and beliefs of the steps after `base_step`.
+class Windows(NamedTuple):
+    """Windows of lanes: place W - 1 is this `step`, W - 2 the one before, ...
 
     Attributes:
-        base_step, base: the belief that everything older went into; -1 is the prior, to which no
-            prediction leads: it is the belief at step 0 before any reading.
-        heartbeats: of the steps after `base_step`, ascending: what drove the plant.
-        records: per step, what was taken by which source.
-        posteriors: of the steps after `base_step`, as far as they are right.
+        base: (R, M, ...), that everything older went into; at first the priors.
+        posteriors: (R, M, W, ...) of the steps in the window; those before place `right` (R, M) are
+            right.
+        values, noise_covs: (R, W, N, r, m), (R, W, N, r, m, m) of what the records of a run say; of
+            each place, by source.
+        controls: what drove into each place, (R, p); None where nothing did.
+        first_step: of the run. Its base is the belief of the step before; the prior of a run that
+            begins at 0 is the belief at step 0 before any reading, and no prediction leads there.
     """
 
-    base_step: int
     base: Gaussian
-    heartbeats: tuple[Measured, ...]
-    records: tuple[Mapping[int, bytes], ...]
-    posteriors: tuple[Gaussian, ...]
+    posteriors: Gaussian
+    right: np.ndarray
+    values: np.ndarray
+    noise_covs: np.ndarray
+    controls: tuple[np.ndarray | None, ...]
+    step: int
+    first_step: int
 
     @property
-    def step(self) -> int:
-        """The last step."""
-        return self.base_step + len(self.heartbeats)
+    def first(self) -> int:
+        """The place of the window's first step."""
+        return max(len(self.controls) - 1 - (self.step - self.first_step), 0)
 
     @property
-    def belief(self) -> Gaussian:
-        """The newest posterior there is."""
-        return self.posteriors[-1] if self.posteriors else self.base
+    def beliefs(self) -> Gaussian:
+        """The newest posteriors, right or not; the base before the first step."""
+        if self.step < self.first_step:
+            return self.base
+        return Gaussian(self.posteriors.mean[:, :, -1], self.posteriors.cov[:, :, -1])
 
-
-def empty_window(base_step: int, base: Gaussian) -> Window:
-    """A window of no steps."""
-    return Window(base_step, base, (), (), ())
-
-
-def opened(window: Window, heartbeat: Measured) -> Window:
-    """With one step more."""
-    return window._replace(
-        heartbeats=(*window.heartbeats, heartbeat), records=(*window.records, {})
-    )
-
-
-def shortened(window: Window) -> Window:
-    """With its first step in the base; that step has a posterior."""
-    return Window(
-        window.base_step + 1,
-        window.posteriors[0],
-        window.heartbeats[1:],
-        window.records[1:],
-        window.posteriors[1:],
-    )
-
-
-def with_records(window: Window, new: Mapping[int, Mapping[int, bytes]]) -> Window:
-    """With new records by step and source, all of steps in the window and none held before."""
-    if not new:
-        return window
-    records = list(window.records)
-    for step, by_source in new.items():
-        place = step - window.base_step - 1
-        # By source: the order in which they came must not decide the bits of the update.
-        records[place] = dict(sorted({**records[place], **by_source}.items()))
-    right = min(new) - window.base_step - 1
-    return window._replace(records=tuple(records), posteriors=window.posteriors[:right])
-
-
-def with_base(window: Window, base: Gaussian) -> Window:
-    """With another belief at the base."""
-    return window._replace(base=base, posteriors=())
+    def step_at(self, place: int) -> int:
+        """Return the step of a place."""
+        return self.step - (len(self.controls) - 1 - place)
 
 
 @dataclass(frozen=True)
 class WindowFilter:
     """Knowledge common to all nodes: the plant, and the sensor and records of each node.
 
-    Raises nothing for a record that cannot be used: its step keeps the prediction.
+    A record that cannot be used is counted; its step keeps the prediction.
     """
 
     model: Model
-    sensors: Sequence[Sensor | None]
-    codecs: Sequence[RecordCodec | None]
     points: SigmaPointRule
+    sensors: AllSensors
+    codecs: Sequence[RecordCodec | None]
 
-    def filtered(self, window: Window) -> tuple[Window, tuple[str, ...]]:
-        """The window with the posteriors of all its steps, and the names of what went wrong."""
-        posteriors = list(window.posteriors)
-        failures: list[str] = []
-        belief = window.belief
-        for place in range(len(posteriors), len(window.heartbeats)):
-            belief, predicted = self.predicted(belief, window.heartbeats[place])
-            belief, updated = self._updated(belief, window.records[place], window, place)
-            failures += (*predicted, *updated)
-            posteriors.append(belief)
-        return window._replace(posteriors=tuple(posteriors)), tuple(failures)
+    def start(self, prior: Gaussian, first_step: int, width: int) -> Windows:
+        """Windows of no steps on priors (R, M, n), for at most `width` steps."""
+        runs, lanes, n = prior.mean.shape
+        numbers = self.sensors.size
+        shape = (runs, width, self.sensors.nodes, self.sensors.delivered[0], numbers)
+        return Windows(
+            prior,
+            Gaussian(np.zeros((runs, lanes, width, n)), np.zeros((runs, lanes, width, n, n))),
+            np.full((runs, lanes), width),
+            np.full(shape, np.nan),
+            np.zeros((*shape, numbers)),
+            (None,) * width,
+            first_step - 1,
+            first_step,
+        )
 
-    def predicted(self, belief: Gaussian, heartbeat: Measured) -> tuple[Gaussian, tuple[str, ...]]:
-        """The posterior of the step before, carried to that of the heartbeat."""
-        if heartbeat.step == 0:
-            return belief, ()
-        control = control_of(heartbeat)
-        carried = predict_to_step(belief, control, heartbeat.step, self.model, self.points)
-        return (carried.beliefs, ()) if carried.sound else (belief, ("predict-failed",))
+    def forgotten(self, windows: Windows, prior: Gaussian) -> Windows:
+        """The same steps without records, on other bases (R, M, n)."""
+        values, right = np.full_like(windows.values, np.nan), np.zeros_like(windows.right)
+        return self.filtered(windows._replace(base=prior, values=values, right=right))[0]
+
+    def opened(self, windows: Windows, control: np.ndarray | None) -> Windows:
+        """With one step more, and the oldest in the base where the window is full."""
+        base, (mean, cov) = windows.base, windows.posteriors
+        if windows.step >= windows.first_step and windows.first == 0:
+            base = Gaussian(mean[:, :, 0].copy(), cov[:, :, 0].copy())
+        return windows._replace(
+            base=base,
+            posteriors=Gaussian(one_place_on(mean, 2), one_place_on(cov, 2)),
+            right=windows.right - 1,
+            values=one_place_on(windows.values, 1, np.nan),
+            noise_covs=one_place_on(windows.noise_covs, 1),
+            controls=(*windows.controls[1:], control),
+            step=windows.step + 1,
+        )
+
+    def with_readings(self, windows: Windows, places: np.ndarray, delivered: np.ndarray) -> Windows:
+        """With what new records say at places (P,): readings (R, P, N, r, d), NaN elsewhere."""
+        new, covs = self.sensors.interpret(delivered)
+        covs += self._rounding_covs[:, None]
+        taken = (~np.isnan(delivered)).any(axis=(-1, -2), keepdims=True)
+        values, noise_covs = windows.values.copy(), windows.noise_covs.copy()
+        values[:, places] = np.where(taken, new, values[:, places])
+        noise_covs[:, places] = np.where(np.expand_dims(taken, -1), covs, noise_covs[:, places])
+        return windows._replace(values=values, noise_covs=noise_covs)
+
+    def predicted(self, windows: Windows, control: np.ndarray | None) -> Carried:
+        """The newest posteriors (R, M) one step later, and where that went well."""
+        belief, step = windows.beliefs, windows.step + 1
+        if step == 0:
+            return Carried(belief, np.ones(windows.right.shape, dtype=bool))
+        driven = None if control is None else control[:, None]
+        moved, sound = predict_to_step(belief, driven, step, self.model, self.points)
+        return Carried(where(sound, moved, belief), sound)
+
+    def filtered(
+        self, windows: Windows, held: np.ndarray | None = None
+    ) -> tuple[Windows, Failures]:
+        """With the posteriors of all steps, of what lanes hold (R, M, W, N); what went wrong.
+
+        Without `held` all lanes hold all records of their run.
+        """
+        if held is None:
+            held = np.ones((*windows.right.shape, *windows.values.shape[1:3]), dtype=bool)
+        posteriors = Gaussian(*(values.copy() for values in windows.posteriors))
+        begin = np.maximum(windows.right, windows.first)
+        failures = {
+            name: np.zeros(begin.shape, dtype=np.int64)
+            for name in ("predict-failed", "update-failed")
+        }
+        for place in range(int(begin.min()), len(windows.controls)):
+            runs, lanes = np.nonzero(begin <= place)
+            belief, moved = self._carried(windows, posteriors, place, runs, lanes)
+            belief, updated = self._updated(windows, place, runs, belief, held[runs, lanes, place])
+            for values, found in zip(posteriors, belief, strict=True):
+                values[runs, lanes, place] = found
+            for name, sound in zip(failures, (moved, updated), strict=True):
+                if not sound.all():
+                    failures[name][runs, lanes] += ~sound
+        right = np.full_like(windows.right, len(windows.controls))
+        return windows._replace(posteriors=posteriors, right=right), failures
+
+    def _carried(
+        self,
+        windows: Windows,
+        posteriors: Gaussian,
+        place: int,
+        runs: np.ndarray,
+        lanes: np.ndarray,
+    ) -> tuple[Gaussian, np.ndarray]:
+        """Beliefs (L, n) of the step before a place, at its step, and which could be carried."""
+        if place == windows.first:
+            belief = Gaussian(windows.base.mean[runs, lanes], windows.base.cov[runs, lanes])
+        else:
+            before = runs, lanes, place - 1
+            belief = Gaussian(posteriors.mean[before], posteriors.cov[before])
+        step, control = windows.step_at(place), windows.controls[place]
+        if step == 0:
+            return belief, np.ones(len(runs), dtype=bool)
+        driven = None if control is None else control[runs]
+        moved, sound = predict_to_step(belief, driven, step, self.model, self.points)
+        return where(sound, moved, belief), sound
 
     def _updated(
-        self, belief: Gaussian, records: Mapping[int, bytes], window: Window, place: int
-    ) -> tuple[Gaussian, tuple[str, ...]]:
-        """After all records of a step at once."""
-        step = window.base_step + 1 + place
-        taken = [
-            one for source, record in records.items() for one in self._readings(source, record)
-        ]
-        if not taken:
-            return belief, ()
-        sensors = [reading.sensor for reading in taken]
-        values, covs = [], []
-        for _, state_noise, value, noise_cov in taken:
-            if state_noise is not None:
-                noise_cov = noise_cov + state_noise.state_noise_cov(belief, step)
-            values.append(value)
-            covs.append(noise_cov)
+        self, windows: Windows, place: int, runs: np.ndarray, belief: Gaussian, held: np.ndarray
+    ) -> tuple[Gaussian, np.ndarray]:
+        """Beliefs (L, n) after all records of the place at once that lanes hold (L, N)."""
+        step, numbers = windows.step_at(place), self.sensors.size
+        flat = windows.values[:, place].reshape(len(windows.values), -1, numbers)
+        several = self.sensors.delivered[0]
+        read = np.asarray((~np.isnan(flat)).any(axis=-1))
+        there = np.repeat(held, several, axis=1) & read[runs]
+        most = int(there.sum(axis=1).max(initial=0))
+        if most == 0:
+            return belief, np.ones(len(runs), dtype=bool)
+        # Those that are held come first, sources ascending; the rest is filled up with NaN.
+        chosen = np.argsort(~there, axis=1, kind="stable")[:, :most]
+        real = np.take_along_axis(there, chosen, axis=1)[..., None]
+        values = np.where(real, flat[runs[:, None], chosen], np.nan)
+        covs = windows.noise_covs[:, place].reshape(*flat.shape, numbers)[runs[:, None], chosen]
+        sensors = self.sensors.of(chosen // several)
+        if (state_noise := sensors.state_noise(belief, step)) is not None:
+            covs = covs + state_noise
         after = update(
             belief,
-            np.concatenate(values),
-            partial(_measure, sensors, step),
+            _in_a_row(values),
+            lambda states: _in_a_row(sensors.measure(states, step)),
             _block_diagonal(covs),
             self.points,
-            residual=partial(_residual, sensors, [len(value) for value in values]),
+            residual=partial(_residual, sensors),
         ).belief
-        return (after, ()) if finite(after) else (belief, ("update-failed",))
+        sound = finite_lanes(after)
+        return where(sound, after, belief), sound
 
     @cached_property
-    def _readings(self) -> Callable[[int, bytes], list["_Reading"]]:
-        """Each reading in a record. Kept: a window is filtered over and over."""
-        return lru_cache(maxsize=_KEPT_RECORDS)(self._read)
-
-    def _read(self, source: int, record: bytes) -> list["_Reading"]:
-        sensor, codec = self.sensors[source], self.codecs[source]
-        assert sensor is not None and codec is not None, "the frame codec knows no such source"
-        state_noise = sensor if isinstance(sensor, StateNoise) else None
-        readings: list[_Reading] = []
-        for delivered in codec.decode(record):
-            if np.isnan(delivered).all():
-                continue
-            value, noise_cov = sensor.interpret(delivered)
-            if codec.rounding_cov is not None:
-                noise_cov = noise_cov + codec.rounding_cov
-            readings.append(_Reading(sensor, state_noise, value, noise_cov))
-        return readings
+    def _rounding_covs(self) -> np.ndarray:
+        """Covariances (N, m, m) that rounding adds to the noise of a reading of each source."""
+        found = np.zeros((self.sensors.nodes, self.sensors.size, self.sensors.size))
+        for source, codec in enumerate(self.codecs):
+            if codec is not None and codec.rounding_cov is not None:
+                found[source, : codec.channels, : codec.channels] = codec.rounding_cov
+        return found
 
 
-class _Reading(NamedTuple):
-    """One delivered reading: value (m,), noise covariance (m, m) with the rounding in it.
-
-    `state_noise` is the sensor if it is noisier the larger the state is.
-    """
-
-    sensor: Sensor
-    state_noise: StateNoise | None
-    value: np.ndarray
-    noise_cov: np.ndarray
+def one_lane(belief: Gaussian) -> Gaussian:
+    """A belief (n,) as that of one lane of one run, (1, 1, n)."""
+    return Gaussian(belief.mean[None, None], belief.cov[None, None])
 
 
-def _measure(sensors: Sequence[Sensor], step: int, states: np.ndarray) -> np.ndarray:
-    return np.concatenate([sensor.measure(states, step) for sensor in sensors], axis=-1)
+def one_place_on(values: np.ndarray, axis: int, newest: float = 0) -> np.ndarray:
+    """The values of places on an axis a step later: the oldest is forgotten."""
+    moved = np.empty_like(values)
+    now, then = moved.swapaxes(0, axis), values.swapaxes(0, axis)
+    now[:-1] = then[1:]
+    now[-1] = newest
+    return moved
 
 
-def _residual(
-    sensors: Sequence[Sensor], sizes: Sequence[int], values: np.ndarray, predicted: np.ndarray
-) -> np.ndarray:
-    parts: list[np.ndarray] = []
-    start = 0
-    for sensor, size in zip(sensors, sizes, strict=True):
-        own = slice(start, start + size)
-        parts.append(sensor.residual(values[..., own], predicted[..., own]))
-        start += size
-    return np.concatenate(parts, axis=-1)
+def _residual(sensors: SourceSensors, one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    apart = (values.reshape(*values.shape[:-1], -1, sensors.size) for values in (one, other))
+    return _in_a_row(sensors.residual(*apart))
 
 
-def _block_diagonal(blocks: Sequence[np.ndarray]) -> np.ndarray:
-    size = sum(len(block) for block in blocks)
-    matrix = np.zeros((size, size))
-    start = 0
-    for block in blocks:
-        stop = start + len(block)
-        matrix[start:stop, start:stop] = block
-        start = stop
-    return matrix
+def _in_a_row(values: np.ndarray) -> np.ndarray:
+    """Readings (..., K, m) one behind the other, (..., K m)."""
+    return values.reshape(*values.shape[:-2], -1)
+
+
+def _block_diagonal(blocks: np.ndarray) -> np.ndarray:
+    """Matrices (L, K m, K m) of blocks (L, K, m, m)."""
+    lanes, count, size = blocks.shape[:3]
+    matrix = np.zeros((lanes, count, size, count, size))
+    each = np.arange(count)
+    matrix[:, each, :, each] = blocks.swapaxes(0, 1)
+    return matrix.reshape(lanes, count * size, count * size)

@@ -236,12 +236,12 @@ class Observed:
     ) -> tuple[LabelledContent, tuple[str, ...]]:
         """As the inner one, after a cold restart where it is time."""
         if measured.step == self.lost_at:
-            mean = content.window.belief.mean
+            mean = self.inner.belief(content).mean
             away = mean + _LOST_DEVIATIONS * np.array([1.0, 0.0, -1.0, 0.0, 0.0])
             prior = Gaussian(away, np.diag(_LOST_DEVIATIONS**2))
-            content = self.inner.restart(prior, content.window.heartbeats)
+            content = self.inner.restart(prior, content)
         content, failures = self.inner.begin_step(content, measured)
-        if self.inner.node in content.window.records[-1]:
+        if self.inner.node in content.records[-1]:
             self.recorded.add((measured.step, self.inner.node))
         return content, failures
 

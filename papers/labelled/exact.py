@@ -150,9 +150,7 @@ class RecordingEstimator:
 
     def belief(self, content: LabelledContent) -> Gaussian:
         """As the inner one says."""
-        first = content.window.base_step + 1
-        records = content.window.records
-        self.seen.append({(first + place, j) for place, some in enumerate(records) for j in some})
+        self.seen.append(self.inner.labels(content))
         return self.inner.belief(content)
 
     def __getattr__(self, name: str) -> Any:

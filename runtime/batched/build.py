@@ -17,13 +17,19 @@ from nodes.lanes.links import Links, Shares, links_of, places
 from nodes.lanes.network import BatchedNetwork, RunSegment, RunSettings
 from nodes.node import contenders_left
 from nodes.node_changes import with_standing
-from nodes.rules.local_filter import LocalFilters, SensorGroup
+from nodes.rules.local_filter import LocalFilters
 from runtime.batched.changes import ScriptedChange, foreseen
 from runtime.batched.streams import streams_of
-from scenarios.build import build_bus, build_controller, everybody_of, rule_context
+from scenarios.build import (
+    build_bus,
+    build_controller,
+    everybody_of,
+    rule_context,
+    sensor_groups,
+)
 from scenarios.catalogue import definition_of
 from scenarios.links import link_state
-from scenarios.node_context import BatchContext
+from scenarios.node_context import BatchContext, Beginning
 from scenarios.preparation import complete_settings, share_bytes, with_settings
 from scenarios.rules import rule_of
 from scenarios.scenario import Scenario
@@ -143,11 +149,11 @@ def _settings(setup: Setup, bus: Bus, links: Links, standing: Standing, runs: in
         partial(_contest, setup, bus),
         begin_arbitration(setup.scenario.nodes, (runs,)),
         partial(framed, setup, bus),
-        rule.batched(_batch_context(setup, bus, links)),
+        rule.batched(_batch_context(setup, bus, links, standing)),
     )
 
 
-def _batch_context(setup: Setup, bus: Bus, links: Links) -> BatchContext:
+def _batch_context(setup: Setup, bus: Bus, links: Links, standing: Standing) -> BatchContext:
     scenario = setup.scenario
     definition = definition_of(scenario.name)
     own = np.array([row[0] for row in setup.weights])
@@ -166,16 +172,8 @@ def _batch_context(setup: Setup, bus: Bus, links: Links) -> BatchContext:
         scenario.rounds,
         np.array(sorted(contenders), dtype=np.int64),
         partial(everybody_of, setup, bus.schedule),
+        Beginning(standing.first_step, standing.first_cycle),
     )
-
-
-def sensor_groups(scenario: Scenario) -> tuple[SensorGroup, ...]:
-    """The sensors of all nodes: one for all where the scenario has such, else one for each."""
-    definition = definition_of(scenario.name)
-    if definition.sensors is not None:
-        return (SensorGroup(slice(None), definition.sensors(scenario)),)
-    single = ((node, definition.sensor(scenario, node)) for node in range(scenario.nodes))
-    return tuple(SensorGroup(slice(i, i + 1), one) for i, one in single if one is not None)
 
 
 # --- the bus -------------------------------------------------------------------------------------

@@ -30,9 +30,9 @@ def test_arrivals_are_what_the_nodes_hold(lossy: dict):
     assert spread is not None
     last = setup.scenario.steps - 1
     for node, state in enumerate(states):
-        window = state.content.window
-        for place, records in enumerate(window.records):
-            came = spread.arrival_steps[node, window.base_step + 1 + place]
+        windows = state.content.windows
+        for place, records in enumerate(state.content.records):
+            came = spread.arrival_steps[node, windows.step_at(place)]
             assert set(np.flatnonzero((came != NEVER) & (came <= last)).tolist()) == set(records)
 
 

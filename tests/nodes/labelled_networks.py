@@ -13,8 +13,10 @@ from bus.schedule import Schedule
 from filters.gaussian import Gaussian
 from nodes.belief_codec import BeliefCodec
 from nodes.messages import Measured, decode, from_wire
+from nodes.rules.all_sensors import AllSensors
 from nodes.rules.labelled import LabelledContent, LabelledFlooding
 from nodes.rules.labelled_frame import LabelledFrameCodec
+from nodes.rules.local_filter import SensorGroup
 from nodes.rules.record_codec import RecordCodec
 from nodes.rules.window_filter import WindowFilter
 from papers.labelled import record_search
@@ -64,6 +66,11 @@ def labelled(
         codecs, BeliefCodec(2, "<f4"), window_steps, digest_steps, limit_bytes
     )
     neighbours = [node.neighbours for node in net.nodes]
+    own = [() if one is None else (SensorGroup(slice(None), one),) for one in sensors]
+    groups = tuple(
+        SensorGroup(slice(i, i + 1), one) for i, one in enumerate(sensors) if one is not None
+    )
+    everybody = AllSensors(groups, count, (1, 2))
     nodes = []
     for config in net.nodes:
         plain: Any = config.estimator
@@ -71,7 +78,8 @@ def labelled(
             node=config.index,
             neighbours=neighbours,
             prior=PRIOR,
-            filter=WindowFilter(plain.model, sensors, codecs, plain.points),
+            own=own[config.index],
+            filter=WindowFilter(plain.model, plain.points, everybody, codecs),
             frames=frames,
             schedule=schedule,
             rounds=rounds,
@@ -164,9 +172,9 @@ def held_by(states: Iterable[Any]) -> Held:
     found: Held = []
     for state in states:
         content: LabelledContent = state.content
-        first = content.window.base_step + 1
+        first = content.windows.step_at(0)
         found.append(
-            {(first + place, j) for place, some in enumerate(content.window.records) for j in some}
+            {(first + place, j) for place, some in enumerate(content.records) for j in some}
         )
     return found
 

@@ -67,6 +67,6 @@ def test_a_node_that_knows_nothing_refuses_nothing():
     content, failures = estimator.begin_step(estimator.start(), Measured(1, 0, [[9.0, 9.0]]))
     assert failures == ("gated",)
     content, _ = estimator.fuse(content, (None, None))
-    lost = estimator.restart(PRIOR, content.window.heartbeats)
+    lost = estimator.restart(PRIOR, content)
     _, failures = estimator.begin_step(lost, Measured(1, 1, [[9.0, 9.0]]))
     assert failures == ()
