@@ -7,7 +7,7 @@ import numpy as np
 
 from filters import ukf
 from filters.gaussian import Gaussian
-from filters.sigma_points import cubature, scaled_unscented
+from filters.sigma_points import cubature
 from plants.vehicle.model import linear_tyre, single_track
 from plants.vehicle.parameters import BMW_320I
 from tests.filters.support import (
@@ -50,24 +50,6 @@ def our_drive(rule):
         yield belief
         transition = partial(CAR.transition, control=control, step=0)
         belief = ukf.predict(belief, transition, CAR.noise_cov, rule)
-
-
-def test_filterpys_unscented_filter_agrees_on_a_car():
-    from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
-
-    points = MerweScaledSigmaPoints(3, alpha=1.0, beta=2.0, kappa=0.0)
-    driven = CONTROLS[0]
-    peer = UnscentedKalmanFilter(
-        3, 3, 0.01, hx=CAR.measure, fx=lambda x, dt: CAR.transition(x, driven, 0), points=points
-    )
-    peer.x, peer.P, peer.Q, peer.R = *CAR_START, CAR.noise_cov, CAR_NOISE_COV
-    ours = our_drive(scaled_unscented(3))
-    for reading, control, belief in zip(car_track(), CONTROLS, ours, strict=True):
-        peer.sigmas_f = points.sigma_points(peer.x, peer.P)
-        peer.update(reading, control=control)
-        assert_close(belief, peer.x, peer.P, 1e-8)
-        driven = control
-        peer.predict()
 
 
 def test_filterpys_cubature_filter_agrees_on_a_car():

@@ -177,20 +177,6 @@ def test_the_intersection_has_the_least_trace_of_its_family(seed: int, n: int):
     assert np.trace(shape_matrix(intersection(own, other))) == pytest.approx(least, rel=1e-4)
 
 
-def test_an_ellipsoid_cut_with_itself_stays_what_it_is():
-    one = random_ellipsoid(np.random.default_rng(0), 3)
-    both = intersection(one, one)
-    np.testing.assert_allclose(shape_matrix(both), shape_matrix(one), rtol=1e-9)
-
-
-def test_a_point_sized_neighbour_is_taken_whole():
-    own = Ellipsoid(np.zeros(2), np.eye(2))
-    small = Ellipsoid(np.array([0.3, 0.1]), 1e-3 * np.eye(2))
-    both = intersection(own, small)
-    np.testing.assert_allclose(both.centre, small.centre, atol=1e-4)
-    assert np.trace(shape_matrix(both)) <= 1.001 * np.trace(shape_matrix(small))
-
-
 def test_sets_without_a_common_point_are_lost_and_alone():
     own = Ellipsoid(np.zeros((2, 2)), np.broadcast_to(np.eye(2), (2, 2, 2)))
     other = Ellipsoid(np.array([[2.5, 0.0], [1.5, 0.0]]), own.factor)

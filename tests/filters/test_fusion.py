@@ -11,7 +11,7 @@ from filters.fusion.averaging import (
     weighted_average,
 )
 from filters.gaussian import Gaussian
-from tests.filters.support import BATCHES, random_belief, random_spd
+from tests.filters.support import BATCHES, random_belief
 
 RULES = pytest.mark.parametrize("fuse", [weighted_average, covariance_intersection])
 SEEDS = st.integers(0, 2**16)
@@ -20,10 +20,6 @@ LANES = st.sampled_from(BATCHES)
 
 def random_weights(generator, lanes, count):
     return generator.dirichlet(np.ones(count), lanes)
-
-
-def least_eigenvalue(matrix) -> float:
-    return np.linalg.eigvalsh(0.5 * (matrix + matrix.mT)).min()
 
 
 @settings(deadline=None)
@@ -112,52 +108,6 @@ def test_what_weighs_nothing_may_be_anything_and_what_is_no_belief_is_told(rule)
     assert np.isnan(failed.belief.mean).all() and np.isnan(failed.belief.cov).all()
 
 
-@settings(deadline=None)
-@given(lanes=LANES, count=st.integers(1, 6), n=st.integers(1, 5), seed=SEEDS)
-def test_intersection_is_never_less_tight_than_the_average(lanes, count, n, seed):
-    generator = np.random.default_rng(seed)
-    beliefs = random_belief(generator, (*lanes, count), n)
-    weights = random_weights(generator, lanes, count)
-    gap = weighted_average(beliefs, weights).cov - covariance_intersection(beliefs, weights).cov
-    assert least_eigenvalue(gap) > -1e-9
-
-
-@RULES
-@settings(deadline=None)
-@given(count=st.integers(2, 4), n=st.integers(1, 3), rank=st.integers(1, 12), seed=SEEDS)
-def test_both_are_consistent_under_any_correlation(fuse, count, n, rank, seed):
-    """The true error covariance of the fused mean, from the joint one, never exceeds the report."""
-    generator = np.random.default_rng(seed)
-    root = generator.standard_normal((count * n, rank))  # low rank: strongly correlated errors
-    joint = root @ root.T
-    blocks = joint.reshape(count, n, count, n)
-    own = np.stack([blocks[j, :, j] for j in range(count)])
-    covs = own + 0.1 * random_spd(generator, (count,), n)  # each node is itself consistent
-    weights = random_weights(generator, (), count)
-    fused = fuse(Gaussian(np.zeros((count, n)), covs), weights)
-    # Both rules are linear in the means: their gains are what unit means give.
-    gains = []
-    for j in range(count):
-        unit = np.zeros((n, count, n))
-        unit[np.arange(n), j, np.arange(n)] = 1.0
-        batch = Gaussian(unit, np.broadcast_to(covs, (n, count, n, n)))
-        gains.append(fuse(batch, weights).mean.T)
-    gain = np.concatenate(gains, axis=1)
-    actual = gain @ joint @ gain.T
-    assert least_eigenvalue(fused.cov - actual) > -1e-9 * np.trace(fused.cov)
-
-
-@RULES
-@pytest.mark.parametrize("lanes", BATCHES)
-def test_equal_beliefs_return_themselves(fuse, lanes):
-    generator = np.random.default_rng(1)
-    mean, cov = random_belief(generator, lanes, 3)
-    beliefs = Gaussian(np.stack([mean] * 4, axis=-2), np.stack([cov] * 4, axis=-3))
-    fused = fuse(beliefs, random_weights(generator, lanes, 4))
-    np.testing.assert_allclose(fused.mean, mean, rtol=1e-12)
-    np.testing.assert_allclose(fused.cov, cov, rtol=1e-11, atol=1e-12)
-
-
 @RULES
 def test_a_unit_weight_returns_its_belief_whatever_the_others_are(fuse):
     generator = np.random.default_rng(2)
@@ -195,33 +145,6 @@ def test_averaging_takes_singular_covariances():
     cov = np.stack([np.diag([1.0, 0.0]), np.diag([0.0, 0.0])])
     fused = weighted_average(Gaussian(np.eye(2), cov), np.array([0.5, 0.5]))
     np.testing.assert_array_equal(fused.cov, np.diag([0.5, 0.0]))
-
-
-@settings(deadline=None)
-@given(count=st.integers(2, 6), seed=SEEDS)
-def test_doubly_stochastic_averaging_keeps_the_network_mean(count, seed):
-    generator = np.random.default_rng(seed)
-    permutations = np.stack([np.eye(count)[generator.permutation(count)] for _ in range(4)])
-    weights = np.tensordot(generator.dirichlet(np.ones(4)), permutations, 1)  # Birkhoff
-    mean, cov = random_belief(generator, (count,), 3)
-    everyone = Gaussian(
-        np.broadcast_to(mean, (count, count, 3)), np.broadcast_to(cov, (count, count, 3, 3))
-    )
-    fused = weighted_average(everyone, weights)
-    np.testing.assert_allclose(fused.mean.mean(axis=0), mean.mean(axis=0), atol=1e-12)
-    np.testing.assert_allclose(fused.cov.mean(axis=0), cov.mean(axis=0), atol=1e-12)
-    # Intersection keeps the network's information instead.
-    fused = covariance_intersection(everyone, weights)
-    kept = np.linalg.inv(fused.cov).mean(axis=0)
-    np.testing.assert_allclose(kept, np.linalg.inv(cov).mean(axis=0), rtol=1e-8, atol=1e-9)
-
-
-def test_a_blind_node_keeps_its_vote_in_the_average_and_loses_it_in_the_intersection():
-    """In one step: a vague belief moves the average half way, the intersection not at all."""
-    beliefs = Gaussian(np.array([[0.0], [100.0]]), np.array([[[1.0]], [[1e12]]]))
-    half = np.array([0.5, 0.5])
-    assert weighted_average(beliefs, half).mean[0] == pytest.approx(50.0)
-    assert covariance_intersection(beliefs, half).mean[0] == pytest.approx(0.0, abs=1e-9)
 
 
 @RULES

@@ -70,23 +70,6 @@ def test_limits_of_the_decay(row):
     np.testing.assert_allclose(everything, full(base, ages), rtol=1e-12)
 
 
-@given(row=rows())
-def test_with_everyone_heard_now_the_row_stays(row):
-    base, ages, covs = row
-    now = np.zeros_like(ages)
-    for weights in (
-        full(base, now),
-        renormalise(base, now),
-        in_step(base, now, 0),
-        drop(base, now),
-    ):
-        np.testing.assert_allclose(weights, base, rtol=1e-12)
-    equal = np.broadcast_to(covs[..., :1, :, :], covs.shape)
-    np.testing.assert_allclose(
-        held_weights(base, now, 0.3, inverse_volume(equal)), base, rtol=1e-10
-    )
-
-
 @given(row=rows(), cycles=st.integers(0, 5))
 def test_within_the_step_a_share_counts_until_its_age_reaches_back_before_it(row, cycles):
     base, ages, _ = row

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.sparse import csr_array
 
 from filters.fusion import hybrid_consensus, information_weighted
 from filters.fusion.hybrid_consensus import classical_gain, safe_gain
@@ -14,12 +13,9 @@ from filters.fusion.novelty import novelty
 from filters.fusion.packed import average
 from filters.gaussian import Gaussian, to_information
 from tests.filters import kalman
-from tests.filters.support import BATCHES, random_belief, random_spd
-from tests.nodes.networks import graphs
-from topology.weights import metropolis
+from tests.filters.support import random_belief
 
 SEEDS = st.integers(0, 2**16)
-LANES = st.sampled_from(BATCHES)
 
 
 def primitive_weights(generator: np.random.Generator, count: int) -> np.ndarray:
@@ -47,19 +43,6 @@ def after_rounds(known: np.ndarray, weights: np.ndarray, rounds: int) -> np.ndar
     return known
 
 
-@given(lanes=LANES, nodes=st.integers(1, 5), n=st.integers(1, 4), seed=SEEDS)
-def test_before_any_round_hybrid_consensus_is_the_local_filter(lanes, nodes, n, seed):
-    """With L = 0 or no share heard, the safe gain is 1."""
-    generator = np.random.default_rng(seed)
-    priors = random_belief(generator, (*lanes, nodes), n)
-    after = posteriors(generator, priors)
-    known = hybrid_consensus.begin(priors, after, np.eye(nodes))
-    belief = hybrid_consensus.from_information(known, n, safe_gain)
-    np.testing.assert_allclose(belief.mean, after.mean, rtol=1e-8, atol=1e-9)
-    np.testing.assert_allclose(belief.cov, after.cov, rtol=1e-8, atol=1e-10)
-    assert hybrid_consensus.sound(known, n).all()
-
-
 @given(nodes=st.integers(1, 5), n=st.integers(1, 3), rounds=st.integers(0, 4), seed=SEEDS)
 @pytest.mark.parametrize("gain", [safe_gain, classical_gain])
 def test_hybrid_consensus_is_its_formula(gain, nodes, n, rounds, seed):
@@ -85,85 +68,6 @@ def test_the_safe_gain_counts_no_novelty_more_than_once(nodes, rounds, seed):
     factors = safe_gain(power)[:, None] * power
     assert factors.max() <= 1 + 1e-15
     np.testing.assert_allclose(factors.max(axis=1), 1.0, rtol=1e-15)
-
-
-@given(adjacency=graphs())
-def test_the_safe_gain_grows_with_the_rounds_to_the_number_of_nodes(adjacency):
-    """With doubly stochastic weights: an average never exceeds the largest of what it averages."""
-    weights = metropolis(csr_array(adjacency)).toarray()
-    gains = [safe_gain(np.linalg.matrix_power(weights, rounds)) for rounds in (0, 1, 2, 3, 1000)]
-    np.testing.assert_allclose(gains[0], 1.0)
-    assert (np.diff(gains, axis=0) > -1e-12).all()
-    np.testing.assert_allclose(gains[-1], len(weights), rtol=1e-6)
-
-
-@given(
-    nodes=st.integers(2, 4),
-    n=st.integers(1, 3),
-    rank=st.integers(1, 12),
-    rounds=st.integers(0, 4),
-    seed=SEEDS,
-)
-def test_with_the_safe_gain_the_report_bounds_the_error_under_any_correlation(
-    nodes, n, rank, rounds, seed
-):
-    """Priors correlated in any way but each consistent, independent readings; no Monte Carlo."""
-    generator = np.random.default_rng(seed)
-    gap, report = overconfidence(generator, nodes, n, rank, rounds, safe_gain)
-    assert gap.min() > -1e-8 * report
-
-
-def overconfidence(generator, nodes, n, rank, rounds, gain) -> tuple[np.ndarray, float]:
-    """Eigenvalues of reported less actual error covariance per node, and the report's size."""
-    root = generator.standard_normal((nodes * n, rank))
-    joint = root @ root.T
-    blocks = joint.reshape(nodes, n, nodes, n)
-    own = np.stack([blocks[j, :, j] for j in range(nodes)])
-    covs = own + 0.1 * random_spd(generator, (nodes,), n)
-    H = generator.standard_normal((nodes, 1, n))
-    R = generator.uniform(0.1, 1.0, (nodes, 1, 1))
-    row = np.linalg.matrix_power(primitive_weights(generator, nodes), rounds)[0]
-    # The error of the result is linear in those of priors and readings: what unit ones give.
-    old = np.linalg.inv(covs)
-    added = H.mT @ H / R
-    g = gain(row)
-    cov = np.linalg.inv(np.tensordot(row, old + g * added, 1))
-    prior_gains = cov @ (row[:, None, None] * old)
-    reading_gains = cov @ (g * row[:, None, None] * H.mT / R)
-    stacked = np.concatenate(list(prior_gains), axis=1)
-    actual = stacked @ joint @ stacked.T + (reading_gains * R @ reading_gains.mT).sum(axis=0)
-    after = Gaussian(np.zeros((nodes, n)), np.linalg.inv(old + added))
-    known = hybrid_consensus.begin(Gaussian(np.zeros((nodes, n)), covs), after, np.eye(nodes))
-    report = hybrid_consensus.from_information(average(known, row), n, gain).cov
-    np.testing.assert_allclose(report, cov, rtol=1e-6, atol=1e-9)
-    return np.linalg.eigvalsh(report - (actual + actual.T) / 2), float(np.trace(report))
-
-
-def test_with_the_classical_gain_a_novelty_that_counts_twice_is_overconfident():
-    """Two vague priors, one seeing node, no round yet: its variance is reported as half."""
-    priors = Gaussian(np.zeros((2, 1)), np.full((2, 1, 1), 1e6))
-    after = Gaussian(np.zeros((2, 1)), np.array([[[1.0]], [[1e6]]]))
-    known = hybrid_consensus.begin(priors, after, np.eye(2))
-    report = hybrid_consensus.from_information(known, 1, classical_gain).cov
-    assert report[0, 0, 0] == pytest.approx(0.5, rel=1e-5)
-
-
-@given(nodes=st.integers(1, 5), n=st.integers(1, 4), rounds=st.integers(0, 4), seed=SEEDS)
-def test_information_weighted_consensus_is_hybrid_consensus_with_the_classical_gain(
-    nodes, n, rounds, seed
-):
-    generator = np.random.default_rng(seed)
-    weights = primitive_weights(generator, nodes)
-    priors = random_belief(generator, (3, nodes), n)
-    after = posteriors(generator, priors)
-    pairs = hybrid_consensus.begin(priors, after, np.eye(nodes))
-    pair = information_weighted.begin(priors, after, nodes)
-    hybrid = hybrid_consensus.from_information(
-        after_rounds(pairs, weights, rounds), n, classical_gain
-    )
-    weighted = information_weighted.from_information(after_rounds(pair, weights, rounds), nodes)
-    np.testing.assert_allclose(weighted.mean, hybrid.mean, rtol=1e-9, atol=1e-10)
-    np.testing.assert_allclose(weighted.cov, hybrid.cov, rtol=1e-10, atol=1e-12)
 
 
 def test_a_failed_lane_fails_alone():

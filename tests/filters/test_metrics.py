@@ -4,17 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import chi2, multivariate_normal
+from scipy.stats import multivariate_normal
 
 from filters.metrics import anees, disagreement, nees, rmse
+from tests.filters.support import random_spd
 
 SEEDS = st.integers(0, 2**32 - 1)
 BATCHES = st.sampled_from([(), (1,), (5,), (3, 4), (3, 1, 2)])
-
-
-def random_spd(generator: np.random.Generator, lanes: tuple[int, ...], m: int) -> np.ndarray:
-    root = generator.standard_normal((*lanes, m, m + 2))
-    return root @ root.mT + 0.1 * np.eye(m)
 
 
 @given(SEEDS, BATCHES, st.integers(1, 4))
@@ -71,24 +67,6 @@ def test_nothing_known_says_nothing():
     assert np.isnan(anees(nothing, np.broadcast_to(np.eye(2), (4, 2, 2, 2)), (0, 1)))
 
 
-def test_a_matched_gaussian_has_anees_one():
-    """In the chi-square band of 2000 draws of dimension 3, at odds of one in a million."""
-    generator = np.random.default_rng(1)
-    cov = random_spd(generator, (), 3)
-    errors = generator.multivariate_normal(np.zeros(3), cov, 2000)
-    low, high = chi2.ppf([5e-7, 1 - 5e-7], 6000) / 6000
-    value = anees(errors, np.broadcast_to(cov, (2000, 3, 3)), (0,))
-    assert low < value < high
-    assert not low < anees(errors, np.broadcast_to(cov / 2, (2000, 3, 3)), (0,)) < high
-
-
-def test_units_do_not_matter_for_consistency():
-    generator = np.random.default_rng(2)
-    errors, cov = generator.standard_normal((5, 2)), random_spd(generator, (5,), 2)
-    unit = np.diag([1e3, 1e-4])
-    np.testing.assert_allclose(nees(errors @ unit, unit @ cov @ unit), nees(errors, cov), rtol=1e-9)
-
-
 @given(SEEDS, st.integers(1, 6))
 def test_disagreement_is_the_mean_distance_of_pairs(seed: int, nodes: int):
     """The mean square distance from the average is half that of all ordered pairs."""
@@ -100,7 +78,3 @@ def test_disagreement_is_the_mean_distance_of_pairs(seed: int, nodes: int):
         for j in range(nodes)
     ]
     assert disagreement(mean) == pytest.approx(np.sqrt(np.mean(squares) / 2), rel=1e-9, abs=1e-12)
-
-
-def test_agreeing_nodes_do_not_disagree():
-    assert disagreement(np.ones((3, 5, 2))) == 0

@@ -19,12 +19,6 @@ SEEDS = st.integers(0, 2**16)
 LANES = st.sampled_from(BATCHES)
 
 
-def doubly_stochastic(generator: np.random.Generator, count: int) -> np.ndarray:
-    """A random mixture of permutations (Birkhoff): every doubly stochastic matrix is one."""
-    permutations = np.stack([np.eye(count)[generator.permutation(count)] for _ in range(4)])
-    return np.tensordot(generator.dirichlet(np.ones(4)), permutations, 1)
-
-
 @given(lanes=LANES, n=st.integers(1, 6), seed=SEEDS)
 def test_what_is_packed_is_unpacked(lanes, n, seed):
     generator = np.random.default_rng(seed)
@@ -56,21 +50,6 @@ def test_the_average_is_the_sum_over_those_heard(lanes, count, seed):
         total = sum(weights[lane][j] for j in heard)
         expected = sum(weights[lane][j] / total * numbers[lane][j] for j in heard)
         np.testing.assert_allclose(mixed[lane], expected, rtol=1e-12, atol=1e-13)
-
-
-@given(count=st.integers(2, 7), rounds=st.integers(1, 6), seed=SEEDS)
-def test_rounds_are_a_power_of_the_weights_and_keep_the_mean(count, rounds, seed):
-    generator = np.random.default_rng(seed)
-    weights = doubly_stochastic(generator, count)
-    start = generator.standard_normal((count, 5))
-    numbers = start
-    for _ in range(rounds):
-        numbers = np.stack(
-            [average(np.roll(numbers, -i, 0), np.roll(weights[i], -i)) for i in range(count)]
-        )
-    power = np.linalg.matrix_power(weights, rounds)
-    np.testing.assert_allclose(numbers, power @ start, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(numbers.mean(axis=0), start.mean(axis=0), rtol=0, atol=1e-12)
 
 
 def test_who_knows_nothing_itself_is_a_failed_lane_and_no_other():
@@ -112,11 +91,3 @@ def test_what_is_not_positive_definite_has_no_sharpness_and_fails_alone(count, b
     back = from_packed_information(numbers)
     np.testing.assert_array_equal(np.isnan(back.cov).any(axis=(-1, -2)), failed)
     np.testing.assert_allclose(back.mean[~failed], belief.mean[~failed], rtol=1e-14)
-
-
-def test_sharpness_along_many_lanes_is_the_root_of_the_determinant():
-    covs = random_spd(np.random.default_rng(3), (100,), 4)
-    numbers = pack(Information(np.zeros((100, 4)), covs))
-    lanes_last = np.ascontiguousarray(numbers.T).T
-    expected = np.linalg.det(covs) ** -0.25
-    np.testing.assert_allclose(packed_inverse_volume(lanes_last), expected, rtol=1e-11)

@@ -148,24 +148,6 @@ def stone_soup_beliefs(start, transition_model, measurement_model, measurements)
         yield np.asarray(state.mean, dtype=float).ravel(), np.asarray(state.covar, dtype=float)
 
 
-def test_stone_soup_agrees_to_rounding_on_a_linear_model():
-    from stonesoup.models.measurement.linear import LinearGaussian
-    from stonesoup.models.transition.linear import (
-        CombinedLinearGaussianTransitionModel,
-        ConstantVelocity,
-    )
-
-    track = cruise_track()
-    peers = stone_soup_beliefs(
-        CRUISE_START,
-        CombinedLinearGaussianTransitionModel([ConstantVelocity(0.05), ConstantVelocity(0.05)]),
-        LinearGaussian(ndim_state=4, mapping=(0, 2), noise_covar=POSITION_NOISE_COV),
-        track[..., None],
-    )
-    for belief, (mean, cov) in zip(our_cruise(track), peers, strict=True):
-        assert_close(belief, mean, cov, 1e-12)
-
-
 def test_stone_soup_agrees_on_a_turn_up_to_its_circular_mean():
     """It averages bearings on the circle, we average their residuals: equal to third order."""
     from stonesoup.models.measurement.nonlinear import CartesianToBearingRange

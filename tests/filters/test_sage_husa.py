@@ -29,11 +29,6 @@ def test_it_is_an_average_with_weights_that_fade_geometrically(forgetting):
     np.testing.assert_allclose(noise.variances[0], weights @ everything / weights.sum(), rtol=1e-12)
 
 
-def test_the_start_weighs_as_much_as_one_reading():
-    noise = sage_husa.adapt(sage_husa.begin(np.array([3.0])), np.array([1.0]), np.zeros(1))
-    assert noise.variances[0] == pytest.approx(2.0, abs=0.03)
-
-
 @given(
     residual=st.lists(st.floats(-1e8, 1e8), min_size=2, max_size=2),
     spread=st.floats(0, 1e8),

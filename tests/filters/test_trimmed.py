@@ -65,14 +65,6 @@ def test_liars_move_it_no_farther_and_make_it_no_surer_than_honest_nodes_could(
     assert (median <= beliefs.mean[: 1 + honest].max(axis=0)).all()
 
 
-def test_plain_intersection_goes_wherever_a_liar_wants():
-    beliefs, weights = neighbourhood(1, 4, 1, reach=1e4, claim=1e-6)
-    dragged = covariance_intersection(beliefs, weights).mean - beliefs.mean[0]
-    kept = trimmed_intersection(beliefs, weights, 1).mean - beliefs.mean[0]
-    assert np.abs(dragged).max() > 1e3
-    assert np.abs(kept).max() < 5
-
-
 @given(seed=st.integers(0, 2**32 - 1), honest=st.integers(0, 5))
 def test_without_liars_to_fear_it_is_covariance_intersection_by_sharpness(seed: int, honest: int):
     beliefs, weights = neighbourhood(seed, honest, 0, 0.0, 1.0)
