@@ -57,28 +57,6 @@ def test_pid_equals_its_sums_and_differences():
     assert commanded(motor.SPEED_PID, errors) == pytest.approx(expected, rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    "controller", [cruise.LAG, pitch.LEAD, motor.SPEED_PID, proportional_integral(2.0, 3.0)]
-)
-def test_recursion_follows_the_continuous_controller(controller: Rational):
-    # A smooth error from rest; the state form of s k_d needs its derivative, known here.
-    times = TIME_STEP_S * np.arange(600)
-    errors = 1 - np.cos(0.8 * times)
-    quotient, rest = np.polydiv(controller.numerator, controller.denominator)
-    _, proper, _ = signal.lsim((rest, controller.denominator), errors, times)
-    derivative = 0.8 * np.sin(0.8 * times)
-    rate = quotient[0] if len(quotient) == 2 else 0.0
-    expected = proper + quotient[-1] * errors + rate * derivative
-    error = np.abs(commanded(controller, errors) - expected).max()
-    assert error < 5e-3 * np.abs(expected).max()
-
-
-def test_proportional_controller_has_no_memory():
-    compensator = sampled_compensator(proportional(7.0), TIME_STEP_S)
-    assert compensator.state_matrix.shape == (0, 0)
-    assert commanded(proportional(7.0), np.array([2.0, -1.0])) == pytest.approx([14, -7])
-
-
 def test_controllers_are_equation_23():
     s = 0.3 + 2j
     assert proportional(3.0)(s) == pytest.approx(3)

@@ -7,7 +7,6 @@ import pytest
 
 from plants.vehicle.drive import Drive
 from plants.vehicle.drive_log import (
-    ColumnMap,
     columns_from_toml,
     read_drive,
     read_folder,
@@ -141,8 +140,3 @@ def test_a_folder_without_its_files_is_refused(tmp_path: Path):
         read_folder(tmp_path / "nowhere")
     with pytest.raises(ValueError, match=r"car\.toml"):
         read_folder(tmp_path)
-
-
-def test_a_map_is_a_value():
-    assert isinstance(columns_from_toml(MAP), ColumnMap)
-    assert columns_from_toml(MAP) == columns_from_toml(MAP)

@@ -49,14 +49,6 @@ def test_draws_have_the_contracts_shapes(make):
 
 
 @each_plant
-def test_draws_depend_on_the_seed_alone(make):
-    first, again, other = (make().draw(streams(seed), 30) for seed in (5, 5, 6))
-    for one, same, different in zip(first, again, other, strict=True):
-        assert np.array_equal(one, same)
-        assert not np.any(one == different)
-
-
-@each_plant
 def test_a_longer_run_or_a_further_node_changes_no_number(make):
     short = make(nodes=8).draw(streams(5), 20)
     long = make(nodes=11).draw(streams(5), 35)
@@ -159,29 +151,6 @@ def test_paper_noise_moves_no_truth(make):
     moved = plant.advance(state, np.ones(1), draws.process[2], 2)
     assert np.array_equal(moved, plant.model.transition(state, np.ones(1), 2))
     assert np.isnan(plant.observe(state, draws.measurement[2], 2)).sum() == 2
-
-
-def test_sigma_points_come_first_and_controls_broadcast():
-    plant = motor.motor_position()
-    points = np.random.default_rng(0).standard_normal((7, 2, 5, 3))
-    control = np.random.default_rng(1).standard_normal((2, 5, 1))
-    moved = plant.model.transition(points, control, 0)
-    assert moved.shape == (7, 2, 5, 3)
-    assert moved[4, 1, 2] == pytest.approx(
-        plant.model.transition(points[4, 1, 2], control[1, 2], 0)
-    )
-    assert plant.model.transition(points, None, 0) == pytest.approx(
-        plant.model.transition(points, np.zeros(1), 0)
-    )
-
-
-def test_a_failed_lane_fails_alone():
-    plant = motor.motor_position()
-    state = np.ones((3, 3))
-    state[1] = np.nan
-    moved = plant.advance(state, np.ones((3, 1)), np.ones((3, plant.noise_factor.shape[1])), 0)
-    assert np.array_equal(np.isnan(moved).all(axis=1), [False, True, False])
-    assert not np.isnan(moved[[0, 2]]).any()
 
 
 @settings(max_examples=60, deadline=None)

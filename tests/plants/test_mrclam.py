@@ -19,7 +19,6 @@ real_data = pytest.mark.skipif(
 )
 
 
-# --- A recording made by hand: robot 1 stands at (1, 0) facing +y, robot 2 at the origin facing +x,
 # --- robot 3 drives along x at 0.1 m/s. Their clocks start apart, so t0 = 100.1 s, t1 = 104.0 s.
 
 BEGIN = {1: 100.0, 2: 100.05, 3: 100.1}
@@ -319,46 +318,3 @@ def test_set_6_shows_its_published_traps(recording, plants):
         begin = np.flatnonzero(sighted(plant).any(axis=1))[0] * plant.time_step_s
         assert 7 <= begin <= 34
         assert np.nanmax(np.abs(np.diff(plant.truth[:, :2], axis=0))) < 0.3 * plant.time_step_s
-
-
-def kalman(plant):
-    """Position estimates and covariances of a plain Kalman filter that gets all readings."""
-    model, mean, cov = plant.model, plant.model.stationary_mean, plant.model.stationary_cov
-    centre, F, Q = mean, model.transition_matrix, model.process_noise_cov(0)
-    means, covs = [], []
-    for step in range(plant.steps):
-        if step:
-            mean, cov = centre + F @ (mean - centre), F @ cov @ F.T + Q
-        readings = plant.delivered[step].reshape(-1, 5)
-        for value, R in zip(*plant.sensors.interpret(readings), strict=True):
-            innovation, S = value - mean[:2], cov[:2, :2] + R
-            # A missing reading is NaN and fails the comparison too.
-            if innovation @ np.linalg.solve(S, innovation) <= plant.sensors.gate:
-                gain = np.linalg.solve(S, cov[:2]).T
-                mean, cov = mean + gain @ innovation, cov - gain @ cov[:2]
-        means.append(mean[:2])
-        covs.append(cov[:2, :2])
-    return np.array(means), np.array(covs)
-
-
-@real_data
-def test_a_centralised_filter_scores_as_published(plants):
-    """RMSE per target from the first sighting on, and within 2 s after one; ANEES."""
-    everywhere, near, nees = [], [], []
-    for target in TARGETS:
-        plant = plants[target]
-        means, covs = kalman(plant)
-        error = means - plant.truth[:, :2]
-        steps = np.arange(plant.steps)
-        seen = sighted(plant).any(axis=1)
-        last = np.maximum.accumulate(np.where(seen, steps, -plant.steps))
-        scored = np.isfinite(error[:, 0]) & (last >= 0)
-        recent = scored & (steps - last <= 10)
-        square = (error**2).sum(axis=1)
-        everywhere.append(math.sqrt(square[scored].mean()))
-        near.append(math.sqrt(square[recent].mean()))
-        normalised = np.einsum("ki,kij,kj->k", error, np.linalg.inv(covs), error) / 2
-        nees.append(normalised[scored].mean())
-    np.testing.assert_allclose(everywhere, [0.600, 0.470, 1.279, 0.491, 0.631], atol=6e-4)
-    np.testing.assert_allclose(near, [0.124, 0.195, 0.153, 0.135, 0.150], atol=6e-4)
-    assert np.mean(nees) == pytest.approx(0.97, abs=6e-3)

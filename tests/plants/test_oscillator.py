@@ -7,9 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
-from scipy.stats import chi2
 
-from plants.damped_oscillation import oscillation_transition
 from plants.oscillator import POSITION, VELOCITY, Oscillation, Oscillator, Output
 
 
@@ -34,24 +32,6 @@ def test_the_discretisation_is_exact(frequency, ratio, std, dt):
     integrand = [expm(drift * t) @ density @ expm(drift * t).T for t in times]
     noise = np.tensordot(weights * dt / 2, integrand, axes=1)
     np.testing.assert_allclose(model.process_noise_cov(0), noise, rtol=1e-5, atol=1e-10 * std**2)
-
-
-def test_an_undamped_limit_turns_in_phase_space():
-    matrix = oscillation_transition(2.0, 1e-12, 0.3)
-    angle = 0.6
-    expected = [
-        [math.cos(angle), math.sin(angle) / 2],
-        [-2 * math.sin(angle), math.cos(angle)],
-    ]
-    np.testing.assert_allclose(matrix, expected, rtol=1e-11)
-
-
-def test_energy_falls_at_the_rate_of_the_damping():
-    """After one whole period of ringing the state is itself times exp(-g T / 2)."""
-    ringing = math.sqrt(4.0 - 0.15**2)
-    matrix = oscillation_transition(2.0, 0.3, 2 * math.pi / ringing)
-    expected = math.exp(-0.15 * 2 * math.pi / ringing) * np.eye(2)
-    np.testing.assert_allclose(matrix, expected, atol=1e-12)
 
 
 def streams(purpose, node):
@@ -124,30 +104,6 @@ def test_the_truth_keeps_its_stationary_law():
     for step in range(40):
         assert_covariance(state, cov)
         state = plant.advance(state, None, rng.standard_normal((4000, 2)), step)
-
-
-def test_a_kalman_filter_of_all_nodes_is_consistent_on_it():
-    """Plant, model and sensors are consistent with each other: NEES is chi-square."""
-    plant, runs, steps = Oscillator(nodes=4), 500, 30
-    rng = np.random.default_rng(3)
-    state, mean, cov = plant.initial(rng.standard_normal((runs, 2)))
-    matrix, noise_cov = plant.model.transition_matrix, plant.model.process_noise_cov(0)
-    seeing = [0, 1, 2]
-    rows = plant.sensors.row[seeing]
-    _, R = plant.sensors.interpret(np.zeros((4, 1)))
-    R = np.diag(R[seeing, 0, 0])
-    for step in range(steps):
-        delivered = plant.observe(state, rng.standard_normal((runs, 4, 1, 1)), step)
-        gain = cov @ rows.T @ np.linalg.inv(rows @ cov @ rows.T + R)
-        mean = mean + (delivered[:, seeing, 0, 0] - mean @ rows.T) @ gain.T
-        cov = cov - gain @ rows @ cov
-        if step < steps - 1:
-            state = plant.advance(state, None, rng.standard_normal((runs, 2)), step)
-            mean, cov = mean @ matrix.T, matrix @ cov @ matrix.T + noise_cov
-    error = state - mean
-    nees = np.einsum("ri,ij,rj->", error, np.linalg.inv(cov), error)
-    low, high = chi2.ppf([1e-5, 1 - 1e-5], 2 * runs)
-    assert low < nees < high
 
 
 @pytest.mark.parametrize("batch", [(), (6,), (3, 4)])

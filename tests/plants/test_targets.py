@@ -82,21 +82,6 @@ def test_a_rate_below_the_floor_moves_as_the_floor():
         np.testing.assert_array_equal(after[:4], model.transition(floor, None, 0)[:4])
 
 
-@given(
-    rate=st.floats(1e-6, 3),
-    sign=st.sampled_from([-1, 1]),
-    velocity=st.tuples(st.floats(-30, 30), st.floats(-30, 30)),
-)
-def test_a_turn_keeps_speed_and_is_undone_by_the_opposite_turn(rate, sign, velocity):
-    model = CoordinatedTurn()
-    start = np.array([1.0, velocity[0], 2.0, velocity[1], sign * rate])
-    after = model.transition(start, None, 0)
-    assert math.hypot(after[1], after[3]) == pytest.approx(math.hypot(*velocity), abs=1e-12)
-    about_face = [1, -1, 1, -1, -1]
-    back = model.transition(after * about_face, None, 0) * about_face
-    np.testing.assert_allclose(back, start, atol=1e-12)
-
-
 def test_the_noise_of_a_turn_is_that_of_the_scenario():
     """../shared/spec/consensus.md section 6."""
     cov = CoordinatedTurn(time_step_s=2.0).process_noise_cov(0)
@@ -108,14 +93,6 @@ def test_the_noise_of_a_turn_is_that_of_the_scenario():
     np.testing.assert_array_equal(
         ConstantVelocity(time_step_s=2.0).process_noise_cov(0), cov[:4, :4]
     )
-
-
-def test_noise_over_two_steps_is_noise_over_one_of_double_length():
-    """Exact discretisation composes: F Q F' + Q at dt equals Q at 2 dt."""
-    short, long = ConstantVelocity(time_step_s=0.7), ConstantVelocity(time_step_s=1.4)
-    matrix = short.transition(np.eye(4), None, 0).T
-    cov = short.process_noise_cov(0)
-    np.testing.assert_allclose(matrix @ cov @ matrix.T + cov, long.process_noise_cov(0), rtol=1e-12)
 
 
 @pytest.mark.parametrize("model", [CoordinatedTurn(), ConstantVelocity()])
@@ -131,13 +108,6 @@ def test_motion_is_the_same_for_every_lane_and_keeps_the_layout(model, batch):
         for lane in np.ndindex(batch):
             alone = model.transition(np.ascontiguousarray(state[lane]), None, 0)
             np.testing.assert_allclose(after[lane], alone, rtol=1e-13, atol=1e-13)
-
-
-def test_a_failed_lane_stays_alone():
-    states = np.tile(TRACK_START, (3, 1))
-    states[1] = np.nan
-    after = CoordinatedTurn().transition(states, None, 0)
-    assert np.isnan(after[1]).all() and np.isfinite(after[[0, 2]]).all()
 
 
 # --- Sensor.
@@ -327,23 +297,6 @@ def test_as_many_nodes_see_the_target_of_track_as_published():
     share = np.mean(seen[20:], axis=(0, 1))
     assert share.min() == pytest.approx(0.06, abs=0.06)
     assert share.max() == pytest.approx(0.58, abs=0.08)
-
-
-@pytest.mark.parametrize("batch", BATCHES)
-def test_a_plant_broadcasts(batch):
-    plant = straight_target(place_sensors(3))
-    rng = np.random.default_rng(11)
-    state, mean, _ = plant.initial(rng.standard_normal((*batch, 4)))
-    process, measurement = rng.standard_normal((*batch, 4)), rng.standard_normal((*batch, 3, 1, 2))
-    after = plant.advance(state, None, process, 0)
-    delivered = plant.observe(after, measurement, 1)
-    assert mean.shape == after.shape == (*batch, 4) and delivered.shape == (*batch, 3, 1, 2)
-    for lane in np.ndindex(batch):
-        alone = plant.advance(state[lane], None, process[lane], 0)
-        np.testing.assert_allclose(after[lane], alone, rtol=1e-13)
-        np.testing.assert_allclose(
-            delivered[lane], plant.observe(alone, measurement[lane], 1), rtol=1e-12
-        )
 
 
 def test_a_straight_target_stays_in_view():
