@@ -3,20 +3,20 @@
 The test compares recorded data: truth, readings, publishers, estimates, ages.
 """
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from experiments.__main__ import main
 from experiments.cli.agree import DriverDifference, first_difference
 from experiments.results.trace import Trace
 from runtime.drivers import DRIVERS
 from runtime.network.links import wants_router
 from scenarios.preparation import prepare
 from scenarios.setup import Setup
+from tests.experiments.flexray_support import concord
 from tests.experiments.support import scenario, small, trace_of
+from tests.nodes.test_faults import SWARM
 
 # fmt: off
 SMALL = {
@@ -61,15 +61,7 @@ SMALL = {
     },
     "every kind of fault at once": {
         "steps": 17,
-        "changes": (
-            "1 corrupt 0.1", "1 delay 0.2 2 1 2", "2 jitter 1 0 1 one-way", "2 duplicate 0.3",
-            "2 reorder 0.4", "3 hang 3 2", "3 slow 0 1", "4 drift 2 700", "4 dropout 1 0.4",
-            "5 missing 1 0.3", "5 crc 2 0.3", "5 null 0 0.3", "6 babble 3 0.2", "7 guardian 1",
-            "7 spoof 0 1 0.5", "7 wrong-step 1 0.3 2", "7 replay 2 0.5 2", "8 nan 0 0.3",
-            "8 indefinite 1 0.3", "8 lie 3 5 4", "8 outlier 1 0.5 20", "9 bias 2 3",
-            "9 stuck 0 2", "9 partition 0 1", "10 heal", "10 kill 1", "11 calm", "11 restart 1",
-            "13 corrupt 0.2", "14 set rule=hcmci rounds=2", "15 delay 0.5 1",
-        ),
+        "changes": SWARM,
     },
     "faults in contention, in several frames": {
         "nodes": 6,
@@ -90,17 +82,13 @@ TRACKING = {
 }
 
 
-def traces(setup: Setup, folder: Path) -> dict[str, Trace]:
+def assert_agreement(setup: Setup, folder: Path) -> Trace:
+    """Return the trace of the run in process; those of the other drivers have the same bits."""
     found = {}
     for name, driver in DRIVERS.items():
         recording = folder / f"{name}.mcap"
         driver(setup, f"agree-{name}", recording, None, lambda step: None)
         found[name] = trace_of(setup, recording)
-    return found
-
-
-def assert_agreement(setup: Setup, folder: Path) -> Trace:
-    found = traces(setup, folder)
     reference = found["in-process"]
     assert reference.steps == setup.scenario.steps
     for name, trace in found.items():
@@ -210,10 +198,8 @@ def test_a_shorter_run_is_a_difference(reference: Trace):
 @pytest.mark.zenoh
 def test_the_command_says_equal_and_leaves_with_zero(capsys: pytest.CaptureFixture[str]):
     options = ["--scenario", "oscillator", "--nodes", "3", "--graph", "path", "--steps", "5"]
-    with pytest.raises(SystemExit) as left:
-        main(["agree", *options])
-    assert left.value.code == 0
-    assert "in-process = processes, bit for bit" in capsys.readouterr().out
+    said = concord(capsys, "agree", *options)
+    assert said.code == 0 and "in-process = processes, bit for bit" in said.out
 
 
 @pytest.mark.parametrize("as_json", [True, False])
@@ -231,12 +217,10 @@ def test_the_command_names_the_first_difference_and_leaves_with_one(
         {"in-process": DRIVERS["in-process"], "other": other},
     )
     options = ["--scenario", "oscillator", "--nodes", "3", "--graph", "path", "--steps", "5"]
-    with pytest.raises(SystemExit) as left:
-        main(["agree", *options, *(["--json"] if as_json else [])])
-    assert left.value.code == 1
-    captured = capsys.readouterr()
+    captured = concord(capsys, "agree", *options, *(["--json"] if as_json else []))
+    assert captured.code == 1
     if as_json:
-        said = json.loads(captured.out)
+        said = captured.json()
         assert said["drivers"] == ["in-process", "other", "batched"]
         assert said["differences"][0]["index"][0] == 0
     else:

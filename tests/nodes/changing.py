@@ -1,5 +1,7 @@
 """Runs of small scenarios in this process, with a script of changes."""
 
+from typing import Any
+
 import numpy as np
 
 from experiments.results.trace import Trace, read_trace
@@ -16,19 +18,24 @@ def script(*lines: str) -> list[Scripted]:
     return [Scripted(int(line.split()[0]), in_words(line.split()[1:])) for line in lines]  # type: ignore[arg-type]
 
 
-def run(
+def messages(
     setup: Setup,
     *lines: str,
+    link: in_process.Link = in_process.lossless,
     pick: in_process.Pick = in_process.first_come,
     watch: in_process.Watch = in_process.unwatched,
-) -> Trace:
-    """The trace of a run in which this happens."""
+) -> list[tuple[str, bytes]]:
+    """The messages of a run in which this happens."""
     recorder = MemoryRecorder()
     nodes = [build_node(setup, node) for node in range(setup.scenario.nodes)]
-    in_process.run(
-        build_environment(setup), nodes, recorder, pick=pick, watch=watch, script=script(*lines)
-    )
-    return read_trace(setup, recorder.messages)
+    environment, told = build_environment(setup), script(*lines)
+    in_process.run(environment, nodes, recorder, link=link, pick=pick, watch=watch, script=told)
+    return recorder.messages
+
+
+def run(setup: Setup, *lines: str, **options: Any) -> Trace:
+    """The trace of a run in which this happens; options are those of `messages`."""
+    return read_trace(setup, messages(setup, *lines, **options))
 
 
 def same_bits(one: Trace, other: Trace) -> bool:

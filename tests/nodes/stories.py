@@ -18,19 +18,8 @@ from nodes.changes import Change, Event, Fault, Welcome
 from nodes.environment_state import EnvironmentPhase
 from nodes.messages import Bid, Estimate, Grant, ShareHeard, ShareSent, Truth, decode, from_wire
 from nodes.node_state import Phase
-from runtime import in_process
-from runtime.recording import MemoryRecorder
-from scenarios.build import build_environment, build_node
 from scenarios.setup import Setup
-from tests.nodes.changing import script
-
-
-def run_messages(setup: Setup, *changes: str) -> list[tuple[str, bytes]]:
-    """Return the messages of a run in this process with changes such as "2 kill 3"."""
-    recorder = MemoryRecorder()
-    nodes = [build_node(setup, index) for index in range(setup.scenario.nodes)]
-    in_process.run(build_environment(setup), nodes, recorder, script=script(*changes))
-    return recorder.messages
+from tests.nodes.changing import messages
 
 
 class _Step:
@@ -46,7 +35,7 @@ class _Step:
 def of_fault(setup: Setup, *changes: str) -> list[str]:
     """Return the transcript of a run with one communication cycle a step."""
     steps = [_Step() for _ in range(setup.scenario.steps)]
-    for topic, data in run_messages(setup, *changes):
+    for topic, data in messages(setup, *changes):
         if topic.startswith("share/"):
             cycle, sender = read_frame(data).cycle, topic.partition("/")[2]
             steps[cycle].frames.append((sender, len(data)))
@@ -143,7 +132,7 @@ def of_phases(
     monkeypatch.setattr(node, "step", tell_node)
     monkeypatch.setattr(node_changes, "apply", tell_change)
     monkeypatch.setattr(environment, "step", tell_environment)
-    run_messages(setup, *changes)
+    messages(setup, *changes)
     return told
 
 

@@ -5,7 +5,6 @@ import pytest
 
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
-from nodes.estimator import Rejected
 from nodes.messages import Measured, to_wire
 from nodes.rules.adaptive_noise import AdaptiveNoise, Learnt, declared_noise, learn
 from plants.oscillator import Oscillation, ScalarSensor
@@ -120,17 +119,6 @@ def test_no_reading_teaches_nothing():
     first, _ = run(around("ci"), [[0.3]])
     then, _ = run(around("ci"), [[0.3], [None], [None]])
     np.testing.assert_array_equal(learnt(first), learnt(then))
-
-
-def test_shares_that_mean_nothing_are_the_rules_to_reject():
-    with pytest.raises(Rejected):
-        around("ci").accept(b"\0")
-
-
-def test_the_rule_is_not_changed():
-    wrapped = around("ci")
-    run(wrapped, readings(5.0, 20))
-    assert wrapped.rule.sensor is SENSOR  # type: ignore[attr-defined]
 
 
 def test_learning_takes_readings_apart():

@@ -44,18 +44,6 @@ def test_float32_rounds_once(n: int, seed: int):
     assert back.mean.dtype == np.float64
 
 
-@given(SIZES, st.binary(max_size=800))
-def test_any_bytes_are_a_belief_or_rejected(n: int, data: bytes):
-    codec = BeliefCodec(n)
-    try:
-        belief = codec.decode(data)
-    except Rejected as rejected:
-        assert rejected.reason.startswith("belief-")
-    else:
-        assert np.isfinite(belief.mean).all()
-        assert np.isfinite(belief.cov).all()
-
-
 @given(
     hnp.arrays(np.float64, 5, elements=st.floats(allow_nan=True, allow_infinity=True)),
     st.sampled_from(["<f8", "<f4"]),

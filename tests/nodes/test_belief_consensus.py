@@ -68,30 +68,10 @@ def test_a_step_is_predict_and_one_update_for_each_reading(readings: list, first
     assert failures == ()
 
 
-def test_the_control_that_drove_the_plant_drives_the_prediction():
-    rule = estimator()
-    content, _ = rule.begin_step(rule.start(), Measured(0, 1, BLIND, [1.0, -2.0]))
-    np.testing.assert_allclose(rule.belief(content).mean, F @ PRIOR.mean + [1, -2], rtol=1e-12)
-
-
 def test_a_reading_beyond_the_gate_is_refused_and_named():
     rule = estimator(sees=True, gate=9.0)
     content, failures = rule.begin_step(rule.start(), Measured(0, 0, [[1e3, 0.0]]))
     assert failures == ("gated",)
-    assert_close(rule.belief(content), PRIOR)
-
-
-def test_an_update_that_fails_is_named_and_leaves_the_belief():
-    rule = replace(estimator(sees=True), sensor=WholeState(-10 * R))
-    content, failures = rule.begin_step(rule.start(), Measured(0, 0, [[1.0, 2.0]]))
-    assert failures == ("update-failed",)
-    assert_close(rule.belief(content), PRIOR)
-
-
-def test_a_prediction_that_fails_is_named_and_leaves_the_belief():
-    rule = replace(estimator(), model=Linear(np.full((2, 2), np.nan), Q))
-    content, failures = rule.begin_step(rule.start(), Measured(0, 1, BLIND))
-    assert "predict-failed" in failures
     assert_close(rule.belief(content), PRIOR)
 
 

@@ -84,22 +84,6 @@ def test_nobody_waits_for_a_grant_that_no_bid_will_ask_for(relay: bool):
     assert trace.payload_bytes[8:, :, 2].any()
 
 
-def test_nothing_changes_before_its_step():
-    setup = ring()
-    plain = run(setup)
-    for line in ("7 kill 2", "7 cut 1 2", "7 loss 0.5", "7 set rule=wac", "7 set rounds=1"):
-        changed = run(setup, line)
-        assert changed.mean[:7].tobytes() == plain.mean[:7].tobytes()
-        assert changed.mean[7].tobytes() != plain.mean[7].tobytes(), line
-
-
-def test_what_is_healed_is_as_before():
-    """With rules that hold nothing a cut that is healed leaves its trace in the beliefs alone."""
-    setup = ring()
-    assert same_bits(run(setup, "4 cut 1 2", "4 heal 1 2"), run(setup))
-    assert same_bits(run(setup, "4 loss 0.5", "4 loss 0"), run(setup))
-
-
 def test_loss_that_is_set_at_once_is_the_loss_of_the_scenario():
     assert same_bits(run(ring(), "0 loss 0.4"), run(ring(loss=0.4)))
     everywhere = [f"0 loss 0.4 {i} {(i + 1) % 5}" for i in range(5)]
@@ -145,26 +129,6 @@ def test_who_comes_back_begins_with_its_neighbours_belief():
         content, _ = alone.begin_step(content, measured)
         np.testing.assert_allclose(trace.mean[step, 2], alone.belief(content).mean, rtol=1e-9)
         np.testing.assert_allclose(trace.cov[step, 2], alone.belief(content).cov, rtol=1e-9)
-
-
-def test_who_comes_back_beside_its_only_neighbour_is_let_in_as_soon_as_that_can_say_something():
-    """A neighbour that comes back in the same step has not estimated anything yet."""
-    setup = small(nodes=4, graph="path", steps=STEPS)
-    trace = run(setup, "3 kill 0", "4 kill 1", "8 restart 0", "8 restart 1")
-    assert np.isnan(trace.mean[4:8, :2]).all()
-    assert not np.isnan(trace.mean[8:, 1]).any()
-    assert np.isnan(trace.mean[8, 0]).all()
-    assert not np.isnan(trace.mean[9:, 0]).any()
-
-
-def test_who_comes_back_agrees_again():
-    """Nodes that see, one of which is out for a while: 5 steps later it is as near as the rest."""
-    setup = ring(steps=40)
-    plain, trace = run(setup), run(setup, "10 kill 2", "20 restart 2")
-    away = np.abs(trace.mean - plain.mean).max((1, 2))
-    assert np.isnan(away[10:20]).all()
-    assert away[25:].max() < 0.1
-    assert away[39] < 1e-2
 
 
 @pytest.mark.parametrize("again", [3, 5])

@@ -21,7 +21,6 @@ from tests.nodes.networks import (
     PREDICT,
     Adjacency,
     Network,
-    Outcome,
     graphs,
     losing,
     network,
@@ -29,10 +28,9 @@ from tests.nodes.networks import (
     random_priors,
     run,
 )
+from tests.nodes.rule_networks import F, Q, run_watched
 
 SEEDS = st.integers(0, 2**32 - 1)
-F = 0.98 * np.array([[np.cos(0.3), np.sin(0.3)], [-np.sin(0.3), np.cos(0.3)]])
-Q = np.array([[0.2, 0.05], [0.05, 0.1]])
 
 
 def metropolis_weights(adjacency: Adjacency) -> np.ndarray:
@@ -95,15 +93,6 @@ def test_covariance_intersection_is_the_power_acting_on_information(
         rtol=1e-9,
         atol=1e-11,
     )
-
-
-@given(graphs(most=5), SEEDS)
-@settings(max_examples=8)
-def test_many_rounds_lead_to_the_average(adjacency: Adjacency, seed: int):
-    priors = random_priors(np.random.default_rng(seed), len(adjacency), 2)
-    outcome = run(network(adjacency, priors, steps=1, rounds=150))
-    average = np.mean([p.mean for p in priors], axis=0)
-    np.testing.assert_allclose(outcome.mean[0], [average] * len(priors), atol=1e-6)
 
 
 # --- lost and held shares, written out -----------------------------------------------------------
@@ -175,20 +164,6 @@ def _ages(net: Network, held: dict[tuple[int, int], Held], i: int) -> list[int]:
     return [held[i, j].age if (i, j) in held else -1 for j in net.nodes[i].neighbours]
 
 
-def run_lossy(net: Network, seed: int, loss: float) -> tuple[Outcome, set[tuple[int, int, int]]]:
-    """The outcome, and which (sender, receiver, cycle) arrived."""
-    arrived = set()
-    link = losing(seed, loss)
-
-    def watched(sender: int, receiver: int, frame: bytes):
-        frames = tuple(link(sender, receiver, frame))
-        if frames:
-            arrived.add((sender, receiver, read_frame(frame).cycle))
-        return frames
-
-    return run(net, watched), arrived
-
-
 @given(graphs(least=2, most=5), st.integers(1, 3), st.integers(0, 2), SEEDS, st.floats(0, 0.8))
 @pytest.mark.parametrize("name", ["drop", "predict", "decayed"])
 @settings(max_examples=40)
@@ -208,7 +183,7 @@ def test_lost_and_held_shares_are_as_written_out(
         hold_policy={"drop": DROP, "predict": PREDICT, "decayed": DECAYED}[name],
         schedule=schedule,
     )
-    outcome, arrived = run_lossy(net, seed, loss)
+    outcome, arrived = run_watched(net, losing(seed, loss))
     means, ages = written_out(net, priors, arrived, name)
     np.testing.assert_allclose(outcome.mean, means, rtol=1e-9, atol=1e-11)
     assert [e.ages for e in outcome.estimates] == [row for step in ages for row in step]
@@ -222,24 +197,12 @@ def test_what_is_sent_is_either_heard_or_missed(adjacency: Adjacency, seed: int,
     priors = random_priors(np.random.default_rng(seed), count, 2)
     schedule = round_robin(count, (count + 1) // 2)
     net = network(adjacency, priors, steps=3, rounds=2, schedule=schedule)
-    outcome, arrived = run_lossy(net, seed, loss)
+    outcome, arrived = run_watched(net, losing(seed, loss))
     sent = [int(topic.partition("/")[2]) for topic, _ in outcome.messages if "share" in topic]
     due = sum(int(adjacency[:, sender].sum()) for sender in sent)
     assert outcome.counted("heard") == len(arrived)
     assert outcome.counted("missed") == due - len(arrived)
     assert outcome.counted("sent") == len(sent)
-
-
-def test_the_weight_of_a_lost_share_falls_back_on_the_node_itself():
-    """Path of three, one round: with 1/3 on each link, node 1 averages what it has."""
-    priors = [Gaussian(np.array([float(i)]), np.eye(1)) for i in (3, 6, 30)]
-    net = network(path(3), priors, steps=1, rounds=1)
-    heard = run(net)
-    assert heard.mean[0, :, 0] == pytest.approx([4, 13, 22])
-    lost = run(net, lambda sender, receiver, frame: () if sender == 2 else (frame,))
-    assert lost.mean[0, :, 0] == pytest.approx([4, 5, 22])
-    assert [e.counters.get("missed", 0) for e in lost.estimates] == [0, 1, 0]
-    assert [e.ages for e in lost.estimates] == [[0], [0, -1], [0]]
 
 
 def test_a_share_in_several_frames_counts_only_when_it_is_complete():

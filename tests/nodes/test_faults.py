@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bus.flexray.flexray_bus import FlexRayBus
+from bus.flexray.fragments import join
 from bus.flexray.share_frames import read_frame
 from experiments.results.trace import Trace
 from nodes import node as state_machine
@@ -18,7 +19,7 @@ from nodes.messages import Measured, ShareHeard
 from scenarios.build import build_bus, build_environment, build_node
 from scenarios.setup import Setup
 from tests.experiments.support import small
-from tests.nodes.changing import run, same_bits, script
+from tests.nodes.changing import messages, run, same_bits
 from tests.nodes.networks import shuffled
 
 STEPS, FIRST = 12, 3
@@ -370,15 +371,8 @@ def test_a_liar_says_what_it_does_not_believe():
 
 def recorded(setup: Setup, *lines: str) -> dict[tuple[int, int], bytes]:
     """The body of what was sent, by cycle and node."""
-    from bus.flexray.fragments import join
-    from runtime import in_process
-    from runtime.recording import MemoryRecorder
-
-    recorder = MemoryRecorder()
-    nodes = [build_node(setup, node) for node in range(setup.scenario.nodes)]
-    in_process.run(build_environment(setup), nodes, recorder, script=script(*lines))
     bodies = {}
-    for topic, data in recorder.messages:
+    for topic, data in messages(setup, *lines):
         if topic.startswith("share/"):
             fragment = read_frame(data)
             bodies[fragment.cycle, int(topic.partition("/")[2])] = join([fragment.data])

@@ -5,8 +5,6 @@ from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from filters.gaussian import Gaussian
 from nodes.estimator import Rejected
@@ -17,7 +15,6 @@ from nodes.rules.fresh_consensus import FreshConsensus
 from tests.nodes.networks import Linear, WholeState, path, random_priors
 from tests.nodes.rule_networks import FRESH, F, Q, noise_cov, ruled
 
-SEEDS = st.integers(0, 2**32 - 1)
 PRIORS = random_priors(np.random.default_rng(5), 3, 2)
 BLIND: list[list[float | None]] = [[None, None]]
 READING: list[list[float | None]] = [[0.4, -1.2]]
@@ -204,16 +201,3 @@ def assert_covariance(cov: np.ndarray) -> None:
     assert (deviations > 0).all()
     correlations = cov / deviations[:, None] / deviations
     assert np.linalg.eigvalsh(correlations).min() >= -4 * np.finfo(float).eps
-
-
-@EACH
-@given(numbers=st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=13, max_size=13))
-def test_any_numbers_are_taken_or_rejected_without_an_exception(rule: str, numbers: list[float]):
-    node = estimator(rule)
-    share = np.resize(np.array(numbers), node.codec.length)
-    content, _ = node.begin_step(node.start(), Measured(1, 0, READING))
-    with np.errstate(all="ignore"):
-        for _ in range(2):
-            content, _ = node.fuse(content, (share.tobytes(), None))
-    assert np.isfinite(node.belief(content).mean).all()
-    assert np.isfinite(node.belief(content).cov).all()

@@ -97,18 +97,6 @@ def test_on_a_complete_graph_one_round_is_the_centralised_filter(rule: str):
         np.testing.assert_allclose(outcome.cov[step], [expected.cov] * COUNT, rtol=0, atol=1e-12)
 
 
-@given(graphs(least=2, most=5), SEEDS)
-@pytest.mark.parametrize("rule", ["hcmci", "hcmci-classical", "icf"])
-@settings(max_examples=6)
-def test_many_rounds_lead_to_the_centralised_filter(rule: str, adjacency: Adjacency, seed: int):
-    count = len(adjacency)
-    net = ruled(rule, adjacency, [PRIOR] * count, steps=2, rounds=150, seeing=[0], seed=seed)
-    outcome = run(net)
-    for step, expected in enumerate(centralised(outcome, 2)):
-        np.testing.assert_allclose(outcome.mean[step], [expected.mean] * count, atol=1e-5)
-        np.testing.assert_allclose(outcome.cov[step], [expected.cov] * count, rtol=1e-5)
-
-
 @pytest.mark.parametrize("rounds", [1, 2, 5])
 def test_hybrid_consensus_never_reports_less_than_the_centralised_filter(rounds: int):
     net = ruled("hcmci", ring(8), [PRIOR] * 8, steps=20, rounds=rounds, seeing=[0, 1, 2, 4])

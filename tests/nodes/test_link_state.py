@@ -43,14 +43,6 @@ def test_arrays_and_numbers_have_one_fate(links: LinkState, questions: list[tupl
     assert bool(hears_all(links, *map(np.array, questions[0]))) == alone[0]
 
 
-def test_shapes_broadcast():
-    links = LinkState((1, 2), 0.4)
-    cycles, senders, receivers = np.arange(5)[:, None, None], np.arange(3)[:, None], np.arange(4)
-    heard = hears_all(links, cycles // 2, cycles, senders, receivers)
-    assert heard.shape == (5, 3, 4)
-    assert heard[4, 2, 3] == hears(links, 2, 4, 2, 3)
-
-
 def splitmix64(state: int, count: int) -> list[int]:
     """A generator of 64-bit numbers as its authors print it."""
     numbers = []

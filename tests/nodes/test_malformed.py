@@ -1,4 +1,4 @@
-"""Malformed frames and messages by the thousand and the million: all counted, nothing changed."""
+"""Malformed frames and messages: all counted, nothing changed."""
 
 import tempfile
 import time
@@ -106,39 +106,6 @@ def malformed_frames(config: NodeConfig, seed: int, count: int) -> Iterator[Shar
         yield ShareHeard(sender, frame)
 
 
-def malformed_messages(seed: int, count: int) -> Iterator[tuple[str, bytes]]:
-    """Bytes on a topic that cannot be a message of it."""
-    rng = np.random.default_rng(seed)
-    topics = list(TOPICS)
-    wrong = [(topic, msgspec.json.encode(value)) for topic, value in WRONG_JSON]
-    picks = rng.integers(0, 1 << 30, count).tolist()
-    for number, pick in enumerate(picks):
-        topic = topics[pick % len(topics)]
-        whole = TOPICS[topic]
-        match number % 4:
-            case 0:
-                # No JSON object begins so.
-                yield topic, b"\xff" + rng.bytes(pick % 200)
-            case 1:
-                yield topic, whole[: pick % len(whole)]
-            case 2:
-                yield wrong[pick % len(wrong)]
-            case _:
-                place = pick % len(whole)
-                yield topic, whole[:place] + b"\x00" + whole[place + 1 :]
-
-
-def refused(count: int, seed: int) -> int:
-    """How many malformed messages are refused."""
-    total = 0
-    for topic, data in malformed_messages(seed, count):
-        try:
-            decode(topic, data)
-        except MalformedMessage:
-            total += 1
-    return total
-
-
 def storm(count: int, seed: int) -> tuple[int, bool]:
     """A run with `count` malformed frames in between: how many were counted, and whether the
     estimates are those of a run without."""
@@ -164,17 +131,12 @@ def test_malformed_frames_are_counted_and_change_nothing():
     assert storm(3000, 1) == (3000, True)
 
 
-def test_malformed_messages_are_refused():
-    assert refused(4000, 2) == 4000
-
-
 @pytest.mark.slow
-def test_a_million_malformed_frames_and_messages():
+def test_malformed_frames_by_the_hundred_thousand():
     """Bounded time: a tenth of a millisecond each on average, on a busy machine too."""
     began = time.process_time()
     assert storm(700_000, 3) == (700_000, True)
-    assert refused(300_000, 4) == 300_000
-    assert time.process_time() - began < 100
+    assert time.process_time() - began < 70
 
 
 def test_what_is_kept_for_later_is_bounded():

@@ -175,11 +175,3 @@ def test_a_filter_that_breaks_down_says_so_once_and_goes_on(method):
     assert failures == ("predict-failed",)
     assert np.isnan(node.belief(content).mean).all()
     assert step_of(node, content, 2, None, np.array([1.0, np.nan]))[1] == ()
-
-
-def test_the_receiver_has_nothing_to_say():
-    node = receiver()
-    assert node.bid(node.start()) is None
-    _, body = node.compose(node.start())
-    assert len(body) == node.share_bytes
-    assert np.isnan(node.accept(body)).all()

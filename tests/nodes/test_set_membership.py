@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiments.results.trace import read_trace
 from filters.gaussian import Gaussian
 from filters.sigma_points import scaled_unscented
 from nodes.bids import FIRST_BID
@@ -18,13 +17,11 @@ from nodes.rules.set_shapes import Ellipsoids, Zonotopes
 from nodes.vector_codec import VectorCodec
 from runtime import in_process
 from runtime.in_process import Link
-from runtime.recording import MemoryRecorder
-from scenarios.build import build_environment, build_node
 from scenarios.preparation import prepare
 from scenarios.setup import Setup
 from tests.experiments.support import scenario
+from tests.nodes.changing import run
 
-SEEDS = st.integers(0, 2**32 - 1)
 RULES = pytest.mark.parametrize("rule", ["ellipsoid", "zonotope"])
 
 
@@ -34,10 +31,7 @@ def network(**changes) -> Setup:
 
 def radii(setup: Setup, link: Link = in_process.lossless) -> np.ndarray:
     """e' P^-1 e (steps, N) of a run."""
-    recorder = MemoryRecorder()
-    nodes = [build_node(setup, node) for node in range(setup.scenario.nodes)]
-    in_process.run(build_environment(setup), nodes, recorder, link=link)
-    trace = read_trace(setup, recorder.messages)
+    trace = run(setup, link=link)
     errors = (trace.mean - trace.truth[:, None])[..., None]
     return (errors.mT @ np.linalg.solve(trace.cov, errors))[..., 0, 0]
 
@@ -91,27 +85,10 @@ def test_a_network_knows_more_than_a_node():
     together, alone = network(), network(schedule="round-robin", occupancy=0.2, rounds=1)
 
     def size(setup: Setup, link: Link = in_process.lossless) -> float:
-        recorder = MemoryRecorder()
-        nodes = [build_node(setup, node) for node in range(setup.scenario.nodes)]
-        in_process.run(build_environment(setup), nodes, recorder, link=link)
-        cov = read_trace(setup, recorder.messages).cov
-        return float(np.trace(cov[-1].mean(0)))
+        return float(np.trace(run(setup, link=link).cov[-1].mean(0)))
 
     silent = size(alone, losing(0, 1.1))
     assert size(together) < size(alone) < silent
-
-
-def test_equal_bits_whatever_the_order_of_arrival():
-    setup = network(schedule="hybrid", occupancy=0.5)
-
-    def estimates(pick) -> tuple[bytes, bytes]:
-        recorder = MemoryRecorder()
-        nodes = [build_node(setup, node) for node in range(setup.scenario.nodes)]
-        in_process.run(build_environment(setup), nodes, recorder, pick=pick)
-        trace = read_trace(setup, recorder.messages)
-        return trace.mean.tobytes(), trace.cov.tobytes()
-
-    assert estimates(lambda waiting: 0) == estimates(lambda waiting: waiting - 1)
 
 
 # --- one node ------------------------------------------------------------------------------------

@@ -32,7 +32,6 @@ from nodes.node import (
 from tests.nodes.networks import with_slots
 from tests.nodes.one_node import (
     PRIORS,
-    ROUNDS,
     SCHEDULES,
     STEPS,
     STRANGER,
@@ -75,19 +74,6 @@ def test_a_node_waits_for_exactly_those_who_are_due():
     assert (state.cycle, awaited_neighbours(config, state)[0]) == (2, 2)
 
 
-def test_what_comes_early_is_kept_and_used():
-    """All shares, grants and heartbeats before the first heartbeat, the latest first."""
-    for schedule in SCHEDULES.values():
-        config = middle_node(schedule)
-        events = clean_events(config)
-        _, expected = feed(config, events)
-        state, sent = feed(config, events[:0:-1])
-        assert sent == []
-        assert state.phase is Phase.MEASUREMENT
-        _, sent = step(config, state, events[0])
-        assert estimates(sent) == estimates(expected)
-
-
 @given(st.sampled_from(sorted(SCHEDULES)), st.randoms(use_true_random=False))
 @settings(max_examples=100)
 def test_any_order_of_events_gives_the_same_estimates(name: str, random):
@@ -110,7 +96,6 @@ def _nuisances(config: NodeConfig, cycle: int) -> dict[str, NodeEvent]:
     wrong_slot = config.bus.encode(2, cycle, body)[0]
     flipped = bytes([*sound[:-1], sound[-1] ^ 1])
     miscounted = config.bus.frame_format.miscounted(config.bus.encode(0, cycle + 8, body)[0], 8)
-    unscheduled = {0: 0, 1: 2, 2: 0}[cycle % 3]
     kinds: dict[str, NodeEvent] = {
         "rejected stranger": ShareHeard(STRANGER, sound),
         "rejected too-short": ShareHeard(0, b"\x00\x01"),
@@ -123,11 +108,6 @@ def _nuisances(config: NodeConfig, cycle: int) -> dict[str, NodeEvent]:
     }
     if cycle:
         kinds["late"] = ShareHeard(0, share(config, 0, cycle - 1))
-    if len(config.schedule.static_senders(cycle)) == 1:
-        del kinds["rejected wrong-slot"]
-        sender = 2 - unscheduled
-        frame = share(config, sender, cycle)
-        kinds["rejected unscheduled"] = ShareHeard(sender, frame)
     return kinds
 
 
@@ -176,38 +156,6 @@ def test_a_share_is_used_once():
     assert estimates(sent) == estimates(expected)
 
 
-@given(
-    st.sampled_from(["full", "round robin"]),
-    st.lists(st.tuples(st.integers(0, 30), st.integers(0, 20)), max_size=12),
-)
-@settings(max_examples=150)
-def test_useless_events_anywhere_leave_the_estimates_alone(
-    name: str, planted: list[tuple[int, int]]
-):
-    config = middle_node(SCHEDULES[name])
-    events = clean_events(config)
-    clean_state, expected = feed(config, events)
-    harmless = [
-        ShareHeard(STRANGER, share(config, 0, 0)),
-        ShareHeard(0, b""),
-        ShareHeard(2, share(config, 2, 1)[:-1] + b"\xff"),
-        ShareHeard(2, share(config, 2, 10**9)),
-        heartbeat(0),
-        *(e for e in events if isinstance(e, ShareHeard)),
-    ]
-    dirty = list(events)
-    for place, which in planted:
-        # Copies of a share come after the share itself: a copy that comes first is the share.
-        nuisance = harmless[which % len(harmless)]
-        first = dirty.index(nuisance) + 1 if nuisance in dirty else 0
-        first = max(first, 1)
-        dirty.insert(first + place % (len(dirty) + 1 - first), nuisance)
-    state, sent = feed(config, dirty)
-    assert estimates(sent) == estimates(expected)
-    noted = sum(state.counters.values()) - sum(clean_state.counters.values())
-    assert noted == len(planted)
-
-
 def test_a_closed_cycle_goes_on_with_what_has_come():
     config = middle_node()
     state, _ = feed(config, [heartbeat(0), ShareHeard(2, share(config, 2, 0))])
@@ -233,19 +181,6 @@ def test_without_a_grant_what_a_contender_sent_still_counts():
     np.testing.assert_array_equal(closed.content.own.belief.mean, granted.content.own.belief.mean)
     late, _ = step(config, closed, Grant(0, [2]))
     assert late.counters["repeated grant"] == 1
-
-
-def test_an_inbox_does_not_grow_with_time():
-    config = replace(middle_node(), steps=200)
-    state = initial_state(config)
-    sizes = []
-    for number in range(200):
-        state, _ = step(config, state, heartbeat(number))
-        for cycle in range(number * ROUNDS, (number + 1) * ROUNDS):
-            for j in config.neighbours:
-                state, _ = step(config, state, ShareHeard(j, share(config, j, cycle)))
-        sizes.append(len(state.inbox.shares) + len(state.inbox.parts) + len(state.inbox.measured))
-    assert max(sizes) == 0
 
 
 def test_a_share_is_lost_with_any_of_its_frames_and_nobody_waits_for_the_rest():

@@ -95,13 +95,6 @@ def test_a_phase_is_told(phase: Phase | EnvironmentPhase, monkeypatch: pytest.Mo
     hold(FOLDER / f"{PHASES[phase]}.txt", transcript(introduction, ["", *lines]))
 
 
-def test_transcripts_are_short_enough_to_be_read():
-    for file in FOLDER.glob("*.txt"):
-        lines = file.read_text(encoding="utf-8").splitlines()
-        assert len(lines) < 120, file.name
-        assert max(map(len, lines)) <= 120, file.name
-
-
 def test_no_transcript_is_left_over():
     known = {fault_file(word) for word in EVERY_FAULT}
     known |= {FOLDER / f"{name}.txt" for name in PHASES.values()}

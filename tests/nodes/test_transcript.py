@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from filters.gaussian import Gaussian
-from tests.nodes.networks import DECAYED, network, path, run
+from tests.nodes.networks import DECAYED, network, path
 from tests.nodes.transcript import tell
 
 FILE = Path(__file__).parent / "testdata" / "three_nodes_one_lost_share.txt"
@@ -47,23 +47,3 @@ def test_three_nodes_one_lost_share():
         "the story of a run has changed; if that is wanted, run `make stories` and read the "
         "difference"
     )
-
-
-def test_the_story_is_told_of_the_run_as_it_is():
-    """Telling changes no bit, and the loss is the only one that is counted."""
-    net = three_nodes()
-    plain = run(net)
-    assert plain.counted("missed") == 0
-    lines = tell(net, set())
-    estimates = [line for line in lines if "estimates" in line]
-    assert len(estimates) == len(plain.estimates)
-    said = {f"{e.mean[0]:+.2f}" for e in plain.estimates}
-    assert said == {line.split("estimates ")[1].split(" ")[0] for line in estimates}
-    assert not any("LOST" in line for line in lines)
-    assert sum("missed 1" in line for line in tell(net, LOST)) == 2
-
-
-def test_the_transcript_is_short_enough_to_be_read():
-    lines = FILE.read_text(encoding="utf-8").splitlines()
-    assert len(lines) < 90
-    assert max(map(len, lines)) <= 100
