@@ -199,22 +199,6 @@ def test_who_needs_a_neighbour_that_is_out_too_comes_back_a_step_later(lead: dic
     assert out[:, 0].tolist() == [False] * 3 + [True] * 3 + [False] * 4
 
 
-LIMITED = {"schedule": "hybrid", "occupancy": 0.5, "loss": 0.1, "steps": 6}
-
-
-@pytest.mark.parametrize("rule", FRESH)
-def test_rules_of_fresh_shares_agree_on_a_limited_bus(rule: str):
-    check_agreement(scenario("target-tracking", rule=rule, nodes=7, stretch=100.0, **LIMITED))
-
-
-@pytest.mark.parametrize("links", ["bernoulli:0.7", "markov:0.2,0.5", "switching:ring,path:2"])
-@pytest.mark.parametrize("rule", ["ci", "hcmci", "kcf"])
-def test_graphs_that_change_agree(links: str, rule: str):
-    check_agreement(
-        scenario("oscillator", links=links, rule=rule, nodes=5, steps=6, graph="complete")
-    )
-
-
 @st.composite
 def bounded_scenarios(draw: st.DrawFn) -> Scenario:
     """Small networks of sets, of every hold policy that keeps the truth inside."""
@@ -249,11 +233,6 @@ def test_sets_agree_through_kills_restarts_cuts_and_losses(rule: str):
     check_agreement(scenario("liu2021-network", nodes=4, steps=8, rule=rule, changes=changes))
 
 
-def test_the_centralised_rule_agrees():
-    only = {"rule": "centralised", "graph": "complete", "rounds": 1}
-    check_agreement(scenario("target-tracking", nodes=6, steps=8, **only))
-
-
 LARGER = {
     "a graph of unequal degrees": {"graph": "geometric", "steps": 8},
     "half of the bus": {"schedule": "hybrid", "occupancy": 0.5, "steps": 8},
@@ -279,11 +258,6 @@ LARGER = {
 @pytest.mark.parametrize("what", LARGER)
 def test_tracking_agrees(what: str):
     check_agreement(scenario("target-tracking", **{"stretch": 100.0, **LARGER[what]}))
-
-
-@pytest.mark.parametrize("name", ["meng2025-network", "liu2021-network", "suspension"])
-def test_other_plants_agree(name: str):
-    check_agreement(scenario(name, nodes=4, steps=6, rule="ci"), runs=(1,))
 
 
 def test_runs_do_not_hang_on_which_are_asked_for_or_on_what_is_kept():

@@ -1,7 +1,6 @@
 """Test the bus data of a run: the capture, the arrays, and Wireshark's decoding of them."""
 
 import struct
-import subprocess
 from pathlib import Path
 
 import msgspec
@@ -20,7 +19,6 @@ from experiments.results.trace import read_trace
 from runtime.recording import read_recording
 from tests.experiments.bus_runs import run
 from tests.experiments.flexray_support import concord, dissect, needs_tshark
-from tests.processes import CONCORD
 
 # --- what a run leaves -------------------------------------------------------------------------
 
@@ -154,14 +152,3 @@ def test_a_run_without_bus_time_leaves_no_capture(tmp_path: Path, capsys):
     assert said.json()["bus"] is None
     assert not (folder / "bus.pcap").exists()
     assert "bus_load" not in xarray.load_dataset(folder / "run.nc")
-
-
-@pytest.mark.zenoh
-def test_both_drivers_leave_the_same_capture(tmp_path: Path):
-    arguments = ["--scenario", "target-tracking", "--nodes", "8", "--occupancy", "0.25"]
-    for driver in ("in-process", "processes"):
-        command = [*CONCORD, "run", *arguments, "--steps", "12", "--driver", driver]
-        subprocess.run([*command, "--out", tmp_path / driver], check=True, capture_output=True)
-    ours, theirs = (tmp_path / driver / "bus.pcap" for driver in ("in-process", "processes"))
-    assert len(packets(ours)) > 0
-    assert ours.read_bytes() == theirs.read_bytes()

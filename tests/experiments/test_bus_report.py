@@ -17,7 +17,6 @@ from experiments.flexray.rehearsal import rehearse
 from experiments.results.bus_report import (
     bus_figures,
     bus_times,
-    capture,
     figures_of,
     lines,
     longest_waits,
@@ -29,7 +28,6 @@ from runtime.drivers import in_memory
 from scenarios.build import build_bus
 from scenarios.preparation import prepare
 from scenarios.setup import Setup
-from tests.experiments.bus_runs import run
 
 # --- by hand -----------------------------------------------------------------------------------
 
@@ -250,9 +248,3 @@ def test_ages_are_cycles_since_the_sender_last_had_the_bus(options: dict):
     assert figures is not None
     pairs = trace.steps * sum(map(len, setup.neighbours))
     assert sum(figures.share_ages) + figures.never_heard == pairs
-
-
-def test_a_bus_without_time_has_no_report():
-    silent = run(bus="ideal")
-    assert figures_of(silent.setup, silent.trace) is None
-    assert capture(silent.setup, silent.trace, silent.messages) is None

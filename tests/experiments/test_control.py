@@ -2,7 +2,6 @@
 
 import os
 import signal
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,10 +14,9 @@ import pytest
 from experiments.__main__ import main
 from nodes.commands import Answer, in_words
 from nodes.messages import decode
-from runtime.drivers import over_processes
 from runtime.network.control_client import Client, NotThere
 from runtime.network.network_file import read_network
-from scenarios.setup import Setup
+from tests.endurance.running import Running
 from tests.experiments.support import small, trace_of
 from tests.processes import PATIENCE_S, PROC, holds_within, lives
 
@@ -28,33 +26,8 @@ pytestmark = [
 ]
 
 
-class Running:
-    """A network that runs in a thread's care, and its controls."""
-
-    def __init__(self, setup: Setup, folder: Path) -> None:
-        self.setup, self.folder = setup, folder
-        self.reached = 0
-        self.error: Exception | None = None
-        self._thread = threading.Thread(target=self._work)
-        self._thread.start()
-        assert holds_within(PATIENCE_S, lambda: self.reached > 0 or self.error is not None), (
-            self.error
-        )
-        network = read_network(folder)
-        self.client = Client(network.connect)
-
-    def _work(self) -> None:
-        def on_step(step: int) -> None:
-            self.reached = step
-
-        try:
-            over_processes(self.setup, "controlled", self.folder / "run.mcap", None, on_step)
-        except Exception as error:
-            self.error = error
-
-    @property
-    def pids(self) -> dict[str, int]:
-        return read_network(self.folder).pids
+class Controlled(Running):
+    """A network that a test commands."""
 
     def say(self, words: str) -> Answer:
         return self.client.command(in_words(words.split()))
@@ -67,22 +40,19 @@ class Running:
         now = self.client.state()["completed"]
         return self.holds(lambda state: state["completed"] > now + 10)
 
-    def finish(self) -> None:
-        self._thread.join(60)
-        assert not self._thread.is_alive()
-
 
 @contextmanager
-def running(folder: Path, **changes) -> Iterator[Running]:
+def running(folder: Path, **changes) -> Iterator[Controlled]:
     """A network that is let go to its end, whatever happens."""
-    network = Running(small(**{"nodes": 5, "graph": "ring", "steps": 100_000, **changes}), folder)
+    setup = small(**{"nodes": 5, "graph": "ring", "steps": 100_000, **changes})
+    network = Controlled(setup, "controlled", folder)
     try:
         yield network
     finally:
         network.client.close()
         if (world := network.pids.get("world")) and lives(world):
             os.kill(world, signal.SIGKILL)
-        network.finish()
+        assert network.ended_within(60)
         assert holds_within(PATIENCE_S, lambda: not any(map(lives, network.pids.values())))
 
 
@@ -180,19 +150,6 @@ def test_a_process_that_is_killed_by_nobody_in_particular_stops_no_one(tmp_path:
         assert network.goes_on()
 
 
-@pytest.mark.slow
-def test_a_process_that_hangs_is_given_up_and_comes_back_by_itself(tmp_path: Path):
-    with running(tmp_path) as network:
-        pid = network.pids["2"]
-        os.kill(pid, signal.SIGSTOP)
-        assert network.holds(lambda state: 2 not in state["members"])
-        assert network.goes_on()
-        os.kill(pid, signal.SIGCONT)
-        assert network.holds(lambda state: 2 in state["members"])
-        assert network.goes_on()
-        assert network.pids["2"] == pid
-
-
 def test_the_command_line_controls_a_network(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     with running(tmp_path) as network:
         main(["control", str(tmp_path), "pause"])
@@ -208,6 +165,6 @@ def test_the_command_line_controls_a_network(tmp_path: Path, capsys: pytest.Capt
 
 def test_nobody_answers_for_a_network_that_has_ended(tmp_path: Path):
     with running(tmp_path, steps=200) as network:
-        network.finish()
+        assert network.ended_within(60)
         with pytest.raises(NotThere, match="has the run ended"):
             Client(read_network(tmp_path).connect)

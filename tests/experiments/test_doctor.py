@@ -8,11 +8,11 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from experiments.cli.command_line import main
 from experiments.doctor import checks as doctor
 from experiments.doctor import machine as doctor_machine
 from experiments.doctor.finding import Finding, Verdict
 from runtime.network.zenoh_transport import LinkError
+from tests.experiments.flexray_support import concord, refused
 
 OK, WARNING, FAILING = Verdict.OK, Verdict.WARNING, Verdict.FAILING
 
@@ -151,23 +151,18 @@ def test_the_exit_code_tells(
 
     found = [Finding("this", OK, "fine"), Finding("that", verdict, "[seen]", "do something")]
     monkeypatch.setattr(doctor_command, "look", lambda nodes, data: iter(found))
-    with pytest.raises(SystemExit) as end:
-        main(["doctor", *(["--json"] if as_json else [])])
-    assert end.value.code == code
-    out = capsys.readouterr().out
+    told = concord(capsys, "doctor", *(["--json"] if as_json else []))
+    assert told.code == code
     if as_json:
-        said = msgspec.json.decode(out)
+        said = told.json()
         assert said["healthy"] is (code == 0)
         assert [one["verdict"] for one in said["findings"]] == ["ok", verdict.value]
     else:
-        assert "that: [seen]" in out and "-> do something" in out
+        assert "that: [seen]" in told.out and "-> do something" in told.out
 
 
 def test_no_nodes_is_a_mistake(capsys: pytest.CaptureFixture[str]):
-    with pytest.raises(SystemExit) as end:
-        main(["doctor", "--nodes", "0"])
-    assert end.value.code == 2
-    assert "at least one node" in capsys.readouterr().err
+    assert "at least one node" in refused(concord(capsys, "doctor", "--nodes", 0))
 
 
 @pytest.mark.zenoh

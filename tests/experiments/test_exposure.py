@@ -8,10 +8,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from experiments.__main__ import main
 from experiments.cli import dashboard as dashboard_command
 from experiments.sweep.store import folder_of, load_cells, save_cell
 from runtime.network.network_file import NetworkAddresses, read_network, write_network
+from tests.experiments.flexray_support import concord
 from tests.experiments.test_hosts import write_setup
 from tests.processes import CONCORD, PROC, Family, family, holds_within
 
@@ -81,11 +81,8 @@ def test_a_name_that_is_none_is_refused_wherever_it_comes_from(
         ["control", str(tmp_path), "pause"],
         ["dashboard", *at, f"--run={name}"],
     ):
-        with pytest.raises(SystemExit) as end:
-            main(words)
-        assert end.value.code == 2
-        said = capsys.readouterr().err
-        assert "a name has 1 to 100 letters" in said, words
+        said = concord(capsys, *words)
+        assert said.code == 2 and "a name has 1 to 100 letters" in said.err, words
     assert not (tmp_path / "new.json").exists()
 
 

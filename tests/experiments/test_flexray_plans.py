@@ -13,7 +13,7 @@ from bus.flexray.cluster_files import cluster_to_toml
 from bus.flexray.dynamic_segment import walk
 from bus.flexray.flexray_bus import FlexRayBus
 from experiments.cli.scenario_flags import ScenarioFlags, resolved
-from experiments.flexray.plan_report import answer_plan, run_command, slot_rows
+from experiments.flexray.plan_report import run_command, slot_rows
 from experiments.flexray.rehearsal import (
     alternatives,
     changed,
@@ -288,21 +288,7 @@ def test_a_cycle_is_drawn_frame_by_frame(capsys):
     assert 0 < frames["load"] < 1
 
 
-def test_each_cycle_has_its_own_owners(capsys):
-    for cycle, owners in enumerate([{0, 1}, {2, 3}, {4, 0}, {1, 2}, {3, 4}]):
-        answer = concord(
-            capsys, "flexray", "show", "--scenario", "oscillator", "--nodes", 5, "--schedule",
-            "round-robin", "--occupancy", 0.4, "--cycle", cycle, "--json",
-        ).json()  # fmt: skip
-        assert {frame["node"] for frame in answer["frames"]} == owners
-
-
 def test_only_cycles_of_the_run_can_be_shown(capsys):
     assert "0..359" in refused(concord(capsys, *SHOWN, "--cycle", 360))
     assert "0..359" in refused(concord(capsys, *SHOWN, "--cycle", -1))
     assert concord(capsys, *SHOWN, "--cycle", 359).code == 0
-
-
-def test_the_plan_of_a_bad_scenario_is_an_error_not_an_alternative():
-    with pytest.raises(ValueError, match="unknown schedule"):
-        answer_plan(scenario_of(schedule="chaos"))

@@ -15,6 +15,7 @@ from runtime.network.access_control import MONITOR, OPERATOR
 from runtime.network.control_client import Client, NotThere
 from runtime.network.links import ZenohEndpoints, checked_endpoints, checked_run, free_ports
 from runtime.network.zenoh_transport import Transport
+from tests.experiments.flexray_support import concord
 from tests.experiments.hosts import Hosts, hosts
 from tests.experiments.support import trace_of
 from tests.processes import PROC, holds_within
@@ -124,13 +125,8 @@ def test_who_may_look_on_and_who_may_command_a_guarded_network(
 
     def control(*words: str) -> tuple[int, str]:
         capsys.readouterr()
-        code = 0
-        try:
-            main(["control", str(tmp_path / "run"), *words])
-        except SystemExit as end:
-            code = int(end.code or 0)
-        told = capsys.readouterr()
-        return code, told.out + told.err
+        said = concord(capsys, "control", tmp_path / "run", *words)
+        return said.code, said.out + said.err
 
     with hosts(tmp_path) as there:
         router = there.concord("router", "--listen", endpoint, "--keys", keys / "router.json")
@@ -233,10 +229,8 @@ def test_what_cannot_be_is_refused(
 ):
     setup = write_setup(tmp_path)
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as left:
-        main([word.format(setup=setup) for word in words])
-    assert left.value.code == 2
-    assert named in capsys.readouterr().err
+    said = concord(capsys, *(word.format(setup=setup) for word in words))
+    assert said.code == 2 and named in said.err
 
 
 def test_names_that_could_be_patterns_are_refused():

@@ -9,6 +9,7 @@ import pytest
 from experiments.__main__ import main
 from plants.vehicle.drive_log import write_drive
 from plants.vehicle.parameters import BMW_320I, car_from_toml
+from tests.experiments.flexray_support import concord, refused
 from tests.plants.test_tyre_identification import TRUE, drive
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -55,19 +56,13 @@ def test_the_table_shows_what_was_there_before(folder: Path, capsys):
     ],
 )
 def test_a_mistake_is_one_sentence(arguments: list[str], says: str, capsys):
-    with pytest.raises(SystemExit) as ended:
-        main(["identify", *arguments])
-    assert ended.value.code == 2
-    error = capsys.readouterr().err
-    assert says in error
-    assert error.count("\n") == 1
+    assert says in refused(concord(capsys, "identify", *arguments))
 
 
 def test_nothing_is_written_over(folder: Path, capsys):
     out = folder / "car.toml"
-    with pytest.raises(SystemExit):
-        main(["identify", "--data", str(folder), "--out", str(out)])
-    assert "there is something of that name" in capsys.readouterr().err
+    said = refused(concord(capsys, "identify", "--data", folder, "--out", out))
+    assert "there is something of that name" in said
     assert car_from_toml(out.read_text()) == BMW_320I
 
 

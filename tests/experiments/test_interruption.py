@@ -229,16 +229,6 @@ def test_a_run_that_loses_a_node_says_so_and_goes_on(tmp_path: Path):
 
 
 @pytest.mark.slow
-def test_an_interruption_late_in_a_long_run_is_as_quick(tmp_path: Path):
-    """An interrupted command ends without computing its figures."""
-    options = "--scenario target-tracking --nodes 20 --steps 1500 --out run"
-    with family([*CONCORD, "run", *options.split()], tmp_path) as run:
-        run.await_line("1200 of 1500", 90)
-        interrupted(run, signal.SIGINT)
-    assert check_folder(tmp_path / "run") >= 1200
-
-
-@pytest.mark.slow
 def test_twenty_launches_with_an_interruption_at_a_random_moment(tmp_path: Path):
     generator = random.Random(20)
     for attempt in range(20):

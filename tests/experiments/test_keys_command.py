@@ -6,6 +6,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from tests.experiments.flexray_support import concord, refused
 from tests.processes import PROC, family
 
 pytest.importorskip("cryptography")
@@ -91,19 +92,10 @@ def test_nobody_gets_in_and_a_hole_is_found(tmp_path: Path):
 def test_mistakes_are_one_line_and_leave_nothing(
     tmp_path: Path, words: tuple[str, ...], says: str, capsys: pytest.CaptureFixture[str]
 ):
-    from experiments.cli.command_line import main
-
-    with pytest.raises(SystemExit) as end:
-        main(["keys", str(tmp_path / "keys"), *words])
-    assert end.value.code == 2
-    error = capsys.readouterr().err
-    assert says in error and error.count("\n") == 1
+    assert says in refused(concord(capsys, "keys", tmp_path / "keys", *words))
     assert not list(tmp_path.iterdir())
 
 
 def test_the_files_are_listed_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    from experiments.cli.command_line import main
-
-    main(["keys", str(tmp_path / "keys"), "--nodes", "1", "--json"])
-    made = msgspec.json.decode(capsys.readouterr().out)
+    made = concord(capsys, "keys", tmp_path / "keys", "--nodes", 1, "--json").json()
     assert set(made["files"]) == {file.name for file in (tmp_path / "keys").iterdir()}

@@ -7,12 +7,10 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 
 from experiments.cli.agree import first_difference
-from experiments.results.folder import describe
 from experiments.results.timing_figures import TimingFigures, figures_of, lines
 from nodes.changes import Calm, Cut, Fault, Gone, Joined
 from nodes.commands import Answer, in_words
@@ -26,7 +24,7 @@ from runtime.recording import read_recording
 from scenarios.setup import Setup
 from scenarios.tempo import tempo_of
 from tests.experiments.support import small, trace_of
-from tests.processes import CONCORD, PROC, family, lives
+from tests.processes import PROC, lives
 
 # In cycles of 20 ms a busy machine makes most nodes late; these last 100 ms, steps 300 ms.
 SLOWER, STEP_S = 5, 0.3
@@ -143,15 +141,6 @@ def test_a_node_that_is_given_up_ends_nothing(tmp_path: Path, back: bool):
 
 
 @pytest.mark.zenoh
-def test_contenders_get_their_grants_in_time(tmp_path: Path):
-    setup = small(steps=8, schedule="hybrid", occupancy=0.5)
-    figures = play(setup, tmp_path, slower=SLOWER)
-    assert figures.incomplete < figures.cycles / 2
-    published = trace_of(setup, tmp_path / "run.mcap").published.sum()
-    assert published > 8 * 3 * 2 / 2
-
-
-@pytest.mark.zenoh
 def test_faults_strike_the_same_frames_as_in_lockstep_and_cost_no_time(tmp_path: Path):
     lines = (
         "2 corrupt 0.3", "2 duplicate 0.5", "3 missing 1 0.5", "3 hang 3 2", "4 cut 0 1",
@@ -240,17 +229,6 @@ def test_a_loop_through_an_estimate_is_refused():
         tempo_of(setup, None)
 
 
-def test_a_bus_without_time_is_refused_before_anything_starts(tmp_path: Path):
-    out = ["--out", str(tmp_path / "out")]
-    command = [*CONCORD, "run", "--driver", "realtime", "--bus", "ideal", *out]
-    with family(command, Path.cwd()) as concord:
-        code, _, error = concord.end(20)
-    assert code == 2
-    assert "sets no pace" in error
-    assert len(error.strip().splitlines()) == 1
-    assert not (tmp_path / "out").exists()
-
-
 def test_cycles_last_as_long_as_processes_can_hold():
     setup = small(steps=2)
     tempo = tempo_of(setup, None)
@@ -262,12 +240,6 @@ def test_cycles_last_as_long_as_processes_can_hold():
     assert slow.step_s == pytest.approx(3 * 0.2)
     assert slow.group_ends_s(2, 2, 0, 1) == pytest.approx(slow.step_begins_s(3))
     assert slow.group_ends_s(0, 1, 0, 4) == pytest.approx(0.25)
-
-
-def test_the_description_keeps_the_tempo():
-    setup = small(steps=2)
-    described = describe("name", "realtime", setup, tempo_of(setup, None))
-    assert msgspec.json.decode(msgspec.json.encode(described), type=type(described)) == described
 
 
 def test_figures_count_what_was_said():

@@ -102,11 +102,6 @@ def test_the_description_comes_back_whole(tmp_path: Path):
     assert len(text.splitlines()) > 20
 
 
-def test_a_run_can_be_repeated_from_its_description(tmp_path: Path):
-    write_description(tmp_path, describe("a run", "in-process", SETUP))
-    assert in_memory(read_description(tmp_path).setup) == in_memory(SETUP)
-
-
 @pytest.mark.parametrize("content", [None, b"", b"{}", b'{"run": 3}', b"no json"])
 def test_a_folder_without_a_run_is_refused_by_name(tmp_path: Path, content: bytes | None):
     if content is not None:

@@ -84,13 +84,6 @@ def test_the_frame_is_computed_once_for_equal_noise_and_anew_for_other():
     assert one is not three
 
 
-def test_a_blind_node_is_worse_than_one_that_reads():
-    setup = prepare(scenario_of("oscillator", nodes=8, steps=40, rule="local"))
-    histories = simulate(setup, range(2))
-    figures = figures_of(setup, histories, frame_of(setup, range(2), histories))
-    assert (figures["rmse_blind"] > 1.5 * figures["rmse"]).all()
-
-
 def test_bytes_count_what_frames_add():
     # So wide a share that it takes two frames.
     fields = {"nodes": 4, "steps": 3, "rule": "hcmci", "graph": "ring"}

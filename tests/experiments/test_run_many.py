@@ -1,6 +1,5 @@
 """`concord run --driver batched`: the figures of the runs one by one, with intervals."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +7,6 @@ import pytest
 import xarray
 from scipy.stats import t
 
-from experiments.__main__ import main
 from experiments.monte_carlo.many_figures import RunCost, lines, summarise
 from experiments.monte_carlo.simulate import Histories, simulate
 from experiments.results.summary import Figures
@@ -19,6 +17,7 @@ from scenarios.baselines import READINGS_AT_ONCE, centralised_of_runs
 from scenarios.catalogue import definition_of
 from scenarios.preparation import setup_of_run
 from scenarios.setup import Setup
+from tests.experiments.flexray_support import Said, concord, refused
 from tests.experiments.support import small
 
 RUNS = range(2, 5)
@@ -89,20 +88,15 @@ def test_a_large_network_has_a_centralised_filter_too():
     np.testing.assert_allclose(belief.mean[0, 0], np.linalg.solve(information, vector), rtol=1e-7)
 
 
-def run(*options: str) -> int:
-    try:
-        main(["run", "--scenario", "oscillator", "--nodes", "4", "--steps", "9", *options])
-    except SystemExit as left:
-        return int(left.code or 0)
-    return 0
+def run(capsys: pytest.CaptureFixture[str], *options: object) -> Said:
+    return concord(capsys, "run", "--scenario", "oscillator", "--nodes", 4, "--steps", 9, *options)
 
 
 def test_the_command_writes_arrays_by_run_and_prints_intervals(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     options = ("--driver", "batched", "--runs", "3", "--run", "2", "--covariances", "--json")
-    assert run(*options, "--out", str(tmp_path / "many")) == 0
-    said = json.loads(capsys.readouterr().out)
+    said = run(capsys, *options, "--out", tmp_path / "many").json()
     assert said["runs"] == 3 and said["first_run"] == 2
     value, low, high = said["rmse"]
     assert low < value < high
@@ -130,9 +124,7 @@ def test_the_command_writes_arrays_by_run_and_prints_intervals(
 def test_options_of_another_driver_are_refused(
     options: list[str], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    assert run(*options, "--out", str(tmp_path / "x")) == 2
-    captured = capsys.readouterr()
-    assert says in captured.err and captured.err.count("\n") == 1
+    assert says in refused(run(capsys, *options, "--out", tmp_path / "x"))
     assert not (tmp_path / "x").exists()
 
 
@@ -143,6 +135,6 @@ def test_an_interrupted_monte_carlo_leaves_nothing(
         raise KeyboardInterrupt
 
     monkeypatch.setattr("experiments.monte_carlo.run_many.simulate", interrupted)
-    assert run("--driver", "batched", "--out", str(tmp_path / "many")) == 130
-    assert "is removed" in capsys.readouterr().err
+    said = run(capsys, "--driver", "batched", "--out", tmp_path / "many")
+    assert said.code == 130 and "is removed" in said.err
     assert not (tmp_path / "many").exists()

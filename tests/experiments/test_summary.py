@@ -67,11 +67,6 @@ def test_what_nodes_notice_of_faults_is_said():
     assert "nodes noticed: repeated 60, silent 60" in lines(figures)
 
 
-def test_the_worst_node_is_named_against_the_centralised_filter():
-    worst = max(node.rmse for node in FIGURES.nodes)
-    assert FIGURES.worst_node_to_centralised == pytest.approx(worst / FIGURES.rmse_centralised)
-
-
 def test_nothing_is_scored_before_anybody_has_seen_anything():
     blind = TRACE.readings.copy()
     blind[:25] = np.nan
@@ -182,18 +177,6 @@ def test_what_is_not_known_is_null_in_json(run_json, mrclam_folder: Path):
     """No node has seen the target in the first steps, and JSON has no NaN."""
     out, _, _ = run_json(f"--scenario mrclam --data {mrclam_folder} --target 4 --steps 3")
     json.loads(out, parse_constant=lambda name: pytest.fail(f"{name} in JSON"))
-
-
-def test_without_json_people_get_a_table(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
-    monkeypatch.chdir(tmp_path)
-    main(["run", *SMALL_RUN.split()])
-    captured = capsys.readouterr()
-    assert "centralised" in captured.out
-    assert "RMSE" in captured.out
-    assert "seed 5; results in runs/oscillator-" in captured.err
-    assert len(list((tmp_path / "runs").iterdir())) == 1
 
 
 def test_listing_for_machines_and_people_names_the_same(capsys: pytest.CaptureFixture[str]):

@@ -19,6 +19,7 @@ from experiments.simulation_testing.wire import LOSING, WIRE_FAULTS, Wire
 from nodes.faults.vocabulary import EVERY_FAULT
 from scenarios.preparation import prepare
 from scenarios.script import script_of
+from tests.experiments.flexray_support import Said, concord
 from tests.experiments.torture_bugs import BUGS, MOST_SEEDS, Bug, first_found, planted
 
 # Those that are found within one small case, and so in a fast test.
@@ -33,12 +34,9 @@ def bug_of(name: str) -> Bug:
     return next(bug for bug in BUGS if bug.name == name)
 
 
-def said(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
+def said(capsys: pytest.CaptureFixture[str], *words: str) -> Said:
     """Exit code, standard output and standard error of `concord torture`."""
-    with pytest.raises(SystemExit) as end:
-        main(["torture", *words])
-    told = capsys.readouterr()
-    return int(end.value.code or 0), told.out, told.err
+    return concord(capsys, "torture", *words)
 
 
 def test_nothing_breaks_and_what_was_done_is_counted(capsys: pytest.CaptureFixture[str]):

@@ -1,6 +1,5 @@
 """Test user errors: one helpful sentence, exit code 2, and no files left behind."""
 
-import shutil
 import socket
 from pathlib import Path
 
@@ -180,16 +179,6 @@ def test_recorded_data_must_be_named(complaint):
     assert "CONCORD_MRCLAM" in message
 
 
-def test_a_folder_of_data_must_be_there(complaint):
-    assert "nowhere: no such folder" in complaint("--scenario mrclam --data nowhere --target 4")
-
-
-def test_a_folder_of_data_must_hold_a_recording(complaint, home: Path):
-    (home / "empty").mkdir()
-    message = complaint("--scenario mrclam --data empty --target 4", keeps=("empty",))
-    assert "Robot1_Groundtruth.dat" in message
-
-
 @pytest.fixture
 def damaged(mrclam_folder: Path, home: Path):
     """A copy of the recording in which one file is changed, or gone."""
@@ -218,18 +207,6 @@ def test_a_truncated_file_is_named_with_its_line(complaint, damaged, file: str):
     assert "cut off?" in message
 
 
-def test_a_missing_file_is_named(complaint, damaged):
-    arguments = damaged("Robot2_Odometry.dat", lambda content: None)
-    message = complaint(arguments, keeps=("data",))
-    assert "data/Robot2_Odometry.dat: no such file" in message
-
-
-def test_a_file_of_something_else_is_named_with_its_line(complaint, damaged):
-    arguments = damaged("Robot1_Measurement.dat", lambda content: b"1 2 three 4\n" + content)
-    message = complaint(arguments, keeps=("data",))
-    assert "Robot1_Measurement.dat:1: 'three' is not a finite number" in message
-
-
 @pytest.mark.parametrize(
     ("option", "says"),
     [
@@ -242,11 +219,3 @@ def test_what_a_recording_does_not_hold_cannot_be_asked_for(
     complaint, mrclam_folder: Path, option: str, says: str
 ):
     assert says in complaint(f"--scenario mrclam --data {mrclam_folder} {option}")
-
-
-def test_the_copy_of_the_recording_is_sound(damaged, home: Path, mrclam_folder: Path):
-    """Otherwise the complaints above would be about the copy."""
-    arguments = damaged("Barcodes.dat", lambda content: content)
-    main(["run", *arguments.split(), "--steps", "3", "--out", "run"])
-    assert (home / "run" / "run.json").is_file()
-    shutil.rmtree(home / "run")

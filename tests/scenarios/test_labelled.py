@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from experiments.cli.agree import first_difference
 from experiments.results.trace import Trace, read_trace
 from experiments.scenario_options import scenario_of
 from nodes.rules.labelled import LabelledFlooding
@@ -16,8 +15,7 @@ from nodes.rules.record_sets import lacked, newest_first
 from papers.labelled.cases import FaultCase, runs_of_case
 from papers.labelled.exact import FULL_INFORMATION, audit, full_information
 from papers.labelled.exact_section import NETWORKS, exact_section
-from runtime.drivers import DRIVERS, in_memory
-from runtime.recording import read_recording
+from runtime.drivers import in_memory
 from scenarios.baselines import centralised
 from scenarios.build import build_node
 from scenarios.bus_plan import build_schedule
@@ -27,6 +25,7 @@ from scenarios.preparation import prepare
 from scenarios.scenario import Scenario
 from scenarios.setup import Setup
 from scenarios.warnings import warnings_of
+from tests.test_agreement import assert_agreement
 
 
 def setup_of(**options) -> Setup:
@@ -128,13 +127,8 @@ def test_every_plant_runs_and_no_record_is_lost(name: str):
 @pytest.mark.zenoh
 @pytest.mark.parametrize("relay", [False, True])
 def test_processes_give_the_bits_of_one_process(relay: bool, tmp_path: Path):
-    setup = setup_of(occupancy=0.5, steps=5, nodes=4, window_steps=3, relay=relay, digest_steps=2)
-    traces = []
-    for name, driver in DRIVERS.items():
-        recording = tmp_path / f"{name}.mcap"
-        driver(setup, f"labelled-{relay}-{name}", recording, None, lambda step: None)
-        traces.append(read_trace(setup, read_recording(recording)))
-    assert first_difference(traces[0], traces[1], "processes") is None
+    options = {"nodes": 4, "window_steps": 3, "relay": relay, "digest_steps": 2}
+    assert_agreement(setup_of(occupancy=0.5, steps=5, **options), tmp_path)
 
 
 # --- gates ---------------------------------------------------------------------------------------

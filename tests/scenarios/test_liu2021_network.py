@@ -1,18 +1,14 @@
 """`liu2021-network`: what it is made of, what it refuses, and that its drivers agree."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from experiments.cli.agree import first_difference
 from plants import liu2021
 from plants.bounded_network import BoundedNetwork, on_the_bound
-from runtime.drivers import DRIVERS
 from scenarios.catalogue import definition_of
 from scenarios.preparation import prepare
 from scenarios.rules import is_set_valued
-from tests.experiments.support import scenario, small, trace_of
+from tests.experiments.support import scenario, small
 
 NAME = "liu2021-network"
 GAUSSIAN_RULES = ("ci", "wac")
@@ -91,18 +87,3 @@ def test_set_rules_are_certain_and_gaussian_rules_run_on_it_too():
     for rule in GAUSSIAN_RULES:
         asked = small(NAME, rule=rule)
         assert not is_set_valued(asked.scenario)
-
-
-@pytest.mark.zenoh
-@pytest.mark.parametrize("rule", ["ellipsoid", "zonotope"])
-def test_drivers_agree_bit_for_bit(rule: str, tmp_path: Path):
-    setup = small(NAME, rule=rule, schedule="hybrid", occupancy=0.5, steps=6)
-    traces = {}
-    for name, driver in DRIVERS.items():
-        recording = tmp_path / f"{name}.mcap"
-        driver(setup, f"agree-{name}", recording, None, lambda step: None)
-        traces[name] = trace_of(setup, recording)
-    reference = traces["in-process"]
-    assert reference.steps == 6
-    for name, trace in traces.items():
-        assert first_difference(reference, trace, name) is None

@@ -6,23 +6,22 @@ import numpy as np
 import pytest
 
 from bus.measurement_bus import MeasurementBus
-from experiments.cli.agree import first_difference
 from experiments.results.summary import summarise
 from experiments.results.trace import Trace, read_trace
 from filters.gaussian import Gaussian
 from filters.stochastic_ukf import Received
 from plants import meng2025
-from runtime import in_process
-from runtime.drivers import DRIVERS, in_memory
-from runtime.recording import MemoryRecorder
+from runtime.drivers import in_memory
 from scenarios.baselines import centralised, local_only
-from scenarios.build import build_bus, build_environment, build_node
+from scenarios.build import build_bus
 from scenarios.definitions.measurement_runs import BusFilter, estimate, first_received, slots_of
 from scenarios.definitions.meng2025 import FILTERS, SYSTEM, bus_of, paper_points
 from scenarios.preparation import prepare
 from scenarios.scenario import Scenario
 from scenarios.setup import Setup
-from tests.experiments.support import scenario, trace_of
+from tests.experiments.support import scenario
+from tests.nodes import changing
+from tests.test_agreement import assert_agreement
 
 STAR: dict = {"steps": 41}
 NETWORK: dict = {"nodes": 4, "steps": 25}
@@ -122,13 +121,7 @@ def test_short_numbers_on_the_wire_and_frames_that_get_lost():
     exact, short = run(star()), run(star(number="float32"))
     apart = np.abs(exact.mean[:, 0] - short.mean[:, 0]).max()
     assert 0 < apart < 1e-5
-    setup = star(steps=20)
-    recorder = MemoryRecorder()
-    nodes = [build_node(setup, node) for node in range(7)]
-    in_process.run(
-        build_environment(setup), nodes, recorder, link=lambda sender, receiver, frame: ()
-    )
-    deaf = read_trace(setup, recorder.messages)
+    deaf = changing.run(star(steps=20), link=lambda sender, receiver, frame: ())
     assert deaf.counters[0]["missed"] == 19
     np.testing.assert_allclose(
         deaf.mean[:, 0], run(star(steps=20, schedule="none")).mean[:, 0], atol=1e-12
@@ -178,28 +171,11 @@ def test_a_node_is_delivered_what_its_bus_transmits():
             assert sensor == place if place else sensor in (5, 6)
 
 
-@pytest.mark.parametrize("rule", ["ci", "wac", "hcmci"])
-def test_consensus_is_better_than_every_node_alone(rule: str):
-    setup = network(nodes=8, steps=60, rule=rule)
-    figures = summarise(setup, run(setup))
-    assert figures.rmse_centralised < figures.rmse < figures.rmse_local_only
-    assert figures.anees < 1.5
-
-
 def test_alone_in_the_figures_is_what_rule_local_gives():
     setup = network(rule="local")
     trace = run(setup)
     alone = local_only(setup, trace.readings, trace.control)
     np.testing.assert_allclose(alone.mean, trace.mean, rtol=1e-9, atol=1e-12)
-
-
-def test_the_order_of_nodes_does_not_matter_to_the_centralised_filter():
-    setup = network()
-    trace = run(setup)
-    forward = centralised(setup, trace.readings, trace.control)
-    backward = centralised(setup, trace.readings[:, ::-1], trace.control)
-    np.testing.assert_allclose(forward.mean, backward.mean, rtol=1e-9, atol=1e-11)
-    np.testing.assert_allclose(forward.cov, backward.cov, rtol=1e-9, atol=1e-11)
 
 
 def test_the_network_refuses_a_bus_without_contenders():
@@ -222,15 +198,7 @@ def test_the_network_refuses_a_bus_without_contenders():
     ids=["star", "literal", "dynamic", "network"],
 )
 def test_processes_give_the_same_bits(setup: Setup, tmp_path: Path):
-    traces = {}
-    for name, driver in DRIVERS.items():
-        recording = tmp_path / f"{name}.mcap"
-        driver(setup, f"meng-{name}", recording, None, lambda step: None)
-        traces[name] = trace_of(setup, recording)
-    reference = traces["in-process"]
-    assert reference.steps == setup.scenario.steps
-    for name, trace in traces.items():
-        assert first_difference(reference, trace, name) is None
+    assert_agreement(setup, tmp_path)
 
 
 def test_the_schedule_of_the_star_fits_a_cluster():

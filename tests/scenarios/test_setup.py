@@ -6,7 +6,7 @@ import pytest
 
 from runtime.drivers import in_memory
 from scenarios.catalogue import definitions
-from scenarios.preparation import fingerprint, prepare
+from scenarios.preparation import fingerprint
 from scenarios.scenario import Scenario
 from scenarios.setup import Setup
 from tests.experiments.support import scenario, small
@@ -73,12 +73,3 @@ def test_every_scenario_says_what_it_is():
         assert definition.defaults.name == name
         assert 10 < len(type(definition.defaults.plant).summary()) < 100
         assert type(definition.defaults.plant).summary()[0].isupper()
-
-
-@pytest.mark.parametrize(
-    "name", [n for n, definition in definitions().items() if definition.all_steps is None]
-)
-def test_every_scenario_runs_as_it_comes(name: str):
-    setup = prepare(definitions()[name].defaults.with_(steps=2))
-    assert len(setup.neighbours) == setup.scenario.nodes
-    assert any(topic.startswith("estimate/") for topic, _ in in_memory(setup))

@@ -9,7 +9,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from experiments.cli.agree import first_difference
 from experiments.results.bus_report import figures_of
 from experiments.results.trace import Trace, read_trace
 from nodes.rules.adaptive_noise import AdaptiveNoise
@@ -17,13 +16,13 @@ from plants.vehicle.cars import FITTED_CARS
 from plants.vehicle.drive_log import write_drive
 from plants.vehicle.manoeuvres import MANOEUVRES
 from plants.vehicle.network import SIDE_SLIP, STATE_NAMES
-from runtime.drivers import DRIVERS, in_memory
+from runtime.drivers import in_memory
 from scenarios.baselines import local_only
 from scenarios.build import build_node
 from scenarios.catalogue import definition_of
 from scenarios.preparation import prepare
 from scenarios.setup import Setup
-from tests.experiments.support import scenario, trace_of
+from tests.experiments.support import scenario
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("vehiclemodels") is None, reason="needs concord[vehicle]"
@@ -87,17 +86,6 @@ def test_a_node_process_knows_nothing_of_the_simulated_truth(tmp_path: Path):
         "assert not {'vehiclemodels', 'plants.vehicle.truth'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
-
-
-@pytest.mark.zenoh
-def test_processes_give_the_same_bits(tmp_path: Path):
-    prepared, found = setup(steps=40), {}
-    for name, driver in DRIVERS.items():
-        recording = tmp_path / f"{name}.mcap"
-        driver(prepared, f"vehicle-{name}", recording, None, lambda step: None)
-        found[name] = trace_of(prepared, recording)
-    for name, trace in found.items():
-        assert first_difference(found["in-process"], trace, name) is None
 
 
 def test_a_log_takes_the_place_of_the_simulation(tmp_path: Path):
