@@ -1,4 +1,4 @@
-"""Rules that exchange readings and average means: diffusion, Kalman consensus, no fusion at all."""
+"""Kalman consensus pulls no farther than its rate; without fusion a node keeps its belief."""
 
 import numpy as np
 import pytest

@@ -23,19 +23,6 @@ def test_everyone_is_drawn_as_often_as_its_weight_says(seed: int, count: int):
         assert (np.abs(copies - expected[lane]) < 1 + 1e-9).all()
 
 
-def test_resampling_is_unbiased():
-    generator = np.random.default_rng(2)
-    logs = np.log([0.05, 0.15, 0.3, 0.5])
-    lanes = 40_000
-    cloud = Particles(
-        np.broadcast_to(np.arange(4.0)[:, None], (lanes, 4, 1)), np.tile(logs, (lanes, 1))
-    )
-    drawn = resample(cloud, generator.random(lanes)).states[..., 0]
-    share = np.array([(drawn == i).mean() for i in range(4)])
-    # A count deviates by at most one of four, so a share by a standard deviation of 1/8 at most.
-    np.testing.assert_allclose(share, np.exp(logs), atol=5 * 0.125 / np.sqrt(lanes))
-
-
 def test_weights_survive_tiny_likelihoods():
     logs = np.array([-1e5, -1e5 + np.log(3.0)])
     np.testing.assert_allclose(weights(Particles(np.zeros((2, 1)), logs)), [0.25, 0.75])

@@ -1,7 +1,4 @@
-"""Test the effects that a hostile network cannot have.
-
-Order of arrival, repetition and garbage change no result. Loss does not separate nodes that agree.
-"""
+"""Loss on arrival equals loss on the way, and a neighbour may run far ahead."""
 
 from collections.abc import Iterable
 

@@ -1,8 +1,7 @@
-"""Classical controllers: their recursion against other simulations, and their loops' figures."""
+"""Classical controllers: their recursion against other simulations, limits and root loci."""
 
 from typing import Any
 
-import control
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,8 +9,8 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from papers.wac.root_loci import figure_7
-from plants.control import cruise, motor, pitch, suspension
-from plants.control.closed_loop import closed_loop, quiet, step_figures
+from plants.control import cruise, motor, pitch
+from plants.control.closed_loop import closed_loop, quiet
 from plants.control.controllers import IntegralFeedback, OutputFeedback, StateFeedback
 from plants.control.references import constant
 from plants.control.transfer_functions import (
@@ -78,73 +77,6 @@ def test_lag_and_lead_are_not_exchanged(make, zero: float, pole: float):
 def test_second_derivative_is_refused():
     with pytest.raises(ValueError, match="differentiates twice"):
         sampled_compensator(Rational((1.0, 0.0, 0.0), (1.0,)), TIME_STEP_S)
-
-
-CLASSICAL = [
-    pytest.param(cruise.transfer_function(), cruise.PROPORTIONAL, 0.923, None, None, id="cruise P"),
-    pytest.param(cruise.transfer_function(), cruise.LAG, 0.9962, 8.3, None, id="cruise lag"),
-    pytest.param(pitch.transfer_function(), pitch.LEAD, 1.0, 10.4, 8.2, id="pitch lead"),
-    pytest.param(motor.speed_transfer_function(), motor.SPEED_PID, 1.0, 0.26, None, id="speed PID"),
-    pytest.param(
-        motor.speed_transfer_function(), motor.SPEED_LAG, None, 1.32, 13.7, id="speed lag"
-    ),
-]
-
-
-@pytest.mark.parametrize(("plant", "controller", "rest", "settling", "overshoot"), CLASSICAL)
-def test_continuous_loops_have_the_printed_figures(
-    plant: Rational, controller: Rational, rest, settling, overshoot
-):
-    loop: Any = control.feedback(control.tf(*series(controller, plant)), 1)
-    final = float(np.real(loop.dcgain()))
-    times = np.linspace(0, 60, 60_001)
-    figures = step_figures(control.step_response(loop, times).outputs, 1e-3, final)
-    if rest is not None:
-        assert final == pytest.approx(rest, abs=5e-4)
-    if settling is not None:
-        assert figures.settling_time_s == pytest.approx(settling, abs=0.05)
-    if overshoot is not None:
-        assert figures.overshoot_percent == pytest.approx(overshoot, abs=0.05)
-
-
-@pytest.mark.parametrize(
-    ("plant", "dynamics", "controller", "settling"),
-    [
-        pytest.param(cruise.cruise(), cruise.dynamics(), cruise.LAG, 8.3, id="cruise lag"),
-        pytest.param(pitch.pitch(), pitch.dynamics(), pitch.LEAD, 10.4, id="pitch lead"),
-        pytest.param(
-            motor.motor_speed(), motor.speed_dynamics(), motor.SPEED_PID, 0.26, id="speed PID"
-        ),
-        pytest.param(
-            motor.motor_speed(), motor.speed_dynamics(), motor.SPEED_LAG, 1.32, id="speed lag"
-        ),
-    ],
-)
-def test_sampled_loops_settle_as_the_continuous_ones(plant, dynamics, controller, settling):
-    feedback = output_feedback(dynamics, TIME_STEP_S, controller, constant(1.0))
-    output = closed_loop(plant, feedback, quiet(plant, 6000)).states @ dynamics.output_row[0]
-    figures = step_figures(output, TIME_STEP_S, output[-1])
-    assert figures.settling_time_s == pytest.approx(settling, abs=0.05)
-
-
-def test_bus_pid_holds_the_travel():
-    # Continuous: the road through P / (1 + P C); figures 5.05 mm, within 5 mm after .065 s.
-    parts: Any = [control.tf(*part) for part in suspension.transfer_functions()]
-    from_force, from_road = parts
-    loop: Any = control.minreal(
-        from_road / (1 + from_force * control.tf(*suspension.PID)), verbose=False
-    )
-    times = np.linspace(0, 5, 100_001)
-    travel = 0.1 * np.abs(control.step_response(loop, times).outputs)
-    assert 1e3 * travel.max() == pytest.approx(5.05, abs=5e-3)
-    assert times[np.flatnonzero(travel > 5e-3)[-1]] == pytest.approx(0.065, abs=5e-4)
-
-    plant = suspension.suspension(road=suspension.ROAD_STEP)
-    feedback = output_feedback(
-        suspension.dynamics(), plant.time_step_s, suspension.PID, constant(0.0)
-    )
-    sampled = np.abs(closed_loop(plant, feedback, quiet(plant, 4000)).states[:, 2])
-    assert 1e3 * sampled.max() == pytest.approx(5.05, abs=0.01)
 
 
 @pytest.mark.parametrize("name", ["POSITION_PROPORTIONAL", "POSITION_PROPORTIONAL_INTEGRAL"])

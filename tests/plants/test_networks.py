@@ -105,63 +105,6 @@ def test_paper_weights_leave_hidden_states_uncorrected(make):
     assert np.delete(gain, measured) == pytest.approx(0, abs=1e-5)
 
 
-def wac(plant: LinearPlant, rounds: int, steps: int) -> tuple[Any, ...]:
-    """Exact rel, ANEES and lambda_max of weighted-average consensus on a ring of eight.
-
-    Propagates the joint covariance of all errors and the centralised filter's, no Monte Carlo.
-    """
-    transition, noise = plant.model.transition_matrix, plant.model.noise_cov
-    rows, n = plant.sensors.rows[:, 0], len(transition)
-    seeing = ~np.isnan(plant.sensors.noise_std[:, 0])
-    variances = np.where(seeing, plant.sensors.noise_std[:, 0], np.inf) ** 2
-    weights = (np.eye(8) + np.roll(np.eye(8), 1, 0) + np.roll(np.eye(8), -1, 0)) / 3
-    mixing = np.kron(np.linalg.matrix_power(weights, rounds), np.eye(n))
-    moving = np.kron(np.eye(8), transition)
-    covs, joint = np.stack([plant.prior_cov] * 8), np.kron(np.ones((8, 8)), plant.prior_cov)
-    central = plant.prior_cov
-    information = (rows[seeing] / variances[seeing, None]).T @ rows[seeing]
-    for step in range(steps):
-        if step:
-            covs = transition @ covs @ transition.T + noise
-            central = transition @ central @ transition.T + noise
-            joint = moving @ joint @ moving.T + np.kron(np.ones((8, 8)), noise)
-        gains = np.einsum("iab,ib->ia", covs, rows)
-        gains /= (np.einsum("ia,ia->i", rows, gains) + variances)[:, None]
-        update = np.zeros((8, n, 8, n))
-        own = np.zeros((8, n, 8, n))
-        for i in range(8):
-            update[i, :, i] = np.eye(n) - np.outer(gains[i], rows[i])
-            own[i, :, i] = np.outer(gains[i], gains[i]) * (variances[i] if seeing[i] else 0.0)
-            covs[i] = update[i, :, i] @ covs[i] @ update[i, :, i].T + own[i, :, i]
-        size = (8 * n, 8 * n)
-        change = mixing @ update.reshape(size)
-        joint = change @ joint @ change.T + mixing @ own.reshape(size) @ mixing.T
-        covs = np.einsum("ij,jab->iab", np.linalg.matrix_power(weights, rounds), covs)
-        central = np.linalg.inv(np.linalg.inv(central) + information)
-    errors = [joint[i * n : i * n + n, i * n : i * n + n] for i in range(8)]
-    relative = np.sqrt(np.mean([np.trace(np.linalg.solve(central, e)) for e in errors]) / n)
-    scaled = [np.linalg.solve(cov, e) for cov, e in zip(covs, errors, strict=True)]
-    anees = np.mean([np.trace(matrix) for matrix in scaled]) / n
-    return relative, anees, max(np.linalg.eigvals(matrix).real.max() for matrix in scaled)
-
-
-# Rows WAC of the ring table, L = 1 and L = 5: rel, ANEES, lambda_max. The bus is not settled after
-# the 1500 steps that reproduce it; the others are after 600.
-RING = [
-    pytest.param(cruise.cruise, 600, (1.31, 0.57, 0.59), (1.28, 0.56, 0.57), id="cruise"),
-    pytest.param(suspension.suspension, 1500, (1.40, 0.48, 0.83), (1.34, 0.49, 0.77), id="bus"),
-    pytest.param(pitch.pitch, 600, (1.30, 0.46, 0.71), (1.25, 0.45, 0.67), id="pitch"),
-    pytest.param(motor.motor_speed, 600, (1.43, 0.71, 0.84), (1.39, 0.69, 0.76), id="speed"),
-    pytest.param(motor.motor_position, 600, (1.49, 0.57, 0.89), (1.40, 0.56, 0.81), id="position"),
-]
-
-
-@pytest.mark.parametrize(("make", "steps", "once", "five_times"), RING)
-def test_networks_reproduce_the_ring_table(make, steps: int, once: tuple, five_times: tuple):
-    assert wac(make(), 1, steps) == pytest.approx(once, abs=5.1e-3)
-    assert wac(make(), 5, steps) == pytest.approx(five_times, abs=5.1e-3)
-
-
 def test_motor_has_the_centralised_standard_deviations_of_the_specification():
     plant = motor.motor_position()
     seeing = ~np.isnan(plant.sensors.noise_std[:, 0])

@@ -1,4 +1,4 @@
-"""The oscillator: exact discretisation, stationary law, and a Kalman filter that is consistent."""
+"""The oscillator: exact discretisation, stationary law, and sensors that are dealt in turn."""
 
 import math
 

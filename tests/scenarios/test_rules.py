@@ -1,4 +1,4 @@
-"""Every fusion rule from its name to a running network, and what each of them refuses."""
+"""Test the shares of each fusion rule, and what each rule refuses."""
 
 import re
 from pathlib import Path
