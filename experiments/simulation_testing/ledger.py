@@ -71,12 +71,9 @@ class OracleLedger:
         """Return whether a node has let a turn pass in the open group of the cycle."""
         if ledger.phase not in (Phase.GRANT, Phase.SHARES):
             return False
-        granted = (
-            self.record.grants.get((ledger.cycle, ledger.group), ())
-            if ledger.phase is Phase.SHARES
-            else ()
-        )
-        turns = (*config.schedule.groups(ledger.cycle)[ledger.group].senders, *granted)
+        turns = config.schedule.groups(ledger.cycle)[ledger.group].senders
+        if ledger.phase is Phase.SHARES:
+            turns = (*turns, *self.record.grants.get((ledger.cycle, ledger.group), ()))
         faults = self.record.faults(config, step)
         return config.index in turns and bool(
             must_be_silent(faults, step, ledger.cycle, config.index)

@@ -230,6 +230,7 @@ def test_a_run_that_loses_a_node_says_so_and_goes_on(tmp_path: Path):
 
 @pytest.mark.slow
 def test_twenty_launches_with_an_interruption_at_a_random_moment(tmp_path: Path):
+    """No first line is awaited, so how busy the machine is stays unknown: only a hang fails."""
     generator = random.Random(20)
     for attempt in range(20):
         folder = tmp_path / str(attempt)
@@ -239,10 +240,10 @@ def test_twenty_launches_with_an_interruption_at_a_random_moment(tmp_path: Path)
             time.sleep(generator.uniform(0.0, 2.5))
             if run.process.poll() is None:
                 run.send(how)
-            code, _, err = run.end(run.at_once_s)
+            code, _, err = run.end(PATIENCE_S)
             # Before our first line and after our last, Python answers a signal in its own way.
             assert code in (0, INTERRUPTED, -signal.SIGINT, -signal.SIGTERM), err
             assert code == INTERRUPTED or "seed" not in err or "150 of 150" in err
-            assert run.gone_at_once()
+            assert run.gone_within(PATIENCE_S)
         if (folder / "run" / DESCRIPTION).exists():
             check_folder(folder / "run")

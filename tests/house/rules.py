@@ -17,6 +17,3 @@ RULES: tuple[Rule, ...] = (
     modules_are_reached,
     functions_are_called,
 )
-
-AWAITED: tuple[Rule, ...] = (classes_are_small,)
-"""Rules that the product does not keep yet; a rule leaves this list when its count is zero."""
