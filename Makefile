@@ -55,7 +55,7 @@ fuzz: .venv/dev.stamp
 
 # Golden transcripts of faults and phases; read the difference before you commit it.
 stories: .venv/dev.stamp
-	CONCORD_REWRITE=1 $(BIN)/python -m pytest tests/nodes/test_stories.py tests/nodes/test_transcript.py
+	CONCORD_REWRITE=1 $(BIN)/python -m pytest tests/nodes/test_stories.py
 
 docs: .venv/run.stamp
 	$(BIN)/python -m docs.picture

@@ -64,8 +64,3 @@ def test_what_is_equal_in_every_run_is_certain():
     same = np.full(5, 2.0)
     assert mean_bootstrap(same) == mean_t(same) == (2, 2, 2)
     assert ratio_bootstrap(same, same) == (1, 1, 1)
-
-
-def test_the_bootstrap_repeats_itself():
-    values = np.random.default_rng(3).gamma(3, 1, 15)
-    assert mean_bootstrap(values) == mean_bootstrap(values)

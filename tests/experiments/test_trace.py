@@ -87,13 +87,6 @@ def test_a_part_of_the_messages_gives_the_steps_that_are_complete(name: str, ran
     assert not (trace.published & ~whole.published[: trace.steps]).any()
 
 
-def test_no_message_is_no_step():
-    trace = read_trace(SETUPS["full"], [])
-    assert trace.steps == 0
-    assert trace.mean.shape == (0, 4, 2)
-    assert trace.published.shape == (0, 3, 4)
-
-
 def test_messages_after_the_last_complete_step_are_left_out():
     """A node that is ahead has estimated and published more than the others."""
     messages = [

@@ -9,7 +9,6 @@ import numpy as np
 
 from filters.gaussian import Gaussian
 from filters.linalg import multiply, solve_spd, symmetrise
-from filters.moments import check_noise
 from filters.update import Update, missing_entries, settle, without_rows
 
 
@@ -21,16 +20,8 @@ def predict(
 ) -> Gaussian:
     """The belief one step later: x = F x + G u + w.
 
-    Args:
-        belief: mean (..., n), cov (..., n, n).
-        transition_matrix: F, (n, n) or (..., n, n).
-        noise_cov: covariance of w, (n, n) or (..., n, n).
-        control_term: G u, (..., n).
-
-    Raises:
-        ValueError: the noise does not fit the state.
+    F and the covariance of w are (n, n) or (..., n, n), and the control term G u is (..., n).
     """
-    check_noise(noise_cov, belief.mean.shape[-1], "process noise covariance")
     F = transition_matrix
     mean = multiply(F, belief.mean) + control_term
     return Gaussian(mean, symmetrise(F @ belief.cov @ F.mT + noise_cov))
@@ -41,47 +32,14 @@ def update(
     measurement: np.ndarray,
     measurement_matrix: np.ndarray,
     noise_cov: np.ndarray,
-    *,
-    gate: float | None = None,
 ) -> Update:
-    """The belief given a measurement z = H x + v.
+    """The belief (..., n) given a measurement z = H x + v (..., m); a NaN entry was not taken.
 
-    Args:
-        belief: mean (..., n), cov (..., n, n).
-        measurement: (..., m); an entry that is NaN was not taken.
-        measurement_matrix: H, (m, n) or (..., m, n).
-        noise_cov: covariance of v, (m, m) or (..., m, m).
-        gate: lanes whose normalised innovation squared exceeds it keep their belief.
-
-    Returns:
-        An Update; NaN in a lane whose innovation covariance is not positive definite. A lane with
-        nothing taken, or gated out, keeps its belief bit for bit.
-
-    Raises:
-        ValueError: the noise does not fit the measurement.
+    H is (m, n) or (..., m, n), and the covariance of v is (m, m) or (..., m, m).
     """
     measurement = np.asarray(measurement, dtype=float)
     innovation = measurement - multiply(measurement_matrix, belief.mean)
     missing = missing_entries(measurement)
-    return linear_update(belief, innovation, measurement_matrix, noise_cov, missing, gate)
-
-
-def linear_update(
-    belief: Gaussian,
-    innovation: np.ndarray,
-    measurement_matrix: np.ndarray,
-    noise_cov: np.ndarray,
-    missing: np.ndarray | None,
-    gate: float | None,
-) -> Update:
-    """The Update by an innovation (..., m) that depends on the state through a matrix (..., m, n).
-
-    Entries marked in `missing` (..., m), as `update.missing_entries` gives it, are left out.
-
-    Raises:
-        ValueError: the noise does not fit the measurement.
-    """
-    check_noise(noise_cov, innovation.shape[-1], "measurement noise covariance")
     H, R, P = measurement_matrix, noise_cov, belief.cov
     if missing is not None:
         innovation = np.where(missing, 0.0, innovation)
@@ -93,4 +51,4 @@ def linear_update(
     cov = symmetrise(left @ P @ left.mT + K @ R @ K.mT)
     after = Gaussian(belief.mean + multiply(K, innovation), cov)
     squared = np.vecdot(innovation, solve_spd(S, innovation[..., None])[..., 0])
-    return settle(belief, after, innovation, S, squared, missing, gate)
+    return settle(belief, after, innovation, S, squared, missing, None)

@@ -52,16 +52,6 @@ def range_bearing(points: np.ndarray) -> np.ndarray:
     return np.stack([np.sqrt(dx * dx + dy * dy), np.arctan2(dy, dx)], axis=-1)
 
 
-def range_bearing_jacobian(states: np.ndarray) -> np.ndarray:
-    dx = states[..., 0] - SENSOR_POSITION_M[0]
-    dy = states[..., 2] - SENSOR_POSITION_M[1]
-    distance = np.sqrt(dx * dx + dy * dy)
-    jacobian = np.zeros((*states.shape[:-1], 2, 5))
-    jacobian[..., 0, 0], jacobian[..., 0, 2] = dx / distance, dy / distance
-    jacobian[..., 1, 0], jacobian[..., 1, 2] = -dy / distance**2, dx / distance**2
-    return jacobian
-
-
 def wrap(angle: np.ndarray) -> np.ndarray:
     return (angle + np.pi) % (2 * np.pi) - np.pi
 

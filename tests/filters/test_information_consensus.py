@@ -62,14 +62,6 @@ def test_hybrid_consensus_is_its_formula(gain, nodes, n, rounds, seed):
         np.testing.assert_allclose(matrix @ belief.mean[i], vector, rtol=1e-7, atol=1e-7)
 
 
-@given(nodes=st.integers(1, 6), rounds=st.integers(0, 5), seed=SEEDS)
-def test_the_safe_gain_counts_no_novelty_more_than_once(nodes, rounds, seed):
-    power = np.linalg.matrix_power(primitive_weights(np.random.default_rng(seed), nodes), rounds)
-    factors = safe_gain(power)[:, None] * power
-    assert factors.max() <= 1 + 1e-15
-    np.testing.assert_allclose(factors.max(axis=1), 1.0, rtol=1e-15)
-
-
 def test_a_failed_lane_fails_alone():
     generator = np.random.default_rng(3)
     priors = random_belief(generator, (2, 3), 2)

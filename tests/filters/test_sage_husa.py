@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from filters import ukf
 from filters.adaptive import sage_husa
 from filters.adaptive.sage_husa import Bounds
 from filters.gaussian import Gaussian
@@ -76,25 +75,6 @@ def test_the_residual_is_that_of_the_posterior():
     np.testing.assert_allclose(left, expected, rtol=1e-12, atol=1e-12)
     for lane in range(4):
         np.testing.assert_allclose(spread[lane], np.diag(H @ posterior.cov[lane] @ H.T))
-
-
-@pytest.mark.parametrize("start", [0.01, 100.0])
-def test_it_finds_the_noise_of_a_matched_filter(start):
-    """With b = .98 the average spans 50 readings: lanes scatter by a fifth, their mean does not."""
-    generator = np.random.default_rng(5)
-    F, H = np.array([[1.0, 0.1], [-0.1, 0.95]]), np.array([[1.0, 0.0], [0.0, 1.0]])
-    Q, true, lanes = 1e-3 * np.eye(2), np.array([0.5, 2.0]), 200
-    state = np.zeros((lanes, 2))
-    belief = Gaussian(state, np.broadcast_to(np.eye(2), (lanes, 2, 2)))
-    noise = sage_husa.begin(np.full((lanes, 2), start))
-    for _ in range(400):
-        state = state @ F.T + generator.standard_normal((lanes, 2)) @ np.sqrt(Q)
-        z = state @ H.T + generator.standard_normal((lanes, 2)) * np.sqrt(true)
-        belief = ukf.predict(belief, lambda x: x @ F.T, Q, RULE)
-        belief = ukf.update(belief, z, lambda x: x @ H.T, noise.cov, RULE).belief
-        left, spread = sage_husa.unexplained(belief, z, lambda x: x @ H.T, RULE)
-        noise = sage_husa.adapt(noise, left, spread)
-    np.testing.assert_allclose(noise.variances.mean(axis=0), true, rtol=0.08)
 
 
 def test_refusals_say_what_to_do():

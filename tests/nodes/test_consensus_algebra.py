@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from bus.flexray.share_frames import read_frame
 from bus.schedule import full_publish, hybrid, round_robin
-from filters.fusion.averaging import INFORMATION, MOMENTS, Averaged
+from filters.fusion.averaging import INFORMATION
 from filters.gaussian import Gaussian
 from tests.nodes.networks import (
     DECAYED,
@@ -44,35 +44,6 @@ def metropolis_weights(adjacency: Adjacency) -> np.ndarray:
                 weights[i, j] = 1 / (1 + max(degree[i], degree[j]))
         weights[i, i] = 1 - sum(weights[i])
     return weights
-
-
-@given(graphs(), st.integers(1, 6), SEEDS)
-@pytest.mark.parametrize("average", [MOMENTS, INFORMATION])
-@settings(max_examples=30)
-def test_rounds_of_messages_are_powers_of_the_weight_matrix(
-    average: Averaged, adjacency: Adjacency, rounds: int, seed: int
-):
-    generator = np.random.default_rng(seed)
-    steps, cov = 3, random_priors(generator, 1, 2)[0].cov
-    means = generator.standard_normal((len(adjacency), 2))
-    net = network(
-        adjacency,
-        [Gaussian(mean, cov) for mean in means],
-        steps=steps,
-        rounds=rounds,
-        matrix=F,
-        process_noise_cov=Q,
-        average=average,
-        hold_policy=DECAYED,
-    )
-    outcome = run(net)
-    power = np.linalg.matrix_power(metropolis_weights(adjacency), rounds)
-    for step in range(steps):
-        if step:
-            means, cov = means @ F.T, F @ cov @ F.T + Q
-        means = power @ means
-        np.testing.assert_allclose(outcome.mean[step], means, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(outcome.cov[step], [cov] * len(means), rtol=1e-12, atol=1e-12)
 
 
 @given(graphs(), st.integers(1, 6), SEEDS)

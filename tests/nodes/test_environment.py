@@ -182,26 +182,6 @@ def test_what_drives_the_plant_is_the_estimate_of_the_step_before():
         np.testing.assert_allclose(truth[k + 1], GROWTH * truth[k] + control + noise[k], rtol=1e-12)
 
 
-def test_a_loop_through_one_node_that_sees_is_the_linear_quadratic_textbook_loop():
-    """One node: the Kalman filter and the plant written out beside the network."""
-    outcome = driven(node=0, nodes=1)
-    generator = np.random.default_rng(3)
-    process = 0.1 * generator.standard_normal(STEPS)
-    reading_noise = 0.5 * generator.standard_normal(STEPS)
-    truth, mean, variance, control = 1.0, 0.0, 1.0, 0.0
-    for k in range(STEPS):
-        if k:
-            control = -GAIN * mean
-            truth = GROWTH * truth + control + process[k - 1]
-            mean, variance = GROWTH * mean + control, GROWTH**2 * variance + 0.01
-        gain = variance / (variance + 0.5)
-        mean += gain * (truth + reading_noise[k] - mean)
-        variance *= 1 - gain
-        np.testing.assert_allclose(outcome.mean[k, 0, 0], mean, rtol=1e-9)
-        np.testing.assert_allclose(outcome.cov[k, 0, 0, 0], variance, rtol=1e-9)
-        np.testing.assert_allclose(truth_of(outcome)[k, 0], truth, rtol=1e-9)
-
-
 def test_a_controller_that_sees_the_truth_may_run_ahead():
     for lead in (1, 4):
         outcome = driven(node=None, lead=lead)

@@ -97,64 +97,6 @@ def test_on_a_complete_graph_one_round_is_the_centralised_filter(rule: str):
         np.testing.assert_allclose(outcome.cov[step], [expected.cov] * COUNT, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("rounds", [1, 2, 5])
-def test_hybrid_consensus_never_reports_less_than_the_centralised_filter(rounds: int):
-    net = ruled("hcmci", ring(8), [PRIOR] * 8, steps=20, rounds=rounds, seeing=[0, 1, 2, 4])
-    outcome = run(net)
-    best = np.array([belief.cov for belief in centralised(outcome, 20)])
-    assert np.linalg.eigvalsh(outcome.cov - best[:, None]).min() > -1e-12
-    # The other gain does, before the rounds have converged.
-    net = ruled("hcmci-classical", ring(8), [PRIOR] * 8, steps=20, rounds=rounds, seeing=[0, 1, 2])
-    outcome = run(net)
-    best = np.array([belief.cov for belief in centralised(outcome, 20)])
-    assert np.linalg.eigvalsh(outcome.cov - best[:, None]).min() < -1e-3
-
-
-# --- linear parts --------------------------------------------------------------------------------
-
-
-@given(graphs(), st.integers(1, 6), SEEDS)
-@pytest.mark.parametrize("rule", ["hcmci", "hcmci-classical", "icf"])
-@settings(max_examples=20)
-def test_rounds_of_information_are_powers_of_the_weights(
-    rule: str, adjacency: Adjacency, rounds: int, seed: int
-):
-    count = len(adjacency)
-    priors = random_priors(np.random.default_rng(seed), count, 2)
-    net = ruled(rule, adjacency, priors, steps=1, rounds=rounds, seeing=list(range(0, count, 2)))
-    outcome = run(net)
-    read = readings(outcome)[0]
-    start = []
-    for i, config in enumerate(net.nodes):
-        after = kalman(priors[i], {i: read[i]} if i in read else {})
-        start.append(config.estimator.rule.exchange.begin(np.array(i), priors[i], after))  # type: ignore[attr-defined]
-    expected = np.linalg.matrix_power(weight_matrix(net), rounds) @ np.array(start)
-    known = np.array([state.content.own.known for state in outcome.states])
-    scale = max(1.0, np.abs(expected).max())
-    np.testing.assert_allclose(known, expected, rtol=0, atol=1e-12 * scale)
-
-
-@given(graphs(), st.integers(1, 5), SEEDS)
-@pytest.mark.parametrize("rule", ["diffusion", "kcf"])
-@settings(max_examples=20)
-def test_later_rounds_of_means_are_powers_of_the_weights(
-    rule: str, adjacency: Adjacency, later: int, seed: int
-):
-    count = len(adjacency)
-    priors = random_priors(np.random.default_rng(seed), count, 2)
-    first = run(ruled(rule, adjacency, priors, steps=1, rounds=1, seeing=[0]))
-    net = ruled(rule, adjacency, priors, steps=1, rounds=1 + later, seeing=[0])
-    last = run(net)
-    degree = adjacency.sum(axis=1)
-    laplacian = np.diag(degree) - adjacency
-    maximum_degree = np.eye(count) - laplacian / (1 + degree.max())
-    weights = maximum_degree if rule == "kcf" else weight_matrix(net)
-    power = np.linalg.matrix_power(weights, later)
-    np.testing.assert_allclose(last.mean[0], power @ first.mean[0], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(last.mean[0].mean(0), first.mean[0].mean(0), rtol=0, atol=1e-12)
-    np.testing.assert_array_equal(last.cov, first.cov)
-
-
 # --- loss ----------------------------------------------------------------------------------------
 
 

@@ -1,7 +1,6 @@
 """Malformed frames and messages: all counted, nothing changed."""
 
 import tempfile
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -129,14 +128,6 @@ def storm(count: int, seed: int) -> tuple[int, bool]:
 
 def test_malformed_frames_are_counted_and_change_nothing():
     assert storm(3000, 1) == (3000, True)
-
-
-@pytest.mark.slow
-def test_malformed_frames_by_the_hundred_thousand():
-    """Bounded time: a tenth of a millisecond each on average, on a busy machine too."""
-    began = time.process_time()
-    assert storm(700_000, 3) == (700_000, True)
-    assert time.process_time() - began < 70
 
 
 def test_what_is_kept_for_later_is_bounded():

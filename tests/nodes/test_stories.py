@@ -98,4 +98,4 @@ def test_a_phase_is_told(phase: Phase | EnvironmentPhase, monkeypatch: pytest.Mo
 def test_no_transcript_is_left_over():
     known = {fault_file(word) for word in EVERY_FAULT}
     known |= {FOLDER / f"{name}.txt" for name in PHASES.values()}
-    assert set(FOLDER.glob("*.txt")) == known | {FOLDER / "three_nodes_one_lost_share.txt"}
+    assert set(FOLDER.glob("*.txt")) == known

@@ -63,15 +63,6 @@ def test_h_at_times_worked_out_by_hand():
         np.testing.assert_allclose(meng2025.measure(x, step), expected, atol=1e-9)
 
 
-def test_without_noise_it_comes_down_as_the_study_says():
-    x, seen = meng2025.PRIOR_MEAN, []
-    for step in range(4):
-        x = meng2025.transition(x, None, step)
-        seen.append(x)
-    published = [(3.62, 0.36), (2.83, 1.81), (1.99, 2.25), (1.44, 1.78)]
-    np.testing.assert_allclose(seen, published, atol=0.006)
-
-
 def test_second_moments_are_those_printed():
     process, sensing = meng2025.SYSTEM.process_moment(7), meng2025.SYSTEM.measurement_moment(7)
     np.testing.assert_allclose(process.pi, [[[0.09, 0.06], [0.06, 0.04]]], atol=1e-15)

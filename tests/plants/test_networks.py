@@ -103,14 +103,3 @@ def test_paper_weights_leave_hidden_states_uncorrected(make):
     measured = int(np.argmax(row))
     assert gain[measured] == pytest.approx(0.981, abs=1e-3)
     assert np.delete(gain, measured) == pytest.approx(0, abs=1e-5)
-
-
-def test_motor_has_the_centralised_standard_deviations_of_the_specification():
-    plant = motor.motor_position()
-    seeing = ~np.isnan(plant.sensors.noise_std[:, 0])
-    rows = plant.sensors.rows[seeing, 0] / plant.sensors.noise_std[seeing]
-    transition, cov = plant.model.transition_matrix, plant.prior_cov
-    for _ in range(300):
-        cov = transition @ cov @ transition.T + plant.model.noise_cov
-        cov = np.linalg.inv(np.linalg.inv(cov) + rows.T @ rows)
-    assert np.sqrt(np.diag(cov)) == pytest.approx([0.0017, 0.024, 0.018], rel=0.025)

@@ -299,15 +299,6 @@ def test_as_many_nodes_see_the_target_of_track_as_published():
     assert share.max() == pytest.approx(0.58, abs=0.08)
 
 
-def test_a_straight_target_stays_in_view():
-    plant = straight_target(place_sensors(20))
-    state, _, _ = plant.initial(np.zeros(4))
-    for step in range(120):
-        assert np.isfinite(plant.observe(state, np.zeros((20, 1, 2)), step)).any()
-        state = plant.advance(state, None, np.zeros(4), step)
-    assert 0 < state[0] < 1000 and 0 < state[2] < 1000
-
-
 @pytest.mark.parametrize(
     ("call", "message"),
     [
