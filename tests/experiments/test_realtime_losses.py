@@ -224,3 +224,19 @@ def test_a_script_starts_a_process_at_its_step_and_time_does_not_wait_for_it(tmp
             common_s[step] = max(common_s[step], min(told))
     usual_s = np.delete(common_s, np.s_[15 : joined + 1]).max()
     assert common_s[15 : joined + 1].max() < max(0.5, 2 * usual_s)
+
+
+@pytest.mark.slow
+def test_who_is_stopped_for_longer_than_the_lease_is_let_in_again_by_itself(tmp_path: Path):
+    setup = small(steps=45, graph="ring")
+    with playing(setup, tmp_path) as network:
+        assert reaches(network, 5)
+        pid = network.pids[str(STRUCK)]
+        os.kill(pid, signal.SIGSTOP)
+        time.sleep(2 * HANG_S)
+        os.kill(pid, signal.SIGCONT)
+    played = Played(setup, tmp_path, network.recorded())
+    [gone], [joined] = played.step_of(Gone), played.step_of(Joined)
+    out = np.isnan(played.trace.mean[:, :, 0])
+    assert set(np.flatnonzero(out[:, STRUCK])) == set(range(gone, joined))
+    assert not np.delete(out, STRUCK, axis=1).any()
