@@ -188,17 +188,6 @@ def test_who_comes_back_asks_as_one_that_never_sent(rule: str):
     assert times[0] and times[6] and not times[7:].any() and not times[3:6].any()
 
 
-@pytest.mark.parametrize("lead", [{"control": "open"}, {"control": "1"}])
-def test_who_needs_a_neighbour_that_is_out_too_comes_back_a_step_later(lead: dict[str, str]):
-    """The environment runs ahead in one case and not in the other."""
-    changes = ("3 kill 1", "3 kill 0", "5 restart 1", "5 restart 0", "8 cut 2 3")
-    asked = scenario("cruise-control", nodes=4, graph="path", steps=10, changes=changes, **lead)
-    check_agreement(asked)
-    out = np.isnan(simulate(prepare(asked), [0]).mean[0, ..., 0])
-    assert out[:, 1].tolist() == [False] * 3 + [True] * 2 + [False] * 5
-    assert out[:, 0].tolist() == [False] * 3 + [True] * 3 + [False] * 4
-
-
 @st.composite
 def bounded_scenarios(draw: st.DrawFn) -> Scenario:
     """Small networks of sets, of every hold policy that keeps the truth inside."""

@@ -18,6 +18,7 @@ from nodes.rules.belief_consensus import BeliefConsensus, BeliefContent, HoldPol
 from nodes.rules.lane_rule import Place
 from nodes.rules.local_filter import at
 from tests.nodes.networks import DECAYED, DROP, PREDICT, Linear, WholeState, random_priors
+from tests.nodes.test_fresh_consensus import assert_close, kalman
 
 SEEDS = st.integers(0, 2**32 - 1)
 F = np.array([[1.0, 0.5], [0.0, 0.9]])
@@ -44,16 +45,6 @@ def told(belief: Gaussian | None) -> bytes | None:
     return None if belief is None else BeliefCodec(2).encode(belief)
 
 
-def kalman(belief: Gaussian, value: np.ndarray) -> Gaussian:
-    gain = belief.cov @ np.linalg.inv(belief.cov + R)
-    return Gaussian(belief.mean + gain @ (value - belief.mean), (np.eye(2) - gain) @ belief.cov)
-
-
-def assert_close(belief: Gaussian, expected: Gaussian) -> None:
-    np.testing.assert_allclose(belief.mean, expected.mean, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(belief.cov, expected.cov, rtol=1e-12, atol=1e-12)
-
-
 @given(st.lists(st.tuples(st.floats(-9, 9), st.floats(-9, 9)), max_size=3), st.integers(0, 1))
 def test_a_step_is_predict_and_one_update_for_each_reading(readings: list, first: int):
     rule = estimator(sees=True)
@@ -63,7 +54,7 @@ def test_a_step_is_predict_and_one_update_for_each_reading(readings: list, first
     )
     expected = PRIOR if first else Gaussian(F @ PRIOR.mean, F @ PRIOR.cov @ F.T + Q)
     for reading in readings:
-        expected = kalman(expected, np.array(reading))
+        expected = kalman(expected, np.array(reading), R)
     assert_close(rule.belief(content), expected)
     assert failures == ()
 

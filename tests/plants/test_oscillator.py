@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from plants.oscillator import POSITION, VELOCITY, Oscillation, Oscillator, Output
+from tests.plants.test_targets import assert_covariance
 
 
 @given(
@@ -77,14 +78,6 @@ def test_draws_belong_to_their_node():
     assert many.measurement.shape == (9, 8, 1, 1)
     np.testing.assert_array_equal(few.measurement, many.measurement[:5, :3])
     np.testing.assert_array_equal(few.process, many.process[:5])
-
-
-def assert_covariance(errors, cov):
-    """Whitened by `cov`, each entry of the sample covariance is within 5 standard deviations."""
-    count = len(errors)
-    white = np.linalg.solve(np.linalg.cholesky(cov), errors.T)
-    bound = 5 * np.sqrt((1 + np.eye(2)) / count)
-    assert (np.abs(white @ white.T / count - np.eye(2)) < bound).all()
 
 
 def test_the_truth_moves_with_the_noise_of_the_model():
