@@ -50,7 +50,7 @@ class Windows(NamedTuple):
 
     @property
     def beliefs(self) -> Gaussian:
-        """The newest posteriors, right or not; the base before the first step."""
+        """The newest posteriors; those of the step before until the window is filtered."""
         if self.step < self.first_step:
             return self.base
         return Gaussian(self.posteriors.mean[:, :, -1], self.posteriors.cov[:, :, -1])
@@ -95,12 +95,14 @@ class WindowFilter:
 
     def opened(self, windows: Windows, control: np.ndarray | None) -> Windows:
         """With one step more, and the oldest in the base where the window is full."""
-        base, (mean, cov) = windows.base, windows.posteriors
+        base, (mean, cov), belief = windows.base, windows.posteriors, windows.beliefs
         if windows.step >= windows.first_step and windows.first == 0:
             base = Gaussian(mean[:, :, 0].copy(), cov[:, :, 0].copy())
         return windows._replace(
             base=base,
-            posteriors=Gaussian(one_place_on(mean, 2), one_place_on(cov, 2)),
+            posteriors=Gaussian(
+                one_place_on(mean, 2, belief.mean), one_place_on(cov, 2, belief.cov)
+            ),
             right=windows.right - 1,
             values=one_place_on(windows.values, 1, np.nan),
             noise_covs=one_place_on(windows.noise_covs, 1),
@@ -221,11 +223,11 @@ def one_lane(belief: Gaussian) -> Gaussian:
     return Gaussian(belief.mean[None, None], belief.cov[None, None])
 
 
-def one_place_on(values: np.ndarray, axis: int, newest: float = 0) -> np.ndarray:
+def one_place_on(values: np.ndarray, axis: int, newest: np.ndarray | float = 0) -> np.ndarray:
     """The values of places on an axis a step later: the oldest is forgotten."""
     moved = np.empty_like(values)
-    now, then = moved.swapaxes(0, axis), values.swapaxes(0, axis)
-    now[:-1] = then[1:]
+    now = np.moveaxis(moved, axis, 0)
+    now[:-1] = np.moveaxis(values, axis, 0)[1:]
     now[-1] = newest
     return moved
 
