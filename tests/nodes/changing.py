@@ -1,5 +1,6 @@
 """Runs of small scenarios in this process, with a script of changes."""
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from nodes.run_controller import Scripted
 from runtime import in_process
 from runtime.recording import MemoryRecorder
 from scenarios.build import build_environment, build_node
+from scenarios.preparation import complete_settings
 from scenarios.setup import Setup
 
 
@@ -29,7 +31,10 @@ def messages(
     recorder = MemoryRecorder()
     nodes = [build_node(setup, node) for node in range(setup.scenario.nodes)]
     environment, told = build_environment(setup), script(*lines)
-    in_process.run(environment, nodes, recorder, link=link, pick=pick, watch=watch, script=told)
+    check = partial(complete_settings, setup)
+    in_process.run(
+        environment, nodes, recorder, link=link, pick=pick, watch=watch, script=told, check=check
+    )
     return recorder.messages
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
@@ -158,6 +158,9 @@ LINES = st.sampled_from([
 
 
 @given(st.lists(LINES, min_size=1, max_size=3), st.integers(0, 2**32 - 1))
+@example(
+    [["3 kill 1", "9 restart 1"], ["4 set rule=hcmci rounds=2"], ["3 set hold=drop"]], 0
+)  # A setting from before that the new rule does not have.
 @settings(max_examples=10)
 def test_any_order_of_arrival_gives_the_same_bits(lines: list[list[str]], order: int):
     script = [line for some in {tuple(one) for one in lines} for line in some]
