@@ -7,7 +7,7 @@ from types import FrameType
 
 from tyro.extras import SubcommandApp
 
-from experiments.cli.standard_output import standard_output
+from experiments.standard_output import standard_output
 from experiments.user_errors import user_errors
 from runtime.disk import NotWritten
 from topology.names import unknown_name

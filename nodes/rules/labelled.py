@@ -15,6 +15,7 @@ import numpy as np
 from bus.schedule import Schedule
 from filters.fusion.determinant_intersection import determinant_intersection
 from filters.gaussian import Gaussian
+from filters.linalg import cholesky
 from nodes.estimator import Rejected
 from nodes.messages import Measured, from_wire
 from nodes.rules.labelled_frame import Labelled, LabelledFrameCodec, LabelledShare
@@ -223,7 +224,8 @@ class LabelledFlooding:
     def accept(self, body: bytes) -> LabelledShare:
         """The share that these bytes mean (`LabelledFrameCodec.decode`)."""
         share = self.frames.decode(body)
-        if share.checkpoint is not None and not _positive_definite(share.checkpoint):
+        checkpoint = share.checkpoint
+        if checkpoint is not None and not np.isfinite(cholesky(checkpoint.cov)[-1, -1]):
             raise Rejected("not-positive-definite")
         return share
 
@@ -386,14 +388,6 @@ class LabelledFlooding:
     def _urgencies(self) -> tuple[int, ...]:
         """Of one lacked record, by age: the oldest that a window can hold first."""
         return urgencies(self.frames.window_steps)
-
-
-def _positive_definite(belief: Gaussian) -> bool:
-    try:
-        np.linalg.cholesky(belief.cov)
-    except np.linalg.LinAlgError:
-        return False
-    return True
 
 
 def _replaced(values: tuple, place: int, value: object) -> tuple:
