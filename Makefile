@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: browser screenshots demo test test-slow test-all check format bench bench-compare kills fuzz stories docs lock clean
+.PHONY: browser extras screenshots demo test test-slow test-all check format bench bench-compare kills fuzz stories docs pictures lock clean
 
 demo: .venv/run.stamp
 	$(BIN)/concord run --scenario target-tracking --nodes 12 --graph geometric --seed 7 --driver processes
@@ -24,6 +24,9 @@ screenshots: .venv/dev.stamp browser
 
 test-slow: .venv/dev.stamp
 	$(BIN)/python -m pytest -n auto --dist loadfile -m slow
+
+# The optional parts of concord, and the tools of its developers.
+extras: .venv/dev.stamp
 
 # Every test: `make test` first, then the slow ones.
 test-all: test test-slow
@@ -57,7 +60,11 @@ fuzz: .venv/dev.stamp
 stories: .venv/dev.stamp
 	CONCORD_REWRITE=1 $(BIN)/python -m pytest tests/nodes/test_stories.py
 
-docs: .venv/run.stamp
+# The documentation site, in build/site/index.html; it loads nothing from other addresses.
+docs: .venv/dev.stamp
+	$(BIN)/python -m sphinx -b html -q -W docs build/site
+
+pictures: .venv/run.stamp
 	$(BIN)/python -m docs.picture
 	$(BIN)/python -m docs.labelled_picture
 	$(BIN)/python -m docs.state_diagram
@@ -72,7 +79,7 @@ lock:
 		--output-file requirements-dev.lock
 
 clean:
-	rm -rf .venv runs
+	rm -rf .venv build runs
 
 .venv/pyvenv.cfg:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "concord needs Python 3.11 or newer; set PYTHON=...")'

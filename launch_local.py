@@ -8,7 +8,9 @@ Ctrl-C, SIGTERM or a crash.
 
 import sys
 
-from experiments.__main__ import main
+from concord.experiments.__main__ import main
 
 if __name__ == "__main__":
-    main(["run", "--driver", "processes", *sys.argv[1:]])
+    asked = sys.argv[1:]
+    chosen = any(word.partition("=")[0] == "--driver" for word in asked)
+    main(["run", *([] if chosen else ["--driver", "processes"]), *asked])

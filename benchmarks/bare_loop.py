@@ -18,16 +18,16 @@ import msgspec
 import numpy as np
 
 from benchmarks.cases import beliefs, readings, turn
-from bus.ideal import TimelessBus
-from bus.schedule import full_publish
-from filters.fusion.averaging import INFORMATION
-from filters.gaussian import Gaussian
-from filters.linalg import pack_upper
-from filters.sigma_points import scaled_unscented
-from filters.ukf import predict, update
-from nodes.belief_codec import BeliefCodec
-from nodes.messages import Estimate, Measured, decode, encode, to_wire
-from runtime.network.links import (
+from concord.bus.ideal import TimelessBus
+from concord.bus.schedule import full_publish
+from concord.filters.fusion.averaging import INFORMATION
+from concord.filters.gaussian import Gaussian
+from concord.filters.linalg import pack_upper
+from concord.filters.sigma_points import scaled_unscented
+from concord.filters.ukf import predict, update
+from concord.nodes.belief_codec import BeliefCodec
+from concord.nodes.messages import Estimate, Measured, decode, encode, to_wire
+from concord.runtime.network.links import (
     ENVIRONMENT,
     RECORDER,
     ZenohEndpoints,
@@ -35,8 +35,8 @@ from runtime.network.links import (
     names,
     plan_links,
 )
-from runtime.network.zenoh_transport import Transport, start_router
-from runtime.processes.supervisor import Ended, Supervisor
+from concord.runtime.network.zenoh_transport import Transport, start_router
+from concord.runtime.processes.supervisor import Ended, Supervisor
 
 
 class Load(msgspec.Struct, frozen=True):

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.gaussian import Gaussian
-from filters.moments import Model, Residual
-from plants.motion import ConstantVelocity, CoordinatedTurn
-from plants.range_bearing import RangeBearing
+from concord.filters.gaussian import Gaussian
+from concord.filters.moments import Model, Residual
+from concord.plants.motion import ConstantVelocity, CoordinatedTurn
+from concord.plants.range_bearing import RangeBearing
 
 SENSOR_POSITION_M = (-150.0, 80.0)
 

@@ -18,18 +18,18 @@ from typing import NamedTuple
 
 from benchmarks.measure import BenchmarkFigures, figure, ratio, say
 from benchmarks.processor import spent_s
-from dashboard.app import Dashboard
-from dashboard.serve import open_recording
-from nodes.commands import Pause, Resume
-from runtime.drivers import drive, over_processes
-from runtime.interpreter import fresh_command, fresh_variables
-from runtime.network.control_client import Client
-from runtime.network.network_file import read_network
-from runtime.recording import McapRecorder
-from scenarios.bus_plan import frame_format
-from scenarios.catalogue import definition_of
-from scenarios.preparation import prepare
-from scenarios.setup import Setup
+from concord.dashboard.app import Dashboard
+from concord.dashboard.serve import open_recording
+from concord.nodes.commands import Pause, Resume
+from concord.runtime.drivers import drive, over_processes
+from concord.runtime.interpreter import fresh_command, fresh_variables
+from concord.runtime.network.control_client import Client
+from concord.runtime.network.network_file import read_network
+from concord.runtime.recording import McapRecorder
+from concord.scenarios.bus_plan import frame_format
+from concord.scenarios.catalogue import definition_named
+from concord.scenarios.preparation import prepare
+from concord.scenarios.setup import Setup
 
 SIZES = (24, 100, 400)
 UPDATES_HZ, SECONDS = 10.0, 4.0
@@ -100,7 +100,7 @@ def _compared(apart: "list[_Pace]", together: "list[_Pace]") -> BenchmarkFigures
 
 def _setup(nodes: int, steps: int) -> Setup:
     # A neighbourhood of a few nodes at every size; half of 24 publish in a cycle, fewer of more.
-    defaults = definition_of("target-tracking").defaults
+    defaults = definition_named("target-tracking").defaults
     return prepare(
         defaults.with_(
             nodes=nodes,
@@ -222,7 +222,7 @@ def _page(folder: Path) -> Iterator[tuple[int, ...]]:
     command = ("dashboard", "--folder", str(folder), "--http-port", "0")
     # In a session of its own, which has a priority of its own.
     page = subprocess.Popen(
-        fresh_command("experiments", *command),
+        fresh_command("concord.experiments", *command),
         stderr=subprocess.PIPE,
         env=fresh_variables(OPENBLAS_NUM_THREADS="1"),
         start_new_session=True,

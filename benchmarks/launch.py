@@ -6,11 +6,11 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.measure import BenchmarkFigures, figure
-from experiments.scenario_options import scenario_of
-from runtime.processes.job import Happened
-from runtime.processes.launcher import run_processes
-from scenarios.preparation import prepare
-from scenarios.setup import Setup
+from concord.experiments.scenario_options import scenario_of
+from concord.runtime.processes.job import Happened
+from concord.runtime.processes.launcher import run_processes
+from concord.scenarios.preparation import prepare
+from concord.scenarios.setup import Setup
 
 # As many steps as let every process be weighed before the first one leaves.
 STEPS = 80

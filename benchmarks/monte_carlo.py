@@ -14,16 +14,16 @@ import numpy as np
 
 from benchmarks.fusion import fuse
 from benchmarks.measure import BenchmarkFigures, figure, in_turns, peak_mb, say
-from experiments.monte_carlo.simulate import READINGS, simulate
-from experiments.scenario_options import scenario_of
-from filters.gaussian import Gaussian
-from filters.sigma_points import scaled_unscented
-from filters.ukf import predict, update
-from plants.targets import Target
-from runtime.batched.build import build_network
-from scenarios.catalogue import definition_of
-from scenarios.preparation import prepare
-from scenarios.setup import Setup
+from concord.experiments.monte_carlo.simulate import READINGS, simulate
+from concord.experiments.scenario_options import scenario_of
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import scaled_unscented
+from concord.filters.ukf import predict, update
+from concord.plants.targets import Target
+from concord.runtime.batched.build import build_network
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.preparation import prepare
+from concord.scenarios.setup import Setup
 
 SCENARIO, NODES, RUNS, STEPS, KERNEL_STEPS, TURNS = "target-tracking", 20, 500, 100, 10, 5
 
@@ -84,7 +84,7 @@ def _start(setup: Setup) -> Gaussian:
 
 
 def _filters(setup: Setup) -> Callable[[], float]:
-    definition = definition_of(setup.scenario.name)
+    definition = definition_of(setup.scenario)
     plant = definition.plant(setup.scenario)
     assert isinstance(plant, Target)
     model, sensors = plant.model, plant.sensors

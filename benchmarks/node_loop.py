@@ -24,15 +24,15 @@ from benchmarks.measure import (
     ratio,
     say,
 )
-from nodes.messages import END
-from runtime.drivers import in_memory
-from runtime.network.links import ZenohEndpoints
-from runtime.network.zenoh_transport import Transport
-from runtime.processes.node import lockstep
-from runtime.processes.node.membership import Membership
-from runtime.processes.node.process import run_node
-from scenarios.build import build_node
-from scenarios.setup import Setup
+from concord.nodes.messages import END
+from concord.runtime.drivers import in_memory
+from concord.runtime.network.links import ZenohEndpoints
+from concord.runtime.network.zenoh_transport import Transport
+from concord.runtime.processes.node import lockstep
+from concord.runtime.processes.node.membership import Membership
+from concord.runtime.processes.node.process import run_node
+from concord.scenarios.build import build_node
+from concord.scenarios.setup import Setup
 
 STEPS, TURNS = 150, 7
 NODE = 0

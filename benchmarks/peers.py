@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.cases import SENSOR_POSITION_M, BenchmarkCase, beliefs, readings
-from filters.gaussian import Gaussian
+from concord.filters.gaussian import Gaussian
 
 FILTERPY_STEPS, STONE_SOUP_STEPS, C_LANES = 100, 30, 10_000
 

@@ -15,15 +15,15 @@ from functools import partial
 import numpy as np
 
 from benchmarks.measure import BenchmarkFigures, figure, ratio
-from filters.sets.ellipsoid import Ellipsoid, shape_matrix
-from papers.liu2021.bus import augmented
-from papers.liu2021.closed_form import closed_form_step
-from papers.liu2021.cycle import CycleResult, turned
-from papers.liu2021.flexray_cycle import AugmentedCycle, DeliveredValues
-from papers.liu2021.multipliers import Problem
-from papers.liu2021.recursive_estimator import optimal_step, problem
-from papers.liu2021.runs import HELD, PLANT, G, N, simulate
-from papers.liu2021.semidefinite import Solution, SolverFailed, matrix_inequality
+from concord.filters.sets.ellipsoid import Ellipsoid, shape_matrix
+from concord.papers.liu2021.bus import augmented
+from concord.papers.liu2021.closed_form import closed_form_step
+from concord.papers.liu2021.cycle import CycleResult, turned
+from concord.papers.liu2021.flexray_cycle import AugmentedCycle, DeliveredValues
+from concord.papers.liu2021.multipliers import Problem
+from concord.papers.liu2021.recursive_estimator import optimal_step, problem
+from concord.papers.liu2021.runs import HELD, PLANT, G, N, simulate
+from concord.papers.liu2021.semidefinite import Solution, SolverFailed, matrix_inequality
 
 CYCLES, REPETITIONS, FAST_CALLS = 13, 5, 20
 METHODS = ("generic", "reduced", "exact", "fast")

@@ -5,9 +5,9 @@ from collections.abc import Callable
 
 from benchmarks.cases import turn
 from benchmarks.measure import BenchmarkFigures, figure, in_turns, say
-from bus.ideal import TimelessBus
-from bus.schedule import full_publish
-from nodes.belief_codec import BeliefCodec
+from concord.bus.ideal import TimelessBus
+from concord.bus.schedule import full_publish
+from concord.nodes.belief_codec import BeliefCodec
 
 TURNS, TIMES = 20, 1_000
 

@@ -9,9 +9,9 @@ import numpy as np
 from benchmarks.cases import BenchmarkCase, beliefs, readings, straight, turn
 from benchmarks.measure import BenchmarkFigures, figure, in_turns, median_us, ratio, say
 from benchmarks.peers import c_loop, filterpy_loop, stone_soup_loop
-from filters.gaussian import Gaussian
-from filters.sigma_points import scaled_unscented
-from filters.ukf import predict, update
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import scaled_unscented
+from concord.filters.ukf import predict, update
 
 LANES, TURNS = 10_000, 15
 # As many at a time as fit into the caches with all their sigma points.

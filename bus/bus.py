@@ -1,7 +1,7 @@
 """The interface of a bus: which node sends when, in which bytes, and how long that takes.
 
-Nodes, environment, drivers and reports know a bus by this face alone. `bus.flexray.flexray_bus` and
-`bus.ideal` implement it.
+Nodes, environment, drivers and reports know a bus by this face alone.
+`concord.bus.flexray.flexray_bus` and `concord.bus.ideal` implement it.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,8 +11,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.arbitration import ArbiterState
-from bus.schedule import Schedule
+from concord.bus.arbitration import ArbiterState
+from concord.bus.schedule import Schedule
 
 
 class Rejected(Exception):

@@ -6,12 +6,12 @@ Its frames are those of FlexRay, so that runs with and without time differ by ti
 from collections.abc import Sequence
 from math import nan
 
-from bus.arbitration import ARBITERS, Arbiter
-from bus.bus import SegmentTime, Transmission
-from bus.flexray.publication import Slot
-from bus.flexray.share_frames import CYCLE_COUNTS, payload_lengths
-from bus.flexray.slotted_bus import SlottedBus
-from bus.schedule import Schedule
+from concord.bus.arbitration import ARBITERS, Arbiter
+from concord.bus.bus import SegmentTime, Transmission
+from concord.bus.flexray.publication import Slot
+from concord.bus.flexray.share_frames import CYCLE_COUNTS, payload_lengths
+from concord.bus.flexray.slotted_bus import SlottedBus
+from concord.bus.schedule import Schedule
 
 
 class TimelessBus(SlottedBus):

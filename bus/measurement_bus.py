@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.schedule import Schedule
+from concord.bus.schedule import Schedule
 
 RECEIVER = 0
 # Fine enough to order any two readings a sensor can tell apart, too coarse for the last bit.

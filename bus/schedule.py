@@ -1,7 +1,8 @@
 """Schedules: which nodes own the static slots of each cycle, and which contend for the rest.
 
 A schedule speaks of nodes and cycles only, so that a state machine or an array program can follow
-it without a cluster; `bus.flexray.slot_table` gives it frame IDs, channels and cycle multiplexing.
+it without a cluster; `concord.bus.flexray.slot_table` gives it frame IDs, channels and cycle
+multiplexing.
 """
 
 import itertools
@@ -96,7 +97,7 @@ def round_robin(nodes: int, slots_per_cycle: int) -> Schedule:
     The turn is exact for any N because cycles do not wrap here. It repeats after N / gcd(N, S)
     cycles. A controller does it by cycle multiplexing if that number divides the cluster's number
     of cycles and is a repetition that FlexRay has (1, 2, 4, ..., 64). Otherwise the host must
-    reassign slots, which `bus.flexray.slot_table.deviations` reports.
+    reassign slots, which `concord.bus.flexray.slot_table.deviations` reports.
     """
     if not 1 <= slots_per_cycle <= nodes:
         raise ValueError(

@@ -13,21 +13,21 @@ from threading import Event as Flag
 import numpy as np
 import viser
 
-from dashboard.frames.expected import Expectation
-from dashboard.frames.frame import StepFrame
-from dashboard.frames.history import FrameHistory
-from dashboard.frames.source import Source
-from dashboard.frames.stage import SCENE_WIDTH, PlantDrawing, Stage
-from dashboard.inputs import Inputs
-from dashboard.panels.controls import Controls
-from dashboard.panels.export_buttons import ExportButtons, Shown
-from dashboard.panels.page import Page
-from dashboard.panels.table import status
-from dashboard.panels.view_controls import MAGNIFIED
-from dashboard.player import Extent, play_live, play_recorded
-from dashboard.theme import DARK, LIGHT, Theme
-from dashboard.view import MANY_NODES, View
-from dashboard.window import PageServer
+from concord.dashboard.frames.expected import Expectation
+from concord.dashboard.frames.frame import StepFrame
+from concord.dashboard.frames.history import FrameHistory
+from concord.dashboard.frames.source import Source
+from concord.dashboard.frames.stage import SCENE_WIDTH, PlantDrawing, Stage
+from concord.dashboard.inputs import Inputs
+from concord.dashboard.panels.controls import Controls
+from concord.dashboard.panels.export_buttons import ExportButtons, Shown
+from concord.dashboard.panels.page import Page
+from concord.dashboard.panels.table import status
+from concord.dashboard.panels.view_controls import MAGNIFIED
+from concord.dashboard.player import Extent, play_live, play_recorded
+from concord.dashboard.theme import DARK, LIGHT, Theme
+from concord.dashboard.view import MANY_NODES, View
+from concord.dashboard.window import PageServer
 
 _SCENE_HZ, _PANEL_HZ = 10.0, 4.0
 _SETTLED_FRAMES = 20

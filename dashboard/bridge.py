@@ -16,7 +16,7 @@ from weakref import WeakKeyDictionary
 
 import viser
 
-from dashboard.inputs import at_once
+from concord.dashboard.inputs import at_once
 
 # The time makes two presses of one node two texts. A pointer does not leave what was replaced under
 # it; so the element around the HTML, which stays, listens for that.

@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Coroutine
 from typing import Any
 
-from dashboard.view import View
+from concord.dashboard.view import View
 
 
 def at_once(act: Callable[[Any], None]) -> Callable[[Any], Coroutine[Any, Any, None]]:

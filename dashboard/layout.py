@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import viser
 
-from dashboard.scene.camera import Free
+from concord.dashboard.scene.camera import Free
 
 # Edges of the docks; what the scene keeps from the panels, in pixels.
 _DOCK, _MARGIN = 8, 26

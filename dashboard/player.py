@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from dashboard.view import View
+from concord.dashboard.view import View
 
 # Seconds in which a picture that rests goes through the frames of one cycle.
 _SWEEP_S = 2.0

@@ -2,14 +2,14 @@
 
 from pathlib import Path
 
-from dashboard.app import Dashboard
-from dashboard.frames.expected import Expectation, nothing_expected
-from dashboard.frames.live import LiveNetwork
-from dashboard.frames.source import RecordedSource
-from dashboard.frames.stage import set_stage
-from dashboard.theme import DARK, LIGHT
-from runtime.recording import read_recording
-from scenarios.setup import Setup
+from concord.dashboard.app import Dashboard
+from concord.dashboard.frames.expected import Expectation, nothing_expected
+from concord.dashboard.frames.live import LiveNetwork
+from concord.dashboard.frames.source import RecordedSource
+from concord.dashboard.frames.stage import set_stage
+from concord.dashboard.theme import DARK, LIGHT
+from concord.runtime.recording import read_recording
+from concord.scenarios.setup import Setup
 
 
 def open_recording(

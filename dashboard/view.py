@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from threading import RLock
 
-from dashboard.theme import DARK, Theme
+from concord.dashboard.theme import DARK, Theme
 
 ELLIPSES = ("selected", "all", "none")
 ORDERS = ("number", "error", "age")

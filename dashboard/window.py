@@ -7,10 +7,10 @@ from typing import Any
 import rich
 import viser
 
-from dashboard.inputs import at_once
-from dashboard.scene.camera import FIELD_OF_VIEW_RAD, Free, aimed
-from dashboard.scene.scene import Scene
-from dashboard.theme import Theme
+from concord.dashboard.inputs import at_once
+from concord.dashboard.scene.camera import FIELD_OF_VIEW_RAD, Free, aimed
+from concord.dashboard.scene.scene import Scene
+from concord.dashboard.theme import Theme
 
 _FIRST_SIZE = (1600, 900)
 

@@ -1,4 +1,4 @@
-"""Draw the picture of docs/labelled.md from a run: `make docs`."""
+"""Draw the picture of docs/labelled.md from a run: `make pictures`."""
 
 from pathlib import Path
 
@@ -13,13 +13,13 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.patches import Patch
 
-from experiments.results.record_spread import RecordSpread
-from experiments.results.trace import Trace, read_trace
-from experiments.scenario_options import scenario_of
-from runtime.drivers import in_memory
-from scenarios.catalogue import definition_of
-from scenarios.preparation import prepare
-from scenarios.setup import Setup
+from concord.experiments.results.record_spread import RecordSpread
+from concord.experiments.results.trace import Trace, read_trace
+from concord.experiments.scenario_options import scenario_of
+from concord.runtime.drivers import in_memory
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.preparation import prepare
+from concord.scenarios.setup import Setup
 
 # Okabe and Ito's colours, which most people can tell apart.
 BLUE, SKY, ORANGE, YELLOW, RED = "#0072B2", "#56B4E9", "#E69F00", "#F0E442", "#D55E00"
@@ -32,7 +32,7 @@ def draw_spread(
     axes: Axes, setup: Setup, trace: Trace, spread: RecordSpread, source: int, node: int
 ) -> None:
     """Draw the delay after which each node held the record of one source."""
-    positions = definition_of(setup.scenario.name).plant(setup.scenario).positions(0)
+    positions = definition_of(setup.scenario).plant(setup.scenario).positions(0)
     assert positions is not None
     links = [
         (positions[i], positions[j]) for i, heard in enumerate(setup.neighbours) for j in heard

@@ -1,4 +1,4 @@
-"""Draw the pictures of the README and of sweeps from runs: `make docs`."""
+"""Draw the pictures of the README and of sweeps from runs: `make pictures`."""
 
 from pathlib import Path
 
@@ -11,15 +11,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 
-from experiments.notebook import plots, sweep
-from experiments.results.palette import save, use_house_style
-from experiments.results.trace import Trace, read_trace
-from experiments.scenario_options import scenario_of
-from runtime.drivers import in_memory
-from scenarios.baselines import centralised
-from scenarios.catalogue import definition_of
-from scenarios.preparation import prepare
-from scenarios.setup import Setup
+from concord import plots, sweep
+from concord.experiments.results.palette import save, use_house_style
+from concord.experiments.results.trace import Trace, read_trace
+from concord.experiments.scenario_options import scenario_of
+from concord.runtime.drivers import in_memory
+from concord.scenarios.baselines import centralised
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.preparation import prepare
+from concord.scenarios.setup import Setup
 
 # Okabe and Ito's colours, which most people can tell apart.
 SKY, ORANGE, GREEN, PINK, GREY = "#56B4E9", "#E69F00", "#009E73", "#CC79A7", "#999999"
@@ -27,7 +27,7 @@ SKY, ORANGE, GREEN, PINK, GREY = "#56B4E9", "#E69F00", "#009E73", "#CC79A7", "#9
 
 def draw_map(axes: Axes, setup: Setup, trace: Trace) -> None:
     """Draw nodes and links, the target's path, and each node's belief at a few instants."""
-    positions = definition_of(setup.scenario.name).plant(setup.scenario).positions(0)
+    positions = definition_of(setup.scenario).plant(setup.scenario).positions(0)
     assert positions is not None
     links = [
         (positions[i], positions[j]) for i, heard in enumerate(setup.neighbours) for j in heard
@@ -65,7 +65,7 @@ def draw_sweep() -> None:
     """Draw the effect of occupancy on three rules on three graphs: docs/sweep.png."""
     use_house_style()
     swept = sweep(
-        scenario="target-tracking",
+        "target-tracking",
         nodes=20,
         graph=["geometric", "ring", "complete"],
         rule=["ci", "wac", "hcmci"],

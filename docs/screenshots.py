@@ -11,18 +11,18 @@ import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from dashboard.app import Dashboard
-from dashboard.frames.expected import Expectation, nothing_expected
-from dashboard.serve import open_recording
-from experiments.monte_carlo.other_runs import expected, told_by
-from runtime.batched.build import without_array_form
-from runtime.drivers import drive
-from runtime.recording import McapRecorder
-from scenarios.bus_plan import frame_format
-from scenarios.catalogue import definition_of
-from scenarios.preparation import prepare
-from scenarios.rules import is_set_valued
-from scenarios.setup import Setup
+from concord.dashboard.app import Dashboard
+from concord.dashboard.frames.expected import Expectation, nothing_expected
+from concord.dashboard.serve import open_recording
+from concord.experiments.monte_carlo.other_runs import expected, told_by
+from concord.runtime.batched.build import without_array_form
+from concord.runtime.drivers import drive
+from concord.runtime.recording import McapRecorder
+from concord.scenarios.bus_plan import frame_format
+from concord.scenarios.catalogue import definition_named
+from concord.scenarios.preparation import prepare
+from concord.scenarios.rules import is_set_valued
+from concord.scenarios.setup import Setup
 
 _FLAGS = (
     "--no-sandbox",
@@ -106,7 +106,7 @@ def main() -> None:
 
 
 def _take(browser: Any, shot: Shot, file: Path) -> None:
-    setup = prepare(definition_of(shot.scenario).defaults.with_(**shot.changes))
+    setup = prepare(definition_named(shot.scenario).defaults.with_(**shot.changes))
     with tempfile.TemporaryDirectory() as folder:
         recording = Path(folder) / "run.mcap"
         recorder = McapRecorder(

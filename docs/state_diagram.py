@@ -1,4 +1,4 @@
-"""Draw the state diagrams of node and environment from their transition tables: `make docs`."""
+"""Draw the state diagrams of node and environment from their transition tables: `make pictures`."""
 
 import re
 from collections import defaultdict
@@ -7,10 +7,10 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from nodes import environment, node
-from nodes.environment_state import EnvironmentPhase
-from nodes.node_state import Phase
-from nodes.transitions import Completion, Transition
+from concord.nodes import environment, node
+from concord.nodes.environment_state import EnvironmentPhase
+from concord.nodes.node_state import Phase
+from concord.nodes.transitions import Completion, Transition
 
 PAGE = Path(__file__).parent / "state_machines.md"
 

@@ -11,7 +11,7 @@ def main(arguments: list[str] | None = None) -> None:
     # While we load there is nothing to clean up, and a traceback would tell nobody anything; when
     # the command is loaded, Ctrl-C is an exception again.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
-    from experiments.cli.command_line import main as run_command_line
+    from concord.experiments.cli.command_line import main as run_command_line
 
     run_command_line(arguments)
 

@@ -4,11 +4,11 @@ from collections.abc import Iterator
 from functools import cache
 from typing import Any, NamedTuple
 
-from scenarios.catalogue import definition_of, definitions
-from scenarios.scenario import Scenario
-from scenarios.script import with_files
-from scenarios.types.assignment import flat, refuse_left
-from scenarios.types.declarations import Declaration, Owned, every_option
+from concord.scenarios.catalogue import definition_named, definition_of, definitions
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.script import with_files
+from concord.scenarios.types.assignment import flat, refuse_left
+from concord.scenarios.types.declarations import Declaration, Owned, every_option
 
 DEFAULT_SCENARIO = "target-tracking"
 
@@ -59,7 +59,7 @@ class OfferedOption(NamedTuple):
     @property
     def default(self) -> Any:
         """Its value when nothing is said, in the default scenario where that has the option."""
-        usual = flat(definition_of(DEFAULT_SCENARIO).defaults)
+        usual = flat(definition_named(DEFAULT_SCENARIO).defaults)
         return usual.get(self.name, self.declaration.default)
 
     @property
@@ -93,7 +93,7 @@ class OfferedOption(NamedTuple):
         """Its default as `--help` shows it."""
         value = self.default
         shown = {None: "computed", (): "none"}.get(value, value)
-        is_usual = self.name in flat(definition_of(DEFAULT_SCENARIO).defaults)
+        is_usual = self.name in flat(definition_named(DEFAULT_SCENARIO).defaults)
         varies = f" for {DEFAULT_SCENARIO}" if is_usual and self.varies else ""
         return f"(default: {shown}{varies})"
 
@@ -127,7 +127,7 @@ def scenario_with_known(
     Raises:
         ValueError: there is no such scenario, or its data cannot be read.
     """
-    definition = definition_of(scenario)
+    definition = definition_named(scenario)
     if "changes" in options:
         options = {**options, "changes": with_files(options["changes"])}
     found, left = definition.defaults.with_known(**options)
@@ -138,7 +138,7 @@ def scenario_with_known(
 
 def in_options(scenario: Scenario) -> list[str]:
     """The words of the command line that say a scenario of a name, without its defaults."""
-    usual, chosen = definition_of(scenario.name).defaults, flat(scenario)
+    usual, chosen = definition_of(scenario).defaults, flat(scenario)
     is_choice = {name: bool(offered_options()[name].declaration.choices) for name in chosen}
     choices = {name: value for name, value in chosen.items() if is_choice[name]}
     before, with_choices = flat(usual), flat(usual.with_known(**choices)[0])

@@ -12,10 +12,10 @@ from typing import Any
 
 import msgspec
 
-from experiments.progress import progress
-from nodes.bounds import MAX_FRAME_BYTES, MAX_MESSAGE_BYTES
-from runtime.network.access_control import MONITOR, OPERATOR, ROUTER_NAME, certificate_name
-from runtime.network.certificates import (
+from concord.experiments.progress import progress
+from concord.nodes.bounds import MAX_FRAME_BYTES, MAX_MESSAGE_BYTES
+from concord.runtime.network.access_control import MONITOR, OPERATOR, ROUTER_NAME, certificate_name
+from concord.runtime.network.certificates import (
     MAX_NODES,
     Authority,
     issue,
@@ -23,8 +23,14 @@ from runtime.network.certificates import (
     read_authority,
     zenoh_settings,
 )
-from runtime.network.links import ENVIRONMENT, LOOPBACK, RECORDER, ZenohEndpoints, free_ports
-from runtime.network.zenoh_transport import LinkError, Transport, start_router
+from concord.runtime.network.links import (
+    ENVIRONMENT,
+    LOOPBACK,
+    RECORDER,
+    ZenohEndpoints,
+    free_ports,
+)
+from concord.runtime.network.zenoh_transport import LinkError, Transport, start_router
 
 RUN = "security-check"
 TRIES = 3

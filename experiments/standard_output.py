@@ -1,16 +1,30 @@
-"""Standard output that cannot be written: a closed pipe, a full disk."""
+"""Standard output that cannot be written: a closed pipe, a full disk, a character that it lacks."""
 
+import codecs
 import io
 import os
 import signal
 import sys
+import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from runtime.disk import NotWritten
+from concord.runtime.disk import NotWritten
 
 BROKEN_PIPE = 128 + signal.SIGPIPE
+_PLAIN = {
+    "±": "+-", "×": "x", "√": "sqrt ", "²": "^2", "°": "deg", "µ": "u", "≤": "<=", "≥": ">=",
+    "…": ".", "•": "*", **dict.fromkeys("─━═╌╍╴╶╸╺", "-"), **dict.fromkeys("│┃║", "|"),
+}  # fmt: skip
+_LINES = range(0x2500, 0x2580)  # the block of characters of which tables and boxes are drawn
+
+
+def replace_lacking_characters() -> None:
+    """Let standard output and error write a character that their encoding lacks by others."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="concord")
 
 
 @contextmanager
@@ -44,3 +58,25 @@ def _taken() -> bool:
     except OSError:
         return False
     return True
+
+
+def _in_plain_characters(error: UnicodeError) -> tuple[str, int]:
+    """Return ASCII characters for those that an encoding lacks, and where to go on."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    return "".join(map(_plain, error.object[error.start : error.end])), error.end
+
+
+def _plain(character: str) -> str:
+    if character in _PLAIN:
+        return _PLAIN[character]
+    if ord(character) in _LINES:
+        return "+"
+    name = unicodedata.name(character, "")
+    if name.startswith("GREEK"):
+        letter = name.rpartition(" ")[2]
+        return letter.title() if "CAPITAL" in name else letter.lower()
+    return unicodedata.normalize("NFKD", character).encode("ascii", "ignore").decode() or "?"
+
+
+codecs.register_error("concord", _in_plain_characters)

@@ -2,10 +2,16 @@
 
 import numpy as np
 
-from filters.gaussian import Gaussian
-from filters.linalg import cholesky, inverse_of_triangle, lanes_last, multiply, times_transposed
-from filters.moments import Residual
-from filters.update import Update, missing_entries, settle, without_rows
+from concord.filters.gaussian import Gaussian
+from concord.filters.linalg import (
+    cholesky,
+    inverse_of_triangle,
+    lanes_last,
+    multiply,
+    times_transposed,
+)
+from concord.filters.moments import Residual
+from concord.filters.update import Update, missing_entries, settle, without_rows
 
 
 def condition(

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.linalg import inverse_spd, multiply
+from concord.filters.linalg import inverse_spd, multiply
 
 
 class Gaussian(NamedTuple):

@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 
-from filters.kernels import columns
-from filters.kernels.columns import in_columns, in_rows
+from concord.filters.kernels import columns
+from concord.filters.kernels.columns import in_columns, in_rows
 
 
 def symmetrise(matrix: np.ndarray) -> np.ndarray:
@@ -41,7 +41,7 @@ def lose_failed(factor: np.ndarray) -> np.ndarray:
     Elimination carries a NaN of any column into every later one, so the last pivot tells.
     """
     pivots = factor[..., -1, -1]
-    if not math.isnan(pivots.sum()):
+    if not math.isnan(np.vdot(pivots, pivots)):
         return factor
     return np.where(np.isnan(pivots)[..., None, None], np.nan, factor)
 

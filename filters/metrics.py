@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from filters.linalg import cholesky, inverse_of_triangle, multiply
+from concord.filters.linalg import cholesky, inverse_of_triangle, multiply
 
 
 def mean_of_known(values: np.ndarray, axes: tuple[int, ...]) -> np.ndarray:

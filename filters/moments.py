@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from filters.sigma_points import SigmaPointRule
+from concord.filters.sigma_points import SigmaPointRule
 
 Model = Callable[[np.ndarray], np.ndarray]  # points (S, ..., n) -> values (S, ..., m)
 Residual = Callable[[np.ndarray, np.ndarray], np.ndarray]  # difference, angles wrapped
@@ -43,10 +43,14 @@ def weighted_mean(values: np.ndarray, rule: SigmaPointRule, residual: Residual) 
     return first + np.einsum("s,s...i->...i", rule.mean_weights, residual(values, first))
 
 
-def weighted_products(rule: SigmaPointRule, left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Return sum_s w_s L_s R_s' (..., n, m) of L (S, ..., n) and R (S, ..., m)."""
-    weights = rule.cov_weights.reshape(-1, *(1,) * (left.ndim - 1))
-    return np.einsum("s...i,s...j->...ij", weights * left, right)
+def weigh(values: np.ndarray, rule: SigmaPointRule) -> np.ndarray:
+    """Return w_s Y_s (S, ..., m) of values Y (S, ..., m), with the weights of covariances."""
+    return (values.T * rule.cov_weights).T
+
+
+def sum_of_products(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Return sum_s L_s R_s' (..., n, m) of L (S, ..., n) and R (S, ..., m)."""
+    return np.einsum("s...i,s...j->...ij", left, right)
 
 
 def points_last(values: np.ndarray) -> np.ndarray:

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters.gaussian import Gaussian
-from filters.linalg import cholesky
+from concord.filters.gaussian import Gaussian
+from concord.filters.linalg import cholesky
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,10 +84,13 @@ def spread_points(mean: np.ndarray, factor: np.ndarray, rule: SigmaPointRule) ->
     """
     check_rule(rule, mean.shape[-1])
     count, n = rule.unit_points.shape
-    lanes = np.broadcast_shapes(mean.shape[:-1], factor.shape[:-2])
-    factor = np.broadcast_to(factor, (*lanes, n, n))
-    points = np.empty((n, count, *lanes)).transpose(*range(1, len(lanes) + 2), 0)
-    np.einsum("...ij,sj->s...i", factor, rule.unit_points, out=points)
+    lanes = mean.shape[:-1]
+    if factor.shape[:-2] != lanes:
+        lanes = np.broadcast_shapes(lanes, factor.shape[:-2])
+        factor = np.broadcast_to(factor, (*lanes, n, n))
+    # Component i of all points is one product, (S, n) times (n, L).
+    components = rule.unit_points @ factor.reshape(-1, n, n).transpose(1, 2, 0)
+    points = components.reshape(n, count, *lanes).transpose(*range(1, len(lanes) + 2), 0)
     points += mean
     return points
 

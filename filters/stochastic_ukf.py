@@ -16,10 +16,10 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from filters import ukf
-from filters.gaussian import Gaussian
-from filters.moments import Model
-from filters.sigma_points import SigmaPointRule
+from concord.filters import ukf
+from concord.filters.gaussian import Gaussian
+from concord.filters.moments import Model
+from concord.filters.sigma_points import SigmaPointRule
 
 
 class SecondMoment(Protocol):

@@ -18,12 +18,20 @@ predicted belief before the update, so that they spread with the process noise a
 
 import numpy as np
 
-from filters.conditioning import condition
-from filters.gaussian import Gaussian
-from filters.linalg import symmetrise
-from filters.moments import Model, Residual, check_noise, evaluate, weighted_mean, weighted_products
-from filters.sigma_points import SigmaPointRule, sigma_points
-from filters.update import Update
+from concord.filters.conditioning import condition
+from concord.filters.gaussian import Gaussian
+from concord.filters.linalg import symmetrise
+from concord.filters.moments import (
+    Model,
+    Residual,
+    check_noise,
+    evaluate,
+    sum_of_products,
+    weigh,
+    weighted_mean,
+)
+from concord.filters.sigma_points import SigmaPointRule, sigma_points
+from concord.filters.update import Update
 
 
 def predict(
@@ -54,7 +62,7 @@ def predict(
     values = evaluate(transition, points, n, "transition")
     mean = weighted_mean(values, rule, residual)
     away = residual(values, mean)
-    return Gaussian(mean, symmetrise(weighted_products(rule, away, away)) + noise_cov)
+    return Gaussian(mean, symmetrise(sum_of_products(weigh(away, rule), away)) + noise_cov)
 
 
 def update(
@@ -96,6 +104,7 @@ def update(
     values = evaluate(measure, points, m, "measure")
     predicted = weighted_mean(values, rule, residual)
     away = residual(values, predicted)
-    innovation_cov = symmetrise(weighted_products(rule, away, away)) + noise_cov
-    cross_cov = weighted_products(rule, state_residual(points, belief.mean), away)
+    weighted = weigh(away, rule)
+    innovation_cov = symmetrise(sum_of_products(weighted, away)) + noise_cov
+    cross_cov = sum_of_products(state_residual(points, belief.mean), weighted)
     return condition(belief, measurement, predicted, innovation_cov, cross_cov, residual, gate)

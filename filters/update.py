@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.gaussian import Gaussian
+from concord.filters.gaussian import Gaussian
 
 
 class Update(NamedTuple):

@@ -5,9 +5,9 @@ from functools import cached_property
 
 import numpy as np
 
-from filters.gaussian import Gaussian
-from filters.linalg import pack_upper, unpack_upper
-from nodes.vector_codec import VectorCodec
+from concord.filters.gaussian import Gaussian
+from concord.filters.linalg import pack_upper, unpack_upper
+from concord.nodes.vector_codec import VectorCodec
 
 
 def belief_numbers(belief: Gaussian) -> np.ndarray:

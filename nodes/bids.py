@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from bus.arbitration import NO_BID
-from filters.gaussian import Gaussian
-from filters.linalg import solve_spd
+from concord.bus.arbitration import NO_BID
+from concord.filters.gaussian import Gaussian
+from concord.filters.linalg import solve_spd
 
 FIRST_BID = 2**31 - 1
 BID_RESOLUTION = 1 / 1024

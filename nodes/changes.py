@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 from msgspec.structs import replace
 
-from nodes.bounds import Instant, NodeIndex
+from concord.nodes.bounds import Instant, NodeIndex
 
 Settings = dict[str, int | float | str]
 

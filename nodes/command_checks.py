@@ -1,10 +1,9 @@
 """Checks of commands: refuse each one that the network cannot obey now, and say why."""
 
-import difflib
 from collections.abc import Sequence
 
-from nodes.changes import Standing
-from nodes.commands import (
+from concord.nodes.changes import Standing
+from concord.nodes.commands import (
     Command,
     Configure,
     CutLink,
@@ -20,9 +19,10 @@ from nodes.commands import (
     Soothe,
     Speed,
     Step,
+    offered,
 )
-from nodes.faults.active import PLAIN, Equipment
-from nodes.faults.vocabulary import CHANNELS, FAULTS, usage
+from concord.nodes.faults.active import PLAIN, Equipment
+from concord.nodes.faults.vocabulary import CHANNELS, FAULTS, usage
 
 MAX_STEPS_AT_ONCE = 1000
 # A user who wants a slower run pauses the network and asks for single steps.
@@ -130,8 +130,7 @@ def check_fault(command: Inject, neighbours: Sequence[Sequence[int]], equipment:
     """
     kind, nodes, numbers = command.kind, command.nodes, command.numbers
     if kind not in FAULTS:
-        nearest = difflib.get_close_matches(kind, FAULTS, n=1, cutoff=0.0)[0]
-        raise Refused(f"fault {kind!r}: did you mean {nearest!r}? Faults are {', '.join(FAULTS)}")
+        raise Refused(f"fault {kind!r}{offered('Faults', kind, FAULTS)}")
     fault = FAULTS[kind]
     named = {"link": (0, 2), "node": (1,), "two nodes": (2,), "channel": (1,), "bus": (0,)}
     whole = len(numbers) == len(fault.numbers) and len(nodes) in named[fault.place]

@@ -5,13 +5,13 @@ The words are those of `concord control` and of scripts: `kill 3`, `cut 1 2`, `l
 """
 
 import difflib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import msgspec
 
-from nodes.bounds import UNREADABLE
-from nodes.changes import Settings
-from nodes.faults.vocabulary import CHANNELS, COMMANDS, FAULTS, usage
+from concord.nodes.bounds import UNREADABLE
+from concord.nodes.changes import Settings
+from concord.nodes.faults.vocabulary import CHANNELS, COMMANDS, FAULTS, usage
 
 MAX_COMMAND_BYTES = 4096
 
@@ -148,14 +148,18 @@ def in_words(words: Sequence[str]) -> Command:
     given = list(words if both else words[:-1])
     verb = given[0] if given else ""
     if verb not in VERBS:
-        nearest = difflib.get_close_matches(verb, VERBS, n=1, cutoff=0.0)[0]
-        raise Refused(
-            f"{verb!r} is no command: did you mean {nearest!r}? Commands are {', '.join(VERBS)}"
-        )
+        raise Refused(f"{verb!r} is no command{offered('Commands', verb, VERBS)}")
     try:
         return _fault(given, both) if verb in FAULTS else _READERS[verb](given[1:], both)
     except (LookupError, TypeError, ValueError):
         raise Refused(f"{' '.join(words)!r}: say {VERBS[verb]}") from None
+
+
+def offered(what: str, name: str, names: Iterable[str]) -> str:
+    """Return the end of a complaint: the name that is near to `name`, if one is, and all names."""
+    near = difflib.get_close_matches(name, names, n=1)
+    offer = f": did you mean {near[0]!r}?" if near else "."
+    return f"{offer} {what} are {', '.join(names)}"
 
 
 def _setting(pair: str) -> tuple[str, int | float | str]:

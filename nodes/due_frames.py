@@ -10,9 +10,9 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from nodes.estimator import Rejected
-from nodes.messages import NodeEvent, ShareHeard
-from nodes.node_state import NodeConfig, NodeState, Phase
+from concord.nodes.estimator import Rejected
+from concord.nodes.messages import NodeEvent, ShareHeard
+from concord.nodes.node_state import NodeConfig, NodeState, Phase
 
 
 def take_due(

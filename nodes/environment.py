@@ -12,12 +12,12 @@ from collections.abc import Sequence
 import numpy as np
 from msgspec import UNSET
 
-from bus.arbitration import NO_BID, ArbiterState, begin_arbitration
-from nodes.changes import UNCHANGED, Event, Gone, Joined, after, without_return
-from nodes.environment_state import EnvironmentConfig, EnvironmentPhase, EnvironmentState
-from nodes.faults.active import hangs
-from nodes.faults.sensors import delivered as delivered_by_faulty
-from nodes.messages import (
+from concord.bus.arbitration import NO_BID, ArbiterState, begin_arbitration
+from concord.nodes.changes import UNCHANGED, Event, Gone, Joined, after, without_return
+from concord.nodes.environment_state import EnvironmentConfig, EnvironmentPhase, EnvironmentState
+from concord.nodes.faults.active import hangs
+from concord.nodes.faults.sensors import delivered as delivered_by_faulty
+from concord.nodes.messages import (
     Allowed,
     Bid,
     BidsClosed,
@@ -31,8 +31,8 @@ from nodes.messages import (
     from_wire,
     to_wire,
 )
-from nodes.node import contenders_left
-from nodes.transitions import Transition
+from concord.nodes.node import contenders_left
+from concord.nodes.transitions import Transition
 
 # A float64 holds every whole number up to here.
 _LARGEST_BID = 2**53

@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 
-from bus.arbitration import begin_arbitration
-from nodes.changes import Change, Event, Joined, Set, Settings, Welcome, after
-from nodes.environment import skip_quiet_cycles
-from nodes.environment_state import EnvironmentConfig, EnvironmentState
-from nodes.messages import EnvironmentMessage, Estimate
+from concord.bus.arbitration import begin_arbitration
+from concord.nodes.changes import Change, Event, Joined, Set, Settings, Welcome, after
+from concord.nodes.environment import skip_quiet_cycles
+from concord.nodes.environment_state import EnvironmentConfig, EnvironmentState
+from concord.nodes.messages import EnvironmentMessage, Estimate
 
 
 def apply(

@@ -7,12 +7,12 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from bus.arbitration import ArbiterState
-from bus.bus import Bus
-from bus.schedule import Schedule
-from nodes.changes import Change, Standing
-from nodes.faults.active import HEALTHY, Faults
-from nodes.messages import Bid, Estimate
+from concord.bus.arbitration import ArbiterState
+from concord.bus.bus import Bus
+from concord.bus.schedule import Schedule
+from concord.nodes.changes import Change, Standing
+from concord.nodes.faults.active import HEALTHY, Faults
+from concord.nodes.messages import Bid, Estimate
 
 
 class EnvironmentPhase(Enum):

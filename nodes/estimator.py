@@ -9,9 +9,9 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-from bus.bus import Rejected as Rejected
-from filters.gaussian import Gaussian
-from nodes.messages import Measured
+from concord.bus.bus import Rejected as Rejected
+from concord.filters.gaussian import Gaussian
+from concord.nodes.messages import Measured
 
 Content = TypeVar("Content")
 Share = TypeVar("Share")

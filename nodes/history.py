@@ -6,7 +6,7 @@ It is read from the events of a recording.
 from collections.abc import Container, Iterable
 from typing import NamedTuple
 
-from nodes.changes import Event, Gone, Joined, Left, PaceChange, Set
+from concord.nodes.changes import Event, Gone, Joined, Left, PaceChange, Set
 
 
 class Epoch(NamedTuple):

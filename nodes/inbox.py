@@ -8,12 +8,12 @@ from collections.abc import Collection
 
 from msgspec.structs import replace
 
-from bus.bus import Fragment, Rejected, SharePlace
-from nodes.faults.links import Arrival, Passage, arrival
-from nodes.faults.losses import hears
-from nodes.faults.senders import spoofed
-from nodes.messages import ShareHeard
-from nodes.node_state import Inbox, NodeConfig, NodeState, Phase, count
+from concord.bus.bus import Fragment, Rejected, SharePlace
+from concord.nodes.faults.links import Arrival, Passage, arrival
+from concord.nodes.faults.losses import hears
+from concord.nodes.faults.senders import spoofed
+from concord.nodes.messages import ShareHeard
+from concord.nodes.node_state import Inbox, NodeConfig, NodeState, Phase, count
 
 # How many steps a neighbour's share may be ahead of us and still be kept: bounds the inbox. The
 # environment lets no node run further ahead than its lead.

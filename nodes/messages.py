@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from nodes.bounds import (
+from concord.nodes.bounds import (
     MAX_MESSAGE_BYTES,
     MAX_ROUNDS,
     UNREADABLE,
@@ -23,7 +23,7 @@ from nodes.bounds import (
     NodeList,
     node_of,
 )
-from nodes.changes import Change, Event, Gone, Set, Welcome
+from concord.nodes.changes import Change, Event, Gone, Set, Welcome
 
 # Recorder to all: all messages are kept, and every process may leave.
 END = b"{}"
@@ -55,7 +55,7 @@ class Bid(msgspec.Struct, frozen=True):
     """Contender to environment: its urgency for a dynamic slot; None asks for no slot.
 
     `payload_bytes` is the length of all its payloads together. `group` is the group of the cycle
-    (`bus.schedule.Schedule.groups`).
+    (`concord.bus.schedule.Schedule.groups`).
     """
 
     node: NodeIndex

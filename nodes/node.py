@@ -18,14 +18,14 @@ from typing import Any, cast
 
 from msgspec.structs import replace
 
-from bus.schedule import Schedule
-from filters.linalg import pack_upper
-from nodes.changes import Gone
-from nodes.due_frames import take_due
-from nodes.estimator import KeepsZonotope
-from nodes.faults.active import hangs, is_silent
-from nodes.faults.senders import spoken
-from nodes.inbox import (
+from concord.bus.schedule import Schedule
+from concord.filters.linalg import pack_upper
+from concord.nodes.changes import Gone
+from concord.nodes.due_frames import take_due
+from concord.nodes.estimator import KeepsZonotope
+from concord.nodes.faults.active import hangs, is_silent
+from concord.nodes.faults.senders import spoken
+from concord.nodes.inbox import (
     EARLY_CYCLES,
     MOST_EARLY,
     file_early,
@@ -34,7 +34,7 @@ from nodes.inbox import (
     last_early_cycle,
     let_in_overtaken,
 )
-from nodes.messages import (
+from concord.nodes.messages import (
     Bid,
     CycleClosed,
     Estimate,
@@ -46,8 +46,8 @@ from nodes.messages import (
     ShareSent,
     to_wire,
 )
-from nodes.node_state import Inbox, NodeConfig, NodeState, Phase, count, counted
-from nodes.transitions import Completion, Transition
+from concord.nodes.node_state import Inbox, NodeConfig, NodeState, Phase, count, counted
+from concord.nodes.transitions import Completion, Transition
 
 
 def initial_state(config: NodeConfig) -> NodeState:
@@ -380,7 +380,7 @@ TRANSITIONS: dict[Phase, dict[type, Transition[NodeState, Phase]]] = {
     _SHARES: {**_filed(_SHARES), CycleClosed: Transition(_end_group, _AFTER_A_GROUP)},
     _FINISHED: {**_filed(_FINISHED), CycleClosed: Transition(_ignore, (_FINISHED,))},
 }
-# A node leaves phase CHANGE by `nodes.node_changes.apply`, which leads to MEASUREMENT.
+# A node leaves phase CHANGE by `concord.nodes.node_changes.apply`, which leads to MEASUREMENT.
 COMPLETIONS: dict[Phase, tuple[Completion[NodeState, Phase], ...]] = {
     _MEASUREMENT: (
         Completion(has_changes, _stop_for_changes, (_CHANGE,)),

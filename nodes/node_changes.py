@@ -4,13 +4,13 @@ import dataclasses
 
 from msgspec.structs import replace
 
-from filters.gaussian import Gaussian
-from filters.linalg import unpack_upper
-from nodes import node as state_machine
-from nodes.changes import Joined, Set, Standing, Welcome, after
-from nodes.faults.losses import LinkState
-from nodes.messages import NodeMessage, from_wire
-from nodes.node_state import NodeConfig, NodeState, Phase, count
+from concord.filters.gaussian import Gaussian
+from concord.filters.linalg import unpack_upper
+from concord.nodes import node as state_machine
+from concord.nodes.changes import Joined, Set, Standing, Welcome, after
+from concord.nodes.faults.losses import LinkState
+from concord.nodes.messages import NodeMessage, from_wire
+from concord.nodes.node_state import NodeConfig, NodeState, Phase, count
 
 
 def apply(config: NodeConfig, state: NodeState) -> tuple[NodeConfig, NodeState, list[NodeMessage]]:

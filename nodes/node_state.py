@@ -9,14 +9,14 @@ from typing import Any, NamedTuple
 import msgspec
 from msgspec.structs import replace
 
-from bus.bus import Bus, Fragment
-from bus.schedule import Schedule
-from filters.gaussian import Gaussian
-from nodes.changes import UNCHANGED, Standing
-from nodes.estimator import AnyEstimator
-from nodes.faults.active import HEALTHY, Faults
-from nodes.faults.losses import PERFECT, LinkState
-from nodes.messages import Measured
+from concord.bus.bus import Bus, Fragment
+from concord.bus.schedule import Schedule
+from concord.filters.gaussian import Gaussian
+from concord.nodes.changes import UNCHANGED, Standing
+from concord.nodes.estimator import AnyEstimator
+from concord.nodes.faults.active import HEALTHY, Faults
+from concord.nodes.faults.losses import PERFECT, LinkState
+from concord.nodes.messages import Measured
 
 
 class Phase(Enum):

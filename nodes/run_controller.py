@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import NamedTuple
 
-from nodes import environment, environment_changes
-from nodes.changes import (
+from concord.nodes import environment, environment_changes
+from concord.nodes.changes import (
     Calm,
     Change,
     Cut,
@@ -25,8 +25,8 @@ from nodes.changes import (
     Settings,
     Standing,
 )
-from nodes.command_checks import check_command
-from nodes.commands import (
+from concord.nodes.command_checks import check_command
+from concord.nodes.commands import (
     ChangeCommand,
     Command,
     Configure,
@@ -43,9 +43,9 @@ from nodes.commands import (
     Speed,
     Step,
 )
-from nodes.environment_state import EnvironmentConfig, EnvironmentState
-from nodes.faults.vocabulary import FAULTS
-from nodes.messages import Allowed, EnvironmentEvent, EnvironmentMessage
+from concord.nodes.environment_state import EnvironmentConfig, EnvironmentState
+from concord.nodes.faults.vocabulary import FAULTS
+from concord.nodes.messages import Allowed, EnvironmentEvent, EnvironmentMessage
 
 
 class Scripted(NamedTuple):

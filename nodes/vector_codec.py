@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from nodes.estimator import Rejected
+from concord.nodes.estimator import Rejected
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plants.bounded import BoundedSystem
-from plants.draws import Draws, GeneratorFor
+from concord.plants.bounded import BoundedSystem
+from concord.plants.draws import Draws, GeneratorFor
 
 
 @dataclass(frozen=True, eq=False)

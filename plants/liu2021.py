@@ -9,8 +9,8 @@ from functools import partial
 
 import numpy as np
 
-from plants.bounded import BoundedSystem
-from plants.bounded_network import BoundedNetwork, BoundedNetworkModel, on_the_bound
+from concord.plants.bounded import BoundedSystem
+from concord.plants.bounded_network import BoundedNetwork, BoundedNetworkModel, on_the_bound
 
 STATES, OUTPUTS, STATIC_OUTPUTS = 4, 4, 2
 STEPS = 39

@@ -6,8 +6,8 @@ The paper says where the estimate starts and not where the state does: here in t
 
 import numpy as np
 
-from plants.sensed import SensedPlant, SensorPlacement
-from plants.stochastic import StochasticNonlinearity, StochasticSystem, Term
+from concord.plants.sensed import SensedPlant, SensorPlacement
+from concord.plants.stochastic import StochasticNonlinearity, StochasticSystem, Term
 
 STATES, SENSORS = 2, 6
 STATIC_SLOTS = 4

@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from plants.checks import require_positive
+from concord.plants.checks import require_positive
 
 _RATE_FLOOR_RAD_S = 1e-6
 

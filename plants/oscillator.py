@@ -10,13 +10,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from plants.checks import require_positive
-from plants.damped_oscillation import (
+from concord.plants.checks import require_positive
+from concord.plants.damped_oscillation import (
     oscillation_noise_cov,
     oscillation_transition,
     stationary_cov,
 )
-from plants.draws import Draws, GeneratorFor, standard_draws
+from concord.plants.draws import Draws, GeneratorFor, standard_draws
 
 
 class Output(NamedTuple):

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from plants.checks import require_positive
+from concord.plants.checks import require_positive
 
 ATTEMPTS = 10_000
 # So many nodes speak at a time: all pairs of ten thousand would take a gigabyte.

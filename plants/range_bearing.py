@@ -6,8 +6,8 @@ from functools import cached_property
 
 import numpy as np
 
-from plants.angles import wrapped
-from plants.checks import require_positive
+from concord.plants.angles import wrapped
+from concord.plants.checks import require_positive
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from plants.draws import Draws, GeneratorFor
-from plants.stochastic import StochasticSystem
+from concord.plants.draws import Draws, GeneratorFor
+from concord.plants.stochastic import StochasticSystem
 
 SHARED = "shared measurement"
 

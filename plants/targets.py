@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plants.angles import wrapped
-from plants.checks import require_positive
-from plants.draws import Draws, GeneratorFor, standard_draws
-from plants.motion import ConstantVelocity, CoordinatedTurn, Motion
-from plants.range_bearing import RangeBearing
+from concord.plants.angles import wrapped
+from concord.plants.checks import require_positive
+from concord.plants.draws import Draws, GeneratorFor, standard_draws
+from concord.plants.motion import ConstantVelocity, CoordinatedTurn, Motion
+from concord.plants.range_bearing import RangeBearing
 
 
 @dataclass(frozen=True, eq=False)

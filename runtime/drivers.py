@@ -7,16 +7,16 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from nodes.tempo import Tempo
-from runtime import in_process
-from runtime.processes.job import Happened
-from runtime.processes.launcher import run_processes
-from runtime.recording import McapRecorder, MemoryRecorder, Recorder
-from scenarios.build import build_environment, build_node
-from scenarios.bus_plan import frame_format
-from scenarios.preparation import complete_settings
-from scenarios.script import script_of
-from scenarios.setup import Setup
+from concord.nodes.tempo import Tempo
+from concord.runtime import in_process
+from concord.runtime.processes.job import Happened
+from concord.runtime.processes.launcher import run_processes
+from concord.runtime.recording import McapRecorder, MemoryRecorder, Recorder
+from concord.scenarios.build import build_environment, build_node
+from concord.scenarios.bus_plan import frame_format
+from concord.scenarios.preparation import complete_settings
+from concord.scenarios.script import script_of
+from concord.scenarios.setup import Setup
 
 
 class RunPace(NamedTuple):

@@ -8,11 +8,11 @@ on `pick`.
 
 from collections.abc import Callable, Iterable, Sequence
 
-from nodes import node as state_machine
-from nodes import node_changes
-from nodes.changes import Event, Gone, Settings, Welcome
-from nodes.environment_state import EnvironmentConfig
-from nodes.messages import (
+from concord.nodes import node as state_machine
+from concord.nodes import node_changes
+from concord.nodes.changes import Event, Gone, Settings, Welcome
+from concord.nodes.environment_state import EnvironmentConfig
+from concord.nodes.messages import (
     CycleClosed,
     EnvironmentEvent,
     EnvironmentMessage,
@@ -26,9 +26,9 @@ from nodes.messages import (
     encode,
     topic,
 )
-from nodes.node_state import NodeConfig, NodeState, Phase
-from nodes.run_controller import ProcessStarter, RunController, Scripted
-from runtime.recording import Recorder
+from concord.nodes.node_state import NodeConfig, NodeState, Phase
+from concord.nodes.run_controller import ProcessStarter, RunController, Scripted
+from concord.runtime.recording import Recorder
 
 ENVIRONMENT = -1
 Link = Callable[[int, int, bytes], Iterable[bytes]]

@@ -8,7 +8,8 @@ import os
 import sys
 from pathlib import Path
 
-_ROOT = Path(__file__).resolve().parents[1]
+# Not resolved: in a checkout, `concord` holds links to the folders.
+_ROOT = Path(__file__).absolute().parents[2]
 
 
 def fresh_command(module: str, *arguments: str) -> list[str]:

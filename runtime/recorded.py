@@ -6,8 +6,8 @@ belong to no node of the network, are kept as received and mean nothing.
 
 from typing import NamedTuple
 
-from bus.bus import Fragment, FrameFormat, Rejected
-from nodes.messages import MalformedMessage, Message, decode, is_topic
+from concord.bus.bus import Fragment, FrameFormat, Rejected
+from concord.nodes.messages import MalformedMessage, Message, decode, is_topic
 
 
 class SharedFrame(NamedTuple):

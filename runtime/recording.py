@@ -19,11 +19,11 @@ from mcap.records import Message as McapMessage
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC, Writer
 
-from bus.bus import FrameFormat
-from nodes.bounds import UNREADABLE, Instant
-from nodes.history import history_of, with_event
-from nodes.messages import MalformedMessage, decode, message_types
-from runtime.disk import NotWritten, writing
+from concord.bus.bus import FrameFormat
+from concord.nodes.bounds import UNREADABLE, Instant
+from concord.nodes.history import history_of, with_event
+from concord.nodes.messages import MalformedMessage, decode, message_types
+from concord.runtime.disk import NotWritten, writing
 
 _RECORD_HEADER = struct.Struct("<BQ")
 

@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import msgspec
 
-from bus.bus import FrameFormat
-from nodes.bounds import UNREADABLE, Instant, node_of
-from nodes.history import history_of, with_event
-from nodes.messages import MalformedMessage, decode
+from concord.bus.bus import FrameFormat
+from concord.nodes.bounds import UNREADABLE, Instant, node_of
+from concord.nodes.history import history_of, with_event
+from concord.nodes.messages import MalformedMessage, decode
 
 # More than the environment ever runs ahead of the slowest estimate.
 _STEPS_AHEAD = 8

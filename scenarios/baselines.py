@@ -10,14 +10,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.gaussian import Gaussian
-from filters.sigma_points import SigmaPointRule, scaled_unscented
-from filters.ukf import predict, update
-from nodes.rules.local_filter import LocalFilters, Sensor, SensorGroup, update_with_readings
-from scenarios.catalogue import definition_of
-from scenarios.preparation import setup_of_run
-from scenarios.rules import rule_of
-from scenarios.setup import Setup
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import SigmaPointRule, scaled_unscented
+from concord.filters.ukf import predict, update
+from concord.nodes.rules.local_filter import LocalFilters, Sensor, SensorGroup, update_with_readings
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.preparation import setup_of_run
+from concord.scenarios.rules import rule_of
+from concord.scenarios.setup import Setup
 
 # An update inverts a matrix of all readings that it takes, so beyond so many they are taken batch
 # by batch, and the cost grows with their number. On a linear plant that is the same; elsewhere each
@@ -54,7 +54,7 @@ def local_only_of_runs(
 ) -> Gaussian:
     """`local_only` in the runs of these numbers: mean (R, steps, N, n), cov (R, steps, N, n, n)."""
     nodes = range(setup.scenario.nodes)
-    definition = definition_of(setup.scenario.name)
+    definition = definition_of(setup.scenario)
     if filters_step_by_step(setup) and definition.sensors is not None and readings.shape[-2] == 1:
         return _all_alone(setup, runs, readings, control)
     alone = [
@@ -73,7 +73,7 @@ def _all_alone(
     setup: Setup, runs: Sequence[int], readings: np.ndarray, control: np.ndarray | None
 ) -> Gaussian:
     """Nodes that take one reading each a step at most, all at once."""
-    definition, scenario = definition_of(setup.scenario.name), setup.scenario
+    definition, scenario = definition_of(setup.scenario), setup.scenario
     assert definition.sensors is not None, "the caller has looked"
     group = SensorGroup(slice(None), definition.sensors(scenario))
     points = scaled_unscented(len(setup.prior_mean))
@@ -113,7 +113,7 @@ def _one_by_one(
     control: np.ndarray | None,
 ) -> Gaussian:
     """Filters that listen to a whole run at once, run by run."""
-    definition = definition_of(setup.scenario.name)
+    definition = definition_of(setup.scenario)
     beliefs = []
     for place, run in enumerate(runs):
         own = setup_of_run(setup, run)
@@ -166,7 +166,7 @@ def _through(
 
 def filters_step_by_step(setup: Setup) -> bool:
     """Whether `baseline_step` is the scenario's filter; other filters take a whole run at once."""
-    definition = definition_of(setup.scenario.name)
+    definition = definition_of(setup.scenario)
     return definition.baseline_filter is None and rule_of(setup.scenario).baseline_filter is None
 
 
@@ -175,7 +175,7 @@ def baseline_step(setup: Setup, nodes: list[int]) -> BaselineStep:
 
     Beliefs, readings and control may have leading axes, one entry a run.
     """
-    definition = definition_of(setup.scenario.name)
+    definition = definition_of(setup.scenario)
     model = definition.model(setup.scenario)
     points = scaled_unscented(len(setup.prior_mean))
     groups = _sensors(setup, nodes)
@@ -198,7 +198,7 @@ def baseline_step(setup: Setup, nodes: list[int]) -> BaselineStep:
 
 
 def _sensors(setup: Setup, nodes: list[int]) -> list[SensorGroup]:
-    definition, scenario = definition_of(setup.scenario.name), setup.scenario
+    definition, scenario = definition_of(setup.scenario), setup.scenario
     if definition.sensors is not None and len(nodes) == scenario.nodes:
         return [SensorGroup(slice(None), definition.sensors(scenario))]
     each = ((node, definition.sensor(scenario, node)) for node in nodes)

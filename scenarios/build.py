@@ -6,28 +6,28 @@ from functools import partial
 import msgspec
 import numpy as np
 
-from bus.bus import Bus
-from bus.schedule import Schedule
-from filters.gaussian import Gaussian
-from filters.sigma_points import scaled_unscented
-from nodes.changes import UNCHANGED, Standing
-from nodes.environment_state import ControlStep, EnvironmentConfig
-from nodes.estimator import AnyEstimator
-from nodes.messages import from_wire
-from nodes.node_state import NodeConfig
-from nodes.rules.local_filter import SensorGroup
-from scenarios.bus_plan import plan_bus
-from scenarios.catalogue import definition_of
-from scenarios.definitions.control import control_node
-from scenarios.equipment import build_faults, spread_of
-from scenarios.links import link_state
-from scenarios.node_context import Beginning, Everybody, NodeContext, RuleContext
-from scenarios.preparation import complete_settings, share_bytes, with_settings
-from scenarios.rules import build_estimator, hold_policy, wire_number
-from scenarios.scenario import Scenario
-from scenarios.setup import Setup
-from scenarios.streams import generator
-from scenarios.types.buses import trigger_of
+from concord.bus.bus import Bus
+from concord.bus.schedule import Schedule
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import scaled_unscented
+from concord.nodes.changes import UNCHANGED, Standing
+from concord.nodes.environment_state import ControlStep, EnvironmentConfig
+from concord.nodes.estimator import AnyEstimator
+from concord.nodes.messages import from_wire
+from concord.nodes.node_state import NodeConfig
+from concord.nodes.rules.local_filter import SensorGroup
+from concord.scenarios.bus_plan import plan_bus
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.definitions.control import control_node
+from concord.scenarios.equipment import build_faults, spread_of
+from concord.scenarios.links import link_state
+from concord.scenarios.node_context import Beginning, Everybody, NodeContext, RuleContext
+from concord.scenarios.preparation import complete_settings, share_bytes, with_settings
+from concord.scenarios.rules import build_estimator, hold_policy, wire_number
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.setup import Setup
+from concord.scenarios.streams import generator
+from concord.scenarios.types.buses import trigger_of
 
 # Steps by which an undriven environment may run ahead of the slowest estimate.
 OPEN_LOOP_LEAD = 4
@@ -87,7 +87,7 @@ def _rebuilt(
 
 def _estimator(setup: Setup, node: int, schedule: Schedule, beginning: Beginning) -> AnyEstimator:
     scenario = setup.scenario
-    definition = definition_of(scenario.name)
+    definition = definition_of(scenario)
     if definition.wiring is not None:
         return definition.wiring.estimator(setup, node)
     context = NodeContext(
@@ -128,7 +128,7 @@ def rule_context(setup: Setup, contends: bool = True) -> RuleContext:
 def everybody_of(setup: Setup, schedule: Schedule) -> Everybody:
     """Return the knowledge that all nodes have of all nodes."""
     scenario = setup.scenario
-    definition = definition_of(scenario.name)
+    definition = definition_of(scenario)
     plant = definition.plant(scenario)
     noise = plant.draw(partial(generator, scenario), 1).measurement[0]
     _, readings, channels = plant.observe(from_wire(setup.initial_state), noise, 0).shape
@@ -139,7 +139,7 @@ def everybody_of(setup: Setup, schedule: Schedule) -> Everybody:
 
 def sensor_groups(scenario: Scenario) -> tuple[SensorGroup, ...]:
     """The sensors of all nodes: one for all where the scenario has such, else one for each."""
-    definition = definition_of(scenario.name)
+    definition = definition_of(scenario)
     if definition.sensors is not None:
         return (SensorGroup(slice(None), definition.sensors(scenario)),)
     single = ((node, definition.sensor(scenario, node)) for node in range(scenario.nodes))
@@ -150,7 +150,7 @@ def build_environment(setup: Setup) -> EnvironmentConfig:
     """Return the configuration of the environment, with all its randomness drawn."""
     scenario = setup.scenario
     bus = build_bus(setup)
-    definition = definition_of(scenario.name)
+    definition = definition_of(scenario)
     plant = definition.plant(scenario)
     controller = build_controller(scenario)
     return EnvironmentConfig(
@@ -184,7 +184,7 @@ def _environment_rebuilt(setup: Setup, standing: Standing) -> EnvironmentConfig:
 
 def build_controller(scenario: Scenario) -> ControlStep | None:
     """Return the plant's controller and the node whose belief it uses; None for an open loop."""
-    law = definition_of(scenario.name).controller(scenario)
+    law = definition_of(scenario).controller(scenario)
     if law is None:
         return None
     return ControlStep(law.control, law.initial_memory, control_node(scenario))

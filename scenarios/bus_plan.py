@@ -5,16 +5,16 @@ from pathlib import Path
 
 import msgspec
 
-from bus.arbitration import ARBITERS
-from bus.bus import Bus, FrameFormat
-from bus.flexray.cluster import Cluster
-from bus.flexray.cluster_files import FILE_ENDINGS, read_cluster_file
-from bus.flexray.fitted import fitted_cluster
-from bus.flexray.flexray_bus import flexray_bus
-from bus.flexray.presets import PRESETS, preset
-from bus.flexray.share_frames import SHARE_FRAMES, payload_lengths
-from bus.ideal import TimelessBus
-from bus.schedule import (
+from concord.bus.arbitration import ARBITERS, Arbiter
+from concord.bus.bus import Bus, FrameFormat
+from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.cluster_files import FILE_ENDINGS, read_cluster_file
+from concord.bus.flexray.fitted import fitted_cluster
+from concord.bus.flexray.flexray_bus import flexray_bus
+from concord.bus.flexray.presets import PRESETS, preset
+from concord.bus.flexray.share_frames import SHARE_FRAMES, payload_lengths
+from concord.bus.ideal import TimelessBus
+from concord.bus.schedule import (
     Schedule,
     dynamic_only,
     full_publish,
@@ -22,11 +22,12 @@ from bus.schedule import (
     publishers_per_cycle,
     round_robin,
 )
-from scenarios.catalogue import definition_of
-from scenarios.scenario import Scenario
-from scenarios.types.buses import FlexRay, arbiter_of, occupancy_of
-from scenarios.types.rules import latch_delay_of
-from topology.names import unknown_name
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.types.buses import FlexRay, arbiter_of, occupancy_of
+from concord.scenarios.types.rules import latch_delay_of
+from concord.scenarios.user_values import function_or, is_source_name, pinned, source_of
+from concord.topology.names import unknown_name
 
 FITTED = "fitted"
 # The same with every frame on both channels.
@@ -75,14 +76,13 @@ def build_schedule(scenario: Scenario, neighbours: Neighbours = ()) -> Schedule:
     Raises:
         ValueError: there is no such schedule or arbiter here.
     """
-    wiring = definition_of(scenario.name).wiring
+    wiring = definition_of(scenario).wiring
     if wiring is not None:
         return wiring.schedule(scenario)
     chosen = scenario.bus.schedule
     if chosen.name not in _SCHEDULES:
         raise unknown_name("schedule", chosen.name, _SCHEDULES)
-    if arbiter_of(chosen) not in ARBITERS:
-        raise unknown_name("arbiter", arbiter_of(chosen), ARBITERS)
+    _arbiter(arbiter_of(chosen))
     schedule = _SCHEDULES[chosen.name](scenario.nodes, occupancy_of(chosen), neighbours)
     return msgspec.structs.replace(schedule, relay=latch_delay_of(scenario.rule) is not None)
 
@@ -99,8 +99,29 @@ def plan_bus(scenario: Scenario, share_bytes: int, neighbours: Neighbours = ()) 
         return TimelessBus(schedule, share_bytes)
     cluster = _cluster(chosen.cluster, schedule, share_bytes)
     latch_us = latch_delay_of(scenario.rule) or 0.0
-    arbiter = ARBITERS[arbiter_of(chosen.schedule)]
+    arbiter = _arbiter(arbiter_of(chosen.schedule))
     return flexray_bus(schedule, cluster, share_bytes, arbiter, latch_us)
+
+
+def with_pinned_arbiter(scenario: Scenario) -> Scenario:
+    """The scenario with the digest of its arbiter's file beside its name, if it has such a file.
+
+    Raises:
+        ValueError: there is no such file.
+    """
+    name = arbiter_of(scenario.bus.schedule)
+    return scenario.with_(arbiter=pinned(name)) if is_source_name(name) else scenario
+
+
+def _arbiter(name: str) -> Arbiter:
+    """The arbiter of a name, or of a user's file: an `Arbiter`, or its function of urgency."""
+    if not is_source_name(name):
+        if name not in ARBITERS:
+            raise unknown_name("arbiter", name, ARBITERS)
+        return ARBITERS[name]
+    must = "a function urgency(state, bids, frame_ids), or an Arbiter of concord.bus.arbitration"
+    value = function_or(Arbiter, source_of(name), must)
+    return value if isinstance(value, Arbiter) else Arbiter(value)
 
 
 def frame_format(scenario: Scenario) -> FrameFormat:

@@ -1,17 +1,21 @@
 """The scenarios by name."""
 
-from scenarios.definitions import (
+from concord.scenarios.definitions import (
     control,
     liu2021_network,
     meng2025,
     meng2025_network,
     mrclam,
     oscillator,
+    own,
     target_tracking,
     vehicle_network,
 )
-from scenarios.scenario_definition import ScenarioDefinition
-from topology.names import unknown_name
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.scenario_definition import ScenarioDefinition
+from concord.scenarios.types.plants import UserPlant
+from concord.scenarios.user_values import is_source_name, source_of
+from concord.topology.names import unknown_name
 
 _DEFINITIONS: dict[str, ScenarioDefinition] = {
     "target-tracking": target_tracking.TURNING,
@@ -31,12 +35,25 @@ def definitions() -> dict[str, ScenarioDefinition]:
     return dict(_DEFINITIONS)
 
 
-def definition_of(name: str) -> ScenarioDefinition:
-    """The scenario of that name.
+def definition_of(scenario: Scenario) -> ScenarioDefinition:
+    """The definition of a scenario's plant, sensors and models.
+
+    Raises:
+        ValueError: it is of a file that is not there, or is another one now.
+    """
+    if isinstance(scenario.plant, UserPlant):
+        return own.user_definition(scenario.plant.where)
+    return _DEFINITIONS[scenario.name]
+
+
+def definition_named(name: str) -> ScenarioDefinition:
+    """The definition of that name, or in that file (FILE.py:NAME).
 
     Raises:
         ValueError: there is none.
     """
+    if is_source_name(name):
+        return own.user_definition(source_of(name))
     if name not in _DEFINITIONS:
         raise unknown_name("scenario", name, _DEFINITIONS)
     return _DEFINITIONS[name]

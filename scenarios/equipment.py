@@ -4,14 +4,14 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from bus.bus import Bus
-from nodes.belief_codec import BeliefCodec
-from nodes.faults.active import Equipment, Faults
-from scenarios.catalogue import definition_of
-from scenarios.rules import rule_of, wire_number
-from scenarios.scenario import Scenario
-from scenarios.setup import Setup
-from scenarios.streams import key_of
+from concord.bus.bus import Bus
+from concord.nodes.belief_codec import BeliefCodec
+from concord.nodes.faults.active import Equipment, Faults
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.rules import rule_of, wire_number
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.setup import Setup
+from concord.scenarios.streams import key_of
 
 
 @runtime_checkable
@@ -38,7 +38,7 @@ def build_faults(setup: Setup, bus: Bus) -> Faults:
 def equipment_of(setup: Setup, bus: Bus) -> Equipment:
     """Return the equipment of a setup's network that faults can strike."""
     scenario, number, codec = setup.scenario, "", None
-    if definition_of(scenario.name).wiring is None:
+    if definition_of(scenario).wiring is None:
         rule = rule_of(scenario)
         number = "" if rule.share_numbers is None else wire_number(scenario)
         codec = BeliefCodec(len(setup.prior_mean), number) if rule.shares_beliefs else None
@@ -50,7 +50,7 @@ def equipment_of(setup: Setup, bus: Bus) -> Equipment:
 
 def spread_of(scenario: Scenario, readings: np.ndarray) -> np.ndarray:
     """Standard deviations (nodes, r, d) of what sensors deliver; 0 of what is no measurement."""
-    definition = definition_of(scenario.name)
+    definition = definition_of(scenario)
     spread = np.zeros(readings.shape)
     for node in range(len(readings)):
         sensor = definition.sensor(scenario, node)

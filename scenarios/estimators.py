@@ -6,32 +6,38 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from filters.fusion import diffusion, hold, hybrid_consensus, information_weighted, kalman_consensus
-from filters.fusion.averaging import MOMENTS, Averaged, Averaging, Directly
-from filters.fusion.trimmed import trimmed_intersection
-from filters.gaussian import Gaussian
-from filters.sigma_points import SigmaPointRule
-from nodes.estimator import AnyEstimator
-from nodes.lanes.batch import AveragesInBatch, InBatch
-from nodes.lanes.beliefs import BatchedBeliefs
-from nodes.lanes.labelled import BatchedFlooding
-from nodes.lanes.network import BatchedRule
-from nodes.rules.all_sensors import AllSensors
-from nodes.rules.at_node import AtNode
-from nodes.rules.belief_consensus import BeliefConsensus, HoldPolicy
-from nodes.rules.fresh_consensus import FreshConsensus
-from nodes.rules.information_rounds import InformationRounds
-from nodes.rules.labelled import LabelledFlooding
-from nodes.rules.labelled_frame import LabelledFrameCodec
-from nodes.rules.lane_rule import LaneRule, Place
-from nodes.rules.local_filter import Model, SensorGroup
-from nodes.rules.novelty_rounds import NoveltyRounds
-from nodes.rules.set_membership import SetAtNode
-from nodes.rules.window_filter import WindowFilter
-from nodes.vector_codec import VectorCodec
-from scenarios.labelled import frame_codec, gates_of
-from scenarios.node_context import BatchContext, Everybody, NodeContext, RuleContext
-from scenarios.types.rules import TrimmedCovarianceIntersection
+from concord.filters.fusion import (
+    diffusion,
+    hold,
+    hybrid_consensus,
+    information_weighted,
+    kalman_consensus,
+)
+from concord.filters.fusion.averaging import MOMENTS, Averaged, Averaging, Directly
+from concord.filters.fusion.trimmed import trimmed_intersection
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import SigmaPointRule
+from concord.nodes.estimator import AnyEstimator
+from concord.nodes.lanes.batch import AveragesInBatch, InBatch
+from concord.nodes.lanes.beliefs import BatchedBeliefs
+from concord.nodes.lanes.labelled import BatchedFlooding
+from concord.nodes.lanes.network import BatchedRule
+from concord.nodes.rules.all_sensors import AllSensors
+from concord.nodes.rules.at_node import AtNode
+from concord.nodes.rules.belief_consensus import BeliefConsensus, HoldPolicy
+from concord.nodes.rules.fresh_consensus import FreshConsensus
+from concord.nodes.rules.information_rounds import InformationRounds
+from concord.nodes.rules.labelled import LabelledFlooding
+from concord.nodes.rules.labelled_frame import LabelledFrameCodec
+from concord.nodes.rules.lane_rule import LaneRule, Place
+from concord.nodes.rules.local_filter import Model, SensorGroup
+from concord.nodes.rules.novelty_rounds import NoveltyRounds
+from concord.nodes.rules.set_membership import SetAtNode
+from concord.nodes.rules.window_filter import WindowFilter
+from concord.nodes.vector_codec import VectorCodec
+from concord.scenarios.labelled import frame_codec, gates_of
+from concord.scenarios.node_context import BatchContext, Everybody, NodeContext, RuleContext
+from concord.scenarios.types.rules import TrimmedCovarianceIntersection
 
 AnyRule = LaneRule[Any, Any, Any]
 BuildRule = Callable[[RuleContext], AnyRule]
@@ -183,8 +189,8 @@ def beliefs_in_batch(rule: Averaging, context: BatchContext) -> BatchedRule:
 
 
 def flooding_in_batch(context: BatchContext) -> BatchedRule:
-    """Labelled measurements, in scenarios of which `scenarios.labelled.without_arrays` has nothing
-    to name."""
+    """Labelled measurements, in scenarios of which `concord.scenarios.labelled.without_arrays` has
+    nothing to name."""
     everybody, filters = context.everybody(), context.filters
     frames = frame_codec(everybody, context.rule.neighbours, context.rule.states)
     return BatchedFlooding(

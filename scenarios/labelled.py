@@ -4,22 +4,22 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bus.schedule import publishers_per_cycle
-from nodes.belief_codec import BeliefCodec
-from nodes.commands import Restart
-from nodes.rules.labelled_frame import (
+from concord.bus.schedule import publishers_per_cycle
+from concord.nodes.belief_codec import BeliefCodec
+from concord.nodes.commands import Restart
+from concord.nodes.rules.labelled_frame import (
     MAX_SOURCES,
     MAX_WINDOW_STEPS,
     LabelledFrameCodec,
     check_limit,
 )
-from nodes.rules.record_codec import record_codec
-from scenarios.bus_plan import frame_format
-from scenarios.node_context import Everybody
-from scenarios.scenario import Scenario
-from scenarios.script import script_of
-from scenarios.types.buses import FlexRay, occupancy_of, trigger_of
-from scenarios.types.rules import MeasurementFlooding
+from concord.nodes.rules.record_codec import record_codec
+from concord.scenarios.bus_plan import frame_format
+from concord.scenarios.node_context import Everybody
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.script import script_of
+from concord.scenarios.types.buses import FlexRay, occupancy_of, trigger_of
+from concord.scenarios.types.rules import MeasurementFlooding
 
 RECORD_NUMBERS = {"int16": "<i2", "float32": "<f4", "float64": "<f8"}
 _CHECKPOINT_NUMBER = "<f4"

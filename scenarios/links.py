@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from nodes.faults.losses import LinkState, LinkUp, chance
-from scenarios.catalogue import definition_of
-from scenarios.scenario import Scenario
-from scenarios.setup import Setup
-from scenarios.streams import key_of
-from topology.link_names import LinkPlan, parse_links
-from topology.time_varying import bernoulli, in_range, markov, switching, wandering
+from concord.nodes.faults.losses import LinkState, LinkUp, chance
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.setup import Setup
+from concord.scenarios.streams import key_of
+from concord.topology.link_names import LinkPlan, parse_links
+from concord.topology.time_varying import bernoulli, in_range, markov, switching, wandering
 
 if TYPE_CHECKING:
-    from topology.adjacency import Adjacency
-    from topology.network import Network
+    from concord.topology.adjacency import Adjacency
+    from concord.topology.network import Network
 
 # Time-varying links ask for the two steps before the first; counters begin at 0.
 _FIRST_COUNT = 2
@@ -70,7 +70,7 @@ def places(scenario: Scenario, plan: LinkPlan) -> np.ndarray:
     Raises:
         ValueError: the plant has no places.
     """
-    plant = definition_of(scenario.name).plant(scenario)
+    plant = definition_of(scenario).plant(scenario)
     there = [plant.positions(step) for step in range(scenario.steps)]
     if there[0] is None:
         raise ValueError(
@@ -102,9 +102,9 @@ def network_of(
         ValueError: links that cannot be on this graph or plant.
     """
     # Only here: a process of the network is handed the graph and need not know how to draw it.
-    from topology.adjacency import union
-    from topology.geometric_graphs import geometric
-    from topology.network import Network
+    from concord.topology.adjacency import union
+    from concord.topology.geometric_graphs import geometric
+    from concord.topology.network import Network
 
     plan = parse_links(scenario.network.links)
     if plan.kind == "switching":

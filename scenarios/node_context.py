@@ -5,14 +5,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bus.schedule import Schedule
-from filters.gaussian import Gaussian
-from filters.sigma_points import SigmaPointRule
-from nodes.lanes.links import Links, Shares
-from nodes.rules.belief_consensus import HoldPolicy
-from nodes.rules.local_filter import LocalFilters, Model, Sensor, SensorGroup
-from scenarios.scenario import Scenario
-from scenarios.types.rules import CovarianceIntersection, FusionRule
+from concord.bus.schedule import Schedule
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import SigmaPointRule
+from concord.nodes.lanes.links import Links, Shares
+from concord.nodes.rules.belief_consensus import HoldPolicy
+from concord.nodes.rules.local_filter import LocalFilters, Model, Sensor, SensorGroup
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.types.rules import CovarianceIntersection, FusionRule
 
 
 class Everybody(NamedTuple):

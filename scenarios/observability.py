@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nodes.messages import from_wire
-from nodes.rules.local_filter import Sensor
-from scenarios.catalogue import definition_of
-from scenarios.setup import Setup
-from scenarios.streams import generator
+from concord.nodes.messages import from_wire
+from concord.nodes.rules.local_filter import Sensor
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.setup import Setup
+from concord.scenarios.streams import generator
 
 # A direction with less information than this fraction of the best seen one is rounding.
 _RANK_TOLERANCE = 1e-13
@@ -46,7 +46,7 @@ def observability(setup: Setup, most_steps: int = 60) -> Observability:
             whose plant keeps another state than its filters.
     """
     scenario = setup.scenario
-    definition = definition_of(scenario.name)
+    definition = definition_of(scenario)
     n = len(setup.prior_mean)
     if definition.wiring is not None or len(setup.initial_state) != n:
         raise ValueError(

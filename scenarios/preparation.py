@@ -3,27 +3,28 @@
 import hashlib
 import os
 from functools import partial
-from importlib.metadata import version
 
 import msgspec
 
-from nodes.bounds import MAX_ROUNDS
-from nodes.changes import Settings
-from nodes.faults.active import Equipment
-from nodes.messages import to_wire
-from scenarios.bus_plan import plan_bus
-from scenarios.catalogue import definition_of
-from scenarios.equipment import equipment_of
-from scenarios.links import losses_of, network_of
-from scenarios.rules import check_rule, is_set_valued, share_size
-from scenarios.scenario import SETTINGS, Scenario, require
-from scenarios.script import check_script
-from scenarios.setup import Setup
-from scenarios.streams import generator
-from scenarios.types.assignment import check_ranges, refuse_left
-from scenarios.types.buses import stretch_of
-from scenarios.types.filters import UnscentedFilter
-from topology.names import unknown_name
+from concord._version import __version__
+from concord.nodes.bounds import MAX_ROUNDS
+from concord.nodes.changes import Settings
+from concord.nodes.faults.active import Equipment
+from concord.nodes.messages import to_wire
+from concord.scenarios.bus_plan import plan_bus, with_pinned_arbiter
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.equipment import equipment_of
+from concord.scenarios.links import losses_of, network_of
+from concord.scenarios.rules import check_rule, is_set_valued, share_size
+from concord.scenarios.scenario import SETTINGS, Scenario, require
+from concord.scenarios.script import check_script
+from concord.scenarios.setup import Setup
+from concord.scenarios.streams import generator
+from concord.scenarios.types.assignment import check_ranges, refuse_left
+from concord.scenarios.types.buses import stretch_of
+from concord.scenarios.types.filters import UnscentedFilter
+from concord.scenarios.user_values import is_source_name, source_of, value_of
+from concord.topology.names import unknown_name
 
 
 def prepare(scenario: Scenario) -> Setup:
@@ -33,15 +34,17 @@ def prepare(scenario: Scenario) -> Setup:
         ValueError: anything that cannot run, named with its value, the rule and the cure.
     """
     # Only here: a process of the network is handed the graph and need not know how to draw it.
-    from topology.adjacency import neighbours_of
-    from topology.analysis import require_connected
-    from topology.graphs import build_network
-    from topology.intel_lab import DATA_VARIABLE
-    from topology.network import Network
-    from topology.weights import build_weights, check_weights, per_node
+    from concord.topology.adjacency import neighbours_of
+    from concord.topology.analysis import require_connected
+    from concord.topology.edge_text import edge_text
+    from concord.topology.graphs import build_network
+    from concord.topology.intel_lab import DATA_VARIABLE
+    from concord.topology.network import Network
+    from concord.topology.weights import build_weights, check_weights, per_node
 
     check_ranges(scenario)
-    definition = definition_of(scenario.name)
+    scenario = with_pinned_arbiter(scenario)
+    definition = definition_of(scenario)
     definition.check(scenario)
     plant = definition.plant(scenario)
     positions = plant.positions(0)
@@ -49,6 +52,8 @@ def prepare(scenario: Scenario) -> Setup:
     data = os.environ.get(DATA_VARIABLE)
 
     def build(name: str) -> Network:
+        if is_source_name(name):
+            name = edge_text(value_of(source_of(name)))
         return build_network(name, scenario.nodes, scenario.seed, positions, radius, data)
 
     network, phases = network_of(scenario, build)
@@ -79,7 +84,7 @@ def _equipment(setup: Setup, settings: Settings) -> Equipment:
 def setup_of_run(setup: Setup, run: int) -> Setup:
     """The same network in the run of that number: where truth and filters begin is drawn anew."""
     scenario = msgspec.structs.replace(setup.scenario, run=run)
-    plant = definition_of(scenario.name).plant(scenario)
+    plant = definition_of(scenario).plant(scenario)
     draws = plant.draw(partial(generator, scenario), scenario.steps)
     initial_state, prior_mean, prior_cov = plant.initial(draws.initial)
     return msgspec.structs.replace(
@@ -98,11 +103,11 @@ def check_network(setup: Setup) -> None:
         ValueError: naming the field, its value, the rule and the cure.
     """
     # Only here, as in `prepare`.
-    from topology.weights import from_per_node
+    from concord.topology.weights import from_per_node
 
     scenario = setup.scenario
     check_ranges(scenario)
-    definition = definition_of(scenario.name)
+    definition = definition_of(scenario)
     definition.check(scenario)
     if definition.wiring is None:
         _check_filter(scenario)
@@ -132,7 +137,7 @@ def complete_settings(setup: Setup, before: Settings, asked: Settings) -> Settin
     for name in asked:
         if name not in SETTINGS:
             raise unknown_name("setting", name, SETTINGS)
-    if definition_of(scenario.name).wiring is not None:
+    if definition_of(scenario).wiring is not None:
         raise ValueError(f"set: {scenario.name} has one rule and schedule of its own; leave it out")
     settings = {**before, **asked}
     changed, left = scenario.with_known(**settings)
@@ -158,7 +163,7 @@ def with_settings(setup: Setup, settings: Settings) -> Setup:
 
 def share_bytes(setup: Setup) -> int:
     """Length of the longest share in the network of this setup."""
-    wiring = definition_of(setup.scenario.name).wiring
+    wiring = definition_of(setup.scenario).wiring
     if wiring is not None:
         return wiring.share_bytes(setup.scenario)
     return share_size(setup.scenario, len(setup.prior_mean))
@@ -169,5 +174,5 @@ def fingerprint(setup: Setup) -> str:
 
     Two processes with one digest compute equal bits.
     """
-    data = msgspec.json.encode(setup) + version("concord").encode()
+    data = msgspec.json.encode(setup) + __version__.encode()
     return hashlib.sha256(data).hexdigest()

@@ -1,23 +1,23 @@
 """Fusion rules and hold policies by name, as the values that a node is built from."""
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from filters.fusion import hold
-from filters.fusion.averaging import INFORMATION, MOMENTS, Directly
-from filters.fusion.hybrid_consensus import classical_gain, safe_gain
-from filters.fusion.local import keep_own
-from filters.fusion.packed import packed_length
-from filters.gaussian import Gaussian
-from nodes.estimator import AnyEstimator
-from nodes.lanes.network import BatchedRule
-from nodes.rules.belief_consensus import HoldPolicy
-from nodes.rules.set_shapes import Ellipsoids, Zonotopes
-from scenarios import set_rules
-from scenarios.estimators import (
+from concord.filters.fusion import hold
+from concord.filters.fusion.averaging import INFORMATION, MOMENTS, Directly
+from concord.filters.fusion.hybrid_consensus import classical_gain, safe_gain
+from concord.filters.fusion.local import keep_own
+from concord.filters.fusion.packed import packed_length
+from concord.filters.gaussian import Gaussian
+from concord.nodes.estimator import AnyEstimator
+from concord.nodes.lanes.network import BatchedRule
+from concord.nodes.rules.belief_consensus import HoldPolicy
+from concord.nodes.rules.set_shapes import Ellipsoids, Zonotopes
+from concord.scenarios import set_rules
+from concord.scenarios.estimators import (
     BuildRule,
     alone_in_batch,
     at_node,
@@ -34,18 +34,27 @@ from scenarios.estimators import (
     trimmed,
     weighted_information,
 )
-from scenarios.labelled import check_labelled, largest_share, without_arrays
-from scenarios.node_context import BatchContext, NodeContext
-from scenarios.scenario import Scenario, lossy_links
-from scenarios.setup import Setup
-from scenarios.types.buses import FullSchedule
-from scenarios.types.holds import Decayed, Dropped, Fading, InStep, Predicted, Raw
-from scenarios.types.rules import NumberRule, TrimmedCovarianceIntersection, hold_of
-from topology.names import unknown_name
+from concord.scenarios.labelled import check_labelled, largest_share, without_arrays
+from concord.scenarios.node_context import BatchContext, NodeContext
+from concord.scenarios.scenario import Scenario, lossy_links
+from concord.scenarios.setup import Setup
+from concord.scenarios.types.buses import FullSchedule
+from concord.scenarios.types.holds import Decayed, Dropped, Fading, InStep, Predicted, Raw
+from concord.scenarios.types.rules import (
+    NumberRule,
+    Reception,
+    TrimmedCovarianceIntersection,
+    UserRule,
+    hold_of,
+)
+from concord.scenarios.user_values import ValueSource, function_or
+from concord.topology.names import unknown_name
 
 if TYPE_CHECKING:
-    from topology.weights import Weights
+    from concord.topology.weights import Weights
 
+Average = Callable[[Gaussian, np.ndarray], Gaussian]
+"""The beliefs (..., J, n) of a neighbourhood, the own first, and weights (..., J) -> belief."""
 _NUMBERS = {"float64": "<f8", "float32": "<f4"}
 
 
@@ -86,15 +95,29 @@ def rule_of(scenario: Scenario) -> Rule:
     Raises:
         ValueError: there is no such rule.
     """
+    if isinstance(scenario.rule, UserRule):
+        return _user_rule(scenario.rule.where)
+    if isinstance(scenario.rule, Reception):
+        raise ValueError(
+            "rule reception: one node estimates from a measurement bus, which only --scenario "
+            "meng2025 has; use that scenario, or another rule"
+        )
     if scenario.rule.name not in _RULES:
         raise unknown_name("rule", scenario.rule.name, _RULES)
     return _RULES[scenario.rule.name]
 
 
+@lru_cache
+def _user_rule(source: ValueSource) -> Rule:
+    """The rule of a user: an average of beliefs, or a `Rule` that says everything itself."""
+    value = function_or(Rule, source, "a function rule(beliefs, weights) -> belief, or a Rule")
+    return value if isinstance(value, Rule) else _averaged(value)
+
+
 def is_set_valued(scenario: Scenario) -> bool:
     """Whether its estimates are sets that hold the truth for certain."""
-    rule = _RULES.get(scenario.rule.name)
-    return rule is not None and rule.set_valued
+    # A receiver of a measurement bus has a rule that is not in the table.
+    return not isinstance(scenario.rule, Reception) and rule_of(scenario).set_valued
 
 
 def check_rule(scenario: Scenario, neighbours: Sequence[Sequence[int]], weights: "Weights") -> None:
@@ -187,7 +210,7 @@ def _require_the_average(
     scenario: Scenario, neighbours: Sequence[Sequence[int]], weights: "Weights"
 ) -> None:
     # Only here: a check of a scenario may be slow to start, a node of the network may not.
-    from topology.weights import check_doubly_stochastic
+    from concord.topology.weights import check_doubly_stochastic
 
     try:
         check_doubly_stochastic(weights)
@@ -258,6 +281,16 @@ def _once(
     at_one = partial(at_node, build, what)
     at_all = batched or partial(in_batch, build, what)
     return Rule(share_numbers, at_one, at_all, **properties)
+
+
+def _averaged(average: Average) -> Rule:
+    """A rule that is a function of the beliefs (..., J, n) of a neighbourhood and of weights."""
+    return _once(
+        lambda n, _: packed_length(n),
+        partial(averaging, Directly(average)),
+        "belief",
+        shares_beliefs=True,
+    )
 
 
 _RULES: dict[str, Rule] = {

@@ -1,17 +1,20 @@
 """A scenario: everything that decides the numbers of a run, as one frozen value."""
 
-from typing import Annotated
+from typing import Annotated, Any, Unpack
 
 import msgspec
+import numpy as np
 
-from scenarios.types.assignment import assigned, refuse_left
-from scenarios.types.buses import BusChoice, FlexRay, FullSchedule
-from scenarios.types.declarations import every_option
-from scenarios.types.filters import FilterChoice, UnscentedFilter
-from scenarios.types.network import SensorNetwork
-from scenarios.types.option import Option
-from scenarios.types.plants import PlantChoice
-from scenarios.types.rules import CovarianceIntersection, RuleChoice
+from concord.scenarios.python_words import python_words
+from concord.scenarios.types.assignment import assigned, refuse_left
+from concord.scenarios.types.buses import BusChoice, FlexRay, FullSchedule
+from concord.scenarios.types.declarations import every_option
+from concord.scenarios.types.filters import FilterChoice, UnscentedFilter
+from concord.scenarios.types.network import SensorNetwork
+from concord.scenarios.types.option import Option
+from concord.scenarios.types.options import ScenarioOptions
+from concord.scenarios.types.plants import PlantChoice
+from concord.scenarios.types.rules import CovarianceIntersection, RuleChoice
 
 
 class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -19,13 +22,14 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     plant: Annotated[
         PlantChoice,
-        Option("Which plant with its sensors; `concord list` names them.", group="plant",
+        Option("Which plant with its sensors; `concord list` names them; FILE.py:NAME is your own.",
+               group="plant",
                flag="scenario"),
     ]  # fmt: skip
     network: Annotated[SensorNetwork, Option("", group="network")]
-    rule: Annotated[RuleChoice, Option("Fusion rule.", group="rule", is_setting=True)] = (
-        CovarianceIntersection()
-    )
+    rule: Annotated[
+        RuleChoice, Option("Fusion rule; FILE.py:NAME is your own.", group="rule", is_setting=True)
+    ] = CovarianceIntersection()
     rounds: Annotated[
         int,
         Option("Consensus iterations per step, one communication cycle each.", group="rule",
@@ -60,7 +64,8 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         """Number of sensor nodes."""
         return self.network.nodes
 
-    def with_(self, **options: object) -> "Scenario":
+    @python_words()
+    def with_(self, **options: Unpack[ScenarioOptions]) -> "Scenario":
         """The scenario with other options, each by its own name, wherever it is nested.
 
         A choice is given by its name or as a value: `with_(rule="labelled", window_steps=8)`.
@@ -78,7 +83,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         Raises:
             ValueError: an unknown name, or a wrong type.
         """
-        return assigned(self, _with_schedule(self, options))
+        return assigned(self, _with_schedule(self, in_words(options)))
 
 
 SETTINGS = tuple(
@@ -87,6 +92,26 @@ SETTINGS = tuple(
     )
 )
 """The options that a network can change while it runs."""
+
+
+def in_words(options: dict[str, Any]) -> dict[str, Any]:
+    """Options with plain numbers for those of numpy, and a graph of networkx, or a matrix, as one
+    word; the graph says how many nodes there are, unless another option does.
+
+    Raises:
+        ValueError: a graph that is none.
+    """
+    plain = {
+        name: value.item() if isinstance(value, np.generic) else value
+        for name, value in options.items()
+    }
+    graph = plain.get("graph")
+    if graph is None or isinstance(graph, str):
+        return plain
+    # Only here: a process of the network is handed the neighbours of its nodes.
+    from concord.topology.edge_text import edge_text
+
+    return {"nodes": len(graph), **plain, "graph": edge_text(graph)}
 
 
 def _with_schedule(scenario: Scenario, options: dict[str, object]) -> dict[str, object]:

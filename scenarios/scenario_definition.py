@@ -5,19 +5,20 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from bus.schedule import Schedule
-from filters.gaussian import Gaussian
-from filters.sigma_points import SigmaPointRule
-from nodes.environment_state import Delivery
-from nodes.estimator import AnyEstimator
-from nodes.rules.local_filter import Model, Sensor
-from scenarios.node_context import NodeContext
-from scenarios.scenario import Scenario
-from scenarios.setup import Setup
+from concord.bus.schedule import Schedule
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import SigmaPointRule
+from concord.nodes.environment_state import Delivery
+from concord.nodes.estimator import AnyEstimator
+from concord.nodes.rules.local_filter import Model, Sensor
+from concord.scenarios.node_context import NodeContext
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.setup import Setup
 
 
 class ScenarioPlant(Protocol):
-    """A plant as a scenario needs it; `nodes.environment.Plant` is the environment's part."""
+    """A plant as a scenario needs it; `concord.nodes.environment.Plant` is the environment's
+    part."""
 
     @property
     def time_step_s(self) -> float: ...

@@ -3,9 +3,9 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from nodes.changes import UNCHANGED, Joined, Left, Set, Settings, Standing, after
-from nodes.command_checks import check_command
-from nodes.commands import (
+from concord.nodes.changes import UNCHANGED, Joined, Left, Set, Settings, Standing, after
+from concord.nodes.command_checks import check_command
+from concord.nodes.commands import (
     ChangeCommand,
     Configure,
     Inject,
@@ -17,9 +17,9 @@ from nodes.commands import (
     Step,
     in_words,
 )
-from nodes.faults.active import Equipment
-from nodes.run_controller import Scripted
-from scenarios.scenario import Scenario
+from concord.nodes.faults.active import Equipment
+from concord.nodes.run_controller import Scripted
+from concord.scenarios.scenario import Scenario
 
 _FILE = "file:"
 

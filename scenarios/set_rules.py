@@ -5,24 +5,24 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from filters.gaussian import Gaussian
-from filters.sigma_points import scaled_unscented
-from nodes.rules.lane_rule import LocalStep
-from nodes.rules.local_filter import LocalFilters, SensorGroup
-from nodes.rules.set_membership import (
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import scaled_unscented
+from concord.nodes.rules.lane_rule import LocalStep
+from concord.nodes.rules.local_filter import LocalFilters, SensorGroup
+from concord.nodes.rules.set_membership import (
     BoundedModel,
     SetMembership,
     predict_sets,
     take_strips,
 )
-from nodes.rules.set_shapes import Shape
-from scenarios.catalogue import definition_of
-from scenarios.node_context import RuleContext
-from scenarios.scenario import Scenario
-from scenarios.setup import Setup
+from concord.nodes.rules.set_shapes import Shape
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.node_context import RuleContext
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.setup import Setup
 
 if TYPE_CHECKING:
-    from topology.weights import Weights
+    from concord.topology.weights import Weights
 
 MakeShape = Callable[[int, str], Shape[Any]]
 
@@ -41,7 +41,7 @@ def check_bounded(
     Raises:
         ValueError: naming what is in the way, and the cure.
     """
-    _bounded_model(definition_of(scenario.name).model(scenario), scenario)
+    _bounded_model(definition_of(scenario).model(scenario), scenario)
 
 
 def baseline_filter(
@@ -52,7 +52,7 @@ def baseline_filter(
     control: np.ndarray | None,
 ) -> Gaussian:
     """One set that is cut with the readings (steps, N, r, d) of these nodes, after every step."""
-    definition = definition_of(setup.scenario.name)
+    definition = definition_of(setup.scenario)
     model, points = definition.model(setup.scenario), scaled_unscented(len(setup.prior_mean))
     groups = {
         node: SensorGroup(slice(None), sensor)

@@ -7,7 +7,7 @@ agree.
 
 import msgspec
 
-from scenarios.scenario import Scenario
+from concord.scenarios.scenario import Scenario
 
 
 class Setup(msgspec.Struct, frozen=True):

@@ -4,7 +4,7 @@ import hashlib
 
 import numpy as np
 
-from scenarios.scenario import Scenario
+from concord.scenarios.scenario import Scenario
 
 
 def generator(scenario: Scenario, purpose: str, node: int) -> np.random.Generator:

@@ -2,13 +2,13 @@
 
 import math
 
-from nodes.commands import TimelyCommand
-from nodes.tempo import Tempo
-from scenarios.build import build_bus, build_controller
-from scenarios.scenario import require
-from scenarios.script import script_of
-from scenarios.setup import Setup
-from scenarios.types.buses import stretch_of
+from concord.nodes.commands import TimelyCommand
+from concord.nodes.tempo import Tempo
+from concord.scenarios.build import build_bus, build_controller
+from concord.scenarios.scenario import require
+from concord.scenarios.script import script_of
+from concord.scenarios.setup import Setup
+from concord.scenarios.types.buses import stretch_of
 
 # Processes that share a machine keep such times; a cycle on the bus is some ten times shorter.
 SHORTEST_PART_S = 0.02

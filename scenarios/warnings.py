@@ -5,17 +5,17 @@ from functools import partial
 
 import numpy as np
 
-from nodes.messages import from_wire
-from nodes.rules.labelled_frame import MAX_WINDOW_STEPS
-from scenarios.catalogue import definition_of
-from scenarios.labelled import digest_of, latency_steps, window_of
-from scenarios.rules import rule_of
-from scenarios.scenario import lossy_links
-from scenarios.setup import Setup
-from scenarios.streams import generator
-from scenarios.types.buses import ContendedSchedule, occupancy_of, trigger_of
-from scenarios.types.holds import Decayed, Raw
-from scenarios.types.rules import (
+from concord.nodes.messages import from_wire
+from concord.nodes.rules.labelled_frame import MAX_WINDOW_STEPS
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.labelled import digest_of, latency_steps, window_of
+from concord.scenarios.rules import rule_of
+from concord.scenarios.scenario import lossy_links
+from concord.scenarios.setup import Setup
+from concord.scenarios.streams import generator
+from concord.scenarios.types.buses import ContendedSchedule, occupancy_of, trigger_of
+from concord.scenarios.types.holds import Decayed, Raw
+from concord.scenarios.types.rules import (
     ClassicalHybridConsensus,
     DiffusionRule,
     InformationConsensus,
@@ -25,10 +25,10 @@ from scenarios.types.rules import (
     WeightedAverage,
     hold_of,
 )
-from topology.analysis import rounds_to
-from topology.robustness import is_robust
-from topology.spectrum import second_eigenvalue_modulus, vote_of
-from topology.weights import Weights, from_per_node
+from concord.topology.analysis import rounds_to
+from concord.topology.robustness import is_robust
+from concord.topology.spectrum import second_eigenvalue_modulus, vote_of
+from concord.topology.weights import Weights, from_per_node
 
 # Numerical derivatives put an eigenvalue of 1 a little beside it.
 _MARGIN = 1e-6
@@ -42,12 +42,12 @@ def warnings_of(setup: Setup) -> tuple[str, ...]:
     Each names the rule, the condition with its numbers, and what to use instead. Sources are given
     where the conditions are: the functions of `filters/`.
     """
-    wiring = definition_of(setup.scenario.name).wiring
+    wiring = definition_of(setup.scenario).wiring
     if wiring is not None:
         return ()
     return (
         *_idle_weights(setup),
-        *definition_of(setup.scenario.name).warnings(setup.scenario),
+        *definition_of(setup.scenario).warnings(setup.scenario),
         *_diverging_average(setup),
         *_too_few_rounds(setup),
         *_raw_hold(setup),
@@ -62,7 +62,7 @@ def warnings_of(setup: Setup) -> tuple[str, ...]:
 def _idle_weights(setup: Setup) -> Iterator[str]:
     """Weights of a network whose rule uses none."""
     scenario = setup.scenario
-    usual = definition_of(scenario.name).defaults.network.weights
+    usual = definition_of(scenario).defaults.network.weights
     if scenario.network.weights != usual and not rule_of(scenario).weighted:
         yield (
             f"--weights {scenario.network.weights} changes nothing here: rule "
@@ -82,7 +82,7 @@ def _diverging_average(setup: Setup) -> Iterator[str]:
         return
     if isinstance(rule.hold, Decayed) and rule.hold.determinant_weights:
         return
-    if definition_of(scenario.name).delivery is not None:
+    if definition_of(scenario).delivery is not None:
         # The bus's deliveries at the start do not show which states a node's sensors see.
         return
     growth = _spectral_radius(_transition_matrix(setup))
@@ -242,7 +242,7 @@ def _weights(setup: Setup) -> Weights:
 
 def _blind(setup: Setup) -> np.ndarray:
     """1.0 (N,) for each node to which the first step delivers nothing, 0.0 for those that see."""
-    plant = definition_of(setup.scenario.name).plant(setup.scenario)
+    plant = definition_of(setup.scenario).plant(setup.scenario)
     noise = plant.draw(partial(generator, setup.scenario), 1).measurement[0]
     delivered = plant.observe(from_wire(setup.initial_state), np.zeros_like(noise), 0)
     return np.isnan(delivered).all(axis=(-1, -2)).astype(float)
@@ -254,7 +254,7 @@ def _transition_matrix(setup: Setup) -> np.ndarray:
     The steps are a thousandth of the prior standard deviations, the scale on which a belief looks
     at its model.
     """
-    model = definition_of(setup.scenario.name).model(setup.scenario)
+    model = definition_of(setup.scenario).model(setup.scenario)
     mean = np.array(setup.prior_mean)
     step = 1e-3 * np.sqrt(np.diag(setup.prior_cov))
     ahead = model.transition(mean + np.diag(step), None, 0)

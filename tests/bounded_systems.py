@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from hypothesis import strategies as st
 
-from papers.liu2021.bus import MeasuredPlant
-from papers.liu2021.flexray_cycle import DeliveredValues, transmit
-from plants.bounded import BoundedSystem
+from concord.papers.liu2021.bus import MeasuredPlant
+from concord.papers.liu2021.flexray_cycle import DeliveredValues, transmit
+from concord.plants.bounded import BoundedSystem
 
 STEPS = 12
 

@@ -3,8 +3,8 @@
 from hypothesis import reject
 from hypothesis import strategies as st
 
-from scenarios.preparation import prepare
-from scenarios.scenario import Scenario
+from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario import Scenario
 
 VERBS = ("kill", "restart", "cut", "heal", "loss", "loss on")
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 MARK = "CONCORD_TEST_MARK"
 PROC = Path("/proc")
-CONCORD = (sys.executable, "-m", "experiments")
+CONCORD = (sys.executable, "-m", "concord.experiments")
 # On an idle machine a command ends at once within 3 s, and its descendants 0.5 s after it.
 _AT_ONCE_S = 3.0
 _LEFT_S = 0.5

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.cli.agree import DriverDifference, first_difference
-from experiments.results.trace import Trace
-from runtime.drivers import DRIVERS
-from runtime.network.links import wants_router
-from scenarios.preparation import prepare
-from scenarios.setup import Setup
+from concord.experiments.agreement import DriverDifference, first_difference
+from concord.experiments.results.trace import Trace
+from concord.runtime.drivers import DRIVERS
+from concord.runtime.network.links import wants_router
+from concord.scenarios.preparation import prepare
+from concord.scenarios.setup import Setup
 from tests.experiments.flexray_support import concord
 from tests.experiments.support import scenario, small, trace_of
 from tests.nodes.test_faults import SWARM
@@ -213,7 +213,7 @@ def test_the_command_names_the_first_difference_and_leaves_with_one(
         return DRIVERS["in-process"](prepare(changed), *rest)
 
     monkeypatch.setattr(
-        "experiments.cli.agree.DRIVERS",
+        "concord.experiments.agreement.DRIVERS",
         {"in-process": DRIVERS["in-process"], "other": other},
     )
     options = ["--scenario", "oscillator", "--nodes", "3", "--graph", "path", "--steps", "5"]

@@ -30,7 +30,10 @@ MAY_IMPORT: dict[str, set[str]] = {
     "papers": SPINE | {"experiments"},
     "benchmarks": SPINE | {"experiments", "dashboard", "papers", "launch_local"},
     "launch_local": {"experiments"},
+    "concord": SPINE | {"experiments"},
 }
+# Packages below `concord`, by links; launch_local and benchmarks are beside it.
+OURS = set(MAY_IMPORT) - {"benchmarks", "concord", "launch_local"}
 # Each of these libraries may be imported only in its own file or package.
 WALLS = {"zenoh": "runtime/network/zenoh_transport.py", "viser": "dashboard/"}
 SERIALISERS = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib"}
@@ -79,7 +82,14 @@ PRODUCT = [s for s in SOURCES if s.room != "tests"]
 
 
 def imported(tree: ast.AST) -> Iterator[tuple[int, str]]:
-    """Line and full name of everything imported, inside functions too."""
+    """Line and full name of everything imported, inside functions too; ours without `concord.`."""
+    for line, name in _imported(tree):
+        bare = name.removeprefix("concord.")
+        # A folder that is imported without `concord` would be loaded a second time.
+        yield line, f".{name}" if name == bare and name.partition(".")[0] in OURS else bare
+
+
+def _imported(tree: ast.AST) -> Iterator[tuple[int, str]]:
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from ((node.lineno, alias.name) for alias in node.names)
@@ -114,7 +124,7 @@ def imports_point_one_way(file: Source) -> Iterator[str]:
     for line, name in imported(file.tree):
         top = name.partition(".")[0]
         if top in ("", "tests"):
-            yield f"{line}: imports {name}; name our rooms in full, and nothing of the tests"
+            yield f"{line}: imports {name}; name our folders as concord.FOLDER, and no tests"
         elif top in MAY_IMPORT and top not in allowed:
             yield (
                 f"{line}: {file.room}/ imports {top}/, but may import only "
@@ -255,21 +265,27 @@ def test_in_the_product(rule: Rule):
 
 LONG_FUNCTION = "def f():\n" + "    x = 1\n" * MAX_FUNCTION_LINES
 LONG_METHOD = "class C:\n    async " + LONG_FUNCTION.replace("\n", "\n    ")
-LAZY = "def f():\n    from scenarios import build"
-HIDDEN = "import importlib\nimportlib.import_module('bus.flexray.frame')"
+LAZY = "def f():\n    from concord.scenarios import build"
+HIDDEN = "import importlib\nimportlib.import_module('concord.bus.flexray.frame')"
 VIOLATIONS: list[tuple[Rule, str, str, str]] = [
-    (imports_point_one_way, "filters/a.py", "import plants", "pass the value in"),
+    (imports_point_one_way, "filters/a.py", "import concord.plants", "pass the value in"),
     (
         imports_point_one_way,
         "bus/a.py",
-        "from nodes.messages import Bid",
+        "from concord.nodes.messages import Bid",
         "nothing of ours",
     ),
     (imports_point_one_way, "nodes/a.py", LAZY, "2: nodes/ imports scenarios/"),
-    (imports_point_one_way, "nodes/a.py", "from . import share", "in full"),
+    (imports_point_one_way, "nodes/a.py", "from . import share", "as concord.FOLDER"),
+    (imports_point_one_way, "nodes/a.py", "import filters.ukf", "as concord.FOLDER"),
     (imports_point_one_way, "plants/a.py", HIDDEN, "plants/ imports bus/"),
-    (imports_point_one_way, "launch_local.py", "import nodes.environment", "only experiments"),
-    (imports_point_one_way, "experiments/a.py", "import tests.conftest", "nothing of the tests"),
+    (
+        imports_point_one_way,
+        "launch_local.py",
+        "import concord.nodes.environment",
+        "only experiments",
+    ),
+    (imports_point_one_way, "experiments/a.py", "import tests.conftest", "and no tests"),
     (
         libraries_stay_behind_their_walls,
         "runtime/processes/node/process.py",
@@ -280,11 +296,21 @@ VIOLATIONS: list[tuple[Rule, str, str, str]] = [
     (
         imports_point_one_way,
         "dashboard/a.py",
-        "import experiments.results.trace",
+        "import concord.experiments.results.trace",
         "dashboard/ imports",
     ),
-    (papers_are_imported_by_their_command_alone, "experiments/a.py", "import papers", "only exp"),
-    (private_names_stay_in_their_file, "nodes/a.py", "from nodes.b import _f", "make it public"),
+    (
+        papers_are_imported_by_their_command_alone,
+        "experiments/a.py",
+        "import concord.papers",
+        "only exp",
+    ),
+    (
+        private_names_stay_in_their_file,
+        "nodes/a.py",
+        "from concord.nodes.b import _f",
+        "make it public",
+    ),
     (files_are_short, "filters/a.py", "x = 1\n" * (MAX_FILE_LINES + 1), "split it"),
     (functions_are_short, "filters/a.py", LONG_FUNCTION, "71 lines"),
     (functions_are_short, "filters/a.py", LONG_METHOD, "2: f has 71"),
@@ -302,11 +328,11 @@ VIOLATIONS: list[tuple[Rule, str, str, str]] = [
     (public_things_have_docstrings, "bus/a.py", "def f(): pass", "f has no docstring"),
     (public_things_have_docstrings, "bus/a.py", "class C:\n    x = 1", "C has no docstring"),
 ]
-DOWNWARDS = "import filters.ukf\nfrom nodes import share\nimport numpy"
+DOWNWARDS = "import concord.filters.ukf\nfrom concord.nodes import share\nimport numpy"
 HARMLESS: list[tuple[Rule, str, str]] = [
     (imports_point_one_way, "nodes/a.py", DOWNWARDS),
     (libraries_stay_behind_their_walls, "runtime/network/zenoh_transport.py", "import zenoh"),
-    (private_names_stay_in_their_file, "nodes/a.py", "from nodes import __version__, b"),
+    (private_names_stay_in_their_file, "nodes/a.py", "from concord.nodes import __version__, b"),
     (files_are_short, "filters/a.py", "x = 1\n" * MAX_FILE_LINES),
     (functions_are_short, "filters/a.py", LONG_FUNCTION.removesuffix("    x = 1\n")),
     (nothing_prints_but_the_command_line, "experiments/a.py", "sys.stdout.write('')"),

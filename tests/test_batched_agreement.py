@@ -13,15 +13,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiments.monte_carlo.simulate import COV, OPTIONAL, Histories, simulate
-from experiments.results.trace import read_trace
-from runtime.batched.build import without_array_form
-from runtime.drivers import in_memory
-from scenarios.catalogue import definition_of
-from scenarios.preparation import prepare, setup_of_run
-from scenarios.scenario import Scenario
-from scenarios.setup import Setup
-from scenarios.types.rules import NumberRule
+from concord.experiments.monte_carlo.simulate import COV, OPTIONAL, Histories, simulate
+from concord.experiments.results.trace import read_trace
+from concord.runtime.batched.build import without_array_form
+from concord.runtime.drivers import in_memory
+from concord.scenarios.catalogue import definition_named
+from concord.scenarios.preparation import prepare, setup_of_run
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.setup import Setup
+from concord.scenarios.types.rules import NumberRule
 from tests.changing_networks import changing
 from tests.experiments.support import scenario
 
@@ -123,7 +123,7 @@ def scenarios(draw: st.DrawFn) -> Scenario:
     if name in ("dc-motor-position", "cruise-control"):
         asked["control"] = draw(st.sampled_from(["open", "truth", "0"]))
     # Options of other rules and schedules than those that were drawn are left out.
-    return definition_of(name).defaults.with_known(**asked)[0]
+    return definition_named(name).defaults.with_known(**asked)[0]
 
 
 @given(scenarios())
@@ -192,7 +192,7 @@ def test_who_comes_back_asks_as_one_that_never_sent(rule: str):
 def bounded_scenarios(draw: st.DrawFn) -> Scenario:
     """Small networks of sets, of every hold policy that keeps the truth inside."""
     schedule = draw(st.sampled_from(["full", "round-robin", "hybrid", "dynamic"]))
-    asked = definition_of("liu2021-network").defaults.with_known(
+    asked = definition_named("liu2021-network").defaults.with_known(
         rule=draw(st.sampled_from(["ellipsoid", "zonotope"])),
         nodes=draw(st.integers(1, 5)),
         graph=draw(st.sampled_from(["ring", "path", "complete"])),

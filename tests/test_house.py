@@ -14,18 +14,26 @@ from tests.house.structure import classes_are_small, folders_are_small, no_impor
 
 PRODUCT = product()
 
-UPWARDS = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from bus.b import B"
-LAZY = "def f():\n    import bus.a"
-DYNAMIC = "import importlib\nimportlib.import_module('bus.a')"
+UPWARDS = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from concord.bus.b import B"
+LAZY = "def f():\n    import concord.bus.a"
+DYNAMIC = "import importlib\nimportlib.import_module('concord.bus.a')"
 BIG = "class Big:\n" + "    x = 1\n" * structure.MOST_CLASS_LINES
 LIBRARY = "import io\nclass File(io.RawIOBase):\n    def readinto(self): pass"
 PLANTED: list[tuple[Rule, dict[str, str], str]] = [
-    (no_import_circles, {"bus/a.py": "import bus.b", "bus/b.py": "import bus.a"}, "2 files"),
-    (no_import_circles, {"bus/a.py": UPWARDS, "bus/b.py": LAZY}, "bus/b.py:2 imports bus.a"),
-    (no_import_circles, {"bus/a.py": "from bus import b", "bus/b.py": DYNAMIC}, "2 files"),
     (
         no_import_circles,
-        {"bus/__init__.py": "import bus.a", "bus/a.py": "from bus import X"},
+        {"bus/a.py": "import concord.bus.b", "bus/b.py": "import concord.bus.a"},
+        "2 files",
+    ),
+    (
+        no_import_circles,
+        {"bus/a.py": UPWARDS, "bus/b.py": LAZY},
+        "bus/b.py:2 imports concord.bus.a",
+    ),
+    (no_import_circles, {"bus/a.py": "from concord.bus import b", "bus/b.py": DYNAMIC}, "2 files"),
+    (
+        no_import_circles,
+        {"bus/__init__.py": "import concord.bus.a", "bus/a.py": "from concord.bus import X"},
         "imports neither",
     ),
     (
@@ -44,17 +52,21 @@ PLANTED: list[tuple[Rule, dict[str, str], str]] = [
         {"bus/a.py": "Array = list[float]", "nodes/a.py": "_Array = np.ndarray | None"},
         "alias Array is defined 2 times",
     ),
-    (modules_are_reached, {"launch_local.py": "import bus.b", "bus/a.py": ""}, "bus/a.py:1"),
+    (
+        modules_are_reached,
+        {"launch_local.py": "import concord.bus.b", "bus/a.py": ""},
+        "bus/a.py:1",
+    ),
     (functions_are_called, {"bus/a.py": "def lonely(): lonely()"}, "only tests call lonely"),
     (functions_are_called, {"bus/a.py": "class C:\n    def lonely(self): pass"}, "bus/a.py:2"),
 ]
 ALLOWED: list[tuple[Rule, dict[str, str]]] = [
-    (no_import_circles, {"bus/a.py": "import bus.b", "bus/b.py": "import numpy"}),
+    (no_import_circles, {"bus/a.py": "import concord.bus.b", "bus/b.py": "import numpy"}),
     (folders_are_small, {f"bus/a{number}.py": "" for number in range(structure.MOST_FILES)}),
     (classes_are_small, {"bus/a.py": BIG.removesuffix("    x = 1\n")}),
     (class_names_are_unique, {"bus/a.py": "class _F: pass", "nodes/a.py": "class _F: pass"}),
     (aliases_have_one_definition, {"bus/a.py": "LEAST = a.b", "nodes/a.py": "LEAST = a.b"}),
-    (modules_are_reached, {"launch_local.py": "START = 'bus.a'", "bus/a.py": ""}),
+    (modules_are_reached, {"launch_local.py": "START = 'concord.bus.a'", "bus/a.py": ""}),
     (functions_are_called, {"bus/a.py": "def lonely(): pass", "bus/b.py": "a.lonely()"}),
     (functions_are_called, {"bus/a.py": LIBRARY}),
 ]

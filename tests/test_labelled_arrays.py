@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiments.monte_carlo.simulate import simulate
-from experiments.results.trace import read_trace
-from runtime.batched.build import build_network, without_array_form
-from runtime.drivers import in_memory
-from scenarios.catalogue import definition_of
-from scenarios.preparation import prepare, setup_of_run
-from scenarios.scenario import Scenario
+from concord.experiments.monte_carlo.simulate import simulate
+from concord.experiments.results.trace import read_trace
+from concord.runtime.batched.build import build_network, without_array_form
+from concord.runtime.drivers import in_memory
+from concord.scenarios.catalogue import definition_named
+from concord.scenarios.preparation import prepare, setup_of_run
+from concord.scenarios.scenario import Scenario
 from tests.changing_networks import changing
 from tests.test_batched_agreement import check_agreement
 
@@ -26,7 +26,7 @@ SET_TO = ("rounds=2", "occupancy=0.5", "rule=ci", "rule=labelled")
 
 def labelled(name: str = "target-tracking", **options: Any) -> Scenario:
     # The time of the bus is not what is compared here.
-    usual = definition_of(name).defaults.with_(rule="labelled", stretch=100.0)
+    usual = definition_named(name).defaults.with_(rule="labelled", stretch=100.0)
     # An arbiter of a schedule without contenders is left out.
     return usual.with_known(**options)[0]
 

@@ -11,16 +11,16 @@ HEAVY = {"scipy", "networkx", "xarray", "viser", "matplotlib", "h5py", "h5netcdf
 LOADED = """
 import sys
 import msgspec
-from scenarios.setup import Setup
+from concord.scenarios.setup import Setup
 {imports}
 {work}
 sys.stdout.write(" ".join(sorted({{name.partition(".")[0] for name in sys.modules}})))
 """
 # A node process is handed a worked-out setup, builds its node and computes.
 NODE_WORK = """
-from runtime import in_process
-from runtime.recording import MemoryRecorder
-from scenarios.build import build_node, build_environment
+from concord.runtime import in_process
+from concord.runtime.recording import MemoryRecorder
+from concord.scenarios.build import build_node, build_environment
 setup = msgspec.json.decode({setup!r}, type=Setup)
 nodes = [build_node(setup, node) for node in range(setup.scenario.nodes)]
 in_process.run(build_environment(setup), nodes, MemoryRecorder())
@@ -43,13 +43,17 @@ def loaded(imports: str, work: str = "") -> set[str]:
 def test_a_node_process_stays_light(name: str):
     from msgspec import json
 
-    from scenarios.catalogue import definition_of
-    from scenarios.preparation import prepare
+    from concord.scenarios.catalogue import definition_named
+    from concord.scenarios.preparation import prepare
 
-    defaults = definition_of(name).defaults.with_(nodes=6, steps=2)
+    defaults = definition_named(name).defaults.with_(nodes=6, steps=2)
     work = NODE_WORK.format(setup=json.encode(prepare(defaults)))
     heavy = (
-        loaded("import runtime.processes.node.process, runtime.processes.launcher_process", work)
+        loaded(
+            "import concord.runtime.processes.node.process\n"
+            "import concord.runtime.processes.launcher_process",
+            work,
+        )
         & HEAVY
     )
     assert not heavy, (
@@ -59,4 +63,4 @@ def test_a_node_process_stays_light(name: str):
 
 
 def test_the_measure_of_loading_sees_what_is_loaded():
-    assert "networkx" in loaded("import topology.graphs")
+    assert "networkx" in loaded("import concord.topology.graphs")

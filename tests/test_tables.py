@@ -12,22 +12,22 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from bus.arbitration import ARBITERS
-from experiments.cli.agree import first_difference
-from experiments.results.near_agreement import departures
-from experiments.results.trace import read_trace
-from nodes.faults.vocabulary import EVERY_FAULT
-from runtime.batched.build import without_array_form
-from runtime.drivers import DRIVERS, in_memory
-from scenarios.bus_plan import cluster_names
-from scenarios.catalogue import definitions
-from scenarios.preparation import prepare
-from scenarios.scenario import Scenario
-from scenarios.setup import Setup
-from scenarios.types.declarations import every_option
+from concord.bus.arbitration import ARBITERS
+from concord.experiments.agreement import first_difference
+from concord.experiments.results.near_agreement import departures
+from concord.experiments.results.trace import read_trace
+from concord.nodes.faults.vocabulary import EVERY_FAULT
+from concord.runtime.batched.build import without_array_form
+from concord.runtime.drivers import DRIVERS, in_memory
+from concord.scenarios.bus_plan import cluster_names
+from concord.scenarios.catalogue import definitions
+from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.setup import Setup
+from concord.scenarios.types.declarations import every_option
+from concord.topology.choices import GRAPHS, WEIGHTS
+from concord.topology.link_names import EXAMPLES as LINK_EXAMPLES
 from tests.experiments.support import scenario, trace_of
-from topology.choices import GRAPHS, WEIGHTS
-from topology.link_names import EXAMPLES as LINK_EXAMPLES
 
 STEPS, NODES = 6, 4
 FIRST = "oscillator"

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from plants.vehicle.cars import FITTED_CARS
-from plants.vehicle.drive_log import UNITS, ColumnMap, columns_from_toml
-from plants.vehicle.manoeuvres import MANOEUVRES
-from plants.vehicle.network import NODES
-from plants.vehicle.parameters import car_from_toml
+from concord.plants.vehicle.cars import FITTED_CARS
+from concord.plants.vehicle.drive_log import UNITS, ColumnMap, columns_from_toml
+from concord.plants.vehicle.manoeuvres import MANOEUVRES
+from concord.plants.vehicle.network import NODES
+from concord.plants.vehicle.parameters import car_from_toml
 from tests.pages import ROOT, blocks, commands, link_checkout, run_as_reader
 
 PAGE = (ROOT / "docs" / "vehicle.md").read_text(encoding="utf-8")
@@ -25,7 +25,7 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.zenoh
 @pytest.mark.slow
 @pytest.mark.skipif(
-    importlib.util.find_spec("vehiclemodels") is None, reason="needs concord[vehicle]"
+    importlib.util.find_spec("vehiclemodels") is None, reason="needs the extra vehicle"
 )
 @pytest.mark.parametrize("command", commands(PAGE))
 def test_a_command_of_the_page_runs(command: str, checkout: Path):
@@ -53,7 +53,7 @@ def test_it_names_all_there_is():
 
 
 def test_functions_that_it_names_exist():
-    named = re.findall(r"`((?:filters|papers)\.[a-z_.]+)\.([a-z_]+)`", PAGE)
+    named = re.findall(r"`((?:concord\.filters|concord\.papers)\.[a-z_.]+)\.([a-z_]+)`", PAGE)
     assert len(named) > 8
     for module, function in named:
         assert hasattr(importlib.import_module(module), function), f"{module}.{function}"

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from topology.adjacency import Adjacency, degrees, is_symmetric, links_of, nodes_of
-from topology.diameter import diameter_bounds
-from topology.spectrum import contraction_per_round, second_eigenvalue_modulus
+from concord.topology.adjacency import Adjacency, degrees, is_symmetric, links_of, nodes_of
+from concord.topology.diameter import diameter_bounds
+from concord.topology.spectrum import contraction_per_round, second_eigenvalue_modulus
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ GRAPHS = (
     "scale-free",
     "K-regular",
     "geometric",
+    "edges:0-1;1-2",
     "file:PATH",
     "directed:PATH",
     "intel-lab",

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.linalg import LinearOperator, eigs
 
-from topology.adjacency import entries, links_of, nodes_of
-from topology.spectrum import second_eigenvalue_modulus
+from concord.topology.adjacency import entries, links_of, nodes_of
+from concord.topology.spectrum import second_eigenvalue_modulus
 
 # The operator on second moments has so many squared entries to a vector.
 MOST_MOMENT_NODES = 300

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from scipy.sparse.csgraph import shortest_path
 
-from topology.adjacency import Adjacency, is_symmetric, nodes_of
+from concord.topology.adjacency import Adjacency, is_symmetric, nodes_of
 
 # So many searches at a time, for the sake of memory.
 _TOGETHER = 32

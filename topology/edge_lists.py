@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from topology.adjacency import degrees, is_symmetric, links_of, nodes_of
-from topology.network import Network
+from concord.topology.adjacency import degrees, is_symmetric, links_of, nodes_of
+from concord.topology.network import Network
 
 # A matrix as text has a character per pair of nodes at least.
 MOST_MATRIX_NODES = 5000

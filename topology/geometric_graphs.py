@@ -5,7 +5,7 @@ import math
 import numpy as np
 from scipy.spatial import KDTree
 
-from topology.adjacency import (
+from concord.topology.adjacency import (
     Adjacency,
     both_ways,
     first_accepted,

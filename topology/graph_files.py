@@ -21,9 +21,9 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import csr_array
 
-from topology.adjacency import is_symmetric, nodes_of, one_way_links
-from topology.edge_lists import read_edge_list, read_matrix, write_edge_list, write_matrix
-from topology.network import Network, delivery_of
+from concord.topology.adjacency import is_symmetric, nodes_of, one_way_links
+from concord.topology.edge_lists import read_edge_list, read_matrix, write_edge_list, write_matrix
+from concord.topology.network import Network, delivery_of
 
 _SUFFIXES = (".edges", ".edgelist", ".txt", ".csv", ".graphml")
 
@@ -43,7 +43,7 @@ def read_network(file: str | Path, nodes: int | None = None, *, directed: bool =
     names: tuple[str, ...] | None = None
     positions: np.ndarray | None = None
     if suffix == ".graphml":
-        from topology.graphml import read_graphml  # only here: it loads networkx
+        from concord.topology.graphml import read_graphml  # only here: it loads networkx
 
         given, positions, names = read_graphml(file)
     elif suffix == ".csv":
@@ -72,7 +72,7 @@ def write_network(file: str | Path, network: Network) -> None:
     file = Path(file)
     suffix = _known_suffix(file)
     if suffix == ".graphml":
-        from topology.graphml import write_graphml
+        from concord.topology.graphml import write_graphml
 
         write_graphml(file, network)
     elif suffix == ".csv":

@@ -8,8 +8,8 @@ import networkx
 import numpy as np
 from scipy.sparse import csr_array
 
-from topology.adjacency import is_symmetric, links_of, nodes_of
-from topology.network import Network
+from concord.topology.adjacency import is_symmetric, links_of, nodes_of
+from concord.topology.network import Network
 
 
 def read_graphml(file: Path) -> tuple[csr_array, np.ndarray | None, tuple[str, ...]]:

@@ -12,14 +12,15 @@ import networkx
 import numpy as np
 from numpy.typing import NDArray
 
-from topology.adjacency import Adjacency, adjacency_of, both_ways, require_nodes
-from topology.choices import GRAPHS
-from topology.geometric_graphs import connecting_radius, geometric, scatter
-from topology.graph_files import read_network
-from topology.intel_lab import DATA_VARIABLE, intel_lab
-from topology.names import unknown_name
-from topology.network import Network
-from topology.random_graphs import (
+from concord.topology.adjacency import Adjacency, adjacency_of, both_ways, require_nodes
+from concord.topology.choices import GRAPHS
+from concord.topology.edge_text import read_edge_text
+from concord.topology.geometric_graphs import connecting_radius, geometric, scatter
+from concord.topology.graph_files import read_network
+from concord.topology.intel_lab import DATA_VARIABLE, intel_lab
+from concord.topology.names import unknown_name
+from concord.topology.network import Network
+from concord.topology.random_graphs import (
     connecting_probability,
     erdos_renyi,
     regular,
@@ -93,8 +94,9 @@ _BUILDERS: dict[str, Callable[[int, int], Adjacency]] = {
 }
 
 
-# The text after the colon is a path.
+# The text after the colon is a path, or the edges themselves.
 _SOURCES: dict[str, Callable[[str, int | None], Network]] = {
+    "edges": lambda text, nodes: Network(read_edge_text(text, nodes)),
     "file": lambda path, nodes: read_network(path, nodes),
     "directed": lambda path, nodes: read_network(path, nodes, directed=True),
     "intel-lab": lambda path, nodes: intel_lab(path, nodes),

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from topology.adjacency import from_links, links_of
-from topology.analysis import components
-from topology.network import Network, part_of
+from concord.topology.adjacency import from_links, links_of
+from concord.topology.analysis import components
+from concord.topology.network import Network, part_of
 
 # A link delivers at least one frame in ten; the rest is noise of the measurement.
 LEAST_DELIVERY = 0.1

@@ -14,7 +14,7 @@ moving:RANGE,WANDER,PERIOD | the same, nodes circle around their places: radius 
 import math
 from typing import NamedTuple
 
-from topology.names import unknown_name
+from concord.topology.names import unknown_name
 
 NAMES = (
     "static",

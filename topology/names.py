@@ -5,9 +5,8 @@ from collections.abc import Iterable
 
 
 def unknown_name(kind: str, name: str, names: Iterable[str]) -> ValueError:
-    """Return the error for a `name` of a `kind` that is not in `names`; it offers the nearest."""
+    """Return the error for a `name` of a `kind` that is not in `names`; it offers a near one."""
     names = tuple(names)
-    nearest = difflib.get_close_matches(name, names, n=1, cutoff=0.0)[0]
-    return ValueError(
-        f"unknown {kind} {name!r}: did you mean {nearest!r}? Valid names are {', '.join(names)}"
-    )
+    near = difflib.get_close_matches(name, names, n=1)
+    offer = f": did you mean {near[0]!r}?" if near else "."
+    return ValueError(f"unknown {kind} {name!r}{offer} Valid names are {', '.join(names)}")

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from topology.adjacency import Adjacency, entries, links_of, nodes_of
+from concord.topology.adjacency import Adjacency, entries, links_of, nodes_of
 
 
 class Network(NamedTuple):

@@ -10,7 +10,13 @@ from collections.abc import Callable
 import networkx
 import numpy as np
 
-from topology.adjacency import Adjacency, adjacency_of, first_accepted, is_connected, require_nodes
+from concord.topology.adjacency import (
+    Adjacency,
+    adjacency_of,
+    first_accepted,
+    is_connected,
+    require_nodes,
+)
 
 
 def regular(nodes: int, degree: int, seed: int) -> Adjacency:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csgraph, csr_array, eye_array
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs, eigsh
 
-from topology.adjacency import nodes_of
+from concord.topology.adjacency import nodes_of
 
 # Up to here all eigenvalues take less than a second.
 DENSE_NODES = 600
@@ -54,8 +54,8 @@ def eigenvalues(weights: csr_array | np.ndarray) -> NDArray[np.complex128]:
 def contraction_per_round(weights: csr_array | np.ndarray) -> float:
     """The largest part of a disagreement that one round of row-stochastic weights (n, n) leaves.
 
-    With P the projection onto disagreements this is |P W|; of doubly stochastic weights it is
-    |W - 11'/n|, the per-step convergence factor of Xiao, Boyd 2004, and symmetric ones have it
+    With P the projection onto disagreements this is `|P W|`; of doubly stochastic weights it is
+    `|W - 11'/n|`, the per-step convergence factor of Xiao, Boyd 2004, and symmetric ones have it
     equal to the second eigenvalue modulus.
     """
     nodes = nodes_of(weights)

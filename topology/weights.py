@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array, diags_array, eye_array
 from scipy.sparse.csgraph import connected_components
 
-from topology.adjacency import (
+from concord.topology.adjacency import (
     Adjacency,
     degrees,
     entries,
@@ -22,10 +22,10 @@ from topology.adjacency import (
     nodes_of,
     one_way_links,
 )
-from topology.analysis import require_connected
-from topology.choices import WEIGHTS
-from topology.names import unknown_name
-from topology.spectrum import laplacian_bounds
+from concord.topology.analysis import require_connected
+from concord.topology.choices import WEIGHTS
+from concord.topology.names import unknown_name
+from concord.topology.spectrum import laplacian_bounds
 
 Weights = csr_array
 

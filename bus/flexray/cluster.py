@@ -1,7 +1,7 @@
 """A FlexRay cluster whose parameters have been checked against the specification."""
 
-from bus.flexray.cluster_parameters import ClusterParameters
-from bus.flexray.constraints import violations
+from concord.bus.flexray.cluster_parameters import ClusterParameters
+from concord.bus.flexray.constraints import violations
 
 
 class ClusterError(ValueError):

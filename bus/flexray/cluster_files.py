@@ -6,9 +6,9 @@ from pathlib import Path
 
 import msgspec
 
-from bus.flexray.cluster import Cluster, ClusterError
-from bus.flexray.constraints import PARAMETERS
-from bus.flexray.fibex import cluster_from_fibex
+from concord.bus.flexray.cluster import Cluster, ClusterError
+from concord.bus.flexray.constraints import PARAMETERS
+from concord.bus.flexray.fibex import cluster_from_fibex
 
 FILE_ENDINGS = (".toml", ".xml")
 

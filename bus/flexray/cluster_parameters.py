@@ -9,7 +9,7 @@ from typing import Literal
 
 import msgspec
 
-from bus.flexray.frame import OVERHEAD_BYTES
+from concord.bus.flexray.frame import OVERHEAD_BYTES
 
 Channels = Literal["A", "B", "AB"]
 """The channels that a cluster or a slot uses; AB sends the same frame on both."""

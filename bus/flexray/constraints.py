@@ -7,7 +7,7 @@ constraints: 2.1). A violation is one sentence: the rule, both sides with their 
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from bus.flexray.cluster_parameters import ClusterParameters
+from concord.bus.flexray.cluster_parameters import ClusterParameters
 
 
 class Parameter(NamedTuple):

@@ -9,8 +9,8 @@ from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
-from bus.flexray.cluster import Cluster
-from bus.flexray.frame import MAX_FRAME_ID
+from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.frame import MAX_FRAME_ID
 
 
 class Request(NamedTuple):

@@ -11,8 +11,8 @@ from xml.sax.saxutils import escape
 
 import msgspec
 
-from bus.flexray.cluster import Cluster, ClusterError
-from bus.flexray.constraints import MICROTICKS_US
+from concord.bus.flexray.cluster import Cluster, ClusterError
+from concord.bus.flexray.constraints import MICROTICKS_US
 
 Element = ElementTree.Element
 

@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 
-from bus.flexray.cluster import Cluster
-from bus.flexray.presets import DEMO
-from bus.schedule import Schedule
+from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.presets import DEMO
+from concord.bus.schedule import Schedule
 
 _MIN_STATIC_SLOTS = 2
 _MIN_STATIC_PAYLOAD_BYTES = 2

@@ -6,16 +6,16 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.arbitration import Arbiter, Fits
-from bus.bus import SegmentTime, Transmission
-from bus.flexray.cluster import Cluster
-from bus.flexray.dynamic_segment import Request, walk
-from bus.flexray.publication import Publications
-from bus.flexray.relay import check_relay
-from bus.flexray.share_frames import payload_lengths
-from bus.flexray.slot_table import SlotTable, allocate
-from bus.flexray.slotted_bus import SlottedBus
-from bus.flexray.timing import (
+from concord.bus.arbitration import Arbiter, Fits
+from concord.bus.bus import SegmentTime, Transmission
+from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.dynamic_segment import Request, walk
+from concord.bus.flexray.publication import Publications
+from concord.bus.flexray.relay import check_relay
+from concord.bus.flexray.share_frames import payload_lengths
+from concord.bus.flexray.slot_table import SlotTable, allocate
+from concord.bus.flexray.slotted_bus import SlottedBus
+from concord.bus.flexray.timing import (
     bus_load,
     check_timing,
     dynamic_transmissions,
@@ -23,11 +23,11 @@ from bus.flexray.timing import (
     segments,
     static_transmissions,
 )
-from bus.schedule import Schedule
+from concord.bus.schedule import Schedule
 
 
 class FlexRayBus(SlottedBus):
-    """A schedule on a cluster (`bus.bus.Bus`)."""
+    """A schedule on a cluster (`concord.bus.bus.Bus`)."""
 
     has_time = True
 

@@ -8,7 +8,7 @@ import struct
 from collections.abc import Sequence
 from functools import lru_cache
 
-from bus.flexray.frame import MAX_PAYLOAD_BYTES
+from concord.bus.flexray.frame import MAX_PAYLOAD_BYTES
 
 _PREFIX = struct.Struct("<BBH")
 PREFIX_BYTES = _PREFIX.size

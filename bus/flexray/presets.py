@@ -1,6 +1,6 @@
 """Clusters to start from. Figures that no source gives are chosen here, and said to be chosen."""
 
-from bus.flexray.cluster import Cluster
+from concord.bus.flexray.cluster import Cluster
 
 AUDI = Cluster(
     name="audi",

@@ -4,8 +4,8 @@ from collections import defaultdict
 from math import lcm
 from typing import NamedTuple
 
-from bus.flexray.cluster import Cluster
-from bus.flexray.slot_table import SlotAssignment, SlotTable
+from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.slot_table import SlotAssignment, SlotTable
 
 
 class Slot(NamedTuple):

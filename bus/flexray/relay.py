@@ -1,9 +1,9 @@
 """Whether a host can send on, in its slot, what the slot before has just brought."""
 
-from bus.flexray.cluster import Cluster
-from bus.flexray.dynamic_segment import walk
-from bus.flexray.slot_table import SlotTable
-from bus.schedule import Schedule
+from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.dynamic_segment import walk
+from concord.bus.flexray.slot_table import SlotTable
+from concord.bus.schedule import Schedule
 
 
 def check_relay(

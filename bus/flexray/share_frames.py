@@ -12,10 +12,10 @@ from functools import lru_cache
 
 import msgspec
 
-from bus.bus import Fragment, FrameFormat, Rejected, SharePlace
-from bus.flexray.fragments import PREFIX_BYTES as NUMBERING_BYTES
-from bus.flexray.fragments import FragmentError, fragment_count, join, payload_sizes, split
-from bus.flexray.frame import (
+from concord.bus.bus import Fragment, FrameFormat, Rejected, SharePlace
+from concord.bus.flexray.fragments import PREFIX_BYTES as NUMBERING_BYTES
+from concord.bus.flexray.fragments import FragmentError, fragment_count, join, payload_sizes, split
+from concord.bus.flexray.frame import (
     HEADER_BYTES,
     MAX_PAYLOAD_BYTES,
     OVERHEAD_BYTES,
@@ -23,9 +23,9 @@ from bus.flexray.frame import (
     FrameError,
     is_intact,
 )
-from bus.flexray.frame import decode as decode_frame
-from bus.flexray.frame import encode as encode_frame
-from bus.flexray.publication import Slot
+from concord.bus.flexray.frame import decode as decode_frame
+from concord.bus.flexray.frame import encode as encode_frame
+from concord.bus.flexray.publication import Slot
 
 CYCLE_COUNTS = 64
 _CYCLE = struct.Struct("<I")

@@ -7,10 +7,10 @@ from collections.abc import Iterable, Sequence
 
 import msgspec
 
-from bus.flexray.cluster import Cluster
-from bus.flexray.cluster_parameters import Channels, Segment
-from bus.flexray.dynamic_segment import Request, walk
-from bus.schedule import Schedule
+from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.cluster_parameters import Channels, Segment
+from concord.bus.flexray.dynamic_segment import Request, walk
+from concord.bus.schedule import Schedule
 
 REPETITIONS = (1, 2, 4, 8, 16, 32, 64)
 """Cycle repetitions that every FlexRay controller has."""

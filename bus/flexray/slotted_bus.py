@@ -5,10 +5,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.arbitration import Arbiter, ArbiterState, Fits, award
-from bus.bus import Fragment, Rejected, SharePlace
-from bus.flexray.publication import Slot
-from bus.flexray.share_frames import (
+from concord.bus.arbitration import Arbiter, ArbiterState, Fits, award
+from concord.bus.bus import Fragment, Rejected, SharePlace
+from concord.bus.flexray.publication import Slot
+from concord.bus.flexray.share_frames import (
     SHARE_FRAMES,
     frame_payloads,
     in_slot,
@@ -18,14 +18,15 @@ from bus.flexray.share_frames import (
     to_frames,
     whole_body,
 )
-from bus.schedule import Schedule
+from concord.bus.schedule import Schedule
 
 Slots = Callable[[int, int], tuple[Slot, ...]]
 """(node, cycle) -> the slots of the node's share in that cycle."""
 
 
 class SlottedBus:
-    """The part of `bus.bus.Bus` that needs no time: it gives each share consecutive slots."""
+    """The part of `concord.bus.bus.Bus` that needs no time: it gives each share consecutive
+    slots."""
 
     frame_format = SHARE_FRAMES
 
@@ -86,7 +87,7 @@ class SlottedBus:
         bids: NDArray[np.int64],
         payload_bytes: NDArray[np.int64],
     ) -> tuple[ArbiterState, NDArray[np.bool_]]:
-        """Award the slots of one group of a cycle (`bus.bus.Bus.arbitrate`)."""
+        """Award the slots of one group of a cycle (`concord.bus.bus.Bus.arbitrate`)."""
         frame_ids = np.array(
             [self.slots(int(node), cycle)[0].frame_id for node in nodes], dtype=np.int64
         )

@@ -2,9 +2,9 @@
 
 from collections.abc import Iterable
 
-from bus.bus import Transmission
-from bus.flexray.cluster import Cluster
-from bus.flexray.timing import bus_load, segments
+from concord.bus.bus import Transmission
+from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.timing import bus_load, segments
 
 BAR_COLUMNS = 40
 

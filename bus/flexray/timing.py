@@ -2,10 +2,10 @@
 
 from collections.abc import Iterable
 
-from bus.bus import SegmentTime, Transmission
-from bus.flexray.cluster import Cluster
-from bus.flexray.dynamic_segment import Request, walk
-from bus.flexray.slot_table import SlotAssignment
+from concord.bus.bus import SegmentTime, Transmission
+from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.dynamic_segment import Request, walk
+from concord.bus.flexray.slot_table import SlotAssignment
 
 
 class TimingError(ValueError):

@@ -8,7 +8,7 @@ specification 2.1, section 3.2.1. Bits are uint8 arrays of 0 and 1.
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.flexray.frame import OVERHEAD_BYTES
+from concord.bus.flexray.frame import OVERHEAD_BYTES
 
 Bits = NDArray[np.uint8]
 

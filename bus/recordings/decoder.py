@@ -11,11 +11,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bus.flexray.cluster_parameters import Segment
-from bus.flexray.constraints import BIT_RATES_MBPS
-from bus.flexray.frame import MAX_PAYLOAD_BYTES, OVERHEAD_BYTES, Channel, Frame, encode, inspect
-from bus.recordings.bitstream import BitError, Bits, byte_bits, decode_bits
-from bus.recordings.waveform import Waveform, WaveformError, without_spikes
+from concord.bus.flexray.cluster_parameters import Segment
+from concord.bus.flexray.constraints import BIT_RATES_MBPS
+from concord.bus.flexray.frame import (
+    MAX_PAYLOAD_BYTES,
+    OVERHEAD_BYTES,
+    Channel,
+    Frame,
+    encode,
+    inspect,
+)
+from concord.bus.recordings.bitstream import BitError, Bits, byte_bits, decode_bits
+from concord.bus.recordings.waveform import Waveform, WaveformError, without_spikes
 
 # In a frame the longest high run is 9 bits, a byte of ones and a BSS; between frames CID has 11.
 IDLE_BITS = 10

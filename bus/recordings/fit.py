@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.flexray.cluster_parameters import Segment
-from bus.recordings.decoder import DecodedFrame, Decoding
+from concord.bus.flexray.cluster_parameters import Segment
+from concord.bus.recordings.decoder import DecodedFrame, Decoding
 
 REPETITIONS = (1, 2, 4, 8, 16, 32, 64)
 MACROTICK_RANGE_US = (1.0, 6.0)

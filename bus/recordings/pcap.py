@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
-from bus.flexray.frame import OVERHEAD_BYTES, TRAILER_BYTES, inspect
+from concord.bus.flexray.frame import OVERHEAD_BYTES, TRAILER_BYTES, inspect
 
 LINK_TYPE_FLEXRAY = 210
 _MAGIC_NANOSECONDS = 0xA1B23C4D

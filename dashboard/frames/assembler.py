@@ -7,17 +7,17 @@ totals or in ages is true all the same.
 import numpy as np
 from numpy.typing import NDArray
 
-from dashboard.frames.bus_cycles import BusView
-from dashboard.frames.frame import LogEntry, NodeTraffic, StepFrame
-from dashboard.frames.network import AnnouncedChange, NetworkStatus, changed, read_change
-from dashboard.frames.scores import fuse, score
-from dashboard.frames.stage import Stage, restaged
-from dashboard.frames.told import StepContent, read_step
-from filters.gaussian import Gaussian
-from filters.linalg import unpack_upper
-from nodes.messages import Estimate, from_wire
-from runtime.whole_steps import WholeStep
-from scenarios.baselines import baseline_step, filters_step_by_step
+from concord.dashboard.frames.bus_cycles import BusView
+from concord.dashboard.frames.frame import LogEntry, NodeTraffic, StepFrame
+from concord.dashboard.frames.network import AnnouncedChange, NetworkStatus, changed, read_change
+from concord.dashboard.frames.scores import fuse, score
+from concord.dashboard.frames.stage import Stage, restaged
+from concord.dashboard.frames.told import StepContent, read_step
+from concord.filters.gaussian import Gaussian
+from concord.filters.linalg import unpack_upper
+from concord.nodes.messages import Estimate, from_wire
+from concord.runtime.whole_steps import WholeStep
+from concord.scenarios.baselines import baseline_step, filters_step_by_step
 
 # A restarted node tells nothing of the counters that died with it.
 _COUNTED = ("sent", "heard", "missed")

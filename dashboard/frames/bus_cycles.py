@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping
 
-from bus.bus import Bus, Transmission
-from dashboard.frames.frame import BusCycle
+from concord.bus.bus import Bus, Transmission
+from concord.dashboard.frames.frame import BusCycle
 
 
 class BusView:

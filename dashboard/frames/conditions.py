@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from dashboard.frames.frame import StepFrame
-from dashboard.frames.stage import Stage
+from concord.dashboard.frames.frame import StepFrame
+from concord.dashboard.frames.stage import Stage
 
 DOWN, REJECTED, STALE, BLIND, SEEING = "down", "rejected", "stale", "blind", "up"
 

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.bus import Transmission
-from filters.gaussian import Gaussian
+from concord.bus.bus import Transmission
+from concord.filters.gaussian import Gaussian
 
 
 class LogEntry(NamedTuple):

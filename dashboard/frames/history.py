@@ -6,8 +6,8 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from dashboard.frames.frame import LogEntry, StepFrame
-from dashboard.frames.stage import Stage
+from concord.dashboard.frames.frame import LogEntry, StepFrame
+from concord.dashboard.frames.stage import Stage
 
 _MEMORY_BYTES = 200_000_000
 _MOST_FRAMES = 20_000

@@ -14,15 +14,15 @@ from typing import Any
 
 import msgspec
 
-from dashboard.frames.assembler import Assembler
-from dashboard.frames.frame import StepFrame
-from dashboard.frames.network import NetworkStatus
-from dashboard.frames.source import CommandAnswer, SourceState
-from dashboard.frames.stage import Stage, restaged, set_stage
-from nodes.commands import Command
-from runtime.network.control_client import Client, NotThere
-from runtime.whole_steps import WholeStep
-from scenarios.setup import Setup
+from concord.dashboard.frames.assembler import Assembler
+from concord.dashboard.frames.frame import StepFrame
+from concord.dashboard.frames.network import NetworkStatus
+from concord.dashboard.frames.source import CommandAnswer, SourceState
+from concord.dashboard.frames.stage import Stage, restaged, set_stage
+from concord.nodes.commands import Command
+from concord.runtime.network.control_client import Client, NotThere
+from concord.runtime.whole_steps import WholeStep
+from concord.scenarios.setup import Setup
 
 _STATE_PERIOD_S = 0.5
 _QUEUE = 1000

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from dashboard.frames.frame import LogEntry
-from nodes.faults.vocabulary import CHANNELS, EVERY_FAULT
-from scenarios.scenario import SETTINGS
+from concord.dashboard.frames.frame import LogEntry
+from concord.nodes.faults.vocabulary import CHANNELS, EVERY_FAULT
+from concord.scenarios.scenario import SETTINGS
 
 
 class NetworkStatus(NamedTuple):

@@ -3,11 +3,11 @@
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from dashboard.frames.assembler import Assembler
-from dashboard.frames.frame import StepFrame
-from dashboard.frames.stage import Stage
-from runtime.recording import read_recording
-from runtime.whole_steps import WholeSteps
+from concord.dashboard.frames.assembler import Assembler
+from concord.dashboard.frames.frame import StepFrame
+from concord.dashboard.frames.stage import Stage
+from concord.runtime.recording import read_recording
+from concord.runtime.whole_steps import WholeSteps
 
 
 def replayed(stage: Stage, recording: Path) -> Iterator[StepFrame]:

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from dashboard.frames.frame import StepScores
-from dashboard.frames.stage import Stage
-from filters.gaussian import Gaussian
-from filters.linalg import inverse_spd, multiply
-from filters.metrics import nees
+from concord.dashboard.frames.frame import StepScores
+from concord.dashboard.frames.stage import Stage
+from concord.filters.gaussian import Gaussian
+from concord.filters.linalg import inverse_spd, multiply
+from concord.filters.metrics import nees
 
 # Of the largest value: sums of doubles are exact to some 1e-16 of it.
 _ROUNDING = 1e-13

@@ -4,9 +4,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-from dashboard.frames.frame import StepFrame
-from dashboard.frames.replay import replayed
-from dashboard.frames.stage import Stage
+from concord.dashboard.frames.frame import StepFrame
+from concord.dashboard.frames.replay import replayed
+from concord.dashboard.frames.stage import Stage
 
 _FRAMES_PER_POLL = 40
 

@@ -14,12 +14,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from bus.bus import Bus
-from scenarios.build import build_bus
-from scenarios.catalogue import definition_of
-from scenarios.rules import is_set_valued
-from scenarios.scenario_definition import Score
-from scenarios.setup import Setup
+from concord.bus.bus import Bus
+from concord.scenarios.build import build_bus
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.rules import is_set_valued
+from concord.scenarios.scenario_definition import Score
+from concord.scenarios.setup import Setup
 
 SCENE_WIDTH = 20.0
 """Width of the drawn network in units of the scene, whatever it measures in metres."""
@@ -104,7 +104,7 @@ class Stage:
 
 def set_stage(setup: Setup) -> Stage:
     """Return the stage of a setup."""
-    definition = definition_of(setup.scenario.name)
+    definition = definition_of(setup.scenario)
     plant = definition.plant(setup.scenario)
     places = plant.positions(0)
     positions: Callable[[int], np.ndarray]
@@ -142,7 +142,7 @@ def restaged(stage: Stage, settings: dict[str, Any]) -> Stage:
 
 def _names(setup: Setup, picture: PlantDrawing) -> tuple[str, ...]:
     if picture is PlantDrawing.TRACK:
-        from plants.vehicle.network import NODES
+        from concord.plants.vehicle.network import NODES
 
         if len(NODES) == setup.scenario.nodes:
             return NODES

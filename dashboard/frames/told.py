@@ -3,10 +3,10 @@
 from collections import Counter
 from dataclasses import dataclass, field
 
-from bus.bus import FrameFormat, Rejected
-from nodes.bounds import node_of
-from nodes.messages import Estimate, MalformedMessage, Measured, Truth, decode
-from runtime.whole_steps import WholeStep
+from concord.bus.bus import FrameFormat, Rejected
+from concord.nodes.bounds import node_of
+from concord.nodes.messages import Estimate, MalformedMessage, Measured, Truth, decode
+from concord.runtime.whole_steps import WholeStep
 
 
 @dataclass

@@ -5,11 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dashboard.frames.expected import Expected
-from dashboard.frames.frame import StepFrame
-from dashboard.frames.stage import Stage
-from dashboard.theme import Colour, Theme
-from dashboard.view import View
+from concord.dashboard.frames.expected import Expected
+from concord.dashboard.frames.frame import StepFrame
+from concord.dashboard.frames.stage import Stage
+from concord.dashboard.theme import Colour, Theme
+from concord.dashboard.view import View
 
 
 class Sample(NamedTuple):

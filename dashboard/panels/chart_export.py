@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dashboard.frames.stage import Stage
-from dashboard.panels.chart import Drawn
-from dashboard.theme import Colour, css
-from dashboard.view import View
+from concord.dashboard.frames.stage import Stage
+from concord.dashboard.panels.chart import Drawn
+from concord.dashboard.theme import Colour, css
+from concord.dashboard.view import View
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

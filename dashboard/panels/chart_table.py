@@ -4,10 +4,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dashboard.frames.frame import StepFrame
-from dashboard.frames.history import state_table
-from dashboard.frames.stage import Stage
-from dashboard.panels.chart import Chart, Column, Line, Sample, of_frames
+from concord.dashboard.frames.frame import StepFrame
+from concord.dashboard.frames.history import state_table
+from concord.dashboard.frames.stage import Stage
+from concord.dashboard.panels.chart import Chart, Column, Line, Sample, of_frames
 
 _LOWER, _UPPER = "−3σ", "+3σ"
 

@@ -7,12 +7,12 @@ import numpy as np
 import viser
 from viser import uplot
 
-from dashboard.frames.expected import Expectation
-from dashboard.frames.history import FrameHistory
-from dashboard.frames.stage import Stage
-from dashboard.panels.chart import Chart, Curve, Drawn, Sample
-from dashboard.theme import Theme, css
-from dashboard.view import View
+from concord.dashboard.frames.expected import Expectation
+from concord.dashboard.frames.history import FrameHistory
+from concord.dashboard.frames.stage import Stage
+from concord.dashboard.panels.chart import Chart, Curve, Drawn, Sample
+from concord.dashboard.theme import Theme, css
+from concord.dashboard.view import View
 
 MOST_POINTS = 600
 _LEAST_POWER = -12

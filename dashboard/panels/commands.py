@@ -4,7 +4,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
-from dashboard.frames.source import CommandAnswer, Source
+from concord.dashboard.frames.source import CommandAnswer, Source
 
 Tell = Callable[[Any, str, str, bool], None]
 """(client, title, body, is trouble): show a short message to a person."""

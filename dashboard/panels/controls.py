@@ -4,15 +4,15 @@ from typing import Any
 
 import viser
 
-from dashboard.frames.source import Source
-from dashboard.frames.stage import Stage
-from dashboard.inputs import Inputs, at_once
-from dashboard.panels.commands import Commands, Tell
-from dashboard.panels.network_controls import NetworkControls
-from dashboard.panels.node_controls import NodeControls
-from dashboard.panels.view_controls import ViewControls
-from dashboard.theme import QUIET_BUTTON
-from dashboard.view import View
+from concord.dashboard.frames.source import Source
+from concord.dashboard.frames.stage import Stage
+from concord.dashboard.inputs import Inputs, at_once
+from concord.dashboard.panels.commands import Commands, Tell
+from concord.dashboard.panels.network_controls import NetworkControls
+from concord.dashboard.panels.node_controls import NodeControls
+from concord.dashboard.panels.view_controls import ViewControls
+from concord.dashboard.theme import QUIET_BUTTON
+from concord.dashboard.view import View
 
 
 class Controls:

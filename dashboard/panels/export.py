@@ -7,13 +7,13 @@ from pathlib import Path
 
 import viser
 
-from dashboard.frames.conditions import sender_at
-from dashboard.frames.frame import StepFrame
-from dashboard.frames.stage import Stage
-from dashboard.scene.camera import Camera
-from dashboard.scene.plants import TRAIL
-from dashboard.scene.scene import Scene
-from dashboard.view import View
+from concord.dashboard.frames.conditions import sender_at
+from concord.dashboard.frames.frame import StepFrame
+from concord.dashboard.frames.stage import Stage
+from concord.dashboard.scene.camera import Camera
+from concord.dashboard.scene.plants import TRAIL
+from concord.dashboard.scene.scene import Scene
+from concord.dashboard.view import View
 
 MOST_FRAMES = 150
 _FRAME_S = 0.08

@@ -6,14 +6,14 @@ from typing import Any, NamedTuple
 
 import viser
 
-from dashboard.frames.history import FrameHistory
-from dashboard.frames.stage import Stage
-from dashboard.panels.chart import Drawn
-from dashboard.panels.chart_export import charts_page, charts_picture
-from dashboard.panels.export import animated_scene, screenshot, zipped
-from dashboard.scene.camera import Camera
-from dashboard.theme import QUIET_BUTTON
-from dashboard.view import View
+from concord.dashboard.frames.history import FrameHistory
+from concord.dashboard.frames.stage import Stage
+from concord.dashboard.panels.chart import Drawn
+from concord.dashboard.panels.chart_export import charts_page, charts_picture
+from concord.dashboard.panels.export import animated_scene, screenshot, zipped
+from concord.dashboard.scene.camera import Camera
+from concord.dashboard.theme import QUIET_BUTTON
+from concord.dashboard.view import View
 
 
 class Shown(NamedTuple):

@@ -4,13 +4,13 @@ from typing import Any
 
 import viser
 
-from dashboard.frames.stage import Stage
-from dashboard.inputs import Inputs, at_once
-from dashboard.panels.commands import Commands
-from scenarios.bus_plan import arbiter_names
-from scenarios.scenario import Scenario
-from scenarios.types.buses import arbiter_of, occupancy_of
-from scenarios.types.rules import RULE_SUMMARIES
+from concord.dashboard.frames.stage import Stage
+from concord.dashboard.inputs import Inputs, at_once
+from concord.dashboard.panels.commands import Commands
+from concord.scenarios.bus_plan import arbiter_names
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.types.buses import arbiter_of, occupancy_of
+from concord.scenarios.types.rules import RULE_SUMMARIES
 
 _RULES = tuple(RULE_SUMMARIES)
 
@@ -24,7 +24,9 @@ class NetworkControls:
         with gui.add_folder("Network"):
             self.rounds: Any = gui.add_number("Rounds", scenario.rounds, min=1, max=20, step=1)
             now = _settings_of(scenario)
-            self.rule: Any = gui.add_dropdown("Rule", _RULES, initial_value=now["rule"])
+            self.rule: Any = gui.add_dropdown(
+                "Rule", rules_beside(now["rule"]), initial_value=now["rule"]
+            )
             self.occupancy: Any = gui.add_slider("Occupancy", 0.05, 1.0, 0.05, now["occupancy"])
             self.arbiter: Any = gui.add_dropdown(
                 "Arbiter", arbiter_names(), initial_value=now["arbiter"]
@@ -53,8 +55,14 @@ class NetworkControls:
     def set_stage(self, stage: Stage) -> None:
         """Show the settings that the network has now."""
         self._stage = stage
+        self.rule.options = rules_beside(stage.setup.scenario.rule.name)
         for name, value in _settings_of(stage.setup.scenario).items():
             self._inputs.show(getattr(self, name), value=value)
+
+
+def rules_beside(name: str) -> tuple[str, ...]:
+    """The rules to choose from: those of concord, and the one of that name, of a user's file."""
+    return tuple(dict.fromkeys((*_RULES, name)))
 
 
 def _settings_of(scenario: Scenario) -> dict[str, Any]:

@@ -5,11 +5,11 @@ from typing import Any
 import msgspec
 import viser
 
-from dashboard.frames.stage import Stage
-from dashboard.inputs import Inputs, at_once
-from dashboard.panels.commands import Commands
-from dashboard.theme import QUIET_BUTTON
-from nodes.commands import Refused, in_words
+from concord.dashboard.frames.stage import Stage
+from concord.dashboard.inputs import Inputs, at_once
+from concord.dashboard.panels.commands import Commands
+from concord.dashboard.theme import QUIET_BUTTON
+from concord.nodes.commands import Refused, in_words
 
 
 class NodeControls:

@@ -2,26 +2,26 @@
 
 from typing import Any
 
-from dashboard.bridge import Bridge
-from dashboard.frames.conditions import sender_at
-from dashboard.frames.expected import Expectation
-from dashboard.frames.frame import BusCycle
-from dashboard.frames.history import FrameHistory
-from dashboard.frames.stage import PlantDrawing, Stage
-from dashboard.inputs import Inputs, at_once
-from dashboard.layout import lay_out
-from dashboard.panels.chart_table import run_charts, state_charts
-from dashboard.panels.charts import DENSE_STYLE, Charts, sampled
-from dashboard.panels.selected import selected_panel
-from dashboard.panels.states import states
-from dashboard.panels.table import log, node_table
-from dashboard.panels.timeline import RASTER_ROWS, TimelineView
-from dashboard.panels.zoom import zoom
-from dashboard.scene.plants import TRAIL
-from dashboard.scene.scene import Scene
-from dashboard.theme import Theme, css
-from dashboard.view import View
-from dashboard.window import PageServer
+from concord.dashboard.bridge import Bridge
+from concord.dashboard.frames.conditions import sender_at
+from concord.dashboard.frames.expected import Expectation
+from concord.dashboard.frames.frame import BusCycle
+from concord.dashboard.frames.history import FrameHistory
+from concord.dashboard.frames.stage import PlantDrawing, Stage
+from concord.dashboard.inputs import Inputs, at_once
+from concord.dashboard.layout import lay_out
+from concord.dashboard.panels.chart_table import run_charts, state_charts
+from concord.dashboard.panels.charts import DENSE_STYLE, Charts, sampled
+from concord.dashboard.panels.selected import selected_panel
+from concord.dashboard.panels.states import states
+from concord.dashboard.panels.table import log, node_table
+from concord.dashboard.panels.timeline import RASTER_ROWS, TimelineView
+from concord.dashboard.panels.zoom import zoom
+from concord.dashboard.scene.plants import TRAIL
+from concord.dashboard.scene.scene import Scene
+from concord.dashboard.theme import Theme, css
+from concord.dashboard.view import View
+from concord.dashboard.window import PageServer
 
 _CHART_HEIGHT, _STATE_CHART_HEIGHT = 78, 190
 _CAR_TRAIL = 3000

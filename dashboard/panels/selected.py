@@ -4,11 +4,11 @@ from html import escape
 
 import numpy as np
 
-from dashboard.frames.conditions import conditions
-from dashboard.frames.frame import StepFrame
-from dashboard.frames.stage import Stage
-from dashboard.theme import css
-from dashboard.view import View
+from concord.dashboard.frames.conditions import conditions
+from concord.dashboard.frames.frame import StepFrame
+from concord.dashboard.frames.stage import Stage
+from concord.dashboard.theme import css
+from concord.dashboard.view import View
 
 
 def selected_panel(stage: Stage, view: View, frame: StepFrame) -> str:

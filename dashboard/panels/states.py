@@ -5,11 +5,11 @@ from html import escape
 
 import numpy as np
 
-from dashboard.frames.frame import StepFrame
-from dashboard.frames.history import FrameHistory, state_table
-from dashboard.frames.stage import Stage
-from dashboard.theme import Theme, css
-from dashboard.view import View
+from concord.dashboard.frames.frame import StepFrame
+from concord.dashboard.frames.history import FrameHistory, state_table
+from concord.dashboard.frames.stage import Stage
+from concord.dashboard.theme import Theme, css
+from concord.dashboard.view import View
 
 MOST_STEPS, MOST_POINTS = 400, 130
 WIDTH, HEIGHT, HEAD, FOOT = 300.0, 290.0, 14.0, 4.0

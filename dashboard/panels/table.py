@@ -5,11 +5,19 @@ from html import escape
 
 import numpy as np
 
-from dashboard.frames.conditions import BLIND, DOWN, REJECTED, SEEING, STALE, conditions, oldest
-from dashboard.frames.frame import LogEntry, StepFrame
-from dashboard.frames.stage import Stage
-from dashboard.theme import Colour, Theme, css, mixed
-from dashboard.view import View
+from concord.dashboard.frames.conditions import (
+    BLIND,
+    DOWN,
+    REJECTED,
+    SEEING,
+    STALE,
+    conditions,
+    oldest,
+)
+from concord.dashboard.frames.frame import LogEntry, StepFrame
+from concord.dashboard.frames.stage import Stage
+from concord.dashboard.theme import Colour, Theme, css, mixed
+from concord.dashboard.view import View
 
 MOST_ROWS = 60
 _HEADINGS = ("node", "state", "sent", "miss", "rej", "age", "error", "3σ", "rejected")

@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 
-from dashboard.frames.frame import BusCycle, StepFrame
-from dashboard.frames.stage import Stage
-from dashboard.panels.timeline_marks import (
+from concord.dashboard.frames.frame import BusCycle, StepFrame
+from concord.dashboard.frames.stage import Stage
+from concord.dashboard.panels.timeline_marks import (
     BAR,
     LEFT,
     ROW,
@@ -16,7 +16,7 @@ from dashboard.panels.timeline_marks import (
     silent_slot,
     slot,
 )
-from dashboard.theme import Theme, css, mixed
+from concord.dashboard.theme import Theme, css, mixed
 
 RASTER_ROWS = 11
 

@@ -5,9 +5,9 @@ from html import escape
 from itertools import groupby
 from typing import NamedTuple
 
-from bus.bus import Bus, Transmission
-from dashboard.frames.frame import BusCycle
-from dashboard.theme import Theme, css, mixed
+from concord.bus.bus import Bus, Transmission
+from concord.dashboard.frames.frame import BusCycle
+from concord.dashboard.theme import Theme, css, mixed
 
 WIDTH, LEFT, RIGHT = 1000.0, 62.0, 8.0
 TOP, BAR, ROW = 20.0, 34.0, 9.0

@@ -5,10 +5,10 @@ from typing import Any
 
 import viser
 
-from dashboard.frames.stage import PlantDrawing, Stage
-from dashboard.inputs import Inputs, at_once
-from dashboard.theme import DARK, LIGHT
-from dashboard.view import ELLIPSES, ORDERS, View
+from concord.dashboard.frames.stage import PlantDrawing, Stage
+from concord.dashboard.inputs import Inputs, at_once
+from concord.dashboard.theme import DARK, LIGHT
+from concord.dashboard.view import ELLIPSES, ORDERS, View
 
 MAGNIFIED = (1, 2, 5, 10, 20, 50, 100)
 

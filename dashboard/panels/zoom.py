@@ -4,11 +4,11 @@ from html import escape
 
 import numpy as np
 
-from dashboard.frames.frame import StepFrame
-from dashboard.frames.stage import Stage
-from dashboard.scene.geometry import ellipse_axes, zonotope_corners
-from dashboard.theme import Colour, Theme, css
-from dashboard.view import MANY_NODES
+from concord.dashboard.frames.frame import StepFrame
+from concord.dashboard.frames.stage import Stage
+from concord.dashboard.scene.geometry import ellipse_axes, zonotope_corners
+from concord.dashboard.theme import Colour, Theme, css
+from concord.dashboard.view import MANY_NODES
 
 SIZE, MARGIN = 300.0, 14.0
 _MOST_NODES = 120

@@ -6,10 +6,10 @@ from typing import Any, Protocol
 import numpy as np
 import viser
 
-from dashboard.frames.frame import StepFrame
-from dashboard.scene import geometry
-from dashboard.theme import Theme, linear
-from dashboard.view import View
+from concord.dashboard.frames.frame import StepFrame
+from concord.dashboard.scene import geometry
+from concord.dashboard.theme import Theme, linear
+from concord.dashboard.view import View
 
 TRAIL = 150
 HIDDEN = 1e-4

@@ -5,12 +5,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import viser
 
-from dashboard.frames.frame import StepFrame
-from dashboard.frames.stage import Stage
-from dashboard.scene import geometry
-from dashboard.scene.plants import HIDDEN
-from dashboard.theme import linear
-from dashboard.view import View
+from concord.dashboard.frames.frame import StepFrame
+from concord.dashboard.frames.stage import Stage
+from concord.dashboard.scene import geometry
+from concord.dashboard.scene.plants import HIDDEN
+from concord.dashboard.theme import linear
+from concord.dashboard.view import View
 
 
 class ErrorPosts:

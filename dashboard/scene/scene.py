@@ -6,17 +6,17 @@ from typing import Any
 import numpy as np
 import viser
 
-from dashboard.frames.conditions import DOWN, REJECTED, STALE, conditions
-from dashboard.frames.frame import StepFrame
-from dashboard.frames.stage import SCENE_WIDTH, PlantDrawing, Stage
-from dashboard.panels.table import colour_of
-from dashboard.scene import geometry
-from dashboard.scene.plane import Plane
-from dashboard.scene.plants import HIDDEN, PlantPicture, add_lines, paint
-from dashboard.scene.posts import ErrorPosts
-from dashboard.scene.track import CarTrack
-from dashboard.theme import Theme, linear, mixed
-from dashboard.view import MOST_LABELS, View
+from concord.dashboard.frames.conditions import DOWN, REJECTED, STALE, conditions
+from concord.dashboard.frames.frame import StepFrame
+from concord.dashboard.frames.stage import SCENE_WIDTH, PlantDrawing, Stage
+from concord.dashboard.panels.table import colour_of
+from concord.dashboard.scene import geometry
+from concord.dashboard.scene.plane import Plane
+from concord.dashboard.scene.plants import HIDDEN, PlantPicture, add_lines, paint
+from concord.dashboard.scene.posts import ErrorPosts
+from concord.dashboard.scene.track import CarTrack
+from concord.dashboard.theme import Theme, linear, mixed
+from concord.dashboard.view import MOST_LABELS, View
 
 _NODE_HEIGHT = 0.02
 # Above these they hide everything, and say nothing.

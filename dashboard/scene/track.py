@@ -5,11 +5,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import viser
 
-from dashboard.frames.frame import StepFrame
-from dashboard.frames.stage import SCENE_WIDTH, Stage
-from dashboard.scene import geometry
-from dashboard.scene.plants import add_lines, paint
-from dashboard.view import View
+from concord.dashboard.frames.frame import StepFrame
+from concord.dashboard.frames.stage import SCENE_WIDTH, Stage
+from concord.dashboard.scene import geometry
+from concord.dashboard.scene.plants import add_lines, paint
+from concord.dashboard.view import View
 
 
 class CarTrack:

@@ -7,28 +7,35 @@ once; this makes the rest of it when there is time.
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import msgspec
 import tyro
 from rich.console import Console
 
-from bus.recordings.pcap import write_pcap
-from experiments.results.bus_report import capture
-from experiments.results.folder import (
-    CAPTURE,
-    RECORDING,
-    Description,
-    read_description,
-    write_arrays,
+from concord.experiments.results.folder import RECORDING, Description, read_description
+from concord.experiments.results.run_results import completed, write_results
+from concord.experiments.results.run_verdict import LEGEND
+from concord.experiments.results.summary import (
+    Figures,
+    details,
+    lines,
+    opening,
+    summarise,
+    table,
 )
-from experiments.results.summary import Figures, lines, summarise, table
-from experiments.results.timing_figures import TimingFigures, figures_of
-from experiments.results.trace import Trace, read_trace
-from experiments.user_errors import user_errors
-from runtime.disk import writing
-from runtime.drivers import RunPace
-from runtime.recording import read_recording
+from concord.experiments.results.timing_figures import TimingFigures, figures_of
+from concord.experiments.results.trace import Trace
+from concord.experiments.user_errors import user_errors
+from concord.runtime.drivers import RunPace
+from concord.runtime.recording import read_recording
+
+
+class FiguresForm(NamedTuple):
+    """How figures are shown: as one JSON object, or as a table with or without details."""
+
+    as_json: bool
+    verbose: bool
 
 
 @dataclass(frozen=True)
@@ -39,6 +46,8 @@ class CollectOptions:
     """Folder of a run."""
     json: bool = False
     """Print one JSON object instead of a table."""
+    verbose: bool = False
+    """Also print the figures of bus, records and timing."""
 
 
 def collect(options: Annotated[CollectOptions, tyro.conf.arg(name="")]) -> None:
@@ -46,25 +55,27 @@ def collect(options: Annotated[CollectOptions, tyro.conf.arg(name="")]) -> None:
     with user_errors():
         description = read_description(options.folder)
         trace = completed(options.folder, description)
-    finish(options.folder, description, trace, RunPace(None, None), options.json)
+    finish(
+        options.folder,
+        description,
+        trace,
+        RunPace(None, None),
+        FiguresForm(options.json, options.verbose),
+    )
 
 
 def finish(
-    folder: Path, description: Description, trace: Trace, pace: RunPace, as_json: bool
+    folder: Path, description: Description, trace: Trace, pace: RunPace, shown: FiguresForm
 ) -> None:
     """Write run.nc and bus.pcap, print the figures."""
-    write_arrays(folder, description, trace)
-    frames = capture(description.setup, trace, read_recording(folder / RECORDING))
-    if frames is not None:
-        with writing(folder / CAPTURE):
-            write_pcap(folder / CAPTURE, frames)
+    write_results(folder, description, trace)
     figures = msgspec.structs.replace(
         summarise(description.setup, trace),
         timing=_timing(folder, description, trace),
         steps_per_second=pace.steps_per_second,
         ready_s=pace.ready_s,
     )
-    _show(figures, description, as_json)
+    _show(figures, description, shown)
 
 
 def _timing(folder: Path, description: Description, trace: Trace) -> TimingFigures | None:
@@ -73,23 +84,8 @@ def _timing(folder: Path, description: Description, trace: Trace) -> TimingFigur
     return figures_of(description.tempo, read_recording(folder / RECORDING), trace.counters)
 
 
-def completed(folder: Path, description: Description) -> Trace:
-    """Return the trace of the steps that all nodes completed.
-
-    Raises:
-        ValueError: there are none.
-    """
-    recording = folder / RECORDING
-    if not recording.exists():
-        raise ValueError(f"{recording}: there is none; the run ended before it began to record")
-    trace = read_trace(description.setup, read_recording(recording))
-    if not trace.steps:
-        raise ValueError(f"{recording}: the run ended before all nodes completed a step")
-    return trace
-
-
-def _show(figures: Figures, description: Description, as_json: bool) -> None:
-    if as_json:
+def _show(figures: Figures, description: Description, shown: FiguresForm) -> None:
+    if shown.as_json:
         sys.stdout.write(msgspec.json.encode(figures).decode() + "\n")
         return
     console = Console()
@@ -98,6 +94,11 @@ def _show(figures: Figures, description: Description, as_json: bool) -> None:
         f"{scenario.name}: {scenario.nodes} nodes, {scenario.network.graph}, {scenario.rule.name}, "
         f"{scenario.rounds} rounds, seed {scenario.seed}, {description.driver}"
     )
+    for line in opening(figures):
+        console.print(line, style="bold", highlight=False)
     console.print(table(figures, title))
-    for line in lines(figures):
+    for line in (*lines(figures), *(details(figures) if shown.verbose else ())):
         console.print(line, highlight=False)
+    if figures.containment is None:
+        for line in LEGEND:
+            console.print(line, style="dim", highlight=False)

@@ -4,13 +4,17 @@ import signal
 import sys
 from importlib import import_module
 from types import FrameType
+from typing import Annotated, Literal
 
+import tyro
 from tyro.extras import SubcommandApp
 
-from experiments.standard_output import standard_output
-from experiments.user_errors import user_errors
-from runtime.disk import NotWritten
-from topology.names import unknown_name
+from concord._version import __version__
+from concord.experiments.repeated_options import refuse_repeated
+from concord.experiments.standard_output import replace_lacking_characters, standard_output
+from concord.experiments.user_errors import user_errors
+from concord.runtime.disk import NotWritten
+from concord.topology.names import unknown_name
 
 # File and function of each command. A file is loaded when its command is asked for: together they
 # take scipy, networkx and half a second, which most commands can do without.
@@ -22,9 +26,12 @@ COMMANDS = {
     "control": ("control", "control"),
     "list": ("list", "list_all"),
     "agree": ("agree", "agree"),
+    "check": ("check", "check"),
+    "new": ("new", "new"),
     "reproduce": ("reproduce", "reproduce"),
     "identify": ("identify", "identify_tyres"),
     "sweep": ("sweep", "sweep"),
+    "compare": ("compare", "compare"),
     "design": ("design", "design"),
     "plot": ("plot", "plot"),
     "report": ("report", "report"),
@@ -35,6 +42,9 @@ COMMANDS = {
     "node": ("hosts", "node"),
     "doctor": ("doctor", "doctor"),
     "torture": ("simulation_testing", "simulation_testing"),
+    "help": ("command_line", "show_help"),
+    "version": ("command_line", "print_version"),
+    "completion": ("command_line", "print_completion"),
 }
 # Those that have commands of their own; beside the function stands their SUMMARY.
 GROUPS = {
@@ -47,8 +57,13 @@ def main(arguments: list[str] | None = None) -> None:
     """Run one command; exit code 2 for a mistake of the user, 1 for a failed run, 130 on Ctrl-C,
     141 if whoever reads what it prints has gone."""
     arguments = sys.argv[1:] if arguments is None else arguments
+    if arguments == ["--version"]:
+        arguments = ["version"]
+    replace_lacking_characters()
     try:
         commands = _commands(arguments[:1])
+        with user_errors():
+            refuse_repeated(arguments)
         # From here on there is something to clean up.
         signal.signal(signal.SIGINT, signal.default_int_handler)
         # A polite end is an interruption: whatever cleans up after Ctrl-C cleans up then too.
@@ -69,6 +84,32 @@ def main(arguments: list[str] | None = None) -> None:
         sys.exit(130)
 
 
+def show_help(command: Annotated[tuple[str, ...], tyro.conf.Positional] = ()) -> None:
+    """Explain concord or one of its commands.
+
+    Args:
+        command: A command, such as run or flexray plan; concord as a whole when left out.
+    """
+    main([*command, "--help"])
+
+
+def print_version() -> None:
+    """Print the version of concord, as `concord --version` does."""
+    sys.stdout.write(f"concord {__version__}\n")
+
+
+def print_completion(
+    shell: Annotated[Literal["bash", "zsh", "fish"], tyro.conf.Positional],
+) -> None:
+    """Print the script with which a shell completes commands and options.
+
+    Args:
+        shell: The shell that reads the script.
+    """
+    # The hyphen stands for standard output.
+    main(["--tyro-write-completion", shell, "-"])
+
+
 def _commands(asked: list[str]) -> SubcommandApp:
     """Return the command that is asked for, alone; all of them where none or an option is."""
     everything = COMMANDS | GROUPS
@@ -78,7 +119,7 @@ def _commands(asked: list[str]) -> SubcommandApp:
     commands = SubcommandApp()
     for name in [name for name in asked if name in everything] or everything:
         file, function = everything[name]
-        module = import_module(f"experiments.cli.{file}")
+        module = import_module(f"concord.experiments.cli.{file}")
         command = getattr(module, function)
         if name in GROUPS:
             commands.command(command(), name=name, help=module.SUMMARY)

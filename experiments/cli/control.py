@@ -8,10 +8,10 @@ from typing import Annotated
 import msgspec
 import tyro
 
-from experiments.user_errors import user_errors
-from nodes.commands import Answer, in_words
-from runtime.network.links import watcher_keys
-from runtime.network.network_file import read_network
+from concord.experiments.user_errors import user_errors
+from concord.nodes.commands import Answer, in_words
+from concord.runtime.network.links import watcher_keys
+from concord.runtime.network.network_file import read_network
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class ControlOptions:
 def control(options: Annotated[ControlOptions, tyro.conf.arg(name="")]) -> None:
     """Pause, kill, cut or change a network that runs; exit code 2 if it refuses."""
     # A session with a network takes longer to load than all else here.
-    from runtime.network.control_client import Client
+    from concord.runtime.network.control_client import Client
 
     with user_errors():
         asks = options.words == ("state",)

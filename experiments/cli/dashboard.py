@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from experiments.cli.page_options import PageOptions, check_place
-from experiments.monte_carlo.other_runs import OtherRuns
-from experiments.priority import give_way
-from experiments.user_errors import user_errors
-from runtime.network.links import watcher_keys
-from runtime.network.network_file import read_network
+from concord.experiments.monte_carlo.other_runs import OtherRuns
+from concord.experiments.page_options import PageOptions, check_place
+from concord.experiments.priority import give_way
+from concord.experiments.user_errors import user_errors
+from concord.runtime.network.links import watcher_keys
+from concord.runtime.network.network_file import read_network
 
 if TYPE_CHECKING:
-    from dashboard.app import Dashboard
+    from concord.dashboard.app import Dashboard
 
 _LONGEST_WAIT_S = 60.0
 _NICENESS = 10
@@ -58,8 +58,8 @@ def dashboard(
             )
         # The network comes first, on a machine that has too little for both.
         give_way(_NICENESS)
-        from dashboard.frames.live import LiveNetwork
-        from dashboard.serve import open_network
+        from concord.dashboard.frames.live import LiveNetwork
+        from concord.dashboard.serve import open_network
 
         source = LiveNetwork(connect, run, watcher_keys(network.keys, connect))
     others = OtherRuns(source.stage.setup, sparing=True)

@@ -3,8 +3,9 @@
 import sys
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 import tyro
@@ -12,10 +13,10 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from experiments.cli.scenario_flags import said_in
-from experiments.cli.sweep import FILE_WIDTH
-from experiments.design.candidates import COST_UNITS, Candidate, RefusedCandidate
-from experiments.design.results import (
+from concord.experiments.cli.scenario_flags import said_in
+from concord.experiments.cli.sweep import FILE_WIDTH
+from concord.experiments.design.candidates import COST_UNITS, Candidate, RefusedCandidate
+from concord.experiments.design.results import (
     Design,
     Tried,
     check_place,
@@ -24,14 +25,17 @@ from experiments.design.results import (
     nearest,
     write_design,
 )
-from experiments.design.search import Found, SearchTask, search
-from experiments.design.space import space_of
-from experiments.design.target import parse_target
-from experiments.sweep.engines import engine_for
-from experiments.sweep.options import FieldOptions
-from experiments.sweep.specification import shown, specify
-from experiments.sweep.workers import WorkerLost
-from experiments.user_errors import user_errors
+from concord.experiments.design.search import Found, SearchTask, search
+from concord.experiments.design.space import space_of
+from concord.experiments.design.target import parse_target
+from concord.experiments.few_samples import few_runs, few_steps
+from concord.experiments.progress import progress
+from concord.experiments.scenario_options import scenario_with_known
+from concord.experiments.sweep.engines import engine_for
+from concord.experiments.sweep.options import FieldOptions
+from concord.experiments.sweep.specification import shown, specify
+from concord.experiments.sweep.workers import WorkerLost
+from concord.experiments.user_errors import user_errors
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +74,13 @@ def design(
         settled, space = space_of(specify(said_in(fields)))
         engine = engine_for(output.workers, output.dask)
         check_place(out)
-        task = SearchTask(target, output.minimise, settled, space, output.runs, engine, _say)
+        asked: dict[str, Any] = {**settled}
+        for warning in (*few_steps(scenario_with_known(**asked)[0]), *few_runs(output.runs)):
+            _say(f"warning: {warning}")
+        shown_briefly = partial(progress, brief=True)
+        task = SearchTask(
+            target, output.minimise, settled, space, output.runs, engine, _say, shown_briefly
+        )
     kept: list[Candidate] = []
     refused: list[RefusedCandidate] = []
     started = time.monotonic()
@@ -137,9 +147,9 @@ def table(result: Design) -> Table:
 
 
 def _figures(one: Tried) -> tuple[str, ...]:
-    half = (one.error.high - one.error.low) / 2
     return (
-        f"{one.error.value:.3g} ±{half:.2g}", f"{one.anees.value:.2f}", f"{one.occupancy:.3f}",
+        f"{one.error.value:.3g} {one.error.spread()}", f"{one.anees.value:.2f}",
+        f"{one.occupancy:.3f}",
         f"{one.bytes_per_step:.0f}", f"{one.energy_per_step_mj:.1f}", str(one.runs),
     )  # fmt: skip
 

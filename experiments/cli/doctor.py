@@ -9,11 +9,16 @@ import msgspec
 import tyro
 from rich.console import Console
 
-from experiments.doctor.checks import look
-from experiments.doctor.finding import Finding, Verdict
-from experiments.user_errors import user_errors
+from concord.experiments.doctor.checks import look
+from concord.experiments.doctor.finding import Finding, Verdict
+from concord.experiments.user_errors import user_errors
 
-_STYLES = {Verdict.OK: "green", Verdict.WARNING: "yellow", Verdict.FAILING: "bold red"}
+_STYLES = {
+    Verdict.OK: "green",
+    Verdict.OPTIONAL: "dim",
+    Verdict.WARNING: "yellow",
+    Verdict.FAILING: "bold red",
+}
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,9 @@
 
 from tyro.extras import SubcommandApp
 
-from experiments.flexray.clusters import convert, validate
-from experiments.flexray.plans import plan, show
-from experiments.flexray.recordings import decode, fit
+from concord.experiments.flexray.clusters import convert, validate
+from concord.experiments.flexray.plans import plan, show
+from concord.experiments.flexray.recordings import decode, fit
 
 SUMMARY = "Recordings, clusters and plans of a FlexRay bus."
 _COMMANDS = {

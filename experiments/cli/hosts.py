@@ -12,20 +12,27 @@ from typing import Annotated, Literal
 import msgspec
 import tyro
 
-from experiments.cli.collect import completed, finish
-from experiments.cli.place import place_of, read_setup, take_part
-from experiments.cli.scenario_flags import ScenarioFlags, resolved
-from experiments.progress import progress
-from experiments.results.folder import RECORDING, describe, make_folder, new_name, write_description
-from experiments.user_errors import user_errors
-from nodes.commands import Kill, Restart
-from runtime.drivers import RunPace
-from runtime.network.links import ENVIRONMENT, RECORDER, checked_endpoints, checked_run
-from runtime.processes.job import Happened, Job
-from scenarios.preparation import prepare
-from scenarios.script import script_of
-from scenarios.setup import Setup
-from scenarios.tempo import tempo_of
+from concord.experiments.cli.collect import FiguresForm, finish
+from concord.experiments.cli.scenario_flags import ScenarioFlags, resolved
+from concord.experiments.host_place import place_of, read_setup, take_part
+from concord.experiments.progress import progress
+from concord.experiments.results.folder import (
+    RECORDING,
+    describe,
+    make_folder,
+    new_name,
+    write_description,
+)
+from concord.experiments.results.run_results import completed
+from concord.experiments.user_errors import user_errors
+from concord.nodes.commands import Kill, Restart
+from concord.runtime.drivers import RunPace
+from concord.runtime.network.links import ENVIRONMENT, RECORDER, checked_endpoints, checked_run
+from concord.runtime.processes.job import Happened, Job
+from concord.scenarios.preparation import prepare
+from concord.scenarios.script import script_of
+from concord.scenarios.setup import Setup
+from concord.scenarios.tempo import tempo_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,7 +102,7 @@ class RouterOptions:
 def router(options: Annotated[RouterOptions, tyro.conf.arg(name="")]) -> None:
     """Pass on what the processes of a network say, on one of its hosts."""
     # A call for help need not load zenoh.
-    from runtime.network.zenoh_transport import LinkError, start_router
+    from concord.runtime.network.zenoh_transport import LinkError, start_router
 
     with user_errors():
         has_keys = options.keys is not None
@@ -167,7 +174,7 @@ def environment(options: Annotated[EnvironmentOptions, tyro.conf.arg(name="")]) 
         take_part(job, folder, on_event)
     with user_errors():
         trace = completed(folder, description)
-    finish(folder, description, trace, RunPace(None, None), options.json)
+    finish(folder, description, trace, RunPace(None, None), FiguresForm(options.json, True))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,17 +11,24 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from experiments.places import make_folder
-from experiments.user_errors import user_errors
-from plants.vehicle.drive_log import CAR, COLUMNS, DRIVE, LoggedDrive, read_folder, write_drive
-from plants.vehicle.manoeuvres import MANOEUVRES
-from plants.vehicle.model import linear_tyre, tanh_tyre
-from plants.vehicle.parameters import car_to_toml
-from plants.vehicle.sensors import TEST_CAR, logged
-from plants.vehicle.truth import TRUE_CARS, data_sheet, simulate
-from plants.vehicle.tyre_identification import Identified, identify
-from runtime.disk import writing
-from topology.names import unknown_name
+from concord.experiments.places import make_folder
+from concord.experiments.user_errors import user_errors
+from concord.plants.vehicle.drive_log import (
+    CAR,
+    COLUMNS,
+    DRIVE,
+    LoggedDrive,
+    read_folder,
+    write_drive,
+)
+from concord.plants.vehicle.manoeuvres import MANOEUVRES
+from concord.plants.vehicle.model import linear_tyre, tanh_tyre
+from concord.plants.vehicle.parameters import car_to_toml
+from concord.plants.vehicle.sensors import TEST_CAR, logged
+from concord.plants.vehicle.truth import TRUE_CARS, data_sheet, simulate
+from concord.plants.vehicle.tyre_identification import Identified, identify
+from concord.runtime.disk import writing
+from concord.topology.names import unknown_name
 
 _TYRES = {"linear": linear_tyre, "saturating": tanh_tyre}
 _SIMULATED_STEP_S = 0.01

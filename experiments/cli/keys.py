@@ -10,10 +10,10 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from experiments.security_check import IntrusionAttempt, check
-from experiments.user_errors import user_errors
-from runtime.network.certificates import make_keys
-from runtime.network.zenoh_transport import LinkError
+from concord.experiments.security_check import IntrusionAttempt, check
+from concord.experiments.user_errors import user_errors
+from concord.runtime.network.certificates import make_keys
+from concord.runtime.network.zenoh_transport import LinkError
 
 
 @dataclass(frozen=True)

@@ -10,13 +10,13 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from experiments.scenario_options import offered_options
-from nodes.faults.vocabulary import EVERY_FAULT, usage
-from scenarios.bus_plan import arbiter_names, cluster_names, schedule_names
-from scenarios.catalogue import definitions
-from scenarios.types.rules import RULE_SUMMARIES
-from topology.choices import GRAPHS, WEIGHTS
-from topology.link_names import NAMES as LINK_NAMES
+from concord.experiments.scenario_options import offered_options
+from concord.nodes.faults.vocabulary import EVERY_FAULT, usage
+from concord.scenarios.bus_plan import arbiter_names, cluster_names, schedule_names
+from concord.scenarios.catalogue import definitions
+from concord.scenarios.types.rules import RULE_SUMMARIES
+from concord.topology.choices import GRAPHS, WEIGHTS
+from concord.topology.link_names import NAMES as LINK_NAMES
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ import msgspec
 import tyro
 from rich.console import Console
 
-from experiments.places import make_folder
-from experiments.results.palette import save, use_house_style
-from experiments.user_errors import user_errors
+from concord.experiments.places import make_folder
+from concord.experiments.results.palette import save, use_house_style
+from concord.experiments.user_errors import user_errors
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -61,15 +61,15 @@ def figures_of(result: Path) -> "dict[str, Figure]":
         ValueError: it is no result of ours.
     """
     if result.is_dir():
-        from experiments.results.run_plots import run_figures
+        from concord.experiments.results.run_plots import run_figures
 
         return run_figures(result)
     if result.suffix == ".json":
-        from experiments.design.plots import design_figures
-        from experiments.design.results import read_design
+        from concord.experiments.design.plots import design_figures
+        from concord.experiments.design.results import read_design
 
         return design_figures(read_design(result))
-    from experiments.sweep.plots import sweep_figures
-    from experiments.sweep.results import read_result
+    from concord.experiments.sweep.plots import sweep_figures
+    from concord.experiments.sweep.results import read_result
 
     return sweep_figures(read_result(result))

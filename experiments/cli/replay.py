@@ -6,10 +6,10 @@ from typing import Annotated
 
 import tyro
 
-from experiments.cli.page_options import PageOptions, check_place
-from experiments.monte_carlo.other_runs import OtherRuns
-from experiments.results.folder import RECORDING, read_description
-from experiments.user_errors import user_errors
+from concord.experiments.monte_carlo.other_runs import OtherRuns
+from concord.experiments.page_options import PageOptions, check_place
+from concord.experiments.results.folder import RECORDING, read_description
+from concord.experiments.user_errors import user_errors
 
 
 def replay(
@@ -17,7 +17,7 @@ def replay(
     options: Annotated[PageOptions, tyro.conf.arg(name="")],
 ) -> None:
     """Show a recorded run in the browser: its run.mcap or its folder."""
-    from dashboard.serve import open_recording
+    from concord.dashboard.serve import open_recording
 
     with user_errors():
         check_place(options.host, options.http_port)

@@ -12,10 +12,10 @@ import numpy as np
 import tyro
 from rich.console import Console
 
-from experiments.cli.plot import figures_of
-from experiments.monte_carlo.intervals import Interval
-from experiments.results.palette import use_house_style
-from experiments.results.report_page import (
+from concord.experiments.cli.plot import figures_of
+from concord.experiments.monte_carlo.intervals import Interval
+from concord.experiments.results.palette import use_house_style
+from concord.experiments.results.report_page import (
     Code,
     Grid,
     Heading,
@@ -25,8 +25,8 @@ from experiments.results.report_page import (
     as_markdown,
     picture,
 )
-from experiments.sweep.specification import shown
-from experiments.user_errors import user_errors
+from concord.experiments.sweep.specification import shown
+from concord.experiments.user_errors import user_errors
 
 if TYPE_CHECKING:
     import xarray
@@ -86,8 +86,8 @@ def page_of(result: Path) -> tuple[str, list[PagePart]]:
 
 
 def _of_sweep(path: Path) -> tuple[str, list[PagePart]]:
-    from experiments.sweep.results import read_result, specification_of
-    from experiments.sweep.summary import figures_of as summary_of
+    from concord.experiments.sweep.results import read_result, specification_of
+    from concord.experiments.sweep.summary import figures_of as summary_of
 
     dataset = read_result(path)
     summary = summary_of(dataset)
@@ -119,8 +119,8 @@ def _attributes(dataset: "xarray.Dataset") -> dict[str, str]:
 
 
 def _of_design(path: Path) -> tuple[str, list[PagePart]]:
-    from experiments.cli.design import lines
-    from experiments.design.results import read_design
+    from concord.experiments.cli.design import lines
+    from concord.experiments.design.results import read_design
 
     design = read_design(path)
     unit = design.unit if design.target.reference == "unit" else f"x {design.target.reference}"
@@ -147,9 +147,9 @@ def _of_design(path: Path) -> tuple[str, list[PagePart]]:
 
 
 def _of_run(folder: Path) -> tuple[str, list[PagePart]]:
-    from experiments.cli.collect import completed
-    from experiments.results.folder import read_description
-    from experiments.results.summary import lines, summarise
+    from concord.experiments.results.folder import read_description
+    from concord.experiments.results.run_results import completed
+    from concord.experiments.results.summary import lines, summarise
 
     description = read_description(folder)
     figures = summarise(description.setup, completed(folder, description))

@@ -11,13 +11,20 @@ import msgspec
 import tyro
 from rich.console import Console
 
-from experiments.results.folder import new_folder
-from experiments.user_errors import user_errors
-from papers.kit.report import REPORT, Paper, ReproductionReport, check_runs, report_of, write_report
-from topology.names import unknown_name
+from concord.experiments.results.folder import new_folder
+from concord.experiments.user_errors import user_errors
+from concord.papers.kit.report import (
+    REPORT,
+    Paper,
+    ReproductionReport,
+    check_runs,
+    report_of,
+    write_report,
+)
+from concord.topology.names import unknown_name
 
 NAMES = ("wac", "meng2025", "adlukf", "labelled", "liu2021")
-PAPERS = {name: f"papers.{name}.reproduce" for name in NAMES}
+PAPERS = {name: f"concord.papers.{name}.reproduce" for name in NAMES}
 
 
 def paper_of(name: str) -> Paper:

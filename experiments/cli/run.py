@@ -8,30 +8,33 @@ from typing import Annotated, Literal
 
 import tyro
 
-from experiments.cli.collect import completed, finish
-from experiments.cli.page_options import LOOPBACK, check_place
-from experiments.cli.page_process import PageProcess
-from experiments.cli.scenario_flags import ScenarioFlags, resolved
-from experiments.monte_carlo.run_many import run_many
-from experiments.progress import progress
-from experiments.results.folder import (
+from concord.experiments.cli.collect import FiguresForm, finish
+from concord.experiments.cli.scenario_flags import ScenarioFlags, resolved
+from concord.experiments.few_samples import few_runs, few_steps
+from concord.experiments.memory import check_memory
+from concord.experiments.monte_carlo.run_many import run_many
+from concord.experiments.page_options import LOOPBACK, check_place
+from concord.experiments.page_process import PageProcess
+from concord.experiments.progress import progress
+from concord.experiments.results.folder import (
     RECORDING,
     describe,
     make_folder,
     new_name,
     write_description,
 )
-from experiments.user_errors import user_errors
-from nodes.tempo import Tempo
-from runtime.disk import NotWritten
-from runtime.drivers import DRIVERS, RunPace, over_processes
-from runtime.network.links import names, ports_from
-from runtime.processes.launcher import NetworkFailed
-from scenarios.preparation import prepare
-from scenarios.scenario import require
-from scenarios.setup import Setup
-from scenarios.tempo import tempo_of
-from scenarios.warnings import warnings_of
+from concord.experiments.results.run_results import completed
+from concord.experiments.user_errors import user_errors
+from concord.nodes.tempo import Tempo
+from concord.runtime.disk import NotWritten
+from concord.runtime.drivers import DRIVERS, RunPace, over_processes
+from concord.runtime.network.links import names, ports_from
+from concord.runtime.processes.launcher import NetworkFailed
+from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario import require
+from concord.scenarios.setup import Setup
+from concord.scenarios.tempo import tempo_of
+from concord.scenarios.warnings import warnings_of
 
 BATCHED, REALTIME = "batched", "realtime"
 
@@ -61,6 +64,8 @@ class RunOptions:
     """Port of the dashboard; the next free one if it is taken, any free one for 0."""
     json: bool = False
     """Print one JSON object instead of a table."""
+    verbose: bool = False
+    """Also print the figures of bus, records and timing."""
 
 
 def run(
@@ -70,7 +75,9 @@ def run(
     """Run a scenario, once or many times, and print how well its nodes did."""
     with user_errors():
         _check(output)
-        setup = prepare(resolved(scenario))
+        found = resolved(scenario)
+        check_memory(found, output.runs, messages=output.driver != BATCHED)
+        setup = prepare(found)
         if output.port is not None:
             ports_from(output.port, names(setup.neighbours))
         name = new_name(setup.scenario.name)
@@ -85,7 +92,8 @@ def run(
             f"real time: a cycle every {tempo.cycle_s * 1e3:.3g} ms ({tempo.stretch:.3g} x the "
             f"bus's), a step every {tempo.step_s * 1e3:.4g} ms\n"
         )
-    for warning in warnings_of(setup):
+    few = few_runs(output.runs) if output.runs > 1 else ()
+    for warning in (*warnings_of(setup), *few_steps(setup.scenario), *few):
         sys.stderr.write(f"warning: {warning}\n")
     if output.driver == BATCHED:
         many = output.covariances, output.json
@@ -115,7 +123,7 @@ def run(
         page.close()
     with user_errors():
         trace = completed(folder, description)
-    finish(folder, description, trace, pace, output.json)
+    finish(folder, description, trace, pace, FiguresForm(output.json, output.verbose))
 
 
 def _tempo(options: RunOptions, setup: Setup) -> Tempo | None:

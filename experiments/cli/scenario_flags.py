@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from experiments.scenario_options import OfferedOption, offered_options, scenario_of
-from scenarios.scenario import Scenario
+from concord.experiments.memory import check_memory
+from concord.experiments.scenario_options import OfferedOption, offered_options, scenario_of
+from concord.scenarios.scenario import Scenario
 
 GROUPS = {
     "plant": "Simulated plant.",
@@ -103,6 +104,9 @@ def resolved(flags: ScenarioFlags) -> Scenario:
     """Return the scenario that flags mean, nothing left open.
 
     Raises:
-        ValueError: there is no such scenario, or an option that it cannot have.
+        ValueError: there is no such scenario, an option that it cannot have, or more steps than
+            the memory holds.
     """
-    return scenario_of(**said_in(flags))
+    scenario = scenario_of(**said_in(flags))
+    check_memory(scenario)
+    return scenario

@@ -11,16 +11,16 @@ from typing import Annotated, Any
 import msgspec
 import tyro
 
-from experiments.cli.scenario_flags import said_in
-from experiments.progress import progress
-from experiments.simulation_testing.case import SimulationCase
-from experiments.simulation_testing.case_run import SimulationOutcome, run_case
-from experiments.simulation_testing.draw import draw_case
-from experiments.simulation_testing.options import FixedOptions, fixed_fields, read_seeds
-from experiments.simulation_testing.shrink import replay_command, run_command, shrink
-from experiments.sweep.engines import engine_for
-from experiments.sweep.workers import WorkerLost
-from experiments.user_errors import user_errors
+from concord.experiments.cli.scenario_flags import said_in
+from concord.experiments.progress import progress
+from concord.experiments.simulation_testing.case import SimulationCase
+from concord.experiments.simulation_testing.case_run import SimulationOutcome, run_case
+from concord.experiments.simulation_testing.draw import draw_case
+from concord.experiments.simulation_testing.options import FixedOptions, fixed_fields, read_seeds
+from concord.experiments.simulation_testing.shrink import replay_command, run_command, shrink
+from concord.experiments.sweep.engines import engine_for
+from concord.experiments.sweep.workers import WorkerLost
+from concord.experiments.user_errors import user_errors
 
 MOST_SHRUNK = 3
 

@@ -10,19 +10,20 @@ import msgspec
 import tyro
 from rich.console import Console
 
-from experiments.cli.scenario_flags import said_in
-from experiments.progress import progress
-from experiments.sweep.engines import engine_for
-from experiments.sweep.options import FieldOptions
-from experiments.sweep.run import Begin, Swept, begin, finish
-from experiments.sweep.specification import specify
-from experiments.sweep.store import folder_of
-from experiments.sweep.summary import figures_of, table
-from experiments.sweep.workers import WorkerLost
-from experiments.user_errors import user_errors
-from runtime.disk import NotWritten
-from scenarios.preparation import prepare
-from scenarios.warnings import warnings_of
+from concord.experiments.cli.scenario_flags import said_in
+from concord.experiments.few_samples import few_runs, few_steps
+from concord.experiments.progress import progress
+from concord.experiments.sweep.engines import engine_for
+from concord.experiments.sweep.options import FieldOptions
+from concord.experiments.sweep.run import Begin, Swept, begin, finish
+from concord.experiments.sweep.specification import specify
+from concord.experiments.sweep.store import folder_of
+from concord.experiments.sweep.summary import figures_of, table
+from concord.experiments.sweep.workers import WorkerLost
+from concord.experiments.user_errors import user_errors
+from concord.runtime.disk import NotWritten
+from concord.scenarios.preparation import prepare
+from concord.scenarios.warnings import warnings_of
 
 FILE_WIDTH = 120
 
@@ -97,13 +98,15 @@ def _announce(begun: Begin, out: Path) -> None:
     for warning, names in _warnings(begun).items():
         more = f" and in {len(names) - 1} more" if len(names) > 1 else ""
         write(f"warning: {names[0]}{more}: {warning}\n")
+    for warning in few_runs(specification.runs):
+        write(f"warning: {warning}\n")
 
 
 def _warnings(begun: Begin) -> dict[str, list[str]]:
-    """Return the cells that are known to fail or to change nothing, by warning."""
+    """Return the cells that are known to fail, to change nothing or to be short, by warning."""
     found: dict[str, list[str]] = {}
     for cell in begun.cells:
-        for warning in warnings_of(prepare(cell.scenario)):
+        for warning in (*warnings_of(prepare(cell.scenario)), *few_steps(cell.scenario)):
             found.setdefault(warning, []).append(cell.name)
     return found
 

@@ -10,13 +10,13 @@ from rich.console import Console
 from rich.table import Table
 from tyro.extras import SubcommandApp
 
-from experiments.progress import progress
-from experiments.topology.compare import ComparisonRow, compared
-from experiments.topology.report import NodeLoss, lines, loss_title, losses_of, report_of
-from experiments.topology.subject import SubjectOptions, subject_of
-from experiments.user_errors import user_errors
-from topology.adjacency import nodes_of
-from topology.graph_files import write_network
+from concord.experiments.progress import progress
+from concord.experiments.topology.compare import ComparisonRow, compared
+from concord.experiments.topology.report import NodeLoss, lines, loss_title, losses_of, report_of
+from concord.experiments.topology.subject import SubjectOptions, subject_of
+from concord.experiments.user_errors import user_errors
+from concord.topology.adjacency import nodes_of
+from concord.topology.graph_files import write_network
 
 SUMMARY = "Graphs: show, analyse, compare, generate."
 _SHOWN_LOSSES = 8
@@ -128,7 +128,7 @@ def show(
         layout: Where nodes are drawn: at their places where they have any, else laid out.
         json: Print one JSON object.
     """
-    from experiments.topology.picture import draw  # only here: it loads matplotlib
+    from concord.experiments.topology.picture import draw  # only here: it loads matplotlib
 
     with user_errors():
         subject = subject_of(source, options)

@@ -6,16 +6,16 @@ from typing import Any, Literal, NamedTuple
 import msgspec
 import numpy as np
 
-from experiments.design.space import Values
-from experiments.design.target import DesignTarget, error_of
-from experiments.monte_carlo.intervals import Interval
-from experiments.scenario_options import scenario_with_known
-from experiments.sweep.cells import sorted_out
-from experiments.sweep.pieces import Piece, compute
-from experiments.sweep.specification import Cell
-from experiments.sweep.workers import Engine
-from scenarios.catalogue import definition_of
-from scenarios.types.assignment import refuse_left
+from concord.experiments.design.space import Values
+from concord.experiments.design.target import DesignTarget, error_of
+from concord.experiments.monte_carlo.intervals import Interval
+from concord.experiments.scenario_options import scenario_with_known
+from concord.experiments.sweep.cells import sorted_out
+from concord.experiments.sweep.pieces import Piece, compute
+from concord.experiments.sweep.specification import Cell
+from concord.experiments.sweep.workers import Engine
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.types.assignment import refuse_left
 
 Cost = Literal["occupancy", "bytes", "energy"]
 _COSTS: dict[Cost, str] = {
@@ -78,7 +78,7 @@ def candidates_of(
         scenario, left = scenario_with_known(**asked)
         refuse_left(scenario, {name: value for name, value in left.items() if name in settled})
         cells.append(Cell(number, values, scenario))
-    good, bad = sorted_out(cells)
+    good, bad = sorted_out(cells, AT_ONCE)
     return (
         [Candidate(cell, {}) for cell in good],
         [RefusedCandidate(cell.values, str(reason)) for cell, reason in bad],
@@ -95,6 +95,7 @@ def with_runs(
     """Return the same candidates with so many runs each, from `first_run` on.
 
     Run r has the same noise for every candidate, so that they are compared on what they share.
+    `on_runs` is told how many runs are done.
     """
     pieces = [
         Piece(place, msgspec.json.encode(one.cell.scenario), first, min(first + AT_ONCE, end))
@@ -103,11 +104,13 @@ def with_runs(
         for first in range(first_run + one.runs, end, AT_ONCE)
     ]
     more: dict[int, list[tuple[int, dict[str, np.ndarray]]]] = {}
+    done = 0
     for number, figures in engine(compute, pieces):
         piece = pieces[number]
         kept = _kept(candidates[piece.cell].cell, figures)
         more.setdefault(piece.cell, []).append((piece.first, kept))
-        on_runs(piece.last - piece.first)
+        done += piece.last - piece.first
+        on_runs(done)
     grown = list(candidates)
     for place, parts in more.items():
         known = [grown[place].figures] if grown[place].runs else []
@@ -120,7 +123,7 @@ def with_runs(
 
 
 def _kept(cell: Cell, figures: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    first = definition_of(cell.scenario.name).score.first_step
+    first = definition_of(cell.scenario).score.first_step
     bound = figures["bound"][min(first, len(figures["bound"]) - 1) :]
     runs = len(figures["rmse"])
     mean = np.full(runs, np.sqrt(np.mean(bound**2)))

@@ -4,10 +4,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from experiments.design.candidates import COST_UNITS
-from experiments.design.results import Design, Tried
-from experiments.results.palette import GREY, plain_numbers, styles
-from experiments.sweep.specification import shown
+from concord.experiments.design.candidates import COST_UNITS
+from concord.experiments.design.results import Design, Tried
+from concord.experiments.results.palette import GREY, plain_numbers, styles
+from concord.experiments.sweep.specification import shown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -6,15 +6,15 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from experiments.design.candidates import Candidate, Cost, RefusedCandidate
-from experiments.design.search import Confirmed, Found, on_front
-from experiments.design.space import Values
-from experiments.design.target import DesignTarget
-from experiments.monte_carlo.intervals import Interval, mean_t
-from experiments.results.folder import commit, versions
-from experiments.sweep.specification import FIELDS, shown
-from runtime.disk import writing
-from scenarios.catalogue import definition_of
+from concord.experiments.design.candidates import Candidate, Cost, RefusedCandidate
+from concord.experiments.design.search import Confirmed, Found, on_front
+from concord.experiments.design.space import Values
+from concord.experiments.design.target import DesignTarget
+from concord.experiments.monte_carlo.intervals import Interval, positive_mean_t
+from concord.experiments.results.folder import commit, versions
+from concord.experiments.sweep.specification import FIELDS, shown
+from concord.runtime.disk import writing
+from concord.scenarios.catalogue import definition_of
 
 
 class Tried(msgspec.Struct, frozen=True):
@@ -78,7 +78,7 @@ def design_of(
         settled=settled,
         seed=scenario.seed,
         target=target,
-        unit=definition_of(scenario.name).score.unit,
+        unit=definition_of(scenario).score.unit,
         minimise=minimise,
         tried=[_tried(one, target, one.cell.number in line) for one in found.candidates],
         refused=found.refused,
@@ -158,7 +158,7 @@ def _tried(one: Candidate, target: DesignTarget, front: bool) -> Tried:
         values=one.cell.values,
         runs=one.runs,
         error=one.error(target, 0.95),
-        anees=mean_t(one.figures["anees"]),
+        anees=positive_mean_t(one.figures["anees"]),
         occupancy=one.cost("occupancy")[0],
         bytes_per_step=one.cost("bytes")[0],
         energy_per_step_mj=one.cost("energy")[0],

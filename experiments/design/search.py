@@ -8,23 +8,24 @@ only.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from typing import NamedTuple
 
 import numpy as np
 
-from experiments.design.candidates import (
+from concord.experiments.design.candidates import (
     Candidate,
     Cost,
     RefusedCandidate,
     candidates_of,
     with_runs,
 )
-from experiments.design.space import Values, coarse_grid, neighbours_of
-from experiments.design.target import DesignTarget
-from experiments.monte_carlo.intervals import Interval
-from experiments.monte_carlo.pareto import front
-from experiments.sweep.specification import Value
-from experiments.sweep.workers import Engine
+from concord.experiments.design.space import Values, coarse_grid, neighbours_of
+from concord.experiments.design.target import DesignTarget
+from concord.experiments.monte_carlo.intervals import Interval
+from concord.experiments.monte_carlo.pareto import front
+from concord.experiments.sweep.specification import Value
+from concord.experiments.sweep.workers import Engine
 
 LOOK_RUNS = 4
 RACE_RUNS = (8, 16, 32)
@@ -37,7 +38,11 @@ FRESH_RUN = 100_000
 
 
 class SearchTask(NamedTuple):
-    """Task of a search: target, space and workers. `say` receives the progress messages."""
+    """Task of a search: target, space and workers.
+
+    `say` receives the progress messages; `progress` shows how far the runs of a title are, of so
+    many.
+    """
 
     target: DesignTarget
     cost: Cost
@@ -46,6 +51,9 @@ class SearchTask(NamedTuple):
     confirm_runs: int
     engine: Engine
     say: Callable[[str], None]
+    progress: Callable[[str, int], AbstractContextManager[Callable[[int], None]]] = (
+        lambda _title, _total: nullcontext(lambda _done: None)
+    )
 
 
 class Confirmed(NamedTuple):
@@ -119,7 +127,15 @@ def _look(
     new, bad = candidates_of(task.settled, wanted, len(kept) + len(refused))
     refused += bad
     task.say(f"{len(new)} candidates, {LOOK_RUNS} runs each")
-    kept += with_runs(new, LOOK_RUNS, task.engine, lambda _: None)
+    kept += _with_runs(task, new, LOOK_RUNS)
+
+
+def _with_runs(
+    task: SearchTask, candidates: Sequence[Candidate], runs: int, first_run: int = 0
+) -> list[Candidate]:
+    missing = sum(max(0, runs - one.runs) for one in candidates)
+    with task.progress("runs", missing) as on_runs:
+        return with_runs(candidates, runs, task.engine, on_runs, first_run)
 
 
 def _centres(task: SearchTask, known: Sequence[Candidate]) -> list[Candidate]:
@@ -144,7 +160,7 @@ def _race(task: SearchTask, known: list[Candidate]) -> list[Candidate]:
         numbers = {one.cell.number for one in (*racing, *line)}
         places = [place for place, one in enumerate(known) if one.cell.number in numbers]
         task.say(f"{len(places)} candidates, {runs} runs each")
-        grown = with_runs([known[p] for p in places], runs, task.engine, lambda _: None)
+        grown = _with_runs(task, [known[p] for p in places], runs)
         for place, one in zip(places, grown, strict=True):
             known[place] = one
         still = {one.cell.number for one in racing}
@@ -182,9 +198,7 @@ def _confirm(task: SearchTask, finalists: Sequence[Candidate]) -> list[Confirmed
     for attempt, one in enumerate(finalists[:ATTEMPTS], start=1):
         risk = 0.05 / 2**attempt
         task.say(f"confirms {one.cell.name} on {task.confirm_runs} fresh runs")
-        fresh = with_runs(
-            [one._replace(figures={})], task.confirm_runs, task.engine, lambda _: None, FRESH_RUN
-        )[0]
+        fresh = _with_runs(task, [one._replace(figures={})], task.confirm_runs, FRESH_RUN)[0]
         # A two-sided interval that leaves out `risk` above.
         error = fresh.error(task.target, 1 - 2 * risk)
         meets = error.high <= task.target.most

@@ -1,11 +1,20 @@
 """Search space of a design: the values of each field, a coarse grid, and neighbouring
-candidates."""
+candidates.
+
+Occupancies are numbers of publishers: S / N of N nodes. So no two candidates differ only in
+occupancies that let equally many nodes publish.
+"""
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
-from experiments.sweep.specification import Specification, Value
-from scenarios.catalogue import definition_of
+import numpy as np
+
+from concord.bus.schedule import publishers_per_cycle
+from concord.experiments.scenario_options import scenario_with_known
+from concord.experiments.sweep.specification import Specification, Value
+from concord.scenarios.catalogue import definition_of
 
 Values = dict[str, Value]
 
@@ -16,14 +25,17 @@ OPEN: dict[str, tuple[Value, ...]] = {
     "rule": ("ci", "hcmci"),
     "weights": ("metropolis", "best-constant"),
     "rounds": (1, 2, 3, 5),
-    "occupancy": (0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 1.0),
+    "occupancy": (),
     "schedule": ("hybrid", "dynamic", "round-robin"),
 }
-# The first look: every combination of these, where they are among the values of the field.
+# An open occupancy has at most so many values: all S / N of a small network, and of a larger one
+# numbers of publishers in equal ratios.
+MOST_OCCUPANCIES = 10
+# The first look: every combination of these, where they are among the values of the field; and the
+# least, the middle and the greatest occupancy.
 COARSE: dict[str, tuple[Value, ...]] = {
     "weights": ("metropolis",),
     "rounds": (1, 3),
-    "occupancy": (0.05, 0.2, 1.0),
     "schedule": ("hybrid",),
 }
 _ORDERED = ("rounds", "occupancy")
@@ -33,20 +45,49 @@ def space_of(specification: Specification) -> tuple[Values, dict[str, list[Value
     """Return the fixed fields, and the open fields with their values, of a specification.
 
     Raises:
-        ValueError: there is no such scenario.
+        ValueError: there is no such scenario, its data cannot be read, or an occupancy is none.
     """
     settled = dict(specification.base)
-    name = str(settled.get("scenario", "target-tracking"))
-    own = definition_of(name).defaults.network.graph
+    asked: dict[str, Any] = {**settled}
+    scenario, _ = scenario_with_known(**asked)
+    own = definition_of(scenario).defaults.network.graph
     space = {field: list(values) for field, values in OPEN.items() if field not in settled}
     if "graph" in space and own not in space["graph"]:
         space["graph"].insert(0, own)
     space |= specification.levels
+    nodes = max(int(count or 1) for count in space.get("nodes", [scenario.nodes]))
+    given = space.get("occupancy", [settled.get("occupancy")])
+    shares = _shares(given or _every_share(nodes), nodes)
+    if "occupancy" in space:
+        space["occupancy"] = shares
+    if shares == [1.0] and "schedule" in space and "schedule" not in specification.levels:
+        space["schedule"] = ["full"]
+    settled |= {field: values[0] for field, values in space.items() if len(values) == 1}
     return settled, {field: values for field, values in space.items() if len(values) > 1}
 
 
+def _every_share(nodes: int) -> list[Value]:
+    counts = np.geomspace(1, nodes, MOST_OCCUPANCIES).round()
+    return [count / nodes for count in (range(1, nodes + 1) if nodes <= len(counts) else counts)]
+
+
+def _shares(occupancies: Iterable[Value], nodes: int) -> list[Value]:
+    """Return S / N for the numbers of publishers that these occupancies mean, each once, ascending.
+
+    Six digits are those of a printed command, which must run the very candidate.
+    """
+    counts = {publishers_per_cycle(nodes, float(one)) for one in occupancies}  # type: ignore[arg-type]
+    return [float(f"{count / nodes:.6g}") for count in sorted(counts)]
+
+
 def tidy(values: Values) -> Values:
-    """Return the same candidate with the one name that it has: who all publish need no schedule."""
+    """Return the same candidate with the one name that it has.
+
+    Its occupancy is S / N of its own nodes; a bus on which all nodes publish needs no schedule.
+    """
+    if "nodes" in values and "occupancy" in values:
+        nodes = int(values["nodes"] or 1)
+        values = {**values, "occupancy": _shares([values["occupancy"]], nodes)[0]}
     if values.get("occupancy") == 1.0 and "schedule" in values:
         return {**values, "schedule": "full"}
     return values
@@ -58,6 +99,9 @@ def coarse_grid(space: Mapping[str, Sequence[Value]]) -> list[Values]:
         field: [v for v in values if v in COARSE.get(field, values)] or list(values)[:2]
         for field, values in space.items()
     }
+    if "occupancy" in few:
+        shares = few["occupancy"]
+        few["occupancy"] = [shares[0], shares[len(shares) // 2], shares[-1]]
     combinations = itertools.product(*few.values())
     return _once(tidy(dict(zip(few, values, strict=True))) for values in combinations)
 
@@ -67,15 +111,13 @@ def neighbours_of(values: Values, space: Mapping[str, Sequence[Value]]) -> list[
     trade rounds for occupancy, all the way."""
     near = []
     moves: list[Values] = [
-        {field: other}
-        for field, levels in space.items()
-        for other in _near(field, values[field], levels)
+        {field: other} for field, levels in space.items() for other in _near(field, values, levels)
     ]
     if all(field in space for field in _ORDERED):
         moves += [
             {"rounds": rounds, "occupancy": occupancy}
             for rounds in space["rounds"]
-            for occupancy in _near("occupancy", values["occupancy"], space["occupancy"])
+            for occupancy in _near("occupancy", values, space["occupancy"])
         ]
     for move in moves:
         moved = {**values, **move}
@@ -87,7 +129,10 @@ def neighbours_of(values: Values, space: Mapping[str, Sequence[Value]]) -> list[
     return _once(near)
 
 
-def _near(field: str, value: Value, levels: Sequence[Value]) -> list[Value]:
+def _near(field: str, values: Values, levels: Sequence[Value]) -> list[Value]:
+    value = values[field]
+    if field == "occupancy" and "nodes" in values:
+        levels = _shares(levels, int(values["nodes"] or 1))
     if field in _ORDERED and value in levels:
         ordered = sorted(levels, key=lambda level: float(level))  # type: ignore[arg-type]
         place = ordered.index(value)

@@ -7,8 +7,8 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from experiments.monte_carlo.intervals import Interval, ratio_t
-from topology.names import unknown_name
+from concord.experiments.monte_carlo.intervals import Interval, ratio_t
+from concord.topology.names import unknown_name
 
 Reference = Literal["centralised", "bound", "unit"]
 _FORM = re.compile(r"^([0-9.eE+-]+)(?:x-([a-z-]+))?$")

@@ -11,14 +11,14 @@ from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
-from experiments.doctor import machine
-from experiments.doctor.finding import Finding, Verdict
-from plants.recorded import mrclam_files
-from plants.vehicle import drive_log
-from runtime.network.links import LOOPBACK, ZenohEndpoints, free_ports
-from runtime.network.zenoh_transport import LinkError, Transport
-from scenarios.definitions.mrclam import DATA_VARIABLE as MRCLAM_VARIABLE
-from topology import intel_lab
+from concord.experiments.doctor import machine
+from concord.experiments.doctor.finding import Finding, Verdict
+from concord.plants.recorded import mrclam_files
+from concord.plants.vehicle import drive_log
+from concord.runtime.network.links import LOOPBACK, ZenohEndpoints, free_ports
+from concord.runtime.network.zenoh_transport import LinkError, Transport
+from concord.scenarios.definitions.mrclam import DATA_VARIABLE as MRCLAM_VARIABLE
+from concord.topology import intel_lab
 
 PAGE_PORT = 8080
 _BROWSERS = ("firefox", "chromium", "chromium-browser", "google-chrome", "microsoft-edge", "safari")
@@ -143,6 +143,6 @@ def extra(name: str) -> Finding:
     """Return whether an optional part is installed."""
     module, purpose = EXTRAS[name]
     if importlib.util.find_spec(module) is None:
-        cure = f"pip install 'concord[{name}]' if you want {purpose}"
-        return Finding(f"extra {name}", Verdict.WARNING, "not installed", cure)
+        cure = f"if you want {purpose}: `make extras`, or `pip install '.[{name}]'` in a checkout"
+        return Finding(f"extra {name}", Verdict.OPTIONAL, "not installed", cure)
     return Finding(f"extra {name}", Verdict.OK, f"installed: {purpose}")

@@ -6,9 +6,10 @@ import msgspec
 
 
 class Verdict(Enum):
-    """How something stands: a warning does not keep a network from running."""
+    """How something stands: only a failure keeps a network from running."""
 
     OK = "ok"
+    OPTIONAL = "optional"
     WARNING = "warning"
     FAILING = "failing"
 

@@ -9,8 +9,8 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from experiments.doctor.finding import Finding, Verdict
-from runtime.network.links import LOOPBACK, free_ports
+from concord.experiments.doctor.finding import Finding, Verdict
+from concord.runtime.network.links import LOOPBACK, free_ports
 
 # An allowance for environment, recorder, router, launcher process and launcher with their
 # libraries, and for each node: a forked one was measured at 4 to 12 MB with its share of

@@ -9,12 +9,12 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from bus.flexray.cluster import Cluster
-from bus.flexray.cluster_files import FILE_ENDINGS, cluster_to_toml, read_cluster_file
-from bus.flexray.fibex import cluster_to_fibex
-from bus.flexray.presets import PRESETS, preset
-from bus.flexray.timing import SegmentTime, segments
-from experiments.user_errors import user_errors
+from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.cluster_files import FILE_ENDINGS, cluster_to_toml, read_cluster_file
+from concord.bus.flexray.fibex import cluster_to_fibex
+from concord.bus.flexray.presets import PRESETS, preset
+from concord.bus.flexray.timing import SegmentTime, segments
+from concord.experiments.user_errors import user_errors
 
 
 class Derived(msgspec.Struct, frozen=True):

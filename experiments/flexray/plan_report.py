@@ -5,12 +5,12 @@ from collections import defaultdict
 
 import msgspec
 
-from bus.bus import Bus
-from bus.flexray.cluster import Cluster
-from bus.flexray.flexray_bus import FlexRayBus
-from bus.flexray.slot_table import SlotTable, deviations
-from bus.flexray.timing import TimingError
-from experiments.flexray.rehearsal import (
+from concord.bus.bus import Bus
+from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.flexray_bus import FlexRayBus
+from concord.bus.flexray.slot_table import SlotTable, deviations
+from concord.bus.flexray.timing import TimingError
+from concord.experiments.flexray.rehearsal import (
     Alternative,
     alternatives,
     changed,
@@ -18,16 +18,16 @@ from experiments.flexray.rehearsal import (
     rehearse,
     shares_per_cycle,
 )
-from experiments.results.bus_report import BusFigures, bus_figures
-from experiments.scenario_options import in_options
-from scenarios.build import build_bus
-from scenarios.bus_plan import FITTED, build_schedule
-from scenarios.preparation import share_bytes
-from scenarios.scenario import Scenario
-from scenarios.setup import Setup
-from scenarios.types.assignment import check_ranges
-from scenarios.types.buses import occupancy_of, stretch_of
-from scenarios.types.rules import number_of
+from concord.experiments.results.bus_report import BusFigures, bus_figures
+from concord.experiments.scenario_options import in_options
+from concord.scenarios.build import build_bus
+from concord.scenarios.bus_plan import FITTED, build_schedule
+from concord.scenarios.preparation import share_bytes
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.setup import Setup
+from concord.scenarios.types.assignment import check_ranges
+from concord.scenarios.types.buses import occupancy_of, stretch_of
+from concord.scenarios.types.rules import number_of
 
 MOST_REHEARSED_STEPS = 500
 

@@ -8,24 +8,24 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from bus.flexray.timeline import timeline
-from experiments.cli.scenario_flags import ScenarioFlags, resolved
-from experiments.flexray.plan_report import (
+from concord.bus.flexray.timeline import timeline
+from concord.experiments.cli.scenario_flags import ScenarioFlags, resolved
+from concord.experiments.flexray.plan_report import (
     PlanAnswer,
     PlanReport,
     SlotRow,
     answer_plan,
     with_cluster,
 )
-from experiments.flexray.rehearsal import rehearse
-from experiments.results import bus_report
-from experiments.results.bus_report import timetable
-from experiments.user_errors import user_errors
-from scenarios.build import build_bus
-from scenarios.bus_plan import FITTED
-from scenarios.preparation import prepare
-from scenarios.types.buses import FlexRay, occupancy_of
-from scenarios.types.rules import number_of
+from concord.experiments.flexray.rehearsal import rehearse
+from concord.experiments.results import bus_report
+from concord.experiments.results.bus_report import timetable
+from concord.experiments.user_errors import user_errors
+from concord.scenarios.build import build_bus
+from concord.scenarios.bus_plan import FITTED
+from concord.scenarios.preparation import prepare
+from concord.scenarios.types.buses import FlexRay, occupancy_of
+from concord.scenarios.types.rules import number_of
 
 REHEARSED = "every contender asks in every cycle, the longest silent most urgently"
 

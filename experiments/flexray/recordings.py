@@ -11,11 +11,11 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from bus.recordings.decoder import DecodedFrame, Decoding, decode_waveform, reencodes
-from bus.recordings.fit import Fit, Multiplex
-from bus.recordings.fit import fit as fit_cluster
-from bus.recordings.waveform import parse_waveform
-from experiments.user_errors import user_errors
+from concord.bus.recordings.decoder import DecodedFrame, Decoding, decode_waveform, reencodes
+from concord.bus.recordings.fit import Fit, Multiplex
+from concord.bus.recordings.fit import fit as fit_cluster
+from concord.bus.recordings.waveform import parse_waveform
+from concord.experiments.user_errors import user_errors
 
 Waveform = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="WAVEFORM.csv")]
 

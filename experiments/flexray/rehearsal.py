@@ -9,16 +9,16 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from bus.arbitration import begin_arbitration
-from bus.flexray.flexray_bus import FlexRayBus
-from bus.schedule import Schedule
-from scenarios.build import build_bus
-from scenarios.preparation import prepare
-from scenarios.scenario import Scenario
-from scenarios.setup import Setup
-from scenarios.types.assignment import check_ranges
-from scenarios.types.buses import Ideal
-from scenarios.types.rules import NumberRule
+from concord.bus.arbitration import begin_arbitration
+from concord.bus.flexray.flexray_bus import FlexRayBus
+from concord.bus.schedule import Schedule
+from concord.scenarios.build import build_bus
+from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.setup import Setup
+from concord.scenarios.types.assignment import check_ranges
+from concord.scenarios.types.buses import Ideal
+from concord.scenarios.types.rules import NumberRule
 
 ALTERNATIVE_SCHEDULES = ("hybrid", "dynamic", "round-robin")
 ANY_STRETCH = 1e9

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from experiments.monte_carlo.intervals import Interval
+from concord.experiments.monte_carlo.intervals import Interval
 
 # Settled is what the error is over this last part of the run, and at most so many times that.
 LAST_PART, WITHIN = 0.25, 1.5

@@ -1,15 +1,14 @@
 """How sure a Monte Carlo is: intervals over its runs, which are independent of each other.
 
-Steps and nodes of one run are not, so every interval begins with one figure per run. A `Statistic`
-is the exponential of half of `log mean a - log mean b` for ratios of root mean squares, and the
-plain mean for everything else; pairs keep the noise that they share.
+Steps and nodes of one run are not, so every interval begins with one figure per run. Figures that
+cannot be negative (errors, ANEES, bytes) and ratios have intervals of their logarithm, which never
+reach below 0. Differences have the plain interval of a mean. Pairs keep the noise that they share.
 """
 
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import stdtrit
 
 RESAMPLES = 999
 
@@ -21,13 +20,23 @@ class Interval(NamedTuple):
     low: float
     high: float
 
+    def spread(self, sign: str = "±") -> str:
+        """Return half of the width with a sign, or both bounds where one is far from the other;
+        empty where they are unknown."""
+        if np.isnan(self.low):
+            return ""
+        if self.high - self.value > 2 * (self.value - self.low):
+            return f"({self.low:.2g} to {self.high:.2g})"
+        return f"{sign}{(self.high - self.low) / 2:.2g}"
+
 
 Means = Callable[[np.ndarray], Interval]
 Ratios = Callable[[np.ndarray, np.ndarray], Interval]
 
 
 class IntervalMethod(NamedTuple):
-    """A way to make intervals of (runs,) figures: of a mean, and of the ratio of two root means."""
+    """A way to make intervals of (runs,) figures of 0 or more: of a mean, and of the ratio of two
+    root means."""
 
     mean: Means
     ratio: Ratios
@@ -43,6 +52,20 @@ def mean_t(values: np.ndarray, confidence: float = 0.95) -> Interval:
     return Interval(middle, middle - half, middle + half)
 
 
+def positive_mean_t(values: np.ndarray, confidence: float = 0.95) -> Interval:
+    """Student's interval of the mean of independent values (runs,) of 0 or more, by the delta
+    method on its logarithm; NaN ones are left out.
+
+    The bounds are the exponentials of the interval of log m + (x - m) / m. They are those of the
+    mean m itself, while the interval of log x would be that of the geometric mean.
+    """
+    values = values[~np.isnan(values)]
+    if not values.any():
+        return mean_t(values, confidence)
+    middle = values.mean()
+    return _on_log_scale(float(middle), values / middle, confidence)
+
+
 def ratio_t(squares: np.ndarray, others: np.ndarray, confidence: float = 0.95) -> Interval:
     """sqrt(mean squares / mean others) of paired values (runs,), by the delta method.
 
@@ -56,8 +79,7 @@ def ratio_t(squares: np.ndarray, others: np.ndarray, confidence: float = 0.95) -
         return Interval(0.0, 0.0, 0.0)
     middle = _root_ratio(squares, others)
     influence = 0.5 * (squares / squares.mean() - others / others.mean())
-    grown = np.exp(_half_width(influence, confidence))
-    return Interval(middle, float(middle / grown), float(middle * grown))
+    return _on_log_scale(middle, influence, confidence)
 
 
 def mean_bootstrap(values: np.ndarray, confidence: float = 0.95) -> Interval:
@@ -79,14 +101,23 @@ def ratio_bootstrap(squares: np.ndarray, others: np.ndarray, confidence: float =
 
 
 METHODS: dict[str, IntervalMethod] = {
-    "t": IntervalMethod(mean_t, ratio_t),
+    "t": IntervalMethod(positive_mean_t, ratio_t),
     "bootstrap": IntervalMethod(mean_bootstrap, ratio_bootstrap),
 }
+
+
+def _on_log_scale(middle: float, influence: np.ndarray, confidence: float) -> Interval:
+    """Return the interval whose logarithm has the half width of the mean of `influence` (runs,)."""
+    grown = np.exp(_half_width(influence, confidence))
+    return Interval(middle, float(middle / grown), float(middle * grown))
 
 
 def _half_width(values: np.ndarray, confidence: float) -> float:
     if len(values) < 2:
         return float("nan")
+    # Only here: scipy takes longer to load than most commands take.
+    from scipy.special import stdtrit
+
     quantile = stdtrit(len(values) - 1, 0.5 + confidence / 2)
     return float(quantile * values.std(ddof=1) / np.sqrt(len(values)))
 

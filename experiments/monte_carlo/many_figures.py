@@ -7,14 +7,14 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-from experiments.monte_carlo.intervals import Interval, mean_t, ratio_t
-from experiments.monte_carlo.run_figures import scored_steps, traffic_of
-from experiments.monte_carlo.simulate import Histories
-from filters.gaussian import Gaussian
-from filters.metrics import largest_of_known, mean_of_known, nees, rmse
-from scenarios.baselines import centralised_of_runs, local_only_of_runs
-from scenarios.catalogue import definition_of
-from scenarios.rules import is_set_valued
+from concord.experiments.monte_carlo.intervals import Interval, positive_mean_t, ratio_t
+from concord.experiments.monte_carlo.run_figures import scored_steps, traffic_of
+from concord.experiments.monte_carlo.simulate import Histories
+from concord.filters.gaussian import Gaussian
+from concord.filters.metrics import largest_of_known, mean_of_known, nees, rmse
+from concord.scenarios.baselines import centralised_of_runs, local_only_of_runs
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.rules import is_set_valued
 
 _TABLE_NODES = 60
 
@@ -73,7 +73,7 @@ def summarise(histories: Histories, cost: RunCost) -> ManyFigures:
     """Return the figures of histories with their readings."""
     setup, scenario = histories.setup, histories.setup.scenario
     assert histories.readings is not None, "keep the readings"
-    score = definition_of(scenario.name).score
+    score = definition_of(scenario).score
     counted = scored_steps(score, histories.readings)
     runs, nodes = histories.runs.tolist(), scenario.nodes
     alone = local_only_of_runs(setup, runs, histories.readings, histories.control)
@@ -97,18 +97,18 @@ def summarise(histories: Histories, cost: RunCost) -> ManyFigures:
         runs=len(runs),
         first_run=runs[0],
         steps=scenario.steps,
-        rmse=mean_t(whole),
-        rmse_local_only=mean_t(rmse(of_alone, (1, 2))),
-        rmse_centralised=mean_t(central),
+        rmse=positive_mean_t(whole),
+        rmse_local_only=positive_mean_t(rmse(of_alone, (1, 2))),
+        rmse_centralised=positive_mean_t(central),
         to_centralised=ratio_t(whole**2, central**2),
-        worst_node_to_centralised=mean_t(largest_of_known(per_node) / central),
-        disagreement=mean_t(rmse(spread, (1, 2))),
-        anees=mean_t(mean_of_known(consistency, (1, 2))),
-        anees_centralised=mean_t(anees_central),
+        worst_node_to_centralised=positive_mean_t(largest_of_known(per_node) / central),
+        disagreement=positive_mean_t(rmse(spread, (1, 2))),
+        anees=positive_mean_t(mean_of_known(consistency, (1, 2))),
+        anees_centralised=positive_mean_t(anees_central),
         shares_sent=float(_frames(histories, "sent").sum()),
         shares_missed=float(_frames(histories, "missed").sum()),
-        bytes_per_step=mean_t(carried["bytes_per_step"]),
-        bus_load=mean_t(carried["bus_load"]),
+        bytes_per_step=positive_mean_t(carried["bytes_per_step"]),
+        bus_load=positive_mean_t(carried["bus_load"]),
         noticed={
             name: float(count.sum(axis=1).mean())
             for name, count in sorted(histories.counters.items())
@@ -116,9 +116,9 @@ def summarise(histories: Histories, cost: RunCost) -> ManyFigures:
         },
         nodes=[
             ManyNode(
-                mean_t(per_node[:, node]),
-                mean_t(per_alone[:, node]),
-                mean_t(mean_of_known(consistency[:, :, node], (1,))),
+                positive_mean_t(per_node[:, node]),
+                positive_mean_t(per_alone[:, node]),
+                positive_mean_t(mean_of_known(consistency[:, :, node], (1,))),
                 *(float(_frames(histories, name)[node]) for name in _TRAFFIC),
             )
             for node in range(nodes)
@@ -141,7 +141,7 @@ def _frames(histories: Histories, name: str) -> np.ndarray:
 def _centralised(histories: Histories, counted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Errors (R, S, m) of one filter that hears everything, and its ANEES (R,)."""
     setup = histories.setup
-    score = definition_of(setup.scenario.name).score
+    score = definition_of(setup.scenario).score
     shape = histories.truth.shape
     assert histories.readings is not None, "keep the readings"
     runs = histories.runs.tolist()
@@ -210,9 +210,7 @@ def _middle(interval: Interval) -> str:
 
 
 def shown(interval: Interval) -> str:
-    """A figure and half the width of its interval."""
-    value, low, high = interval
-    if np.isnan(value):
+    """A figure and the spread of its interval."""
+    if np.isnan(interval.value):
         return "-"
-    half = (high - low) / 2
-    return f"{value:.4g}" if np.isnan(half) else f"{value:.4g} ± {half:.2g}"
+    return f"{interval.value:.4g} {interval.spread('± ')}".rstrip()

@@ -19,15 +19,15 @@ from collections.abc import Callable
 import msgspec
 import numpy as np
 
-from dashboard.frames.expected import Expected, nothing_expected
-from experiments.monte_carlo.run_frame import bound_of
-from experiments.monte_carlo.simulate import READINGS, simulate
-from experiments.priority import give_way
-from runtime.batched.build import without_array_form
-from runtime.interpreter import fresh_command, fresh_variables
-from scenarios.catalogue import definition_of
-from scenarios.rules import is_set_valued
-from scenarios.setup import Setup
+from concord.dashboard.frames.expected import Expected, nothing_expected
+from concord.experiments.monte_carlo.run_frame import bound_of
+from concord.experiments.monte_carlo.simulate import READINGS, simulate
+from concord.experiments.priority import give_way
+from concord.runtime.batched.build import without_array_form
+from concord.runtime.interpreter import fresh_command, fresh_variables
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.rules import is_set_valued
+from concord.scenarios.setup import Setup
 
 RUNS, SHARE = 100, 0.95
 # Message by message a run costs thousands of times more: then fewer, or none.
@@ -68,7 +68,7 @@ def told_by(setup: Setup, runs: int, rest: Callable[[int], None] = lambda done: 
     low, high = (np.where(differing, limit, np.nan) for limit in (low, high))
     bound = np.full(len(low), np.nan)
     if bounded:
-        states = list(definition_of(setup.scenario.name).score.states)
+        states = list(definition_of(setup.scenario).score.states)
         variances = np.diagonal(bound_of(setup, histories), axis1=-2, axis2=-1)
         bound = np.sqrt(variances[:, states].sum(axis=-1))
     return NeesRange(_plain(low), _plain(high), _plain(bound))
@@ -99,7 +99,7 @@ class OtherRuns:
         if is_set_valued(scenario) or too_long:
             return
         self._process = subprocess.Popen(
-            fresh_command("experiments.monte_carlo.other_runs"),
+            fresh_command("concord.experiments.monte_carlo.other_runs"),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,

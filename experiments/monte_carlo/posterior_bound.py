@@ -18,9 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.linalg import inverse_spd, symmetrise
-from filters.update import without_rows
-from nodes.rules.local_filter import Model, Sensor, StateNoise
+from concord.filters.linalg import inverse_spd, symmetrise
+from concord.filters.update import without_rows
+from concord.nodes.rules.local_filter import Model, Sensor, StateNoise
 
 # Steps of the differences, in prior standard deviations: the scale on which beliefs see a model.
 STEP = 1e-4

@@ -9,18 +9,18 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri
 
-from experiments.monte_carlo.energy import energy_per_bit_nj
-from experiments.monte_carlo.run_frame import RunFrame
-from experiments.monte_carlo.simulate import Histories
-from filters.linalg import symmetrise
-from filters.metrics import largest_of_known, mean_of_known, nees, rmse
-from runtime.batched.build import changes_of
-from scenarios.build import build_bus
-from scenarios.bus_plan import frame_format
-from scenarios.catalogue import definition_of
-from scenarios.rules import is_set_valued
-from scenarios.scenario_definition import Score
-from scenarios.setup import Setup
+from concord.experiments.monte_carlo.energy import energy_per_bit_nj
+from concord.experiments.monte_carlo.run_frame import RunFrame
+from concord.experiments.monte_carlo.simulate import Histories
+from concord.filters.linalg import symmetrise
+from concord.filters.metrics import largest_of_known, mean_of_known, nees, rmse
+from concord.runtime.batched.build import changes_of
+from concord.scenarios.build import build_bus
+from concord.scenarios.bus_plan import frame_format
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.rules import is_set_valued
+from concord.scenarios.scenario_definition import Score
+from concord.scenarios.setup import Setup
 
 COVERED = 0.95
 
@@ -64,7 +64,7 @@ FIGURES = {
 
 def figures_of(setup: Setup, histories: Histories, frame: RunFrame) -> dict[str, np.ndarray]:
     """Return the variables of `FIGURES`, with their dimensions."""
-    score = definition_of(setup.scenario.name).score
+    score = definition_of(setup.scenario).score
     readings, _ = kept(histories)
     counted = scored_steps(score, readings)
     errors = histories.mean - histories.truth[:, :, None]
@@ -114,7 +114,7 @@ def scored_steps(score: Score, readings: np.ndarray) -> np.ndarray:
 
 
 def _consistency(setup: Setup, values: np.ndarray, counted: np.ndarray) -> dict[str, np.ndarray]:
-    states = definition_of(setup.scenario.name).score.nees_states
+    states = definition_of(setup.scenario).score.nees_states
     if is_set_valued(setup.scenario):
         nothing = np.full(len(values), np.nan)
         return {"anees": nothing, "coverage": nothing, "nees": np.full(counted.shape, np.nan)}
@@ -132,7 +132,7 @@ def _anees_central(
 ) -> np.ndarray:
     if is_set_valued(setup.scenario):
         return np.full(len(errors), np.nan)
-    states = list(definition_of(setup.scenario.name).score.nees_states)
+    states = list(definition_of(setup.scenario).score.nees_states)
     values = nees(errors[..., states], symmetrise(_part(cov, states)))
     return mean_of_known(np.where(counted, values, np.nan), (1,)) / len(states)
 
@@ -142,7 +142,7 @@ def traffic_of(setup: Setup, histories: Histories) -> dict[str, np.ndarray]:
     payload, form = histories.payload_bytes, frame_format(setup.scenario)
     frames = np.ceil(payload / form.payload_limit_bytes)
     sent = (payload + form.overhead_bytes * frames).sum(axis=2)
-    plant = definition_of(setup.scenario.name).plant(setup.scenario)
+    plant = definition_of(setup.scenario).plant(setup.scenario)
     energy_nj = energy_per_bit_nj(setup.neighbours, plant.positions(0))
     heard = kept(histories)[1].reshape(len(payload), -1)
     load, delay_us = _bus(setup, payload)

@@ -9,11 +9,11 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from experiments.monte_carlo.posterior_bound import Truths, posterior_bound
-from experiments.monte_carlo.simulate import Histories
-from scenarios.baselines import centralised_of_runs, filters_step_by_step
-from scenarios.catalogue import definition_of
-from scenarios.setup import Setup
+from concord.experiments.monte_carlo.posterior_bound import Truths, posterior_bound
+from concord.experiments.monte_carlo.simulate import Histories
+from concord.scenarios.baselines import centralised_of_runs, filters_step_by_step
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.setup import Setup
 
 _KEPT = 64
 
@@ -66,7 +66,7 @@ def _frame(setup: Setup, runs: range, histories: Histories) -> RunFrame:
 def bound_of(setup: Setup, histories: Histories) -> np.ndarray:
     """The posterior Cramer-Rao bound (steps, n, n) of these runs, which have kept their readings;
     NaN where it is not defined."""
-    definition = definition_of(setup.scenario.name)
+    definition = definition_of(setup.scenario)
     steps, n = histories.truth.shape[1:]
     # The bound's model does not cover another wiring, a set-valued rule or a gate.
     if definition.wiring is not None or not filters_step_by_step(setup):

@@ -5,19 +5,35 @@ import shutil
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
 from rich.console import Console
 
-from experiments.monte_carlo.many_figures import ManyFigures, RunCost, lines, summarise, table
-from experiments.monte_carlo.simulate import AGES, COV, READINGS, Histories, Interrupted, simulate
-from experiments.progress import progress
-from experiments.results.folder import Description, write_whole
-from runtime.batched.build import without_array_form
-from scenarios.catalogue import definition_of
-from scenarios.setup import Setup
+from concord.experiments.monte_carlo.many_figures import (
+    ManyFigures,
+    RunCost,
+    lines,
+    summarise,
+    table,
+)
+from concord.experiments.monte_carlo.simulate import (
+    AGES,
+    COV,
+    READINGS,
+    Histories,
+    Interrupted,
+    simulate,
+)
+from concord.experiments.progress import progress
+from concord.experiments.results.folder import Description, write_whole
+from concord.runtime.batched.build import without_array_form
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.setup import Setup
+
+if TYPE_CHECKING:
+    import xarray
 
 
 def run_many(
@@ -53,19 +69,19 @@ def run_many(
     seconds = time.monotonic() - started
     peak_memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     # The file is written first, because a second Ctrl-C may end the program before the table.
-    write_histories(folder, description, histories)
+    write_whole(folder, histories_dataset(histories), description)
     _show(summarise(histories, RunCost(seconds, peak_memory_mb)), setup, as_json)
     if stopped is not None:
         raise stopped
 
 
-def write_histories(folder: Path, description: Description, histories: Histories) -> None:
-    """Write run.nc: the histories with named dimensions and units."""
+def histories_dataset(histories: Histories) -> "xarray.Dataset":
+    """Return the histories with named dimensions and units."""
     # Loading xarray can take longer than a run, so it is loaded only to write a file.
     import xarray
 
     setup = histories.setup
-    definition = definition_of(setup.scenario.name)
+    definition = definition_of(setup.scenario)
     plant = definition.plant(setup.scenario)
     names = list(plant.state_names)
     state = ("run", "step", "node", "state")
@@ -106,7 +122,7 @@ def write_histories(folder: Path, description: Description, histories: Histories
         "receiver": ("link", np.repeat(np.arange(len(heard)), [len(some) for some in heard])),
         "sender": ("link", np.array([j for some in heard for j in some], dtype=np.int64)),
     }
-    write_whole(folder, xarray.Dataset(variables, coordinates), description)
+    return xarray.Dataset(variables, coordinates)
 
 
 def _show(figures: ManyFigures, setup: Setup, as_json: bool) -> None:

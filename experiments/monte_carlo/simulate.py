@@ -12,18 +12,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.monte_carlo.spread_history import SpreadHistory
-from experiments.results.record_spread import RecordSpread
-from experiments.results.trace import read_trace
-from filters.gaussian import Gaussian
-from filters.metrics import nees
-from runtime.batched.build import build_network, without_array_form
-from runtime.batched.driver import Instant, run
-from runtime.batched.memory import keep_freed_memory
-from runtime.drivers import in_memory
-from scenarios.catalogue import definition_of
-from scenarios.preparation import setup_of_run
-from scenarios.setup import Setup
+from concord.experiments.monte_carlo.spread_history import SpreadHistory
+from concord.experiments.results.record_spread import RecordSpread
+from concord.experiments.results.trace import read_trace
+from concord.filters.gaussian import Gaussian
+from concord.filters.metrics import nees
+from concord.runtime.batched.build import build_network, without_array_form
+from concord.runtime.batched.driver import Instant, run
+from concord.runtime.batched.memory import keep_freed_memory
+from concord.runtime.drivers import in_memory
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.preparation import setup_of_run
+from concord.scenarios.setup import Setup
 
 # Runs are taken so many at a time that this many nodes are computed at once: enough that numpy is
 # worth its calls, little enough for caches and memory.
@@ -269,7 +269,7 @@ def _write(
     """Put one step of some runs in its place, `at` (number of all runs, which, step)."""
     runs, place, step = at
     belief, truth = recorded.belief, recorded.truth
-    states = list(definition_of(setup.scenario.name).score.nees_states)
+    states = list(definition_of(setup.scenario).score.nees_states)
     errors = (belief.mean - truth[:, None])[..., states]
     values: dict[str, np.ndarray | None] = {
         "truth": truth,

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from experiments.results.record_spread import NEVER, RecordSpread
-from runtime.batched.driver import Instant
-from scenarios.setup import Setup
+from concord.experiments.results.record_spread import NEVER, RecordSpread
+from concord.runtime.batched.driver import Instant
+from concord.scenarios.setup import Setup
 
 
 class SpreadHistory:

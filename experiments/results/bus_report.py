@@ -10,13 +10,13 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from bus.bus import Bus, Transmission
-from bus.recordings.pcap import Captured
-from experiments.results.trace import Trace
-from runtime.recorded import SharedFrame, meaning
-from scenarios.build import build_bus
-from scenarios.setup import Setup
-from scenarios.types.buses import stretch_of
+from concord.bus.bus import Bus, Transmission
+from concord.bus.recordings.pcap import Captured
+from concord.experiments.results.trace import Trace
+from concord.runtime.recorded import SharedFrame, meaning
+from concord.scenarios.build import build_bus
+from concord.scenarios.setup import Setup
+from concord.scenarios.types.buses import stretch_of
 
 
 class BusFigures(msgspec.Struct, frozen=True):

@@ -3,8 +3,8 @@
 import msgspec
 import numpy as np
 
-from filters.gaussian import Gaussian
-from filters.metrics import nees
+from concord.filters.gaussian import Gaussian
+from concord.filters.metrics import nees
 
 
 class Containment(msgspec.Struct, frozen=True):

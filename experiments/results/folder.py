@@ -1,6 +1,7 @@
 """Folder of a run's results, with run.json, run.mcap, run.nc and bus.pcap."""
 
 import platform
+import re
 import secrets
 import subprocess
 import time
@@ -11,22 +12,24 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from experiments.results.bus_report import times_of
-from experiments.results.netcdf_file import write_dataset
-from experiments.results.record_spread import record_ages
-from experiments.results.trace import Trace
-from filters.metrics import consensus, nees
-from nodes.tempo import Tempo
-from runtime.disk import writing
-from scenarios.catalogue import definition_of
-from scenarios.rules import is_set_valued
-from scenarios.setup import Setup
+from concord._version import __version__
+from concord.experiments.results.bus_report import times_of
+from concord.experiments.results.netcdf_file import write_dataset
+from concord.experiments.results.record_spread import record_ages
+from concord.experiments.results.trace import Trace
+from concord.experiments.results.user_files import from_copies, keep_copies
+from concord.filters.metrics import consensus, nees
+from concord.nodes.tempo import Tempo
+from concord.runtime.disk import writing
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.rules import is_set_valued
+from concord.scenarios.setup import Setup
 
 if TYPE_CHECKING:
     import xarray
 
 RECORDING, ARRAYS, DESCRIPTION, CAPTURE = "run.mcap", "run.nc", "run.json", "bus.pcap"
-_VERSIONED = ("concord", "numpy", "scipy", "networkx", "eclipse-zenoh", "msgspec")
+_VERSIONED = ("numpy", "scipy", "networkx", "eclipse-zenoh", "msgspec")
 
 
 class Description(msgspec.Struct, frozen=True):
@@ -44,7 +47,8 @@ class Description(msgspec.Struct, frozen=True):
 def new_name(scenario: str) -> str:
     """A unique name for a run."""
     # Local time to the second reads well in a listing; the suffix makes it unique.
-    return f"{scenario}-{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(3)}"
+    shown = re.sub(r"[^\w.-]+", "-", scenario.strip("./"))
+    return f"{shown}-{time.strftime('%Y%m%d-%H%M%S')}-{secrets.token_hex(3)}"
 
 
 def new_folder(out: Path | None, scenario: str) -> tuple[str, Path]:
@@ -83,10 +87,11 @@ def describe(run: str, driver: str, setup: Setup, tempo: Tempo | None = None) ->
     return Description(run, driver, setup.scenario.seed, setup, versions(), commit(), tempo)
 
 
-def versions() -> dict[str, str]:
-    """Return the versions of this program, Python and the libraries that affect its numbers."""
-    found = {name: version(name) for name in _VERSIONED}
-    return {**found, "python": platform.python_version()}
+def versions(*others: str) -> dict[str, str]:
+    """Return the versions of this program, of Python, of the libraries that affect its numbers, and
+    of `others`."""
+    found = {name: version(name) for name in (*_VERSIONED, *others)}
+    return {"concord": __version__, **found, "python": platform.python_version()}
 
 
 def commit() -> str | None:
@@ -101,7 +106,8 @@ def commit() -> str | None:
 
 
 def write_description(folder: Path, description: Description) -> None:
-    """Write run.json."""
+    """Write run.json, and beside it the files of an own plant or rule."""
+    keep_copies(folder, description.setup.scenario)
     text = msgspec.json.format(msgspec.json.encode(description), indent=2)
     with writing(folder / DESCRIPTION):
         (folder / DESCRIPTION).write_bytes(text + b"\n")
@@ -113,7 +119,10 @@ def read_description(folder: Path) -> Description:
     Raises:
         ValueError: there is none, or it is not one of ours.
     """
-    return read_description_file(folder / DESCRIPTION)
+    found = read_description_file(folder / DESCRIPTION)
+    scenario = from_copies(folder, found.setup.scenario)
+    setup = msgspec.structs.replace(found.setup, scenario=scenario)
+    return msgspec.structs.replace(found, setup=setup)
 
 
 def read_description_file(path: Path) -> Description:
@@ -139,7 +148,7 @@ def write_arrays(folder: Path, description: Description, trace: Trace) -> None:
     import xarray
 
     setup = description.setup
-    definition = definition_of(setup.scenario.name)
+    definition = definition_of(setup.scenario)
     plant = definition.plant(setup.scenario)
     names = list(plant.state_names)
     truth = trace.truth[:, None, :]

@@ -7,9 +7,9 @@ product of its standard deviations.
 
 import numpy as np
 
-from experiments.monte_carlo.simulate import OPTIONAL, simulate
-from experiments.results.trace import Trace
-from scenarios.setup import Setup
+from concord.experiments.monte_carlo.simulate import OPTIONAL, simulate
+from concord.experiments.results.trace import Trace
+from concord.scenarios.setup import Setup
 
 TOLERANCE = 1e-10
 # A value that is zero up to rounding takes the scale of its neighbours.

@@ -8,7 +8,7 @@ import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from runtime.disk import writing
+from concord.runtime.disk import writing
 
 if TYPE_CHECKING:
     import xarray

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from experiments.results.palette import GREY, SEQUENTIAL
-from scenarios.catalogue import definition_of
-from scenarios.setup import Setup
+from concord.experiments.results.palette import GREY, SEQUENTIAL
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.setup import Setup
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -59,7 +59,7 @@ def _draw(axes: Any, network: Mapped, scale: Any) -> Any:
     # Many links make a grey sheet unless each is faint.
     faint = float(np.clip(12 / np.sqrt(max(len(links), 1)), 0.15, 0.8))
     axes.add_collection(LineCollection(links, colors=GREY, linewidths=0.6, alpha=faint))
-    definition = definition_of(setup.scenario.name)
+    definition = definition_of(setup.scenario)
     blind = np.array(
         [definition.sensor(setup.scenario, node) is None for node in range(len(positions))]
     )
@@ -87,7 +87,7 @@ def _draw(axes: Any, network: Mapped, scale: Any) -> Any:
 
 def _positions(setup: Setup) -> tuple[np.ndarray, str]:
     """Where the nodes are (N, 2), in m; without a unit where a drawing puts them."""
-    positions = definition_of(setup.scenario.name).plant(setup.scenario).positions(0)
+    positions = definition_of(setup.scenario).plant(setup.scenario).positions(0)
     if positions is not None:
         return positions[:, :2], "m"
     import networkx

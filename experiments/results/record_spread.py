@@ -10,13 +10,13 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from bus.bus import Fragment, FrameFormat, Rejected
-from nodes.faults.losses import LinkState, hears_all
-from nodes.rules.labelled import LabelledFlooding
-from scenarios.build import build_node
-from scenarios.links import link_state
-from scenarios.setup import Setup
-from scenarios.types.rules import MeasurementFlooding
+from concord.bus.bus import Fragment, FrameFormat, Rejected
+from concord.nodes.faults.losses import LinkState, hears_all
+from concord.nodes.rules.labelled import LabelledFlooding
+from concord.scenarios.build import build_node
+from concord.scenarios.links import link_state
+from concord.scenarios.setup import Setup
+from concord.scenarios.types.rules import MeasurementFlooding
 
 NEVER = -1
 
@@ -146,13 +146,19 @@ def _mean(values: np.ndarray) -> float:
 
 
 def lines(figures: SpreadFigures) -> list[str]:
-    """Return the figures in words."""
-    coverage = "-" if np.isnan(figures.coverage) else f"{100 * figures.coverage:.2f} %"
+    """Return the figures in words; what nothing is known of is named so."""
+    parts = [
+        "none was old enough yet to tell whether it arrived within the window"
+        if np.isnan(figures.coverage)
+        else f"{100 * figures.coverage:.2f} % arrived within the window",
+        "none reached another node"
+        if np.isnan(figures.delay_steps_mean)
+        else f"an arrival took {figures.delay_steps_mean:.2f} steps in the mean (most "
+        f"{figures.delay_steps_max}); the newest of a source is {figures.age_steps_mean:.2f} "
+        f"steps old at others, {figures.age_steps_mean_at_source:.2f} at itself",
+    ]
     return [
-        f"records: {coverage} arrived within the window, after {figures.delay_steps_mean:.2f} "
-        f"steps in the mean (most {figures.delay_steps_max}); the newest of a source is "
-        f"{figures.age_steps_mean:.2f} steps old at others, "
-        f"{figures.age_steps_mean_at_source:.2f} at itself",
+        f"records: {'; '.join(parts)}",
         f"shares: {figures.records_per_share:.1f} records in each, "
         f"{100 * figures.checkpoint_share:.1f} % with a checkpoint; "
         f"{figures.body_bytes_per_step:.0f} bytes said per step",

@@ -5,14 +5,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from experiments.results.folder import ARRAYS, Description, read_description
-from experiments.results.network_map import Mapped, network_maps
-from experiments.results.palette import COLOURS, GREY
-from filters.metrics import rmse
-from scenarios.baselines import centralised
-from scenarios.catalogue import definition_of
-from scenarios.rules import is_set_valued
-from scenarios.types.buses import occupancy_of
+from concord.experiments.results.folder import ARRAYS, Description, read_description
+from concord.experiments.results.network_map import Mapped, network_maps
+from concord.experiments.results.palette import COLOURS, GREY
+from concord.filters.metrics import rmse
+from concord.scenarios.baselines import centralised
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.rules import is_set_valued
+from concord.scenarios.types.buses import occupancy_of
 
 if TYPE_CHECKING:
     import xarray
@@ -48,7 +48,7 @@ def run_figures(folder: Path) -> "dict[str, Figure]":
 
 def _errors(description: Description, data: "xarray.Dataset") -> "Figure":
     setup = description.setup
-    score = definition_of(setup.scenario.name).score
+    score = definition_of(setup.scenario).score
     states = list(score.states)
     errors = np.sqrt((data["error"].to_numpy()[..., states] ** 2).sum(-1))
     control = data["control"].to_numpy() if "control" in data else None
@@ -68,7 +68,7 @@ def _errors(description: Description, data: "xarray.Dataset") -> "Figure":
 
 
 def _consistency(description: Description, data: "xarray.Dataset") -> "Figure":
-    states = len(definition_of(description.setup.scenario.name).score.nees_states)
+    states = len(definition_of(description.setup.scenario).score.nees_states)
     values = data["nees"].to_numpy() / states
     figure, axes, time = _axes(data)
     low, high = np.nanquantile(values, (0.05, 0.95), axis=1)
@@ -82,7 +82,7 @@ def _consistency(description: Description, data: "xarray.Dataset") -> "Figure":
 
 
 def _map(description: Description, data: "xarray.Dataset") -> "Figure":
-    score = definition_of(description.setup.scenario.name).score
+    score = definition_of(description.setup.scenario).score
     first = min(score.first_step, data.sizes["step"] - 1)
     error: np.ndarray = rmse(data["error"].to_numpy()[first:][..., list(score.states)], (0,))
     return network_maps([Mapped(description.setup, error, _title(description))], score.unit)

@@ -1,26 +1,29 @@
 """The figures of one run: a value for machines, a table for people."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import msgspec
 import numpy as np
+from rich import box
 from rich.markup import escape
 from rich.table import Table
 
-from experiments.results import bus_report, record_spread, timing_figures
-from experiments.results.bus_report import BusFigures
-from experiments.results.containment import Containment, containment
-from experiments.results.record_spread import SpreadFigures
-from experiments.results.timing_figures import TimingFigures
-from experiments.results.trace import Trace
-from filters.gaussian import Gaussian
-from filters.metrics import anees, disagreement, largest_of_known, rmse
-from scenarios.baselines import centralised, local_only
-from scenarios.catalogue import definition_of
-from scenarios.rules import is_set_valued
-from scenarios.scenario_definition import Score
-from scenarios.setup import Setup
+from concord.experiments.monte_carlo.intervals import Interval
+from concord.experiments.results import bus_report, record_spread, timing_figures
+from concord.experiments.results.bus_report import BusFigures
+from concord.experiments.results.containment import Containment, containment
+from concord.experiments.results.record_spread import SpreadFigures
+from concord.experiments.results.run_verdict import anees_interval, verdict
+from concord.experiments.results.timing_figures import TimingFigures
+from concord.experiments.results.trace import Trace
+from concord.filters.gaussian import Gaussian
+from concord.filters.metrics import anees, disagreement, largest_of_known, rmse
+from concord.scenarios.baselines import centralised, local_only
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.rules import is_set_valued
+from concord.scenarios.scenario_definition import Score
+from concord.scenarios.setup import Setup
 
 _TRAFFIC = ("sent", "heard", "missed")
 
@@ -44,6 +47,7 @@ class NodeFigures(msgspec.Struct, frozen=True):
 class Figures(msgspec.Struct, frozen=True):
     """Figures of a run. RMSE and disagreement are in `unit`, from step `first_step` on.
 
+    `anees_interval` has the ends of the 95 % interval of `anees`; None for too few steps.
     `bus` is None on a bus without time; `timing` is None except in real time. `noticed` sums the
     nodes' counters other than traffic: frames lost, late, repeated, rejected and why.
     """
@@ -72,13 +76,14 @@ class Figures(msgspec.Struct, frozen=True):
     containment_centralised: Containment | None = None
     spread: SpreadFigures | None = None
     timing: TimingFigures | None = None
+    anees_interval: tuple[float, float] | None = None
     steps_per_second: float | None = None
     ready_s: float | None = None
 
 
 def summarise(setup: Setup, trace: Trace) -> Figures:
     """The figures of a trace with at least one complete step."""
-    score = definition_of(setup.scenario.name).score
+    score = definition_of(setup.scenario).score
     first = _first_scored(score, trace)
     alone = local_only(setup, trace.readings, trace.control)
     central = centralised(setup, trace.readings, trace.control)
@@ -97,6 +102,7 @@ def summarise(setup: Setup, trace: Trace) -> Figures:
     set_valued = is_set_valued(setup.scenario)
     if set_valued:
         consistency = np.full_like(consistency, np.nan)
+    of_steps = anees_interval(_consistency(network, trace.truth, score, first, (1,)))
     return Figures(
         scenario=setup.scenario.name,
         unit=score.unit,
@@ -134,6 +140,7 @@ def summarise(setup: Setup, trace: Trace) -> Figures:
         ],
         containment=_contained(set_valued, network, trace.truth),
         containment_centralised=_contained(set_valued, central, trace.truth),
+        anees_interval=None if set_valued or np.isnan(of_steps.low) else of_steps[1:],
         spread=None if trace.spread is None else record_spread.figures_of(trace.spread),
     )
 
@@ -191,13 +198,9 @@ def table(figures: Figures, title: str) -> Table:
     """The figures as a table: one row per node, then the network, then what frames it."""
     # Rich would take [m] for a style.
     unit = escape(f"[{figures.unit}]")
-    grid = Table(title=title, title_justify="left")
     set_valued = figures.containment is not None
     shown = ("out", "largest", "√tr P") if set_valued else (f"alone {unit}", "ANEES")
-    for heading in ("node", f"RMSE {unit}", *shown):
-        grid.add_column(heading, justify="right")
-    for heading in ("sent", "heard", "missed", "rejected"):
-        grid.add_column(heading, justify="right")
+    grid = empty_table(title, (f"RMSE {unit}", *shown, "sent", "heard", "missed", "rejected"))
     for i, node in enumerate(figures.nodes):
         traffic = (node.sent, node.heard, node.missed, node.rejected)
         grid.add_row(
@@ -217,6 +220,26 @@ def table(figures: Figures, title: str) -> Table:
     return grid
 
 
+def empty_table(title: str, headings: Sequence[str]) -> Table:
+    """A table whose first column, the node's name, is never cut; others break at spaces."""
+    grid = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    grid.add_column("node", justify="right", no_wrap=True, min_width=len("centralised"))
+    for heading in headings:
+        grid.add_column(heading, justify="right")
+    return grid
+
+
+def opening(figures: Figures) -> list[str]:
+    """Return the lines above the table: the verdict, or what sets hold."""
+    if figures.containment is None:
+        anees_ = Interval(figures.anees, *(figures.anees_interval or (np.nan, np.nan)))
+        compared = figures.rmse, figures.rmse_centralised, figures.rmse_local_only
+        return [verdict(*compared, anees_)]
+    held = figures.containment
+    number = figures.steps * len(figures.nodes)
+    return [f"sets: {held.violations} of {number} do not hold the truth"]
+
+
 def _consistent(
     alone: float | None, anees_: float, contained: Containment | None
 ) -> tuple[str, ...]:
@@ -228,17 +251,16 @@ def _consistent(
 
 def lines(figures: Figures) -> list[str]:
     """Return the lines below the table: figures that have no column."""
-    ratio, unit = figures.rmse / figures.rmse_centralised, figures.unit
+    unit = figures.unit
     text = [
-        f"network {ratio:.2f} x centralised, worst node {figures.worst_node_to_centralised:.2f} x; "
+        f"worst node {figures.worst_node_to_centralised:.2f} x centralised; "
         f"disagreement {_short(figures.disagreement)} {unit}; "
         f"scored from step {figures.first_step} of {figures.steps}"
     ]
     if figures.containment is not None:
         held = figures.containment
         text.append(
-            f"sets: {held.violations} of {figures.steps * len(figures.nodes)} do not hold the "
-            f"truth; e' P^-1 e is at most {held.largest:.12g}, and 1 is the edge; half-width "
+            f"sets: e' P^-1 e is at most {held.largest:.12g}, and 1 is the edge; half-width "
             f"√tr P in the mean {_short(held.half_width)}; nodes alone: RMSE "
             f"{_short(figures.rmse_local_only)} {unit}"
         )
@@ -252,6 +274,12 @@ def lines(figures: Figures) -> list[str]:
             f"{', '.join(map(_short, figures.rmse_near))} {unit}, centralised {_short(central)}, "
             f"worst node {max(figures.rmse_near) / central:.2f} x"
         )
+    return text
+
+
+def details(figures: Figures) -> list[str]:
+    """Return the lines that `--verbose` adds: bus, records, timing, and the run's own pace."""
+    text: list[str] = []
     if figures.bus is not None:
         text += bus_report.lines(figures.bus)
     if figures.spread is not None:

@@ -5,9 +5,9 @@ from collections.abc import Iterable, Sequence
 import msgspec
 import numpy as np
 
-from nodes.messages import Grant, Timing
-from nodes.tempo import Tempo
-from runtime.recorded import message_of
+from concord.nodes.messages import Grant, Timing
+from concord.nodes.tempo import Tempo
+from concord.runtime.recorded import message_of
 
 
 class TimingSpread(msgspec.Struct, frozen=True):

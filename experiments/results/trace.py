@@ -5,15 +5,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bus.bus import Fragment
-from experiments.results.record_spread import RecordSpread, record_spread
-from filters.linalg import unpack_upper
-from nodes.changes import Event
-from nodes.history import History, history_of, with_holes, without_lost_words
-from nodes.messages import Bid, Estimate, Measured, Timing, Truth, from_wire
-from runtime.recorded import SharedFrame, meaning
-from scenarios.bus_plan import frame_format
-from scenarios.setup import Setup
+from concord.bus.bus import Fragment
+from concord.experiments.results.record_spread import RecordSpread, record_spread
+from concord.filters.linalg import unpack_upper
+from concord.nodes.changes import Event
+from concord.nodes.history import History, history_of, with_holes, without_lost_words
+from concord.nodes.messages import Bid, Estimate, Measured, Timing, Truth, from_wire
+from concord.runtime.recorded import SharedFrame, meaning
+from concord.scenarios.bus_plan import frame_format
+from concord.scenarios.setup import Setup
 
 
 class Trace(NamedTuple):

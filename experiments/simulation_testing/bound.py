@@ -8,13 +8,18 @@ step in which information is counted twice.
 
 import numpy as np
 
-from experiments.monte_carlo.posterior_bound import Truths, posterior_bound
-from experiments.simulation_testing.broken import Broken
-from experiments.simulation_testing.promises import BOUNDED, LINEAR, nodes_are_honest, promises
-from experiments.simulation_testing.verdict import EstimateHistory
-from scenarios.catalogue import definition_of
-from scenarios.types.plants import noise_of
-from scenarios.types.rules import number_of
+from concord.experiments.monte_carlo.posterior_bound import Truths, posterior_bound
+from concord.experiments.simulation_testing.broken import Broken
+from concord.experiments.simulation_testing.promises import (
+    BOUNDED,
+    LINEAR,
+    nodes_are_honest,
+    promises,
+)
+from concord.experiments.simulation_testing.verdict import EstimateHistory
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.types.plants import noise_of
+from concord.scenarios.types.rules import number_of
 
 # Of the bound: differences and inverses on both sides, and numbers of single length on the bus.
 _ROUNDING = {"float64": 1e-6, "float32": 1e-3}
@@ -50,7 +55,7 @@ def check_bound(run: EstimateHistory) -> None:
 def _bound(run: EstimateHistory) -> np.ndarray:
     """Covariance (steps, n, n) of the filter with every reading that there is."""
     scenario = run.setup.scenario
-    definition = definition_of(scenario.name)
+    definition = definition_of(scenario)
     sensors = [definition.sensor(scenario, node) for node in range(scenario.nodes)]
     # Of a linear plant it hangs on which readings come, and on no number in them.
     control = None if run.control is None else run.control[None]

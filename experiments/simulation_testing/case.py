@@ -5,11 +5,11 @@ from typing import Any
 
 import msgspec
 
-from experiments.simulation_testing.script import calm_from
-from experiments.simulation_testing.wire import read_wire
-from scenarios.scenario import Scenario
-from scenarios.script import script_of
-from scenarios.types.assignment import flat
+from concord.experiments.simulation_testing.script import calm_from
+from concord.experiments.simulation_testing.wire import read_wire
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.script import script_of
+from concord.scenarios.types.assignment import flat
 
 
 class SimulationCase(msgspec.Struct, frozen=True):

@@ -6,25 +6,25 @@ from typing import NamedTuple
 
 import msgspec
 
-from experiments.simulation_testing.bound import check_bound
-from experiments.simulation_testing.broken import Broken
-from experiments.simulation_testing.case import SimulationCase
-from experiments.simulation_testing.ledger import OracleLedger
-from experiments.simulation_testing.run_record import RunRecord
-from experiments.simulation_testing.script import is_harmless
-from experiments.simulation_testing.verdict import (
+from concord.experiments.simulation_testing.bound import check_bound
+from concord.experiments.simulation_testing.broken import Broken
+from concord.experiments.simulation_testing.case import SimulationCase
+from concord.experiments.simulation_testing.ledger import OracleLedger
+from concord.experiments.simulation_testing.run_record import RunRecord
+from concord.experiments.simulation_testing.script import is_harmless
+from concord.experiments.simulation_testing.verdict import (
     EstimateHistory,
     check_consistency,
     check_return,
     history_of_run,
 )
-from experiments.simulation_testing.watch import watched
-from experiments.simulation_testing.wire import LOSING, Wire, read_wire
-from nodes.commands import Configure
-from runtime import in_process
-from scenarios.build import build_environment, build_node
-from scenarios.preparation import complete_settings, prepare
-from scenarios.script import script_of
+from concord.experiments.simulation_testing.watch import watched
+from concord.experiments.simulation_testing.wire import LOSING, Wire, read_wire
+from concord.nodes.commands import Configure
+from concord.runtime import in_process
+from concord.scenarios.build import build_environment, build_node
+from concord.scenarios.preparation import complete_settings, prepare
+from concord.scenarios.script import script_of
 
 
 class SimulationOutcome(NamedTuple):

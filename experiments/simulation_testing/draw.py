@@ -12,16 +12,21 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from experiments.scenario_options import offered_options, scenario_with_known
-from experiments.simulation_testing.case import OWN_FIELDS, SimulationCase, check_case, with_fields
-from experiments.simulation_testing.script import draw_script
-from experiments.simulation_testing.verdict import RECOVERY_STEPS
-from experiments.simulation_testing.wire import WIRE_FAULTS
-from scenarios.bus_plan import arbiter_names, schedule_names
-from scenarios.preparation import prepare
-from scenarios.scenario import Scenario
-from scenarios.types.rules import RULE_SUMMARIES
-from topology.names import unknown_name
+from concord.experiments.scenario_options import offered_options, scenario_with_known
+from concord.experiments.simulation_testing.case import (
+    OWN_FIELDS,
+    SimulationCase,
+    check_case,
+    with_fields,
+)
+from concord.experiments.simulation_testing.script import draw_script
+from concord.experiments.simulation_testing.verdict import RECOVERY_STEPS
+from concord.experiments.simulation_testing.wire import WIRE_FAULTS
+from concord.scenarios.bus_plan import arbiter_names, schedule_names
+from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.types.rules import RULE_SUMMARIES
+from concord.topology.names import unknown_name
 
 _ATTEMPTS = 200
 _MOST_CALM = 16

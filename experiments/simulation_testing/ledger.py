@@ -10,15 +10,15 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from experiments.simulation_testing.broken import Broken
-from experiments.simulation_testing.node_ledger import Key, NodeLedger, Sent
-from experiments.simulation_testing.outcomes import Fate, fate_of, must_be_silent
-from experiments.simulation_testing.run_record import RunRecord
-from nodes.changes import Welcome
-from nodes.faults.links import Passage
-from nodes.faults.losses import hears
-from nodes.messages import CycleClosed, NodeEvent, ShareHeard
-from nodes.node_state import NodeConfig, NodeState, Phase
+from concord.experiments.simulation_testing.broken import Broken
+from concord.experiments.simulation_testing.node_ledger import Key, NodeLedger, Sent
+from concord.experiments.simulation_testing.outcomes import Fate, fate_of, must_be_silent
+from concord.experiments.simulation_testing.run_record import RunRecord
+from concord.nodes.changes import Welcome
+from concord.nodes.faults.links import Passage
+from concord.nodes.faults.losses import hears
+from concord.nodes.messages import CycleClosed, NodeEvent, ShareHeard
+from concord.nodes.node_state import NodeConfig, NodeState, Phase
 
 _BOOKED = ("sent", "silent", "heard", "lost", "late", "repeated", "reordered", "missed")
 _EVENTS_PER_FRAME = 50

@@ -3,8 +3,8 @@
 from collections import Counter
 from typing import NamedTuple
 
-from experiments.simulation_testing.outcomes import Fate
-from nodes.node_state import Phase
+from concord.experiments.simulation_testing.outcomes import Fate
+from concord.nodes.node_state import Phase
 
 Key = tuple[int, int, int]
 

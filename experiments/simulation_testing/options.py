@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from experiments.cli.scenario_flags import grouped_flags, texts
-from experiments.scenario_options import offered_options
-from experiments.simulation_testing.wire import read_wire
+from concord.experiments.cli.scenario_flags import grouped_flags, texts
+from concord.experiments.scenario_options import offered_options
+from concord.experiments.simulation_testing.wire import read_wire
 
 if TYPE_CHECKING:
 

@@ -8,9 +8,9 @@ Their consequences are computed here anew from docs/faults.md, not by `nodes/fau
 from collections.abc import Callable
 from typing import NamedTuple
 
-from nodes.faults.active import EVERYBODY, Faults
-from nodes.faults.links import Passage
-from nodes.faults.vocabulary import PASSING
+from concord.nodes.faults.active import EVERYBODY, Faults
+from concord.nodes.faults.links import Passage
+from concord.nodes.faults.vocabulary import PASSING
 
 
 class Fate(NamedTuple):

@@ -7,13 +7,13 @@ neighbour that sends false beliefs.
 
 from typing import Any
 
-from nodes.commands import Configure, Inject
-from scenarios.scenario import Scenario
-from scenarios.script import script_of
-from scenarios.setup import Setup
-from scenarios.types.assignment import flat
-from scenarios.types.rules import TrimmedCovarianceIntersection
-from topology.robustness import is_robust
+from concord.nodes.commands import Configure, Inject
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.script import script_of
+from concord.scenarios.setup import Setup
+from concord.scenarios.types.assignment import flat
+from concord.scenarios.types.rules import TrimmedCovarianceIntersection
+from concord.topology.robustness import is_robust
 
 # After these a reading says what its sensor never promised.
 LYING_SENSORS = ("outlier", "bias", "stuck")

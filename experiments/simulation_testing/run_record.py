@@ -2,14 +2,14 @@
 
 from collections.abc import Sequence
 
-from bus.bus import Bus
-from experiments.simulation_testing.broken import Broken
-from experiments.simulation_testing.node_ledger import Sent
-from nodes.changes import Calm, Cut, Event, Fault, Healed
-from nodes.faults.active import Faults
-from nodes.history import History, history_of, with_event
-from nodes.messages import Estimate, Grant, Measured, Truth, decode
-from nodes.node_state import NodeConfig
+from concord.bus.bus import Bus
+from concord.experiments.simulation_testing.broken import Broken
+from concord.experiments.simulation_testing.node_ledger import Sent
+from concord.nodes.changes import Calm, Cut, Event, Fault, Healed
+from concord.nodes.faults.active import Faults
+from concord.nodes.history import History, history_of, with_event
+from concord.nodes.messages import Estimate, Grant, Measured, Truth, decode
+from concord.nodes.node_state import NodeConfig
 
 
 class RunRecord:

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from nodes.changes import UNCHANGED, Settings
-from nodes.command_checks import check_command
-from nodes.commands import (
+from concord.nodes.changes import UNCHANGED, Settings
+from concord.nodes.command_checks import check_command
+from concord.nodes.commands import (
     Configure,
     CutLink,
     Inject,
@@ -21,14 +21,14 @@ from nodes.commands import (
     Soothe,
     in_words,
 )
-from nodes.faults.active import Equipment
-from nodes.faults.vocabulary import CHANNELS, EVERY_FAULT, Number
-from nodes.run_controller import Scripted
-from scenarios.build import build_bus
-from scenarios.bus_plan import arbiter_names
-from scenarios.equipment import equipment_of
-from scenarios.preparation import complete_settings, with_settings
-from scenarios.setup import Setup
+from concord.nodes.faults.active import Equipment
+from concord.nodes.faults.vocabulary import CHANNELS, EVERY_FAULT, Number
+from concord.nodes.run_controller import Scripted
+from concord.scenarios.build import build_bus
+from concord.scenarios.bus_plan import arbiter_names
+from concord.scenarios.equipment import equipment_of
+from concord.scenarios.preparation import complete_settings, with_settings
+from concord.scenarios.setup import Setup
 
 # These words, beside the fault words, begin no fault.
 OTHER_WORDS = ("restart", "heal", "set")

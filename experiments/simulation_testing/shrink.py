@@ -6,10 +6,15 @@ from typing import Any
 
 import msgspec
 
-from experiments.scenario_options import in_options
-from experiments.simulation_testing.case import SimulationCase, check_case, differences, with_fields
-from experiments.simulation_testing.draw import draw_case
-from scenarios.preparation import prepare
+from concord.experiments.scenario_options import in_options
+from concord.experiments.simulation_testing.case import (
+    SimulationCase,
+    check_case,
+    differences,
+    with_fields,
+)
+from concord.experiments.simulation_testing.draw import draw_case
+from concord.scenarios.preparation import prepare
 
 MOST_TRIES = 200
 FEWEST_NODES = 2

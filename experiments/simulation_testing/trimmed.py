@@ -1,10 +1,11 @@
-"""Guarantee of `filters.fusion.trimmed` for each average among liars, computed independently."""
+"""Guarantee of `concord.filters.fusion.trimmed` for each average among liars, computed
+independently."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
-from filters.gaussian import Gaussian
+from concord.filters.gaussian import Gaussian
 
 _ROUNDING = 1e-6
 

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri
 
-from experiments.simulation_testing.broken import Broken
-from experiments.simulation_testing.promises import (
+from concord.experiments.simulation_testing.broken import Broken
+from concord.experiments.simulation_testing.promises import (
     CERTAIN,
     CONSISTENT,
     GAUSSIAN,
@@ -17,12 +17,12 @@ from experiments.simulation_testing.promises import (
     promises,
     sensors_are_honest,
 )
-from experiments.simulation_testing.run_record import RunRecord
-from filters.linalg import unpack_upper
-from nodes.messages import from_wire
-from scenarios.scenario import Scenario
-from scenarios.setup import Setup
-from scenarios.types.plants import noise_of
+from concord.experiments.simulation_testing.run_record import RunRecord
+from concord.filters.linalg import unpack_upper
+from concord.nodes.messages import from_wire
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.setup import Setup
+from concord.scenarios.types.plants import noise_of
 
 # An error beyond this has a chance of 2e-12. A thousand seeds judge half a million errors, so that
 # all of them together raise a false alarm in one of a million such commands.

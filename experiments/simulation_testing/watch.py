@@ -6,27 +6,27 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.simulation_testing.broken import Broken
-from experiments.simulation_testing.ledger import OracleLedger
-from experiments.simulation_testing.promises import nodes_are_honest, sensors_are_honest
-from experiments.simulation_testing.trimmed import broken_promise
-from experiments.simulation_testing.weights import promised_weights
-from filters.fusion.averaging import Averaged, Fused
-from filters.gaussian import Gaussian, joined
-from nodes.belief_codec import belief_of
-from nodes.changes import Standing
-from nodes.estimator import AnyEstimator, Rejected
-from nodes.messages import Measured
-from nodes.node_state import NodeConfig
-from nodes.rules import information_rounds
-from nodes.rules.at_node import AtNode
-from nodes.rules.belief_consensus import BeliefConsensus
-from nodes.rules.fresh_consensus import FreshConsensus
-from nodes.rules.information_rounds import InformationRounds
-from nodes.rules.novelty_rounds import NoveltyRounds
-from nodes.rules.set_membership import SetAtNode
-from scenarios.scenario import Scenario
-from scenarios.types.rules import TrimmedCovarianceIntersection
+from concord.experiments.simulation_testing.broken import Broken
+from concord.experiments.simulation_testing.ledger import OracleLedger
+from concord.experiments.simulation_testing.promises import nodes_are_honest, sensors_are_honest
+from concord.experiments.simulation_testing.trimmed import broken_promise
+from concord.experiments.simulation_testing.weights import promised_weights
+from concord.filters.fusion.averaging import Averaged, Fused
+from concord.filters.gaussian import Gaussian, joined
+from concord.nodes.belief_codec import belief_of
+from concord.nodes.changes import Standing
+from concord.nodes.estimator import AnyEstimator, Rejected
+from concord.nodes.messages import Measured
+from concord.nodes.node_state import NodeConfig
+from concord.nodes.rules import information_rounds
+from concord.nodes.rules.at_node import AtNode
+from concord.nodes.rules.belief_consensus import BeliefConsensus
+from concord.nodes.rules.fresh_consensus import FreshConsensus
+from concord.nodes.rules.information_rounds import InformationRounds
+from concord.nodes.rules.novelty_rounds import NoveltyRounds
+from concord.nodes.rules.set_membership import SetAtNode
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.types.rules import TrimmedCovarianceIntersection
 
 _ROUNDING = 1e-9
 _REFUSALS = ("rejected not-positive-definite", "rejected unsound")

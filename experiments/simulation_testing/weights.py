@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from scenarios.scenario import Scenario
-from scenarios.types.holds import Dropped, Fading, InStep, Renormalised
-from scenarios.types.rules import hold_of
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.types.holds import Dropped, Fading, InStep, Renormalised
+from concord.scenarios.types.rules import hold_of
 
 
 def promised_weights(

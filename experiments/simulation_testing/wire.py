@@ -14,8 +14,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 
-from bus.bus import Fragment, FrameFormat
-from runtime import in_process
+from concord.bus.bus import Fragment, FrameFormat
+from concord.runtime import in_process
 
 WIRE_FAULTS = ("vanish", "garbage", "shuffle")
 # Of these a frame can be missed; the others change no bit of any estimate.

@@ -4,8 +4,12 @@ from collections.abc import Sequence
 
 import msgspec
 
-from experiments.sweep.specification import Cell, Specification, cells_of, shown
-from scenarios.preparation import prepare
+from concord.experiments.memory import check_memory, require_memory
+from concord.experiments.sweep.specification import Cell, Specification, cells_of, shown
+from concord.scenarios.preparation import prepare
+
+# Four histories of a run stay in memory until the end, and once more as the result is written.
+_KEPT_BYTES = 2 * 4 * 8
 
 
 def checked_cells(specification: Specification) -> list[Cell]:
@@ -14,21 +18,28 @@ def checked_cells(specification: Specification) -> list[Cell]:
     Raises:
         ValueError: naming the first cell that cannot, why, and how many more there are.
     """
-    good, bad = sorted_out(cells_of(specification))
+    good, bad = sorted_out(cells := cells_of(specification))
     if bad:
         cell, reason = bad[0]
         more = f"; {len(bad) - 1} more of its cells cannot run" if len(bad) > 1 else ""
         raise ValueError(f"cell {cell.name} ({cell.number + 1} of {len(good) + len(bad)}): "
                          f"{reason}{more}")  # fmt: skip
+    kept = sum(one.scenario.steps for one in cells) * specification.runs * _KEPT_BYTES
+    require_memory(
+        kept, f"{len(cells)} cells of {specification.runs} runs", "use fewer --steps or --runs"
+    )
     return good
 
 
-def sorted_out(cells: Sequence[Cell]) -> tuple[list[Cell], list[tuple[Cell, ValueError]]]:
-    """Return the cells that can run, and those that cannot with the reason."""
+def sorted_out(
+    cells: Sequence[Cell], runs: int = 1
+) -> tuple[list[Cell], list[tuple[Cell, ValueError]]]:
+    """Return the cells that can compute so many runs at once, and the others with the reason."""
     good: list[Cell] = []
     bad: list[tuple[Cell, ValueError]] = []
     for cell in cells:
         try:
+            check_memory(cell.scenario, runs)
             prepare(cell.scenario)
         except ValueError as error:
             bad.append((cell, error))

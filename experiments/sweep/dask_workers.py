@@ -2,10 +2,10 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from importlib.metadata import version
 from typing import Any
 
-from experiments.sweep.workers import Engine
+from concord._version import __version__
+from concord.experiments.sweep.workers import Engine
 
 CONNECT_TIMEOUT_S = 10
 
@@ -21,8 +21,9 @@ def connect(address: str) -> Engine:
         from distributed import Client
     except ImportError:
         raise ValueError(
-            "--dask needs Dask, which is not installed; pip install 'concord[dask]', or leave "
-            "--dask out to use the processes of this machine"
+            "--dask needs Dask, which is not installed; run `make extras`, or "
+            "`pip install '.[dask]'` in a checkout of concord, or leave --dask out to use the "
+            "processes of this machine"
         ) from None
     try:
         client = Client(address, timeout=CONNECT_TIMEOUT_S)
@@ -46,18 +47,22 @@ def _check_workers(client: Any, address: str) -> None:
             f"--dask {address}: it has no workers; start some: `dask worker {address}`"
         )
     try:
-        versions = client.run(version, "concord")
+        versions = client.run(_version)
     except Exception as error:
         raise ValueError(
             f"--dask {address}: its workers do not have concord ({error}); install it there"
         ) from None
-    others = {worker: v for worker, v in versions.items() if v != version("concord")}
+    others = {worker: v for worker, v in versions.items() if v != __version__}
     if others:
         worker, theirs = next(iter(others.items()))
         raise ValueError(
             f"--dask {address}: worker {worker} has concord {theirs}, and here is "
-            f"{version('concord')}; results of two versions cannot stand side by side"
+            f"{__version__}; results of two versions cannot stand side by side"
         )
+
+
+def _version() -> str:
+    return __version__
 
 
 def _over(

@@ -3,8 +3,8 @@
 import os
 from functools import partial
 
-from experiments.sweep.dask_workers import connect
-from experiments.sweep.workers import Engine, in_processes
+from concord.experiments.sweep.dask_workers import connect
+from concord.experiments.sweep.workers import Engine, in_processes
 
 
 def engine_for(workers: int | None, dask: str | None) -> Engine:

@@ -6,12 +6,12 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from experiments.monte_carlo.run_figures import FIGURES, figures_of
-from experiments.monte_carlo.run_frame import frame_of
-from experiments.monte_carlo.simulate import simulate
-from experiments.sweep.specification import Cell, Specification
-from scenarios.preparation import prepare
-from scenarios.scenario import Scenario
+from concord.experiments.monte_carlo.run_figures import FIGURES, figures_of
+from concord.experiments.monte_carlo.run_frame import frame_of
+from concord.experiments.monte_carlo.simulate import simulate
+from concord.experiments.sweep.specification import Cell, Specification
+from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario import Scenario
 
 # Estimates of a piece that are in memory at once: nodes x runs x steps.
 LARGEST = 500_000

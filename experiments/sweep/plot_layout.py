@@ -4,8 +4,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from experiments.sweep.results import dimensions_of, flattened, specification_of
-from experiments.sweep.specification import Cell, Value, shown
+from concord.experiments.sweep.results import dimensions_of, flattened, specification_of
+from concord.experiments.sweep.specification import Cell, Value, shown
 
 if TYPE_CHECKING:
     import xarray

@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.special import stdtrit
 
-from experiments.monte_carlo.intervals import ratio_t
-from experiments.monte_carlo.pareto import front
-from experiments.results.network_map import Mapped, network_maps
-from experiments.results.palette import GREY, SEQUENTIAL, plain_numbers, styles
-from experiments.sweep.plot_layout import (
+from concord.experiments.monte_carlo.intervals import ratio_t
+from concord.experiments.monte_carlo.pareto import front
+from concord.experiments.results.network_map import Mapped, network_maps
+from concord.experiments.results.palette import GREY, SEQUENTIAL, plain_numbers, styles
+from concord.experiments.sweep.plot_layout import (
     CellResult,
     Layout,
     drawn,
@@ -18,9 +18,9 @@ from experiments.sweep.plot_layout import (
     levels_of,
     subtitle,
 )
-from experiments.sweep.results import flattened
-from experiments.sweep.specification import named, shown
-from scenarios.preparation import prepare
+from concord.experiments.sweep.results import flattened
+from concord.experiments.sweep.specification import named, shown
+from concord.scenarios.preparation import prepare
 
 if TYPE_CHECKING:
     import xarray

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from experiments.monte_carlo.run_figures import FIGURES
-from experiments.results.folder import commit, versions
-from experiments.results.netcdf_file import write_dataset
-from experiments.sweep.specification import Cell, Specification, Value, cells_of
-from scenarios.catalogue import definition_of
-from scenarios.scenario_definition import ScenarioDefinition
+from concord.experiments.monte_carlo.run_figures import FIGURES
+from concord.experiments.results.folder import commit, versions
+from concord.experiments.results.netcdf_file import write_dataset
+from concord.experiments.sweep.specification import Cell, Specification, Value, cells_of
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.scenario_definition import ScenarioDefinition
 
 if TYPE_CHECKING:
     import xarray
@@ -37,7 +37,7 @@ def assemble(
 
     fields = _fields(specification, cells)
     shape = tuple(len(values) for values in fields.values())
-    definitions = [definition_of(cell.scenario.name) for cell in cells]
+    definitions = [definition_of(cell.scenario) for cell in cells]
     states = _states(cells, definitions)
     sizes = {
         "run": specification.runs,
@@ -155,7 +155,7 @@ def _placed(
     """Values of a cell, its states put where the data set has them."""
     if "state" not in dimensions:
         return values
-    names = definition_of(cell.scenario.name).plant(cell.scenario).state_names
+    names = definition_of(cell.scenario).plant(cell.scenario).state_names
     wide = np.full((*values.shape[:-1], len(states)), np.nan)
     wide[..., [list(states).index(name) for name in names]] = values
     return wide
@@ -183,7 +183,7 @@ def _coordinates(
             for field in specification.dimensions
         }
     plants = {cell.scenario.name: cell.scenario for cell in cells}.values()
-    lengths = {definition_of(one.name).plant(one).time_step_s for one in plants}
+    lengths = {definition_of(one).plant(one).time_step_s for one in plants}
     if len(lengths) == 1:
         coordinates["time"] = ("step", np.arange(sizes["step"]) * lengths.pop(), {"units": "s"})
     return coordinates

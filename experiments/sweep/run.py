@@ -7,19 +7,25 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from experiments.sweep.cells import checked_cells
-from experiments.sweep.pieces import Piece, compute, joined, pieces_of
-from experiments.sweep.results import (
+from concord.experiments.sweep.cells import checked_cells
+from concord.experiments.sweep.pieces import Piece, compute, joined, pieces_of
+from concord.experiments.sweep.results import (
     assemble,
     read_result,
     score_unit,
     specification_of,
     write_result,
 )
-from experiments.sweep.specification import Cell, Specification
-from experiments.sweep.store import check_same, load_cells, open_store, remove_store, save_cell
-from experiments.sweep.workers import Engine
-from scenarios.catalogue import definition_of
+from concord.experiments.sweep.specification import Cell, Specification
+from concord.experiments.sweep.store import (
+    check_same,
+    load_cells,
+    open_store,
+    remove_store,
+    save_cell,
+)
+from concord.experiments.sweep.workers import Engine
+from concord.scenarios.catalogue import definition_of
 
 if TYPE_CHECKING:
     import xarray
@@ -52,7 +58,7 @@ def begin(specification: Specification, out: Path | None) -> Begin:
         ValueError: a cell that cannot run, or an `out` that belongs to another sweep.
     """
     cells = checked_cells(specification)
-    score_unit([definition_of(cell.scenario.name) for cell in cells])
+    score_unit([definition_of(cell.scenario) for cell in cells])
     if out is None:
         return Begin(specification, None, None, cells, {})
     if out.exists():

@@ -9,10 +9,11 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from experiments.scenario_options import offered_options, scenario_with_known
-from scenarios.scenario import Scenario
-from scenarios.types.assignment import flat, refuse_left
-from topology.names import unknown_name
+from concord.experiments.scenario_options import offered_options, scenario_with_known
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.types.assignment import flat, refuse_left
+from concord.scenarios.user_values import is_source_name, source_of
+from concord.topology.names import unknown_name
 
 Value = str | float | int | bool | None
 # Runs are numbered by the sweep itself.
@@ -39,6 +40,7 @@ class Specification(msgspec.Struct, frozen=True, kw_only=True):
             every cell of one seed.
         samples: cells of a Latin hypercube; None for every combination.
         change_step: the step from which convergence is timed.
+        digests: of the files that values come from (FILE.py:NAME).
     """
 
     base: dict[str, Value]
@@ -48,6 +50,7 @@ class Specification(msgspec.Struct, frozen=True, kw_only=True):
     first_run: int = 0
     samples: int | None = None
     change_step: int = 0
+    digests: dict[str, str] = {}
 
     @property
     def dimensions(self) -> tuple[str, ...]:
@@ -119,9 +122,11 @@ def specify(
         f"--latin-hypercube {samples}: nothing is swept; give a field several values (ring,path) "
         "or a range (0.1..1)",
     )
+    named = [value for values in (base.values(), *levels.values()) for value in values]
+    digests = {str(name): source_of(str(name)).digest for name in named if is_source_name(name)}
     return Specification(
         base=base, levels=levels, ranges=ranges, runs=runs, first_run=first_run, samples=samples,
-        change_step=change_step,
+        change_step=change_step, digests=digests,
     )  # fmt: skip
 
 

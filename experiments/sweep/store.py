@@ -11,11 +11,11 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from experiments.places import make_folder
-from experiments.results.folder import commit, versions
-from experiments.sweep.cells import difference
-from experiments.sweep.specification import Specification
-from runtime.disk import writing
+from concord.experiments.places import make_folder
+from concord.experiments.results.folder import commit, versions
+from concord.experiments.sweep.cells import difference
+from concord.experiments.sweep.specification import Specification
+from concord.runtime.disk import writing
 
 SPECIFICATION = "sweep.json"
 

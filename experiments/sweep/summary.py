@@ -8,11 +8,11 @@ from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
-from experiments.monte_carlo.convergence import settling_interval
-from experiments.monte_carlo.intervals import METHODS, Interval
-from experiments.sweep.results import flattened, specification_of
-from experiments.sweep.specification import shown
-from scenarios.catalogue import definition_of
+from concord.experiments.monte_carlo.convergence import settling_interval
+from concord.experiments.monte_carlo.intervals import METHODS, Interval
+from concord.experiments.sweep.results import flattened, specification_of
+from concord.experiments.sweep.specification import shown
+from concord.scenarios.catalogue import definition_named
 
 if TYPE_CHECKING:
     import xarray
@@ -110,7 +110,7 @@ def _plain(seed: object) -> int | str:
 
 
 def _first_scored(name: str) -> int:
-    return definition_of(name).score.first_step
+    return definition_named(name).score.first_step
 
 
 def table(figures: SweepFigures, dataset: "xarray.Dataset", width: int) -> Table:
@@ -163,9 +163,7 @@ def _is_best(cell: CellFigures) -> bool:
 
 
 def _with_half(interval: Interval) -> str:
-    if np.isnan(interval.low):
-        return _number(interval.value)
-    return f"{_number(interval.value)} ±{(interval.high - interval.low) / 2:.2g}"
+    return f"{_number(interval.value)} {interval.spread()}".rstrip()
 
 
 def _number(value: float) -> str:

@@ -7,11 +7,11 @@ from collections.abc import Callable, Sequence
 import msgspec
 import numpy as np
 
-from experiments.topology.convergence import predicted_factor
-from experiments.topology.subject import Subject, SubjectOptions, subject_of
-from topology.adjacency import nodes_of
-from topology.analysis import analyse, rounds_to
-from topology.graphs import is_random
+from concord.experiments.topology.convergence import predicted_factor
+from concord.experiments.topology.subject import Subject, SubjectOptions, subject_of
+from concord.topology.adjacency import nodes_of
+from concord.topology.analysis import analyse, rounds_to
+from concord.topology.graphs import is_random
 
 
 class GraphSpread(msgspec.Struct, frozen=True):

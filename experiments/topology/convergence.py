@@ -7,9 +7,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.topology.subject import Subject
-from topology.adjacency import nodes_of
-from topology.convergence import (
+from concord.experiments.topology.subject import Subject
+from concord.topology.adjacency import nodes_of
+from concord.topology.convergence import (
     MOST_MOMENT_NODES,
     LinkModel,
     MarkovLinks,
@@ -22,8 +22,8 @@ from topology.convergence import (
     measured_factor,
     rounds_to_settle,
 )
-from topology.spectrum import DENSE_NODES, second_eigenvalue_modulus
-from topology.weights import masked
+from concord.topology.spectrum import DENSE_NODES, second_eigenvalue_modulus
+from concord.topology.weights import masked
 
 # The measurement has a stream of its own: what is predicted knows nothing of it.
 _PURPOSE = 0x6D656173

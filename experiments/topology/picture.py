@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import matplotlib
 
-from runtime.disk import writing
+from concord.runtime.disk import writing
 
 matplotlib.use("Agg")
 
@@ -17,11 +17,11 @@ from matplotlib.colors import to_rgba
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from experiments.topology.convergence import predicted_factor
-from experiments.topology.subject import Subject
-from topology.adjacency import degrees, is_symmetric, links_of, nodes_of
-from topology.analysis import cut_nodes
-from topology.spectrum import DENSE_NODES, eigenvalues
+from concord.experiments.topology.convergence import predicted_factor
+from concord.experiments.topology.subject import Subject
+from concord.topology.adjacency import degrees, is_symmetric, links_of, nodes_of
+from concord.topology.analysis import cut_nodes
+from concord.topology.spectrum import DENSE_NODES, eigenvalues
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,16 +7,16 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from experiments.topology.convergence import Convergence, convergence, random_links
-from experiments.topology.subject import Subject
-from scenarios.observability import observability, rank, remaining
-from scenarios.setup import Setup
-from topology.adjacency import links_of, nodes_of
-from topology.analysis import Analysis, analyse, components, rounds_to
-from topology.convergence import cycle_factor, links_with, mean_square_factor
-from topology.network import part_of
-from topology.spectrum import second_eigenvalue_modulus
-from topology.weights import build_weights, masked
+from concord.experiments.topology.convergence import Convergence, convergence, random_links
+from concord.experiments.topology.subject import Subject
+from concord.scenarios.observability import observability, rank, remaining
+from concord.scenarios.setup import Setup
+from concord.topology.adjacency import links_of, nodes_of
+from concord.topology.analysis import Analysis, analyse, components, rounds_to
+from concord.topology.convergence import cycle_factor, links_with, mean_square_factor
+from concord.topology.network import part_of
+from concord.topology.spectrum import second_eigenvalue_modulus
+from concord.topology.weights import build_weights, masked
 
 # Nodes are taken away one by one, which takes a second eigenvalue each: of small networks all are,
 # of larger ones so many that some ten seconds pass.

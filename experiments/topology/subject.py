@@ -9,13 +9,13 @@ import msgspec
 import numpy as np
 from scipy.sparse import csr_array
 
-from experiments.scenario_options import scenario_of
-from scenarios.catalogue import definition_of
-from scenarios.links import link_up
-from scenarios.preparation import prepare
-from scenarios.setup import Setup
-from scenarios.types.buses import Ideal
-from topology.adjacency import (
+from concord.experiments.scenario_options import scenario_of
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.links import link_up
+from concord.scenarios.preparation import prepare
+from concord.scenarios.setup import Setup
+from concord.scenarios.types.buses import Ideal
+from concord.topology.adjacency import (
     Adjacency,
     from_links,
     is_symmetric,
@@ -23,13 +23,13 @@ from topology.adjacency import (
     nodes_of,
     union,
 )
-from topology.analysis import require_connected
-from topology.graph_files import read_network
-from topology.graphs import build_network
-from topology.intel_lab import DATA_VARIABLE, is_intel_lab
-from topology.link_names import LinkPlan, parse_links
-from topology.network import Network
-from topology.weights import build_weights, from_per_node
+from concord.topology.analysis import require_connected
+from concord.topology.graph_files import read_network
+from concord.topology.graphs import build_network
+from concord.topology.intel_lab import DATA_VARIABLE, is_intel_lab
+from concord.topology.link_names import LinkPlan, parse_links
+from concord.topology.network import Network
+from concord.topology.weights import build_weights, from_per_node
 
 _DEFAULT_NODES = 20
 
@@ -169,7 +169,7 @@ def _of_scenario(source: str, options: SubjectOptions) -> Subject:
     neighbours = setup.neighbours
     hearers = np.repeat(np.arange(len(neighbours)), [len(heard) for heard in neighbours])
     adjacency = from_links(len(neighbours), hearers, [j for heard in neighbours for j in heard])
-    positions = definition_of(scenario.name).plant(scenario).positions(0)
+    positions = definition_of(scenario).plant(scenario).positions(0)
     delivery: np.ndarray | None = None
     if setup.losses is not None:
         delivery = 1 - np.array([loss for losses in setup.losses for loss in losses])

@@ -16,11 +16,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.gaussian import Gaussian
-from filters.linalg import cholesky, inverse_spd, multiply, symmetrise
-from filters.moments import Model, Residual, check_noise, evaluate, moments, points_last
-from filters.sigma_points import SigmaPointRule, sigma_points
-from filters.update import Update, missing_entries, settle, without_rows
+from concord.filters.gaussian import Gaussian
+from concord.filters.linalg import cholesky, inverse_spd, multiply, symmetrise
+from concord.filters.moments import Model, Residual, check_noise, evaluate, moments, points_last
+from concord.filters.sigma_points import SigmaPointRule, sigma_points
+from concord.filters.update import Update, missing_entries, settle, without_rows
 
 
 def update(

@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.gaussian import Gaussian
-from filters.moments import Model, Residual, evaluate, moments
-from filters.sigma_points import SigmaPointRule, sigma_points
+from concord.filters.gaussian import Gaussian
+from concord.filters.moments import Model, Residual, evaluate, moments
+from concord.filters.sigma_points import SigmaPointRule, sigma_points
 
 
 class NoiseEstimate(NamedTuple):

@@ -6,21 +6,21 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from filters.fusion.hold import (
+from concord.filters.fusion.hold import (
     check_weights,
     inverse_volume,
     inverse_volume_of_factor,
     times_inverse_volume,
 )
-from filters.fusion.packed import (
+from concord.filters.fusion.packed import (
     from_packed_information,
     pack,
     packed_inverse_volume,
     to_packed_information,
     unpack,
 )
-from filters.gaussian import Gaussian, Information, joined
-from filters.linalg import cholesky, inverse_of_triangle, inverse_spd, multiply, symmetrise
+from concord.filters.gaussian import Gaussian, Information, joined
+from concord.filters.linalg import cholesky, inverse_of_triangle, inverse_spd, multiply, symmetrise
 
 
 class Fused(NamedTuple):
@@ -141,7 +141,7 @@ def weighted_average(beliefs: Gaussian, weights: np.ndarray) -> Gaussian:
     Fails: it is never tighter than `covariance_intersection`, and a node that sees nothing keeps
     its vote. On an unstable plant the network diverges even though some nodes see everything. Take
     a scalar plant F, weight matrix Pi, L rounds a step and D = diag(1 for blind nodes, 0 for nearly
-    perfect sensors). The mean diverges if |F| rho(Pi^L D) > 1, the covariance if
+    perfect sensors). The mean diverges if `|F| rho(Pi^L D)` > 1, the covariance if
     F^2 rho(Pi^L D) > 1. The promise assumes weights that do not depend on the errors.
 
     Source: Widjiantoro et al., weighted-average consensus UKF, step beta 3.

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from filters.fusion.averaging import covariance_intersection
-from filters.gaussian import Gaussian
-from filters.linalg import cholesky
+from concord.filters.fusion.averaging import covariance_intersection
+from concord.filters.gaussian import Gaussian
+from concord.filters.linalg import cholesky
 
 # A slope of log det that the rounding of a belief to float32 gives as well.
 _ROUNDING = 1e-6

@@ -8,9 +8,9 @@ sensors and lets each node interpret its own.
 
 import numpy as np
 
-from filters.fusion.novelty import absorb, novelty
-from filters.fusion.packed import average, pack, unpack
-from filters.gaussian import Gaussian
+from concord.filters.fusion.novelty import absorb, novelty
+from concord.filters.fusion.packed import average, pack, unpack
+from concord.filters.gaussian import Gaussian
 
 
 def begin(prior: Gaussian, posterior: Gaussian) -> np.ndarray:

@@ -12,7 +12,7 @@ belief without prediction estimates an older state, and every rule then loses co
 
 import numpy as np
 
-from filters.linalg import cholesky
+from concord.filters.linalg import cholesky
 
 
 def check_weights(weights: np.ndarray) -> None:

@@ -15,10 +15,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from filters.fusion.novelty import novelty
-from filters.fusion.packed import pack, packed_length, unpack
-from filters.gaussian import Gaussian, Information, to_gaussian, to_information
-from filters.linalg import cholesky
+from concord.filters.fusion.novelty import novelty
+from concord.filters.fusion.packed import pack, packed_length, unpack
+from concord.filters.gaussian import Gaussian, Information, to_gaussian, to_information
+from concord.filters.linalg import cholesky
 
 Gain = Callable[[np.ndarray], np.ndarray]  # row a_i (..., N) -> g_i (...)
 

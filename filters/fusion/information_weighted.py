@@ -6,10 +6,10 @@ application in distributed camera networks, IEEE Trans. Automatic Control 58(12)
 
 import numpy as np
 
-from filters.fusion.novelty import novelty
-from filters.fusion.packed import pack, unpack
-from filters.gaussian import Gaussian, Information, to_gaussian, to_information
-from filters.linalg import cholesky
+from concord.filters.fusion.novelty import novelty
+from concord.filters.fusion.packed import pack, unpack
+from concord.filters.gaussian import Gaussian, Information, to_gaussian, to_information
+from concord.filters.linalg import cholesky
 
 
 def begin(prior: Gaussian, posterior: Gaussian, nodes: int) -> np.ndarray:

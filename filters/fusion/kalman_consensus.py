@@ -6,10 +6,10 @@ IEEE Conf. on Decision and Control, algorithm 1.
 
 import numpy as np
 
-from filters.fusion.novelty import absorb, novelty
-from filters.fusion.packed import pack, unpack
-from filters.gaussian import Gaussian
-from filters.linalg import multiply
+from concord.filters.fusion.novelty import absorb, novelty
+from concord.filters.fusion.packed import pack, unpack
+from concord.filters.gaussian import Gaussian
+from concord.filters.linalg import multiply
 
 
 def largest_rate(neighbours: int) -> float:

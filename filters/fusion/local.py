@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from filters.gaussian import Gaussian
+from concord.filters.gaussian import Gaussian
 
 
 def keep_own(beliefs: Gaussian, weights: np.ndarray) -> Gaussian:

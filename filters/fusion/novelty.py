@@ -10,8 +10,8 @@ nonlinear filtering, IEEE Trans. Automatic Control 60(5), where it is called the
 
 import numpy as np
 
-from filters.gaussian import Gaussian, Information, to_information
-from filters.linalg import inverse_spd, multiply
+from concord.filters.gaussian import Gaussian, Information, to_information
+from concord.filters.linalg import inverse_spd, multiply
 
 
 def novelty(prior: Gaussian, posterior: Gaussian) -> Information:

@@ -8,9 +8,14 @@ import math
 
 import numpy as np
 
-from filters.fusion.hold import check_weights, inverse_volume, inverse_volume_of_factor, renormalise
-from filters.gaussian import Gaussian, Information, to_gaussian
-from filters.linalg import factor_and_inverse, multiply, pack_upper, unpack_upper
+from concord.filters.fusion.hold import (
+    check_weights,
+    inverse_volume,
+    inverse_volume_of_factor,
+    renormalise,
+)
+from concord.filters.gaussian import Gaussian, Information, to_gaussian
+from concord.filters.linalg import factor_and_inverse, multiply, pack_upper, unpack_upper
 
 
 def packed_length(states: int) -> int:

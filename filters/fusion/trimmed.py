@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from filters.fusion.averaging import covariance_intersection
-from filters.fusion.hold import check_weights, inverse_volume
-from filters.gaussian import Gaussian
-from filters.linalg import cholesky, multiply
+from concord.filters.fusion.averaging import covariance_intersection
+from concord.filters.fusion.hold import check_weights, inverse_volume
+from concord.filters.gaussian import Gaussian
+from concord.filters.linalg import cholesky, multiply
 
 
 def trimmed_intersection(beliefs: Gaussian, weights: np.ndarray, liars: int) -> Gaussian:
@@ -35,7 +35,7 @@ def trimmed_intersection(beliefs: Gaussian, weights: np.ndarray, liars: int) -> 
     does not come through at full strength, so blind nodes next to one that sees learn less. The
     errors decide which beliefs are dropped, so consistency is not proved as it is for
     `covariance_intersection`; the caps work the other way. That honest nodes of a network agree is
-    proved for scalars, on graphs that are (2 F + 1)-robust (`topology.robustness`).
+    proved for scalars, on graphs that are (2 F + 1)-robust (`concord.topology.robustness`).
 
     Sources: LeBlanc, Zhang, Koutsoukos and Sundaram (2013), Resilient asymptotic consensus in
     robust networks, IEEE Journal on Selected Areas in Communications 31(4). That paper gives the

@@ -43,18 +43,17 @@ def cholesky(matrix: np.ndarray) -> np.ndarray:
     """
     factor = matrix.copy()
     n = len(factor)
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore"):
         for j in range(n):
             column = factor[j:, j]
             if j:
                 column -= np.einsum("kl,rkl->rl", factor[j, :j], factor[j:, :j])
             pivot = column[0]
-            # A pivot of zero fails too, and a root alone would let it pass.
-            np.copyto(pivot, np.nan, where=~(pivot > 0))
             np.sqrt(pivot, out=pivot)
-            column[1:] /= pivot
+            column[1:] *= 1.0 / pivot
             factor[j, j + 1 :] = 0.0
-    failed = np.isnan(factor[-1, -1])
+    # The root of a negative pivot is NaN, and a pivot of zero makes the next ones NaN.
+    failed = ~(factor[-1, -1] > 0)
     if failed.any():
         factor[..., failed] = np.nan
     return factor

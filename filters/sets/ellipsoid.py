@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.lanes import join_columns
-from filters.linalg import multiply
+from concord.filters.lanes import join_columns
+from concord.filters.linalg import multiply
 
 UNIT_ROUNDOFF = 2.0**-53
 

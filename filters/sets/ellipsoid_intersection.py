@@ -12,8 +12,8 @@ Schweppe (1968); Fogel and Huang (1982), for a strip.
 
 import numpy as np
 
-from filters.linalg import multiply
-from filters.sets.ellipsoid import (
+from concord.filters.linalg import multiply
+from concord.filters.sets.ellipsoid import (
     Ellipsoid,
     grow,
     half_widths,

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.lanes import join_columns
-from filters.linalg import multiply
-from filters.sets.ellipsoid import Ellipsoid, rounding_bound
+from concord.filters.lanes import join_columns
+from concord.filters.linalg import multiply
+from concord.filters.sets.ellipsoid import Ellipsoid, rounding_bound
 
 
 class Zonotope(NamedTuple):

@@ -10,10 +10,10 @@ from collections.abc import Mapping
 from functools import lru_cache
 from typing import NamedTuple
 
-from nodes.belief_codec import BeliefCodec
-from nodes.changes import Fault, Standing
-from nodes.faults.losses import fraction
-from nodes.faults.vocabulary import PASSING
+from concord.nodes.belief_codec import BeliefCodec
+from concord.nodes.changes import Fault, Standing
+from concord.nodes.faults.losses import fraction
+from concord.nodes.faults.vocabulary import PASSING
 
 # In the place of a receiver: the fault strikes a frame before any node hears it.
 EVERYBODY = (1 << 16) + 1

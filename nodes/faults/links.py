@@ -7,9 +7,9 @@ agree. Altered bytes go through the receiver's own checks, which must detect the
 
 from typing import NamedTuple
 
-from bus.bus import Bus
-from nodes.faults.active import EVERYBODY, Faults, hangs
-from nodes.faults.senders import sent
+from concord.bus.bus import Bus
+from concord.nodes.faults.active import EVERYBODY, Faults, hangs
+from concord.nodes.faults.senders import sent
 
 
 class Passage(NamedTuple):

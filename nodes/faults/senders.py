@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from bus.bus import Bus
-from filters.gaussian import Gaussian
-from nodes.belief_codec import BeliefCodec
-from nodes.faults.active import EVERYBODY, Faults
+from concord.bus.bus import Bus
+from concord.filters.gaussian import Gaussian
+from concord.nodes.belief_codec import BeliefCodec
+from concord.nodes.faults.active import EVERYBODY, Faults
 
 # A bit of the checksum that a broken controller turns over.
 _LAST_BIT = 1

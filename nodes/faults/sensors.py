@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nodes.faults.active import EVERYBODY, Faults, hangs
+from concord.nodes.faults.active import EVERYBODY, Faults, hangs
 
 # Entries of readings are told apart by so much in a draw.
 _ENTRIES = 1 << 8

@@ -62,7 +62,8 @@ COMMANDS: dict[str, FaultWord] = {
     ),
 }  # fmt: skip
 
-# Faults that share one command, `nodes.commands.Inject`, and one change, `nodes.changes.Fault`.
+# Faults that share one command, `concord.nodes.commands.Inject`, and one change,
+# `concord.nodes.changes.Fault`.
 FAULTS: dict[str, FaultWord] = {
     "corrupt": FaultWord(
         "links", "link", (_P,), "corrupt 0.05 1 2", "corrupt 0 1 2",

@@ -1,8 +1,8 @@
 """A fusion rule at all nodes of many runs: lanes (R, N), with held values (R, E), one a link.
 
-The functions are those of a node (`nodes.rules.lane_rule`). Only `fuse` looks at a neighbourhood:
-it is called for nodes of about as many neighbours at once (`links.DegreeClass`), with places that
-one lacks filled up as neighbours that were never heard.
+The functions are those of a node (`concord.nodes.rules.lane_rule`). Only `fuse` looks at a
+neighbourhood: it is called for nodes of about as many neighbours at once (`links.DegreeClass`),
+with places that one lacks filled up as neighbours that were never heard.
 """
 
 from collections.abc import Mapping
@@ -11,14 +11,14 @@ from typing import Generic, NamedTuple, cast
 
 import numpy as np
 
-from filters.fusion.hold import renormalise
-from filters.gaussian import Gaussian
-from nodes.lanes.filter import Counters, added, received, traffic, with_lanes
-from nodes.lanes.links import DegreeClass, Links, Shares
-from nodes.lanes.mixing import mixed, weighed
-from nodes.rules.fresh_consensus import FreshConsensus, FreshOwn, LastUsed
-from nodes.rules.information_rounds import InformationRounds
-from nodes.rules.lane_rule import (
+from concord.filters.fusion.hold import renormalise
+from concord.filters.gaussian import Gaussian
+from concord.nodes.lanes.filter import Counters, added, received, traffic, with_lanes
+from concord.nodes.lanes.links import DegreeClass, Links, Shares
+from concord.nodes.lanes.mixing import mixed, weighed
+from concord.nodes.rules.fresh_consensus import FreshConsensus, FreshOwn, LastUsed
+from concord.nodes.rules.information_rounds import InformationRounds
+from concord.nodes.rules.lane_rule import (
     Held,
     LaneContent,
     LaneRule,
@@ -28,7 +28,7 @@ from nodes.rules.lane_rule import (
     Share,
     mapped,
 )
-from nodes.rules.local_filter import LocalFilters
+from concord.nodes.rules.local_filter import LocalFilters
 
 
 class BatchContent(NamedTuple, Generic[Own, Held]):
@@ -40,7 +40,7 @@ class BatchContent(NamedTuple, Generic[Own, Held]):
 
 @dataclass(frozen=True)
 class InBatch(Generic[Own, Held, Share]):
-    """A rule at all nodes of a network (`nodes.lanes.network.BatchedRule`).
+    """A rule at all nodes of a network (`concord.nodes.lanes.network.BatchedRule`).
 
     `base` are the weights of one run; a share of numbers written as `number` that are not finite is
     refused as `{what}-not-finite`.

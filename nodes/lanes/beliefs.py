@@ -1,4 +1,5 @@
-"""Consensus on beliefs in arrays: `nodes.rules.belief_consensus` for all nodes of all runs at once.
+"""Consensus on beliefs in arrays: `concord.nodes.rules.belief_consensus` for all nodes of all runs
+at once.
 
 Held shares are kept in slots (`links.Links`), as the numbers that the rule averages. A share is
 expressed in them once, and not by each node that hears it. Between the rounds of a step the own
@@ -11,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.fusion.averaging import INFORMATION, Averaging
-from filters.gaussian import Gaussian
-from nodes.lanes.filter import (
+from concord.filters.fusion.averaging import INFORMATION, Averaging
+from concord.filters.gaussian import Gaussian
+from concord.nodes.lanes.filter import (
     Counters,
     LastPublished,
     LocalFilters,
@@ -23,10 +24,10 @@ from nodes.lanes.filter import (
     traffic,
     with_lanes,
 )
-from nodes.lanes.links import Links, Shares, unheard
-from nodes.lanes.mixing import Mixing, MixingWeights, mixed, summed
-from nodes.rules.belief_consensus import HoldPolicy
-from nodes.rules.local_filter import finite_lanes, predict_to_step, where
+from concord.nodes.lanes.links import Links, Shares, unheard
+from concord.nodes.lanes.mixing import Mixing, MixingWeights, mixed, summed
+from concord.nodes.rules.belief_consensus import HoldPolicy
+from concord.nodes.rules.local_filter import finite_lanes, predict_to_step, where
 
 
 class Numbers(NamedTuple):

@@ -5,13 +5,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.gaussian import Gaussian
-from nodes.bids import FIRST_BID, bid_for_change
-from nodes.lanes.links import Links
-from nodes.rules.local_filter import LocalFilters, where
+from concord.filters.gaussian import Gaussian
+from concord.nodes.bids import FIRST_BID, bid_for_change
+from concord.nodes.lanes.links import Links
+from concord.nodes.rules.local_filter import LocalFilters, where
 
 Counters = Mapping[str, np.ndarray]
-"""Totals (R, N) since the start by the names that `nodes.node` and the rules give them."""
+"""Totals (R, N) since the start by the names that `concord.nodes.node` and the rules give them."""
 
 
 def added(counters: Counters, more: Mapping[str, np.ndarray]) -> Counters:

@@ -1,8 +1,8 @@
-"""The rule `labelled` in arrays: `nodes.rules.labelled` at all nodes of all runs at once.
+"""The rule `labelled` in arrays: `concord.nodes.rules.labelled` at all nodes of all runs at once.
 
 The sets of records are arrays here, and integers and dictionaries at a node. Both filter their
-windows by the same functions (`nodes.rules.window_filter`). No record is late here, so windows have
-the same steps everywhere, and all copies of a record are alike.
+windows by the same functions (`concord.nodes.rules.window_filter`). No record is late here, so
+windows have the same steps everywhere, and all copies of a record are alike.
 """
 
 from dataclasses import dataclass
@@ -11,15 +11,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bus.schedule import Schedule
-from filters.fusion.determinant_intersection import determinant_intersection
-from filters.gaussian import Gaussian
-from filters.linalg import cholesky, pack_upper, unpack_upper
-from nodes.bids import NO_BID
-from nodes.lanes.filter import Counters, added, received, traffic
-from nodes.lanes.links import Links, Padded, neighbourhoods, overhearing
-from nodes.lanes.network import ShareContents
-from nodes.lanes.records import (
+from concord.bus.schedule import Schedule
+from concord.filters.fusion.determinant_intersection import determinant_intersection
+from concord.filters.gaussian import Gaussian
+from concord.filters.linalg import cholesky, pack_upper, unpack_upper
+from concord.nodes.bids import NO_BID
+from concord.nodes.lanes.filter import Counters, added, received, traffic
+from concord.nodes.lanes.links import Links, Padded, neighbourhoods, overhearing
+from concord.nodes.lanes.network import ShareContents
+from concord.nodes.lanes.records import (
     RecordSets,
     first_places,
     first_that_fit,
@@ -30,16 +30,16 @@ from nodes.lanes.records import (
     one_step_on,
     packed,
 )
-from nodes.rules.labelled import GAP_STEPS, SILENCE
-from nodes.rules.labelled_frame import LabelledFrameCodec
-from nodes.rules.local_filter import SensorGroup, finite_lanes
-from nodes.rules.record_sets import URGENCY, urgencies
-from nodes.rules.source_gate import judged
-from nodes.rules.window_filter import WindowFilter, Windows, one_place_on
+from concord.nodes.rules.labelled import GAP_STEPS, SILENCE
+from concord.nodes.rules.labelled_frame import LabelledFrameCodec
+from concord.nodes.rules.local_filter import SensorGroup, finite_lanes
+from concord.nodes.rules.record_sets import URGENCY, urgencies
+from concord.nodes.rules.source_gate import judged
+from concord.nodes.rules.window_filter import WindowFilter, Windows, one_place_on
 
 
 class BatchedLabelledContent(NamedTuple):
-    """Knowledge of all nodes; `nodes.rules.labelled.LabelledContent` in arrays.
+    """Knowledge of all nodes; `concord.nodes.rules.labelled.LabelledContent` in arrays.
 
     costs: bytes of each record in a share (R, W, N). held: (R, N, W, B). known, confirmed:
     (R, E, W, B) of each link, what its receiver believes that its sender holds, and what that has
@@ -86,7 +86,8 @@ class _Came(NamedTuple):
 
 @dataclass(frozen=True)
 class BatchedFlooding:
-    """All nodes of a network; the fields are those of `nodes.rules.labelled.LabelledFlooding`."""
+    """All nodes of a network; the fields are those of
+    `concord.nodes.rules.labelled.LabelledFlooding`."""
 
     own: tuple[SensorGroup, ...]
     filter: WindowFilter

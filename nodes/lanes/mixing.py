@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nodes.lanes.links import Links, Shares
-from nodes.rules.belief_consensus import HoldPolicy
+from concord.nodes.lanes.links import Links, Shares
+from concord.nodes.rules.belief_consensus import HoldPolicy
 
 _ALIKE = np.ones(1)
 

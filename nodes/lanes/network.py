@@ -6,11 +6,11 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from bus.arbitration import ArbiterState
-from bus.schedule import Schedule
-from filters.gaussian import Gaussian
-from nodes.environment_state import ControlStep, Delivery, Plant
-from nodes.lanes.filter import Counters
+from concord.bus.arbitration import ArbiterState
+from concord.bus.schedule import Schedule
+from concord.filters.gaussian import Gaussian
+from concord.nodes.environment_state import ControlStep, Delivery, Plant
+from concord.nodes.lanes.filter import Counters
 
 Contest = Callable[
     [ArbiterState, int, int, np.ndarray, np.ndarray], tuple[ArbiterState, np.ndarray]
@@ -37,7 +37,7 @@ class ShareContents(NamedTuple):
 
 
 class BatchedRule(Protocol):
-    """A fusion rule at all nodes of all runs: `nodes.estimator.Estimator` in arrays.
+    """A fusion rule at all nodes of all runs: `concord.nodes.estimator.Estimator` in arrays.
 
     Contents are values that only the rule reads. Links are those of its network, in its order.
     """

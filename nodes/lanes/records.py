@@ -1,4 +1,5 @@
-"""`nodes.rules.record_sets` in arrays: sets of records (..., W, B), bytes of one bit per source.
+"""`concord.nodes.rules.record_sets` in arrays: sets of records (..., W, B), bytes of one bit per
+source.
 
 Place W - 1 is the newest step, so places before the first step of a run are empty; source s is bit
 s mod 8 of byte s // 8. The content of a set at a place is a row of bytes, and unions are bitwise.

@@ -12,13 +12,13 @@ from typing import Any, Generic, NamedTuple
 
 import numpy as np
 
-from filters.adaptive import sage_husa
-from filters.adaptive.sage_husa import NoiseEstimate
-from filters.gaussian import Gaussian
-from filters.sigma_points import SigmaPointRule
-from nodes.estimator import Content, Estimator, Share
-from nodes.messages import Measured, from_wire
-from nodes.rules.local_filter import Sensor
+from concord.filters.adaptive import sage_husa
+from concord.filters.adaptive.sage_husa import NoiseEstimate
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import SigmaPointRule
+from concord.nodes.estimator import Content, Estimator, Share
+from concord.nodes.messages import Measured, from_wire
+from concord.nodes.rules.local_filter import Sensor
 
 
 class Learnt(NamedTuple, Generic[Content]):

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from filters.gaussian import Gaussian
-from nodes.rules.local_filter import Sensor, SensorGroup, StateNoise
+from concord.filters.gaussian import Gaussian
+from concord.nodes.rules.local_filter import Sensor, SensorGroup, StateNoise
 
 
 class _Alike(NamedTuple):

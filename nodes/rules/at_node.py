@@ -6,11 +6,11 @@ from typing import Generic, cast
 
 import numpy as np
 
-from filters.gaussian import Gaussian
-from filters.sigma_points import SigmaPointRule
-from nodes.bids import asked
-from nodes.messages import Measured, from_wire
-from nodes.rules.lane_rule import (
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import SigmaPointRule
+from concord.nodes.bids import asked
+from concord.nodes.messages import Measured, from_wire
+from concord.nodes.rules.lane_rule import (
     Held,
     LaneContent,
     LaneRule,
@@ -20,7 +20,7 @@ from nodes.rules.lane_rule import (
     Share,
     mapped,
 )
-from nodes.rules.local_filter import (
+from concord.nodes.rules.local_filter import (
     LocalFilters,
     Model,
     Sensor,
@@ -28,14 +28,14 @@ from nodes.rules.local_filter import (
     control_of,
     failure_names,
 )
-from nodes.vector_codec import VectorCodec
+from concord.nodes.vector_codec import VectorCodec
 
 _SENDS = np.array(True)
 
 
 @dataclass(frozen=True)
 class AtNode(Generic[Own, Held, Share]):
-    """The estimator of a rule at a node (`nodes.estimator.Estimator`)."""
+    """The estimator of a rule at a node (`concord.nodes.estimator.Estimator`)."""
 
     rule: LaneRule[Own, Held, Share]
     place: Place

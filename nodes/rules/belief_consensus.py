@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.fusion.averaging import Averaged
-from filters.gaussian import Gaussian
-from nodes.belief_codec import belief_numbers, belief_of
-from nodes.rules.lane_rule import (
+from concord.filters.fusion.averaging import Averaged
+from concord.filters.gaussian import Gaussian
+from concord.nodes.belief_codec import belief_numbers, belief_of
+from concord.nodes.rules.lane_rule import (
     Failures,
     LaneContent,
     LocalStep,
@@ -23,7 +23,7 @@ from nodes.rules.lane_rule import (
     nothing_published,
     older,
 )
-from nodes.rules.local_filter import finite, finite_lanes, where
+from concord.nodes.rules.local_filter import finite, finite_lanes, where
 
 _ALIKE = np.ones(1)
 
@@ -64,7 +64,7 @@ BeliefContent = LaneContent[OwnBelief, HeldBeliefs]
 class BeliefConsensus:
     """The rules that average beliefs (covariance intersection, the paper's WAC), as a `LaneRule`.
 
-    Source: the weights of held shares are this project's (`filters.fusion.hold`).
+    Source: the weights of held shares are this project's (`concord.filters.fusion.hold`).
     """
 
     average: Averaged

@@ -9,9 +9,9 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from filters.gaussian import Gaussian
-from filters.linalg import cholesky, symmetrise
-from nodes.rules.lane_rule import (
+from concord.filters.gaussian import Gaussian
+from concord.filters.linalg import cholesky, symmetrise
+from concord.nodes.rules.lane_rule import (
     Failures,
     LaneContent,
     LocalStep,
@@ -20,7 +20,7 @@ from nodes.rules.lane_rule import (
     nothing_published,
     older,
 )
-from nodes.rules.local_filter import finite_lanes, where
+from concord.nodes.rules.local_filter import finite_lanes, where
 
 
 class Exchange(Protocol):

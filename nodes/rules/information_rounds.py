@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.fusion.packed import average
-from filters.gaussian import Gaussian
+from concord.filters.fusion.packed import average
+from concord.filters.gaussian import Gaussian
 
 
 class InformationRounds(NamedTuple):

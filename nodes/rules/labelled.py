@@ -12,15 +12,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bus.schedule import Schedule
-from filters.fusion.determinant_intersection import determinant_intersection
-from filters.gaussian import Gaussian
-from filters.linalg import cholesky
-from nodes.estimator import Rejected
-from nodes.messages import Measured, from_wire
-from nodes.rules.labelled_frame import Labelled, LabelledFrameCodec, LabelledShare
-from nodes.rules.local_filter import SensorGroup, control_of, failure_names, finite
-from nodes.rules.record_sets import (
+from concord.bus.schedule import Schedule
+from concord.filters.fusion.determinant_intersection import determinant_intersection
+from concord.filters.gaussian import Gaussian
+from concord.filters.linalg import cholesky
+from concord.nodes.estimator import Rejected
+from concord.nodes.messages import Measured, from_wire
+from concord.nodes.rules.labelled_frame import Labelled, LabelledFrameCodec, LabelledShare
+from concord.nodes.rules.local_filter import SensorGroup, control_of, failure_names, finite
+from concord.nodes.rules.record_sets import (
     URGENCY,
     RecordSet,
     lacked,
@@ -31,8 +31,8 @@ from nodes.rules.record_sets import (
     urgencies,
     with_sources,
 )
-from nodes.rules.source_gate import judged
-from nodes.rules.window_filter import WindowFilter, Windows, one_lane
+from concord.nodes.rules.source_gate import judged
+from concord.nodes.rules.window_filter import WindowFilter, Windows, one_lane
 
 # Equal needs are served in the order of silence, up to so many cycles.
 SILENCE = 4096

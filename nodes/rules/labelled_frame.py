@@ -13,10 +13,10 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from filters.gaussian import Gaussian
-from nodes.belief_codec import BeliefCodec
-from nodes.estimator import Rejected
-from nodes.rules.record_codec import RecordCodec
+from concord.filters.gaussian import Gaussian
+from concord.nodes.belief_codec import BeliefCodec
+from concord.nodes.estimator import Rejected
+from concord.nodes.rules.record_codec import RecordCodec
 
 Size = TypeVar("Size", int, np.ndarray)
 

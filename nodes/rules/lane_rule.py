@@ -2,10 +2,10 @@
 
 A lane is a node of a run. The knowledge of a rule has two parts: `own` values (...), one for each
 lane, and `held` values (..., J), one for each neighbour of a lane. A node is batch (): its own
-values have no leading axis, its held values have the axis J alone (`nodes.rules.at_node`). The
-batched driver has lanes (R, N) and holds one value for each link, (R, E); it gathers the links of
-each node before it calls `fuse` (`nodes.lanes.batch`). All other functions treat held values one by
-one, so that they take both.
+values have no leading axis, its held values have the axis J alone (`concord.nodes.rules.at_node`).
+The batched driver has lanes (R, N) and holds one value for each link, (R, E); it gathers the links
+of each node before it calls `fuse` (`concord.nodes.lanes.batch`). All other functions treat held
+values one by one, so that they take both.
 """
 
 from collections.abc import Callable, Mapping
@@ -13,9 +13,9 @@ from typing import Generic, NamedTuple, Protocol, TypeVar, cast
 
 import numpy as np
 
-from filters.gaussian import Gaussian
-from nodes.bids import FIRST_BID, bid_for_change
-from nodes.rules.local_filter import Carried, LocalFilters, predict_to_step, where
+from concord.filters.gaussian import Gaussian
+from concord.nodes.bids import FIRST_BID, bid_for_change
+from concord.nodes.rules.local_filter import Carried, LocalFilters, predict_to_step, where
 
 Failures = Mapping[str, np.ndarray]
 """How often what went wrong, by name: (...) booleans or integers."""

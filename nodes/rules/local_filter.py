@@ -8,11 +8,11 @@ from typing import NamedTuple, Protocol, cast, runtime_checkable
 
 import numpy as np
 
-from filters.gaussian import Gaussian
-from filters.sigma_points import SigmaPointRule
-from filters.ukf import predict, update
-from filters.update import Update
-from nodes.messages import Measured, from_wire
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import SigmaPointRule
+from concord.filters.ukf import predict, update
+from concord.filters.update import Update
+from concord.nodes.messages import Measured, from_wire
 
 
 class Model(Protocol):

@@ -10,22 +10,23 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from bus.measurement_bus import bid
-from filters.gaussian import Gaussian
-from filters.sigma_points import SigmaPointRule
-from filters.stochastic_ukf import (
+from concord.bus.measurement_bus import bid
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import SigmaPointRule
+from concord.filters.stochastic_ukf import (
     Dynamics,
     MeasurementFilter,
     Observation,
     Received,
     SecondMoment,
 )
-from nodes.messages import Measured, from_wire
-from nodes.rules.measurement_codec import MeasurementCodec
+from concord.nodes.messages import Measured, from_wire
+from concord.nodes.rules.measurement_codec import MeasurementCodec
 
 
 class System(Protocol):
-    """Model of the plant for a filter behind a measurement bus (see `plants.stochastic`)."""
+    """Model of the plant for a filter behind a measurement bus (see
+    `concord.plants.stochastic`)."""
 
     @property
     def sizes(self) -> tuple[int, ...]: ...
@@ -106,7 +107,7 @@ class SensorNode:
         return SensorContent(measured.step, reading, content.held, False), ()
 
     def bid(self, content: SensorContent) -> int | None:
-        """The weighted change since the last transmission (`bus.measurement_bus.bid`)."""
+        """The weighted change since the last transmission (`concord.bus.measurement_bus.bid`)."""
         urgency = int(bid(content.reading - content.held, self.weight))
         return None if urgency < 0 else urgency
 

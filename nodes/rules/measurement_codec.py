@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nodes.estimator import Rejected
+from concord.nodes.estimator import Rejected
 
 
 class MeasurementCodec(NamedTuple):

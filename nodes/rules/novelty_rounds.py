@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.fusion.packed import packed_length, unpack
-from filters.gaussian import Gaussian
-from filters.linalg import cholesky, inverse_spd
+from concord.filters.fusion.packed import packed_length, unpack
+from concord.filters.gaussian import Gaussian
+from concord.filters.linalg import cholesky, inverse_spd
 
 
 class NoveltyRounds(NamedTuple):

@@ -10,7 +10,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from nodes.rules.local_filter import Sensor
+from concord.nodes.rules.local_filter import Sensor
 
 # Steps of quantisation in a standard deviation of the noise.
 _STEPS_PER_DEVIATION = 16

@@ -15,11 +15,11 @@ from typing import Generic, NamedTuple, Protocol, cast, runtime_checkable
 
 import numpy as np
 
-from filters.gaussian import Gaussian
-from nodes.bids import BID_RESOLUTION, FIRST_BID, NO_BID
-from nodes.rules.at_node import AtNode
-from nodes.rules.lane_rule import Failures, LaneContent, LocalStep, Place, mapped, older
-from nodes.rules.set_shapes import HeldSet, Shape, chosen_sets
+from concord.filters.gaussian import Gaussian
+from concord.nodes.bids import BID_RESOLUTION, FIRST_BID, NO_BID
+from concord.nodes.rules.at_node import AtNode
+from concord.nodes.rules.lane_rule import Failures, LaneContent, LocalStep, Place, mapped, older
+from concord.nodes.rules.set_shapes import HeldSet, Shape, chosen_sets
 
 
 @runtime_checkable
@@ -59,6 +59,8 @@ class HeldSets(NamedTuple, Generic[HeldSet]):
     known: np.ndarray
     ages: np.ndarray
 
+
+_ROUNDING = 1e-9
 
 SetContent = LaneContent[OwnSet[HeldSet], HeldSets[HeldSet]]
 
@@ -110,7 +112,8 @@ class SetMembership(Generic[HeldSet]):
         own = content.own
         excess = self.shape.size(own.published) / self.shape.size(own.kept) - 1.0
         urgency = np.clip(np.maximum(excess, 0.0) / BID_RESOLUTION, 0, FIRST_BID - 1)
-        bids = np.where(excess < self.trigger, NO_BID, urgency.astype(np.int64))
+        # A set that has not changed has an excess of 0 but for rounding.
+        bids = np.where(excess < self.trigger - _ROUNDING, NO_BID, urgency.astype(np.int64))
         return np.where(own.known, bids, FIRST_BID)
 
     def say(self, content: SetContent[HeldSet]) -> np.ndarray:

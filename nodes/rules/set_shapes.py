@@ -9,14 +9,14 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
-from filters.gaussian import Gaussian
-from filters.linalg import cholesky
-from filters.sets import ellipsoid, zonotope
-from filters.sets.ellipsoid import Ellipsoid, rounding_bound
-from filters.sets.ellipsoid_intersection import intersection, strip_intersection
-from filters.sets.zonotope import Zonotope
-from nodes.belief_codec import belief_numbers, belief_of
-from nodes.rules.lane_rule import mapped
+from concord.filters.gaussian import Gaussian
+from concord.filters.linalg import cholesky
+from concord.filters.sets import ellipsoid, zonotope
+from concord.filters.sets.ellipsoid import Ellipsoid, rounding_bound
+from concord.filters.sets.ellipsoid_intersection import intersection, strip_intersection
+from concord.filters.sets.zonotope import Zonotope
+from concord.nodes.belief_codec import belief_numbers, belief_of
+from concord.nodes.rules.lane_rule import mapped
 
 HeldSet = TypeVar("HeldSet")
 _UNITS = {"<f8": 0.0, "<f4": 2.0**-24}

@@ -8,11 +8,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from filters.gaussian import Gaussian
-from filters.sigma_points import SigmaPointRule
-from nodes.rules.lane_rule import Failures
-from nodes.rules.local_filter import Sensor, SensorGroup, finite_lanes, update_with_reading, where
-from nodes.rules.window_filter import WindowFilter, Windows
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import SigmaPointRule
+from concord.nodes.rules.lane_rule import Failures
+from concord.nodes.rules.local_filter import (
+    Sensor,
+    SensorGroup,
+    finite_lanes,
+    update_with_reading,
+    where,
+)
+from concord.nodes.rules.window_filter import WindowFilter, Windows
 
 
 def judged(

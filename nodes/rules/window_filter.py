@@ -11,13 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.gaussian import Gaussian
-from filters.sigma_points import SigmaPointRule
-from filters.ukf import update
-from nodes.rules.all_sensors import AllSensors, SourceSensors
-from nodes.rules.lane_rule import Failures
-from nodes.rules.local_filter import Carried, Model, finite_lanes, predict_to_step, where
-from nodes.rules.record_codec import RecordCodec
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import SigmaPointRule
+from concord.filters.ukf import update
+from concord.nodes.rules.all_sensors import AllSensors, SourceSensors
+from concord.nodes.rules.lane_rule import Failures
+from concord.nodes.rules.local_filter import Carried, Model, finite_lanes, predict_to_step, where
+from concord.nodes.rules.record_codec import RecordCodec
 
 
 class Windows(NamedTuple):

@@ -5,17 +5,17 @@ Each joins one filter with one adaptation, so that what either brings can be tol
 
 import numpy as np
 
-from filters import ukf
-from filters.adaptive import sage_husa
-from filters.adaptive.sage_husa import NoiseEstimate
-from filters.gaussian import Gaussian
-from filters.moments import Model, moments
-from filters.sigma_points import SigmaPointRule, sigma_points
-from filters.update import Update
-from papers.adlukf import dual_layer, fuzzy_noise
-from papers.adlukf import sage_husa_as_printed as sage_husa_literal
-from papers.adlukf.fuzzy_noise import FuzzyNoise
-from papers.adlukf.sage_husa_as_printed import NoiseEvidence, NoiseStatistics
+from concord.filters import ukf
+from concord.filters.adaptive import sage_husa
+from concord.filters.adaptive.sage_husa import NoiseEstimate
+from concord.filters.gaussian import Gaussian
+from concord.filters.moments import Model, moments
+from concord.filters.sigma_points import SigmaPointRule, sigma_points
+from concord.filters.update import Update
+from concord.papers.adlukf import dual_layer, fuzzy_noise
+from concord.papers.adlukf import sage_husa_as_printed as sage_husa_literal
+from concord.papers.adlukf.fuzzy_noise import FuzzyNoise
+from concord.papers.adlukf.sage_husa_as_printed import NoiseEvidence, NoiseStatistics
 
 
 def update(

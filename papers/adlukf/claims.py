@@ -5,11 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.monte_carlo.intervals import Interval, mean_t, ratio_t
-from papers.adlukf.cost import FilterCost
-from papers.adlukf.drives import DRIVEN
-from papers.adlukf.study import UNITS
-from papers.adlukf.tables import (
+from concord.experiments.monte_carlo.intervals import Interval, mean_t, ratio_t
+from concord.papers.adlukf.cost import FilterCost
+from concord.papers.adlukf.drives import DRIVEN
+from concord.papers.adlukf.study import UNITS
+from concord.papers.adlukf.tables import (
     COMPARED,
     JUDGED,
     TABLE_1_S,
@@ -20,8 +20,8 @@ from papers.adlukf.tables import (
     case_index,
     state_index,
 )
-from papers.kit.claims import Claim, Erratum, needs
-from plants.vehicle.drive import Drive
+from concord.papers.kit.claims import Claim, Erratum, needs
+from concord.plants.vehicle.drive import Drive
 
 MANOEUVRES = tuple(name.replace("-", " ") for name in DRIVEN)
 RIVALS = ("CKF", "FAUKF")

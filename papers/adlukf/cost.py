@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.gaussian import Gaussian
-from filters.moments import Model
-from papers.adlukf.filters import CONTESTANTS, Contestant, StepInput
-from papers.adlukf.study import PRIOR_COV, ManoeuvreStudy
+from concord.filters.gaussian import Gaussian
+from concord.filters.moments import Model
+from concord.papers.adlukf.filters import CONTESTANTS, Contestant, StepInput
+from concord.papers.adlukf.study import PRIOR_COV, ManoeuvreStudy
 
 STEPS = 300
 

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from papers.adlukf.filters import CONTESTANTS
-from papers.adlukf.study import (
+from concord.papers.adlukf.filters import CONTESTANTS
+from concord.papers.adlukf.study import (
     CASES,
     CHANNELS,
     PROCESS_VARIANCES,
@@ -24,14 +24,14 @@ from papers.adlukf.study import (
     estimate,
     quantities,
 )
-from plants.vehicle.drive import Drive
-from plants.vehicle.drive_log import LoggedDrive, read_folder, write_drive
-from plants.vehicle.manoeuvres import MANOEUVRES
-from plants.vehicle.model import Tyre, linear_tyre, single_track, tanh_tyre
-from plants.vehicle.parameters import Car
-from plants.vehicle.sensors import TEST_CAR, logged
-from plants.vehicle.truth import ESCORT, data_sheet, simulate
-from plants.vehicle.tyre_identification import Identified, identify
+from concord.plants.vehicle.drive import Drive
+from concord.plants.vehicle.drive_log import LoggedDrive, read_folder, write_drive
+from concord.plants.vehicle.manoeuvres import MANOEUVRES
+from concord.plants.vehicle.model import Tyre, linear_tyre, single_track, tanh_tyre
+from concord.plants.vehicle.parameters import Car
+from concord.plants.vehicle.sensors import TEST_CAR, logged
+from concord.plants.vehicle.truth import ESCORT, data_sheet, simulate
+from concord.plants.vehicle.tyre_identification import Identified, identify
 
 DRIVEN = ("double-lane-change", "serpentine")
 IDENTIFIED_FROM = "ramp-steer"

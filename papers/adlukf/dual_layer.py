@@ -14,13 +14,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters import ukf
-from filters.conditioning import condition
-from filters.gaussian import Gaussian
-from filters.linalg import symmetrise
-from filters.moments import Model, check_noise, evaluate, moments
-from filters.sigma_points import SigmaPointRule, sigma_points
-from filters.update import Update
+from concord.filters import ukf
+from concord.filters.conditioning import condition
+from concord.filters.gaussian import Gaussian
+from concord.filters.linalg import symmetrise
+from concord.filters.moments import Model, check_noise, evaluate, moments
+from concord.filters.sigma_points import SigmaPointRule, sigma_points
+from concord.filters.update import Update
 
 
 class DualLayerStep(NamedTuple):

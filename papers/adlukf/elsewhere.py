@@ -5,15 +5,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.progress import progress
-from papers.adlukf import tables
-from papers.adlukf.drives import DRIVEN
-from papers.adlukf.filters import CONTESTANTS
-from papers.adlukf.study import CASES, TIME_STEP_S, build_study, estimate, score
-from papers.kit.checks import below
-from papers.kit.report import Section, markdown_table
-from plants.vehicle.manoeuvres import MANOEUVRES
-from plants.vehicle.truth import TRUE_CARS, data_sheet, simulate
+from concord.experiments.progress import progress
+from concord.papers.adlukf import tables
+from concord.papers.adlukf.drives import DRIVEN
+from concord.papers.adlukf.filters import CONTESTANTS
+from concord.papers.adlukf.study import CASES, TIME_STEP_S, build_study, estimate, score
+from concord.papers.kit.checks import below
+from concord.papers.kit.report import Section, markdown_table
+from concord.plants.vehicle.manoeuvres import MANOEUVRES
+from concord.plants.vehicle.truth import TRUE_CARS, data_sheet, simulate
 
 ELSEWHERE = (
     ("bmw-320i", "step-steer"),

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from papers.kit.figures import BLACK, BLUE, GREY, SKY, VERMILION, legend_below
+from concord.papers.kit.figures import BLACK, BLUE, GREY, SKY, VERMILION, legend_below
 
 TRUTH: dict[str, Any] = {"color": BLACK, "lw": 3.0, "label": "truth"}
 LOGGED: dict[str, Any] = {"color": "#C8C8C8", "lw": 1.0, "label": "logged, sensor noise and all"}

@@ -5,14 +5,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from filters import ukf
-from filters.adaptive import correntropy, sage_husa
-from filters.gaussian import Gaussian
-from filters.moments import Model
-from filters.sigma_points import SigmaPointRule, cubature, scaled_unscented
-from papers.adlukf import adaptive_filters as adaptive
-from papers.adlukf import dual_layer, fuzzy_noise
-from papers.adlukf import sage_husa_as_printed as sage_husa_literal
+from concord.filters import ukf
+from concord.filters.adaptive import correntropy, sage_husa
+from concord.filters.gaussian import Gaussian
+from concord.filters.moments import Model
+from concord.filters.sigma_points import SigmaPointRule, cubature, scaled_unscented
+from concord.papers.adlukf import adaptive_filters as adaptive
+from concord.papers.adlukf import dual_layer, fuzzy_noise
+from concord.papers.adlukf import sage_husa_as_printed as sage_husa_literal
 
 Memory = Any
 

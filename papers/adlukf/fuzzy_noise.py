@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.adaptive.sage_husa import BOUNDS, Bounds
+from concord.filters.adaptive.sage_husa import BOUNDS, Bounds
 
 WINDOW = 30
 """Innovations of a channel that are looked back on."""

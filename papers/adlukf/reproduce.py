@@ -11,16 +11,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.progress import progress
-from papers.adlukf import sections, verdict
-from papers.adlukf.claims import claims, errata, gather
-from papers.adlukf.consistency import average_nees, matched_study
-from papers.adlukf.cost import costs
-from papers.adlukf.drives import DRIVEN, estimates, log_drives
-from papers.adlukf.elsewhere import drive_elsewhere, elsewhere
-from papers.adlukf.figures import DPI, StateTrace, drives_figure, manoeuvre_figure
-from papers.adlukf.filters import CONTESTANTS
-from papers.adlukf.study import (
+from concord.experiments.progress import progress
+from concord.papers.adlukf import sections, verdict
+from concord.papers.adlukf.claims import claims, errata, gather
+from concord.papers.adlukf.consistency import average_nees, matched_study
+from concord.papers.adlukf.cost import costs
+from concord.papers.adlukf.drives import DRIVEN, estimates, log_drives
+from concord.papers.adlukf.elsewhere import drive_elsewhere, elsewhere
+from concord.papers.adlukf.figures import DPI, StateTrace, drives_figure, manoeuvre_figure
+from concord.papers.adlukf.filters import CONTESTANTS
+from concord.papers.adlukf.study import (
     CASES,
     STATES,
     TIME_STEP_S,
@@ -31,15 +31,15 @@ from papers.adlukf.study import (
     quantities,
     score,
 )
-from papers.adlukf.tables import COMPARED, ScoresByFilter, case_index
-from papers.kit.figures import save
-from papers.kit.report import Paper, Section
-from papers.kit.traces import write_traces
-from plants.vehicle.manoeuvres import MANOEUVRES
-from plants.vehicle.model import linear_tyre, single_track, tanh_tyre
-from plants.vehicle.parameters import BMW_320I
-from plants.vehicle.truth import BMW, simulate
-from plants.vehicle.tyre_identification import identify
+from concord.papers.adlukf.tables import COMPARED, ScoresByFilter, case_index
+from concord.papers.kit.figures import save
+from concord.papers.kit.report import Paper, Section
+from concord.papers.kit.traces import write_traces
+from concord.plants.vehicle.manoeuvres import MANOEUVRES
+from concord.plants.vehicle.model import linear_tyre, single_track, tanh_tyre
+from concord.plants.vehicle.parameters import BMW_320I
+from concord.plants.vehicle.truth import BMW, simulate
+from concord.plants.vehicle.tyre_identification import identify
 
 SHOWN_CASES = ("true R", "2 I")
 """Of Figures 4 and 5."""

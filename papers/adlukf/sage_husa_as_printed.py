@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.adaptive.sage_husa import BOUNDS, Bounds, fading_weight
+from concord.filters.adaptive.sage_husa import BOUNDS, Bounds, fading_weight
 
 PROCESS_BOUNDS = Bounds(1e-14, 1e2)
 

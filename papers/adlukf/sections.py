@@ -4,15 +4,15 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from experiments.monte_carlo.intervals import mean_t
-from papers.adlukf import tables
-from papers.adlukf.claims import MANOEUVRES
-from papers.adlukf.cost import FilterCost
-from papers.adlukf.study import ACCELERATION, CASES, CHANNELS, PROCESS_VARIANCES, STEERING
-from papers.adlukf.tables import ScoresByFilter, case_index, ratio, state_index
-from papers.kit.checks import Check, above, agrees, at_most, near
-from papers.kit.report import Section, markdown_table
-from plants.vehicle.drive import Drive
+from concord.experiments.monte_carlo.intervals import mean_t
+from concord.papers.adlukf import tables
+from concord.papers.adlukf.claims import MANOEUVRES
+from concord.papers.adlukf.cost import FilterCost
+from concord.papers.adlukf.study import ACCELERATION, CASES, CHANNELS, PROCESS_VARIANCES, STEERING
+from concord.papers.adlukf.tables import ScoresByFilter, case_index, ratio, state_index
+from concord.papers.kit.checks import Check, above, agrees, at_most, near
+from concord.papers.kit.report import Section, markdown_table
+from concord.plants.vehicle.drive import Drive
 
 SHOWN = ("CKF", "FAUKF", "ADLUKF", "AUKF", "MCUKF", "ADLUKF printed", "DLUKF")
 

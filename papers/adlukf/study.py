@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.gaussian import Gaussian
-from papers.adlukf.filters import Contestant, StepInput
-from plants.vehicle.drive import Drive
-from plants.vehicle.model import SingleTrack, linear_tyre, single_track
-from plants.vehicle.parameters import BMW_320I, Car
-from plants.vehicle.sensors import TEST_CAR, draw_errors
+from concord.filters.gaussian import Gaussian
+from concord.papers.adlukf.filters import Contestant, StepInput
+from concord.plants.vehicle.drive import Drive
+from concord.plants.vehicle.model import SingleTrack, linear_tyre, single_track
+from concord.plants.vehicle.parameters import BMW_320I, Car
+from concord.plants.vehicle.sensors import TEST_CAR, draw_errors
 
 TIME_STEP_S = 0.01
 """Of the paper's test car."""

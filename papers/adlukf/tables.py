@@ -4,10 +4,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from experiments.monte_carlo.intervals import mean_t
-from papers.adlukf.filters import CONTESTANTS
-from papers.adlukf.study import CASES, STATES, UNITS, ErrorScores
-from papers.kit.report import markdown_table
+from concord.experiments.monte_carlo.intervals import mean_t
+from concord.papers.adlukf.filters import CONTESTANTS
+from concord.papers.adlukf.study import CASES, STATES, UNITS, ErrorScores
+from concord.papers.kit.report import markdown_table
 
 ScoresByFilter = dict[str, ErrorScores]
 """The scores of every filter by name."""

@@ -4,16 +4,16 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from papers.adlukf import tables
-from papers.adlukf.claims import MANOEUVRES
-from papers.adlukf.drives import DRIVEN, IDENTIFIED_FROM, Logged, side_slip_rmse_deg
-from papers.adlukf.elsewhere import Elsewhere, in_words
-from papers.adlukf.figures import StateTrace
-from papers.adlukf.sections import SHOWN
-from papers.adlukf.tables import COMPARED, ScoresByFilter, case_index, state_index
-from papers.kit.checks import above, at_most, below
-from papers.kit.report import Section, markdown_table
-from plants.vehicle.tyre_identification import Identified
+from concord.papers.adlukf import tables
+from concord.papers.adlukf.claims import MANOEUVRES
+from concord.papers.adlukf.drives import DRIVEN, IDENTIFIED_FROM, Logged, side_slip_rmse_deg
+from concord.papers.adlukf.elsewhere import Elsewhere, in_words
+from concord.papers.adlukf.figures import StateTrace
+from concord.papers.adlukf.sections import SHOWN
+from concord.papers.adlukf.tables import COMPARED, ScoresByFilter, case_index, state_index
+from concord.papers.kit.checks import above, at_most, below
+from concord.papers.kit.report import Section, markdown_table
+from concord.plants.vehicle.tyre_identification import Identified
 
 
 def in_plain_words(

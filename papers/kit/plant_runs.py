@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from msgspec.structs import replace
 
-from scenarios.catalogue import definition_of
-from scenarios.scenario import Scenario
-from scenarios.streams import generator
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.streams import generator
 
 
 class PlantRuns(NamedTuple):
@@ -31,7 +31,7 @@ def plant_runs(scenario: Scenario, numbers: Sequence[int]) -> PlantRuns:
 
     The loop is closed through the truth, or open.
     """
-    definition = definition_of(scenario.name)
+    definition = definition_of(scenario)
     plant: Any = definition.plant(scenario)
     draws = [
         plant.draw(partial(generator, replace(scenario, run=run)), scenario.steps)

@@ -3,17 +3,16 @@
 A reproduction is a generator of sections. `report.md` and `report.json` are rewritten after each.
 """
 
-import platform
 from collections.abc import Callable, Iterator, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
 
-from papers.kit.checks import Check
-from papers.kit.claims import Claim, Erratum
-from runtime.disk import writing
+from concord.experiments.results.folder import versions
+from concord.papers.kit.checks import Check
+from concord.papers.kit.claims import Claim, Erratum
+from concord.runtime.disk import writing
 
 REPORT, REPORT_JSON = "report.md", "report.json"
 
@@ -83,7 +82,8 @@ def report_of(
     """The report of the sections that are ready."""
     ordered = sorted(sections, key=lambda section: section.place)
     holds = all(check.ok for section in ordered for check in section.checks)
-    return ReproductionReport(paper, seed, runs, _versions(), complete, complete and holds, ordered)
+    used = versions("control", "matplotlib")
+    return ReproductionReport(paper, seed, runs, used, complete, complete and holds, ordered)
 
 
 def write_report(report: ReproductionReport, title: str, folder: Path) -> None:
@@ -163,8 +163,3 @@ def _tables(section: Section) -> Iterator[str]:
 
 def _cell(text: str) -> str:
     return text.replace("|", "\\|").replace("\n", " ")
-
-
-def _versions() -> dict[str, str]:
-    names = ("concord", "numpy", "scipy", "networkx", "control", "matplotlib")
-    return {name: version(name) for name in names} | {"python": platform.python_version()}

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.results.netcdf_file import write_dataset
+from concord.experiments.results.netcdf_file import write_dataset
 
 TRACES = "traces.nc"
 

@@ -10,26 +10,26 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.results.trace import read_trace
-from experiments.scenario_options import scenario_of
-from filters.gaussian import Gaussian
-from filters.metrics import nees
-from nodes.faults.losses import Outage
-from nodes.lanes.links import links_of
-from nodes.messages import Measured
-from nodes.node import NodeConfig
-from nodes.rules.labelled import LabelledContent, LabelledFlooding
-from runtime import in_process
-from runtime.batched import driver as batched
-from runtime.batched.build import build_network
-from runtime.recording import MemoryRecorder
-from scenarios.baselines import centralised
-from scenarios.build import build_environment, build_node
-from scenarios.catalogue import definition_of
-from scenarios.links import link_state
-from scenarios.preparation import prepare, setup_of_run
-from scenarios.setup import Setup
-from scenarios.streams import generator
+from concord.experiments.results.trace import read_trace
+from concord.experiments.scenario_options import scenario_of
+from concord.filters.gaussian import Gaussian
+from concord.filters.metrics import nees
+from concord.nodes.faults.losses import Outage
+from concord.nodes.lanes.links import links_of
+from concord.nodes.messages import Measured
+from concord.nodes.node import NodeConfig
+from concord.nodes.rules.labelled import LabelledContent, LabelledFlooding
+from concord.runtime import in_process
+from concord.runtime.batched import driver as batched
+from concord.runtime.batched.build import build_network
+from concord.runtime.recording import MemoryRecorder
+from concord.scenarios.baselines import centralised
+from concord.scenarios.build import build_environment, build_node
+from concord.scenarios.catalogue import definition_named
+from concord.scenarios.links import link_state
+from concord.scenarios.preparation import prepare, setup_of_run
+from concord.scenarios.setup import Setup
+from concord.scenarios.streams import generator
 
 HUB, HUB_DEAD = 13, range(40, 70)
 CUT = range(50, 70)
@@ -102,7 +102,7 @@ def outcome(setup: Setup, course: Course) -> CaseOutcome:
     taken = np.logical_not(np.isnan(course.readings).all(axis=(2, 3)))
     right = np.where((wrong & taken)[..., None, None], np.nan, course.readings)
     central = centralised(setup, right, None)
-    score = definition_of("target-tracking").score
+    score = definition_named("target-tracking").score
     errors = course.belief.mean - course.truth[:, None]
     scored, place = list(score.nees_states), list(score.states)
     refused = taken & ~course.kept

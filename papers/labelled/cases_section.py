@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from papers.kit.checks import Check, at_most
-from papers.kit.report import Section, markdown_table
-from papers.labelled.cases import CUT, HUB, HUB_DEAD, CaseOutcome, FaultCase, runs_of_case
-from papers.labelled.study import jackknife, side_by_side
+from concord.papers.kit.checks import Check, at_most
+from concord.papers.kit.report import Section, markdown_table
+from concord.papers.labelled.cases import CUT, HUB, HUB_DEAD, CaseOutcome, FaultCase, runs_of_case
+from concord.papers.labelled.study import jackknife, side_by_side
 
 PARTS = (1.0, 0.25, 0.1)
 _SCORED_FROM = 20

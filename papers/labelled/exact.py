@@ -6,20 +6,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.results.trace import read_trace
-from experiments.scenario_options import scenario_of
-from filters.gaussian import Gaussian
-from nodes.faults.losses import LinkState, hears
-from nodes.rules.labelled import LabelledContent, LabelledFlooding
-from papers.labelled.record_search import Held, reachable, winners_of
-from runtime import in_process
-from runtime.drivers import in_memory
-from runtime.recording import MemoryRecorder
-from scenarios.baselines import centralised
-from scenarios.build import build_environment, build_node
-from scenarios.links import link_state
-from scenarios.preparation import prepare
-from scenarios.setup import Setup
+from concord.experiments.results.trace import read_trace
+from concord.experiments.scenario_options import scenario_of
+from concord.filters.gaussian import Gaussian
+from concord.nodes.faults.losses import LinkState, hears
+from concord.nodes.rules.labelled import LabelledContent, LabelledFlooding
+from concord.papers.labelled.record_search import Held, reachable, winners_of
+from concord.runtime import in_process
+from concord.runtime.drivers import in_memory
+from concord.runtime.recording import MemoryRecorder
+from concord.scenarios.baselines import centralised
+from concord.scenarios.build import build_environment, build_node
+from concord.scenarios.links import link_state
+from concord.scenarios.preparation import prepare
+from concord.scenarios.setup import Setup
 
 # Every record is everywhere before its step is over.
 FULL_INFORMATION: tuple[dict[str, Any], ...] = (

@@ -1,8 +1,8 @@
 """Section of `concord reproduce labelled`: what is exact, held against independent searches."""
 
-from papers.kit.checks import at_most
-from papers.kit.report import Section, markdown_table
-from papers.labelled.exact import FULL_INFORMATION, audit, full_information
+from concord.papers.kit.checks import at_most
+from concord.papers.kit.report import Section, markdown_table
+from concord.papers.labelled.exact import FULL_INFORMATION, audit, full_information
 
 NETWORKS = 50
 TOLERANCE = 1e-9

@@ -6,8 +6,8 @@ window has passed. A rule that drops no record reaches exactly this bound.
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
-from bus.schedule import Schedule
-from nodes.messages import Grant, decode
+from concord.bus.schedule import Schedule
+from concord.nodes.messages import Grant, decode
 
 Label = tuple[int, int]  # step, source
 Held = list[set[Label]]  # of each node

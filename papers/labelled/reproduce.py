@@ -11,13 +11,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import ScalarFormatter
 
-from papers.kit.checks import Check, at_most
-from papers.kit.figures import save
-from papers.kit.report import Paper, Section, markdown_table
-from papers.kit.traces import write_traces
-from papers.labelled.cases_section import case_outcomes, cases_section
-from papers.labelled.exact_section import NETWORKS, exact_section
-from papers.labelled.study import FORMS, OCCUPANCIES, FormCell, cells
+from concord.papers.kit.checks import Check, at_most
+from concord.papers.kit.figures import save
+from concord.papers.kit.report import Paper, Section, markdown_table
+from concord.papers.kit.traces import write_traces
+from concord.papers.labelled.cases_section import case_outcomes, cases_section
+from concord.papers.labelled.exact_section import NETWORKS, exact_section
+from concord.papers.labelled.study import FORMS, OCCUPANCIES, FormCell, cells
 
 PICTURE = "labelled"
 EXCESS_MOST = 0.03

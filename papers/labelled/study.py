@@ -11,18 +11,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import stats
 
-from experiments.monte_carlo.simulate import COV, READINGS, simulate
-from experiments.progress import progress
-from experiments.results.bus_report import wire_per_step
-from experiments.results.record_spread import figures_of
-from experiments.scenario_options import scenario_of
-from filters.gaussian import Gaussian
-from filters.metrics import nees
-from scenarios.baselines import centralised_of_runs
-from scenarios.build import build_bus
-from scenarios.catalogue import definition_of
-from scenarios.preparation import prepare, share_bytes
-from scenarios.setup import Setup
+from concord.experiments.monte_carlo.simulate import COV, READINGS, simulate
+from concord.experiments.progress import progress
+from concord.experiments.results.bus_report import wire_per_step
+from concord.experiments.results.record_spread import figures_of
+from concord.experiments.scenario_options import scenario_of
+from concord.filters.gaussian import Gaussian
+from concord.filters.metrics import nees
+from concord.scenarios.baselines import centralised_of_runs
+from concord.scenarios.build import build_bus
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.preparation import prepare, share_bytes
+from concord.scenarios.setup import Setup
 
 OCCUPANCIES = (1.0, 0.5, 0.25, 0.1)
 CONFIDENCE = 0.95
@@ -177,7 +177,7 @@ def cell(outcomes: Sequence[RunOutcome]) -> FormCell:
 def _scored(setup: Setup, truth: np.ndarray, belief: Gaussian) -> tuple[np.ndarray, np.ndarray]:
     """Mean squared error and mean NEES over dimension of each node (R, N) of beliefs (R, steps, N,
     n), against the truth (R, steps, n)."""
-    score = definition_of(setup.scenario.name).score
+    score = definition_of(setup.scenario).score
     scored = slice(score.first_step, None)
     errors = belief.mean[:, scored] - truth[:, scored, None]
     states = list(score.nees_states)

@@ -1,23 +1,29 @@
 """A bounded plant over a FlexRay measurement bus, as the set-membership filters see each cycle.
 
 Plants and filters know nothing of each other; here the lifted plant and what the bus delivered
-become the cycle of `papers.liu2021.cycle` and the evidence of
-`papers.liu2021.evidence`. Leading axes of what was received are lanes.
+become the cycle of `concord.papers.liu2021.cycle` and the evidence of
+`concord.papers.liu2021.evidence`. Leading axes of what was received are lanes.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from papers.liu2021.evidence import BoundedMotion, Readings, StepReadings, bus_evidence, no_readings
-from papers.liu2021.flexray_cycle import (
+from concord.papers.liu2021.evidence import (
+    BoundedMotion,
+    Readings,
+    StepReadings,
+    bus_evidence,
+    no_readings,
+)
+from concord.papers.liu2021.flexray_cycle import (
     AugmentedCycle,
     DeliveredValues,
     WeightsAtCycle,
     augment,
     lift,
 )
-from plants.bounded import BoundedSystem
+from concord.plants.bounded import BoundedSystem
 
 
 class MeasuredPlant(NamedTuple):

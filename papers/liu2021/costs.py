@@ -7,13 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.sets.ellipsoid import Ellipsoid, shape_matrix
-from papers.liu2021.bus import augmented
-from papers.liu2021.cycle import turned
-from papers.liu2021.multipliers import Problem
-from papers.liu2021.recursive_estimator import optimal_step, problem
-from papers.liu2021.runs import ESTIMATORS, HELD, PLANT, G, N, SequenceBatch
-from papers.liu2021.semidefinite import Solution, SolverFailed, matrix_inequality
+from concord.filters.sets.ellipsoid import Ellipsoid, shape_matrix
+from concord.papers.liu2021.bus import augmented
+from concord.papers.liu2021.cycle import turned
+from concord.papers.liu2021.multipliers import Problem
+from concord.papers.liu2021.recursive_estimator import optimal_step, problem
+from concord.papers.liu2021.runs import ESTIMATORS, HELD, PLANT, G, N, SequenceBatch
+from concord.papers.liu2021.semidefinite import Solution, SolverFailed, matrix_inequality
 
 _REPETITIONS = 3
 

@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.lanes import join_columns
-from filters.linalg import multiply
-from filters.sets.ellipsoid import (
+from concord.filters.lanes import join_columns
+from concord.filters.linalg import multiply
+from concord.filters.sets.ellipsoid import (
     Ellipsoid,
     grow,
     half_widths,
@@ -21,7 +21,7 @@ from filters.sets.ellipsoid import (
     rounding_bound,
     squared,
 )
-from papers.liu2021.flexray_cycle import AugmentedCycle
+from concord.papers.liu2021.flexray_cycle import AugmentedCycle
 
 
 class CycleResult(NamedTuple):

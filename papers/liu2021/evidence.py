@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.linalg import multiply
+from concord.filters.linalg import multiply
 
 
 class BoundedMotion(NamedTuple):

@@ -4,9 +4,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from filters.sets.ellipsoid import Ellipsoid, image, outline
-from papers.kit.figures import legend_below, one_axes
-from papers.liu2021.runs import BoundedEstimates, G, N, SequenceBatch
+from concord.filters.sets.ellipsoid import Ellipsoid, image, outline
+from concord.papers.kit.figures import legend_below, one_axes
+from concord.papers.liu2021.runs import BoundedEstimates, G, N, SequenceBatch
 
 TRUE, PAPER, TIGHT, LIGHT = "0.15", "C0", "C1", "0.75"
 COLOURS = {"paper": PAPER, "fast": "C9", "tight": TIGHT, "fast-rate": "C3", "zonotope": "C2"}

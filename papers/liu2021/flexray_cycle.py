@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from plants.bounded import BoundedSystem
+from concord.plants.bounded import BoundedSystem
 
 WeightsAtCycle = Callable[[int], np.ndarray]
 Select = Callable[[np.ndarray, np.ndarray, np.ndarray], NDArray[np.int_]]

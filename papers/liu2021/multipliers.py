@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.linalg import cholesky
-from filters.sets.ellipsoid import rounding_bound
+from concord.filters.linalg import cholesky
+from concord.filters.sets.ellipsoid import rounding_bound
 
 # The path to the optimum: weights of the barrier relative to the trace, and Newton's steps on each.
 _BARRIERS = 10.0 ** -np.arange(0.5, 7.0, 1.0)

@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from papers.liu2021.recursive_estimator import optimal_step
-from papers.liu2021.runs import BoundedEstimates, SequenceBatch, by_cycle, paper, simulate
+from concord.papers.liu2021.recursive_estimator import optimal_step
+from concord.papers.liu2021.runs import BoundedEstimates, SequenceBatch, by_cycle, paper, simulate
 
 
 class Mutant(NamedTuple):

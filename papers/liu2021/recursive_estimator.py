@@ -12,12 +12,12 @@ those before the cycle.
 
 import numpy as np
 
-from filters.lanes import join_columns, join_stacks
-from filters.linalg import multiply
-from filters.sets.ellipsoid import Ellipsoid, half_widths, replace_lost, rounding_bound
-from papers.liu2021.cycle import CycleResult, ball, flat, follow, turned, unknowns
-from papers.liu2021.flexray_cycle import AugmentedCycle
-from papers.liu2021.multipliers import Problem, smallest_bound
+from concord.filters.lanes import join_columns, join_stacks
+from concord.filters.linalg import multiply
+from concord.filters.sets.ellipsoid import Ellipsoid, half_widths, replace_lost, rounding_bound
+from concord.papers.liu2021.cycle import CycleResult, ball, flat, follow, turned, unknowns
+from concord.papers.liu2021.flexray_cycle import AugmentedCycle
+from concord.papers.liu2021.multipliers import Problem, smallest_bound
 
 
 def optimal_step(before: Ellipsoid, cycle: AugmentedCycle, received: np.ndarray) -> CycleResult:

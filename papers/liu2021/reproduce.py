@@ -5,16 +5,24 @@ from pathlib import Path
 
 import numpy as np
 
-from papers.kit.checks import Check, above, at_most, near
-from papers.kit.figures import save_all
-from papers.kit.report import Paper, Section, markdown_table
-from papers.kit.traces import write_traces
-from papers.liu2021.claims import claims, errata, gather
-from papers.liu2021.costs import Costs, measure
-from papers.liu2021.figures import figures
-from papers.liu2021.mutants import Mutant, mutant_of_rule, mutant_of_sign
-from papers.liu2021.runs import ESTIMATORS, FAMILIES, BoundedEstimates, G, SequenceBatch, simulate
-from papers.liu2021.tables import PUBLISHED, difference, gains_of_tables
+from concord.experiments.progress import progress
+from concord.papers.kit.checks import Check, above, at_most, near
+from concord.papers.kit.figures import save_all
+from concord.papers.kit.report import Paper, Section, markdown_table
+from concord.papers.kit.traces import write_traces
+from concord.papers.liu2021.claims import claims, errata, gather
+from concord.papers.liu2021.costs import Costs, measure
+from concord.papers.liu2021.figures import figures
+from concord.papers.liu2021.mutants import Mutant, mutant_of_rule, mutant_of_sign
+from concord.papers.liu2021.runs import (
+    ESTIMATORS,
+    FAMILIES,
+    BoundedEstimates,
+    G,
+    SequenceBatch,
+    simulate,
+)
+from concord.papers.liu2021.tables import PUBLISHED, difference, gains_of_tables
 
 CYCLES = 13
 LONG_SEQUENCES, LONG_CYCLES = 20, 60
@@ -28,7 +36,7 @@ _RELATIVE = 1e-3
 def _sections(folder: Path, seed: int, sequences: int) -> Iterator[Section]:
     """`sequences`: beside the paper's own."""
     batch = simulate(seed, sequences, CYCLES)
-    outcomes = {name: estimate(batch) for name, estimate in ESTIMATORS.items()}
+    outcomes = _outcomes("estimators", batch)
     _write(folder, batch, outcomes)
     yield Section(3, "Figures", save_all(figures(batch, outcomes), folder, first=2))
     gains = gains_of_tables()
@@ -37,11 +45,20 @@ def _sections(folder: Path, seed: int, sequences: int) -> Iterator[Section]:
     yield _guarantee(outcomes, flipped, wrong_rule)
     yield _traces(outcomes)
     long = simulate(seed, LONG_SEQUENCES, LONG_CYCLES)
-    yield _long_runs(long, {name: estimate(long) for name, estimate in ESTIMATORS.items()})
+    yield _long_runs(long, _outcomes("estimators on long runs", long))
     yield _costs(measure(simulate(seed, 0, CYCLES)))
     evidence = gather(batch, outcomes["paper"], gains, flipped, wrong_rule)
     yield Section(1, "Claims", claims=claims(evidence))
     yield Section(2, "Errata", errata=errata(outcomes))
+
+
+def _outcomes(title: str, batch: SequenceBatch) -> dict[str, BoundedEstimates]:
+    found: dict[str, BoundedEstimates] = {}
+    with progress(title, len(ESTIMATORS)) as on_estimator:
+        for name, estimate in ESTIMATORS.items():
+            found[name] = estimate(batch)
+            on_estimator(len(found))
+    return found
 
 
 PAPER = Paper(

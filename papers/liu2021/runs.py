@@ -5,23 +5,29 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.sets import zonotope
-from filters.sets.ellipsoid import Ellipsoid, half_widths, image, shape_matrix, squared_radius
-from filters.sets.zonotope import Zonotope
-from papers.liu2021.bus import MeasuredPlant, augmented, cycle_evidence, step_evidence
-from papers.liu2021.closed_form import closed_form_step
-from papers.liu2021.cycle import CycleResult
-from papers.liu2021.flexray_cycle import (
+from concord.filters.sets import zonotope
+from concord.filters.sets.ellipsoid import (
+    Ellipsoid,
+    half_widths,
+    image,
+    shape_matrix,
+    squared_radius,
+)
+from concord.filters.sets.zonotope import Zonotope
+from concord.papers.liu2021.bus import MeasuredPlant, augmented, cycle_evidence, step_evidence
+from concord.papers.liu2021.closed_form import closed_form_step
+from concord.papers.liu2021.cycle import CycleResult
+from concord.papers.liu2021.flexray_cycle import (
     AugmentedCycle,
     DeliveredValues,
     Select,
     largest_change,
     transmit,
 )
-from papers.liu2021.recursive_estimator import optimal_step
-from papers.liu2021.tight_estimator import conditioned_step, step_by_step
-from papers.liu2021.zonotope_filter import zonotope_step
-from plants import liu2021
+from concord.papers.liu2021.recursive_estimator import optimal_step
+from concord.papers.liu2021.tight_estimator import conditioned_step, step_by_step
+from concord.papers.liu2021.zonotope_filter import zonotope_step
+from concord.plants import liu2021
 
 PLANT = MeasuredPlant(liu2021.SYSTEM, liu2021.STATIC_OUTPUTS, liu2021.weights)
 N, G = liu2021.STATES, PLANT.length

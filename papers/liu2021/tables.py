@@ -9,13 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.lanes import join_columns
-from filters.sets.ellipsoid import Ellipsoid, squared
-from papers.liu2021.bus import augmented
-from papers.liu2021.flexray_cycle import transmit
-from papers.liu2021.recursive_estimator import optimal_step
-from papers.liu2021.runs import HELD, PLANT, G, N
-from plants import liu2021
+from concord.filters.lanes import join_columns
+from concord.filters.sets.ellipsoid import Ellipsoid, squared
+from concord.papers.liu2021.bus import augmented
+from concord.papers.liu2021.flexray_cycle import transmit
+from concord.papers.liu2021.recursive_estimator import optimal_step
+from concord.papers.liu2021.runs import HELD, PLANT, G, N
+from concord.plants import liu2021
 
 WINNER_OF_TABLES = 1
 _HAIR = 1e-7

@@ -18,9 +18,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from filters.lanes import join_columns, join_stacks
-from filters.linalg import multiply
-from filters.sets.ellipsoid import (
+from concord.filters.lanes import join_columns, join_stacks
+from concord.filters.linalg import multiply
+from concord.filters.sets.ellipsoid import (
     Ellipsoid,
     grow,
     half_widths,
@@ -29,9 +29,9 @@ from filters.sets.ellipsoid import (
     replace_lost,
     rounding_bound,
 )
-from papers.liu2021.cycle import flat
-from papers.liu2021.evidence import BoundedMotion, Readings, StepReadings, magnitudes, taken
-from papers.liu2021.multipliers import Problem, smallest_bound
+from concord.papers.liu2021.cycle import flat
+from concord.papers.liu2021.evidence import BoundedMotion, Readings, StepReadings, magnitudes, taken
+from concord.papers.liu2021.multipliers import Problem, smallest_bound
 
 _RANK_TOLERANCE = 1e-9
 

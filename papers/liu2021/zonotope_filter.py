@@ -6,12 +6,12 @@ paradigms and robust convergence, Automatica 55, with strips as further readings
 
 import numpy as np
 
-from filters.lanes import join_columns, join_entries, join_rows
-from filters.linalg import multiply
-from filters.sets.ellipsoid import rounding_bound
-from filters.sets.zonotope import Zonotope, half_widths, reduced
-from papers.liu2021.cycle import flat
-from papers.liu2021.evidence import BoundedMotion, Readings, StepReadings, magnitudes, taken
+from concord.filters.lanes import join_columns, join_entries, join_rows
+from concord.filters.linalg import multiply
+from concord.filters.sets.ellipsoid import rounding_bound
+from concord.filters.sets.zonotope import Zonotope, half_widths, reduced
+from concord.papers.liu2021.cycle import flat
+from concord.papers.liu2021.evidence import BoundedMotion, Readings, StepReadings, magnitudes, taken
 
 GENERATORS = 30
 

@@ -4,13 +4,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.monte_carlo.intervals import Interval
-from filters.gaussian import Gaussian
-from filters.stochastic_ukf import expected_cov
-from papers.kit.claims import Claim, needs
-from papers.meng2025.runs import MeasuredBatch, SlotEstimates, ranks_of_printed_cov
-from papers.meng2025.table import EstimatorRow, difference, mse_by_step, trace_by_step
-from scenarios.definitions.meng2025 import SYSTEM
+from concord.experiments.monte_carlo.intervals import Interval
+from concord.filters.gaussian import Gaussian
+from concord.filters.stochastic_ukf import expected_cov
+from concord.papers.kit.claims import Claim, needs
+from concord.papers.meng2025.runs import MeasuredBatch, SlotEstimates, ranks_of_printed_cov
+from concord.papers.meng2025.table import EstimatorRow, difference, mse_by_step, trace_by_step
+from concord.scenarios.definitions.meng2025 import SYSTEM
 
 # Where the covariance of the printed filter ignores what was sent, it does so to rounding.
 _ROUNDING = 1e-6

@@ -1,10 +1,10 @@
 """The errata of Meng et al. (2025), numbered as docs/measurement_bus.md explains them."""
 
-from papers.kit.claims import Erratum
-from papers.meng2025.runs import SlotEstimates
-from papers.meng2025.table import EstimatorRow
-from plants import meng2025
-from scenarios.definitions.meng2025 import paper_points
+from concord.papers.kit.claims import Erratum
+from concord.papers.meng2025.runs import SlotEstimates
+from concord.papers.meng2025.table import EstimatorRow
+from concord.plants import meng2025
+from concord.scenarios.definitions.meng2025 import paper_points
 
 _PRINTED = (
     ("(19)", "P_yy with noise on the fresh rows alone", "singular beyond 2n + 1 entries"),

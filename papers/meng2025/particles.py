@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from bus.schedule import Schedule
-from filters.particle import Particles, cov, mean, resample
-from papers.meng2025.runs import MeasuredBatch, SlotEstimates, transmit
-from plants import meng2025
-from scenarios.definitions.meng2025 import DEFINITION, SYSTEM
-from scenarios.streams import generator
+from concord.bus.schedule import Schedule
+from concord.filters.particle import Particles, cov, mean, resample
+from concord.papers.meng2025.runs import MeasuredBatch, SlotEstimates, transmit
+from concord.plants import meng2025
+from concord.scenarios.definitions.meng2025 import DEFINITION, SYSTEM
+from concord.scenarios.streams import generator
 
 PARTICLES = 2000
 # So many runs at a time: their particles fit into the cache.

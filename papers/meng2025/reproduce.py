@@ -6,17 +6,18 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from experiments.monte_carlo.intervals import Interval
-from papers.kit.checks import Check, above, agrees, at_most, below
-from papers.kit.figures import save_all
-from papers.kit.report import Paper, Section, markdown_table
-from papers.kit.traces import write_traces
-from papers.meng2025.claims import claims, gather
-from papers.meng2025.errata import errata, order_of_slots
-from papers.meng2025.figures import figures
-from papers.meng2025.particles import PARTICLES, track
-from papers.meng2025.runs import MeasuredBatch, SlotEstimates, carry_out, methods, simulate
-from papers.meng2025.table import EstimatorRow, row
+from concord.experiments.monte_carlo.intervals import Interval
+from concord.experiments.progress import progress
+from concord.papers.kit.checks import Check, above, agrees, at_most, below
+from concord.papers.kit.figures import save_all
+from concord.papers.kit.report import Paper, Section, markdown_table
+from concord.papers.kit.traces import write_traces
+from concord.papers.meng2025.claims import claims, gather
+from concord.papers.meng2025.errata import errata, order_of_slots
+from concord.papers.meng2025.figures import figures
+from concord.papers.meng2025.particles import PARTICLES, track
+from concord.papers.meng2025.runs import MeasuredBatch, SlotEstimates, carry_out, methods, simulate
+from concord.papers.meng2025.table import EstimatorRow, row
 
 RUNS, STEPS = 200, 100
 # Number of runs of an independent implementation, and the rounding of its printed figures.
@@ -28,7 +29,11 @@ REFERENCE = "recommended"
 def _sections(folder: Path, seed: int, runs: int) -> Iterator[Section]:
     batch = simulate(seed, runs, STEPS)
     compared = methods()
-    outcomes = {name: carry_out(batch, method) for name, method in compared.items()}
+    outcomes: dict[str, SlotEstimates] = {}
+    with progress("methods", len(compared)) as on_method:
+        for name, method in compared.items():
+            outcomes[name] = carry_out(batch, method)
+            on_method(len(outcomes))
     labels = {name: method.label for name, method in compared.items()}
     drawn = figures(batch, outcomes[REFERENCE], outcomes["paper-literal"])
     yield Section(3, "Figures", save_all(drawn, folder, first=2))

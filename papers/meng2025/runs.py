@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bus.measurement_bus import (
+from concord.bus.measurement_bus import (
     MeasurementBus,
     SlotOutcome,
     all_at_once,
@@ -17,21 +17,26 @@ from bus.measurement_bus import (
     round_robin,
     try_once_discard,
 )
-from bus.schedule import Schedule
-from filters.gaussian import Gaussian
-from filters.stochastic_ukf import RECOMMENDED, MeasurementFilter, Received
-from papers.kit.plant_runs import plant_runs
-from papers.meng2025.filter_as_printed import (
+from concord.bus.schedule import Schedule
+from concord.filters.gaussian import Gaussian
+from concord.filters.stochastic_ukf import RECOMMENDED, MeasurementFilter, Received
+from concord.papers.kit.plant_runs import plant_runs
+from concord.papers.meng2025.filter_as_printed import (
     PAPER_LITERAL,
     PAPER_LITERAL_R,
     on_fresh_rows,
     pseudo_inverse,
     update,
 )
-from plants import meng2025
-from plants.stochastic import StochasticNonlinearity, StochasticSystem
-from scenarios.definitions.measurement_runs import BusFilter, estimate, first_received, slots_of
-from scenarios.definitions.meng2025 import DEFINITION, SENSORS, SYSTEM, paper_points
+from concord.plants import meng2025
+from concord.plants.stochastic import StochasticNonlinearity, StochasticSystem
+from concord.scenarios.definitions.measurement_runs import (
+    BusFilter,
+    estimate,
+    first_received,
+    slots_of,
+)
+from concord.scenarios.definitions.meng2025 import DEFINITION, SENSORS, SYSTEM, paper_points
 
 EVERYBODY = range(1, SENSORS + 1)
 STATIC = range(1, meng2025.STATIC_SLOTS + 1)

@@ -4,9 +4,9 @@ import msgspec
 import numpy as np
 from scipy import stats
 
-from experiments.monte_carlo.intervals import Interval, mean_t
-from filters.metrics import nees
-from papers.meng2025.runs import MeasuredBatch, SlotEstimates
+from concord.experiments.monte_carlo.intervals import Interval, mean_t
+from concord.filters.metrics import nees
+from concord.papers.meng2025.runs import MeasuredBatch, SlotEstimates
 
 ELLIPSE = 0.95
 DIVERGED = 1e3

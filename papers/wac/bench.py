@@ -7,15 +7,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.monte_carlo.simulate import simulate
-from filters.gaussian import Gaussian
-from filters.metrics import nees
-from papers.wac.network import beliefs_of, network_of
-from scenarios.baselines import centralised_of_runs
-from scenarios.catalogue import definition_of
-from scenarios.preparation import prepare
-from scenarios.scenario import Scenario
-from scenarios.setup import Setup
+from concord.experiments.monte_carlo.simulate import simulate
+from concord.filters.gaussian import Gaussian
+from concord.filters.metrics import nees
+from concord.papers.wac.network import beliefs_of, network_of
+from concord.scenarios.baselines import centralised_of_runs
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.setup import Setup
 
 RESAMPLES = 2000
 
@@ -105,7 +105,7 @@ def bootstrap(squared: np.ndarray, reference: np.ndarray) -> tuple[float, float]
 def _scale(study: PaperScenario, central: Gaussian) -> np.ndarray:
     n = central.mean.shape[-1]
     if study.position_only:
-        scored = definition_of(study.scenario.name).score.states
+        scored = definition_of(study.scenario).score.states
         return np.isin(np.arange(n), scored).astype(np.float64)
     return 1 / (n * np.asarray(np.diagonal(central.cov[-1, 0])))
 

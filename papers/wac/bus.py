@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 
-from papers.kit.checks import Check, above, at_most, below, near
-from papers.kit.report import Section, markdown_table
-from papers.wac.bench import PaperScenario, VariantCell
-from papers.wac.occupancy import (
+from concord.papers.kit.checks import Check, above, at_most, below, near
+from concord.papers.kit.report import Section, markdown_table
+from concord.papers.wac.bench import PaperScenario, VariantCell
+from concord.papers.wac.occupancy import (
     FULL,
     HELD,
     LIMITED,

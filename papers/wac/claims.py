@@ -1,7 +1,7 @@
 """The claims of the consensus paper, each beside what was measured."""
 
-from papers.kit.claims import Claim, ClaimFinding, needs
-from papers.wac.evidence import WacEvidence
+from concord.papers.kit.claims import Claim, ClaimFinding, needs
+from concord.papers.wac.evidence import WacEvidence
 
 # Relative differences and weights that are equal but for rounding.
 _ROUNDING = 1e-9

@@ -1,6 +1,6 @@
 """The errata of the consensus paper that the project's study lists, by its numbers."""
 
-from papers.kit.claims import Erratum
+from concord.papers.kit.claims import Erratum
 
 ERRATA = (
     Erratum(1, "(3)", "a trailing factor m/Ns", "it is the unit; the function is 1/(ms + b)"),

@@ -4,18 +4,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from papers.wac.exact import Exact
-from papers.wac.loops import Loops
-from papers.wac.responses import OUTPUT, Trial, rmse
-from papers.wac.root_loci import figure_7
-from papers.wac.unstable import UnstableOutcome
-from plants.control import cruise, motor, pitch, suspension
-from plants.control.continuous import ContinuousPlant
-from plants.control.design import controllability_rank, observability_rank
-from plants.control.networks import PAPER_PRIOR_VARIANCE
-from plants.control.transfer_functions import Rational, root_locus, series
-from topology.graphs import path, ring
-from topology.weights import equal_neighbour, metropolis
+from concord.papers.wac.exact import Exact
+from concord.papers.wac.loops import Loops
+from concord.papers.wac.responses import OUTPUT, Trial, rmse
+from concord.papers.wac.root_loci import figure_7
+from concord.papers.wac.unstable import UnstableOutcome
+from concord.plants.control import cruise, motor, pitch, suspension
+from concord.plants.control.continuous import ContinuousPlant
+from concord.plants.control.design import controllability_rank, observability_rank
+from concord.plants.control.networks import PAPER_PRIOR_VARIANCE
+from concord.plants.control.transfer_functions import Rational, root_locus, series
+from concord.topology.graphs import path, ring
+from concord.topology.weights import equal_neighbour, metropolis
 
 OUTPUT_NOISE = 1.0  # R of pitch and motors in the paper's table
 LQR_WEIGHT = 50.0  # its p

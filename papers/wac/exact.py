@@ -9,18 +9,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.progress import progress
-from papers.kit.checks import Check, above, at_most, near
-from papers.wac.exact_covariance import figures_of, network_of, over_nodes, propagate
-from papers.wac.exact_rules import RULES
-from plants.control.cruise import cruise
-from plants.control.motor import motor_position, motor_speed
-from plants.control.pitch import pitch
-from plants.control.suspension import suspension
-from plants.linear import LinearPlant
-from topology.graphs import build_graph
-from topology.spectrum import second_eigenvalue_modulus
-from topology.weights import metropolis
+from concord.experiments.progress import progress
+from concord.papers.kit.checks import Check, above, at_most, near
+from concord.papers.wac.exact_covariance import figures_of, network_of, over_nodes, propagate
+from concord.papers.wac.exact_rules import RULES
+from concord.plants.control.cruise import cruise
+from concord.plants.control.motor import motor_position, motor_speed
+from concord.plants.control.pitch import pitch
+from concord.plants.control.suspension import suspension
+from concord.plants.linear import LinearPlant
+from concord.topology.graphs import build_graph
+from concord.topology.spectrum import second_eigenvalue_modulus
+from concord.topology.weights import metropolis
 
 NODES = 8
 PLANTS: dict[str, Callable[[], LinearPlant]] = {

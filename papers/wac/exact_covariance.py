@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.linalg import cholesky, inverse_spd, symmetrise
-from papers.wac.exact_rules import Fusion, Rule
-from plants.linear import LinearPlant
+from concord.filters.linalg import cholesky, inverse_spd, symmetrise
+from concord.papers.wac.exact_rules import Fusion, Rule
+from concord.plants.linear import LinearPlant
 
 
 class LinearNetwork(NamedTuple):

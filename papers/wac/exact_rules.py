@@ -1,4 +1,4 @@
-"""The network's fusion rules as linear maps of errors, for `papers.wac.exact_covariance`.
+"""The network's fusion rules as linear maps of errors, for `concord.papers.wac.exact_covariance`.
 
 With given covariances every rule is linear in the errors. A node's prediction errs by e (n,). Its
 reading adds the score s = H' R^-1 v (n,), of covariance W = H' R^-1 H. Its own update leaves the
@@ -16,11 +16,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.fusion import hybrid_consensus, information_weighted
-from filters.fusion.averaging import INFORMATION, MOMENTS, Averaging
-from filters.fusion.packed import packed_length
-from filters.gaussian import Gaussian
-from filters.linalg import symmetrise
+from concord.filters.fusion import hybrid_consensus, information_weighted
+from concord.filters.fusion.averaging import INFORMATION, MOMENTS, Averaging
+from concord.filters.fusion.packed import packed_length
+from concord.filters.gaussian import Gaussian
+from concord.filters.linalg import symmetrise
 
 
 class Fusion(NamedTuple):

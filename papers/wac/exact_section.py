@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from papers.kit.report import Section, markdown_table
-from papers.wac.exact import (
+from concord.papers.kit.report import Section, markdown_table
+from concord.papers.wac.exact import (
     FUSED,
     GEOMETRIC_SEED,
     GRAPHS,

@@ -1,4 +1,4 @@
-"""Figs. 10-14 of the consensus paper as pictures, drawn from `papers.wac.responses`.
+"""Figs. 10-14 of the consensus paper as pictures, drawn from `concord.papers.wac.responses`.
 
 Lines differ in width and dash too.
 """
@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from papers.kit.figures import BLACK, BLUE, GREY, ORANGE, SKY, VERMILION, legend_below, save
-from papers.wac.responses import OUTPUT, Trial
+from concord.papers.kit.figures import BLACK, BLUE, GREY, ORANGE, SKY, VERMILION, legend_below, save
+from concord.papers.wac.responses import OUTPUT, Trial
 
 DPI = 110
 MOST_DOTS = 400

@@ -6,10 +6,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from papers.kit.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, legend_below, save
-from papers.wac.figures import DPI
-from papers.wac.root_loci import Panel, figure_7
-from plants.control.transfer_functions import root_locus
+from concord.papers.kit.figures import BLACK, BLUE, GREY, ORANGE, VERMILION, legend_below, save
+from concord.papers.wac.figures import DPI
+from concord.papers.wac.root_loci import Panel, figure_7
+from concord.plants.control.transfer_functions import root_locus
 
 FILE = "fig07_root_loci"
 
@@ -30,7 +30,7 @@ WINDOWS = {
 }
 GAINS = 4000
 
-# Their gain is in N/m, so that 1 is no design; see papers.wac.root_loci.
+# Their gain is in N/m, so that 1 is no design; see concord.papers.wac.root_loci.
 WITHOUT_DESIGN = ("c", "d", "e")
 
 

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from plants.control import cruise, motor, pitch, suspension
-from plants.control.closed_loop import (
+from concord.plants.control import cruise, motor, pitch, suspension
+from concord.plants.control.closed_loop import (
     Controller,
     Response,
     StepFigures,
@@ -17,16 +17,16 @@ from plants.control.closed_loop import (
     quiet,
     step_figures,
 )
-from plants.control.controllers import StateFeedback
-from plants.control.design import (
+from concord.plants.control.controllers import StateFeedback
+from concord.plants.control.design import (
     continuous_gain_feedback,
     lqr_gain,
     placed_feedback,
     pole_placement,
 )
-from plants.control.references import constant
-from plants.control.transfer_functions import Rational, output_feedback, series
-from plants.linear import LinearPlant
+from concord.plants.control.references import constant
+from concord.plants.control.transfer_functions import Rational, output_feedback, series
+from concord.plants.linear import LinearPlant
 
 
 class Loops(NamedTuple):

@@ -11,19 +11,19 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from bus.ideal import TimelessBus
-from filters.gaussian import Gaussian
-from nodes.lanes.batch import AveragesInBatch, InBatch
-from nodes.lanes.network import BatchedNetwork
-from nodes.rules.fresh_consensus import FreshConsensus, FreshOwn, LastUsed
-from nodes.rules.information_rounds import InformationRounds
-from nodes.rules.lane_rule import Failures, LaneContent, Place
-from runtime.batched.build import build_network
-from runtime.batched.driver import run
-from scenarios.bus_plan import build_schedule
-from scenarios.preparation import share_bytes
-from scenarios.scenario import Scenario
-from scenarios.setup import Setup
+from concord.bus.ideal import TimelessBus
+from concord.filters.gaussian import Gaussian
+from concord.nodes.lanes.batch import AveragesInBatch, InBatch
+from concord.nodes.lanes.network import BatchedNetwork
+from concord.nodes.rules.fresh_consensus import FreshConsensus, FreshOwn, LastUsed
+from concord.nodes.rules.information_rounds import InformationRounds
+from concord.nodes.rules.lane_rule import Failures, LaneContent, Place
+from concord.runtime.batched.build import build_network
+from concord.runtime.batched.driver import run
+from concord.scenarios.bus_plan import build_schedule
+from concord.scenarios.preparation import share_bytes
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.setup import Setup
 
 
 class Dropping(InformationRounds):

@@ -8,13 +8,13 @@ from collections.abc import Callable, Iterator
 from itertools import count
 from typing import NamedTuple
 
-from experiments.progress import progress
-from papers.wac.bench import Bench, PaperScenario, VariantCell, attempt, bench_of
-from scenarios.catalogue import definition_of
-from scenarios.types.holds import Decayed, Dropped, InStep, Predicted, Raw, Renormalised
-from scenarios.types.rules import hold_of
-from topology.spectrum import second_eigenvalue_modulus
-from topology.weights import from_per_node
+from concord.experiments.progress import progress
+from concord.papers.wac.bench import Bench, PaperScenario, VariantCell, attempt, bench_of
+from concord.scenarios.catalogue import definition_named
+from concord.scenarios.types.holds import Decayed, Dropped, InStep, Predicted, Raw, Renormalised
+from concord.scenarios.types.rules import hold_of
+from concord.topology.spectrum import second_eigenvalue_modulus
+from concord.topology.weights import from_per_node
 
 
 class Variant(NamedTuple):
@@ -78,13 +78,13 @@ SCHEDULES = ("round-robin", "hybrid", "dynamic")
 
 def track(seed: int, runs: int = 24) -> PaperScenario:
     """Twenty nodes follow a turning target."""
-    scenario = definition_of("target-tracking").defaults.with_(seed=seed, rounds=3)
+    scenario = definition_named("target-tracking").defaults.with_(seed=seed, rounds=3)
     return PaperScenario("TRACK", scenario, runs, 20, position_only=True)
 
 
 def motor(seed: int, runs: int = 12) -> PaperScenario:
     """Eight nodes on a ring watch a motor's position."""
-    default = definition_of("dc-motor-position").defaults
+    default = definition_named("dc-motor-position").defaults
     scenario = default.with_(seed=seed, rounds=3, control="truth")
     return PaperScenario("MOTOR", scenario, runs, 60, position_only=False)
 

@@ -8,11 +8,11 @@ Design".
 from collections.abc import Iterator
 from pathlib import Path
 
-from experiments.progress import progress
-from papers.kit.figures import shown
-from papers.kit.report import Paper, Section
-from papers.kit.traces import write_traces
-from papers.wac import (
+from concord.experiments.progress import progress
+from concord.papers.kit.figures import shown
+from concord.papers.kit.report import Paper, Section
+from concord.papers.kit.traces import write_traces
+from concord.papers.wac import (
     bus,
     exact,
     exact_section,
@@ -24,9 +24,9 @@ from papers.wac import (
     responses,
     unstable,
 )
-from papers.wac.claims import judge
-from papers.wac.errata import ERRATA
-from papers.wac.evidence import gather
+from concord.papers.wac.claims import judge
+from concord.papers.wac.errata import ERRATA
+from concord.papers.wac.evidence import gather
 
 CLAIMS, LIST, FIGURES, LOOPS, EXACT, UNSTABLE, BUS = range(7)
 MOTOR_SHARE = 2

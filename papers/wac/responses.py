@@ -9,30 +9,30 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.progress import progress
-from filters.fusion import hold
-from filters.fusion.averaging import MOMENTS
-from filters.gaussian import Gaussian
-from filters.sigma_points import scaled_unscented
-from nodes.lanes.beliefs import BatchedBeliefs
-from nodes.lanes.links import Shares, links_of
-from nodes.rules.belief_consensus import HoldPolicy
-from nodes.rules.local_filter import (
+from concord.experiments.progress import progress
+from concord.filters.fusion import hold
+from concord.filters.fusion.averaging import MOMENTS
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import scaled_unscented
+from concord.nodes.lanes.beliefs import BatchedBeliefs
+from concord.nodes.lanes.links import Shares, links_of
+from concord.nodes.rules.belief_consensus import HoldPolicy
+from concord.nodes.rules.local_filter import (
     LocalFilters,
     SensorGroup,
     predict_to_step,
     update_with_readings,
 )
-from plants.control import cruise, motor, pitch, suspension
-from plants.control.closed_loop import Controller, closed_loop
-from plants.control.controllers import StateFeedback
-from plants.control.design import placed_feedback
-from plants.control.references import Staircase, constant
-from plants.draws import Draws, standard_draws
-from plants.linear import LinearPlant, LinearSensor, Signal
-from topology.adjacency import neighbours_of
-from topology.graphs import ring
-from topology.weights import metropolis, per_node
+from concord.plants.control import cruise, motor, pitch, suspension
+from concord.plants.control.closed_loop import Controller, closed_loop
+from concord.plants.control.controllers import StateFeedback
+from concord.plants.control.design import placed_feedback
+from concord.plants.control.references import Staircase, constant
+from concord.plants.draws import Draws, standard_draws
+from concord.plants.linear import LinearPlant, LinearSensor, Signal
+from concord.topology.adjacency import neighbours_of
+from concord.topology.graphs import ring
+from concord.topology.weights import metropolis, per_node
 
 NODES = 8
 ROUNDS = 3

@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from papers.kit.checks import Check, below
-from papers.kit.report import Section, markdown_table
-from papers.wac.exact_covariance import LinearNetwork, Moments, propagate
-from papers.wac.exact_rules import RULES
-from topology.graphs import ring
-from topology.weights import metropolis
+from concord.papers.kit.checks import Check, below
+from concord.papers.kit.report import Section, markdown_table
+from concord.papers.wac.exact_covariance import LinearNetwork, Moments, propagate
+from concord.papers.wac.exact_rules import RULES
+from concord.topology.graphs import ring
+from concord.topology.weights import metropolis
 
 NODES = 8
 FACTORS = (1.1, 1.2)

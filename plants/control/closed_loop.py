@@ -4,8 +4,8 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from plants.draws import Draws
-from plants.linear import LinearPlant
+from concord.plants.draws import Draws
+from concord.plants.linear import LinearPlant
 
 
 class Controller(Protocol):

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from plants.linear import Signal
+from concord.plants.linear import Signal
 
 
 @dataclass(frozen=True, eq=False)

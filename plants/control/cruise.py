@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from plants.control.continuous import ContinuousPlant, van_loan
-from plants.control.controllers import StateFeedback
-from plants.control.design import placed_feedback
-from plants.control.networks import Preset, choose, linear_plant, matched_noise, paper_noise
-from plants.control.references import Staircase
-from plants.control.transfer_functions import Rational, lag, proportional
-from plants.linear import LinearPlant
+from concord.plants.control.continuous import ContinuousPlant, van_loan
+from concord.plants.control.controllers import StateFeedback
+from concord.plants.control.design import placed_feedback
+from concord.plants.control.networks import Preset, choose, linear_plant, matched_noise, paper_noise
+from concord.plants.control.references import Staircase
+from concord.plants.control.transfer_functions import Rational, lag, proportional
+from concord.plants.linear import LinearPlant
 
 TIME_STEP_S = 0.01
 MASS_KG = 1000.0

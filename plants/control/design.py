@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from plants.control.continuous import ContinuousPlant
-from plants.control.controllers import StateFeedback
-from plants.linear import Signal
+from concord.plants.control.continuous import ContinuousPlant
+from concord.plants.control.controllers import StateFeedback
+from concord.plants.linear import Signal
 
 
 def controllability_rank(state_matrix: np.ndarray, control_matrix: np.ndarray) -> int:

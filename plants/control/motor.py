@@ -6,10 +6,10 @@ inertia J and b theta for b dtheta/dt; (21) prints -R/J for -R/L.
 
 import numpy as np
 
-from plants.control.continuous import ContinuousPlant
-from plants.control.controllers import StateFeedback
-from plants.control.design import placed_feedback
-from plants.control.networks import (
+from concord.plants.control.continuous import ContinuousPlant
+from concord.plants.control.controllers import StateFeedback
+from concord.plants.control.design import placed_feedback
+from concord.plants.control.networks import (
     NoisePreset,
     Preset,
     choose,
@@ -17,15 +17,15 @@ from plants.control.networks import (
     matched_noise,
     paper_noise,
 )
-from plants.control.references import square
-from plants.control.transfer_functions import (
+from concord.plants.control.references import square
+from concord.plants.control.transfer_functions import (
     Rational,
     lag,
     pid,
     proportional,
     proportional_integral,
 )
-from plants.linear import LinearPlant
+from concord.plants.linear import LinearPlant
 
 TIME_STEP_S = 0.01
 INERTIA_KG_M2 = 0.01

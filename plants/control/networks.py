@@ -10,8 +10,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from plants.control.continuous import ContinuousPlant
-from plants.linear import Drift, LinearModel, LinearPlant, LinearSensor
+from concord.plants.control.continuous import ContinuousPlant
+from concord.plants.linear import Drift, LinearModel, LinearPlant, LinearSensor
 
 Preset = Literal["matched", "paper"]
 

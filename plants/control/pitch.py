@@ -5,13 +5,13 @@ Widjiantoro et al.; state [alpha, q, theta]. q is not in rad/s: d(theta)/dt = 56
 
 import numpy as np
 
-from plants.control.continuous import ContinuousPlant
-from plants.control.controllers import StateFeedback
-from plants.control.design import continuous_gain_feedback, lqr_gain
-from plants.control.networks import Preset, choose, linear_plant, matched_noise, paper_noise
-from plants.control.references import Staircase
-from plants.control.transfer_functions import Rational, lead
-from plants.linear import LinearPlant
+from concord.plants.control.continuous import ContinuousPlant
+from concord.plants.control.controllers import StateFeedback
+from concord.plants.control.design import continuous_gain_feedback, lqr_gain
+from concord.plants.control.networks import Preset, choose, linear_plant, matched_noise, paper_noise
+from concord.plants.control.references import Staircase
+from concord.plants.control.transfer_functions import Rational, lead
+from concord.plants.linear import LinearPlant
 
 TIME_STEP_S = 0.01
 C1, C2, C3, C4, C5, C6, C7 = -0.313, 56.7, 0.232, -0.0139, -0.426, 0.0203, 56.7

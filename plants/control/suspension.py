@@ -7,12 +7,12 @@ y2 = dy1/dt - (b2/M2) x1 + s y1 + (b2/M2) gamma, which removes the derivative of
 
 import numpy as np
 
-from plants.control.continuous import ContinuousPlant, zero_order_hold
-from plants.control.controllers import IntegralFeedback
-from plants.control.networks import Preset, choose, linear_plant, matched_noise, paper_noise
-from plants.control.references import Staircase, constant
-from plants.control.transfer_functions import Rational, pid
-from plants.linear import Drift, LinearPlant, Signal
+from concord.plants.control.continuous import ContinuousPlant, zero_order_hold
+from concord.plants.control.controllers import IntegralFeedback
+from concord.plants.control.networks import Preset, choose, linear_plant, matched_noise, paper_noise
+from concord.plants.control.references import Staircase, constant
+from concord.plants.control.transfer_functions import Rational, pid
+from concord.plants.linear import Drift, LinearPlant, Signal
 
 TIME_STEP_S = 0.0005
 M1 = 2500.0  # kg, a quarter of the body

@@ -4,9 +4,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from plants.control.continuous import ContinuousPlant
-from plants.control.controllers import Compensator, OutputFeedback
-from plants.linear import Signal
+from concord.plants.control.continuous import ContinuousPlant
+from concord.plants.control.controllers import Compensator, OutputFeedback
+from concord.plants.linear import Signal
 
 
 class Rational(NamedTuple):

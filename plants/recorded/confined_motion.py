@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from plants.damped_oscillation import (
+from concord.plants.damped_oscillation import (
     oscillation_noise_cov,
     oscillation_transition,
     stationary_cov,

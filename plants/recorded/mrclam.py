@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from plants.draws import Draws, GeneratorFor
-from plants.recorded.confined_motion import ConfinedMotion
-from plants.recorded.mrclam_files import Recording
-from plants.recorded.sighting import Sighting
+from concord.plants.draws import Draws, GeneratorFor
+from concord.plants.recorded.confined_motion import ConfinedMotion
+from concord.plants.recorded.mrclam_files import Recording
+from concord.plants.recorded.sighting import Sighting
 
 STAMP_DELAY_S = 0.045  # a measurement is stamped so much after its picture
 GAP_MAX_S = 0.5  # between samples of ground truth that may be interpolated

@@ -8,7 +8,7 @@ of the data sheet's stiffness, which contains neither.
 
 from msgspec.structs import replace
 
-from plants.vehicle.parameters import BMW_320I, Car
+from concord.plants.vehicle.parameters import BMW_320I, Car
 
 FITTED_CARS = {
     "bmw-320i": replace(

@@ -14,8 +14,8 @@ from typing import NamedTuple, TypeVar
 import msgspec
 import numpy as np
 
-from plants.vehicle.drive import REAR_LEFT, REAR_RIGHT, Drive
-from plants.vehicle.parameters import GRAVITY_M_S2, Car, car_from_toml, car_to_toml
+from concord.plants.vehicle.drive import REAR_LEFT, REAR_RIGHT, Drive
+from concord.plants.vehicle.parameters import GRAVITY_M_S2, Car, car_from_toml, car_to_toml
 
 T = TypeVar("T")
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from plants.vehicle.parameters import Car
+from concord.plants.vehicle.parameters import Car
 
 Tyre = Callable[[np.ndarray, np.ndarray | float, np.ndarray | float], np.ndarray]
 """Lateral force of an axle (...) in N by slip angle rad, stiffness N/rad and friction limit N."""

@@ -11,12 +11,12 @@ from functools import cached_property
 
 import numpy as np
 
-from plants.angles import wrapped
-from plants.draws import Draws, GeneratorFor
-from plants.vehicle.drive import FRONT_LEFT, REAR_LEFT, Drive
-from plants.vehicle.model import SingleTrack
-from plants.vehicle.parameters import Car
-from plants.vehicle.sensors import SensorError, contaminated, noise_std
+from concord.plants.angles import wrapped
+from concord.plants.draws import Draws, GeneratorFor
+from concord.plants.vehicle.drive import FRONT_LEFT, REAR_LEFT, Drive
+from concord.plants.vehicle.model import SingleTrack
+from concord.plants.vehicle.parameters import Car
+from concord.plants.vehicle.sensors import SensorError, contaminated, noise_std
 
 STATE_NAMES = ("yaw rate", "side slip", "speed", "heading", "steering", "acceleration")
 STATE_UNITS = ("rad/s", "rad", "m/s", "rad", "rad", "m/s^2")

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from plants.vehicle.drive import Drive
+from concord.plants.vehicle.drive import Drive
 
 
 class SensorError(NamedTuple):

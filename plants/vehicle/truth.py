@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from plants.vehicle.drive import Drive
-from plants.vehicle.manoeuvres import CarMotion, Manoeuvre
-from plants.vehicle.parameters import GRAVITY_M_S2, Car
+from concord.plants.vehicle.drive import Drive
+from concord.plants.vehicle.manoeuvres import CarMotion, Manoeuvre
+from concord.plants.vehicle.parameters import GRAVITY_M_S2, Car
 
 INTEGRATION_STEP_S = 1e-3
 SPEED_GAIN_1_S = 1.0
@@ -173,8 +173,9 @@ def data_sheet(car: TrueCar) -> Car:
 def _require_library() -> None:
     if importlib.util.find_spec("vehiclemodels") is None:
         raise ValueError(
-            "simulated cars need the CommonRoad vehicle models, which are not installed: install "
-            "concord[vehicle], or use a logged drive"
+            "simulated cars need the CommonRoad vehicle models, which are not installed: run "
+            "`make extras`, or `pip install '.[vehicle]'` in a checkout of concord, or use a "
+            "logged drive"
         )
 
 

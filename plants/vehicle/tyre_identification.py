@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from msgspec import structs
 
-from plants.vehicle.drive import Drive
-from plants.vehicle.model import Axles, SingleTrack, Tyre, tanh_tyre
-from plants.vehicle.parameters import Car
+from concord.plants.vehicle.drive import Drive
+from concord.plants.vehicle.model import Axles, SingleTrack, Tyre, tanh_tyre
+from concord.plants.vehicle.parameters import Car
 
 MODEL_STEP_S = 0.005
 """Of the model; drives are interpolated to it, for slow cars are stiff."""

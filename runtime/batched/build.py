@@ -6,41 +6,41 @@ from functools import partial
 import msgspec
 import numpy as np
 
-from bus.arbitration import ArbiterState, begin_arbitration
-from bus.bus import Bus
-from filters.gaussian import Gaussian
-from filters.sigma_points import scaled_unscented
-from nodes.changes import UNCHANGED, Standing
-from nodes.commands import Configure, Inject
-from nodes.faults.losses import LinkState, hears_all
-from nodes.lanes.links import Links, Shares, links_of, places
-from nodes.lanes.network import BatchedNetwork, RunSegment, RunSettings
-from nodes.node import contenders_left
-from nodes.node_changes import with_standing
-from nodes.rules.local_filter import LocalFilters
-from runtime.batched.changes import ScriptedChange, foreseen
-from runtime.batched.streams import streams_of
-from scenarios.build import (
+from concord.bus.arbitration import ArbiterState, begin_arbitration
+from concord.bus.bus import Bus
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import scaled_unscented
+from concord.nodes.changes import UNCHANGED, Standing
+from concord.nodes.commands import Configure, Inject
+from concord.nodes.faults.losses import LinkState, hears_all
+from concord.nodes.lanes.links import Links, Shares, links_of, places
+from concord.nodes.lanes.network import BatchedNetwork, RunSegment, RunSettings
+from concord.nodes.node import contenders_left
+from concord.nodes.node_changes import with_standing
+from concord.nodes.rules.local_filter import LocalFilters
+from concord.runtime.batched.changes import ScriptedChange, foreseen
+from concord.runtime.batched.streams import streams_of
+from concord.scenarios.build import (
     build_bus,
     build_controller,
     everybody_of,
     rule_context,
     sensor_groups,
 )
-from scenarios.catalogue import definition_of
-from scenarios.links import link_state
-from scenarios.node_context import BatchContext, Beginning
-from scenarios.preparation import complete_settings, share_bytes, with_settings
-from scenarios.rules import rule_of
-from scenarios.scenario import Scenario
-from scenarios.script import script_of
-from scenarios.setup import Setup
-from scenarios.types.plants import VehicleNetwork
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.links import link_state
+from concord.scenarios.node_context import BatchContext, Beginning
+from concord.scenarios.preparation import complete_settings, share_bytes, with_settings
+from concord.scenarios.rules import rule_of
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.script import script_of
+from concord.scenarios.setup import Setup
+from concord.scenarios.types.plants import VehicleNetwork
 
 
 def without_array_form(scenario: Scenario) -> str | None:
     """Return the part of a scenario that can only run message by message; None if none."""
-    definition = definition_of(scenario.name)
+    definition = definition_of(scenario)
     if definition.wiring is not None:
         return f"scenario {scenario.name}"
     if isinstance(scenario.plant, VehicleNetwork) and scenario.plant.adaptive:
@@ -91,7 +91,7 @@ def build_network(
         raise ValueError(f"{lacking} has no array form; use --driver in-process")
     scenarios = [msgspec.structs.replace(setup.scenario, run=run) for run in runs]
     scenario = setup.scenario
-    definition = definition_of(scenario.name)
+    definition = definition_of(scenario)
     plant = definition.plant(scenario)
     stream = streams_of(scenario, runs)
     draws = [plant.draw(partial(stream, which), scenario.steps) for which in range(len(runs))]
@@ -155,7 +155,7 @@ def _settings(setup: Setup, bus: Bus, links: Links, standing: Standing, runs: in
 
 def _batch_context(setup: Setup, bus: Bus, links: Links, standing: Standing) -> BatchContext:
     scenario = setup.scenario
-    definition = definition_of(scenario.name)
+    definition = definition_of(scenario)
     own = np.array([row[0] for row in setup.weights])
     link = np.array([weight for row in setup.weights for weight in row[1:]])
     points = (

@@ -1,17 +1,17 @@
 """The changes of a script, computed before the run: arrays have no environment to ask.
 
-Departures of nodes, and the belief with which each node returns, are as `nodes.run_controller`
-decides them where fresh processes are ready at once.
+Departures of nodes, and the belief with which each node returns, are as
+`concord.nodes.run_controller` decides them where fresh processes are ready at once.
 """
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import NamedTuple
 
-from nodes.changes import UNCHANGED, Joined, Left, Set, Settings, Standing, after
-from nodes.command_checks import check_command
-from nodes.commands import ChangeCommand, Configure, Inject, Kill, Restart
-from nodes.run_controller import Scripted, link_changes
+from concord.nodes.changes import UNCHANGED, Joined, Left, Set, Settings, Standing, after
+from concord.nodes.command_checks import check_command
+from concord.nodes.commands import ChangeCommand, Configure, Inject, Kill, Restart
+from concord.nodes.run_controller import Scripted, link_changes
 
 
 class ScriptedChange(NamedTuple):
@@ -36,7 +36,7 @@ def foreseen(
 ) -> tuple[ScriptedChange, ...]:
     """When a network in which node i hears neighbours[i], of so many rounds, will change, and how.
 
-    `complete` completes settings, as in `nodes.run_controller.ProcessStarter`.
+    `complete` completes settings, as in `concord.nodes.run_controller.ProcessStarter`.
     """
     standing, ready = UNCHANGED, set[int]()
     changes: list[ScriptedChange] = []

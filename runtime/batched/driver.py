@@ -1,8 +1,9 @@
 """The batched driver: all nodes of many runs as arrays (runs, nodes, ...), step by step.
 
-This driver does for environment, bus and nodes what `nodes.environment` and `nodes.node` do by
-messages, with the same functions: run r has the numbers that the in-process driver gives it to
-1e-10. The driver passes no messages, so nothing can be late, repeated or malformed.
+This driver does for environment, bus and nodes what `concord.nodes.environment` and
+`concord.nodes.node` do by messages, with the same functions: run r has the numbers that the
+in-process driver gives it to 1e-10. The driver passes no messages, so nothing can be late, repeated
+or malformed.
 """
 
 from collections.abc import Callable, Iterator
@@ -10,20 +11,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from filters.gaussian import Gaussian
-from nodes.bids import NO_BID
-from nodes.environment_state import Delivery
-from nodes.lanes.filter import Counters, with_lanes
-from nodes.lanes.links import places
-from nodes.lanes.network import (
+from concord.filters.gaussian import Gaussian
+from concord.nodes.bids import NO_BID
+from concord.nodes.environment_state import Delivery
+from concord.nodes.lanes.filter import Counters, with_lanes
+from concord.nodes.lanes.links import places
+from concord.nodes.lanes.network import (
     BatchedNetwork,
     RuleWithReturns,
     RunSegment,
     RunSettings,
     ShareContents,
 )
-from nodes.node import contenders_left
-from runtime.batched.tally import Tally, masked
+from concord.nodes.node import contenders_left
+from concord.runtime.batched.tally import Tally, masked
 
 
 class Instant(NamedTuple):

@@ -1,4 +1,4 @@
-"""The random streams of many runs at once; each is that of `scenarios.setup.generator`.
+"""The random streams of many runs at once; each is that of `concord.scenarios.setup.generator`.
 
 To seed a stream takes four times as long as to draw two hundred numbers from it. The node, the last
 word of a stream's key, is therefore mixed in for all nodes of all runs at once, by the arithmetic
@@ -15,8 +15,8 @@ import numpy as np
 from numpy.random import PCG64, Generator, SeedSequence
 from numpy.random.bit_generator import ISeedSequence
 
-from scenarios.scenario import Scenario
-from scenarios.streams import code_of
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.streams import code_of
 
 # Words of 32 bits: in a seed sequence, and in what a generator begins with.
 _POOL, _STATE = 4, 8

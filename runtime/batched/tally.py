@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nodes.lanes.filter import Counters, added
+from concord.nodes.lanes.filter import Counters, added
 
 
 class Tally(NamedTuple):

@@ -8,8 +8,8 @@ dropped. A rule holds where its key includes the key of the message, so that eac
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from nodes.bounds import MAX_FRAME_BYTES, MAX_MESSAGE_BYTES
-from runtime.network.links import ENVIRONMENT, RECORDER
+from concord.nodes.bounds import MAX_FRAME_BYTES, MAX_MESSAGE_BYTES
+from concord.runtime.network.links import ENVIRONMENT, RECORDER
 
 MONITOR, OPERATOR, ROUTER_NAME = "monitor", "operator", "router"
 _SUBSCRIBING = ("declare_subscriber", "declare_liveliness_subscriber", "liveliness_query")

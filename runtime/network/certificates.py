@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 
-from runtime.network.access_control import ROUTER_NAME, access_control, rights, size_limits
+from concord.runtime.network.access_control import ROUTER_NAME, access_control, rights, size_limits
 
 if TYPE_CHECKING:
     from cryptography import x509
@@ -47,7 +47,8 @@ def require_library() -> None:
         import cryptography  # noqa: F401
     except ImportError:
         raise ValueError(
-            "certificates need the package cryptography: pip install 'concord[secure]'"
+            "certificates need the package cryptography, which is not installed: run "
+            "`make extras`, or `pip install '.[secure]'` in a checkout of concord"
         ) from None
 
 

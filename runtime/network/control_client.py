@@ -5,9 +5,9 @@ from collections.abc import Callable, Sequence
 
 import msgspec
 
-from nodes.commands import Answer, Command
-from runtime.network.links import ZenohEndpoints, checked_run
-from runtime.network.zenoh_transport import LinkError, Transport
+from concord.nodes.commands import Answer, Command
+from concord.runtime.network.links import ZenohEndpoints, checked_run
+from concord.runtime.network.zenoh_transport import LinkError, Transport
 
 _CONNECT_S = 3.0
 
@@ -65,7 +65,8 @@ class Client:
         raise self._nobody()
 
     def state(self) -> dict:
-        """How the network stands (`runtime.processes.environment.process.State` as plain data).
+        """How the network stands (`concord.runtime.processes.environment.process.State` as plain
+        data).
 
         Raises:
             NotThere: nobody answers.

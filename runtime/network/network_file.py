@@ -4,7 +4,7 @@ from pathlib import Path
 
 import msgspec
 
-from runtime.disk import writing
+from concord.runtime.disk import writing
 
 NETWORK = "network.json"
 

@@ -14,7 +14,7 @@ from contextlib import suppress
 import msgspec
 import zenoh
 
-from runtime.network.links import ZenohEndpoints
+from concord.runtime.network.links import ZenohEndpoints
 
 # One worker thread per process instead of one per core and role; a router needs the default.
 _ONE_THREAD = (

@@ -2,8 +2,8 @@
 
 import msgspec
 
-from nodes.tempo import Tempo
-from scenarios.setup import Setup
+from concord.nodes.tempo import Tempo
+from concord.scenarios.setup import Setup
 
 
 class HostPlace(msgspec.Struct, frozen=True):

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import msgspec
 
-from nodes.tempo import Tempo
-from runtime.interpreter import fresh_command, fresh_variables
-from runtime.network.network_file import NetworkAddresses, write_network
-from runtime.processes.job import Happened, Job
-from scenarios.setup import Setup
+from concord.nodes.tempo import Tempo
+from concord.runtime.interpreter import fresh_command, fresh_variables
+from concord.runtime.network.network_file import NetworkAddresses, write_network
+from concord.runtime.processes.job import Happened, Job
+from concord.scenarios.setup import Setup
 
 _STOP_TIMEOUT_S = 3.0
 
@@ -57,7 +57,7 @@ def run_job(job: Job, folder: Path | None, on_event: Callable[[Happened], None])
         ValueError: the job cannot be done.
     """
     child = subprocess.Popen(
-        fresh_command("runtime.processes.launcher_process"),
+        fresh_command("concord.runtime.processes.launcher_process"),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         # A network of many small processes: one BLAS thread each, or they fight for the cores.

@@ -16,8 +16,8 @@ from functools import partial
 
 import msgspec
 
-from nodes.node_state import NodeConfig
-from runtime.network.links import (
+from concord.nodes.node_state import NodeConfig
+from concord.runtime.network.links import (
     ENVIRONMENT,
     RECORDER,
     ROUTER,
@@ -30,10 +30,10 @@ from runtime.network.links import (
     ports_from,
     subscribers_endpoints,
 )
-from runtime.processes.job import Happened, HostPlace, Job, Order
-from runtime.processes.roles import be_environment, be_node, be_recorder, be_router
-from runtime.processes.supervisor import TRY_AGAIN, Ended, Supervisor
-from scenarios.build import build_node
+from concord.runtime.processes.job import Happened, HostPlace, Job, Order
+from concord.runtime.processes.roles import be_environment, be_node, be_recorder, be_router
+from concord.runtime.processes.supervisor import TRY_AGAIN, Ended, Supervisor
+from concord.scenarios.build import build_node
 
 _LAUNCH_TRIES = 3
 _LEAVE_S = 1.0

@@ -8,7 +8,7 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 
-from runtime.network.zenoh_transport import Transport
+from concord.runtime.network.zenoh_transport import Transport
 
 # A process that has heard nothing for so long may wait for a message behind a full queue.
 _LOOK_S = 0.05

@@ -4,7 +4,7 @@ import math
 import os
 import sys
 
-from runtime.processes.departed_peers import DepartedPeers
+from concord.runtime.processes.departed_peers import DepartedPeers
 
 
 class PeerTimeout:

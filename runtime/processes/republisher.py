@@ -19,9 +19,9 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-from nodes.inbox import EARLY_STEPS
-from runtime.network.links import RECORDER
-from runtime.network.zenoh_transport import Transport
+from concord.nodes.inbox import EARLY_STEPS
+from concord.runtime.network.links import RECORDER
+from concord.runtime.network.zenoh_transport import Transport
 
 AGAIN, KEEP = "again", "keep"
 # A process that has sent nothing for so long repeats: at first, and later.

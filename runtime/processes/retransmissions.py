@@ -3,9 +3,9 @@
 from collections import deque
 from collections.abc import Sequence
 
-from bus.bus import FrameFormat, Rejected
-from nodes.messages import Grant, Measured, NodeEvent, ShareHeard
-from nodes.node_state import NodeState
+from concord.bus.bus import FrameFormat, Rejected
+from concord.nodes.messages import Grant, Measured, NodeEvent, ShareHeard
+from concord.nodes.node_state import NodeState
 
 # More than all processes of a network of 64 nodes keep.
 _REMEMBERED = 1 << 17

@@ -11,27 +11,27 @@ from pathlib import Path
 
 import msgspec
 
-from nodes.node_state import NodeConfig
-from runtime.disk import NotWritten
-from runtime.network.links import RECORDER, WATCH, ZenohEndpoints, peers_of
-from runtime.network.zenoh_transport import LinkError, start_router
-from runtime.processes.environment.failures import Deserted, Disagreement
-from runtime.processes.environment.management import Management
-from runtime.processes.environment.pacing import Lockstep, RealTime
-from runtime.processes.environment.process import run_environment
-from runtime.processes.job import Happened, Job, Order
-from runtime.processes.node.lockstep import LockstepNode
-from runtime.processes.node.membership import Membership
-from runtime.processes.node.process import run_node
-from runtime.processes.node.real_time import RealTimeNode
-from runtime.processes.recorder.process import run_recorder
-from runtime.processes.supervisor import TRY_AGAIN
-from runtime.recording import McapRecorder
-from runtime.whole_steps import WholeSteps
-from scenarios.build import build_environment
-from scenarios.bus_plan import frame_format
-from scenarios.preparation import complete_settings, fingerprint
-from scenarios.script import script_of
+from concord.nodes.node_state import NodeConfig
+from concord.runtime.disk import NotWritten
+from concord.runtime.network.links import RECORDER, WATCH, ZenohEndpoints, peers_of
+from concord.runtime.network.zenoh_transport import LinkError, start_router
+from concord.runtime.processes.environment.failures import Deserted, Disagreement
+from concord.runtime.processes.environment.management import Management
+from concord.runtime.processes.environment.pacing import Lockstep, RealTime
+from concord.runtime.processes.environment.process import run_environment
+from concord.runtime.processes.job import Happened, Job, Order
+from concord.runtime.processes.node.lockstep import LockstepNode
+from concord.runtime.processes.node.membership import Membership
+from concord.runtime.processes.node.process import run_node
+from concord.runtime.processes.node.real_time import RealTimeNode
+from concord.runtime.processes.recorder.process import run_recorder
+from concord.runtime.processes.supervisor import TRY_AGAIN
+from concord.runtime.recording import McapRecorder
+from concord.runtime.whole_steps import WholeSteps
+from concord.scenarios.build import build_environment
+from concord.scenarios.bus_plan import frame_format
+from concord.scenarios.preparation import complete_settings, fingerprint
+from concord.scenarios.script import script_of
 
 _PROGRESS_PERIOD_S = 0.05
 

@@ -8,21 +8,21 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple
 
-from plants.control.cruise import cruise, cruise_controller
-from plants.control.motor import (
+from concord.plants.control.cruise import cruise, cruise_controller
+from concord.plants.control.motor import (
     motor_position,
     motor_position_controller,
     motor_speed,
     motor_speed_controller,
 )
-from plants.control.pitch import pitch, pitch_controller
-from plants.control.suspension import suspension, suspension_controller
-from plants.linear import LinearModel, LinearPlant, LinearSensor
-from scenarios.scenario import Scenario
-from scenarios.scenario_definition import ScenarioDefinition, Score
-from scenarios.types.buses import FlexRay
-from scenarios.types.network import SensorNetwork
-from scenarios.types.plants import (
+from concord.plants.control.pitch import pitch, pitch_controller
+from concord.plants.control.suspension import suspension, suspension_controller
+from concord.plants.linear import LinearModel, LinearPlant, LinearSensor
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.scenario_definition import ScenarioDefinition, Score
+from concord.scenarios.types.buses import FlexRay
+from concord.scenarios.types.network import SensorNetwork
+from concord.scenarios.types.plants import (
     AircraftPitch,
     ControlledPlant,
     CruiseControl,

@@ -8,14 +8,14 @@ by a sixth in every step. `--noise matched` draws noise on its bound, `paper` ta
 
 from functools import cache
 
-from plants import liu2021
-from plants.bounded_network import BoundedNetwork, BoundedNetworkModel, OutputSensor
-from scenarios.definitions.control import OPEN, check_control, controlled
-from scenarios.scenario import Scenario
-from scenarios.scenario_definition import ScenarioDefinition, Score
-from scenarios.types.network import SensorNetwork
-from scenarios.types.plants import UnstableBounded
-from scenarios.types.rules import EllipsoidIntersection
+from concord.plants import liu2021
+from concord.plants.bounded_network import BoundedNetwork, BoundedNetworkModel, OutputSensor
+from concord.scenarios.definitions.control import OPEN, check_control, controlled
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.scenario_definition import ScenarioDefinition, Score
+from concord.scenarios.types.network import SensorNetwork
+from concord.scenarios.types.plants import UnstableBounded
+from concord.scenarios.types.rules import EllipsoidIntersection
 
 _STEPS = 1000
 

@@ -1,17 +1,18 @@
 """A measurement bus and a filter behind it over all steps at once, in batches of runs.
 
-The same functions as in `nodes.rules.measurement_bus`, so a lane here and a network of nodes agree.
+The same functions as in `concord.nodes.rules.measurement_bus`, so a lane here and a network of
+nodes agree.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from bus.measurement_bus import MeasurementBus, SlotOutcome
-from filters.gaussian import Gaussian
-from filters.sigma_points import SigmaPointRule
-from filters.stochastic_ukf import MeasurementFilter, Received
-from nodes.rules.measurement_bus import System, dynamics, observation
+from concord.bus.measurement_bus import MeasurementBus, SlotOutcome
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import SigmaPointRule
+from concord.filters.stochastic_ukf import MeasurementFilter, Received
+from concord.nodes.rules.measurement_bus import System, dynamics, observation
 
 
 class BusFilter(NamedTuple):

@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 
-from bus.measurement_bus import (
+from concord.bus.measurement_bus import (
     RECEIVER,
     MeasurementBus,
     all_at_once,
@@ -21,28 +21,28 @@ from bus.measurement_bus import (
     zero_input,
     zero_order_hold,
 )
-from bus.schedule import Schedule
-from filters.gaussian import Gaussian
-from filters.sigma_points import SigmaPointRule, scaled_unscented
-from filters.stochastic_ukf import RECOMMENDED, MeasurementFilter, Received
-from nodes.estimator import AnyEstimator
-from nodes.rules.measurement_bus import ReceiverNode, SensorNode
-from nodes.rules.measurement_codec import MeasurementCodec
-from plants import meng2025
-from plants.sensed import SensedPlant, sensors_on_a_bus
-from scenarios.definitions import measurement_runs
-from scenarios.definitions.measurement_runs import first_received
-from scenarios.definitions.stochastic_models import SystemModel, SystemSensor
-from scenarios.scenario import Scenario, require
-from scenarios.scenario_definition import NetworkWiring, ScenarioDefinition, Score
-from scenarios.setup import Setup
-from scenarios.types.assignment import flat
-from scenarios.types.buses import FlexRay, SensorSlots, trigger_of
-from scenarios.types.filters import RecommendedFilter
-from scenarios.types.network import SensorNetwork
-from scenarios.types.plants import MeasuredPlantChoice, StochasticReceiver
-from scenarios.types.rules import Reception
-from topology.names import unknown_name
+from concord.bus.schedule import Schedule
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import SigmaPointRule, scaled_unscented
+from concord.filters.stochastic_ukf import RECOMMENDED, MeasurementFilter, Received
+from concord.nodes.estimator import AnyEstimator
+from concord.nodes.rules.measurement_bus import ReceiverNode, SensorNode
+from concord.nodes.rules.measurement_codec import MeasurementCodec
+from concord.plants import meng2025
+from concord.plants.sensed import SensedPlant, sensors_on_a_bus
+from concord.scenarios.definitions import measurement_runs
+from concord.scenarios.definitions.measurement_runs import first_received
+from concord.scenarios.definitions.stochastic_models import SystemModel, SystemSensor
+from concord.scenarios.scenario import Scenario, require
+from concord.scenarios.scenario_definition import NetworkWiring, ScenarioDefinition, Score
+from concord.scenarios.setup import Setup
+from concord.scenarios.types.assignment import flat
+from concord.scenarios.types.buses import FlexRay, SensorSlots, trigger_of
+from concord.scenarios.types.filters import RecommendedFilter
+from concord.scenarios.types.network import SensorNetwork
+from concord.scenarios.types.plants import MeasuredPlantChoice, StochasticReceiver
+from concord.scenarios.types.rules import Reception
+from concord.topology.names import unknown_name
 
 SYSTEM, SENSORS = meng2025.SYSTEM, meng2025.SENSORS
 ZERO_ORDER, ZERO_INPUT = "zero-order", "zero-input"

@@ -11,21 +11,21 @@ from functools import cache, partial
 
 import numpy as np
 
-from bus.measurement_bus import MeasurementBus, flexray
-from filters.gaussian import Gaussian
-from filters.stochastic_ukf import RECOMMENDED, Received
-from nodes.environment_state import Delivery
-from plants import meng2025
-from plants.sensed import SensedPlant, clusters
-from plants.stochastic import replicated
-from scenarios.definitions.measurement_runs import BusFilter, estimate, first_received
-from scenarios.definitions.meng2025 import SENSORS, SYSTEM, paper_points, static_slots_of
-from scenarios.definitions.stochastic_models import SystemModel, SystemSensor
-from scenarios.scenario import Scenario
-from scenarios.scenario_definition import ScenarioDefinition, Score
-from scenarios.setup import Setup
-from scenarios.types.network import SensorNetwork
-from scenarios.types.plants import StochasticNetwork
+from concord.bus.measurement_bus import MeasurementBus, flexray
+from concord.filters.gaussian import Gaussian
+from concord.filters.stochastic_ukf import RECOMMENDED, Received
+from concord.nodes.environment_state import Delivery
+from concord.plants import meng2025
+from concord.plants.sensed import SensedPlant, clusters
+from concord.plants.stochastic import replicated
+from concord.scenarios.definitions.measurement_runs import BusFilter, estimate, first_received
+from concord.scenarios.definitions.meng2025 import SENSORS, SYSTEM, paper_points, static_slots_of
+from concord.scenarios.definitions.stochastic_models import SystemModel, SystemSensor
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.scenario_definition import ScenarioDefinition, Score
+from concord.scenarios.setup import Setup
+from concord.scenarios.types.network import SensorNetwork
+from concord.scenarios.types.plants import StochasticNetwork
 
 
 @cache

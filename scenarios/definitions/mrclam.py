@@ -3,14 +3,14 @@
 import os
 from functools import cache
 
-from plants.recorded.confined_motion import ConfinedMotion
-from plants.recorded.mrclam import RecordedTarget, recorded_target
-from plants.recorded.mrclam_files import read_recording
-from plants.recorded.sighting import Sighting
-from scenarios.scenario import Scenario
-from scenarios.scenario_definition import ScenarioDefinition, Score
-from scenarios.types.network import SensorNetwork
-from scenarios.types.plants import RecordedRobots
+from concord.plants.recorded.confined_motion import ConfinedMotion
+from concord.plants.recorded.mrclam import RecordedTarget, recorded_target
+from concord.plants.recorded.mrclam_files import read_recording
+from concord.plants.recorded.sighting import Sighting
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.scenario_definition import ScenarioDefinition, Score
+from concord.scenarios.types.network import SensorNetwork
+from concord.scenarios.types.plants import RecordedRobots
 
 DATA_VARIABLE = "CONCORD_MRCLAM"
 _NODES = 4

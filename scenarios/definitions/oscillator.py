@@ -2,11 +2,11 @@
 
 from functools import cache
 
-from plants.oscillator import Oscillation, Oscillator, ScalarSensor
-from scenarios.scenario import Scenario
-from scenarios.scenario_definition import ScenarioDefinition, Score
-from scenarios.types.network import SensorNetwork
-from scenarios.types.plants import DampedOscillator
+from concord.plants.oscillator import Oscillation, Oscillator, ScalarSensor
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.scenario_definition import ScenarioDefinition, Score
+from concord.scenarios.types.network import SensorNetwork
+from concord.scenarios.types.plants import DampedOscillator
 
 DEFAULTS = Scenario(
     plant=DampedOscillator(), network=SensorNetwork(nodes=8, graph="ring"), steps=200

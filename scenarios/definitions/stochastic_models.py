@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters.gaussian import Gaussian
-from filters.stochastic_ukf import expected_cov
-from plants.stochastic import StochasticSystem
+from concord.filters.gaussian import Gaussian
+from concord.filters.stochastic_ukf import expected_cov
+from concord.plants.stochastic import StochasticSystem
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,13 +7,13 @@ each sees a target within 350 m, radio reaches 330 m. `target-crossing` is its s
 from collections.abc import Callable
 from functools import cache
 
-from plants.placement import place_sensors
-from plants.range_bearing import RangeBearing
-from plants.targets import Target, straight_target, turning_target
-from scenarios.scenario import Scenario
-from scenarios.scenario_definition import ScenarioDefinition, Score
-from scenarios.types.network import SensorNetwork
-from scenarios.types.plants import TargetCrossing, TargetTracking
+from concord.plants.placement import place_sensors
+from concord.plants.range_bearing import RangeBearing
+from concord.plants.targets import Target, straight_target, turning_target
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.scenario_definition import ScenarioDefinition, Score
+from concord.scenarios.types.network import SensorNetwork
+from concord.scenarios.types.plants import TargetCrossing, TargetTracking
 
 RADIO_RANGE_M = 330.0
 

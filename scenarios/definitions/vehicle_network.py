@@ -10,18 +10,18 @@ from functools import cache
 
 import numpy as np
 
-from filters.adaptive.sage_husa import NoiseEstimate
-from filters.gaussian import Gaussian
-from filters.sigma_points import scaled_unscented
-from nodes.estimator import AnyEstimator
-from nodes.messages import Measured, to_wire
-from nodes.rules.adaptive_noise import AdaptedSensor, AdaptiveNoise, declared_noise, learn
-from nodes.rules.local_filter import predict_to_step, update_with_own
-from plants.vehicle.cars import FITTED_CARS
-from plants.vehicle.drive_log import read_car, read_folder
-from plants.vehicle.manoeuvres import MANOEUVRES
-from plants.vehicle.model import single_track, tanh_tyre
-from plants.vehicle.network import (
+from concord.filters.adaptive.sage_husa import NoiseEstimate
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import scaled_unscented
+from concord.nodes.estimator import AnyEstimator
+from concord.nodes.messages import Measured, to_wire
+from concord.nodes.rules.adaptive_noise import AdaptedSensor, AdaptiveNoise, declared_noise, learn
+from concord.nodes.rules.local_filter import predict_to_step, update_with_own
+from concord.plants.vehicle.cars import FITTED_CARS
+from concord.plants.vehicle.drive_log import read_car, read_folder
+from concord.plants.vehicle.manoeuvres import MANOEUVRES
+from concord.plants.vehicle.model import single_track, tanh_tyre
+from concord.plants.vehicle.network import (
     ERRORS,
     NODES,
     SIDE_SLIP,
@@ -32,17 +32,17 @@ from plants.vehicle.network import (
     sensor,
     simulated,
 )
-from plants.vehicle.parameters import Car
-from plants.vehicle.sensors import SensorError
-from scenarios.node_context import NodeContext
-from scenarios.scenario import Scenario
-from scenarios.scenario_definition import ScenarioDefinition, Score
-from scenarios.setup import Setup
-from scenarios.types.buses import FlexRay
-from scenarios.types.network import SensorNetwork
-from scenarios.types.plants import VehicleNetwork
-from scenarios.types.rules import MeasurementFlooding
-from topology.names import unknown_name
+from concord.plants.vehicle.parameters import Car
+from concord.plants.vehicle.sensors import SensorError
+from concord.scenarios.node_context import NodeContext
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.scenario_definition import ScenarioDefinition, Score
+from concord.scenarios.setup import Setup
+from concord.scenarios.types.buses import FlexRay
+from concord.scenarios.types.network import SensorNetwork
+from concord.scenarios.types.plants import VehicleNetwork
+from concord.scenarios.types.rules import MeasurementFlooding
+from concord.topology.names import unknown_name
 
 TIME_STEP_S = 0.005
 """One cycle of the car's bus."""
@@ -77,7 +77,7 @@ def _logged(data: str) -> DrivenOnce:
 @cache
 def _simulated(car: str, manoeuvre: str, noise: str) -> DrivenOnce:
     # Only here: a node believes in a model and never simulates the truth.
-    from plants.vehicle.truth import TRUE_CARS, simulate
+    from concord.plants.vehicle.truth import TRUE_CARS, simulate
 
     drive = simulate(MANOEUVRES[manoeuvre], TRUE_CARS[car], TIME_STEP_S)
     return simulated(drive, FITTED_CARS[car], NOISES[noise])

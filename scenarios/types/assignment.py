@@ -6,15 +6,15 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from scenarios.types.declarations import (
+from concord.scenarios.types.declarations import (
     Declaration,
     Owned,
     declarations,
     every_option,
     is_nested,
 )
-from scenarios.types.option import Choice, name_of
-from topology.names import unknown_name
+from concord.scenarios.types.option import Choice, name_of
+from concord.topology.names import unknown_name
 
 Value = TypeVar("Value", bound=msgspec.Struct)
 
@@ -72,17 +72,16 @@ def _chosen(declared: Declaration, before: Any, asked: object) -> Any:
         return asked
     for choice in declared.choices:
         if name_of(choice) == asked:
-            return (
-                before
-                if isinstance(before, choice) and type(before) is choice
-                else _kept(choice, before)
-            )
+            return before if type(before) is choice else choice(**_kept(choice, before))
+        made = choice.made_of(asked) if issubclass(choice, Choice) else None
+        if made is not None:
+            return msgspec.structs.replace(made, **_kept(choice, before))
     name = asked.name if isinstance(asked, Choice) else str(asked)
     raise unknown_name(_in_words(declared.name), name, declared.names)
 
 
-def _kept(choice: type[msgspec.Struct], before: Any) -> msgspec.Struct:
-    """A value of a class with what it shares with the value that was chosen before."""
+def _kept(choice: type[msgspec.Struct], before: Any) -> dict[str, Any]:
+    """The fields of a class that it shares with the value that was chosen before."""
     known = {declared.field: declared for declared in declarations(type(before))}
     kept: dict[str, Any] = {}
     for declared in declarations(choice):
@@ -95,8 +94,9 @@ def _kept(choice: type[msgspec.Struct], before: Any) -> msgspec.Struct:
             continue
         same = [one for one in declared.choices if name_of(one) == held.name]
         if same:
-            kept[declared.field] = held if type(held) is same[0] else _kept(same[0], held)
-    return choice(**kept)
+            inner = same[0]
+            kept[declared.field] = held if type(held) is inner else inner(**_kept(inner, held))
+    return kept
 
 
 def typed(declared: Declaration, value: object) -> Any:

@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from scenarios.types.option import Choice, Option
+from concord.scenarios.types.option import Choice, Option
 
 
 class BusSchedule(Choice, frozen=True, kw_only=True):
@@ -31,7 +31,10 @@ class ContendedSchedule(PartialSchedule, frozen=True, kw_only=True):
 
     arbiter: Annotated[
         str,
-        Option("Arbiter of the dynamic segment: wtod, minislot, round-robin.", is_setting=True),
+        Option(
+            "Arbiter of the dynamic segment: wtod, minislot, round-robin, FILE.py:NAME.",
+            is_setting=True,
+        ),
     ] = "wtod"
     trigger: Annotated[
         float,

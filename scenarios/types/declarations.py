@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from scenarios.types.option import Option, name_of
+from concord.scenarios.types.option import USER, Option, name_of
 
 
 class Declaration(NamedTuple):
@@ -34,7 +34,8 @@ class Declaration(NamedTuple):
     def names(self) -> tuple[str, ...]:
         """The names that a choice takes, or the words that a plain value may be."""
         if self.choices:
-            return tuple(name_of(choice) for choice in self.choices)
+            names = (name_of(choice) for choice in self.choices)
+            return tuple(name for name in names if name != USER)
         if typing.get_origin(self.annotation) is typing.Literal:
             return tuple(typing.get_args(self.annotation))
         return ()
@@ -50,9 +51,11 @@ class Declaration(NamedTuple):
 @cache
 def declarations(owner: type[msgspec.Struct]) -> tuple[Declaration, ...]:
     """The options that a class of values declares itself, in order; nested values count as its own
-    unless they are a choice."""
+    unless they are a choice. A field that no `Option` describes is none."""
     found: list[Declaration] = []
     for info in msgspec.structs.fields(owner):
+        if typing.get_origin(info.type) is not typing.Annotated:
+            continue
         annotation, says = _described(info.type)
         choices = _choices(annotation)
         default = info.default
@@ -96,8 +99,6 @@ def is_nested(declared: Declaration) -> bool:
 
 
 def _described(annotation: Any) -> tuple[Any, Option]:
-    if typing.get_origin(annotation) is not typing.Annotated:
-        return annotation, Option()
     plain, *described = typing.get_args(annotation)
     return plain, next(one for one in described if isinstance(one, Option))
 

@@ -1,6 +1,6 @@
 """Filters as values: how a node computes its estimate from readings."""
 
-from scenarios.types.option import Choice
+from concord.scenarios.types.option import Choice
 
 
 class FilterBase(Choice, frozen=True, kw_only=True):

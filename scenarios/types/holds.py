@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from scenarios.types.option import Choice, Option
+from concord.scenarios.types.option import Choice, Option
 
 
 class Fading(Choice, frozen=True, kw_only=True, tag="decayed"):

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import msgspec
 
-from scenarios.types.option import Option
+from concord.scenarios.types.option import Option
 
 
 class SensorNetwork(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -14,7 +14,7 @@ class SensorNetwork(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     graph: Annotated[
         str,
         Option("Graph of the network: ring, path, star, grid, complete, 4-regular, geometric, "
-               "file:PATH, ..."),
+               "file:PATH, FILE.py:NAME, ..."),
     ]  # fmt: skip
     weights: Annotated[
         str, Option("Consensus weights: metropolis, maximum-degree, best-constant.")

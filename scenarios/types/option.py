@@ -1,13 +1,16 @@
 """Declarations of options: a field states its type, unit, range and help once, where it lives.
 
 The command line, sweep axes, `set` commands and the options table of the documentation are
-generated from these declarations (`scenarios.types.declarations`).
+generated from these declarations (`concord.scenarios.types.declarations`).
 """
 
 import math
 from typing import NamedTuple
 
 import msgspec
+
+USER = "FILE.py:NAME"
+"""The name of a value that the user brings."""
 
 
 class Choice(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -17,6 +20,11 @@ class Choice(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     def name(self) -> str:
         """The name that chooses this value on the command line."""
         return name_of(type(self))
+
+    @classmethod
+    def made_of(cls, asked: object) -> "Choice | None":
+        """The value of this class that a user's file or object stands for; None if it is none."""
+        return None
 
     @classmethod
     def summary(cls) -> str:

@@ -2,7 +2,8 @@
 
 from typing import Annotated, Literal
 
-from scenarios.types.option import Choice, Option
+from concord.scenarios.types.option import USER, Choice, Option
+from concord.scenarios.user_values import FromFile, ValueSource, is_source_name, source_of
 
 DATA = Option("Folder of recorded data.")
 
@@ -102,6 +103,23 @@ class VehicleNetwork(SensedPlantChoice, frozen=True, kw_only=True, tag="vehicle-
     data: Annotated[str | None, DATA] = None
 
 
+class UserPlant(FromFile, SensedPlantChoice, frozen=True, kw_only=True, tag=USER):
+    """A plant and sensors of your own, from a Python file."""
+
+    source: str = ""
+    digest: str = ""
+
+    @classmethod
+    def of(cls, source: ValueSource) -> "UserPlant":
+        """The choice of a scenario by its source."""
+        return cls(source=source.name, digest=source.digest)
+
+    @classmethod
+    def made_of(cls, asked: object) -> "UserPlant | None":
+        """A scenario by the name of its file."""
+        return cls.of(source_of(str(asked))) if is_source_name(asked) else None
+
+
 PlantChoice = (
     TargetTracking
     | TargetCrossing
@@ -116,6 +134,7 @@ PlantChoice = (
     | StochasticNetwork
     | UnstableBounded
     | VehicleNetwork
+    | UserPlant
 )
 
 

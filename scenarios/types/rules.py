@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal, get_args
 
-from scenarios.types.holds import (
+from concord.scenarios.types.holds import (
     BeliefHold,
     Decayed,
     Fading,
@@ -13,7 +13,8 @@ from scenarios.types.holds import (
     TrimmedHold,
     ZeroOrder,
 )
-from scenarios.types.option import Choice, Option, name_of
+from concord.scenarios.types.option import USER, Choice, Option, name_of
+from concord.scenarios.user_values import FromFile, is_source_name, kept_source, source_of
 
 Number = Literal["float64", "float32"]
 HOLD = Option("Use of the last share of a silent neighbour.", group="rule", is_setting=True)
@@ -137,6 +138,21 @@ class Reception(NumberRule, frozen=True, kw_only=True, tag="reception"):
     hold: Annotated[SensorHold, HOLD] = ZeroOrder()
 
 
+class UserRule(FromFile, AverageRule, frozen=True, kw_only=True, tag=USER):
+    """A rule of your own, from a Python file: `rule(beliefs, weights) -> belief`."""
+
+    source: str = ""
+    digest: str = ""
+
+    @classmethod
+    def made_of(cls, asked: object) -> "UserRule | None":
+        """A rule by the name of its file, or as a function."""
+        if not callable(asked) and not is_source_name(asked):
+            return None
+        source = kept_source(asked) if callable(asked) else source_of(str(asked))
+        return cls(source=source.name, digest=source.digest)
+
+
 RuleChoice = (
     CovarianceIntersection
     | TrimmedCovarianceIntersection
@@ -152,8 +168,11 @@ RuleChoice = (
     | EllipsoidIntersection
     | ZonotopeIntersection
     | Reception
+    | UserRule
 )
-RULE_SUMMARIES = {name_of(rule): rule.summary() for rule in get_args(RuleChoice)}
+RULE_SUMMARIES = {
+    name_of(rule): rule.summary() for rule in get_args(RuleChoice) if rule is not UserRule
+}
 
 
 def hold_of(rule: FusionRule) -> Hold | None:

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from bus.recordings.decoder import Decoding, decode_waveform
-from bus.recordings.waveform import Waveform, parse_waveform
+from concord.bus.recordings.decoder import Decoding, decode_waveform
+from concord.bus.recordings.waveform import Waveform, parse_waveform
 
 
 def _file(shared_data: Path, name: str) -> Path:

@@ -4,8 +4,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from bus.recordings.bitstream import Bits, byte_bits
-from bus.recordings.waveform import Waveform, from_samples
+from concord.bus.recordings.bitstream import Bits, byte_bits
+from concord.bus.recordings.waveform import Waveform, from_samples
 
 
 def encode_bits(data: bytes, transmission_start_bits: int, trailing_low_bits: int = 0) -> Bits:

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from hypothesis import settings
 from hypothesis import strategies as st
 
-from bus.flexray.cluster import Cluster
-from bus.flexray.dynamic_segment import Request, walk
-from bus.flexray.frame import Frame
+from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.dynamic_segment import Request, walk
+from concord.bus.flexray.frame import Frame
 
 quick = settings(max_examples=60)
 

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.arbitration import ARBITERS, NO_BID, ArbiterState, award, begin_arbitration
-from bus.flexray.cluster import Cluster
-from bus.flexray.dynamic_segment import Request, walk
-from bus.flexray.presets import DEMO, FLEXRAY_ADAPTER
+from concord.bus.arbitration import ARBITERS, NO_BID, ArbiterState, award, begin_arbitration
+from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.dynamic_segment import Request, walk
+from concord.bus.flexray.presets import DEMO, FLEXRAY_ADAPTER
 from tests.bus.support import dynamic_segments, quick
 
 ARBITER = pytest.mark.parametrize("arbiter", list(ARBITERS))

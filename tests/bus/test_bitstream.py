@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.flexray.presets import AUDI
-from bus.recordings.bitstream import BitError, decode_bits
+from concord.bus.flexray.presets import AUDI
+from concord.bus.recordings.bitstream import BitError, decode_bits
 from tests.bus.signals import encode_bits
 from tests.bus.support import quick
 

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.flexray.cluster import Cluster, ClusterError
-from bus.flexray.constraints import PARAMETERS
-from bus.flexray.presets import AUDI, BOSCH, DEMO, FLEXRAY_ADAPTER, PRESETS, preset
+from concord.bus.flexray.cluster import Cluster, ClusterError
+from concord.bus.flexray.constraints import PARAMETERS
+from concord.bus.flexray.presets import AUDI, BOSCH, DEMO, FLEXRAY_ADAPTER, PRESETS, preset
 from tests.bus.support import clusters, quick
 
 

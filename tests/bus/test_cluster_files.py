@@ -5,9 +5,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from bus.flexray.cluster import Cluster, ClusterError
-from bus.flexray.cluster_files import cluster_from_toml, cluster_to_toml
-from bus.flexray.presets import AUDI, DEMO, PRESETS
+from concord.bus.flexray.cluster import Cluster, ClusterError
+from concord.bus.flexray.cluster_files import cluster_from_toml, cluster_to_toml
+from concord.bus.flexray.presets import AUDI, DEMO, PRESETS
 from tests.bus.support import clusters, quick
 
 

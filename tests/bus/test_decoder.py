@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.flexray.frame import Frame, encode
-from bus.recordings.bitstream import byte_bits
-from bus.recordings.decoder import Decoding, decode_waveform, reencodes
-from bus.recordings.waveform import Waveform, WaveformError, from_samples
+from concord.bus.flexray.frame import Frame, encode
+from concord.bus.recordings.bitstream import byte_bits
+from concord.bus.recordings.decoder import Decoding, decode_waveform, reencodes
+from concord.bus.recordings.waveform import Waveform, WaveformError, from_samples
 from tests.bus.signals import encode_bits, from_bits
 from tests.bus.support import binary, long_division, quick
 

@@ -5,9 +5,9 @@ import math
 import pytest
 from hypothesis import given
 
-from bus.flexray.cluster import Cluster
-from bus.flexray.dynamic_segment import Request, frame_payloads, walk
-from bus.flexray.presets import DEMO, FLEXRAY_ADAPTER
+from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.dynamic_segment import Request, frame_payloads, walk
+from concord.bus.flexray.presets import DEMO, FLEXRAY_ADAPTER
 from tests.bus.support import dynamic_segments, quick
 
 

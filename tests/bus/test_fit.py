@@ -5,15 +5,15 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from bus.flexray.cluster import Cluster
-from bus.flexray.dynamic_segment import Request
-from bus.flexray.frame import Frame, encode
-from bus.flexray.presets import BOSCH, FLEXRAY_ADAPTER
-from bus.flexray.slot_table import SlotAssignment
-from bus.flexray.timing import Transmission, dynamic_transmissions, static_transmissions
-from bus.recordings.decoder import Decoding, decode_waveform
-from bus.recordings.fit import fit
-from bus.recordings.waveform import Waveform
+from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.dynamic_segment import Request
+from concord.bus.flexray.frame import Frame, encode
+from concord.bus.flexray.presets import BOSCH, FLEXRAY_ADAPTER
+from concord.bus.flexray.slot_table import SlotAssignment
+from concord.bus.flexray.timing import Transmission, dynamic_transmissions, static_transmissions
+from concord.bus.recordings.decoder import Decoding, decode_waveform
+from concord.bus.recordings.fit import fit
+from concord.bus.recordings.waveform import Waveform
 from tests.bus.signals import encode_bits, from_bits
 from tests.bus.support import served
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.flexray.fragments import FragmentError, fragment_count, join, payload_sizes, split
+from concord.bus.flexray.fragments import FragmentError, fragment_count, join, payload_sizes, split
 from tests.bus.support import quick
 
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from bus.flexray.frame import Frame, FrameError, decode, encode, inspect
+from concord.bus.flexray.frame import Frame, FrameError, decode, encode, inspect
 from tests.bus.support import binary, frames, long_division, quick
 
 INITIAL = {"A": 0xFEDCBA, "B": 0xABCDEF}

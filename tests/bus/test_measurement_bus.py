@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.measurement_bus import (
+from concord.bus.measurement_bus import (
     BID_RESOLUTION,
     MeasurementBus,
     all_at_once,
@@ -18,7 +18,7 @@ from bus.measurement_bus import (
     try_once_discard,
     zero_input,
 )
-from bus.schedule import Schedule
+from concord.bus.schedule import Schedule
 from tests.bus.measurement_matrices import (
     receive,
     receive_by_segments,

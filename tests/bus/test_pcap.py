@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.flexray.frame import Channel, Frame, encode
-from bus.recordings.decoder import Decoding
-from bus.recordings.pcap import Captured, file_header, packet, write_pcap
+from concord.bus.flexray.frame import Channel, Frame, encode
+from concord.bus.recordings.decoder import Decoding
+from concord.bus.recordings.pcap import Captured, file_header, packet, write_pcap
 from tests.bus.support import frames, quick
 
 needs_tshark = pytest.mark.skipif(

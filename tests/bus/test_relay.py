@@ -5,11 +5,11 @@ from itertools import pairwise
 import msgspec
 import pytest
 
-from bus.flexray.fitted import fitted_cluster
-from bus.flexray.relay import check_relay, least_gap_us
-from bus.flexray.slot_table import allocate
-from bus.flexray.timing import dynamic_transmissions, static_transmissions
-from bus.schedule import Group, dynamic_only, full_publish, hybrid
+from concord.bus.flexray.fitted import fitted_cluster
+from concord.bus.flexray.relay import check_relay, least_gap_us
+from concord.bus.flexray.slot_table import allocate
+from concord.bus.flexray.timing import dynamic_transmissions, static_transmissions
+from concord.bus.schedule import Group, dynamic_only, full_publish, hybrid
 
 PAYLOADS = (40,)
 

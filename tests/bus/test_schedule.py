@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.schedule import (
+from concord.bus.schedule import (
     Schedule,
     dynamic_only,
     full_publish,

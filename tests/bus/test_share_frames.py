@@ -4,12 +4,18 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from bus.flexray.frame import Frame
-from bus.flexray.frame import decode as decode_frame
-from bus.flexray.frame import encode as encode_frame
-from bus.flexray.publication import Slot
-from bus.flexray.share_frames import cycle_of, payload_lengths, read_body, read_frame, to_frames
-from nodes.estimator import Rejected
+from concord.bus.flexray.frame import Frame
+from concord.bus.flexray.frame import decode as decode_frame
+from concord.bus.flexray.frame import encode as encode_frame
+from concord.bus.flexray.publication import Slot
+from concord.bus.flexray.share_frames import (
+    cycle_of,
+    payload_lengths,
+    read_body,
+    read_frame,
+    to_frames,
+)
+from concord.nodes.estimator import Rejected
 
 CYCLES = st.integers(0, 2**32 - 1)
 BODIES = st.binary(min_size=1, max_size=900)

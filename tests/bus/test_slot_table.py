@@ -7,15 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.flexray.dynamic_segment import Request
-from bus.flexray.presets import AUDI, DEMO, FLEXRAY_ADAPTER
-from bus.flexray.slot_table import (
+from concord.bus.flexray.dynamic_segment import Request
+from concord.bus.flexray.presets import AUDI, DEMO, FLEXRAY_ADAPTER
+from concord.bus.flexray.slot_table import (
     SlotAssignment,
     SlotTable,
     allocate,
     deviations,
 )
-from bus.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
+from concord.bus.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
 from tests.bus.support import quick
 
 BIG = msgspec.structs.replace(

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.flexray.cluster import Cluster
-from bus.flexray.dynamic_segment import Request
-from bus.flexray.presets import AUDI, DEMO
-from bus.flexray.slot_table import SlotAssignment
-from bus.flexray.timeline import BAR_COLUMNS, timeline
-from bus.flexray.timing import (
+from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.dynamic_segment import Request
+from concord.bus.flexray.presets import AUDI, DEMO
+from concord.bus.flexray.slot_table import SlotAssignment
+from concord.bus.flexray.timeline import BAR_COLUMNS, timeline
+from concord.bus.flexray.timing import (
     TimingError,
     bus_load,
     check_timing,
@@ -22,7 +22,7 @@ from bus.flexray.timing import (
     static_transmissions,
     stretch_needed,
 )
-from bus.recordings.decoder import Decoding
+from concord.bus.recordings.decoder import Decoding
 from tests.bus.support import clusters, dynamic_segments, quick, served
 
 

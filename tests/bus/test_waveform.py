@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.recordings.waveform import (
+from concord.bus.recordings.waveform import (
     Waveform,
     WaveformError,
     from_samples,

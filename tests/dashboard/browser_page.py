@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from dashboard.app import Dashboard
+from concord.dashboard.app import Dashboard
 
 _READY = (
     "()=>window.__viserTestpoints && window.__viserTestpoints.rendererInfo"

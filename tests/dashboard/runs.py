@@ -2,20 +2,20 @@
 
 import msgspec
 
-from dashboard.frames.frame import StepFrame
-from dashboard.frames.replay import assembled
-from dashboard.frames.stage import Stage, set_stage
-from runtime.drivers import in_memory
-from scenarios.catalogue import definition_of
-from scenarios.preparation import prepare
-from scenarios.setup import Setup
+from concord.dashboard.frames.frame import StepFrame
+from concord.dashboard.frames.replay import assembled
+from concord.dashboard.frames.stage import Stage, set_stage
+from concord.runtime.drivers import in_memory
+from concord.scenarios.catalogue import definition_named
+from concord.scenarios.preparation import prepare
+from concord.scenarios.setup import Setup
 
 Messages = list[tuple[str, bytes]]
 
 
 def setup_of(name: str, **changes) -> Setup:
     """A scenario with its own defaults but for these changes, worked out."""
-    return prepare(definition_of(name).defaults.with_(**changes))
+    return prepare(definition_named(name).defaults.with_(**changes))
 
 
 def run_of(name: str, **changes) -> tuple[Stage, Messages]:

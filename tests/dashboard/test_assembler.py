@@ -7,14 +7,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from bus.flexray.share_frames import SHARE_FRAMES
-from dashboard.frames.assembler import Assembler
-from dashboard.frames.frame import StepFrame
-from dashboard.frames.network import NetworkStatus
-from experiments.results.summary import summarise
-from experiments.results.trace import read_trace
-from nodes.messages import Estimate, decode
-from runtime.whole_steps import WholeStep, WholeSteps
+from concord.bus.flexray.share_frames import SHARE_FRAMES
+from concord.dashboard.frames.assembler import Assembler
+from concord.dashboard.frames.frame import StepFrame
+from concord.dashboard.frames.network import NetworkStatus
+from concord.experiments.results.summary import summarise
+from concord.experiments.results.trace import read_trace
+from concord.nodes.messages import Estimate, decode
+from concord.runtime.whole_steps import WholeStep, WholeSteps
 from tests.dashboard.runs import event, frames_of, run_of
 
 STAGE, MESSAGES = run_of("target-tracking", nodes=8, steps=24, schedule="hybrid", occupancy=0.5)

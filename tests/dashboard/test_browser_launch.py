@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from runtime.network.control_client import Client
-from runtime.network.network_file import read_network
+from concord.runtime.network.control_client import Client
+from concord.runtime.network.network_file import read_network
 from tests.dashboard.browser_page import press_on, row_of, slot_of
 from tests.processes import PROC, Family, family, holds_within, lives
 

@@ -8,15 +8,15 @@ from threading import Event
 import numpy as np
 import pytest
 
-from dashboard.frames.frame import StepFrame
-from dashboard.frames.live import LiveNetwork
-from dashboard.panels.network_controls import NetworkControls
-from dashboard.panels.node_controls import NodeControls
-from dashboard.serve import open_network
-from dashboard.theme import linear
-from runtime.network.control_client import Client
-from runtime.network.network_file import read_network
-from scenarios.types.buses import occupancy_of
+from concord.dashboard.frames.frame import StepFrame
+from concord.dashboard.frames.live import LiveNetwork
+from concord.dashboard.panels.network_controls import NetworkControls
+from concord.dashboard.panels.node_controls import NodeControls
+from concord.dashboard.serve import open_network
+from concord.dashboard.theme import linear
+from concord.runtime.network.control_client import Client
+from concord.runtime.network.network_file import read_network
+from concord.scenarios.types.buses import occupancy_of
 from tests.dashboard.browser_page import Page, press_on, row_of, slot_of
 from tests.processes import CONCORD, family, holds_within, lives
 

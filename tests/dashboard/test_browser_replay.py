@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from bus.flexray.share_frames import SHARE_FRAMES
-from dashboard.serve import open_recording
-from runtime.drivers import drive
-from runtime.recording import McapRecorder
+from concord.bus.flexray.share_frames import SHARE_FRAMES
+from concord.dashboard.serve import open_recording
+from concord.runtime.drivers import drive
+from concord.runtime.recording import McapRecorder
 from tests.dashboard.browser_page import Page, point_at, press_on, row_of, slot_of
 from tests.dashboard.runs import setup_of
 

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from dashboard.scene.camera import FIELD_OF_VIEW_RAD, Free, aimed
+from concord.dashboard.scene.camera import FIELD_OF_VIEW_RAD, Free, aimed
 
 places = st.tuples(*(st.floats(-15, 15) for _ in range(2)), st.floats(0, 3))
 clouds = st.lists(places, min_size=3, max_size=12).map(np.array)

@@ -7,16 +7,16 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from dashboard.frames.expected import nothing_expected
-from dashboard.frames.history import FrameHistory
-from dashboard.frames.scores import score
-from dashboard.panels.chart import Chart, Curve, Drawn
-from dashboard.panels.chart_export import charts_page, charts_picture
-from dashboard.panels.chart_table import run_charts, state_charts
-from dashboard.panels.charts import sampled, shown_power, titled
-from dashboard.panels.states import states
-from dashboard.theme import DARK
-from dashboard.view import View
+from concord.dashboard.frames.expected import nothing_expected
+from concord.dashboard.frames.history import FrameHistory
+from concord.dashboard.frames.scores import score
+from concord.dashboard.panels.chart import Chart, Curve, Drawn
+from concord.dashboard.panels.chart_export import charts_page, charts_picture
+from concord.dashboard.panels.chart_table import run_charts, state_charts
+from concord.dashboard.panels.charts import sampled, shown_power, titled
+from concord.dashboard.panels.states import states
+from concord.dashboard.theme import DARK
+from concord.dashboard.view import View
 from tests.dashboard.runs import frames_of, run_of
 
 STAGE, MESSAGES = run_of("oscillator", nodes=4, steps=60)

@@ -8,18 +8,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bus.flexray.share_frames import SHARE_FRAMES
-from dashboard.frames.expected import nothing_expected
-from dashboard.frames.replay import replayed
-from dashboard.panels.chart_export import charts_page
-from dashboard.panels.charts import sampled
-from dashboard.panels.export import animated_scene, zipped
-from dashboard.scene.camera import Free, aimed
-from dashboard.serve import open_recording
-from dashboard.theme import LIGHT
-from dashboard.view import View
-from runtime.drivers import drive
-from runtime.recording import McapRecorder
+from concord.bus.flexray.share_frames import SHARE_FRAMES
+from concord.dashboard.frames.expected import nothing_expected
+from concord.dashboard.frames.replay import replayed
+from concord.dashboard.panels.chart_export import charts_page
+from concord.dashboard.panels.charts import sampled
+from concord.dashboard.panels.export import animated_scene, zipped
+from concord.dashboard.scene.camera import Free, aimed
+from concord.dashboard.serve import open_recording
+from concord.dashboard.theme import LIGHT
+from concord.dashboard.view import View
+from concord.runtime.drivers import drive
+from concord.runtime.recording import McapRecorder
 from tests.dashboard.runs import frames_of, run_of
 
 STAGE, MESSAGES = run_of("target-tracking", nodes=6, steps=30)

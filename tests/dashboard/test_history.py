@@ -5,8 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from dashboard.frames import history
-from dashboard.frames.history import FrameHistory, state_table
+from concord.dashboard.frames import history
+from concord.dashboard.frames.history import FrameHistory, state_table
 from tests.dashboard.runs import frames_of, run_of
 
 STAGE, MESSAGES = run_of("oscillator", nodes=4, steps=60)

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dashboard.frames.frame import StepFrame
-from dashboard.frames.live import LiveNetwork
-from nodes.commands import in_words
-from runtime.network.control_client import Client, NotThere
-from runtime.network.network_file import read_network
-from runtime.processes.recorder.throttled_feed import STEPS_PER_S
+from concord.dashboard.frames.frame import StepFrame
+from concord.dashboard.frames.live import LiveNetwork
+from concord.nodes.commands import in_words
+from concord.runtime.network.control_client import Client, NotThere
+from concord.runtime.network.network_file import read_network
+from concord.runtime.processes.recorder.throttled_feed import STEPS_PER_S
 from tests.processes import CONCORD, PROC, family, holds_within
 
 pytestmark = pytest.mark.zenoh

@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from dashboard.frames.network import AnnouncedChange, NetworkStatus, changed, read_change
-from dashboard.frames.stage import restaged, set_stage
+from concord.dashboard.frames.network import AnnouncedChange, NetworkStatus, changed, read_change
+from concord.dashboard.frames.stage import restaged, set_stage
 from tests.dashboard.runs import event, setup_of
 
 NAMES = ("00", "01", "02", "03")

@@ -7,15 +7,15 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from dashboard.frames.conditions import conditions, oldest, sender_at
-from dashboard.frames.frame import LogEntry
-from dashboard.panels.selected import selected_panel
-from dashboard.panels.table import MOST_ROWS, chosen_rows, log, node_table, status
-from dashboard.panels.timeline import TimelineView
-from dashboard.panels.timeline_marks import LEFT, RIGHT, WIDTH
-from dashboard.panels.zoom import SIZE, zoom
-from dashboard.theme import DARK, LIGHT, linear
-from dashboard.view import View
+from concord.dashboard.frames.conditions import conditions, oldest, sender_at
+from concord.dashboard.frames.frame import LogEntry
+from concord.dashboard.panels.selected import selected_panel
+from concord.dashboard.panels.table import MOST_ROWS, chosen_rows, log, node_table, status
+from concord.dashboard.panels.timeline import TimelineView
+from concord.dashboard.panels.timeline_marks import LEFT, RIGHT, WIDTH
+from concord.dashboard.panels.zoom import SIZE, zoom
+from concord.dashboard.theme import DARK, LIGHT, linear
+from concord.dashboard.view import View
 from tests.dashboard.runs import frames_of, run_of
 
 STAGE, MESSAGES = run_of("target-tracking", nodes=8, steps=24, schedule="hybrid", occupancy=0.5)

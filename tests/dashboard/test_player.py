@@ -2,8 +2,8 @@
 
 import pytest
 
-from dashboard.player import Extent, play_live, play_recorded
-from dashboard.view import View
+from concord.dashboard.player import Extent, play_live, play_recorded
+from concord.dashboard.view import View
 
 EXTENT = Extent(0, 99, 3, growing=False)
 

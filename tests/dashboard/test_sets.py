@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial import ConvexHull, Delaunay
 
-from dashboard.panels.zoom import SIZE, zoom
-from dashboard.scene.geometry import zonotope_corners
-from dashboard.theme import DARK
-from nodes.messages import Estimate, decode
+from concord.dashboard.panels.zoom import SIZE, zoom
+from concord.dashboard.scene.geometry import zonotope_corners
+from concord.dashboard.theme import DARK
+from concord.nodes.messages import Estimate, decode
 from tests.dashboard.runs import frames_of, run_of
 
 STAGE, MESSAGES = run_of("liu2021-network", steps=30, rule="zonotope")

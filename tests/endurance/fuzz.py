@@ -18,14 +18,14 @@ import msgspec
 import numpy as np
 import tyro
 
-from bus.flexray.share_frames import SHARE_FRAMES
-from nodes.commands import Speed
-from nodes.messages import Estimate, decode
-from runtime.drivers import in_memory
-from runtime.network.links import ENVIRONMENT, RECORDER, names
-from runtime.recorded import meaning, message_of
-from scenarios.catalogue import definition_of
-from scenarios.preparation import prepare
+from concord.bus.flexray.share_frames import SHARE_FRAMES
+from concord.nodes.commands import Speed
+from concord.nodes.messages import Estimate, decode
+from concord.runtime.drivers import in_memory
+from concord.runtime.network.links import ENVIRONMENT, RECORDER, names
+from concord.runtime.recorded import meaning, message_of
+from concord.scenarios.catalogue import definition_named
+from concord.scenarios.preparation import prepare
 from tests.endurance.intruder import Intruder, intruders
 from tests.endurance.malformed import malformed
 from tests.endurance.running import Running, memory_mb, neighbouring_ports
@@ -95,7 +95,7 @@ def believed(messages: list[tuple[str, bytes]], nodes: int) -> tuple[dict, dict[
 
 def fuzz(messages: int, seed: int, steps: int = STEPS) -> Outcome:
     """A network of four in lockstep in such a storm."""
-    defaults = definition_of("oscillator").defaults
+    defaults = definition_named("oscillator").defaults
     wanted = {"nodes": NODES, "graph": "ring", "steps": steps}
     setup = prepare(defaults.with_(**wanted))
     sound = in_memory(setup)

@@ -5,10 +5,10 @@ from typing import NamedTuple
 
 import msgspec
 
-from nodes.commands import Answer
-from nodes.messages import END
-from runtime.network.links import ENVIRONMENT, RECORDER, ZenohEndpoints
-from runtime.network.zenoh_transport import Transport
+from concord.nodes.commands import Answer
+from concord.nodes.messages import END
+from concord.runtime.network.links import ENVIRONMENT, RECORDER, ZenohEndpoints
+from concord.runtime.network.zenoh_transport import Transport
 from tests.endurance.malformed import DAMAGED, FRAMES, JSON, MISFITS, WHOLE, Spoil
 
 JOIN_S, ASK_S = 10.0, 10.0

@@ -22,14 +22,14 @@ import msgspec
 import numpy as np
 import tyro
 
-from experiments.results.trace import Trace, read_trace
-from nodes.commands import Restart, Speed
-from nodes.tempo import Tempo
-from runtime.network.network_file import read_network
-from scenarios.catalogue import definition_of
-from scenarios.preparation import prepare
-from scenarios.setup import Setup
-from scenarios.tempo import tempo_of
+from concord.experiments.results.trace import Trace, read_trace
+from concord.nodes.commands import Restart, Speed
+from concord.nodes.tempo import Tempo
+from concord.runtime.network.network_file import read_network
+from concord.scenarios.catalogue import definition_named
+from concord.scenarios.preparation import prepare
+from concord.scenarios.setup import Setup
+from concord.scenarios.tempo import tempo_of
 from tests.endurance.running import PROC, Running
 
 NODES, RATE = 16, 40.0
@@ -248,7 +248,7 @@ def cycles_to_agree(mean: np.ndarray, rounds: int) -> np.ndarray:
 
 def main(options: Options) -> None:
     """Both, one after the other."""
-    defaults = definition_of("oscillator").defaults
+    defaults = definition_named("oscillator").defaults
     wanted = {"nodes": NODES, "graph": options.graph, "steps": 1_000_000}
     setup = prepare(defaults.with_(**wanted))
     rng = np.random.default_rng(options.seed)

@@ -6,9 +6,9 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from bus.flexray.frame import MAX_PAYLOAD_BYTES, decode, encode
-from bus.flexray.share_frames import PREFIX_BYTES, in_slot, renumbered
-from nodes.bounds import MAX_FRAME_BYTES, MAX_MESSAGE_BYTES
+from concord.bus.flexray.frame import MAX_PAYLOAD_BYTES, decode, encode
+from concord.bus.flexray.share_frames import PREFIX_BYTES, in_slot, renumbered
+from concord.nodes.bounds import MAX_FRAME_BYTES, MAX_MESSAGE_BYTES
 
 # No schedule here has slots of these numbers, no run cycles as late as these.
 _NO_SLOT, _LAST_CYCLE, _FAR_CYCLE = 1500, 2000, 1 << 30

@@ -6,14 +6,14 @@ import threading
 from contextlib import suppress
 from pathlib import Path
 
-from nodes.commands import Speed
-from nodes.tempo import Tempo
-from runtime.drivers import over_processes
-from runtime.network.control_client import Client
-from runtime.network.links import ENVIRONMENT, ports_from
-from runtime.network.network_file import read_network
-from runtime.recording import read_recording
-from scenarios.setup import Setup
+from concord.nodes.commands import Speed
+from concord.nodes.tempo import Tempo
+from concord.runtime.drivers import over_processes
+from concord.runtime.network.control_client import Client
+from concord.runtime.network.links import ENVIRONMENT, ports_from
+from concord.runtime.network.network_file import read_network
+from concord.runtime.recording import read_recording
+from concord.scenarios.setup import Setup
 
 PROC = Path("/proc")
 BEGIN_S, END_S = 120.0, 120.0

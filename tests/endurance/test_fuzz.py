@@ -7,18 +7,18 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from nodes.commands import Answer, Speed
-from nodes.messages import END, Estimate
-from runtime.network.links import ENVIRONMENT, RECORDER, WATCH, ZenohEndpoints, names
-from runtime.network.zenoh_transport import Transport
-from runtime.processes.environment.inbox import ENVIRONMENT_QUEUE
-from runtime.processes.recorder.process import STRANGE
-from runtime.recorded import message_of
-from runtime.recording import read_recording
-from scenarios.catalogue import definition_of
-from scenarios.preparation import prepare
-from scenarios.setup import Setup
-from scenarios.tempo import tempo_of
+from concord.nodes.commands import Answer, Speed
+from concord.nodes.messages import END, Estimate
+from concord.runtime.network.links import ENVIRONMENT, RECORDER, WATCH, ZenohEndpoints, names
+from concord.runtime.network.zenoh_transport import Transport
+from concord.runtime.processes.environment.inbox import ENVIRONMENT_QUEUE
+from concord.runtime.processes.recorder.process import STRANGE
+from concord.runtime.recorded import message_of
+from concord.runtime.recording import read_recording
+from concord.scenarios.catalogue import definition_named
+from concord.scenarios.preparation import prepare
+from concord.scenarios.setup import Setup
+from concord.scenarios.tempo import tempo_of
 from tests.endurance.fuzz import fuzz
 from tests.endurance.running import PROC, Running, neighbouring_ports
 from tests.processes import holds_within
@@ -33,7 +33,7 @@ pytestmark = [
 def two_nodes(steps: int) -> tuple[Setup, dict[str, int]]:
     """A network of two, and its ports."""
     wanted = {"nodes": 2, "graph": "path", "steps": steps}
-    setup = prepare(definition_of("oscillator").defaults.with_(**wanted))
+    setup = prepare(definition_named("oscillator").defaults.with_(**wanted))
     return setup, neighbouring_ports(names(setup.neighbours))
 
 
@@ -60,8 +60,8 @@ def test_malformed_messages_are_all_counted_and_change_no_bit():
 # Megabytes of a full queue, when no process takes its messages out.
 FULL = """
 from tests.endurance.running import memory_mb
-from runtime.processes.recorder.process import RECORDER_QUEUE
-from runtime.network.zenoh_transport import Transport
+from concord.runtime.processes.recorder.process import RECORDER_QUEUE
+from concord.runtime.network.zenoh_transport import Transport
 port = f"tcp/127.0.0.1:{free_ports(['full'])['full']}"
 def talk():
     transport = Transport("full", ZenohEndpoints("peer", (), (port,), 10.0), [], 1)

@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bus.flexray.share_frames import SHARE_FRAMES
-from experiments.__main__ import main
-from experiments.results.folder import read_description
-from runtime.drivers import in_memory
-from runtime.network.access_control import ROUTER_NAME, certificate_name
-from runtime.network.links import ZenohEndpoints, free_ports
-from runtime.network.zenoh_transport import LinkError, Transport
-from runtime.recorded import meaning
-from runtime.recording import read_recording
+from concord.bus.flexray.share_frames import SHARE_FRAMES
+from concord.experiments.__main__ import main
+from concord.experiments.results.folder import read_description
+from concord.runtime.drivers import in_memory
+from concord.runtime.network.access_control import ROUTER_NAME, certificate_name
+from concord.runtime.network.links import ZenohEndpoints, free_ports
+from concord.runtime.network.zenoh_transport import LinkError, Transport
+from concord.runtime.recorded import meaning
+from concord.runtime.recording import read_recording
 from tests.endurance.fuzz import REFUSED, believed
 from tests.endurance.intruder import BID, CUT, END, GONE, GRANT, LOST, WELCOME
 from tests.endurance.malformed import DAMAGED, JSON, malformed
@@ -48,7 +48,7 @@ def tell(transport: Transport, sound: dict[str, bytes]) -> None:
 @pytest.mark.zenoh
 def test_who_has_no_key_says_nothing_and_a_member_no_word_of_others(tmp_path: Path):
     """Garbage of a member is counted; of its lies in other names nothing arrives."""
-    pytest.importorskip("cryptography", reason="concord[secure] makes certificates")
+    pytest.importorskip("cryptography", reason="the extra secure makes certificates")
     keys = tmp_path / "keys"
     main(["keys", str(keys), "--nodes", str(NODES)])
     port = free_ports([ROUTER_NAME])[ROUTER_NAME]

@@ -2,13 +2,13 @@
 
 from typing import NamedTuple
 
-from bus.bus import Bus
-from experiments.results.trace import Trace, read_trace
-from experiments.scenario_options import scenario_of
-from runtime.drivers import in_memory
-from scenarios.build import build_bus
-from scenarios.preparation import prepare
-from scenarios.setup import Setup
+from concord.bus.bus import Bus
+from concord.experiments.results.trace import Trace, read_trace
+from concord.experiments.scenario_options import scenario_of
+from concord.runtime.drivers import in_memory
+from concord.scenarios.build import build_bus
+from concord.scenarios.preparation import prepare
+from concord.scenarios.setup import Setup
 
 
 class Run(NamedTuple):

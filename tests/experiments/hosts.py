@@ -20,7 +20,7 @@ class Hosts:
 
     def router(self, endpoint: str, *others: str, prefix: tuple[str, ...] = ()) -> Family:
         """A router that listens; what it says first is that it does."""
-        connect = [word for other in others for word in ("--connect", other)]
+        connect = ("--connect", *others) if others else ()
         started = self.concord("router", "--listen", endpoint, *connect, prefix=prefix)
         started.await_line("router at")
         return started

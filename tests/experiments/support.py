@@ -2,17 +2,17 @@
 
 from pathlib import Path
 
-from experiments.results.trace import Trace, read_trace
-from runtime.recording import read_recording
-from scenarios.catalogue import definition_of
-from scenarios.preparation import prepare
-from scenarios.scenario import Scenario
-from scenarios.setup import Setup
+from concord.experiments.results.trace import Trace, read_trace
+from concord.runtime.recording import read_recording
+from concord.scenarios.catalogue import definition_named
+from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.setup import Setup
 
 
 def scenario(name: str = "oscillator", **changes) -> Scenario:
     """A scenario with its own defaults but for these changes."""
-    return definition_of(name).defaults.with_(**changes)
+    return definition_named(name).defaults.with_(**changes)
 
 
 def small(name: str = "oscillator", **changes) -> Setup:

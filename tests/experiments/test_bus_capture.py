@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 import xarray
 
-from bus.flexray.cluster_files import cluster_to_toml
-from bus.flexray.presets import AUDI, DEMO
-from bus.flexray.share_frames import read_frame
-from experiments.results.bus_report import (
+from concord.bus.flexray.cluster_files import cluster_to_toml
+from concord.bus.flexray.presets import AUDI, DEMO
+from concord.bus.flexray.share_frames import read_frame
+from concord.experiments.results.bus_report import (
     capture,
     figures_of,
 )
-from experiments.results.trace import read_trace
-from runtime.recording import read_recording
+from concord.experiments.results.trace import read_trace
+from concord.runtime.recording import read_recording
 from tests.experiments.bus_runs import run
 from tests.experiments.flexray_support import concord, dissect, needs_tshark
 

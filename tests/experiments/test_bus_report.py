@@ -7,14 +7,14 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from bus.arbitration import ARBITERS
-from bus.flexray.cluster import Cluster
-from bus.flexray.flexray_bus import FlexRayBus
-from bus.flexray.share_frames import read_frame
-from bus.flexray.slot_table import allocate
-from bus.schedule import Schedule
-from experiments.flexray.rehearsal import rehearse
-from experiments.results.bus_report import (
+from concord.bus.arbitration import ARBITERS
+from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.flexray_bus import FlexRayBus
+from concord.bus.flexray.share_frames import read_frame
+from concord.bus.flexray.slot_table import allocate
+from concord.bus.schedule import Schedule
+from concord.experiments.flexray.rehearsal import rehearse
+from concord.experiments.results.bus_report import (
     bus_figures,
     bus_times,
     figures_of,
@@ -22,12 +22,12 @@ from experiments.results.bus_report import (
     longest_waits,
     timetable,
 )
-from experiments.results.trace import read_trace
-from experiments.scenario_options import scenario_with_known
-from runtime.drivers import in_memory
-from scenarios.build import build_bus
-from scenarios.preparation import prepare
-from scenarios.setup import Setup
+from concord.experiments.results.trace import read_trace
+from concord.experiments.scenario_options import scenario_with_known
+from concord.runtime.drivers import in_memory
+from concord.scenarios.build import build_bus
+from concord.scenarios.preparation import prepare
+from concord.scenarios.setup import Setup
 
 # --- by hand -----------------------------------------------------------------------------------
 

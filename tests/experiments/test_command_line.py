@@ -1,20 +1,27 @@
 """Test the whole command line: its commands, their imports, and output without a reader."""
 
+import io
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from experiments.cli.command_line import COMMANDS, GROUPS, main
+from concord._version import __version__
+from concord.experiments.cli.command_line import COMMANDS, GROUPS, main
+from concord.experiments.repeated_options import refuse_repeated
+from tests.experiments.flexray_support import concord, refused
 from tests.processes import CONCORD
 
 FULL = Path("/dev/full")
+LAUNCHER = Path(__file__).parents[2] / "launch_local.py"
+BASH = shutil.which("bash")
 # A fresh process prints the modules that a command loads, as a user waits for their loading.
 LOADED_BY = """
 import contextlib, io, sys
-from experiments.cli.command_line import main
+from concord.experiments.cli.command_line import main
 with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):
     main({arguments!r})
 sys.stdout.write(" ".join(sorted({{name.partition(".")[0] for name in sys.modules}})))
@@ -51,6 +58,89 @@ def test_an_unknown_command_is_refused_in_one_line(capsys: pytest.CaptureFixture
     assert told.count("\n") == 1
 
 
+def test_help_explains_a_command_as_its_own_option_does(capsys: pytest.CaptureFixture[str]):
+    for words in ([], ["control"], ["flexray", "plan"]):
+        explained = concord(capsys, "help", *words)
+        assert explained == concord(capsys, *words, "--help") and explained.code == 0
+    assert "unknown command 'runn': did you mean 'run'" in refused(concord(capsys, "help", "runn"))
+
+
+@pytest.mark.parametrize("asked", ["--version", "version"])
+def test_the_version_is_that_of_the_package(asked: str, capsys: pytest.CaptureFixture[str]):
+    assert concord(capsys, asked) == (0, f"concord {__version__}\n", "")
+
+
+@pytest.mark.parametrize("shell", ["zsh", "fish"])
+def test_a_completion_script_knows_commands_and_options(
+    shell: str, capsys: pytest.CaptureFixture[str]
+):
+    printed = concord(capsys, "completion", shell)
+    assert (printed.code, printed.err) == (0, "")
+    assert all(name in printed.out for name in (*COMMANDS, *GROUPS, "--cycle-stretch"))
+
+
+@pytest.mark.skipif(BASH is None, reason="needs bash")
+@pytest.mark.parametrize(
+    ("words", "completed"),
+    [("concord swee", "sweep"), ("concord run --cycle-s", "--cycle-stretch")],
+)
+def test_bash_completes_with_the_printed_script(
+    words: str, completed: str, capsys: pytest.CaptureFixture[str]
+):
+    ask = f'COMP_WORDS=({words}); COMP_CWORD={words.count(" ")}; _tyro_concord; echo "$COMPREPLY"'
+    script = f"{concord(capsys, 'completion', 'bash').out}\n{ask}"
+    done = subprocess.run([str(BASH)], input=script, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == [completed]
+
+
+def test_a_far_name_gets_no_offer(capsys: pytest.CaptureFixture[str]):
+    told = refused(concord(capsys, "quux"))
+    assert "did you mean" not in told and told.count("'quux'. Valid names are run, ") == 1
+
+
+@pytest.mark.parametrize(
+    ("command", "says"),
+    [
+        (
+            "sweep --graph ring --graph path",
+            "--graph is given twice, --graph ring and --graph path, and only one of them can hold; "
+            "write --graph ring,path",
+        ),
+        ("design --nodes=5 --target-rmse 8 --nodes 6", "write --nodes 5,6"),
+        ("sweep --runs 5 --runs 6", "--runs 5 and --runs 6, and only one of them can hold; give"),
+        ("sweep -o a.nc --out b.nc", "--out is given twice, -o a.nc and --out b.nc, and"),
+        ("run --occupancy_x -1 --occupancy-x -inf", "-1 and --occupancy-x -inf, and only one"),
+        ("run --relay --steps 3 --no-relay", "--relay is given twice, --relay and --no-relay, and"),
+        ("run --changes a b --changes c", "--changes a b and --changes c, and only one"),
+        ("flexray plan --nodes 3 --nodes 4", "of them can hold; give it once"),
+    ],
+)
+def test_a_repeated_option_is_refused(command: str, says: str, capsys: pytest.CaptureFixture[str]):
+    assert says in refused(concord(capsys, *command.split()))
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["run", "--changes", "2 kill 1", "4 restart 1", "--seed", "1"],
+        ["node", "setup.json", "0", "1", "--connect", "tcp/a:1", "tcp/b:1"],
+        ["run", "--loss", "-1", "--delay", "-1", "--no-relay", "--nodes", "3"],
+        ["control", "runs/x", "--json", "--", "--json", "--json"],
+    ],
+)
+def test_several_values_of_one_option_are_not_a_repetition(words: list[str]):
+    refuse_repeated(words)
+
+
+def test_the_local_launcher_takes_another_driver():
+    asked = ["--driver", "batched", "--runs", "0"]
+    done = subprocess.run(
+        [sys.executable, str(LAUNCHER), *asked], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert done.stderr == "concord: --runs 0: must be at least 1\n"
+
+
 def test_what_there_is_to_choose_from_is_told_without_what_computes():
     assert not loaded_by("list") & (SLOW_TO_LOAD | {"zenoh", "mcap"})
 
@@ -64,6 +154,41 @@ def test_a_command_loads_nothing_of_other_commands(name: str):
 
 def test_the_measure_of_loading_sees_what_is_loaded():
     assert {"scipy", "networkx"} <= loaded_by("topology", "--help")
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+@pytest.mark.parametrize(
+    ("command", "written"),
+    [
+        ("run --driver batched --scenario oscillator --nodes 3 --steps 40 --runs 5 --out run",
+         ["+- 0.", "5 runs from run 0 on; "]),
+        ("run --scenario oscillator --nodes 3 --steps 20 --out run", ["centralised", "ANEES"]),
+    ],
+)  # fmt: skip
+def test_an_encoding_without_a_character_gets_another_one(
+    command: str, written: list[str], encoding: str, tmp_path: Path
+):
+    locale = {"PYTHONUTF8": "0", "LC_ALL": "C", "PYTHONIOENCODING": encoding}
+    done = subprocess.run(
+        [*CONCORD, *command.split()],
+        cwd=tmp_path,
+        env={**os.environ, **locale},
+        capture_output=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    output = done.stdout.decode(encoding)
+    if encoding == "latin-1":
+        written = [text.replace("+- ", "\u00b1 ") for text in written]
+    assert all(text in output for text in written), output
+    assert "?" not in output and "\\u" not in output
+
+
+def test_every_character_has_a_plain_form():
+    text = io.TextIOWrapper(io.BytesIO(), encoding="ascii", errors="concord")
+    text.write("3 ± 2 m/s² ≤ √Π, β = 5 µs …, Cramér ┏━┓│")
+    text.seek(0)
+    assert text.read() == "3 +- 2 m/s^2 <= sqrt Pi, beta = 5 us ., Cramer +-+|"
 
 
 @pytest.mark.parametrize("arguments", [["list", "--json"], ["--help"]])

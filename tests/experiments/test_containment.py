@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.__main__ import main
-from experiments.results.containment import containment
-from filters.gaussian import Gaussian
+from concord.experiments.__main__ import main
+from concord.experiments.results.containment import containment
+from concord.filters.gaussian import Gaussian
 
 
 def test_outside_and_undefined_sets_are_violations_and_unknown_truth_is_not():

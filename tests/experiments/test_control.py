@@ -11,11 +11,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from experiments.__main__ import main
-from nodes.commands import Answer, in_words
-from nodes.messages import decode
-from runtime.network.control_client import Client, NotThere
-from runtime.network.network_file import read_network
+from concord.experiments.__main__ import main
+from concord.nodes.commands import Answer, in_words
+from concord.nodes.messages import decode
+from concord.runtime.network.control_client import Client, NotThere
+from concord.runtime.network.network_file import read_network
 from tests.endurance.running import Running
 from tests.experiments.support import small, trace_of
 from tests.processes import PATIENCE_S, PROC, holds_within, lives

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from experiments.__main__ import main
-from experiments.results.folder import read_description
-from runtime.network.links import free_ports
+from concord.experiments.__main__ import main
+from concord.experiments.results.folder import read_description
+from concord.runtime.network.links import free_ports
 from tests.experiments.hosts import hosts
 from tests.experiments.test_hosts import write_setup
 from tests.experiments.units import CONCORD, DEPLOY, UNITS, credentials, unit_command
@@ -88,10 +88,10 @@ def test_units_start_in_order_and_come_back_where_that_helps():
 @pytest.mark.skipif(not PROC.is_dir(), reason="finds processes in /proc, which is not there")
 def test_the_commands_of_the_units_run_a_network_over_tls(tmp_path: Path):
     """Keys, setup, router, world and two nodes, each with its own files alone, to the end."""
-    pytest.importorskip("cryptography", reason="concord[secure] makes certificates")
+    pytest.importorskip("cryptography", reason="the extra secure makes certificates")
     keys = tmp_path / "keys"
     main(["keys", str(keys), "--nodes", "2"])
-    setup = write_setup(tmp_path, "--nodes", 2, "--graph", "path", steps=60)
+    setup = write_setup(tmp_path, nodes=2, graph="path", steps=60)
     port = free_ports(["router"])["router"]
     endpoint = f"tls/localhost:{port}"
     environment = {
@@ -147,7 +147,7 @@ def test_the_manifest_is_valid_by_the_schemas_of_kubernetes():
 
 def test_what_pods_want_is_there(tmp_path: Path):
     """Volumes, keys of `concord keys`, labels and numbers fit together."""
-    pytest.importorskip("cryptography", reason="concord[secure] makes certificates")
+    pytest.importorskip("cryptography", reason="the extra secure makes certificates")
     main(["keys", str(tmp_path / "keys"), "--nodes", "6", "--hosts", "concord-router"])
     made = {file.name for file in (tmp_path / "keys").iterdir()}
     for pod in pods().values():

@@ -1,23 +1,26 @@
 """The search of a design on landscapes whose optimum is known; and once for real."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 
-from experiments.__main__ import main
-from experiments.design.candidates import Cost
-from experiments.design.results import design_of, nearest, read_design, write_design
-from experiments.design.search import FRESH_RUN, Found, SearchTask, search
-from experiments.design.space import OPEN, coarse_grid, neighbours_of, space_of
-from experiments.design.target import DesignTarget, error_of, parse_target
-from experiments.sweep.pieces import Piece
-from experiments.sweep.specification import specify
-from scenarios.scenario import Scenario
-from scenarios.types.buses import occupancy_of
+from concord.bus.schedule import publishers_per_cycle
+from concord.experiments.__main__ import main
+from concord.experiments.design.candidates import Cost, candidates_of
+from concord.experiments.design.results import design_of, nearest, read_design, write_design
+from concord.experiments.design.search import FRESH_RUN, Found, SearchTask, search
+from concord.experiments.design.space import OPEN, coarse_grid, neighbours_of, space_of
+from concord.experiments.design.target import DesignTarget, error_of, parse_target
+from concord.experiments.sweep.pieces import Piece
+from concord.experiments.sweep.specification import shown, specify
+from concord.scenarios.bus_plan import build_schedule
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.types.buses import occupancy_of
 from tests.experiments.flexray_support import concord
 
 ASKED = {"scenario": "oscillator", "nodes": "10", "weights": "metropolis"}
@@ -78,10 +81,30 @@ def test_it_finds_the_least_occupancy_that_meets_the_target():
     _, found = found_for("1.6x-centralised")
     assert found.recommended is not None
     best = found.recommended.candidate.cell.values
-    # 1 + 0.1 / occupancy / rounds <= 1.6 on the complete graph with hcmci: the least occupancy of
-    # the list is 0.05, with 5 rounds 1.4; with 3 rounds 1.67.
-    assert best["occupancy"] == 0.05 and best["rounds"] == 5
+    # 1 + 0.1 / occupancy / rounds <= 1.6 on the complete graph with hcmci: one publisher of ten
+    # nodes is an occupancy of 0.1, with 2 rounds 1.5; with 1 round 2.
+    assert best["occupancy"] == 0.1 and best["rounds"] == 2
     assert found.recommended.error.high <= 1.6
+
+
+def test_every_run_of_a_search_is_in_its_progress():
+    told: list[tuple[int, list[int]]] = []
+
+    @contextmanager
+    def progress(_title: str, total: int) -> Iterator[Callable[[int], None]]:
+        told.append((total, []))
+        yield told[-1][1].append
+
+    settled, space = space_of(specify(ASKED))
+    target = parse_target("1.6x-centralised")
+    task = SearchTask(
+        target, "occupancy", settled, space, 60, landscape(), lambda _: None, progress
+    )
+    found = search(task, [], [])
+    for total, done in told:
+        assert done == sorted(done) and done[-1:] == ([total] if total else [])
+    tried = [*found.candidates, *(one.candidate for one in found.confirmed)]
+    assert sum(total for total, _ in told) == sum(one.runs for one in tried)
 
 
 def test_other_costs_have_other_winners():
@@ -133,6 +156,46 @@ def test_every_value_can_be_reached_from_the_coarse_grid():
     for field, values in space.items():
         assert {one[field] for one in reached} >= set(values), field
     assert all((one["occupancy"] == 1.0) == (one["schedule"] == "full") for one in reached)
+
+
+OF_THE_README = {"scenario": "oscillator", "nodes": "5", "steps": "60", "graph": "ring,complete",
+                 "weights": "metropolis", "rounds": "1,2", "schedule": "hybrid"}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("asked", "publishers"),
+    [
+        (OF_THE_README, {1, 2, 3, 4, 5}),
+        ({**OF_THE_README, "occupancy": ".05,.1,.2,.25,.7,.95,1"}, {1, 4, 5}),
+        ({**OF_THE_README, "nodes": "30"}, {1, 2, 3, 5, 7, 10, 14, 21, 30}),
+        ({**OF_THE_README, "nodes": "3,5"}, {1, 2, 3, 4, 5}),
+        ({**ASKED, "occupancy": "1"}, {10}),
+    ],
+)
+def test_no_candidate_is_raced_twice(asked: dict[str, str], publishers: set[int]):
+    settled, space = space_of(specify(asked))
+    reached = coarse_grid(space)
+    for one in reached:
+        reached += [new for new in neighbours_of(one, space) if new not in reached]
+    good, refused = candidates_of(settled, reached, 0)
+    assert good and not refused
+    raced, sending = [], set()
+    for scenario in (one.cell.scenario for one in good):
+        schedule = build_schedule(scenario)
+        sent = len(schedule.static_senders(0)) + schedule.dynamic_slots(0)
+        sending.add(sent)
+        network = scenario.nodes, scenario.network, scenario.rounds, scenario.rule
+        raced.append((*network, sent, sent < scenario.nodes and scenario.bus.schedule.name))
+    assert len({msgspec.json.encode(one) for one in raced}) == len(raced)
+    assert sending == publishers
+
+
+def test_the_printed_occupancy_is_that_of_the_candidate():
+    _, space = space_of(specify({"scenario": "oscillator", "nodes": "7"}))
+    for count, occupancy in enumerate(space["occupancy"], start=1):
+        assert isinstance(occupancy, float) and float(shown(occupancy)) == occupancy
+        assert publishers_per_cycle(7, occupancy) == count
+    assert len(space["occupancy"]) == 7
 
 
 @pytest.mark.parametrize(

@@ -11,13 +11,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from bus.flexray.share_frames import SHARE_FRAMES
-from experiments.results.folder import ARRAYS, RECORDING, read_description
-from experiments.results.palette import save
-from experiments.results.trace import read_trace
-from experiments.sweep.store import folder_of, load_cells, save_cell
-from runtime.disk import NotWritten
-from runtime.recording import McapRecorder, read_recording
+from concord.bus.flexray.share_frames import SHARE_FRAMES
+from concord.experiments.results.folder import ARRAYS, RECORDING, read_description
+from concord.experiments.results.palette import save
+from concord.experiments.results.trace import read_trace
+from concord.experiments.sweep.store import folder_of, load_cells, save_cell
+from concord.runtime.disk import NotWritten
+from concord.runtime.recording import McapRecorder, read_recording
 from tests.processes import CONCORD, PROC, family
 
 RUN = ["run", "--scenario", "oscillator", "--nodes", "4", "--out", "run"]

@@ -8,10 +8,10 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from experiments.doctor import checks as doctor
-from experiments.doctor import machine as doctor_machine
-from experiments.doctor.finding import Finding, Verdict
-from runtime.network.zenoh_transport import LinkError
+from concord.experiments.doctor import checks as doctor
+from concord.experiments.doctor import machine as doctor_machine
+from concord.experiments.doctor.finding import Finding, Verdict
+from concord.runtime.network.zenoh_transport import LinkError
 from tests.experiments.flexray_support import concord, refused
 
 OK, WARNING, FAILING = Verdict.OK, Verdict.WARNING, Verdict.FAILING
@@ -112,8 +112,8 @@ def test_browsers():
 
 def test_extras_say_how_to_get_them(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(doctor.importlib.util, "find_spec", lambda name: None)
-    assert doctor.extra("secure").verdict is WARNING
-    assert "concord[secure]" in doctor.extra("secure").cure
+    assert doctor.extra("secure").verdict is Verdict.OPTIONAL
+    assert "pip install '.[secure]'" in doctor.extra("secure").cure
     monkeypatch.setattr(doctor.importlib.util, "find_spec", lambda name: object())
     assert doctor.extra("secure").verdict is OK
 
@@ -147,7 +147,7 @@ def test_the_exit_code_tells(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ):
-    from experiments.cli import doctor as doctor_command
+    from concord.experiments.cli import doctor as doctor_command
 
     found = [Finding("this", OK, "fine"), Finding("that", verdict, "[seen]", "do something")]
     monkeypatch.setattr(doctor_command, "look", lambda nodes, data: iter(found))
@@ -171,7 +171,7 @@ def test_this_machine_in_a_fresh_process(tmp_path: Path):
     import sys
 
     done = subprocess.run(
-        [sys.executable, "-m", "experiments", "doctor", "--nodes", "2", "--json"],
+        [sys.executable, "-m", "concord.experiments", "doctor", "--nodes", "2", "--json"],
         cwd=Path(__file__).parents[2],
         capture_output=True,
         timeout=60,

@@ -8,9 +8,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from experiments.cli import dashboard as dashboard_command
-from experiments.sweep.store import folder_of, load_cells, save_cell
-from runtime.network.network_file import NetworkAddresses, read_network, write_network
+from concord.experiments.cli import dashboard as dashboard_command
+from concord.experiments.sweep.store import folder_of, load_cells, save_cell
+from concord.runtime.network.network_file import NetworkAddresses, read_network, write_network
 from tests.experiments.flexray_support import concord
 from tests.experiments.test_hosts import write_setup
 from tests.processes import CONCORD, PROC, Family, family, holds_within

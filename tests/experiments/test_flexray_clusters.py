@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from bus.flexray.cluster_files import cluster_to_toml
-from bus.flexray.fibex import cluster_to_fibex
-from bus.flexray.presets import DEMO, PRESETS
-from experiments.flexray.clusters import derived, read_cluster
+from concord.bus.flexray.cluster_files import cluster_to_toml
+from concord.bus.flexray.fibex import cluster_to_fibex
+from concord.bus.flexray.presets import DEMO, PRESETS
+from concord.experiments.flexray.clusters import derived, read_cluster
 from tests.experiments.flexray_support import concord, refused
 
 

@@ -9,24 +9,24 @@ import tyro
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.flexray.cluster_files import cluster_to_toml
-from bus.flexray.dynamic_segment import walk
-from bus.flexray.flexray_bus import FlexRayBus
-from experiments.cli.scenario_flags import ScenarioFlags, resolved
-from experiments.flexray.plan_report import run_command, slot_rows
-from experiments.flexray.rehearsal import (
+from concord.bus.flexray.cluster_files import cluster_to_toml
+from concord.bus.flexray.dynamic_segment import walk
+from concord.bus.flexray.flexray_bus import FlexRayBus
+from concord.experiments.cli.scenario_flags import ScenarioFlags, resolved
+from concord.experiments.flexray.plan_report import run_command, slot_rows
+from concord.experiments.flexray.rehearsal import (
     alternatives,
     changed,
     prepare_without_bus,
     rehearse,
 )
-from experiments.results.trace import read_trace
-from experiments.scenario_options import scenario_of
-from runtime.drivers import in_memory
-from scenarios.build import build_bus
-from scenarios.preparation import prepare
-from scenarios.setup import Setup
-from scenarios.types.buses import occupancy_of
+from concord.experiments.results.trace import read_trace
+from concord.experiments.scenario_options import scenario_of
+from concord.runtime.drivers import in_memory
+from concord.scenarios.build import build_bus
+from concord.scenarios.preparation import prepare
+from concord.scenarios.setup import Setup
+from concord.scenarios.types.buses import occupancy_of
 from tests.experiments.flexray_support import concord, refused
 from tests.experiments.test_bus_report import SMALL
 

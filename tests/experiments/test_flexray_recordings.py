@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.flexray.frame import Frame, encode
-from bus.recordings.waveform import Waveform
-from experiments.flexray.recordings import read_recorded
+from concord.bus.flexray.frame import Frame, encode
+from concord.bus.recordings.waveform import Waveform
+from concord.experiments.flexray.recordings import read_recorded
 from tests.bus.signals import encode_bits, format_waveform, from_bits
 from tests.experiments.flexray_support import concord, refused
 

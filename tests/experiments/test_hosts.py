@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dashboard.frames.live import LiveNetwork
-from experiments.__main__ import main
-from experiments.cli.agree import first_difference
-from experiments.results.folder import read_description, read_description_file
-from runtime.drivers import in_this_process
-from runtime.network.access_control import MONITOR, OPERATOR
-from runtime.network.control_client import Client, NotThere
-from runtime.network.links import ZenohEndpoints, checked_endpoints, checked_run, free_ports
-from runtime.network.zenoh_transport import Transport
+from concord.dashboard.frames.live import LiveNetwork
+from concord.experiments.__main__ import main
+from concord.experiments.agreement import first_difference
+from concord.experiments.results.folder import read_description, read_description_file
+from concord.runtime.drivers import in_this_process
+from concord.runtime.network.access_control import MONITOR, OPERATOR
+from concord.runtime.network.control_client import Client, NotThere
+from concord.runtime.network.links import ZenohEndpoints, checked_endpoints, checked_run, free_ports
+from concord.runtime.network.zenoh_transport import Transport
 from tests.experiments.flexray_support import concord
 from tests.experiments.hosts import Hosts, hosts
 from tests.experiments.support import trace_of
@@ -23,9 +23,11 @@ from tests.processes import PROC, holds_within
 needs_proc = pytest.mark.skipif(not PROC.is_dir(), reason="finds processes in /proc")
 
 
-def write_setup(folder: Path, *words: object, steps: int = 40) -> Path:
+def write_setup(
+    folder: Path, *words: object, nodes: int = 4, graph: str = "ring", steps: int = 40
+) -> Path:
     file = folder / "setup.json"
-    scenario = ("--scenario", "oscillator", "--nodes", 4, "--graph", "ring", "--steps", steps)
+    scenario = ("--scenario", "oscillator", "--nodes", nodes, "--graph", graph, "--steps", steps)
     main(["setup", *map(str, (*scenario, "--out", file, "--name", "hosts", *words))])
     return file
 
@@ -117,7 +119,7 @@ def test_who_may_look_on_and_who_may_command_a_guarded_network(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     """The keys of monitor and operator, to a network whose world and nodes have theirs."""
-    pytest.importorskip("cryptography", reason="concord[secure] makes certificates")
+    pytest.importorskip("cryptography", reason="the extra secure makes certificates")
     keys = tmp_path / "keys"
     main(["keys", str(keys), "--nodes", "4"])
     setup = write_setup(tmp_path, steps=100_000)

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from experiments.__main__ import main
-from plants.vehicle.drive_log import write_drive
-from plants.vehicle.parameters import BMW_320I, car_from_toml
+from concord.experiments.__main__ import main
+from concord.plants.vehicle.drive_log import write_drive
+from concord.plants.vehicle.parameters import BMW_320I, car_from_toml
 from tests.experiments.flexray_support import concord, refused
 from tests.plants.test_tyre_identification import TRUE, drive
 
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.filterwarnings("error")
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    from plants.vehicle.model import tanh_tyre
+    from concord.plants.vehicle.model import tanh_tyre
 
     write_drive(tmp_path, drive(TRUE, tanh_tyre, 0.06), BMW_320I)
     return tmp_path
@@ -67,7 +67,7 @@ def test_nothing_is_written_over(folder: Path, capsys):
 
 
 @pytest.mark.skipif(
-    importlib.util.find_spec("vehiclemodels") is None, reason="needs concord[vehicle]"
+    importlib.util.find_spec("vehiclemodels") is None, reason="needs the extra vehicle"
 )
 def test_a_simulated_drive_takes_the_place_of_a_log(capsys):
     main(["identify", "--manoeuvre", "step-steer", "--json"])
@@ -77,7 +77,7 @@ def test_a_simulated_drive_takes_the_place_of_a_log(capsys):
 
 
 @pytest.mark.skipif(
-    importlib.util.find_spec("vehiclemodels") is None, reason="needs concord[vehicle]"
+    importlib.util.find_spec("vehiclemodels") is None, reason="needs the extra vehicle"
 )
 def test_a_simulated_log_is_one_that_data_reads(tmp_path: Path, capsys):
     folder, out = tmp_path / "new" / "log", tmp_path / "other" / "car.toml"

@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 import xarray
 
-from experiments.monte_carlo.simulate import simulate
-from experiments.results.folder import ARRAYS, DESCRIPTION, RECORDING, read_description
-from experiments.results.trace import read_trace
-from runtime.network.network_file import read_network
-from runtime.recording import read_recording
+from concord.experiments.monte_carlo.simulate import simulate
+from concord.experiments.results.folder import ARRAYS, DESCRIPTION, RECORDING, read_description
+from concord.experiments.results.trace import read_trace
+from concord.runtime.network.network_file import read_network
+from concord.runtime.recording import read_recording
 from tests.processes import CONCORD, PATIENCE_S, PROC, Family, family
 
 pytestmark = [
@@ -160,8 +160,8 @@ if "-m" in sys.orig_argv:
 """
 PATIENT = """
 import sys
-from experiments import __main__
-from runtime.processes import launcher
+from concord.experiments import __main__
+from concord.runtime.processes import launcher
 launcher._STOP_TIMEOUT_S = 600
 __main__.main(sys.argv[1:])
 """

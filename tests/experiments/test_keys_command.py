@@ -10,7 +10,7 @@ from tests.experiments.flexray_support import concord, refused
 from tests.processes import PROC, family
 
 pytest.importorskip("cryptography")
-COMMAND = [sys.executable, "-m", "experiments", "keys"]
+COMMAND = [sys.executable, "-m", "concord.experiments", "keys"]
 
 
 def concord_keys(folder: Path, *words: str) -> tuple[int, str, str]:

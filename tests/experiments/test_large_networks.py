@@ -6,10 +6,10 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from experiments.monte_carlo import simulate as batched
-from experiments.monte_carlo.simulate import COV, Histories, simulate
-from experiments.scenario_options import scenario_of
-from scenarios.preparation import prepare
+from concord.experiments.monte_carlo import simulate as batched
+from concord.experiments.monte_carlo.simulate import COV, Histories, simulate
+from concord.experiments.scenario_options import scenario_of
+from concord.scenarios.preparation import prepare
 
 SPARSE = scenario_of("oscillator", nodes=2000, graph="6-regular", steps=5, bus="ideal")
 

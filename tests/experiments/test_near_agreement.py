@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from experiments.results.near_agreement import departures
-from experiments.results.trace import Trace, read_trace
-from runtime.drivers import in_memory
+from concord.experiments.results.near_agreement import departures
+from concord.experiments.results.trace import Trace, read_trace
+from concord.runtime.drivers import in_memory
 from tests.experiments.support import small
 
 SETUP = small(steps=5, schedule="hybrid", occupancy=0.5)

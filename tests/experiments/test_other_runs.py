@@ -11,16 +11,16 @@ import msgspec
 import numpy as np
 import pytest
 
-from dashboard.frames.replay import assembled
-from dashboard.frames.stage import set_stage
-from experiments.monte_carlo import other_runs
-from experiments.monte_carlo.other_runs import OtherRuns, Question, expected, told_by
-from experiments.priority import give_way
-from filters.gaussian import Gaussian
-from runtime.drivers import in_memory
-from scenarios.baselines import baseline_step
-from scenarios.catalogue import definition_of
-from scenarios.preparation import prepare, setup_of_run
+from concord.dashboard.frames.replay import assembled
+from concord.dashboard.frames.stage import set_stage
+from concord.experiments.monte_carlo import other_runs
+from concord.experiments.monte_carlo.other_runs import OtherRuns, Question, expected, told_by
+from concord.experiments.priority import give_way
+from concord.filters.gaussian import Gaussian
+from concord.runtime.drivers import in_memory
+from concord.scenarios.baselines import baseline_step
+from concord.scenarios.catalogue import definition_named
+from concord.scenarios.preparation import prepare, setup_of_run
 from tests.dashboard.runs import setup_of
 from tests.processes import holds_within
 
@@ -51,7 +51,7 @@ def test_the_bound_of_a_linear_plant_is_the_covariance_of_the_kalman_filter():
         if topic.startswith("measured/"):
             said = json.loads(data)
             taken[said["step"], said["node"]] = said["readings"]
-    states = list(definition_of("oscillator").score.states)
+    states = list(definition_named("oscillator").score.states)
     for step in range(25):
         readings = np.array([taken[step, node] for node in range(4)], dtype=float)
         belief = listen(belief, step, readings, None)
@@ -69,7 +69,7 @@ def test_runs_of_what_was_recorded_once_are_no_band():
     data = ROOT.parent / "shared" / "data" / "mrclam6"
     if not data.is_dir():
         pytest.skip("needs the recorded robots in ../shared/data/mrclam6")
-    defaults = definition_of("mrclam").defaults
+    defaults = definition_named("mrclam").defaults
     setup = prepare(defaults.with_(data=str(data), target=4, steps=30))
     told = told_by(setup, 3)
     assert told.nees_low == told.nees_high == [None] * 30
@@ -91,7 +91,7 @@ def test_the_process_tells_and_of_sets_nothing(monkeypatch: pytest.MonkeyPatch):
 def test_the_process_ends_with_whoever_asked():
     question = Question(setup_of("oscillator", nodes=8, steps=5000), sparing=True)
     process = subprocess.Popen(
-        [sys.executable, "-m", "experiments.monte_carlo.other_runs"],
+        [sys.executable, "-m", "concord.experiments.monte_carlo.other_runs"],
         cwd=ROOT,
         stdin=subprocess.PIPE,
     )

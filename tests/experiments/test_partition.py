@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.__main__ import main
-from experiments.results.folder import read_description
-from experiments.results.trace import Trace
-from nodes.changes import Event, Gone, Joined
-from nodes.messages import decode
-from runtime.recording import read_recording
+from concord.experiments.__main__ import main
+from concord.experiments.results.folder import read_description
+from concord.experiments.results.trace import Trace
+from concord.nodes.changes import Event, Gone, Joined
+from concord.nodes.messages import decode
+from concord.runtime.recording import read_recording
 from tests.experiments.hosts import hosts
 from tests.experiments.support import trace_of
 from tests.namespaces import Lan, lan
@@ -31,8 +31,8 @@ STEPS = 260
 FAR = (2, 3, 4, 5)
 LISTENER = """
 import sys
-from runtime.network.links import links_to_routers
-from runtime.network.zenoh_transport import Transport
+from concord.runtime.network.links import links_to_routers
+from concord.runtime.network.zenoh_transport import Transport
 heard = Transport("hosts", links_to_routers([sys.argv[1]], None), ["estimate/*"], 4096)
 print("listening", flush=True)
 while True:

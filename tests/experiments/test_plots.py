@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from experiments.__main__ import main
-from experiments.results.palette import COLOURS
-from experiments.sweep.run import begin, finish
-from experiments.sweep.specification import specify
-from experiments.sweep.workers import in_this_process
+from concord.experiments.__main__ import main
+from concord.experiments.results.palette import COLOURS
+from concord.experiments.sweep.run import begin, finish
+from concord.experiments.sweep.specification import specify
+from concord.experiments.sweep.workers import in_this_process
 from tests.experiments.flexray_support import concord, refused
 
 ASKED = {"scenario": "target-tracking", "nodes": "6", "steps": "24", "graph": "ring,complete",

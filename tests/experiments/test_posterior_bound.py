@@ -7,18 +7,18 @@ import msgspec
 import numpy as np
 import pytest
 
-from experiments.monte_carlo.posterior_bound import Truths, posterior_bound
-from experiments.scenario_options import scenario_of
-from scenarios.baselines import centralised
-from scenarios.catalogue import definition_of
-from scenarios.preparation import prepare
-from scenarios.streams import generator
+from concord.experiments.monte_carlo.posterior_bound import Truths, posterior_bound
+from concord.experiments.scenario_options import scenario_of
+from concord.scenarios.baselines import centralised
+from concord.scenarios.catalogue import definition_named
+from concord.scenarios.preparation import prepare
+from concord.scenarios.streams import generator
 
 
 def truths_of(name: str, runs: int, **fields) -> tuple[Truths, SimpleNamespace]:
     """Truths without any filter, and what the bound needs of the scenario."""
     scenario = scenario_of(name, **fields)
-    definition = definition_of(name)
+    definition = definition_named(name)
     plant = definition.plant(scenario)
     truth, readings, priors = [], [], []
     cov = np.empty(0)

@@ -7,19 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.cli.agree import first_difference
-from experiments.results.timing_figures import TimingFigures, figures_of, lines
-from nodes.changes import Calm, Cut, Fault
-from nodes.commands import Answer, in_words
-from nodes.messages import Grant, Timing, decode, encode, topic
-from nodes.tempo import Tempo
-from runtime.drivers import in_this_process
-from runtime.network.control_client import Client
-from runtime.processes.job import Happened
-from runtime.processes.launcher import run_processes
-from runtime.recording import read_recording
-from scenarios.setup import Setup
-from scenarios.tempo import tempo_of
+from concord.experiments.agreement import first_difference
+from concord.experiments.results.timing_figures import TimingFigures, figures_of, lines
+from concord.nodes.changes import Calm, Cut, Fault
+from concord.nodes.commands import Answer, in_words
+from concord.nodes.messages import Grant, Timing, decode, encode, topic
+from concord.nodes.tempo import Tempo
+from concord.runtime.drivers import in_this_process
+from concord.runtime.network.control_client import Client
+from concord.runtime.processes.job import Happened
+from concord.runtime.processes.launcher import run_processes
+from concord.runtime.recording import read_recording
+from concord.scenarios.setup import Setup
+from concord.scenarios.tempo import tempo_of
 from tests.experiments.support import small, trace_of
 
 # In cycles of 20 ms a busy machine makes most nodes late; these last 100 ms, steps 300 ms.

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.cli.agree import first_difference
-from experiments.results.folder import read_description
-from nodes.messages import Timing, decode
-from runtime.drivers import in_this_process
-from runtime.recording import read_recording
+from concord.experiments.agreement import first_difference
+from concord.experiments.results.folder import read_description
+from concord.nodes.messages import Timing, decode
+from concord.runtime.drivers import in_this_process
+from concord.runtime.recording import read_recording
 from tests.experiments.hosts import hosts
 from tests.experiments.support import trace_of
 from tests.experiments.test_hosts import two_routers, write_setup

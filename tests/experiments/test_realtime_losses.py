@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bus.flexray.share_frames import read_frame
-from experiments.results.timing_figures import TimingFigures, figures_of
-from experiments.results.trace import Trace
-from nodes.changes import Event, Gone, Joined, Left
-from nodes.commands import in_words
-from nodes.messages import decode
-from nodes.tempo import Tempo
-from scenarios.build import build_environment
-from scenarios.setup import Setup
-from scenarios.tempo import tempo_of
+from concord.bus.flexray.share_frames import read_frame
+from concord.experiments.results.timing_figures import TimingFigures, figures_of
+from concord.experiments.results.trace import Trace
+from concord.nodes.changes import Event, Gone, Joined, Left
+from concord.nodes.commands import in_words
+from concord.nodes.messages import decode
+from concord.nodes.tempo import Tempo
+from concord.scenarios.build import build_environment
+from concord.scenarios.setup import Setup
+from concord.scenarios.tempo import tempo_of
 from tests.endurance.running import Running
 from tests.experiments.support import small, trace_of
 from tests.processes import PATIENCE_S, PROC, holds_within, lives

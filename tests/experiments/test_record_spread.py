@@ -3,16 +3,17 @@
 import numpy as np
 import pytest
 
-from experiments.results.record_spread import NEVER, RecordSpread, figures_of
-from experiments.results.summary import lines, summarise
-from experiments.results.trace import read_trace
-from experiments.scenario_options import scenario_of
-from runtime import in_process
-from runtime.drivers import drive
-from runtime.recording import MemoryRecorder
-from scenarios.build import build_environment, build_node
-from scenarios.preparation import prepare
-from scenarios.setup import Setup
+from concord.experiments.results.record_spread import NEVER, RecordSpread, figures_of
+from concord.experiments.results.record_spread import lines as words_of
+from concord.experiments.results.summary import details, summarise
+from concord.experiments.results.trace import read_trace
+from concord.experiments.scenario_options import scenario_of
+from concord.runtime import in_process
+from concord.runtime.drivers import drive
+from concord.runtime.recording import MemoryRecorder
+from concord.scenarios.build import build_environment, build_node
+from concord.scenarios.preparation import prepare
+from concord.scenarios.setup import Setup
 
 
 def setup_of(**options) -> Setup:
@@ -55,6 +56,31 @@ def test_figures_of_a_spread_that_is_known():
     assert figures.body_bytes_per_step == 25.0
 
 
+@pytest.mark.parametrize(
+    ("window_steps", "arrival", "says"),
+    [
+        (
+            2,
+            1,
+            "records: 100.00 % arrived within the window; an arrival took 1.00 steps in the mean",
+        ),
+        (
+            9,
+            1,
+            "records: none was old enough yet to tell whether it arrived within the window; an ",
+        ),
+        (9, NEVER, "arrived within the window; none reached another node"),
+    ],
+)
+def test_what_is_not_known_yet_is_a_sentence(window_steps: int, arrival: int, says: str):
+    taken = np.array([[True, False], [False, False], [False, False]])
+    arrivals = np.full((2, 3, 2), NEVER)
+    arrivals[:, 0, 0] = [0, arrival]
+    spread = RecordSpread(taken, arrivals, window_steps, np.array([8, 8, 8]), 3, 0, 3)
+    told = words_of(figures_of(spread))
+    assert says in told[0] and not any("nan" in line or "- arrived" in line for line in told)
+
+
 def test_a_summary_tells_of_records_where_there_are_some():
     for rule, told in (("labelled", True), ("ci", False)):
         setup = setup_of(rule=rule)
@@ -62,4 +88,4 @@ def test_a_summary_tells_of_records_where_there_are_some():
         drive(setup, recorder, lambda _: None)
         figures = summarise(setup, read_trace(setup, recorder.messages))
         assert (figures.spread is not None) == told
-        assert any(line.startswith("records:") for line in lines(figures)) == told
+        assert any(line.startswith("records:") for line in details(figures)) == told

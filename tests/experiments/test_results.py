@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray
 
-from experiments.results.folder import (
+from concord.experiments.results.folder import (
     ARRAYS,
     DESCRIPTION,
     describe,
@@ -17,10 +17,10 @@ from experiments.results.folder import (
     write_arrays,
     write_description,
 )
-from experiments.results.trace import read_trace
-from filters.metrics import nees
-from runtime.drivers import in_memory
-from scenarios.scenario import Scenario
+from concord.experiments.results.trace import read_trace
+from concord.filters.metrics import nees
+from concord.runtime.drivers import in_memory
+from concord.scenarios.scenario import Scenario
 from tests.experiments.support import small
 
 SETUP = small(steps=6, nodes=3, graph="path", schedule="round-robin", occupancy=0.4)

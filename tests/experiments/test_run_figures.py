@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from experiments.monte_carlo.convergence import settling_interval, settling_steps
-from experiments.monte_carlo.energy import energy_per_bit_nj
-from experiments.monte_carlo.pareto import front
-from experiments.monte_carlo.run_figures import FIGURES, figures_of
-from experiments.monte_carlo.run_frame import frame_of
-from experiments.monte_carlo.simulate import simulate
-from experiments.results.summary import summarise
-from experiments.results.trace import read_trace
-from experiments.scenario_options import scenario_of
-from runtime.drivers import in_memory
-from scenarios.preparation import prepare, setup_of_run
+from concord.experiments.monte_carlo.convergence import settling_interval, settling_steps
+from concord.experiments.monte_carlo.energy import energy_per_bit_nj
+from concord.experiments.monte_carlo.pareto import front
+from concord.experiments.monte_carlo.run_figures import FIGURES, figures_of
+from concord.experiments.monte_carlo.run_frame import frame_of
+from concord.experiments.monte_carlo.simulate import simulate
+from concord.experiments.results.summary import summarise
+from concord.experiments.results.trace import read_trace
+from concord.experiments.scenario_options import scenario_of
+from concord.runtime.drivers import in_memory
+from concord.scenarios.preparation import prepare, setup_of_run
 
 CHANGES = ("3 kill 1", "10 loss 0.3", "12 restart 1", "14 kill 2")
 CASES = [

@@ -10,12 +10,12 @@ import pytest
 import xarray
 from rich.console import Console
 
-from experiments.__main__ import main
-from experiments.results.summary import Figures, lines, summarise, table
-from experiments.results.trace import read_trace
-from runtime.drivers import in_memory
-from runtime.recording import read_recording
-from scenarios.preparation import prepare
+from concord.experiments.__main__ import main
+from concord.experiments.results.summary import Figures, lines, opening, summarise, table
+from concord.experiments.results.trace import read_trace
+from concord.runtime.drivers import in_memory
+from concord.runtime.recording import read_recording
+from concord.scenarios.preparation import prepare
 from tests.experiments.support import scenario, small
 
 SETUP = small(steps=30, nodes=4)
@@ -124,6 +124,19 @@ def test_the_table_has_a_row_for_each_node_and_frames_the_network():
         assert f"{figures.rmse:.4g}" in text
     assert f"{FIGURES.rmse_centralised:.4g}" in text
     assert "scored from step 20 of 30" in text
+
+
+def test_no_name_is_cut_at_eighty_columns():
+    console = Console(width=80, record=True, file=StringIO())
+    console.print(table(FIGURES, "a title"))
+    text = console.export_text()
+    assert "centralised" in text and "…" not in text
+
+
+def test_the_verdict_opens_the_figures():
+    (sentence,) = opening(FIGURES)
+    assert f"{FIGURES.rmse / FIGURES.rmse_centralised:.3g} x the error of the filter" in sentence
+    assert f"(ANEES {FIGURES.anees:.3g})" in sentence  # ten scored steps have no interval
 
 
 def test_what_is_not_known_is_a_dash_in_the_table():

@@ -12,14 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.__main__ import main
-from experiments.sweep.engines import engine_for
-from experiments.sweep.results import read_result
-from experiments.sweep.run import begin, finish
-from experiments.sweep.specification import Specification, specify
-from experiments.sweep.store import folder_of
-from experiments.sweep.summary import figures_of
-from experiments.sweep.workers import in_this_process
+from concord.experiments.__main__ import main
+from concord.experiments.sweep.engines import engine_for
+from concord.experiments.sweep.results import read_result
+from concord.experiments.sweep.run import begin, finish
+from concord.experiments.sweep.specification import Specification, specify
+from concord.experiments.sweep.store import folder_of
+from concord.experiments.sweep.summary import figures_of
+from concord.experiments.sweep.workers import in_this_process
 from tests.experiments.flexray_support import concord, refused
 from tests.pages import ROOT
 
@@ -138,7 +138,7 @@ def test_so_do_the_workers_of_a_dask_scheduler(result: Path, tmp_path: Path):
 
 def test_without_dask_the_extra_is_named(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(__import__("sys").modules, "distributed", None)
-    with pytest.raises(ValueError, match=r"pip install 'concord\[dask\]'"):
+    with pytest.raises(ValueError, match=r"pip install '\.\[dask\]'"):
         engine_for(None, "tcp://127.0.0.1:1")
 
 
@@ -231,7 +231,8 @@ def group_ends(group: int, within_s: float) -> bool:
 @pytest.mark.slow
 def test_ctrl_c_keeps_finished_cells_and_ends_every_worker(tmp_path: Path):
     command = [
-        sys.executable, "-m", "experiments", "sweep", "--scenario", "oscillator", "--nodes", "4",
+        sys.executable, "-m", "concord.experiments", "sweep",
+        "--scenario", "oscillator", "--nodes", "4",
         "--steps", "40", "--seed", "1..30", "--runs", "4", "--workers", "2",
         "-o", str(tmp_path / "s.nc"),
     ]  # fmt: skip

@@ -6,12 +6,12 @@ import tyro
 from hypothesis import given
 from hypothesis import strategies as st
 
-from experiments.cli.scenario_flags import said_in
-from experiments.sweep.cells import checked_cells, difference
-from experiments.sweep.options import FieldOptions
-from experiments.sweep.specification import FIELDS, Range, cells_of, specify
-from scenarios.catalogue import definitions
-from scenarios.types.assignment import flat
+from concord.experiments.cli.scenario_flags import said_in
+from concord.experiments.sweep.cells import checked_cells, difference
+from concord.experiments.sweep.options import FieldOptions
+from concord.experiments.sweep.specification import FIELDS, Range, cells_of, specify
+from concord.scenarios.catalogue import definitions
+from concord.scenarios.types.assignment import flat
 
 
 def test_every_combination_in_order_the_last_field_fastest():

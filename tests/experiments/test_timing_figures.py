@@ -12,13 +12,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.flexray.share_frames import cycle_of
-from experiments.results.timing_figures import figures_of
-from nodes.messages import Estimate, Timing, decode, encode, topic
-from nodes.tempo import Tempo
-from runtime.processes.clock import EnvironmentClock
-from scenarios.setup import Setup
-from scenarios.tempo import tempo_of
+from concord.bus.flexray.share_frames import cycle_of
+from concord.experiments.results.timing_figures import figures_of
+from concord.nodes.messages import Estimate, Timing, decode, encode, topic
+from concord.nodes.tempo import Tempo
+from concord.runtime.processes.clock import EnvironmentClock
+from concord.scenarios.setup import Setup
+from concord.scenarios.tempo import tempo_of
 from tests.endurance.running import Running
 from tests.experiments.support import small, trace_of
 from tests.processes import PATIENCE_S, PROC, holds_within

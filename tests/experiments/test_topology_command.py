@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.topology.convergence import convergence
-from experiments.topology.report import losses_of, suspects
-from experiments.topology.subject import SubjectOptions, subject_of
-from scenarios.observability import observability, rank
+from concord.experiments.topology.convergence import convergence
+from concord.experiments.topology.report import losses_of, suspects
+from concord.experiments.topology.subject import SubjectOptions, subject_of
+from concord.scenarios.observability import observability, rank
+from concord.topology.analysis import analyse
+from concord.topology.graph_files import read_network
 from tests.experiments.flexray_support import concord, refused
 from tests.experiments.support import small
-from topology.analysis import analyse
-from topology.graph_files import read_network
 
 LAB = Path(__file__).resolve().parents[3] / "shared/data/intel_lab"
 

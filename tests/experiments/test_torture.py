@@ -6,19 +6,19 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from bus.flexray.publication import Slot
-from bus.flexray.share_frames import SHARE_FRAMES, to_frames
-from experiments.cli.command_line import main
-from experiments.simulation_testing.case import SimulationCase
-from experiments.simulation_testing.case_run import run_case
-from experiments.simulation_testing.draw import draw_case
-from experiments.simulation_testing.promises import brings_back, liars_of
-from experiments.simulation_testing.script import WORDS, calm_from, is_harmless
-from experiments.simulation_testing.shrink import replay_command, run_command, shrink
-from experiments.simulation_testing.wire import LOSING, WIRE_FAULTS, Wire
-from nodes.faults.vocabulary import EVERY_FAULT
-from scenarios.preparation import prepare
-from scenarios.script import script_of
+from concord.bus.flexray.publication import Slot
+from concord.bus.flexray.share_frames import SHARE_FRAMES, to_frames
+from concord.experiments.cli.command_line import main
+from concord.experiments.simulation_testing.case import SimulationCase
+from concord.experiments.simulation_testing.case_run import run_case
+from concord.experiments.simulation_testing.draw import draw_case
+from concord.experiments.simulation_testing.promises import brings_back, liars_of
+from concord.experiments.simulation_testing.script import WORDS, calm_from, is_harmless
+from concord.experiments.simulation_testing.shrink import replay_command, run_command, shrink
+from concord.experiments.simulation_testing.wire import LOSING, WIRE_FAULTS, Wire
+from concord.nodes.faults.vocabulary import EVERY_FAULT
+from concord.scenarios.preparation import prepare
+from concord.scenarios.script import script_of
 from tests.experiments.flexray_support import Said, concord
 from tests.experiments.torture_bugs import BUGS, MOST_SEEDS, Bug, first_found, planted
 

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.flexray.share_frames import read_frame
-from experiments.cli.agree import first_difference
-from experiments.results.trace import Trace, read_trace
-from nodes.messages import Estimate, Measured, Truth, decode, from_wire
-from runtime.drivers import in_memory
+from concord.bus.flexray.share_frames import read_frame
+from concord.experiments.agreement import first_difference
+from concord.experiments.results.trace import Trace, read_trace
+from concord.nodes.messages import Estimate, Measured, Truth, decode, from_wire
+from concord.runtime.drivers import in_memory
 from tests.experiments.support import small
 
 SETUPS = {

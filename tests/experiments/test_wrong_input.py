@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from experiments.__main__ import main
-from experiments.results.folder import ARRAYS, DESCRIPTION, RECORDING
+from concord.experiments.__main__ import main
+from concord.experiments.results.folder import ARRAYS, DESCRIPTION, RECORDING
 from tests.experiments.flexray_support import concord, refused
 from tests.processes import PROC
 

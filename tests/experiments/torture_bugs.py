@@ -13,8 +13,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
-from experiments.simulation_testing.case_run import SimulationOutcome, run_case
-from experiments.simulation_testing.draw import draw_case
+from concord.experiments.simulation_testing.case_run import SimulationOutcome, run_case
+from concord.experiments.simulation_testing.draw import draw_case
 
 MOST_SEEDS = 60
 
@@ -31,177 +31,181 @@ class Bug(NamedTuple):
 BUGS = (
     Bug(
         "a share is used in every part of its cycle",
-        "nodes.node", "_close_group",
+        "concord.nodes.node", "_close_group",
         (("usable = due if state.phase is Phase.SHARES else config.neighbours",
           "usable = config.neighbours"),),
     ),
     Bug(
         "a share of the next cycle is used before its time",
-        "nodes.node", "_close_group",
+        "concord.nodes.node", "_close_group",
         (("came.get((cycle, j)) if j in usable",
           "came.get((cycle, j), came.get((cycle + 1, j))) if j in usable"),),
     ),
     Bug(
         "a stale share is taken as fresh",
-        "nodes.inbox", "_read",
+        "concord.nodes.inbox", "_read",
         (("    if fragment.cycle < cycle:\n        raise Rejected(_LATE)\n    return fragment",
           "    return replace(fragment, cycle=max(fragment.cycle, cycle))"),),
     ),
     Bug(
         "late frames are one cycle less late",
-        "nodes.inbox", "_read",
+        "concord.nodes.inbox", "_read",
         (("if fragment.cycle < cycle:", "if fragment.cycle < cycle - 1:"),),
     ),
     Bug(
         "a late frame is not counted",
-        "nodes.inbox", "hear",
+        "concord.nodes.inbox", "hear",
         (("return count(state, _counter(rejected))",
           "return state if rejected.reason == _LATE else count(state, _counter(rejected))"),),
     ),
     Bug(
         "the cycle counter is not checked",
-        "bus.flexray.share_frames", "read_frame",
+        "concord.bus.flexray.share_frames", "read_frame",
         (("if cycle_counts is not None and", "if False and"),),
     ),
     Bug(
         "the owner of a slot is not checked",
-        "bus.flexray.slotted_bus", "SlottedBus.place",
+        "concord.bus.flexray.slotted_bus", "SlottedBus.place",
         (('raise Rejected("wrong-slot")', "return SharePlace(0, frames)"),),
     ),
     Bug(
         "the frame's checksum is not checked",
-        "bus.flexray.frame", "decode", (("if not frame_crc_ok:", "if False:"),),
+        "concord.bus.flexray.frame", "decode", (("if not frame_crc_ok:", "if False:"),),
     ),
     Bug(
         "the checksum of a frame that is due is not checked",
-        "bus.flexray.share_frames", "whole_body", (("and is_intact(frame)", ""),),
+        "concord.bus.flexray.share_frames", "whole_body", (("and is_intact(frame)", ""),),
     ),
     Bug(
         "a frame that is due is that of any cycle",
-        "bus.flexray.share_frames", "whole_body",
+        "concord.bus.flexray.share_frames", "whole_body",
         (("frame.startswith(start)", "frame.startswith(shape.header[:2])"),),
     ),
     Bug(
         "a null frame is read",
-        "bus.flexray.share_frames", "read_frame", (("if frame.null:", "if False:"),),
+        "concord.bus.flexray.share_frames", "read_frame", (("if frame.null:", "if False:"),),
     ),
     Bug(
         "a cut holds in one direction only",
-        "nodes.faults.losses", "hears",
+        "concord.nodes.faults.losses", "hears",
         (("if (sender, receiver) in links.cuts:",
           "if (sender, receiver) in links.cuts and sender < receiver:"),),
     ),
     Bug(
         "who is out is still waited for",
-        "nodes.node", "_due", (("if not state.absent:", "if True:"),),
+        "concord.nodes.node", "_due", (("if not state.absent:", "if True:"),),
     ),
     Bug(
         "who lost the contest sends all the same",
-        "nodes.node", "_take_grant", (("if config.index in winners", "if True"),),
+        "concord.nodes.node", "_take_grant", (("if config.index in winners", "if True"),),
     ),
     Bug(
         "all nodes share the slots of node 0",
-        "bus.flexray.publication", "Publications.slots",
+        "concord.bus.flexray.publication", "Publications.slots",
         (("key = (node, cycle", "key = (0 * node, cycle"),),
     ),
     Bug(
         "nobody grants what no bid asks for",
-        "nodes.environment", "_release",
+        "concord.nodes.environment", "_release",
         (("return _grant(config, state, outbox)", "return state"),),
     ),
     Bug(
         "who comes back in vain is not asked again",
-        "nodes.run_controller", "RunController._limit",
+        "concord.nodes.run_controller", "RunController._limit",
         (("if any(self._has_company(node) for node in self._ready):", "if False:"),),
     ),
     Bug(
         "weights are not renormalised when one is missing",
-        "filters.fusion.hold", "_normalise",
+        "concord.filters.fusion.hold", "_normalise",
         (("return worth / worth.sum(axis=-1, keepdims=True)", "return worth"),),
     ),
     Bug(
         "a held share never ages",
-        "nodes.rules.lane_rule",
+        "concord.nodes.rules.lane_rule",
         "older", (("ages + 1", "ages"),),
     ),
     Bug(
         "a share of an earlier cycle is not dropped",
-        "filters.fusion.hold", "drop", (("present = ages == 0", "present = ages >= 0"),),
+        "concord.filters.fusion.hold", "drop", (("present = ages == 0", "present = ages >= 0"),),
     ),
     Bug(
         "a covariance is not quite symmetric",
-        "filters.fusion.averaging", "Averaging.fuse",
+        "concord.filters.fusion.averaging", "Averaging.fuse",
         (("symmetrise(cov)", "cov * (1 + 1e-15 * np.tri(len(cov)))"),),
     ),
     Bug(
         "averaged information weighs twice",
-        "filters.fusion.averaging", "Averaging.average",
+        "concord.filters.fusion.averaging", "Averaging.average",
         (("multiply(numbers.mT, weights)", "multiply(numbers.mT, 2 * weights)"),),
     ),
     Bug(
         "who comes back is far too sure of itself",
-        "nodes.node_changes", "_belief",
+        "concord.nodes.node_changes", "_belief",
         (("unpack_upper(from_wire(joined.cov))", "1e-4 * unpack_upper(from_wire(joined.cov))"),),
     ),
     Bug(
         "hcmci takes the gain of hcmci-classical",
-        "filters.fusion.hybrid_consensus", "from_information",
+        "concord.filters.fusion.hybrid_consensus", "from_information",
         (("gain(row)", "classical_gain(row)"),),
     ),
     Bug(
         "set membership forgets the noise of the plant",
-        "nodes.rules.set_membership", "predict_sets",
+        "concord.nodes.rules.set_membership", "predict_sets",
         (("*model.motion(step))", "model.motion(step)[0], 0 * model.motion(step)[1])"),),
     ),
     Bug(
         "a guardian blocks nobody",
-        "nodes.faults.links", "_collides", (('if faults.at("guardian", way.step):', "if False:"),),
+        "concord.nodes.faults.links",
+        "_collides",
+        (('if faults.at("guardian", way.step):', "if False:"),),
     ),
     Bug(
         "a channel that loses some frames loses all",
-        "nodes.faults.links", "_carried",
+        "concord.nodes.faults.links", "_carried",
         (("if fails is None or draw >= fails[0]:", "if fails is None:"),),
     ),
     Bug(
         "a clock has run away since the run began",
-        "nodes.faults.links", "_clock_us",
+        "concord.nodes.faults.links", "_clock_us",
         (('- faults.first_cycle("drift", node)', ""),),
     ),
     Bug(
         "what a slow node says comes at once",
-        "nodes.faults.links", "_late", (("late += int(slow[0])", "late += 0"),),
+        "concord.nodes.faults.links", "_late", (("late += int(slow[0])", "late += 0"),),
     ),
     Bug(
         "who hangs never wakes up",
-        "nodes.faults.active", "Faults.at",
+        "concord.nodes.faults.active", "Faults.at",
         (("passed = kind in PASSING and", "passed = kind in PASSING and False and"),),
     ),
     Bug(
         "what was wrong stays so in calm",
-        "nodes.changes", "after",
+        "concord.nodes.changes", "after",
         (("loss=None, losses=(), cuts=(), faults=())", "loss=None, losses=(), cuts=())"),),
     ),
     Bug(
         "a share that was overtaken is lost",
-        "nodes.inbox", "let_in_overtaken", (("if fragments:", "if False:"),),
+        "concord.nodes.inbox", "let_in_overtaken", (("if fragments:", "if False:"),),
     ),
     Bug(
         "a share of no numbers is read",
-        "nodes.vector_codec", "VectorCodec.check",
+        "concord.nodes.vector_codec", "VectorCodec.check",
         (("if not (math.isfinite", "if False and not (math.isfinite"),),
     ),
     Bug(
         "a covariance that is none is used",
-        "nodes.rules.belief_consensus", "BeliefConsensus.fuse",
+        "concord.nodes.rules.belief_consensus", "BeliefConsensus.fuse",
         (("and (unsound := heard & unsound)", "and (unsound := heard & False)"),),
     ),
     Bug(
         "those who agree most are taken for liars",
-        "filters.fusion.trimmed", "_far_ones", (("candidates, -distance", "candidates, distance"),),
+        "concord.filters.fusion.trimmed",
+        "_far_ones",
+        (("candidates, -distance", "candidates, distance"),),
     ),
     Bug(
         "a neighbour may be as sure as it likes",
-        "filters.fusion.trimmed", "_growth", (("share < least", "share < 0 * least"),),
+        "concord.filters.fusion.trimmed", "_growth", (("share < least", "share < 0 * least"),),
     ),
 )  # fmt: skip
 

@@ -7,9 +7,9 @@ the gain.
 
 import numpy as np
 
-from filters.gaussian import Gaussian
-from filters.linalg import multiply, solve_spd, symmetrise
-from filters.update import Update, missing_entries, settle, without_rows
+from concord.filters.gaussian import Gaussian
+from concord.filters.linalg import multiply, solve_spd, symmetrise
+from concord.filters.update import Update, missing_entries, settle, without_rows
 
 
 def predict(

@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from filters.gaussian import Gaussian
-from filters.sigma_points import SigmaPointRule, scaled_unscented
-from filters.stochastic_ukf import Dynamics, Observation, Received
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import SigmaPointRule, scaled_unscented
+from concord.filters.stochastic_ukf import Dynamics, Observation, Received
 
 N, M = 2, 6
 PAPER_POINTS = scaled_unscented(N, 1.0, 2.0, 0.0)

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from filters.gaussian import Gaussian
-from filters.sigma_points import SigmaPointRule, cubature, scaled_unscented
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import SigmaPointRule, cubature, scaled_unscented
 
 BATCHES = [(), (1,), (3, 1, 2)]
 SENSOR_POSITION_M = np.array([-150.0, 80.0])

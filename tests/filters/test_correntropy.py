@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from filters import ukf
-from filters.adaptive import correntropy
-from filters.gaussian import Gaussian
-from filters.sigma_points import scaled_unscented
+from concord.filters import ukf
+from concord.filters.adaptive import correntropy
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import scaled_unscented
 from tests.filters.support import (
     BATCHES,
     RANGE_BEARING_NOISE_COV,

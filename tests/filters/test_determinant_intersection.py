@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
-from filters.fusion.determinant_intersection import determinant_intersection
-from filters.gaussian import Gaussian
+from concord.filters.fusion.determinant_intersection import determinant_intersection
+from concord.filters.gaussian import Gaussian
 
 SEEDS = st.integers(0, 2**32 - 1)
 

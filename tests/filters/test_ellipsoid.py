@@ -6,7 +6,7 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
-from filters.sets.ellipsoid import (
+from concord.filters.sets.ellipsoid import (
     Ellipsoid,
     from_shape,
     grow,
@@ -20,7 +20,7 @@ from filters.sets.ellipsoid import (
     squared_radius,
     sum_factor,
 )
-from filters.sets.ellipsoid_intersection import intersection, strip_intersection
+from concord.filters.sets.ellipsoid_intersection import intersection, strip_intersection
 
 SEEDS = st.integers(0, 2**32 - 1)
 

@@ -3,14 +3,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from filters.fusion.averaging import (
+from concord.filters.fusion.averaging import (
     INFORMATION,
     MOMENTS,
     Directly,
     covariance_intersection,
     weighted_average,
 )
-from filters.gaussian import Gaussian
+from concord.filters.gaussian import Gaussian
 from tests.filters.support import BATCHES, random_belief
 
 RULES = pytest.mark.parametrize("fuse", [weighted_average, covariance_intersection])

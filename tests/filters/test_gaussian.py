@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from filters.gaussian import (
+from concord.filters.gaussian import (
     Gaussian,
     to_gaussian,
     to_information,

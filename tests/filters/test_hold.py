@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from filters.fusion.hold import (
+from concord.filters.fusion.hold import (
     drop,
     full,
     held_weights,

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from filters.fusion import hybrid_consensus, information_weighted
-from filters.fusion.hybrid_consensus import classical_gain, safe_gain
-from filters.fusion.novelty import novelty
-from filters.fusion.packed import average
-from filters.gaussian import Gaussian, to_information
+from concord.filters.fusion import hybrid_consensus, information_weighted
+from concord.filters.fusion.hybrid_consensus import classical_gain, safe_gain
+from concord.filters.fusion.novelty import novelty
+from concord.filters.fusion.packed import average
+from concord.filters.gaussian import Gaussian, to_information
 from tests.filters import kalman
 from tests.filters.support import random_belief
 

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from filters.linalg import (
+from concord.filters.linalg import (
     cholesky,
     inverse_spd,
     multiply,

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from filters.fusion import kalman_consensus
-from filters.fusion.local import keep_own
-from filters.gaussian import Gaussian
+from concord.filters.fusion import kalman_consensus
+from concord.filters.fusion.local import keep_own
+from concord.filters.gaussian import Gaussian
 from tests.filters.support import BATCHES, random_belief, random_spd
 
 SEEDS = st.integers(0, 2**16)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
-from filters.metrics import anees, disagreement, nees, rmse
+from concord.filters.metrics import anees, disagreement, nees, rmse
 from tests.filters.support import random_spd
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -3,10 +3,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from filters import ukf
-from filters.fusion.novelty import absorb, novelty
-from filters.gaussian import Gaussian, Information
-from filters.sigma_points import scaled_unscented
+from concord.filters import ukf
+from concord.filters.fusion.novelty import absorb, novelty
+from concord.filters.gaussian import Gaussian, Information
+from concord.filters.sigma_points import scaled_unscented
 from tests.filters import kalman
 from tests.filters.support import (
     BATCHES,

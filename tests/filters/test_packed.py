@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from filters.fusion.packed import (
+from concord.filters.fusion.packed import (
     average,
     from_packed_information,
     pack,
@@ -12,7 +12,7 @@ from filters.fusion.packed import (
     to_packed_information,
     unpack,
 )
-from filters.gaussian import Gaussian, Information
+from concord.filters.gaussian import Gaussian, Information
 from tests.filters.support import BATCHES, random_spd
 
 SEEDS = st.integers(0, 2**16)

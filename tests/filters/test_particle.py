@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from filters.gaussian import Gaussian
-from filters.particle import Particles, cov, mean, resample, weights
+from concord.filters.gaussian import Gaussian
+from concord.filters.particle import Particles, cov, mean, resample, weights
 from tests.filters import kalman
 
 

@@ -5,9 +5,9 @@ from datetime import datetime, timedelta
 import numpy as np
 import pytest
 
-from filters import ukf
-from filters.gaussian import Gaussian
-from filters.sigma_points import scaled_unscented
+from concord.filters import ukf
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import scaled_unscented
 from tests.filters.support import (
     RANGE_BEARING_NOISE_COV,
     SENSOR_POSITION_M,

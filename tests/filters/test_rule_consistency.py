@@ -6,14 +6,14 @@ from functools import partial
 import numpy as np
 import pytest
 
-from filters.fusion import hybrid_consensus, information_weighted
-from filters.fusion.averaging import covariance_intersection, weighted_average
-from filters.fusion.packed import average
-from filters.gaussian import Gaussian
-from plants.oscillator import Oscillator
+from concord.filters.fusion import hybrid_consensus, information_weighted
+from concord.filters.fusion.averaging import covariance_intersection, weighted_average
+from concord.filters.fusion.packed import average
+from concord.filters.gaussian import Gaussian
+from concord.plants.oscillator import Oscillator
+from concord.topology.graphs import ring
+from concord.topology.weights import metropolis
 from tests.filters import kalman
-from topology.graphs import ring
-from topology.weights import metropolis
 
 RUNS, STEPS, NODES = 500, 30, 8
 PLANT = Oscillator(NODES)

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from filters.adaptive import sage_husa
-from filters.adaptive.sage_husa import Bounds
-from filters.gaussian import Gaussian
-from filters.sigma_points import scaled_unscented
+from concord.filters.adaptive import sage_husa
+from concord.filters.adaptive.sage_husa import Bounds
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import scaled_unscented
 from tests.filters.support import random_spd
 
 RULE = scaled_unscented(2)

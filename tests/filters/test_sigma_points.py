@@ -4,8 +4,8 @@ import math
 import numpy as np
 import pytest
 
-from filters.gaussian import Gaussian
-from filters.sigma_points import cubature, scaled_unscented, sigma_points
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import cubature, scaled_unscented, sigma_points
 from tests.filters.support import BATCHES, RULE_NAMES, random_belief, rules
 
 

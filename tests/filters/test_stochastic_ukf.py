@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from filters import ukf
-from filters.gaussian import Gaussian
-from filters.stochastic_ukf import (
+from concord.filters import ukf
+from concord.filters.gaussian import Gaussian
+from concord.filters.stochastic_ukf import (
     RECOMMENDED,
     Dynamics,
     Observation,

@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import eigh
 
-from filters.fusion.averaging import covariance_intersection
-from filters.fusion.hold import inverse_volume
-from filters.fusion.trimmed import trimmed_intersection
-from filters.gaussian import Gaussian
+from concord.filters.fusion.averaging import covariance_intersection
+from concord.filters.fusion.hold import inverse_volume
+from concord.filters.fusion.trimmed import trimmed_intersection
+from concord.filters.gaussian import Gaussian
 
 STATES = 3
 

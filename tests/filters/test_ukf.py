@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from filters import ukf
-from filters.gaussian import Gaussian
-from filters.sigma_points import cubature, scaled_unscented
+from concord.filters import ukf
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import cubature, scaled_unscented
 from tests.filters import kalman
 from tests.filters.support import (
     BATCHES,

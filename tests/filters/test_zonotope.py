@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from filters.sets.ellipsoid import Ellipsoid, squared_radius
-from filters.sets.zonotope import (
+from concord.filters.sets.ellipsoid import Ellipsoid, squared_radius
+from concord.filters.sets.zonotope import (
     Zonotope,
     around,
     enclosing_ellipsoid,

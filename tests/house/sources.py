@@ -6,6 +6,8 @@ from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[2]
+# Folders that are packages below `concord`, by links.
+PACKAGES = {link.name for link in ROOT.glob("concord/*") if link.is_symlink()}
 
 
 class Source(NamedTuple):
@@ -17,7 +19,8 @@ class Source(NamedTuple):
     @property
     def module(self) -> str:
         """The name by which other files import this one."""
-        return ".".join(self.path.with_suffix("").parts).removesuffix(".__init__")
+        name = ".".join(self.path.with_suffix("").parts).removesuffix(".__init__")
+        return f"concord.{name}" if self.path.parts[0] in PACKAGES else name
 
 
 def source(path: str, text: str) -> Source:

@@ -5,14 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from experiments.results.trace import Trace, read_trace
-from nodes.commands import in_words
-from nodes.run_controller import Scripted
-from runtime import in_process
-from runtime.recording import MemoryRecorder
-from scenarios.build import build_environment, build_node
-from scenarios.preparation import complete_settings
-from scenarios.setup import Setup
+from concord.experiments.results.trace import Trace, read_trace
+from concord.nodes.commands import in_words
+from concord.nodes.run_controller import Scripted
+from concord.runtime import in_process
+from concord.runtime.recording import MemoryRecorder
+from concord.scenarios.build import build_environment, build_node
+from concord.scenarios.preparation import complete_settings
+from concord.scenarios.setup import Setup
 
 
 def script(*lines: str) -> list[Scripted]:

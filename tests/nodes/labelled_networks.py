@@ -7,21 +7,21 @@ from typing import Any
 
 import numpy as np
 
-from bus.flexray.publication import Slot
-from bus.flexray.share_frames import read_body, read_frame
-from bus.schedule import Schedule
-from filters.gaussian import Gaussian
-from nodes.belief_codec import BeliefCodec
-from nodes.messages import Measured, decode, from_wire
-from nodes.rules.all_sensors import AllSensors
-from nodes.rules.labelled import LabelledContent, LabelledFlooding
-from nodes.rules.labelled_frame import LabelledFrameCodec
-from nodes.rules.local_filter import SensorGroup
-from nodes.rules.record_codec import RecordCodec
-from nodes.rules.window_filter import WindowFilter
-from papers.labelled import record_search
-from papers.labelled.record_search import Held
-from runtime.in_process import Link
+from concord.bus.flexray.publication import Slot
+from concord.bus.flexray.share_frames import read_body, read_frame
+from concord.bus.schedule import Schedule
+from concord.filters.gaussian import Gaussian
+from concord.nodes.belief_codec import BeliefCodec
+from concord.nodes.messages import Measured, decode, from_wire
+from concord.nodes.rules.all_sensors import AllSensors
+from concord.nodes.rules.labelled import LabelledContent, LabelledFlooding
+from concord.nodes.rules.labelled_frame import LabelledFrameCodec
+from concord.nodes.rules.local_filter import SensorGroup
+from concord.nodes.rules.record_codec import RecordCodec
+from concord.nodes.rules.window_filter import WindowFilter
+from concord.papers.labelled import record_search
+from concord.papers.labelled.record_search import Held
+from concord.runtime.in_process import Link
 from tests.nodes.networks import Adjacency, Network, Outcome, WholeState, network, with_slots
 from tests.nodes.rule_networks import F, Q, noise_cov
 

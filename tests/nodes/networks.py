@@ -10,25 +10,25 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from bus.flexray.publication import Slot
-from bus.ideal import TimelessBus
-from bus.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
-from filters.fusion import hold
-from filters.fusion.averaging import INFORMATION, MOMENTS, Averaged
-from filters.gaussian import Gaussian
-from filters.linalg import unpack_upper
-from filters.sigma_points import scaled_unscented
-from nodes.belief_codec import BeliefCodec
-from nodes.environment_state import ControlStep, EnvironmentConfig
-from nodes.faults.losses import LinkState
-from nodes.messages import Estimate, decode, from_wire
-from nodes.node import NodeConfig, NodeState
-from nodes.rules.at_node import AtNode
-from nodes.rules.belief_consensus import BeliefConsensus, HoldPolicy
-from nodes.rules.lane_rule import Place
-from runtime import in_process
-from runtime.recording import MemoryRecorder
-from topology.weights import metropolis
+from concord.bus.flexray.publication import Slot
+from concord.bus.ideal import TimelessBus
+from concord.bus.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
+from concord.filters.fusion import hold
+from concord.filters.fusion.averaging import INFORMATION, MOMENTS, Averaged
+from concord.filters.gaussian import Gaussian
+from concord.filters.linalg import unpack_upper
+from concord.filters.sigma_points import scaled_unscented
+from concord.nodes.belief_codec import BeliefCodec
+from concord.nodes.environment_state import ControlStep, EnvironmentConfig
+from concord.nodes.faults.losses import LinkState
+from concord.nodes.messages import Estimate, decode, from_wire
+from concord.nodes.node import NodeConfig, NodeState
+from concord.nodes.rules.at_node import AtNode
+from concord.nodes.rules.belief_consensus import BeliefConsensus, HoldPolicy
+from concord.nodes.rules.lane_rule import Place
+from concord.runtime import in_process
+from concord.runtime.recording import MemoryRecorder
+from concord.topology.weights import metropolis
 
 Adjacency = NDArray[np.bool_]
 

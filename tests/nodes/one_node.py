@@ -4,13 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bus.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
-from filters.fusion.averaging import INFORMATION, Averaged
-from filters.gaussian import Gaussian
-from nodes.belief_codec import BeliefCodec
-from nodes.messages import Estimate, Grant, Measured, NodeEvent, NodeMessage, ShareHeard
-from nodes.node import NodeConfig, NodeState, initial_state, step
-from nodes.rules.belief_consensus import HoldPolicy
+from concord.bus.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
+from concord.filters.fusion.averaging import INFORMATION, Averaged
+from concord.filters.gaussian import Gaussian
+from concord.nodes.belief_codec import BeliefCodec
+from concord.nodes.messages import Estimate, Grant, Measured, NodeEvent, NodeMessage, ShareHeard
+from concord.nodes.node import NodeConfig, NodeState, initial_state, step
+from concord.nodes.rules.belief_consensus import HoldPolicy
 from tests.nodes.networks import DECAYED, network, path, random_priors
 
 STEPS, ROUNDS = 4, 2

@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from bus.flexray.share_frames import read_frame
-from bus.ideal import TimelessBus
-from bus.schedule import Schedule
-from filters.gaussian import Gaussian
-from runtime.in_process import Link
-from scenarios.catalogue import definition_of
-from scenarios.node_context import NodeContext, RuleContext
-from scenarios.rules import build_estimator, hold_policy
+from concord.bus.flexray.share_frames import read_frame
+from concord.bus.ideal import TimelessBus
+from concord.bus.schedule import Schedule
+from concord.filters.gaussian import Gaussian
+from concord.runtime.in_process import Link
+from concord.scenarios.catalogue import definition_named
+from concord.scenarios.node_context import NodeContext, RuleContext
+from concord.scenarios.rules import build_estimator, hold_policy
 from tests.nodes.networks import (
     Adjacency,
     Network,
@@ -59,7 +59,8 @@ def ruled(
         number=number,
         seed=seed,
     )
-    scenario = definition_of("oscillator").defaults.with_(nodes=len(priors), rule=rule, steps=steps)
+    usual = definition_named("oscillator").defaults
+    scenario = usual.with_(nodes=len(priors), rule=rule, steps=steps)
     neighbours = [node.neighbours for node in net.nodes]
     nodes = []
     for config in net.nodes:

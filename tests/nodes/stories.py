@@ -12,13 +12,22 @@ import msgspec
 import numpy as np
 import pytest
 
-from bus.flexray.share_frames import read_frame
-from nodes import environment, node, node_changes
-from nodes.changes import Change, Event, Fault, Welcome
-from nodes.environment_state import EnvironmentPhase
-from nodes.messages import Bid, Estimate, Grant, ShareHeard, ShareSent, Truth, decode, from_wire
-from nodes.node_state import Phase
-from scenarios.setup import Setup
+from concord.bus.flexray.share_frames import read_frame
+from concord.nodes import environment, node, node_changes
+from concord.nodes.changes import Change, Event, Fault, Welcome
+from concord.nodes.environment_state import EnvironmentPhase
+from concord.nodes.messages import (
+    Bid,
+    Estimate,
+    Grant,
+    ShareHeard,
+    ShareSent,
+    Truth,
+    decode,
+    from_wire,
+)
+from concord.nodes.node_state import Phase
+from concord.scenarios.setup import Setup
 from tests.nodes.changing import messages
 
 

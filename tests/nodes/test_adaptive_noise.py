@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from filters.gaussian import Gaussian
-from filters.sigma_points import scaled_unscented
-from nodes.messages import Measured, to_wire
-from nodes.rules.adaptive_noise import AdaptiveNoise, Learnt, declared_noise, learn
-from plants.oscillator import Oscillation, ScalarSensor
-from scenarios.catalogue import definition_of
-from scenarios.node_context import NodeContext, RuleContext
-from scenarios.rules import build_estimator, hold_policy
-from scenarios.scenario import Scenario
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import scaled_unscented
+from concord.nodes.messages import Measured, to_wire
+from concord.nodes.rules.adaptive_noise import AdaptiveNoise, Learnt, declared_noise, learn
+from concord.plants.oscillator import Oscillation, ScalarSensor
+from concord.scenarios.catalogue import definition_named
+from concord.scenarios.node_context import NodeContext, RuleContext
+from concord.scenarios.rules import build_estimator, hold_policy
+from concord.scenarios.scenario import Scenario
 
 MODEL = Oscillation()
 SENSOR = ScalarSensor(np.array([1.0, 0.0]), np.array(0.5))
@@ -21,7 +21,7 @@ RULES = ("ci", "wac", "local", "hcmci", "icf", "diffusion", "kcf")
 
 
 def node_context() -> tuple[Scenario, NodeContext]:
-    scenario = definition_of("oscillator").defaults.with_(nodes=2, graph="path", steps=1)
+    scenario = definition_named("oscillator").defaults.with_(nodes=2, graph="path", steps=1)
     return scenario, NodeContext(
         node=0,
         rule=RuleContext(len(PRIOR.mean), [[1], [0]], hold_policy(scenario), 0.0, "<f8"),

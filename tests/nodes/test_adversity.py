@@ -6,10 +6,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.flexray.share_frames import read_frame
-from bus.schedule import round_robin
-from nodes.faults.losses import LinkState, Outage, hears
-from runtime.in_process import first_come
+from concord.bus.flexray.share_frames import read_frame
+from concord.bus.schedule import round_robin
+from concord.nodes.faults.losses import LinkState, Outage, hears
+from concord.runtime.in_process import first_come
 from tests.nodes.networks import (
     PREDICT,
     SEEDS,

@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from experiments.monte_carlo.simulate import COV, simulate
-from filters.gaussian import Gaussian
-from nodes.lanes import mixing as batched_mixing
-from nodes.lanes.beliefs import BatchedBeliefs
-from nodes.lanes.links import Shares, links_of
-from nodes.lanes.mixing import FEW_NODES, mixed, weighed
-from runtime.batched.build import build_network
-from scenarios.preparation import prepare
+from concord.experiments.monte_carlo.simulate import COV, simulate
+from concord.filters.gaussian import Gaussian
+from concord.nodes.lanes import mixing as batched_mixing
+from concord.nodes.lanes.beliefs import BatchedBeliefs
+from concord.nodes.lanes.links import Shares, links_of
+from concord.nodes.lanes.mixing import FEW_NODES, mixed, weighed
+from concord.runtime.batched.build import build_network
+from concord.scenarios.preparation import prepare
 from tests.experiments.support import scenario
 
 SIZES = st.one_of(st.integers(1, 9), st.just(FEW_NODES + 1))

@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from bus.flexray.share_frames import payload_lengths
-from filters.gaussian import Gaussian
-from nodes.belief_codec import BeliefCodec
-from nodes.estimator import Rejected
+from concord.bus.flexray.share_frames import payload_lengths
+from concord.filters.gaussian import Gaussian
+from concord.nodes.belief_codec import BeliefCodec
+from concord.nodes.estimator import Rejected
 from tests.nodes.networks import random_priors
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -13,12 +13,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from experiments.cli.agree import first_difference
-from experiments.results.trace import Trace
-from runtime.drivers import in_this_process
-from runtime.network.links import ENVIRONMENT, RECORDER, free_ports, names
-from runtime.recording import read_recording
-from scenarios.setup import Setup
+from concord.experiments.agreement import first_difference
+from concord.experiments.results.trace import Trace
+from concord.runtime.drivers import in_this_process
+from concord.runtime.network.links import ENVIRONMENT, RECORDER, free_ports, names
+from concord.runtime.recording import read_recording
+from concord.scenarios.setup import Setup
 from tests.experiments.support import small, trace_of
 from tests.processes import PROC, Family, family
 from tests.relay import Relay
@@ -30,24 +30,24 @@ pytestmark = [
 
 NETWORK = """
 import os, sys
-from bus.flexray.share_frames import SHARE_FRAMES
+from concord.bus.flexray.share_frames import SHARE_FRAMES
 from functools import partial
 from pathlib import Path
 import msgspec
-from runtime.network.links import *
-from runtime.processes.environment.management import Management
-from runtime.processes.node.lockstep import LockstepNode
-from runtime.processes.node.membership import Membership
-from runtime.processes.node.process import run_node
-from runtime.processes.recorder.process import run_recorder
-from runtime.recording import McapRecorder
-from runtime.processes.supervisor import Supervisor
-from runtime.whole_steps import WholeSteps
-from runtime.processes.environment.pacing import Lockstep
-from runtime.processes.environment.process import run_environment
-from scenarios.build import build_node, build_environment
-from scenarios.preparation import fingerprint
-from scenarios.setup import Setup
+from concord.runtime.network.links import *
+from concord.runtime.processes.environment.management import Management
+from concord.runtime.processes.node.lockstep import LockstepNode
+from concord.runtime.processes.node.membership import Membership
+from concord.runtime.processes.node.process import run_node
+from concord.runtime.processes.recorder.process import run_recorder
+from concord.runtime.recording import McapRecorder
+from concord.runtime.processes.supervisor import Supervisor
+from concord.runtime.whole_steps import WholeSteps
+from concord.runtime.processes.environment.pacing import Lockstep
+from concord.runtime.processes.environment.process import run_environment
+from concord.scenarios.build import build_node, build_environment
+from concord.scenarios.preparation import fingerprint
+from concord.scenarios.setup import Setup
 setup = msgspec.json.decode(Path("setup.json").read_bytes(), type=Setup)
 mark, count = fingerprint(setup), setup.scenario.nodes
 links = plan_links(setup.neighbours, {ports})
@@ -182,9 +182,9 @@ def test_a_link_between_nodes_that_stays_away_ends_the_wait(tmp_path: Path):
 
 
 SHORT = """
-import runtime.processes.republisher, runtime.processes.environment.process
-runtime.processes.republisher._AGAIN_S = runtime.processes.republisher._TELL_S = 0.5
-runtime.processes.environment.process._PEER_TIMEOUT_S = 3.0
+import concord.runtime.processes.republisher, concord.runtime.processes.environment.process
+concord.runtime.processes.republisher._AGAIN_S = concord.runtime.processes.republisher._TELL_S = 0.5
+concord.runtime.processes.environment.process._PEER_TIMEOUT_S = 3.0
 """
 
 

@@ -6,11 +6,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from experiments.results.trace import Trace
-from filters.gaussian import Gaussian
-from nodes import node as state_machine
-from nodes import node_changes
-from nodes.changes import (
+from concord.experiments.results.trace import Trace
+from concord.filters.gaussian import Gaussian
+from concord.nodes import node as state_machine
+from concord.nodes import node_changes
+from concord.nodes.changes import (
     UNCHANGED,
     Cut,
     Event,
@@ -23,12 +23,12 @@ from nodes.changes import (
     Set,
     after,
 )
-from nodes.history import AbsentSteps, Epoch, history_of
-from nodes.messages import CycleClosed, Estimate, Measured, ShareHeard, to_wire
-from nodes.node import initial_state
-from scenarios.build import build_node
-from scenarios.preparation import prepare
-from scenarios.setup import Setup
+from concord.nodes.history import AbsentSteps, Epoch, history_of
+from concord.nodes.messages import CycleClosed, Estimate, Measured, ShareHeard, to_wire
+from concord.nodes.node import initial_state
+from concord.scenarios.build import build_node
+from concord.scenarios.preparation import prepare
+from concord.scenarios.setup import Setup
 from tests.experiments.support import scenario, small
 from tests.nodes.changing import run, same_bits
 from tests.nodes.networks import last_come, shuffled

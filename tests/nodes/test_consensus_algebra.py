@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.flexray.share_frames import read_frame
-from bus.schedule import full_publish, hybrid, round_robin
-from filters.fusion.averaging import INFORMATION
-from filters.gaussian import Gaussian
+from concord.bus.flexray.share_frames import read_frame
+from concord.bus.schedule import full_publish, hybrid, round_robin
+from concord.filters.fusion.averaging import INFORMATION
+from concord.filters.gaussian import Gaussian
 from tests.nodes.networks import (
     DECAYED,
     DROP,

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nodes import node as state_machine
-from nodes.messages import NodeEvent, ShareHeard
-from nodes.node import NodeConfig, initial_state, step
-from nodes.node_state import NodeState
+from concord.nodes import node as state_machine
+from concord.nodes.messages import NodeEvent, ShareHeard
+from concord.nodes.node import NodeConfig, initial_state, step
+from concord.nodes.node_state import NodeState
 from tests.nodes.one_node import (
     ROUNDS,
     SCHEDULES,

@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.arbitration import Arbiter
-from bus.ideal import TimelessBus
-from bus.schedule import Schedule, dynamic_only
-from filters.gaussian import Gaussian
-from nodes import environment, environment_changes
-from nodes.changes import Gone, Joined
-from nodes.environment_state import ControlStep, EnvironmentConfig, EnvironmentState
-from nodes.messages import (
+from concord.bus.arbitration import Arbiter
+from concord.bus.ideal import TimelessBus
+from concord.bus.schedule import Schedule, dynamic_only
+from concord.filters.gaussian import Gaussian
+from concord.nodes import environment, environment_changes
+from concord.nodes.changes import Gone, Joined
+from concord.nodes.environment_state import ControlStep, EnvironmentConfig, EnvironmentState
+from concord.nodes.messages import (
     Allowed,
     Bid,
     EnvironmentMessage,

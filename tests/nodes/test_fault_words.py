@@ -3,12 +3,12 @@
 import msgspec
 import pytest
 
-from nodes.changes import UNCHANGED
-from nodes.command_checks import check_command
-from nodes.commands import Inject, Partition, Refused, in_words, read_command
-from nodes.faults.active import Equipment
-from nodes.faults.vocabulary import EVERY_FAULT, FAULTS, usage
-from scenarios.preparation import prepare
+from concord.nodes.changes import UNCHANGED
+from concord.nodes.command_checks import check_command
+from concord.nodes.commands import Inject, Partition, Refused, in_words, read_command
+from concord.nodes.faults.active import Equipment
+from concord.nodes.faults.vocabulary import EVERY_FAULT, FAULTS, usage
+from concord.scenarios.preparation import prepare
 from tests.experiments.support import scenario
 
 RING = ((1, 3), (0, 2), (1, 3), (0, 2))
@@ -67,6 +67,13 @@ def test_a_wrong_word_gets_the_nearest_and_all():
     assert all(word in str(refused.value) for word in EVERY_FAULT)
     with pytest.raises(Refused, match="did you mean 'babble'"):
         check_command(Inject("bubble", (1,), (1,)), RING, UNCHANGED, False)
+
+
+def test_a_word_that_is_near_to_none_gets_all_and_no_offer():
+    with pytest.raises(Refused, match=r"'quux' is no command\. Commands are pause, resume"):
+        in_words(["quux"])
+    with pytest.raises(Refused, match=r"fault 'quux'\. Faults are corrupt"):
+        check_command(Inject("quux", (1,), (1,)), RING, UNCHANGED, False)
 
 
 @pytest.mark.parametrize(

@@ -8,16 +8,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.flexray.flexray_bus import FlexRayBus
-from bus.flexray.fragments import join
-from bus.flexray.share_frames import read_frame
-from experiments.results.trace import Trace
-from nodes import node as state_machine
-from nodes.changes import Fault, Standing
-from nodes.faults.vocabulary import EVERY_FAULT, FAULTS
-from nodes.messages import Measured, ShareHeard
-from scenarios.build import build_bus, build_environment, build_node
-from scenarios.setup import Setup
+from concord.bus.flexray.flexray_bus import FlexRayBus
+from concord.bus.flexray.fragments import join
+from concord.bus.flexray.share_frames import read_frame
+from concord.experiments.results.trace import Trace
+from concord.nodes import node as state_machine
+from concord.nodes.changes import Fault, Standing
+from concord.nodes.faults.vocabulary import EVERY_FAULT, FAULTS
+from concord.nodes.messages import Measured, ShareHeard
+from concord.scenarios.build import build_bus, build_environment, build_node
+from concord.scenarios.setup import Setup
 from tests.experiments.support import small
 from tests.nodes.changing import messages, run, same_bits
 from tests.nodes.networks import shuffled

@@ -6,12 +6,12 @@ from itertools import product
 import numpy as np
 import pytest
 
-from filters.gaussian import Gaussian
-from nodes.estimator import Rejected
-from nodes.messages import CycleClosed, Estimate, Measured, NodeEvent, ShareHeard
-from nodes.node import NodeConfig, Phase, initial_state, step
-from nodes.rules.at_node import AtNode
-from nodes.rules.fresh_consensus import FreshConsensus
+from concord.filters.gaussian import Gaussian
+from concord.nodes.estimator import Rejected
+from concord.nodes.messages import CycleClosed, Estimate, Measured, NodeEvent, ShareHeard
+from concord.nodes.node import NodeConfig, Phase, initial_state, step
+from concord.nodes.rules.at_node import AtNode
+from concord.nodes.rules.fresh_consensus import FreshConsensus
 from tests.nodes.networks import Linear, WholeState, path, random_priors
 from tests.nodes.rule_networks import FRESH, F, Q, noise_cov, ruled
 

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.schedule import Schedule, full_publish, hybrid, round_robin
-from filters import ukf
-from filters.gaussian import Gaussian
-from filters.sigma_points import scaled_unscented
-from nodes.messages import Measured, decode, from_wire
+from concord.bus.schedule import Schedule, full_publish, hybrid, round_robin
+from concord.filters import ukf
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import scaled_unscented
+from concord.nodes.messages import Measured, decode, from_wire
 from tests.nodes.networks import (
     Adjacency,
     Network,

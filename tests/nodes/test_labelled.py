@@ -8,15 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.flexray.share_frames import cycle_of
-from bus.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
-from filters.gaussian import Gaussian
-from nodes.estimator import Rejected
-from nodes.faults.losses import LinkState
-from nodes.messages import Measured
-from nodes.rules.labelled import LabelledFlooding
-from nodes.rules.labelled_frame import LabelledShare
-from nodes.rules.record_codec import RecordCodec
+from concord.bus.flexray.share_frames import cycle_of
+from concord.bus.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
+from concord.filters.gaussian import Gaussian
+from concord.nodes.estimator import Rejected
+from concord.nodes.faults.losses import LinkState
+from concord.nodes.messages import Measured
+from concord.nodes.rules.labelled import LabelledFlooding
+from concord.nodes.rules.labelled_frame import LabelledShare
+from concord.nodes.rules.record_codec import RecordCodec
 from tests.nodes.labelled_networks import (
     PRIOR,
     carried,

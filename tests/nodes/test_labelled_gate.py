@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from bus.schedule import full_publish
-from filters.gaussian import Gaussian
-from nodes.messages import Measured
-from nodes.rules.labelled import LabelledFlooding
-from nodes.rules.source_gate import without_outliers
+from concord.bus.schedule import full_publish
+from concord.filters.gaussian import Gaussian
+from concord.nodes.messages import Measured
+from concord.nodes.rules.labelled import LabelledFlooding
+from concord.nodes.rules.source_gate import without_outliers
 from tests.nodes.labelled_networks import PRIOR, kalman, labelled, taken
 from tests.nodes.networks import WholeState, path, run
 

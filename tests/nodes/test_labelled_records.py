@@ -6,12 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from filters.gaussian import Gaussian
-from nodes.belief_codec import BeliefCodec
-from nodes.estimator import Rejected
-from nodes.rules.labelled_frame import Labelled, LabelledFrameCodec, LabelledShare
-from nodes.rules.record_codec import RecordCodec, record_codec
-from nodes.rules.record_sets import (
+from concord.filters.gaussian import Gaussian
+from concord.nodes.belief_codec import BeliefCodec
+from concord.nodes.estimator import Rejected
+from concord.nodes.rules.labelled_frame import Labelled, LabelledFrameCodec, LabelledShare
+from concord.nodes.rules.record_codec import RecordCodec, record_codec
+from concord.nodes.rules.record_sets import (
     lacked,
     need,
     newest_first,
@@ -19,8 +19,8 @@ from nodes.rules.record_sets import (
     sources_at,
     with_sources,
 )
-from plants.range_bearing import RangeBearing
-from plants.recorded.sighting import Sighting
+from concord.plants.range_bearing import RangeBearing
+from concord.plants.recorded.sighting import Sighting
 from tests.nodes.networks import random_cov
 
 NUMBERS = ("<i1", "<i2", "<f4", "<f8")

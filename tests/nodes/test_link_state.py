@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nodes.faults.losses import PERFECT, LinkState, Outage, hears, hears_all
+from concord.nodes.faults.losses import PERFECT, LinkState, Outage, hears, hears_all
 
 WORD = st.integers(0, 2**64 - 1)
 NODE = st.integers(0, 2**24 - 1)

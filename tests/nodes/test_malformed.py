@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.flexray.share_frames import SHARE_FRAMES, in_slot
-from bus.schedule import hybrid
-from nodes.bounds import MAX_FRAME_BYTES, MAX_MESSAGE_BYTES
-from nodes.changes import Set
-from nodes.inbox import EARLY_CYCLES, EARLY_STEPS, MOST_EARLY
-from nodes.messages import (
+from concord.bus.flexray.share_frames import SHARE_FRAMES, in_slot
+from concord.bus.schedule import hybrid
+from concord.nodes.bounds import MAX_FRAME_BYTES, MAX_MESSAGE_BYTES
+from concord.nodes.changes import Set
+from concord.nodes.inbox import EARLY_CYCLES, EARLY_STEPS, MOST_EARLY
+from concord.nodes.messages import (
     Bid,
     Estimate,
     Grant,
@@ -25,12 +25,12 @@ from nodes.messages import (
     decode,
     encode,
 )
-from nodes.node import NodeConfig, Phase, initial_state, step
-from nodes.node_changes import apply
-from runtime.recording import McapRecorder, read_recording
-from scenarios.build import build_node
-from scenarios.catalogue import definition_of
-from scenarios.preparation import prepare
+from concord.nodes.node import NodeConfig, Phase, initial_state, step
+from concord.nodes.node_changes import apply
+from concord.runtime.recording import McapRecorder, read_recording
+from concord.scenarios.build import build_node
+from concord.scenarios.catalogue import definition_named
+from concord.scenarios.preparation import prepare
 from tests.nodes.one_node import (
     ROUNDS,
     STEPS,
@@ -208,7 +208,7 @@ def test_a_heartbeat_of_another_form_is_refused(misfit: dict):
 
 @pytest.mark.parametrize("settings", [{"rule": "nonsense"}, {"rounds": "x"}, {"steps": 3}])
 def test_settings_that_cannot_be_are_refused(settings: dict):
-    setup = prepare(definition_of("oscillator").defaults.with_(nodes=2, graph="path"))
+    setup = prepare(definition_named("oscillator").defaults.with_(nodes=2, graph="path"))
     config = build_node(setup, 0)
     heartbeat_ = Measured(0, 0, [[1.0]], changes=(Set(settings, 7),))
     state, _ = step(config, initial_state(config), heartbeat_)

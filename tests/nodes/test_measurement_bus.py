@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from bus.measurement_bus import BID_RESOLUTION, zero_input, zero_order_hold
-from filters.gaussian import Gaussian
-from filters.sigma_points import scaled_unscented
-from filters.stochastic_ukf import RECOMMENDED
-from nodes.estimator import Rejected
-from nodes.messages import Measured
-from nodes.rules.measurement_bus import ReceiverNode, SensorNode
-from nodes.rules.measurement_codec import MeasurementCodec
-from papers.meng2025.filter_as_printed import PAPER_LITERAL, PAPER_LITERAL_R
-from plants.stochastic import StochasticNonlinearity, StochasticSystem
+from concord.bus.measurement_bus import BID_RESOLUTION, zero_input, zero_order_hold
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import scaled_unscented
+from concord.filters.stochastic_ukf import RECOMMENDED
+from concord.nodes.estimator import Rejected
+from concord.nodes.messages import Measured
+from concord.nodes.rules.measurement_bus import ReceiverNode, SensorNode
+from concord.nodes.rules.measurement_codec import MeasurementCodec
+from concord.papers.meng2025.filter_as_printed import PAPER_LITERAL, PAPER_LITERAL_R
+from concord.plants.stochastic import StochasticNonlinearity, StochasticSystem
 
 SYSTEM = StochasticSystem(
     transition=lambda x, u, s: 0.9 * x + (0.0 if u is None else u),

@@ -7,8 +7,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from nodes.changes import Event, Gone, Joined, Left, Loss, PaceChange, Set, Standing, Welcome
-from nodes.messages import (
+from concord.nodes.changes import (
+    Event,
+    Gone,
+    Joined,
+    Left,
+    Loss,
+    PaceChange,
+    Set,
+    Standing,
+    Welcome,
+)
+from concord.nodes.messages import (
     Bid,
     Estimate,
     Grant,

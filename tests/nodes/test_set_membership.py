@@ -7,18 +7,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from filters.gaussian import Gaussian
-from filters.sigma_points import scaled_unscented
-from nodes.bids import FIRST_BID
-from nodes.messages import Measured
-from nodes.rules.lane_rule import Place
-from nodes.rules.set_membership import SetAtNode, SetMembership
-from nodes.rules.set_shapes import Ellipsoids, Zonotopes
-from nodes.vector_codec import VectorCodec
-from runtime import in_process
-from runtime.in_process import Link
-from scenarios.preparation import prepare
-from scenarios.setup import Setup
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import scaled_unscented
+from concord.nodes.bids import FIRST_BID
+from concord.nodes.messages import Measured
+from concord.nodes.rules.lane_rule import Place
+from concord.nodes.rules.set_membership import SetAtNode, SetMembership
+from concord.nodes.rules.set_shapes import Ellipsoids, Zonotopes
+from concord.nodes.vector_codec import VectorCodec
+from concord.runtime import in_process
+from concord.runtime.in_process import Link
+from concord.scenarios.preparation import prepare
+from concord.scenarios.setup import Setup
 from tests.experiments.support import scenario
 from tests.nodes.changing import run
 
@@ -181,6 +181,16 @@ def test_a_held_set_is_carried_with_the_plant_and_helps_later(shape):
         assert node.ages(content).tolist() == [1]
         sizes[carried] = np.trace(node.belief(content).cov)
     assert sizes[True] < 0.1 * sizes[False]
+
+
+def test_a_set_that_grew_by_rounding_alone_is_not_below_a_trigger_of_zero():
+    """Drivers round differently, and must ask for the same slots."""
+    rule = SetMembership(Ellipsoids(2), trigger=0.0)
+    start = rule.start(np.array(0), *[Gaussian(np.zeros(2), np.eye(2))] * 2)
+    content = rule.sent(start, np.array(True))
+    kept = content.own.kept
+    grown = kept._replace(factor=kept.factor * (1 + 1e-15))
+    assert rule.bid(content._replace(own=content.own._replace(kept=grown))) == 0
 
 
 @SHAPES

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from filters.gaussian import Gaussian
-from filters.sets.ellipsoid import Ellipsoid, squared_radius
-from filters.sets.zonotope import Zonotope, gauge
-from nodes.rules.set_shapes import Ellipsoids, Zonotopes
+from concord.filters.gaussian import Gaussian
+from concord.filters.sets.ellipsoid import Ellipsoid, squared_radius
+from concord.filters.sets.zonotope import Zonotope, gauge
+from concord.nodes.rules.set_shapes import Ellipsoids, Zonotopes
 
 SEEDS = st.integers(0, 2**32 - 1)
 

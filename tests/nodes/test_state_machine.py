@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.flexray.publication import Slot
-from bus.flexray.share_frames import to_frames
-from bus.schedule import Schedule, dynamic_only, round_robin
-from nodes.belief_codec import BeliefCodec
-from nodes.faults.losses import LinkState, hears
-from nodes.messages import (
+from concord.bus.flexray.publication import Slot
+from concord.bus.flexray.share_frames import to_frames
+from concord.bus.schedule import Schedule, dynamic_only, round_robin
+from concord.nodes.belief_codec import BeliefCodec
+from concord.nodes.faults.losses import LinkState, hears
+from concord.nodes.messages import (
     Bid,
     CycleClosed,
     Estimate,
@@ -22,7 +22,7 @@ from nodes.messages import (
     ShareHeard,
     ShareSent,
 )
-from nodes.node import (
+from concord.nodes.node import (
     NodeConfig,
     Phase,
     awaited_neighbours,

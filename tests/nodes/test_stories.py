@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from nodes.environment_state import EnvironmentPhase
-from nodes.faults.vocabulary import EVERY_FAULT, PASSING
-from nodes.node_state import Phase
+from concord.nodes.environment_state import EnvironmentPhase
+from concord.nodes.faults.vocabulary import EVERY_FAULT, PASSING
+from concord.nodes.node_state import Phase
 from tests.experiments.support import small
 from tests.nodes.stories import of_fault, of_phases
 

@@ -4,9 +4,9 @@ import dataclasses
 
 from msgspec import UNSET
 
-from nodes import environment
-from nodes import node as state_machine
-from nodes.messages import (
+from concord.nodes import environment
+from concord.nodes import node as state_machine
+from concord.nodes.messages import (
     Allowed,
     Bid,
     BidsClosed,
@@ -18,8 +18,8 @@ from nodes.messages import (
     ShareHeard,
     ShareSent,
 )
-from nodes.node_state import Phase
-from scenarios.build import build_environment, build_node
+from concord.nodes.node_state import Phase
+from concord.scenarios.build import build_environment, build_node
 from tests.experiments.support import small
 
 

@@ -7,16 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.flexray.share_frames import read_frame
-from filters.fusion.averaging import INFORMATION, MOMENTS, Directly, covariance_intersection
-from nodes.messages import (
+from concord.bus.flexray.share_frames import read_frame
+from concord.filters.fusion.averaging import INFORMATION, MOMENTS, Directly, covariance_intersection
+from concord.nodes.messages import (
     CycleClosed,
     Estimate,
     Grant,
     NodeEvent,
     ShareHeard,
 )
-from nodes.node import (
+from concord.nodes.node import (
     NodeConfig,
     Phase,
     initial_state,

@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.schedule import hybrid
-from filters.gaussian import Gaussian
-from nodes import environment, node
-from nodes.changes import Gone
-from nodes.environment_state import EnvironmentPhase
-from nodes.messages import Allowed, Bid, BidsClosed, EnvironmentEvent, Estimate, StepClosed
-from nodes.node_state import Phase
+from concord.bus.schedule import hybrid
+from concord.filters.gaussian import Gaussian
+from concord.nodes import environment, node
+from concord.nodes.changes import Gone
+from concord.nodes.environment_state import EnvironmentPhase
+from concord.nodes.messages import Allowed, Bid, BidsClosed, EnvironmentEvent, Estimate, StepClosed
+from concord.nodes.node_state import Phase
 from tests.experiments.support import small
 from tests.nodes.changing import run
 from tests.nodes.networks import network, ring

@@ -5,15 +5,15 @@ from functools import partial
 import numpy as np
 import pytest
 
-from filters import ukf
-from filters.adaptive import sage_husa
-from filters.gaussian import Gaussian
-from filters.sigma_points import cubature, scaled_unscented
-from papers.adlukf import adaptive_filters as adaptive
-from papers.adlukf import fuzzy_noise
-from papers.adlukf import sage_husa_as_printed as sage_husa_literal
-from plants.vehicle.model import linear_tyre, single_track
-from plants.vehicle.parameters import BMW_320I
+from concord.filters import ukf
+from concord.filters.adaptive import sage_husa
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import cubature, scaled_unscented
+from concord.papers.adlukf import adaptive_filters as adaptive
+from concord.papers.adlukf import fuzzy_noise
+from concord.papers.adlukf import sage_husa_as_printed as sage_husa_literal
+from concord.plants.vehicle.model import linear_tyre, single_track
+from concord.plants.vehicle.parameters import BMW_320I
 
 Q = np.diag([1e-5, 1e-8, 1e-5])
 STD = np.array([0.1, 0.005, 0.1])

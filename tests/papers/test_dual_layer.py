@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from filters import ukf
-from filters.gaussian import Gaussian
-from filters.sigma_points import scaled_unscented
-from papers.adlukf import dual_layer
+from concord.filters import ukf
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import scaled_unscented
+from concord.papers.adlukf import dual_layer
 from tests.filters import kalman
 from tests.filters.support import BATCHES, random_belief, random_spd
 

@@ -3,6 +3,7 @@
 import dataclasses
 import re
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -10,9 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiments.results.trace import read_trace
-from papers.wac import exact as study
-from papers.wac.exact_covariance import (
+from concord.experiments.results.trace import read_trace
+from concord.papers.wac import exact as study
+from concord.papers.wac.exact_covariance import (
     LinearNetwork,
     Moments,
     figures_of,
@@ -20,20 +21,20 @@ from papers.wac.exact_covariance import (
     over_nodes,
     propagate,
 )
-from papers.wac.exact_rules import RULES
-from plants.control.motor import motor_position
-from plants.control.networks import deal_outputs
-from plants.draws import Draws
-from plants.oscillator import Oscillator
-from runtime import in_process
-from runtime.recording import MemoryRecorder
-from scenarios.build import build_environment, build_node
-from scenarios.catalogue import definition_of
-from scenarios.preparation import prepare
-from scenarios.scenario import Scenario
-from scenarios.types.rules import hold_of
-from topology.graphs import build_graph
-from topology.weights import metropolis
+from concord.papers.wac.exact_rules import RULES
+from concord.plants.control.motor import motor_position
+from concord.plants.control.networks import deal_outputs
+from concord.plants.draws import Draws
+from concord.plants.oscillator import Oscillator
+from concord.runtime import in_process
+from concord.runtime.recording import MemoryRecorder
+from concord.scenarios.build import build_environment, build_node
+from concord.scenarios.catalogue import definition_named
+from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.types.rules import hold_of
+from concord.topology.graphs import build_graph
+from concord.topology.weights import metropolis
 
 FUSED = ("wac", "ci", "hcmci", "icf")
 CONSISTENT = ("wac", "ci", "hcmci")
@@ -61,8 +62,8 @@ def blocks(moments: Moments) -> np.ndarray:
 
 
 def scenario_of(rule: str, rounds: int, steps: int) -> Scenario:
-    hold = {"hold": "renormalise"} if rule in ("ci", "wac") else {}
-    return definition_of("dc-motor-position").defaults.with_(
+    hold: Any = {"hold": "renormalise"} if rule in ("ci", "wac") else {}
+    return definition_named("dc-motor-position").defaults.with_(
         rule=rule,
         rounds=rounds,
         steps=steps,
@@ -131,7 +132,7 @@ def test_monte_carlo_of_the_network_agrees(rule: str):
     )
     weights = averaging("ring", nodes, 1)
     moments = last(network, rule, weights, steps)
-    defaults = definition_of("oscillator").defaults
+    defaults = definition_named("oscillator").defaults
     nees = []
     for run in range(runs):
         scenario = defaults.with_(nodes=nodes, steps=steps, rule=rule, rounds=1, run=run)

@@ -5,9 +5,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from filters.gaussian import Gaussian
-from filters.stochastic_ukf import RECOMMENDED, expected_cov
-from papers.meng2025.filter_as_printed import PAPER_LITERAL, PAPER_LITERAL_R, pseudo_inverse
+from concord.filters.gaussian import Gaussian
+from concord.filters.stochastic_ukf import RECOMMENDED, expected_cov
+from concord.papers.meng2025.filter_as_printed import PAPER_LITERAL, PAPER_LITERAL_R, pseudo_inverse
 from tests.filters.measurement_runs import (
     GAMMA,
     PI_1,

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from papers.liu2021.bus import MeasuredPlant
-from papers.liu2021.flexray_cycle import augment, largest_change, lift, transmit
-from plants import liu2021
+from concord.papers.liu2021.bus import MeasuredPlant
+from concord.papers.liu2021.flexray_cycle import augment, largest_change, lift, transmit
+from concord.plants import liu2021
 from tests.bounded_systems import Sizes, on_the_sphere, random_plant, sizes
 
 EXAMPLE = MeasuredPlant(liu2021.SYSTEM, liu2021.STATIC_OUTPUTS, liu2021.weights)

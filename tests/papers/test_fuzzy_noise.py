@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from papers.adlukf import fuzzy_noise
-from papers.adlukf.fuzzy_noise import GROW, SHRINK, WINDOW, factor
+from concord.papers.adlukf import fuzzy_noise
+from concord.papers.adlukf.fuzzy_noise import GROW, SHRINK, WINDOW, factor
 
 UNIT = np.eye(1)
 

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from experiments.cli.reproduce import carry_out
-from experiments.scenario_options import scenario_of
-from papers.labelled.cases import CaseOutcome, FaultCase, halves, runs_of_case
-from papers.labelled.cases_section import CASES, cases_section
-from papers.labelled.reproduce import PAPER, error_section, figure_of
-from papers.labelled.study import FORMS, OCCUPANCIES, Form, RunOutcome, StudyJob, cell
-from papers.labelled.study import outcomes as runs_of
-from scenarios.preparation import prepare
+from concord.experiments.cli.reproduce import carry_out
+from concord.experiments.scenario_options import scenario_of
+from concord.papers.labelled.cases import CaseOutcome, FaultCase, halves, runs_of_case
+from concord.papers.labelled.cases_section import CASES, cases_section
+from concord.papers.labelled.reproduce import PAPER, error_section, figure_of
+from concord.papers.labelled.study import FORMS, OCCUPANCIES, Form, RunOutcome, StudyJob, cell
+from concord.papers.labelled.study import outcomes as runs_of
+from concord.scenarios.preparation import prepare
 
 
 def outcomes(generator: np.random.Generator, runs: int) -> list[RunOutcome]:

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.__main__ import main
-from experiments.monte_carlo.intervals import Interval
-from papers.adlukf.claims import AdlukfEvidence, Printed, claims
-from papers.adlukf.consistency import average_nees, matched_study
-from papers.adlukf.cost import costs
-from papers.adlukf.elsewhere import Elsewhere, in_words
-from papers.adlukf.filters import CONTESTANTS
-from papers.adlukf.study import (
+from concord.experiments.__main__ import main
+from concord.experiments.monte_carlo.intervals import Interval
+from concord.papers.adlukf.claims import AdlukfEvidence, Printed, claims
+from concord.papers.adlukf.consistency import average_nees, matched_study
+from concord.papers.adlukf.cost import costs
+from concord.papers.adlukf.elsewhere import Elsewhere, in_words
+from concord.papers.adlukf.filters import CONTESTANTS
+from concord.papers.adlukf.study import (
     CASES,
     CHANNELS,
     build_study,
@@ -22,10 +22,10 @@ from papers.adlukf.study import (
     quantities,
     score,
 )
-from papers.adlukf.tables import per_state, ratio, with_interval
-from plants.vehicle.drive import Drive
-from plants.vehicle.model import linear_tyre, single_track
-from plants.vehicle.parameters import BMW_320I
+from concord.papers.adlukf.tables import per_state, ratio, with_interval
+from concord.plants.vehicle.drive import Drive
+from concord.plants.vehicle.model import linear_tyre, single_track
+from concord.plants.vehicle.parameters import BMW_320I
 from tests.papers.support import every_claim_can_fail
 
 STEPS = 250
@@ -206,7 +206,7 @@ def test_one_seed_is_refused(tmp_path: Path, capsys):
 
 @pytest.mark.slow
 @pytest.mark.skipif(
-    importlib.util.find_spec("vehiclemodels") is None, reason="needs concord[vehicle]"
+    importlib.util.find_spec("vehiclemodels") is None, reason="needs the extra vehicle"
 )
 def test_the_whole_reproduction_holds(tmp_path: Path, capsys):
     folder = tmp_path / "adlukf"

@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.__main__ import main
-from papers.kit.report import check_runs
-from papers.liu2021.claims import Liu2021Evidence, claims
-from papers.liu2021.figures import blocks
-from papers.liu2021.mutants import Mutant, mutant_of_rule, mutant_of_sign
-from papers.liu2021.reproduce import PAPER
-from papers.liu2021.runs import ESTIMATORS, paper, simulate, tight
-from papers.liu2021.tables import PUBLISHED, difference, gains_of_tables
+from concord.experiments.__main__ import main
+from concord.papers.kit.report import check_runs
+from concord.papers.liu2021.claims import Liu2021Evidence, claims
+from concord.papers.liu2021.figures import blocks
+from concord.papers.liu2021.mutants import Mutant, mutant_of_rule, mutant_of_sign
+from concord.papers.liu2021.reproduce import PAPER
+from concord.papers.liu2021.runs import ESTIMATORS, paper, simulate, tight
+from concord.papers.liu2021.tables import PUBLISHED, difference, gains_of_tables
 from tests.papers.support import every_claim_can_fail
 
 

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 import xarray
 
-from experiments.cli.reproduce import carry_out
-from experiments.monte_carlo.intervals import Interval
-from experiments.results.trace import read_trace
-from papers.kit.report import check_runs
-from papers.meng2025.claims import Meng2025Evidence, claims, gather
-from papers.meng2025.errata import order_of_slots
-from papers.meng2025.particles import log_likelihood, track
-from papers.meng2025.reproduce import PAPER, checks_of
-from papers.meng2025.runs import (
+from concord.experiments.cli.reproduce import carry_out
+from concord.experiments.monte_carlo.intervals import Interval
+from concord.experiments.results.trace import read_trace
+from concord.papers.kit.report import check_runs
+from concord.papers.meng2025.claims import Meng2025Evidence, claims, gather
+from concord.papers.meng2025.errata import order_of_slots
+from concord.papers.meng2025.particles import log_likelihood, track
+from concord.papers.meng2025.reproduce import PAPER, checks_of
+from concord.papers.meng2025.runs import (
     ComparedMethod,
     MeasuredBatch,
     SlotEstimates,
@@ -25,12 +25,12 @@ from papers.meng2025.runs import (
     ranks_of_printed_cov,
     simulate,
 )
-from papers.meng2025.runs import carry_out as estimate_by
-from papers.meng2025.table import EstimatorRow, row
-from plants import meng2025
-from runtime.drivers import in_memory
-from scenarios.definitions.meng2025 import SYSTEM
-from scenarios.preparation import prepare
+from concord.papers.meng2025.runs import carry_out as estimate_by
+from concord.papers.meng2025.table import EstimatorRow, row
+from concord.plants import meng2025
+from concord.runtime.drivers import in_memory
+from concord.scenarios.definitions.meng2025 import SYSTEM
+from concord.scenarios.preparation import prepare
 from tests.experiments.support import scenario
 from tests.papers.support import every_claim_can_fail
 

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.__main__ import main
-from experiments.cli import reproduce
-from experiments.cli.reproduce import carry_out
-from experiments.monte_carlo.intervals import Interval, mean_t
-from papers.kit.checks import Check, above, agrees, at_most, below, near, refused
-from papers.kit.claims import Claim, ClaimFinding, Erratum, Test, needs, verdict_of
-from papers.kit.report import Paper, Section, markdown_table, report_of, to_markdown
+from concord.experiments.__main__ import main
+from concord.experiments.cli import reproduce
+from concord.experiments.cli.reproduce import carry_out
+from concord.experiments.monte_carlo.intervals import Interval, mean_t
+from concord.papers.kit.checks import Check, above, agrees, at_most, below, near, refused
+from concord.papers.kit.claims import Claim, ClaimFinding, Erratum, Test, needs, verdict_of
+from concord.papers.kit.report import Paper, Section, markdown_table, report_of, to_markdown
 
 
 def section(place: int, *checks: Check) -> Section:

@@ -9,31 +9,31 @@ import pytest
 from matplotlib.image import imread
 from msgspec.structs import replace
 
-from experiments.__main__ import main
-from experiments.results.trace import read_trace
-from filters.fusion import hold
-from filters.fusion.packed import pack
-from filters.gaussian import Gaussian, to_information
-from nodes.lanes.batch import InBatch
-from nodes.rules.lane_rule import Place
-from papers.wac import bench, occupancy
-from papers.wac import bus as reproduce_wac_bus
-from papers.wac import exact as reproduce_wac_exact
-from papers.wac import figures as reproduce_wac_figures
-from papers.wac import loci as reproduce_wac_loci
-from papers.wac import loops as reproduce_wac_loops
-from papers.wac import unstable as reproduce_wac_unstable
-from papers.wac.claims import judge
-from papers.wac.errata import ERRATA
-from papers.wac.evidence import WacEvidence, gather
-from papers.wac.loop_checks import checks_of as loop_checks_of
-from papers.wac.loops import Loops
-from papers.wac.network import beliefs_of, network_of
-from papers.wac.responses import OUTPUT, Trial
-from runtime.drivers import in_memory
-from scenarios.catalogue import definition_of
-from scenarios.preparation import prepare
-from scenarios.scenario import Scenario
+from concord.experiments.__main__ import main
+from concord.experiments.results.trace import read_trace
+from concord.filters.fusion import hold
+from concord.filters.fusion.packed import pack
+from concord.filters.gaussian import Gaussian, to_information
+from concord.nodes.lanes.batch import InBatch
+from concord.nodes.rules.lane_rule import Place
+from concord.papers.wac import bench, occupancy
+from concord.papers.wac import bus as reproduce_wac_bus
+from concord.papers.wac import exact as reproduce_wac_exact
+from concord.papers.wac import figures as reproduce_wac_figures
+from concord.papers.wac import loci as reproduce_wac_loci
+from concord.papers.wac import loops as reproduce_wac_loops
+from concord.papers.wac import unstable as reproduce_wac_unstable
+from concord.papers.wac.claims import judge
+from concord.papers.wac.errata import ERRATA
+from concord.papers.wac.evidence import WacEvidence, gather
+from concord.papers.wac.loop_checks import checks_of as loop_checks_of
+from concord.papers.wac.loops import Loops
+from concord.papers.wac.network import beliefs_of, network_of
+from concord.papers.wac.responses import OUTPUT, Trial
+from concord.runtime.drivers import in_memory
+from concord.scenarios.catalogue import definition_named
+from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario import Scenario
 from tests.papers.support import every_claim_can_fail
 
 # --- the network on a bus with room for all shares -----------------------------------------------
@@ -41,7 +41,7 @@ from tests.papers.support import every_claim_can_fail
 
 def small(name: str, **changes) -> Scenario:
     sizes = {"target-tracking": {"nodes": 8}, "dc-motor-position": {"control": "truth"}}
-    return definition_of(name).defaults.with_(steps=15, seed=5, **sizes[name], **changes)
+    return definition_named(name).defaults.with_(steps=15, seed=5, **sizes[name], **changes)
 
 
 HALF = {"schedule": "hybrid", "occupancy": 0.5}

@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from papers.adlukf import sage_husa_as_printed as sage_husa_literal
-from papers.adlukf.sage_husa_as_printed import NoiseEvidence
+from concord.papers.adlukf import sage_husa_as_printed as sage_husa_literal
+from concord.papers.adlukf.sage_husa_as_printed import NoiseEvidence
 
 
 def evidence(generator: np.random.Generator, scale: float = 1.0) -> NoiseEvidence:

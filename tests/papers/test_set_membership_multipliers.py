@@ -5,8 +5,8 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from filters.sets.ellipsoid import sum_factor
-from papers.liu2021.multipliers import (
+from concord.filters.sets.ellipsoid import sum_factor
+from concord.papers.liu2021.multipliers import (
     Problem,
     certified_bound,
     optimal_multipliers,
@@ -100,7 +100,7 @@ def test_two_balls_give_the_sum_of_two_ellipsoids(seed: int):
 def test_against_a_semidefinite_solver():
     pytest.importorskip("cvxpy")
     pytest.importorskip("clarabel")
-    from papers.liu2021.semidefinite import matrix_inequality
+    from concord.papers.liu2021.semidefinite import matrix_inequality
 
     rng = np.random.default_rng(0)
     for _ in range(8):

@@ -5,16 +5,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from filters.linalg import multiply
-from filters.sets.ellipsoid import Ellipsoid, shape_matrix, squared_radius
-from papers.liu2021.bus import MeasuredPlant, augmented
-from papers.liu2021.closed_form import closed_form_step
-from papers.liu2021.cycle import turned
-from papers.liu2021.flexray_cycle import AugmentedCycle, transmit
-from papers.liu2021.multipliers import smallest_bound
-from papers.liu2021.recursive_estimator import optimal_step, problem
-from plants import liu2021
-from plants.bounded import BoundedSystem
+from concord.filters.linalg import multiply
+from concord.filters.sets.ellipsoid import Ellipsoid, shape_matrix, squared_radius
+from concord.papers.liu2021.bus import MeasuredPlant, augmented
+from concord.papers.liu2021.closed_form import closed_form_step
+from concord.papers.liu2021.cycle import turned
+from concord.papers.liu2021.flexray_cycle import AugmentedCycle, transmit
+from concord.papers.liu2021.multipliers import smallest_bound
+from concord.papers.liu2021.recursive_estimator import optimal_step, problem
+from concord.plants import liu2021
+from concord.plants.bounded import BoundedSystem
 from tests.bounded_systems import Sizes, on_the_sphere, random_plant, run_of, sizes
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from filters.sets.ellipsoid import (
+from concord.filters.sets.ellipsoid import (
     Ellipsoid,
     half_widths,
     image,
@@ -14,16 +14,16 @@ from filters.sets.ellipsoid import (
     squared_radius,
     sum_factor,
 )
-from filters.sets.ellipsoid_intersection import strip_intersection
-from filters.sets.zonotope import Zonotope, around, gauge
-from filters.sets.zonotope import half_widths as zonotope_half_widths
-from papers.liu2021.bus import MeasuredPlant, augmented, cycle_evidence, step_evidence
-from papers.liu2021.evidence import BoundedMotion, Readings, StepReadings, no_readings
-from papers.liu2021.flexray_cycle import DeliveredValues
-from papers.liu2021.recursive_estimator import optimal_step
-from papers.liu2021.tight_estimator import conditioned_step, step_by_step
-from papers.liu2021.zonotope_filter import zonotope_step
-from plants import liu2021
+from concord.filters.sets.ellipsoid_intersection import strip_intersection
+from concord.filters.sets.zonotope import Zonotope, around, gauge
+from concord.filters.sets.zonotope import half_widths as zonotope_half_widths
+from concord.papers.liu2021.bus import MeasuredPlant, augmented, cycle_evidence, step_evidence
+from concord.papers.liu2021.evidence import BoundedMotion, Readings, StepReadings, no_readings
+from concord.papers.liu2021.flexray_cycle import DeliveredValues
+from concord.papers.liu2021.recursive_estimator import optimal_step
+from concord.papers.liu2021.tight_estimator import conditioned_step, step_by_step
+from concord.papers.liu2021.zonotope_filter import zonotope_step
+from concord.plants import liu2021
 from tests.bounded_systems import Sizes, on_the_sphere, random_plant, run_of, sizes
 
 SEEDS = st.integers(0, 2**32 - 1)

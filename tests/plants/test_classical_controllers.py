@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
-from papers.wac.root_loci import figure_7
-from plants.control import cruise, motor, pitch
-from plants.control.closed_loop import closed_loop, quiet
-from plants.control.controllers import IntegralFeedback, OutputFeedback, StateFeedback
-from plants.control.references import constant
-from plants.control.transfer_functions import (
+from concord.papers.wac.root_loci import figure_7
+from concord.plants.control import cruise, motor, pitch
+from concord.plants.control.closed_loop import closed_loop, quiet
+from concord.plants.control.controllers import IntegralFeedback, OutputFeedback, StateFeedback
+from concord.plants.control.references import constant
+from concord.plants.control.transfer_functions import (
     Rational,
     lag,
     lead,

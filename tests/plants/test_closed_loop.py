@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from plants.control import cruise, motor, suspension
-from plants.control.closed_loop import Response, closed_loop, quiet, step_figures
-from plants.control.controllers import StateFeedback
-from plants.control.references import constant
-from plants.linear import LinearPlant
+from concord.plants.control import cruise, motor, suspension
+from concord.plants.control.closed_loop import Response, closed_loop, quiet, step_figures
+from concord.plants.control.controllers import StateFeedback
+from concord.plants.control.references import constant
+from concord.plants.linear import LinearPlant
 
 
 def run(plant: LinearPlant, controller, seconds: float) -> Response:

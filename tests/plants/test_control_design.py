@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import solve_continuous_are
 
-from plants.control import cruise, motor, pitch, suspension
-from plants.control.design import (
+from concord.plants.control import cruise, motor, pitch, suspension
+from concord.plants.control.design import (
     continuous_gain_feedback,
     lqr_gain,
     placed_feedback,
@@ -15,7 +15,7 @@ from plants.control.design import (
     precompensation,
     refuse_unstable,
 )
-from plants.control.references import constant
+from concord.plants.control.references import constant
 
 STEP = constant(1.0)
 

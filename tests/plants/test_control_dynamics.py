@@ -5,10 +5,10 @@ import pytest
 from scipy.integrate import quad_vec, solve_ivp
 from scipy.linalg import expm
 
-from plants.control import cruise, motor, pitch, suspension
-from plants.control.continuous import ContinuousPlant, van_loan, zero_order_hold
-from plants.control.design import controllability_rank, observability_rank
-from plants.control.transfer_functions import Rational
+from concord.plants.control import cruise, motor, pitch, suspension
+from concord.plants.control.continuous import ContinuousPlant, van_loan, zero_order_hold
+from concord.plants.control.design import controllability_rank, observability_rank
+from concord.plants.control.transfer_functions import Rational
 
 PLANTS = [
     pytest.param(cruise.dynamics(), cruise.transfer_function(), id="cruise"),

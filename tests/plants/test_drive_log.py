@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from plants.vehicle.drive import Drive
-from plants.vehicle.drive_log import (
+from concord.plants.vehicle.drive import Drive
+from concord.plants.vehicle.drive_log import (
     columns_from_toml,
     read_drive,
     read_folder,
     write_drive,
 )
-from plants.vehicle.parameters import BMW_320I
+from concord.plants.vehicle.parameters import BMW_320I
 
 MAP = """
 time = { column = "t", unit = "ms" }

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from plants.control import cruise, motor, pitch, suspension
-from plants.control.references import Staircase, constant, square
-from plants.linear import LinearPlant
+from concord.plants.control import cruise, motor, pitch, suspension
+from concord.plants.control.references import Staircase, constant, square
+from concord.plants.linear import LinearPlant
 
 MAKERS = [
     cruise.cruise,
@@ -213,8 +213,9 @@ def test_motor_is_the_scenario_of_the_specification():
 
 def test_import_of_the_plants_is_light():
     code = (
-        "import sys; from plants.control import closed_loop, cruise, motor, pitch, suspension; "
-        "import papers.wac.root_loci; "
+        "import sys; "
+        "from concord.plants.control import closed_loop, cruise, motor, pitch, suspension; "
+        "import concord.papers.wac.root_loci; "
         "print([name for name in ('scipy', 'control', 'matplotlib') if name in sys.modules])"
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from plants import meng2025
-from plants.sensed import SensedPlant, clusters, sensors_on_a_bus
-from plants.stochastic import StochasticNonlinearity, StochasticSystem, Term, replicated
+from concord.plants import meng2025
+from concord.plants.sensed import SensedPlant, clusters, sensors_on_a_bus
+from concord.plants.stochastic import StochasticNonlinearity, StochasticSystem, Term, replicated
 
 U_2 = 0.01 * np.array(
     [

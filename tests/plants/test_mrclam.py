@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from plants.recorded.confined_motion import ConfinedMotion
-from plants.recorded.mrclam import recorded_target
-from plants.recorded.mrclam_files import read_recording
-from plants.recorded.sighting import Sighting
+from concord.plants.recorded.confined_motion import ConfinedMotion
+from concord.plants.recorded.mrclam import recorded_target
+from concord.plants.recorded.mrclam_files import read_recording
+from concord.plants.recorded.sighting import Sighting
 
 SET_6 = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "mrclam6"
 

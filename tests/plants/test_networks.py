@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plants.control import cruise, motor, pitch, suspension
-from plants.control.networks import PAPER_WARNING, deal_order
-from plants.linear import LinearPlant
+from concord.plants.control import cruise, motor, pitch, suspension
+from concord.plants.control.networks import PAPER_WARNING, deal_order
+from concord.plants.linear import LinearPlant
 
 MAKERS = [
     cruise.cruise,

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from plants.oscillator import POSITION, VELOCITY, Oscillation, Oscillator, Output
+from concord.plants.oscillator import POSITION, VELOCITY, Oscillation, Oscillator, Output
 from tests.plants.test_targets import assert_covariance
 
 

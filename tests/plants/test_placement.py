@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from plants.placement import place_sensors
-from topology.analysis import components
-from topology.geometric_graphs import geometric
+from concord.plants.placement import place_sensors
+from concord.topology.analysis import components
+from concord.topology.geometric_graphs import geometric
 
 
 @given(

@@ -4,10 +4,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from plants.vehicle.drive import Drive
-from plants.vehicle.model import axles_of, linear_tyre, single_track, tanh_tyre
-from plants.vehicle.parameters import BMW_320I, Car
-from plants.vehicle.tyre_identification import identify
+from concord.plants.vehicle.drive import Drive
+from concord.plants.vehicle.model import axles_of, linear_tyre, single_track, tanh_tyre
+from concord.plants.vehicle.parameters import BMW_320I, Car
+from concord.plants.vehicle.tyre_identification import identify
 
 TRUE = msgspec.structs.replace(
     BMW_320I, front_stiffness_n_rad=90e3, rear_stiffness_n_rad=140e3, friction=0.8

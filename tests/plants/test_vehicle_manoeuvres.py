@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from plants.vehicle.manoeuvres import (
+from concord.plants.vehicle.manoeuvres import (
     MANOEUVRES,
     CarMotion,
     OpenLoop,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from plants.vehicle.model import (
+from concord.plants.vehicle.model import (
     Axles,
     SingleTrack,
     axles_of,
@@ -11,7 +11,7 @@ from plants.vehicle.model import (
     single_track,
     tanh_tyre,
 )
-from plants.vehicle.parameters import BMW_320I
+from concord.plants.vehicle.parameters import BMW_320I
 
 CAR = BMW_320I
 MODEL = single_track(CAR, linear_tyre, 0.01, np.eye(3))

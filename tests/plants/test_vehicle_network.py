@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from plants.vehicle.drive import Drive
-from plants.vehicle.model import single_track, tanh_tyre
-from plants.vehicle.network import (
+from concord.plants.vehicle.drive import Drive
+from concord.plants.vehicle.model import single_track, tanh_tyre
+from concord.plants.vehicle.network import (
     ACCELERATION,
     BELIEVED_STD,
     CHANNELS,
@@ -22,8 +22,8 @@ from plants.vehicle.network import (
     sensor,
     simulated,
 )
-from plants.vehicle.parameters import BMW_320I
-from plants.vehicle.sensors import SensorError
+from concord.plants.vehicle.parameters import BMW_320I
+from concord.plants.vehicle.sensors import SensorError
 
 MODEL = single_track(BMW_320I, tanh_tyre, 0.005, np.diag([1e-5, 1e-7, 1e-7]))
 CAR = DrivenCar(MODEL)

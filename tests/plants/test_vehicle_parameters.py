@@ -3,8 +3,8 @@
 import msgspec
 import pytest
 
-from plants.vehicle.cars import FITTED_CARS
-from plants.vehicle.parameters import (
+from concord.plants.vehicle.cars import FITTED_CARS
+from concord.plants.vehicle.parameters import (
     BMW_320I,
     CarError,
     car_from_toml,
@@ -44,8 +44,8 @@ def test_the_axles_carry_the_car_in_balance():
 
 
 def test_the_known_car_is_the_librarys():
-    pytest.importorskip("vehiclemodels", reason="needs concord[vehicle]")
-    from plants.vehicle.truth import BMW, data_sheet
+    pytest.importorskip("vehiclemodels", reason="needs the extra vehicle")
+    from concord.plants.vehicle.truth import BMW, data_sheet
 
     library = msgspec.structs.asdict(data_sheet(BMW))
     for field, value in msgspec.structs.asdict(BMW_320I).items():
@@ -57,8 +57,8 @@ def test_the_known_car_is_the_librarys():
 
 @pytest.mark.parametrize("name", FITTED_CARS)
 def test_fitting_changes_the_tyres_alone(name: str):
-    pytest.importorskip("vehiclemodels", reason="needs concord[vehicle]")
-    from plants.vehicle.truth import TRUE_CARS, data_sheet
+    pytest.importorskip("vehiclemodels", reason="needs the extra vehicle")
+    from concord.plants.vehicle.truth import TRUE_CARS, data_sheet
 
     library = msgspec.structs.asdict(data_sheet(TRUE_CARS[name]))
     tyres = {"name", "front_stiffness_n_rad", "rear_stiffness_n_rad", "friction"}
@@ -71,10 +71,10 @@ def test_fitting_changes_the_tyres_alone(name: str):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FITTED_CARS)
 def test_the_fitted_tyres_are_what_identification_finds(name: str):
-    pytest.importorskip("vehiclemodels", reason="needs concord[vehicle]")
-    from plants.vehicle.manoeuvres import MANOEUVRES
-    from plants.vehicle.truth import TRUE_CARS, data_sheet, simulate
-    from plants.vehicle.tyre_identification import identify
+    pytest.importorskip("vehiclemodels", reason="needs the extra vehicle")
+    from concord.plants.vehicle.manoeuvres import MANOEUVRES
+    from concord.plants.vehicle.truth import TRUE_CARS, data_sheet, simulate
+    from concord.plants.vehicle.tyre_identification import identify
 
     car = TRUE_CARS[name]
     drive = simulate(MANOEUVRES["ramp-steer"], car, 0.01)
@@ -84,6 +84,6 @@ def test_the_fitted_tyres_are_what_identification_finds(name: str):
 
 
 def test_every_simulated_car_has_one_who_believes_in_it():
-    from plants.vehicle.truth import TRUE_CARS
+    from concord.plants.vehicle.truth import TRUE_CARS
 
     assert list(TRUE_CARS) == list(FITTED_CARS)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from plants.vehicle.drive import Drive
-from plants.vehicle.sensors import (
+from concord.plants.vehicle.drive import Drive
+from concord.plants.vehicle.sensors import (
     TEST_CAR,
     SensorError,
     contaminated,

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from plants.vehicle.drive import FRONT_LEFT, FRONT_RIGHT, REAR_LEFT, REAR_RIGHT
-from plants.vehicle.manoeuvres import MANOEUVRES, OpenLoop, Program
-from plants.vehicle.model import linear_tyre, single_track
-from plants.vehicle.truth import (
+from concord.plants.vehicle.drive import FRONT_LEFT, FRONT_RIGHT, REAR_LEFT, REAR_RIGHT
+from concord.plants.vehicle.manoeuvres import MANOEUVRES, OpenLoop, Program
+from concord.plants.vehicle.model import linear_tyre, single_track
+from concord.plants.vehicle.truth import (
     BMW,
     SOFT_BMW,
     SpunOut,
@@ -19,7 +19,7 @@ from plants.vehicle.truth import (
 )
 
 installed = pytest.mark.skipif(
-    importlib.util.find_spec("vehiclemodels") is None, reason="needs concord[vehicle]"
+    importlib.util.find_spec("vehiclemodels") is None, reason="needs the extra vehicle"
 )
 SHORT = replace(MANOEUVRES["serpentine"], duration_s=1.5)
 GENTLE = replace(
@@ -92,5 +92,5 @@ def test_steps_must_fit():
 
 def test_without_the_library_the_cure_is_named(monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(ValueError, match=r"concord\[vehicle\]"):
+    with pytest.raises(ValueError, match="make extras"):
         simulate(SHORT, BMW, 0.01)

@@ -9,8 +9,8 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from runtime.network.access_control import access_control, rights
-from runtime.network.certificates import AUTHORITY, AUTHORITY_KEY, make_keys, read_authority
+from concord.runtime.network.access_control import access_control, rights
+from concord.runtime.network.certificates import AUTHORITY, AUTHORITY_KEY, make_keys, read_authority
 
 x509 = pytest.importorskip("cryptography.x509")
 HOSTS = ("sensors.example.org", "192.0.2.7")

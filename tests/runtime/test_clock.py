@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from runtime.processes import clock
-from runtime.processes.clock import ahead_s
+from concord.runtime.processes import clock
+from concord.runtime.processes.clock import ahead_s
 
 # There and back, each way as long as it takes.
 TRIPS = st.lists(st.tuples(st.floats(1e-4, 0.5), st.floats(1e-4, 0.5)), min_size=1, max_size=9)

@@ -9,21 +9,21 @@ from collections import deque
 
 import pytest
 
-from nodes.changes import Gone
-from nodes.commands import Kill, Restart, Speed
-from nodes.environment_state import EnvironmentConfig
-from nodes.messages import Bid, BidsClosed, Grant, decode, encode, topic
-from nodes.tempo import Tempo
-from runtime.network.links import ZenohEndpoints
-from runtime.processes import republisher as said
-from runtime.processes.environment import inbox
-from runtime.processes.environment import process as environment_process
-from runtime.processes.environment.management import Management
-from runtime.processes.environment.notices import Hello, Presence, RecorderCaughtUp
-from runtime.processes.environment.pacing import EnvironmentPacing, Lockstep, RealTime
-from runtime.processes.environment.process import EnvironmentProcess
-from runtime.processes.environment.timetable import Beat
-from scenarios.build import build_environment
+from concord.nodes.changes import Gone
+from concord.nodes.commands import Kill, Restart, Speed
+from concord.nodes.environment_state import EnvironmentConfig
+from concord.nodes.messages import Bid, BidsClosed, Grant, decode, encode, topic
+from concord.nodes.tempo import Tempo
+from concord.runtime.network.links import ZenohEndpoints
+from concord.runtime.processes import republisher as said
+from concord.runtime.processes.environment import inbox
+from concord.runtime.processes.environment import process as environment_process
+from concord.runtime.processes.environment.management import Management
+from concord.runtime.processes.environment.notices import Hello, Presence, RecorderCaughtUp
+from concord.runtime.processes.environment.pacing import EnvironmentPacing, Lockstep, RealTime
+from concord.runtime.processes.environment.process import EnvironmentProcess
+from concord.runtime.processes.environment.timetable import Beat
+from concord.scenarios.build import build_environment
 from tests.experiments.support import small
 
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.monte_carlo import other_runs
-from experiments.monte_carlo.other_runs import OtherRuns
-from runtime.interpreter import fresh_command, fresh_variables
+from concord.experiments.monte_carlo import other_runs
+from concord.experiments.monte_carlo.other_runs import OtherRuns
+from concord.runtime.interpreter import fresh_command, fresh_variables
 from tests.experiments.support import small
 from tests.processes import holds_within
 
@@ -32,7 +32,7 @@ def folder(tmp_path: Path) -> Path:
 @pytest.mark.zenoh
 def test_a_run_over_processes_takes_nothing_from_the_working_folder(folder: Path):
     run = fresh_command(
-        "experiments", "run", "--scenario", "oscillator", "--nodes", "3", "--steps", "3",
+        "concord.experiments", "run", "--scenario", "oscillator", "--nodes", "3", "--steps", "3",
         "--driver", "processes", "--out", "run", "--json",
     )  # fmt: skip
     done = subprocess.run(run, cwd=folder, env=fresh_variables(), capture_output=True, text=True)
@@ -58,10 +58,10 @@ def test_other_runs_take_nothing_from_the_working_folder(
 def test_concord_is_found_from_anywhere_also_where_it_is_not_installed(folder: Path):
     """-S leaves out the installed packages, and so an editable install of concord."""
     variables = {**fresh_variables(), "PYTHONDONTWRITEBYTECODE": "1"}
-    code = "import runtime.interpreter as one; print(one.__file__)"
+    code = "import concord.runtime.interpreter as one; print(one.__file__)"
     command = [sys.executable, "-P", "-S", "-c", code]
     done = subprocess.run(command, cwd=folder, env=variables, capture_output=True, text=True)
-    assert Path(done.stdout.strip()) == ROOT / "runtime" / "interpreter.py", done.stderr
+    assert Path(done.stdout.strip()) == ROOT / "concord" / "runtime" / "interpreter.py", done.stderr
 
 
 def test_the_users_own_path_is_kept(monkeypatch: pytest.MonkeyPatch):
@@ -75,5 +75,5 @@ def test_the_users_own_path_is_kept(monkeypatch: pytest.MonkeyPatch):
 def test_no_other_file_starts_an_interpreter():
     folders = (*NAMES, "benchmarks", "dashboard", "papers", "plants", "topology", "docs")
     files = [file for name in folders for file in (ROOT / name).rglob("*.py")]
-    starters = [file for file in files if re.search(r"sys\.executable", file.read_text())]
+    starters = [file for file in files if re.search(r"\[\s*sys\.executable", file.read_text())]
     assert starters == [ROOT / "runtime" / "interpreter.py"]

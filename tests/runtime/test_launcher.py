@@ -11,13 +11,13 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from experiments.cli.agree import first_difference
-from experiments.results.trace import Trace
-from runtime.drivers import in_this_process
-from runtime.network.links import free_ports
-from runtime.processes.job import Happened, Job
-from runtime.processes.launcher import NetworkFailed, run_processes
-from scenarios.setup import Setup
+from concord.experiments.agreement import first_difference
+from concord.experiments.results.trace import Trace
+from concord.runtime.drivers import in_this_process
+from concord.runtime.network.links import free_ports
+from concord.runtime.processes.job import Happened, Job
+from concord.runtime.processes.launcher import NetworkFailed, run_processes
+from concord.scenarios.setup import Setup
 from tests.experiments.support import small, trace_of
 from tests.processes import PATIENCE_S, PROC, family, holds_within, lives
 
@@ -141,7 +141,7 @@ def _listens(port: int) -> bool:
 
 TAKEN_ONCE = """
 import socket
-from runtime.processes import launcher_process
+from concord.runtime.processes import launcher_process
 choose, held = launcher_process.free_ports, []
 def unlucky(names):
     ports = choose(names)
@@ -200,7 +200,9 @@ def test_two_runs_at_once_do_not_mix(tmp_path: Path):
 
 def test_a_launcher_process_without_a_job_leaves_quietly(tmp_path: Path):
     """The launcher was killed before it said what to do."""
-    with family([sys.executable, "-m", "runtime.processes.launcher_process"], tmp_path) as child:
+    with family(
+        [sys.executable, "-m", "concord.runtime.processes.launcher_process"], tmp_path
+    ) as child:
         _, out, err = child.end(PATIENCE_S)
     assert out == ""
     assert "Traceback" not in err

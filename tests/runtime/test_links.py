@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from runtime.network.links import (
+from concord.runtime.network.links import (
     ENVIRONMENT,
     RECORDER,
     ROUTER,

@@ -5,9 +5,9 @@ from typing import cast
 
 import pytest
 
-from runtime.network.zenoh_transport import Transport
-from runtime.processes import overflow
-from runtime.processes.overflow import Overflow
+from concord.runtime.network.zenoh_transport import Transport
+from concord.runtime.processes import overflow
+from concord.runtime.processes.overflow import Overflow
 
 QUEUE = 4
 

@@ -11,9 +11,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from bus.flexray.share_frames import SHARE_FRAMES
-from runtime import in_process
-from runtime.recording import McapRecorder, MemoryRecorder, read_recording
+from concord.bus.flexray.share_frames import SHARE_FRAMES
+from concord.runtime import in_process
+from concord.runtime.recording import McapRecorder, MemoryRecorder, read_recording
 from tests.nodes.networks import DECAYED, network, path, random_priors, run
 
 ROUNDS, STEP_S = 2, 0.25

@@ -6,9 +6,9 @@ from typing import cast
 
 import pytest
 
-from runtime.network.links import ENVIRONMENT, RECORDER
-from runtime.network.zenoh_transport import Transport
-from runtime.processes import republisher
+from concord.runtime.network.links import ENVIRONMENT, RECORDER
+from concord.runtime.network.zenoh_transport import Transport
+from concord.runtime.processes import republisher
 
 
 class Standing:

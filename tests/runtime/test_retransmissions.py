@@ -6,12 +6,12 @@ from typing import Any
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bus.flexray.share_frames import SHARE_FRAMES
-from nodes.faults.losses import LinkState
-from nodes.messages import NodeEvent, ShareHeard, decode, encode, topic
-from nodes.node import initial_state, step
-from nodes.node_state import NodeConfig, Phase
-from runtime.processes.retransmissions import Deduplication, is_missing
+from concord.bus.flexray.share_frames import SHARE_FRAMES
+from concord.nodes.faults.losses import LinkState
+from concord.nodes.messages import NodeEvent, ShareHeard, decode, encode, topic
+from concord.nodes.node import initial_state, step
+from concord.nodes.node_state import NodeConfig, Phase
+from concord.runtime.processes.retransmissions import Deduplication, is_missing
 from tests.nodes.networks import SEEDS, Network, networks, run, with_links
 
 Messages = list[tuple[str, bytes]]

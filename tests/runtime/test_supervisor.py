@@ -17,7 +17,7 @@ pytestmark = [
 
 BEGINNING = """
 import os, signal, sys, time
-from runtime.processes.supervisor import TRY_AGAIN, Ended, Supervisor
+from concord.runtime.processes.supervisor import TRY_AGAIN, Ended, Supervisor
 quiet, _hold = os.pipe()
 def say(*words):
     sys.stdout.write(" ".join(map(str, words)) + "\\n")

@@ -11,18 +11,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.flexray.share_frames import SHARE_FRAMES
-from nodes.messages import decode
-from runtime.drivers import in_memory
-from runtime.processes.recorder.throttled_feed import STEPS_PER_S, ThrottledFeed
-from runtime.whole_steps import WholeStep, WholeSteps
-from scenarios.catalogue import definition_of
-from scenarios.preparation import prepare
+from concord.bus.flexray.share_frames import SHARE_FRAMES
+from concord.nodes.messages import decode
+from concord.runtime.drivers import in_memory
+from concord.runtime.processes.recorder.throttled_feed import STEPS_PER_S, ThrottledFeed
+from concord.runtime.whole_steps import WholeStep, WholeSteps
+from concord.scenarios.catalogue import definition_named
+from concord.scenarios.preparation import prepare
 
 NODES, STEPS, ROUNDS = 5, 24, 3
 CHANGES = ("6 kill 2", "10 restart 2", "13 set rounds=1", "17 kill 4", "19 set rounds=20")
 SETUP = prepare(
-    definition_of("oscillator").defaults.with_(
+    definition_named("oscillator").defaults.with_(
         nodes=NODES, steps=STEPS, rounds=ROUNDS, changes=CHANGES
     )
 )

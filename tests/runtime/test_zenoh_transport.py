@@ -15,8 +15,8 @@ pytestmark = [
 BEGINNING = """
 import os, sys, time
 from functools import partial
-from runtime.network.links import *
-from runtime.processes.supervisor import Supervisor
+from concord.runtime.network.links import *
+from concord.runtime.processes.supervisor import Supervisor
 def say(*words):
     os.write(1, (" ".join(map(str, words)) + "\\n").encode())
 quiet, _hold = os.pipe()
@@ -34,7 +34,7 @@ def said_by(text: str, folder: Path) -> list[str]:
 
 # Everyone joins and at once publishes a number; everyone waits for those of its neighbours.
 BARRIER = """
-from runtime.network.zenoh_transport import Transport
+from concord.runtime.network.zenoh_transport import Transport
 neighbours = {neighbours}
 links = plan_links(neighbours, free_ports(names(neighbours)))
 def meet(me):
@@ -74,7 +74,7 @@ def test_behind_the_barrier_no_first_message_is_lost(tmp_path: Path):
 def test_a_taken_port_is_a_link_error(tmp_path: Path):
     text = """
 import socket
-from runtime.network.zenoh_transport import LinkError, Transport, start_router
+from concord.runtime.network.zenoh_transport import LinkError, Transport, start_router
 taken = socket.socket()
 taken.bind(("127.0.0.1", 0))
 taken.listen()
@@ -96,21 +96,21 @@ def test_the_world_refuses_a_node_with_another_configuration(tmp_path: Path):
     text = """
 import signal
 from pathlib import Path
-from bus.flexray.share_frames import SHARE_FRAMES
-from runtime.processes.node.process import run_node
-from runtime.processes.recorder.process import run_recorder
-from runtime.processes.environment.pacing import Lockstep
-from runtime.processes.environment.process import run_environment
-from runtime.recording import McapRecorder
-from runtime.processes.environment.management import Management
-from runtime.processes.node.lockstep import LockstepNode
-from runtime.processes.node.membership import Membership
-from runtime.whole_steps import WholeSteps
-from scenarios.build import build_node, build_environment
-from scenarios.catalogue import definition_of
-from scenarios.preparation import prepare
+from concord.bus.flexray.share_frames import SHARE_FRAMES
+from concord.runtime.processes.node.process import run_node
+from concord.runtime.processes.recorder.process import run_recorder
+from concord.runtime.processes.environment.pacing import Lockstep
+from concord.runtime.processes.environment.process import run_environment
+from concord.runtime.recording import McapRecorder
+from concord.runtime.processes.environment.management import Management
+from concord.runtime.processes.node.lockstep import LockstepNode
+from concord.runtime.processes.node.membership import Membership
+from concord.runtime.whole_steps import WholeSteps
+from concord.scenarios.build import build_node, build_environment
+from concord.scenarios.catalogue import definition_named
+from concord.scenarios.preparation import prepare
 import msgspec
-defaults = definition_of("oscillator").defaults
+defaults = definition_named("oscillator").defaults
 setup = prepare(defaults.with_(nodes=2, graph="path", steps=3))
 links = plan_links(setup.neighbours, free_ports(names(setup.neighbours)))
 def record():
@@ -141,9 +141,9 @@ supervisor.stop()
 # queue has a node's size: the overflow empties it at most once in 50 ms, and zenoh sends no
 # keep-alive while a full queue blocks its thread. With 16 places the link's lease of 2 s ran out.
 FULL_QUEUE = """
-from runtime.processes.overflow import Overflow
-from runtime.processes.node.lockstep_inbox import NODE_QUEUE
-from runtime.network.zenoh_transport import Transport
+from concord.runtime.processes.overflow import Overflow
+from concord.runtime.processes.node.lockstep_inbox import NODE_QUEUE
+from concord.runtime.network.zenoh_transport import Transport
 links = plan_links([[1], [0]], free_ports(names([[1], [0]])))
 def talk():
     transport = Transport("full", links["0"]._replace(connect=()), [], 8)
@@ -181,7 +181,7 @@ def test_a_full_queue_hides_nothing_that_is_waited_for(tmp_path: Path):
 
 
 HUGE = """
-from runtime.network.zenoh_transport import Transport
+from concord.runtime.network.zenoh_transport import Transport
 port = f"tcp/127.0.0.1:{free_ports(['huge'])['huge']}"
 def talk():
     transport = Transport("huge", ZenohEndpoints("peer", (), (port,), 10.0), [], 8)
@@ -207,7 +207,7 @@ def test_what_is_too_much_for_any_memory_is_not_put_together(tmp_path: Path):
 
 # A thread may still look for messages when its process ends, and with it the session.
 LEAVING = """
-from runtime.network.zenoh_transport import Transport
+from concord.runtime.network.zenoh_transport import Transport
 def leave():
     endpoint = f"tcp/127.0.0.1:{free_ports(['own'])['own']}"
     transport = Transport("leaving", ZenohEndpoints("peer", (endpoint,), (), 5.0), ["many"], 8)
@@ -225,7 +225,7 @@ def test_who_has_left_hears_nothing(tmp_path: Path):
 
 # A recorder takes together what has come, and must know what came before it was woken up.
 TOGETHER = """
-from runtime.network.zenoh_transport import Transport
+from concord.runtime.network.zenoh_transport import Transport
 def take():
     endpoint = f"tcp/127.0.0.1:{free_ports(['own'])['own']}"
     transport = Transport("together", ZenohEndpoints("peer", (endpoint,), (), 5.0), ["many/*"], 8)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.__main__ import main
+from concord.experiments.__main__ import main
 from tests.experiments.flexray_support import concord, refused
 
 UNKNOWN_NAMES = [

@@ -3,18 +3,18 @@
 import numpy as np
 import pytest
 
-from experiments.results.trace import Trace, read_trace
-from filters.gaussian import Gaussian
-from plants.oscillator import Oscillation, Oscillator
-from runtime.drivers import in_memory
-from scenarios.baselines import (
+from concord.experiments.results.trace import Trace, read_trace
+from concord.filters.gaussian import Gaussian
+from concord.plants.oscillator import Oscillation, Oscillator
+from concord.runtime.drivers import in_memory
+from concord.scenarios.baselines import (
     centralised,
     centralised_of_runs,
     local_only,
     local_only_of_runs,
 )
-from scenarios.preparation import setup_of_run
-from scenarios.setup import Setup
+from concord.scenarios.preparation import setup_of_run
+from concord.scenarios.setup import Setup
 from tests.experiments.support import small
 
 SETUP = small(steps=40, nodes=5)

@@ -5,16 +5,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from experiments import options_page
-from experiments.scenario_options import in_options, offered_options, scenario_of
-from scenarios.catalogue import definition_of, definitions
-from scenarios.scenario import Scenario
-from scenarios.types.assignment import assigned, check_ranges, flat
-from scenarios.types.buses import FlexRay, HybridSchedule, Ideal
-from scenarios.types.declarations import every_option
-from scenarios.types.rules import CovarianceIntersection, MeasurementFlooding
+from concord.experiments import option_types, options_page
+from concord.experiments.scenario_options import in_options, offered_options, scenario_of
+from concord.scenarios.catalogue import definition_named, definition_of, definitions
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.types.assignment import assigned, check_ranges, flat
+from concord.scenarios.types.buses import FlexRay, HybridSchedule, Ideal
+from concord.scenarios.types.declarations import every_option
+from concord.scenarios.types.rules import CovarianceIntersection, MeasurementFlooding
 
-USUAL = definition_of("oscillator").defaults
+USUAL = definition_named("oscillator").defaults
 EACH_KIND = pytest.mark.parametrize("name", definitions())
 CHOICES = {
     name: option.names
@@ -26,7 +26,7 @@ CHOICES = {
 @st.composite
 def scenarios(draw: st.DrawFn) -> Scenario:
     """Scenarios of any rule, hold, bus and schedule that can be said together."""
-    scenario = definition_of(draw(st.sampled_from(sorted(definitions())))).defaults
+    scenario = definition_named(draw(st.sampled_from(sorted(definitions())))).defaults
     for name, names in CHOICES.items():
         try:
             scenario, _ = scenario.with_known(**{name: draw(st.sampled_from(names))})
@@ -40,7 +40,7 @@ def scenarios(draw: st.DrawFn) -> Scenario:
 
 @given(scenarios())
 def test_flat_names_and_values_say_the_whole_scenario(scenario: Scenario):
-    found, left = assigned(definition_of(scenario.name).defaults, flat(scenario))
+    found, left = assigned(definition_of(scenario).defaults, flat(scenario))
     assert (found, left) == (scenario, {})
 
 
@@ -51,12 +51,12 @@ def test_json_says_the_whole_scenario(scenario: Scenario):
 
 @EACH_KIND
 def test_the_options_of_a_default_are_none(name: str):
-    assert in_options(definition_of(name).defaults) == []
+    assert in_options(definition_named(name).defaults) == []
 
 
 @EACH_KIND
 def test_every_option_of_a_scenario_is_offered_with_a_meaning(name: str):
-    for option in flat(definition_of(name).defaults):
+    for option in flat(definition_named(name).defaults):
         assert offered_options()[option].help
 
 
@@ -90,12 +90,12 @@ def test_values_are_taken_as_names_are():
     ("asked", "says"),
     [
         ({"window_steps": 8}, "--window-steps 8: belongs to --rule labelled; leave it out"),
-        ({"rule": "hcmci", "decay": 0.3}, "--hold decayed of --rule ci, trimmed-ci or wac"),
+        ({"rule": "hcmci", "decay": 0.3}, "--hold decayed of --rule ci, trimmed-ci, wac or FILE"),
         ({"hold": "drop", "decay": 0.3}, "--decay 0.3: belongs to --hold decayed; leave"),
         ({"arbiter": "wtod"}, "belongs to --schedule hybrid, hybrid-leaves or dynamic"),
         ({"bus": "ideal", "cluster": "audi"}, "--cluster audi: belongs to --bus flexray"),
         ({"schedule": "full", "occupancy": 0.5}, "--occupancy 0.5: belongs to --schedule round"),
-        ({"rule": "trimmed-ci", "determinant_weights": False}, "belongs to --rule ci or wac"),
+        ({"rule": "trimmed-ci", "determinant_weights": False}, "belongs to --rule ci, wac or FILE"),
         ({"rule": "labelled", "latch_delay_us": 3.0}, "belongs to --relay;"),
         ({"nodez": 3}, "unknown option 'nodez': did you mean 'nodes'"),
         ({"nodes": "many"}, "--nodes many: must be a whole number"),
@@ -120,3 +120,7 @@ def test_ranges_are_those_of_the_declarations(value: float, name: str):
 
 def test_the_page_of_options_is_as_the_types_declare_them():
     assert options_page.PAGE.read_text(encoding="utf-8") == options_page.page()
+
+
+def test_the_types_of_options_are_those_of_the_declarations():
+    assert option_types.FILE.read_text(encoding="utf-8") == option_types.text()

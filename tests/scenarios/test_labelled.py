@@ -8,23 +8,23 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from experiments.results.trace import Trace, read_trace
-from experiments.scenario_options import scenario_of
-from nodes.rules.labelled import LabelledFlooding
-from nodes.rules.record_sets import lacked, newest_first
-from papers.labelled.cases import FaultCase, runs_of_case
-from papers.labelled.exact import FULL_INFORMATION, audit, full_information
-from papers.labelled.exact_section import NETWORKS, exact_section
-from runtime.drivers import in_memory
-from scenarios.baselines import centralised
-from scenarios.build import build_node
-from scenarios.bus_plan import build_schedule
-from scenarios.catalogue import definition_of
-from scenarios.labelled import check_labelled, digest_of, gates_of, latency_steps, window_of
-from scenarios.preparation import prepare
-from scenarios.scenario import Scenario
-from scenarios.setup import Setup
-from scenarios.warnings import warnings_of
+from concord.experiments.results.trace import Trace, read_trace
+from concord.experiments.scenario_options import scenario_of
+from concord.nodes.rules.labelled import LabelledFlooding
+from concord.nodes.rules.record_sets import lacked, newest_first
+from concord.papers.labelled.cases import FaultCase, runs_of_case
+from concord.papers.labelled.exact import FULL_INFORMATION, audit, full_information
+from concord.papers.labelled.exact_section import NETWORKS, exact_section
+from concord.runtime.drivers import in_memory
+from concord.scenarios.baselines import centralised
+from concord.scenarios.build import build_node
+from concord.scenarios.bus_plan import build_schedule
+from concord.scenarios.catalogue import definition_named
+from concord.scenarios.labelled import check_labelled, digest_of, gates_of, latency_steps, window_of
+from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.setup import Setup
+from concord.scenarios.warnings import warnings_of
 from tests.test_agreement import assert_agreement
 
 
@@ -78,7 +78,7 @@ def test_quantised_records_are_the_centralised_filter_that_knows_of_the_rounding
     """Readings in steps of a sixteenth of their deviation; R larger by a twelfth of its square."""
     setup = setup_of(scenario="target-tracking", nodes=6, graph="complete", rounds=1, steps=30)
     trace = trace_of(setup)
-    definition = definition_of("target-tracking")
+    definition = definition_named("target-tracking")
     step = np.array([10.0, np.deg2rad(2.0)]) / 16
     larger = np.sqrt(1 + 1 / (12 * 16**2))
 
@@ -91,7 +91,7 @@ def test_quantised_records_are_the_centralised_filter_that_knows_of_the_rounding
         )
 
     monkeypatch.setattr(
-        "scenarios.baselines.definition_of",
+        "concord.scenarios.baselines.definition_of",
         lambda _: definition._replace(sensor=noisier, sensors=None),
     )
     best = centralised(setup, step * np.round(trace.readings / step), None)

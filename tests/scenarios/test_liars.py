@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from experiments.results.trace import read_trace
-from runtime.drivers import in_memory
-from scenarios.preparation import prepare
-from scenarios.warnings import warnings_of
+from concord.experiments.results.trace import read_trace
+from concord.runtime.drivers import in_memory
+from concord.scenarios.preparation import prepare
+from concord.scenarios.warnings import warnings_of
 from tests.experiments.support import scenario
 
 NODES, FROM_STEP, STEPS = 7, 8, 24

@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.results.trace import read_trace
-from runtime.drivers import in_memory
-from scenarios.links import link_state
-from scenarios.preparation import prepare, setup_of_run
+from concord.experiments.results.trace import read_trace
+from concord.runtime.drivers import in_memory
+from concord.scenarios.links import link_state
+from concord.scenarios.preparation import prepare, setup_of_run
+from concord.topology.adjacency import neighbours_of
+from concord.topology.graphs import build_graph
 from tests.experiments.support import scenario, small
 from tests.test_batched_agreement import check_agreement
-from topology.adjacency import neighbours_of
-from topology.graphs import build_graph
 
 LAB = Path(__file__).resolve().parents[3] / "shared/data/intel_lab"
 PLANS = {

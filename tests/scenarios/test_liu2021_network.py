@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from plants import liu2021
-from plants.bounded_network import BoundedNetwork, on_the_bound
-from scenarios.catalogue import definition_of
-from scenarios.preparation import prepare
-from scenarios.rules import is_set_valued
+from concord.plants import liu2021
+from concord.plants.bounded_network import BoundedNetwork, on_the_bound
+from concord.scenarios.catalogue import definition_named
+from concord.scenarios.preparation import prepare
+from concord.scenarios.rules import is_set_valued
 from tests.experiments.support import scenario, small
 
 NAME = "liu2021-network"
@@ -15,7 +15,7 @@ GAUSSIAN_RULES = ("ci", "wac")
 
 
 def plant(**changes) -> BoundedNetwork:
-    made = definition_of(NAME).plant(scenario(NAME, **changes))
+    made = definition_named(NAME).plant(scenario(NAME, **changes))
     assert isinstance(made, BoundedNetwork)
     return made
 

@@ -5,20 +5,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bus.measurement_bus import MeasurementBus
-from experiments.results.summary import summarise
-from experiments.results.trace import Trace, read_trace
-from filters.gaussian import Gaussian
-from filters.stochastic_ukf import Received
-from plants import meng2025
-from runtime.drivers import in_memory
-from scenarios.baselines import centralised, local_only
-from scenarios.build import build_bus
-from scenarios.definitions.measurement_runs import BusFilter, estimate, first_received, slots_of
-from scenarios.definitions.meng2025 import FILTERS, SYSTEM, bus_of, paper_points
-from scenarios.preparation import prepare
-from scenarios.scenario import Scenario
-from scenarios.setup import Setup
+from concord.bus.measurement_bus import MeasurementBus
+from concord.experiments.results.summary import summarise
+from concord.experiments.results.trace import Trace, read_trace
+from concord.filters.gaussian import Gaussian
+from concord.filters.stochastic_ukf import Received
+from concord.plants import meng2025
+from concord.runtime.drivers import in_memory
+from concord.scenarios.baselines import centralised, local_only
+from concord.scenarios.build import build_bus
+from concord.scenarios.definitions.measurement_runs import (
+    BusFilter,
+    estimate,
+    first_received,
+    slots_of,
+)
+from concord.scenarios.definitions.meng2025 import FILTERS, SYSTEM, bus_of, paper_points
+from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.setup import Setup
 from tests.experiments.support import scenario
 from tests.nodes import changing
 from tests.test_agreement import assert_agreement

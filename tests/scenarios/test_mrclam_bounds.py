@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from experiments.results.summary import Figures, summarise
-from experiments.results.trace import Trace, read_trace
-from runtime.drivers import in_memory
-from scenarios.preparation import prepare
+from concord.experiments.results.summary import Figures, summarise
+from concord.experiments.results.trace import Trace, read_trace
+from concord.runtime.drivers import in_memory
+from concord.scenarios.preparation import prepare
 from tests.experiments.support import scenario
 
 TARGETS = (1, 2, 3, 4, 5)

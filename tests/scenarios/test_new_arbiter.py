@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from bus.arbitration import ARBITERS, Arbiter, ArbiterState, Numbers
-from experiments.monte_carlo.simulate import simulate
-from experiments.results.trace import Trace, read_trace
-from experiments.scenario_options import scenario_of
-from runtime.drivers import in_memory
-from scenarios.bus_plan import arbiter_names
-from scenarios.preparation import prepare
-from scenarios.setup import Setup
+from concord.bus.arbitration import ARBITERS, Arbiter, ArbiterState, Numbers
+from concord.experiments.monte_carlo.simulate import simulate
+from concord.experiments.results.trace import Trace, read_trace
+from concord.experiments.scenario_options import scenario_of
+from concord.runtime.drivers import in_memory
+from concord.scenarios.bus_plan import arbiter_names
+from concord.scenarios.preparation import prepare
+from concord.scenarios.setup import Setup
 
 NAME = "longest-wait"
 

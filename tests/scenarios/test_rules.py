@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from bus.flexray.share_frames import payload_lengths
-from experiments.results.near_agreement import departures
-from experiments.results.trace import Trace, read_trace
-from runtime.drivers import in_memory
-from scenarios import rules
-from scenarios.build import build_node
-from scenarios.catalogue import definition_of
-from scenarios.preparation import prepare, share_bytes
-from scenarios.scenario import Scenario
-from scenarios.setup import Setup
-from scenarios.types import rules as rule_types
+from concord.bus.flexray.share_frames import payload_lengths
+from concord.experiments.results.near_agreement import departures
+from concord.experiments.results.trace import Trace, read_trace
+from concord.runtime.drivers import in_memory
+from concord.scenarios import rules
+from concord.scenarios.build import build_node
+from concord.scenarios.catalogue import definition_named
+from concord.scenarios.preparation import prepare, share_bytes
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.setup import Setup
+from concord.scenarios.types import rules as rule_types
 
 NEEDS: dict[str, dict] = {
     "centralised": {"graph": "complete", "rounds": 1},
@@ -32,7 +32,7 @@ EACH = pytest.mark.parametrize("rule", FUSING)
 def scenario(rule: str, **changes) -> Scenario:
     """A short run of the oscillator under a rule."""
     settings = {"rule": rule, "steps": 6, **NEEDS.get(rule, {}), **changes}
-    return definition_of("oscillator").defaults.with_(**settings)
+    return definition_named("oscillator").defaults.with_(**settings)
 
 
 def trace(setup: Setup) -> Trace:
@@ -68,7 +68,7 @@ def test_shares_are_as_long_as_their_formulas_say():
 @pytest.mark.parametrize("rule", [*FRESH, "local"])
 @pytest.mark.parametrize("hold", ["raw", "predict", "drop", "in-step"])
 def test_a_hold_policy_that_a_rule_cannot_use_is_refused(rule: str, hold: str):
-    with pytest.raises(ValueError, match=f"--hold {hold}: belongs to --rule ci"):
+    with pytest.raises(ValueError, match=f"hold {hold}: belongs to rule ci"):
         prepare(scenario(rule, hold=hold))
 
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from experiments.scenario_options import scenario_of
-from scenarios.script import with_files
+from concord.experiments.scenario_options import scenario_of
+from concord.scenarios.script import with_files
 
 TEXT = """# a bad night
 3 corrupt 0.1     # all links

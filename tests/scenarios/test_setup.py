@@ -4,11 +4,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from runtime.drivers import in_memory
-from scenarios.catalogue import definitions
-from scenarios.preparation import fingerprint
-from scenarios.scenario import Scenario
-from scenarios.setup import Setup
+from concord.runtime.drivers import in_memory
+from concord.scenarios.catalogue import definitions
+from concord.scenarios.preparation import fingerprint
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.setup import Setup
 from tests.experiments.support import scenario, small
 
 # Another value for every field of a scenario that changes what is computed.

@@ -9,23 +9,23 @@ import msgspec
 import numpy as np
 import pytest
 
-from experiments.results.bus_report import figures_of
-from experiments.results.trace import Trace, read_trace
-from nodes.rules.adaptive_noise import AdaptiveNoise
-from plants.vehicle.cars import FITTED_CARS
-from plants.vehicle.drive_log import write_drive
-from plants.vehicle.manoeuvres import MANOEUVRES
-from plants.vehicle.network import SIDE_SLIP, STATE_NAMES
-from runtime.drivers import in_memory
-from scenarios.baselines import local_only
-from scenarios.build import build_node
-from scenarios.catalogue import definition_of
-from scenarios.preparation import prepare
-from scenarios.setup import Setup
+from concord.experiments.results.bus_report import figures_of
+from concord.experiments.results.trace import Trace, read_trace
+from concord.nodes.rules.adaptive_noise import AdaptiveNoise
+from concord.plants.vehicle.cars import FITTED_CARS
+from concord.plants.vehicle.drive_log import write_drive
+from concord.plants.vehicle.manoeuvres import MANOEUVRES
+from concord.plants.vehicle.network import SIDE_SLIP, STATE_NAMES
+from concord.runtime.drivers import in_memory
+from concord.scenarios.baselines import local_only
+from concord.scenarios.build import build_node
+from concord.scenarios.catalogue import definition_named
+from concord.scenarios.preparation import prepare
+from concord.scenarios.setup import Setup
 from tests.experiments.support import scenario
 
 pytestmark = pytest.mark.skipif(
-    importlib.util.find_spec("vehiclemodels") is None, reason="needs concord[vehicle]"
+    importlib.util.find_spec("vehiclemodels") is None, reason="needs the extra vehicle"
 )
 
 
@@ -80,16 +80,17 @@ def test_a_node_process_knows_nothing_of_the_simulated_truth(tmp_path: Path):
     described = tmp_path / "setup.json"
     described.write_bytes(msgspec.json.encode(setup(steps=2)))
     code = (
-        "import msgspec, sys; from pathlib import Path; from scenarios.build import build_node; "
-        "from scenarios.setup import Setup; "
+        "import msgspec, sys; from pathlib import Path; "
+        "from concord.scenarios.build import build_node; "
+        "from concord.scenarios.setup import Setup; "
         f"build_node(msgspec.json.decode(Path({str(described)!r}).read_bytes(), type=Setup), 1); "
-        "assert not {'vehiclemodels', 'plants.vehicle.truth'} & set(sys.modules)"
+        "assert not {'vehiclemodels', 'concord.plants.vehicle.truth'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_a_log_takes_the_place_of_the_simulation(tmp_path: Path):
-    from plants.vehicle.truth import BMW, simulate
+    from concord.plants.vehicle.truth import BMW, simulate
 
     drive = simulate(MANOEUVRES["serpentine"], BMW, 0.01, integration_step_s=5e-3)
     write_drive(tmp_path, drive, FITTED_CARS["bmw-320i"])
@@ -128,6 +129,6 @@ def test_what_it_cannot_be_is_refused(changes: dict, says: str):
 
 
 def test_all_steps_are_those_of_the_drive():
-    definition = definition_of("vehicle-network")
+    definition = definition_named("vehicle-network")
     assert definition.all_steps is not None
     assert definition.all_steps(definition.defaults) == 2401

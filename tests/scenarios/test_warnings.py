@@ -5,20 +5,20 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from experiments.results import record_spread
-from experiments.results.trace import read_trace
-from plants.linear import LinearModel, LinearPlant, LinearSensor
-from runtime.drivers import in_memory
-from scenarios import catalogue
-from scenarios.catalogue import definition_of
-from scenarios.preparation import prepare
-from scenarios.scenario_definition import ScenarioDefinition, Score
-from scenarios.setup import Setup
-from scenarios.warnings import warnings_of
+from concord.experiments.results import record_spread
+from concord.experiments.results.trace import read_trace
+from concord.plants.linear import LinearModel, LinearPlant, LinearSensor
+from concord.runtime.drivers import in_memory
+from concord.scenarios import catalogue
+from concord.scenarios.catalogue import definition_named
+from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario_definition import ScenarioDefinition, Score
+from concord.scenarios.setup import Setup
+from concord.scenarios.warnings import warnings_of
 
 
 def setup_of(**changes) -> Setup:
-    return prepare(definition_of("oscillator").defaults.with_(steps=5, **changes))
+    return prepare(definition_named("oscillator").defaults.with_(steps=5, **changes))
 
 
 def quiet(**changes) -> bool:
@@ -47,7 +47,7 @@ def growing(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Setup]:
             initial_state=np.zeros(1),
             prior_cov=np.eye(1),
         )
-        usual = definition_of("oscillator").defaults
+        usual = definition_named("oscillator").defaults
         defaults = usual.with_(nodes=8, steps=70, rule="wac", hold="drop")
         definition = ScenarioDefinition(
             defaults=defaults,

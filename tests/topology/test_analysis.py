@@ -8,16 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
-from plants.placement import place_sensors
-from topology.analysis import (
+from concord.plants.placement import place_sensors
+from concord.topology.analysis import (
     analyse,
     components,
     require_connected,
     rounds_to,
 )
-from topology.graphs import build_graph, complete, geometric, grid, path, ring, star
-from topology.spectrum import contraction_per_round, second_eigenvalue_modulus
-from topology.weights import best_constant, maximum_degree, metropolis
+from concord.topology.graphs import build_graph, complete, geometric, grid, path, ring, star
+from concord.topology.spectrum import contraction_per_round, second_eigenvalue_modulus
+from concord.topology.weights import best_constant, maximum_degree, metropolis
 
 CONNECTED = st.builds(
     build_graph,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from topology.convergence import (
+from concord.topology.convergence import (
     averaging,
     cycle_factor,
     links_with,
@@ -16,9 +16,9 @@ from topology.convergence import (
     measured_factor,
     rounds_to_settle,
 )
-from topology.graphs import build_graph, complete, path, ring, star
-from topology.spectrum import second_eigenvalue_modulus
-from topology.weights import equal_neighbour, metropolis
+from concord.topology.graphs import build_graph, complete, path, ring, star
+from concord.topology.spectrum import second_eigenvalue_modulus
+from concord.topology.weights import equal_neighbour, metropolis
 
 
 def realised(links, up):

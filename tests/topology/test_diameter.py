@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
-from topology.analysis import components
-from topology.diameter import diameter_bounds
-from topology.graphs import build_graph, grid, path, ring, star
+from concord.topology.analysis import components
+from concord.topology.diameter import diameter_bounds
+from concord.topology.graphs import build_graph, grid, path, ring, star
 
 
 @given(st.integers(1, 14), st.integers(0, 2**32 - 1), st.booleans(), st.integers(1, 20))

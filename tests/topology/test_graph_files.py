@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
-from topology.adjacency import Adjacency
-from topology.graph_files import read_network, write_network
-from topology.graphs import path, ring
-from topology.network import Network
+from concord.topology.adjacency import Adjacency
+from concord.topology.graph_files import read_network, write_network
+from concord.topology.graphs import path, ring
+from concord.topology.network import Network
 
 INTEL_LAB = Path(__file__).resolve().parents[3] / "shared/data/intel_lab/connectivity.txt"
 SUFFIXES = (".edges", ".edgelist", ".txt", ".csv", ".graphml")

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from topology import graphs
-from topology.choices import GRAPHS
-from topology.graphs import (
+from concord.topology import graphs
+from concord.topology.choices import GRAPHS
+from concord.topology.graphs import (
     build_graph,
     complete,
     erdos_renyi,
@@ -171,7 +171,7 @@ def test_random_families_have_the_number_of_links_of_their_definition():
 
 def test_every_graph_that_can_be_built_is_among_the_names():
     of_a_shape = {"K-regular", "geometric"}
-    files = {"file:PATH", "directed:PATH", "intel-lab", "intel-lab-directed"}
+    files = {"edges:0-1;1-2", "file:PATH", "directed:PATH", "intel-lab", "intel-lab-directed"}
     assert set(GRAPHS) == set(graphs._BUILDERS) | of_a_shape | files
 
 
@@ -179,6 +179,7 @@ def test_every_name_builds_its_graph(tmp_path):
     file = tmp_path / "ring.edges"
     concrete = {
         "K-regular": "4-regular",
+        "edges:0-1;1-2": "edges:0-1;1-2;2-3;3-4;4-5",
         "file:PATH": f"file:{file}",
         "directed:PATH": f"directed:{file}",
         "intel-lab": f"intel-lab:{tmp_path}",

@@ -6,11 +6,15 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from topology.adjacency import neighbours_of
-from topology.analysis import require_connected
-from topology.graphs import build_graph, complete, regular, ring
-from topology.spectrum import contraction_per_round, laplacian_bounds, second_eigenvalue_modulus
-from topology.weights import (
+from concord.topology.adjacency import neighbours_of
+from concord.topology.analysis import require_connected
+from concord.topology.graphs import build_graph, complete, regular, ring
+from concord.topology.spectrum import (
+    contraction_per_round,
+    laplacian_bounds,
+    second_eigenvalue_modulus,
+)
+from concord.topology.weights import (
     best_constant,
     build_weights,
     check_doubly_stochastic,
@@ -66,7 +70,7 @@ def test_sparse_eigenvalues_are_the_dense_ones(name, rule, monkeypatch):
         contraction_per_round(weights),
         laplacian_bounds(adjacency),
     )
-    monkeypatch.setattr("topology.spectrum.DENSE_NODES", 100)
+    monkeypatch.setattr("concord.topology.spectrum.DENSE_NODES", 100)
     assert second_eigenvalue_modulus(weights) == pytest.approx(dense[0], rel=1e-7)
     assert contraction_per_round(weights) == pytest.approx(dense[1], rel=1e-7)
     assert laplacian_bounds(adjacency) == pytest.approx(dense[2], rel=1e-5)

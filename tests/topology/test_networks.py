@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from topology.adjacency import from_links, is_symmetric, links_of, neighbours_of, union
-from topology.analysis import analyse, components, cut_links, cut_nodes
-from topology.graph_files import read_network, write_network
-from topology.graphs import build_network, path, ring, star
-from topology.intel_lab import LEAST_DELIVERY, intel_lab, is_intel_lab
-from topology.network import Network, part_of
-from topology.weights import equal_neighbour
+from concord.topology.adjacency import from_links, is_symmetric, links_of, neighbours_of, union
+from concord.topology.analysis import analyse, components, cut_links, cut_nodes
+from concord.topology.graph_files import read_network, write_network
+from concord.topology.graphs import build_network, path, ring, star
+from concord.topology.intel_lab import LEAST_DELIVERY, intel_lab, is_intel_lab
+from concord.topology.network import Network, part_of
+from concord.topology.weights import equal_neighbour
 
 LAB = Path(__file__).resolve().parents[3] / "shared/data/intel_lab"
 needs_lab = pytest.mark.skipif(not LAB.is_dir(), reason="no ../shared/data/intel_lab to read")

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nodes.faults.losses import chance
-from topology.link_names import parse_links
-from topology.time_varying import bernoulli, in_range, markov, switching, wandering
+from concord.nodes.faults.losses import chance
+from concord.topology.link_names import parse_links
+from concord.topology.time_varying import bernoulli, in_range, markov, switching, wandering
 
 KEY = (0x1234567, 0xFEDCBA9)
 RING = [[1, 3], [0, 2], [1, 3], [0, 2]]

@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
-from topology import weights as weights_by_name
-from topology.choices import WEIGHTS
-from topology.graphs import build_graph, complete, grid, path, ring, star
-from topology.spectrum import contraction_per_round, second_eigenvalue_modulus
-from topology.weights import (
+from concord.topology import weights as weights_by_name
+from concord.topology.choices import WEIGHTS
+from concord.topology.graphs import build_graph, complete, grid, path, ring, star
+from concord.topology.spectrum import contraction_per_round, second_eigenvalue_modulus
+from concord.topology.weights import (
     best_constant,
     build_weights,
     check_doubly_stochastic,

@@ -1,6 +1,6 @@
 """Reasons why the environment process cannot begin, or cannot go on."""
 
-from runtime.processes.environment.notices import Hello
+from concord.runtime.processes.environment.notices import Hello
 
 
 class Disagreement(Exception):

@@ -3,12 +3,12 @@
 import sys
 from collections.abc import Sequence
 
-from nodes.commands import Answer
-from runtime.network.zenoh_transport import Transport
-from runtime.processes.environment.failures import compare
-from runtime.processes.environment.inbox import EnvironmentInbox
-from runtime.processes.environment.notices import Asked, Hello, Presence
-from runtime.processes.environment.reports import in_words
+from concord.nodes.commands import Answer
+from concord.runtime.network.zenoh_transport import Transport
+from concord.runtime.processes.environment.failures import compare
+from concord.runtime.processes.environment.inbox import EnvironmentInbox
+from concord.runtime.processes.environment.notices import Asked, Hello, Presence
+from concord.runtime.processes.environment.reports import in_words
 
 # How often the process says which others it waits for.
 _TELL_S = 10.0

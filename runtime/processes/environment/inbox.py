@@ -7,14 +7,20 @@ from queue import Empty, SimpleQueue
 
 import msgspec
 
-from nodes.bounds import node_of
-from nodes.commands import Answer
-from nodes.messages import END, MalformedMessage, Unreachable, decode
-from runtime.network.zenoh_transport import Transport
-from runtime.processes.counter import Counter
-from runtime.processes.environment.notices import Asked, Hello, Notice, RecorderCaughtUp, Repeated
-from runtime.processes.overflow import Overflow
-from runtime.processes.republisher import AGAIN
+from concord.nodes.bounds import node_of
+from concord.nodes.commands import Answer
+from concord.nodes.messages import END, MalformedMessage, Unreachable, decode
+from concord.runtime.network.zenoh_transport import Transport
+from concord.runtime.processes.counter import Counter
+from concord.runtime.processes.environment.notices import (
+    Asked,
+    Hello,
+    Notice,
+    RecorderCaughtUp,
+    Repeated,
+)
+from concord.runtime.processes.overflow import Overflow
+from concord.runtime.processes.republisher import AGAIN
 
 ENVIRONMENT_QUEUE = 8192
 TOPICS = ("bid/*", "estimate/*")

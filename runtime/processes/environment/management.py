@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-from nodes.changes import Settings
+from concord.nodes.changes import Settings
 
 
 class Management(NamedTuple):

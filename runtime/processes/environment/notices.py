@@ -5,10 +5,10 @@ from typing import NamedTuple
 
 import msgspec
 
-from nodes.changes import Standing
-from nodes.commands import Answer
-from nodes.messages import Bid, BidsClosed, Estimate, StepClosed, Unreachable
-from runtime.processes.environment.timetable import Beat
+from concord.nodes.changes import Standing
+from concord.nodes.commands import Answer
+from concord.nodes.messages import Bid, BidsClosed, Estimate, StepClosed, Unreachable
+from concord.runtime.processes.environment.timetable import Beat
 
 
 class Presence(NamedTuple):

@@ -5,19 +5,19 @@ import time
 from collections.abc import Callable, Collection, Sequence
 from typing import NamedTuple, Protocol
 
-from nodes.changes import Gone, Welcome
-from nodes.command_checks import check_timely
-from nodes.commands import Command, Speed
-from nodes.environment_state import EnvironmentConfig, EnvironmentState
-from nodes.messages import EnvironmentMessage, Start, StepClosed, encode, topic
-from nodes.run_controller import RunController
-from nodes.tempo import Tempo
-from runtime.network.zenoh_transport import Transport
-from runtime.processes.environment.metronome import Metronome, tell_on_time
-from runtime.processes.environment.notices import Notice
-from runtime.processes.environment.reports import waits_for
-from runtime.processes.environment.timetable import Beat, timetable
-from runtime.processes.republisher import Republisher
+from concord.nodes.changes import Gone, Welcome
+from concord.nodes.command_checks import check_timely
+from concord.nodes.commands import Command, Speed
+from concord.nodes.environment_state import EnvironmentConfig, EnvironmentState
+from concord.nodes.messages import EnvironmentMessage, Start, StepClosed, encode, topic
+from concord.nodes.run_controller import RunController
+from concord.nodes.tempo import Tempo
+from concord.runtime.network.zenoh_transport import Transport
+from concord.runtime.processes.environment.metronome import Metronome, tell_on_time
+from concord.runtime.processes.environment.notices import Notice
+from concord.runtime.processes.environment.reports import waits_for
+from concord.runtime.processes.environment.timetable import Beat, timetable
+from concord.runtime.processes.republisher import Republisher
 
 # From the announcement of the common start to the start: every node must have heard it.
 _HEAD_START_S = 0.2

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import msgspec
 
-from nodes import environment
-from nodes.bounds import node_of
-from nodes.changes import Gone
-from nodes.commands import Answer, Kill, Restart, read_command
-from nodes.environment_state import EnvironmentConfig
-from nodes.messages import (
+from concord.nodes import environment
+from concord.nodes.bounds import node_of
+from concord.nodes.changes import Gone
+from concord.nodes.commands import Answer, Kill, Restart, read_command
+from concord.nodes.environment_state import EnvironmentConfig
+from concord.nodes.messages import (
     BidsClosed,
     EnvironmentEvent,
     EnvironmentMessage,
@@ -21,15 +21,15 @@ from nodes.messages import (
     decode,
     encode,
 )
-from nodes.run_controller import ProcessStarter, RunController, Scripted
-from runtime.network.links import ENVIRONMENT, RECORDER, ZenohEndpoints
-from runtime.network.zenoh_transport import Transport
-from runtime.processes.clock import EnvironmentClock
-from runtime.processes.environment.failures import Deserted
-from runtime.processes.environment.gathering import await_hellos, await_processes
-from runtime.processes.environment.inbox import ENVIRONMENT_QUEUE, TOPICS, EnvironmentInbox
-from runtime.processes.environment.management import Management
-from runtime.processes.environment.notices import (
+from concord.nodes.run_controller import ProcessStarter, RunController, Scripted
+from concord.runtime.network.links import ENVIRONMENT, RECORDER, ZenohEndpoints
+from concord.runtime.network.zenoh_transport import Transport
+from concord.runtime.processes.clock import EnvironmentClock
+from concord.runtime.processes.environment.failures import Deserted
+from concord.runtime.processes.environment.gathering import await_hellos, await_processes
+from concord.runtime.processes.environment.inbox import ENVIRONMENT_QUEUE, TOPICS, EnvironmentInbox
+from concord.runtime.processes.environment.management import Management
+from concord.runtime.processes.environment.notices import (
     Asked,
     Hello,
     Notice,
@@ -37,11 +37,11 @@ from runtime.processes.environment.notices import (
     RecorderCaughtUp,
     Repeated,
 )
-from runtime.processes.environment.pacing import EnvironmentPacing, Lines
-from runtime.processes.environment.reports import last_words, standing
-from runtime.processes.environment.timetable import Beat
-from runtime.processes.peer_timeout import PeerTimeout
-from runtime.processes.republisher import Republisher
+from concord.runtime.processes.environment.pacing import EnvironmentPacing, Lines
+from concord.runtime.processes.environment.reports import last_words, standing
+from concord.runtime.processes.environment.timetable import Beat
+from concord.runtime.processes.peer_timeout import PeerTimeout
+from concord.runtime.processes.republisher import Republisher
 
 # A run without a recorder ends after so long; on several hosts its link may come back any time.
 _PEER_TIMEOUT_S = 60.0

@@ -4,11 +4,11 @@ from collections.abc import Sequence
 
 import msgspec
 
-from nodes import environment
-from nodes.environment_state import EnvironmentConfig, EnvironmentState
-from nodes.run_controller import RunController
-from runtime.processes.environment.notices import NetworkState
-from runtime.processes.recorder.process import Finished
+from concord.nodes import environment
+from concord.nodes.environment_state import EnvironmentConfig, EnvironmentState
+from concord.nodes.run_controller import RunController
+from concord.runtime.processes.environment.notices import NetworkState
+from concord.runtime.processes.recorder.process import Finished
 
 
 def in_words(names: Sequence[str]) -> str:

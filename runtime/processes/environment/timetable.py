@@ -4,9 +4,9 @@ import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from nodes.environment_state import EnvironmentConfig
-from nodes.messages import BidsClosed, StepClosed
-from nodes.tempo import Tempo
+from concord.nodes.environment_state import EnvironmentConfig
+from concord.nodes.messages import BidsClosed, StepClosed
+from concord.nodes.tempo import Tempo
 
 # An estimate is waited for as long as it takes to see that a process hangs, and no longer.
 ESTIMATE_TIMEOUT_S = 2.5

@@ -5,7 +5,7 @@ from collections.abc import Collection
 
 import msgspec
 
-from runtime.network.zenoh_transport import Transport
+from concord.runtime.network.zenoh_transport import Transport
 
 # Interval at which the node looks for peers.
 _LOOK_S = 0.5

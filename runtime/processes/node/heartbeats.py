@@ -2,8 +2,8 @@
 
 from msgspec.structs import replace
 
-from nodes.changes import Change
-from nodes.messages import Measured
+from concord.nodes.changes import Change
+from concord.nodes.messages import Measured
 
 
 class Heartbeats:

@@ -7,20 +7,20 @@ process coordinates the others, and no wait ends by the clock.
 from collections import deque
 from collections.abc import Sequence
 
-from nodes import node as state_machine
-from nodes import node_changes
-from nodes.changes import Joined
-from nodes.messages import NodeEvent, NodeMessage, Unreachable, encode, topic
-from nodes.node_state import NodeConfig, NodeState, Phase, count
-from runtime.network.links import ENVIRONMENT
-from runtime.network.zenoh_transport import Transport
-from runtime.processes.departed_peers import DepartedPeers
-from runtime.processes.node.entry import await_links
-from runtime.processes.node.lockstep_inbox import NODE_QUEUE, LockstepInbox, node_topics
-from runtime.processes.node.membership import Membership
-from runtime.processes.node.process import GivenUp
-from runtime.processes.peer_timeout import PeerTimeout
-from runtime.processes.republisher import Republisher
+from concord.nodes import node as state_machine
+from concord.nodes import node_changes
+from concord.nodes.changes import Joined
+from concord.nodes.messages import NodeEvent, NodeMessage, Unreachable, encode, topic
+from concord.nodes.node_state import NodeConfig, NodeState, Phase, count
+from concord.runtime.network.links import ENVIRONMENT
+from concord.runtime.network.zenoh_transport import Transport
+from concord.runtime.processes.departed_peers import DepartedPeers
+from concord.runtime.processes.node.entry import await_links
+from concord.runtime.processes.node.lockstep_inbox import NODE_QUEUE, LockstepInbox, node_topics
+from concord.runtime.processes.node.membership import Membership
+from concord.runtime.processes.node.process import GivenUp
+from concord.runtime.processes.peer_timeout import PeerTimeout
+from concord.runtime.processes.republisher import Republisher
 
 # Links of a node that joins come up within so long.
 _LINK_S = 5.0

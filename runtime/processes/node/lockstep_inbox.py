@@ -4,14 +4,14 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 
-from nodes.changes import Gone, Welcome
-from nodes.messages import END, MalformedMessage, NodeEvent, ShareHeard, decode
-from nodes.node_state import NodeConfig, NodeState
-from runtime.network.zenoh_transport import Transport
-from runtime.processes.counter import Counter
-from runtime.processes.overflow import Overflow
-from runtime.processes.republisher import AGAIN
-from runtime.processes.retransmissions import is_missing
+from concord.nodes.changes import Gone, Welcome
+from concord.nodes.messages import END, MalformedMessage, NodeEvent, ShareHeard, decode
+from concord.nodes.node_state import NodeConfig, NodeState
+from concord.runtime.network.zenoh_transport import Transport
+from concord.runtime.processes.counter import Counter
+from concord.runtime.processes.overflow import Overflow
+from concord.runtime.processes.republisher import AGAIN
+from concord.runtime.processes.retransmissions import is_missing
 
 # A message that waits takes some 9 kB, however short it is: zenoh keeps what it came in.
 NODE_QUEUE = 1024

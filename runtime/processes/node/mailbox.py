@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from contextlib import suppress
 from queue import Empty, Full, Queue
 
-from nodes.messages import END
-from runtime.network.zenoh_transport import Transport
+from concord.nodes.messages import END
+from concord.runtime.network.zenoh_transport import Transport
 
 _MOST = 65_536
 

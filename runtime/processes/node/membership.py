@@ -5,8 +5,8 @@ from collections.abc import Collection
 
 import msgspec
 
-from nodes.node_state import NodeConfig
-from runtime.network.links import ZenohEndpoints
+from concord.nodes.node_state import NodeConfig
+from concord.runtime.network.links import ZenohEndpoints
 
 
 class Membership(msgspec.Struct, frozen=True):

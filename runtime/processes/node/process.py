@@ -8,13 +8,13 @@ comes until a deadline (`runtime/processes/node/real_time.py`).
 from collections.abc import Sequence
 from typing import Protocol
 
-from nodes import node as state_machine
-from nodes import node_changes
-from nodes.messages import NodeEvent, NodeMessage
-from nodes.node_state import NodeConfig, NodeState, Phase
-from runtime.network.links import ENVIRONMENT, RECORDER
-from runtime.network.zenoh_transport import Transport
-from runtime.processes.node.membership import Membership
+from concord.nodes import node as state_machine
+from concord.nodes import node_changes
+from concord.nodes.messages import NodeEvent, NodeMessage
+from concord.nodes.node_state import NodeConfig, NodeState, Phase
+from concord.runtime.network.links import ENVIRONMENT, RECORDER
+from concord.runtime.network.zenoh_transport import Transport
+from concord.runtime.processes.node.membership import Membership
 
 
 class GivenUp(Exception):

@@ -13,10 +13,10 @@ from collections.abc import Sequence
 from contextlib import suppress
 from queue import Empty
 
-from nodes import node as state_machine
-from nodes import node_changes
-from nodes.changes import Gone, Welcome
-from nodes.messages import (
+from concord.nodes import node as state_machine
+from concord.nodes import node_changes
+from concord.nodes.changes import Gone, Welcome
+from concord.nodes.messages import (
     CycleClosed,
     Estimate,
     MalformedMessage,
@@ -28,17 +28,17 @@ from nodes.messages import (
     encode,
     topic,
 )
-from nodes.node_state import NodeConfig, NodeState, Phase, count
-from nodes.tempo import Tempo
-from runtime.network.links import ENVIRONMENT
-from runtime.network.zenoh_transport import Transport
-from runtime.processes.node.entry import await_links
-from runtime.processes.node.heartbeats import Heartbeats
-from runtime.processes.node.mailbox import Mailbox
-from runtime.processes.node.membership import Membership
-from runtime.processes.node.start_time import StartTime
-from runtime.processes.node.timing_records import TimingRecords
-from runtime.processes.peer_timeout import PeerTimeout
+from concord.nodes.node_state import NodeConfig, NodeState, Phase, count
+from concord.nodes.tempo import Tempo
+from concord.runtime.network.links import ENVIRONMENT
+from concord.runtime.network.zenoh_transport import Transport
+from concord.runtime.processes.node.entry import await_links
+from concord.runtime.processes.node.heartbeats import Heartbeats
+from concord.runtime.processes.node.mailbox import Mailbox
+from concord.runtime.processes.node.membership import Membership
+from concord.runtime.processes.node.start_time import StartTime
+from concord.runtime.processes.node.timing_records import TimingRecords
+from concord.runtime.processes.peer_timeout import PeerTimeout
 
 # A node that asks to be let in again does not ask twice in this time.
 _ASK_AGAIN_S = 1.0

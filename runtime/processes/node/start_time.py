@@ -4,8 +4,8 @@ import threading
 
 import msgspec
 
-from runtime.network.zenoh_transport import Transport
-from runtime.processes.clock import EnvironmentClock, ahead_s
+from concord.runtime.network.zenoh_transport import Transport
+from concord.runtime.processes.clock import EnvironmentClock, ahead_s
 
 
 class StartTime:

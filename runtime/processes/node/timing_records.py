@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from nodes.messages import Timing
+from concord.nodes.messages import Timing
 
 
 @dataclass

@@ -6,17 +6,17 @@ from contextlib import suppress
 
 import msgspec
 
-from nodes.bounds import UNREADABLE, node_of
-from nodes.changes import Event, Left
-from nodes.messages import END, MalformedMessage, decode, is_topic
-from runtime.network.links import RECORDER, WATCH, ZenohEndpoints
-from runtime.network.zenoh_transport import Transport
-from runtime.processes.departed_peers import DepartedPeers
-from runtime.processes.recorder.subscribers import Subscribers
-from runtime.processes.republisher import AGAIN, KEEP
-from runtime.processes.retransmissions import Deduplication
-from runtime.recording import Recorder
-from runtime.whole_steps import WholeSteps
+from concord.nodes.bounds import UNREADABLE, node_of
+from concord.nodes.changes import Event, Left
+from concord.nodes.messages import END, MalformedMessage, decode, is_topic
+from concord.runtime.network.links import RECORDER, WATCH, ZenohEndpoints
+from concord.runtime.network.zenoh_transport import Transport
+from concord.runtime.processes.departed_peers import DepartedPeers
+from concord.runtime.processes.recorder.subscribers import Subscribers
+from concord.runtime.processes.republisher import AGAIN, KEEP
+from concord.runtime.processes.retransmissions import Deduplication
+from concord.runtime.recording import Recorder
+from concord.runtime.whole_steps import WholeSteps
 
 # A message that waits takes some 9 kB, however short it is: zenoh keeps what it came in.
 RECORDER_QUEUE = 8192

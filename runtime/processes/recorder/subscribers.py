@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 
 import msgspec
 
-from runtime.network.zenoh_transport import Transport
-from runtime.processes.recorder.throttled_feed import ThrottledFeed
-from runtime.whole_steps import WholeStep, WholeSteps
+from concord.runtime.network.zenoh_transport import Transport
+from concord.runtime.processes.recorder.throttled_feed import ThrottledFeed
+from concord.runtime.whole_steps import WholeStep, WholeSteps
 
 
 class Subscribers:

@@ -3,7 +3,7 @@
 Its cost does not grow with the network's speed.
 """
 
-from runtime.whole_steps import WholeStep
+from concord.runtime.whole_steps import WholeStep
 
 STEPS_PER_S = 20.0
 # Largest burst of steps after a pause: steps do not arrive at even intervals.

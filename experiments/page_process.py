@@ -8,9 +8,9 @@ import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
-from nodes.commands import Pause
-from runtime.interpreter import fresh_command, fresh_variables
-from runtime.network.network_file import read_network
+from concord.nodes.commands import Pause
+from concord.runtime.interpreter import fresh_command, fresh_variables
+from concord.runtime.network.network_file import read_network
 
 _END_S = 5.0
 
@@ -34,7 +34,7 @@ class PageProcess:
 
     def _start(self) -> None:
         # A session with a network takes longer to load than all else here.
-        from runtime.network.control_client import Client
+        from concord.runtime.network.control_client import Client
 
         network = read_network(self._folder)
         client = Client(network.connect, network.run)
@@ -42,7 +42,7 @@ class PageProcess:
         client.close()
         place = ("--folder", str(self._folder), "--http-port", str(self._http_port))
         self._process = subprocess.Popen(
-            fresh_command("experiments", "dashboard", *place, "--with-launcher"),
+            fresh_command("concord.experiments", "dashboard", *place, "--with-launcher"),
             env=fresh_variables(),
             stdin=subprocess.PIPE,
             # Ctrl-C is for the launcher; the page ends when its standard input closes.

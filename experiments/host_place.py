@@ -4,11 +4,11 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from experiments.results.folder import Description, read_description_file
-from experiments.user_errors import user_errors
-from runtime.network.links import checked_endpoints, checked_run
-from runtime.processes.job import Happened, HostPlace, Job
-from runtime.processes.launcher import NetworkFailed, run_job
+from concord.experiments.results.folder import Description, read_description_file
+from concord.experiments.user_errors import user_errors
+from concord.runtime.network.links import checked_endpoints, checked_run
+from concord.runtime.processes.job import Happened, HostPlace, Job
+from concord.runtime.processes.launcher import NetworkFailed, run_job
 
 
 def key_files(folder: Path | None, names: Sequence[str]) -> dict[str, str]:

@@ -1,0 +1,54 @@
+"""`concord new`: write the folder of a study, which runs as it is written."""
+
+import re
+import shutil
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from concord.experiments.user_errors import user_errors
+from concord.runtime.disk import writing
+
+_TEMPLATES = Path(__file__).parent.parent / "study"
+_SUFFIX = ".template"
+
+
+def new(
+    name: Annotated[
+        str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME", help="Name of the new folder.")
+    ],
+) -> None:
+    """Write a folder with a plant, a rule, tests, a sweep and a figure of your own."""
+    with user_errors():
+        folder = _free_folder(name)
+    # A folder under another name until it is complete.
+    unfinished = folder.with_name(f".{name}.unfinished")
+    try:
+        with writing(folder):
+            unfinished.mkdir()
+            for template in sorted(_TEMPLATES.glob(f"*{_SUFFIX}")):
+                text = template.read_text(encoding="utf-8").replace("@NAME@", name)
+                (unfinished / template.name.removesuffix(_SUFFIX)).write_text(text, "utf-8")
+            unfinished.rename(folder)
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+    sys.stdout.write(f"{name}/ is written; next: cd {name} && make PYTHON={sys.executable} test\n")
+
+
+def _free_folder(name: str) -> Path:
+    """Return the folder of a study.
+
+    Raises:
+        ValueError: a name that is none, or a place that is taken.
+    """
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]*", name):
+        raise ValueError(
+            f"{name!r}: the name of a study must begin with a letter and have letters, digits, - "
+            "and _ only; it becomes a folder here"
+        )
+    folder = Path(name)
+    if folder.exists() or folder.is_symlink():
+        raise ValueError(f"{name}: is there already; choose another name, or remove it first")
+    return folder

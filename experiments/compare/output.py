@@ -1,0 +1,34 @@
+"""The files of a comparison: a page, a data set, JSON, Markdown and LaTeX tables in a folder."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from concord.experiments.compare.results import ComparisonFigures
+from concord.experiments.compare.tables import as_json, latex, overviews, page
+from concord.experiments.places import make_folder
+from concord.experiments.results.netcdf_file import write_dataset
+from concord.experiments.results.report_page import as_html, as_markdown
+from concord.runtime.disk import writing
+
+if TYPE_CHECKING:
+    import xarray
+
+RESULTS = "results.nc"
+
+
+def write_comparison(dataset: "xarray.Dataset", figures: ComparisonFigures, folder: Path) -> None:
+    """Write report.html, results.nc, table.tex, table.md and compare.json."""
+    parts = page(figures)
+    make_folder(folder, "--out")
+    write_dataset(dataset, folder / RESULTS, {})
+    texts = {
+        "report.html": as_html("Comparison of fusion rules", parts),
+        "table.tex": latex(figures),
+        "table.md": as_markdown(overviews(figures)),
+        "compare.json": as_json(figures).decode() + "\n",
+    }
+    for name, text in texts.items():
+        with writing(folder / name):
+            part = folder / f"{name}.part"
+            part.write_text(text, encoding="utf-8")
+            part.replace(folder / name)

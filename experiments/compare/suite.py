@@ -1,0 +1,122 @@
+"""The cases of `concord compare`: options of scenarios as data, the same for everybody.
+
+A case is a sweep over `rule`. Run r of a case has the same noise under every rule (seed 1), so the
+intervals of the comparison are paired.
+"""
+
+from typing import NamedTuple
+
+
+class Case(NamedTuple):
+    """One case of the suite.
+
+    Attributes:
+        name: on the command line and in tables.
+        purpose: the case in words, and why it is in the suite.
+        options: of the scenario, in the words of `concord sweep`.
+        runs: Monte-Carlo runs.
+        recorded: the case replays recorded data, which `--data` names; it has one run.
+    """
+
+    name: str
+    purpose: str
+    options: dict[str, str]
+    runs: int
+    recorded: bool = False
+
+
+_TARGET = {"scenario": "target-tracking", "nodes": "20", "steps": "80", "seed": "1"}
+
+
+def _tracking(name: str, purpose: str, **options: str) -> Case:
+    return Case(name, purpose, {**_TARGET, **options}, 60)
+
+
+SUITE = (
+    _tracking(
+        "geometric",
+        "20 sensors with a limited field of view on a geometric graph, full bus: the usual case",
+        graph="geometric",
+    ),
+    _tracking(
+        "geometric-25",
+        "the same with a quarter of the nodes on the bus in a cycle",
+        graph="geometric",
+        occupancy="0.25",
+    ),
+    _tracking(
+        "geometric-10",
+        "the same with a tenth of the nodes on the bus in a cycle",
+        graph="geometric",
+        occupancy="0.1",
+    ),
+    _tracking(
+        "path",
+        "the same sensors on a path: information needs 19 hops",
+        graph="path",
+    ),
+    _tracking("path-25", "the path with a quarter of the bus", graph="path", occupancy="0.25"),
+    _tracking("path-10", "the path with a tenth of the bus", graph="path", occupancy="0.1"),
+    _tracking(
+        "small-world",
+        "the same sensors on a small-world graph: short paths, 4 neighbours",
+        graph="small-world",
+    ),
+    _tracking(
+        "small-25",
+        "the small world with a quarter of the bus",
+        graph="small-world",
+        occupancy="0.25",
+    ),
+    _tracking(
+        "small-10",
+        "the small world with a tenth of the bus",
+        graph="small-world",
+        occupancy="0.1",
+    ),
+    _tracking(
+        "loss",
+        "the geometric graph, full bus, and links that lose 30 % of the frames",
+        graph="geometric",
+        loss="0.3",
+    ),
+    _tracking(
+        "kill",
+        "the geometric graph, full bus; node 4 ends at step 40",
+        graph="geometric",
+        changes="40 kill 4",
+    ),
+    Case(
+        "vehicle",
+        "a car's four sensor nodes on a complete graph: few nodes, and rule centralised runs",
+        {
+            "scenario": "vehicle-network",
+            "adaptive": "false",
+            "noise": "matched",
+            "cluster": "fitted",
+            "steps": "600",
+            "seed": "1",
+        },
+        20,
+    ),
+    Case(
+        "unstable",
+        "an open-loop plant whose first state grows; two of six nodes read it; bounded noise, "
+        "so the set rules run",
+        {"scenario": "liu2021-network", "control": "open", "steps": "100", "seed": "1"},
+        30,
+    ),
+    Case(
+        "blind",
+        "the position of a DC motor without a controller: a plant that drifts, and blind nodes",
+        {"scenario": "dc-motor-position", "control": "open", "steps": "200", "seed": "1"},
+        60,
+    ),
+    Case(
+        "mrclam",
+        "four real robots track the fifth (UTIAS MRCLAM): recorded data, no simulated noise",
+        {"scenario": "mrclam", "target": "4", "steps": "900", "seed": "1"},
+        1,
+        recorded=True,
+    ),
+)

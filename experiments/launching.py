@@ -1,0 +1,31 @@
+"""A run over processes from Python: its folder, its results, and the dashboard beside it."""
+
+from pathlib import Path
+
+from concord.experiments.page_process import PageProcess
+from concord.experiments.results.folder import RECORDING, describe, new_folder, write_description
+from concord.experiments.results.run_results import completed, write_results
+from concord.runtime.drivers import over_processes
+from concord.scenarios.setup import Setup
+
+_HTTP_PORT = 8080
+
+
+def launched(setup: Setup, out: Path | None, dashboard: bool) -> Path:
+    """Run a setup with one process per node; return the folder of its results.
+
+    Raises:
+        ValueError: `out` exists, or no node completed a step.
+        NetworkFailed: a process died.
+    """
+    name, folder = new_folder(out, setup.scenario.name)
+    description = describe(name, "processes", setup)
+    write_description(folder, description)
+    page = PageProcess(folder, _HTTP_PORT)
+    try:
+        on_step = page.beside(lambda _: None) if dashboard else lambda _: None
+        over_processes(setup, name, folder / RECORDING, None, on_step)
+    finally:
+        page.close()
+    write_results(folder, description, completed(folder, description))
+    return folder

@@ -1,0 +1,67 @@
+"""The memory that runs need, estimated from their scenario before anything is drawn or started."""
+
+from functools import partial
+
+from concord.experiments.doctor.machine import available_memory_mb
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.streams import generator
+from concord.scenarios.types.assignment import check_ranges
+
+# So many steps of nodes fit anywhere; the plant need not be built for an estimate.
+_SMALL = 100_000
+# Python objects of a step of a node that passes messages: measured at 2.5 kB.
+_MESSAGES_BYTES = 2500
+_FLOAT_BYTES = 8
+
+
+def check_memory(scenario: Scenario, runs: int = 1, messages: bool = False) -> None:
+    """Refuse runs at once that do not fit into the free memory, as far as the system names it.
+
+    Raises:
+        ValueError: naming the size of the runs, the estimate, what is free and the cure; or a
+            scenario that cannot run.
+    """
+    if scenario.steps * scenario.nodes * runs <= _SMALL:
+        return
+    check_ranges(scenario)
+    definition_of(scenario).check(scenario)
+    size = f"--steps {scenario.steps} of {scenario.nodes} nodes"
+    many = f" in {runs} runs" if runs > 1 else ""
+    cure = f"use fewer --steps{', --runs' if runs > 1 else ''} or --nodes"
+    require_memory(needed_bytes(scenario, runs, messages), f"{size}{many}", cure)
+
+
+def needed_bytes(scenario: Scenario, runs: int = 1, messages: bool = False) -> int:
+    """Return the bytes that the histories of runs at once take, with those of the filters beside.
+
+    A node's step has beliefs of itself, of its filter alone, and their errors; its readings and
+    their noise; and, with `messages`, the messages and the ages of all nodes. Links are not
+    counted: a graph costs more to draw than the estimate is worth.
+    """
+    plant = definition_of(scenario).plant(scenario.with_(steps=1))
+    noise = plant.draw(partial(generator, scenario), 1)
+    n, readings = len(plant.state_names), noise.measurement.size / scenario.nodes
+    numbers = 2 * n**2 + 6 * n + 2 * readings + scenario.rounds + 8
+    per_node = numbers * _FLOAT_BYTES
+    if messages:
+        per_node += _MESSAGES_BYTES + scenario.nodes * _FLOAT_BYTES
+    return int(per_node * scenario.nodes * scenario.steps) * runs
+
+
+def require_memory(needed: int, what: str, cure: str) -> None:
+    """Refuse an estimate that exceeds the free memory.
+
+    Raises:
+        ValueError: naming what needs it, the estimate, what is free and the cure.
+    """
+    free_mb = available_memory_mb()
+    if free_mb is not None and needed > free_mb * 1024**2:
+        raise ValueError(
+            f"{what}: about {_size(needed / 1024**2)} of memory are needed and {_size(free_mb)} "
+            f"are free; {cure}"
+        )
+
+
+def _size(megabytes: float) -> str:
+    return f"{megabytes / 1024:,.1f} GB" if megabytes >= 1024 else f"{megabytes:.0f} MB"

@@ -1,0 +1,283 @@
+"""concord from Python: what the commands do, with values in and data sets out (docs/python_api.md).
+
+Nothing here starts processes or writes files unless it is asked to.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Unpack
+
+import numpy as np
+
+from concord.experiments.agreement import DriverDifference, agreement
+from concord.experiments.compare.entries import asked_cases, entries_of, own_rules
+from concord.experiments.compare.output import write_comparison
+from concord.experiments.compare.results import assemble, comparison_figures
+from concord.experiments.compare.run import compute_missing, kept_before
+from concord.experiments.design.candidates import Cost
+from concord.experiments.design.results import Design, design_of
+from concord.experiments.design.search import SearchTask, search
+from concord.experiments.design.space import space_of
+from concord.experiments.design.target import parse_target
+from concord.experiments.launching import launched
+from concord.experiments.memory import check_memory
+from concord.experiments.monte_carlo.run_many import histories_dataset
+from concord.experiments.monte_carlo.simulate import AGES, COV, READINGS
+from concord.experiments.monte_carlo.simulate import simulate as simulate_setup
+from concord.experiments.results.folder import ARRAYS
+from concord.experiments.scenario_options import scenario_of
+from concord.experiments.sweep.engines import engine_for
+from concord.experiments.sweep.run import begin, finish
+from concord.experiments.sweep.specification import Specification, shown, specify
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.definitions.own import portable
+from concord.scenarios.preparation import prepare
+from concord.scenarios.python_words import python_words
+from concord.scenarios.scenario import Scenario, in_words
+from concord.scenarios.types.assignment import flat
+from concord.scenarios.types.option import Choice
+from concord.scenarios.types.options import ScenarioOptions, SweptOptions
+from concord.scenarios.types.rules import RULE_SUMMARIES
+from concord.scenarios.user_values import kept_source
+
+if TYPE_CHECKING:
+    import xarray
+    from matplotlib.figure import Figure
+
+
+@python_words()
+def scenario(name: str, **options: Unpack[ScenarioOptions]) -> Scenario:
+    """The scenario of a name, or of a file (FILE.py:NAME), with options as in `concord run`.
+
+    Options have underscores: `scenario("oscillator", nodes=4, rule="hcmci")`.
+
+    Raises:
+        ValueError: an unknown name or option; the message offers the nearest.
+    """
+    return scenario_of(name, **options)
+
+
+@python_words()
+def simulate(scenario: Scenario, runs: int = 1, *, covariances: bool = False) -> "xarray.Dataset":
+    """Runs of a scenario, all at once where its rule has an array form.
+
+    Args:
+        scenario: what to run; run r has the noise of `concord run --run r`.
+        runs: number of runs, from the scenario's own on.
+        covariances: keep the covariances (run, step, node, state, other_state) too.
+
+    Returns:
+        truth (run, step, state), mean (run, step, node, state), nees (run, step, node) and more,
+        with units; docs/results.md names every variable.
+
+    Raises:
+        ValueError: a scenario that cannot run, no run, or more than the memory holds.
+    """
+    _at_least_one("runs", runs)
+    check_memory(scenario, runs)
+    setup = prepare(scenario)
+    keep = (READINGS, AGES, *((COV,) if covariances else ()))
+    first = scenario.run
+    return histories_dataset(simulate_setup(setup, range(first, first + runs), keep=keep))
+
+
+@python_words()
+def launch(
+    scenario: Scenario, *, out: Path | str | None = None, dashboard: bool = False
+) -> "xarray.Dataset":
+    """Run a scenario with one process per node; the data set is that of `load`.
+
+    Args:
+        scenario: what to run. An own plant or rule must be at the top of a file, because every
+            process reads it there.
+        out: folder for the results; runs/<name> when left out.
+        dashboard: show the run in the browser.
+
+    Raises:
+        ValueError: a scenario that cannot run, or an `out` that exists.
+        NetworkFailed: a process died.
+    """
+    check_memory(scenario, messages=True)
+    setup = prepare(portable(scenario))
+    return load(launched(setup, None if out is None else Path(out), dashboard))
+
+
+def load(folder: Path | str) -> "xarray.Dataset":
+    """The data set of a run folder; docs/results.md names every variable.
+
+    Raises:
+        ValueError: the folder has no results.
+    """
+    import xarray
+
+    file = Path(folder) / ARRAYS
+    if not file.is_file():
+        raise ValueError(
+            f"{file}: there is no such file; name the folder of a finished run, or finish an "
+            f"interrupted one with `concord collect {folder}`"
+        )
+    return xarray.load_dataset(file, engine="h5netcdf")
+
+
+@python_words()
+def agree(scenario: Scenario) -> tuple[DriverDifference, ...]:
+    """Where the drivers differ on a scenario; empty if they agree (contract 7 of ARCHITECTURE.md).
+
+    Raises:
+        ValueError: a scenario that cannot run.
+        NetworkFailed: a process died.
+    """
+    return agreement(prepare(portable(scenario))).differences
+
+
+@python_words()
+def sweep(
+    scenario: Scenario | str | Sequence[str] = "target-tracking",
+    *,
+    runs: int = 20,
+    samples: int | None = None,
+    workers: int = 1,
+    out: Path | str | None = None,
+    **options: Unpack[SweptOptions],
+) -> "xarray.Dataset":
+    """Every combination of the options' values; docs/sweeps.md names the variables.
+
+    Args:
+        scenario: a scenario, or names of some.
+        runs: of each cell, with the same noise in every cell.
+        samples: so many cells of a Latin hypercube instead.
+        workers: processes; with more than one, a script needs `if __name__ == "__main__":`.
+        out: netCDF file to keep the result and, on the way, each finished cell in.
+        options: one value, or several in a list; ranges as text, "0.1..1".
+
+    Raises:
+        ValueError: a cell that cannot run, or an `out` that belongs to another sweep.
+    """
+    # Another process, or a later call that resumes, finds own values by their files alone.
+    is_alone = workers == 1 and out is None
+    specification = _specification(scenario, options, runs, samples, is_alone)
+    begun = begin(specification, None if out is None else Path(out))
+    return finish(begun, engine_for(workers, None), lambda _: None).dataset
+
+
+@python_words()
+def compare(
+    rules: Sequence[Any] = (),
+    *,
+    cases: Sequence[str] | None = None,
+    runs: int | None = None,
+    data: Path | str | None = None,
+    workers: int = 1,
+    out: Path | str | None = None,
+) -> "xarray.Dataset":
+    """Every built-in rule and your own on a fixed suite of cases; docs/which_rule_when.md.
+
+    Args:
+        rules: your own, as functions or as FILE.py:NAME.
+        cases: names of cases; all when left out.
+        runs: of every case; those of the suite when left out.
+        data: folder of a MRCLAM data set for the case mrclam.
+        workers: processes; with more than one, a rule must be at the top of a file.
+        out: folder that keeps each finished entry, and gets report.html, results.nc, table.tex,
+            table.md and compare.json.
+
+    Returns:
+        rmse, rmse_centralised, anees, bytes_per_step, wire_us (case, rule, run), node_us and
+        reason (case, rule).
+
+    Raises:
+        ValueError: a rule, a case or data that cannot be used.
+    """
+    sources = own_rules([_word("rule", rule) for rule in rules])
+    names = [getattr(rule, "__name__", source) for rule, source in zip(rules, sources, strict=True)]
+    own = {
+        source if name in RULE_SUMMARIES or names.count(name) > 1 else name: source
+        for name, source in zip(names, sources, strict=True)
+    }
+    entries = entries_of(asked_cases(cases, runs), own, None if data is None else str(data))
+    engine, folder = engine_for(workers, None), None if out is None else Path(out)
+    done = kept_before(entries, folder)
+    dataset = assemble(*compute_missing(entries, done, folder, engine, lambda _: None))
+    if folder is not None:
+        write_comparison(dataset, comparison_figures(dataset), folder)
+    return dataset
+
+
+@python_words()
+def design(
+    target_rmse: str,
+    scenario: Scenario | str | Sequence[str] = "target-tracking",
+    *,
+    minimise: Cost = "occupancy",
+    runs: int = 100,
+    workers: int = 1,
+    **options: Unpack[SweptOptions],
+) -> Design:
+    """The cheapest network that meets an error target; its `recommended` is None if none does.
+
+    Raises:
+        ValueError: a target that is none, or no candidate that can run.
+    """
+    target = parse_target(target_rmse)
+    settled, space = space_of(_specification(scenario, options, runs, None, workers == 1))
+    engine = engine_for(workers, None)
+    task = SearchTask(target, minimise, settled, space, runs, engine, lambda _: None)
+    return design_of(settled, target, minimise, search(task, [], []), True)
+
+
+def plots(result: "xarray.Dataset | Design") -> "dict[str, Figure]":
+    """Return the pictures of a sweep or a design by name."""
+    if isinstance(result, Design):
+        from concord.experiments.design.plots import design_figures
+
+        return design_figures(result)
+    from concord.experiments.sweep.plots import sweep_figures
+
+    return sweep_figures(result)
+
+
+def _specification(
+    scenario: Scenario | str | Sequence[str],
+    options: Mapping[str, Any],
+    runs: int,
+    samples: int | None,
+    is_alone: bool,
+) -> Specification:
+    _at_least_one("runs", runs)
+    if isinstance(scenario, Scenario):
+        carried = scenario if is_alone else portable(scenario)
+        usual = flat(definition_of(carried).defaults)
+        base = {k: v for k, v in flat(carried).items() if k != "scenario" and usual.get(k) != v}
+        options = {"scenario": carried.name, **base, **options}
+    else:
+        options = {"scenario": scenario, **options}
+    asked = {name: _values(name, values) for name, values in options.items()}
+    return specify(asked, runs=runs, samples=samples)
+
+
+def _values(name: str, values: Any) -> str:
+    """The values of an option in the words of a sweep."""
+    values = values.tolist() if isinstance(values, np.ndarray) and name != "graph" else values
+    several = isinstance(values, Sequence) and not isinstance(values, str)
+    if name == "changes" and several and not any(";" in one for one in values):
+        return ";".join(values) or "none"
+    each = list(values) if several else [values]
+    return ",".join(shown(_word(name, value)) for value in each)
+
+
+def _word(name: str, value: Any) -> Any:
+    if isinstance(value, Choice):
+        if value != type(value)():
+            raise ValueError(
+                f"{name}={value}: a sweep takes a choice by its name; give its own options beside "
+                f"it, such as {name}={value.name!r}, {type(value).__struct_fields__[0]}=[...]"
+            )
+        return value.name
+    if callable(value) and name == "rule":
+        return kept_source(value).name
+    return in_words({name: value})[name]
+
+
+def _at_least_one(name: str, value: int) -> None:
+    if value < 1:
+        raise ValueError(f"{name} {value}: must be at least 1")

@@ -1,0 +1,53 @@
+"""Options that a command names more than once: refused, since the parser keeps only one value."""
+
+import re
+from collections.abc import Iterator, Sequence
+
+_OPTION = re.compile(r"(--[A-Za-z][\w-]*)(?:=(.*))?|(-[A-Za-z])=?(.*)", re.DOTALL)
+_NUMBERS = ("-inf", "-infinity", "-nan")
+_LONG = {"-o": "--out"}
+# In these commands each option of a scenario takes a comma list.
+_LISTING = ("sweep", "design")
+
+
+def refuse_repeated(arguments: Sequence[str]) -> None:
+    """Refuse a command that names an option twice; --NAME and --no-NAME are one option.
+
+    Raises:
+        ValueError: naming the option, both values and the cure.
+    """
+    given: dict[str, tuple[str, str]] = {}
+    for option, value in _options(arguments):
+        name = _LONG.get(option, option).replace("_", "-").replace("--no-", "--", 1)
+        if name in given:
+            before = " ".join(given[name]).strip()
+            cure = "give it once"
+            if arguments[0] in _LISTING and _is_of_scenario(name):
+                cure = f"write {name} {given[name][1]},{value}"
+            raise ValueError(
+                f"{name} is given twice, {before} and {f'{option} {value}'.strip()}, and only one "
+                f"of them can hold; {cure}"
+            )
+        given[name] = option, value
+
+
+def _options(arguments: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Yield every option as it is written, with the words up to the next one."""
+    option, words = "", []
+    for word in (*arguments, "--"):
+        found = None if word.lower() in _NUMBERS else _OPTION.fullmatch(word)
+        if found is None and word != "--":
+            words.append(word)
+            continue
+        if option:
+            yield option, " ".join(words)
+        if found is None:
+            return
+        option, words = found[1] or found[3], [text for text in (found[2], found[4]) if text]
+
+
+def _is_of_scenario(name: str) -> bool:
+    # Only here: most commands do without the scenarios, which take time to load.
+    from concord.experiments.scenario_options import offered_options
+
+    return name.removeprefix("--").replace("-", "_") in offered_options()

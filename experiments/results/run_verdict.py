@@ -1,0 +1,54 @@
+"""The verdict on a run in words: its error beside the best and beside none, and its consistency."""
+
+import numpy as np
+
+from concord.experiments.monte_carlo.intervals import Interval, positive_mean_t
+
+BATCHES = 10
+LEGEND = (
+    "RMSE         error of the node in the network",
+    "alone        its error without neighbours",
+    "ANEES        squared error over its covariance: 1 is right, more overconfident",
+    "sent, heard  frames; missed: frames that were due and did not come",
+    "rejected     frames that the node could not use",
+    "centralised  one filter that hears every sensor",
+)
+
+
+def anees_interval(consistency: np.ndarray) -> Interval:
+    """The interval (95 %) of a mean over steps (S,) that depend on each other.
+
+    It is that of the means of `BATCHES` batches of consecutive steps (batch means, Law 2015,
+    section 9.5.3); NaN for fewer than two steps a batch.
+    """
+    known = consistency[~np.isnan(consistency)]
+    if len(known) < 2 * BATCHES:
+        return Interval(float(known.mean()) if len(known) else np.nan, np.nan, np.nan)
+    return positive_mean_t(np.array([batch.mean() for batch in np.array_split(known, BATCHES)]))
+
+
+def consistency_in_words(anees: Interval) -> str:
+    """Whether estimates claim what they know: "overconfident (ANEES 2.1, 95 %: 1.4 to 3)"."""
+    value, low, high = anees
+    if np.isnan(value):
+        return "of unknown consistency"
+    if np.isnan(low):
+        return f"too few scored steps to judge its consistency (ANEES {value:.3g})"
+    shown = f"(ANEES {value:.3g}, 95 %: {low:.2g} to {high:.2g})"
+    if low > 1:
+        return f"overconfident {shown}"
+    if high < 1:
+        return f"underconfident {shown}"
+    return f"neither over- nor underconfident {shown}"
+
+
+def verdict(rmse: float, centralised: float, alone: float, anees: Interval) -> str:
+    """The sentence that opens the figures of runs with Gaussian estimates."""
+    if np.isnan(rmse) or np.isnan(centralised):
+        return "network: the truth is not known, so its error is not either"
+    gain = alone / rmse
+    beside = f"{gain:.3g} x better than alone" if gain >= 1.05 else f"{1 / gain:.3g} x that alone"
+    return (
+        f"network: {rmse / centralised:.3g} x the error of the filter that hears everything, "
+        f"{beside}, {consistency_in_words(anees)}"
+    )

@@ -1,0 +1,52 @@
+"""Copies of the user files that a run took a plant, a rule or an arbiter from, in its folder."""
+
+import shutil
+from pathlib import Path
+
+import msgspec
+
+from concord.runtime.disk import writing
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.types.buses import arbiter_of
+from concord.scenarios.types.plants import UserPlant
+from concord.scenarios.types.rules import UserRule
+from concord.scenarios.user_values import ValueSource, file_of, is_source_name, source_of
+
+
+def keep_copies(folder: Path, scenario: Scenario) -> None:
+    """Copy the files of a scenario's own plant, rule and arbiter into the folder of its run."""
+    for source in _sources(scenario):
+        copy = _copy(folder, source)
+        with writing(copy):
+            shutil.copyfile(file_of(source), copy)
+
+
+def from_copies(folder: Path, scenario: Scenario) -> Scenario:
+    """The scenario with the copies in the folder of its run, where there are some."""
+    changed = {}
+    for part in ("plant", "rule"):
+        choice = getattr(scenario, part)
+        if isinstance(choice, UserPlant | UserRule) and _copy(folder, choice.where).is_file():
+            name = choice.source.rpartition(":")[2]
+            copied = f"{_copy(folder, choice.where)}:{name}"
+            changed[part] = msgspec.structs.replace(choice, source=copied)
+    scenario = msgspec.structs.replace(scenario, **changed)
+    arbiter = arbiter_of(scenario.bus.schedule)
+    if is_source_name(arbiter) and _copy(folder, source_of(arbiter)).is_file():
+        name, digest = arbiter.rpartition(":")[2].split("#")
+        copied = f"{_copy(folder, source_of(arbiter))}:{name}#{digest}"
+        return scenario.with_(arbiter=copied)
+    return scenario
+
+
+def _sources(scenario: Scenario) -> list[ValueSource]:
+    choices = (scenario.plant, scenario.rule)
+    found = [one.where for one in choices if isinstance(one, UserPlant | UserRule)]
+    arbiter = arbiter_of(scenario.bus.schedule)
+    found += [source_of(arbiter)] if is_source_name(arbiter) else []
+    return [source for source in found if source.digest]
+
+
+def _copy(folder: Path, source: ValueSource) -> Path:
+    stem = source.name.rpartition(":")[0].removesuffix(".py").replace("/", ".").rpartition(".")[2]
+    return folder / f"{stem}-{source.digest}.py"

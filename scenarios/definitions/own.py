@@ -1,0 +1,115 @@
+"""Scenarios of the user's own: a plant and sensors given as functions and covariances."""
+
+from collections.abc import Sequence
+from functools import cache, lru_cache
+
+import msgspec
+
+from concord.plants.own_plant import OwnPlant, OwnSensor, OwnTruth, require_sensors
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.scenario_definition import ScenarioDefinition, Score
+from concord.scenarios.types.network import SensorNetwork
+from concord.scenarios.types.plants import UserPlant
+from concord.scenarios.types.rules import UserRule
+from concord.scenarios.user_values import ValueSource, kept_source, named_source, value_of
+
+
+def own_scenario(
+    plant: OwnPlant,
+    sensors: Sequence[OwnSensor | None],
+    *,
+    nodes: int | None = None,
+    graph: str = "ring",
+    steps: int = 200,
+    scored_states: Sequence[int] = (0,),
+    first_scored_step: int = 20,
+    radio_range_m: float | None = None,
+) -> Scenario:
+    """A scenario of a plant and sensors of your own; `Scenario.with_` changes its options.
+
+    Args:
+        plant: truth, and the model of every filter.
+        sensors: dealt to the nodes in turn; None is a blind node.
+        nodes: number of nodes; one for each sensor when left out.
+        graph: who hears whom, as in `--graph`.
+        steps: sampling instants.
+        scored_states: states of the RMSE, all of one unit.
+        first_scored_step: scored from here on, so that the start does not rule the figures.
+        radio_range_m: reach of a node in the geometric graph of a plant with positions.
+
+    Raises:
+        ValueError: a sensor that cannot read the plant's states, or states that it does not have.
+    """
+    require_sensors(plant, sensors)
+    n = plant.states
+    if not scored_states or any(not 0 <= state < n for state in scored_states):
+        raise ValueError(f"scored_states {tuple(scored_states)}: must be some of 0 to {n - 1}")
+    dealt = tuple(sensors)
+
+    @cache
+    def truth(count: int) -> OwnTruth:
+        return OwnTruth(plant, tuple(dealt[node % len(dealt)] for node in range(count)))
+
+    units = {truth(1).state_units[state] for state in scored_states}
+    if len(units) > 1:
+        raise ValueError(
+            f"scored_states {tuple(scored_states)}: they have units {sorted(units)}; score states "
+            "of one unit"
+        )
+    network = SensorNetwork(nodes=len(dealt) if nodes is None else nodes, graph=graph)
+
+    def check(scenario: Scenario) -> None:
+        truth(scenario.nodes).positions(0)
+
+    definition = ScenarioDefinition(
+        defaults=Scenario(plant=UserPlant(), network=network, steps=steps),
+        check=check,
+        plant=lambda scenario: truth(scenario.nodes),
+        model=lambda _: plant,
+        sensor=lambda scenario, node: truth(scenario.nodes).sensors[node],
+        score=Score(tuple(scored_states), min(units), tuple(range(n)), first_scored_step),
+        radio_range_m=radio_range_m,
+    )
+    return user_definition(kept_source(definition)).defaults
+
+
+def portable(scenario: Scenario) -> Scenario:
+    """The scenario with its own plant and rule by their names in files, so that other processes
+    find them; unchanged where they have such names.
+
+    Raises:
+        ValueError: only this session has them.
+    """
+    plant, rule = scenario.plant, scenario.rule
+    if isinstance(plant, UserPlant):
+        plant = UserPlant.of(
+            named_source(
+                plant.where,
+                lambda value: isinstance(value, Scenario) and value.plant == scenario.plant,
+            )
+        )
+    if isinstance(rule, UserRule):
+        kept = value_of(rule.where)
+        source = named_source(rule.where, lambda value: value is kept)
+        rule = msgspec.structs.replace(rule, source=source.name, digest=source.digest)
+    return msgspec.structs.replace(scenario, plant=plant, rule=rule)
+
+
+@lru_cache
+def user_definition(source: ValueSource) -> ScenarioDefinition:
+    """The definition of a scenario of the user's own.
+
+    Raises:
+        ValueError: there is no such value, or it is no scenario.
+    """
+    definition = value = value_of(source)
+    if isinstance(value, Scenario) and isinstance(value.plant, UserPlant):
+        # The file made it under a number of its session; here it goes by its name in the file.
+        definition = user_definition(value.plant.where)._replace(defaults=value)
+    if not isinstance(definition, ScenarioDefinition):
+        raise ValueError(
+            f"{source.name}: it is a {type(value).__name__}; it must be a scenario, as "
+            "own_scenario(...) returns"
+        )
+    defaults = msgspec.structs.replace(definition.defaults, plant=UserPlant.of(source))
+    return definition._replace(defaults=defaults)

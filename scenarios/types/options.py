@@ -1,0 +1,110 @@
+"""Options of a scenario as keywords, generated from their declarations.
+
+`python -m concord.experiments.options_page` writes this file; change `scenarios/types/` instead.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Literal, TypedDict
+
+import numpy as np
+
+from concord.scenarios.types.option import Choice
+
+RULE = str | Choice | Callable[..., object]
+if TYPE_CHECKING:
+    import networkx
+
+    GRAPH = str | networkx.Graph | np.ndarray
+else:
+    GRAPH = object
+NOISE = Literal["matched", "paper", "growing", "small", "outliers", "biased"]
+NUMBER = Literal["float64", "float32"]
+RECORD_NUMBER = Literal["int16", "float32", "float64"]
+
+
+class ScenarioOptions(TypedDict, total=False):
+    """One value of each option."""
+
+    target: int
+    data: str | None
+    control: str
+    noise: NOISE
+    static_slots: int
+    car: str
+    manoeuvre: str
+    adaptive: bool
+    nodes: int
+    graph: GRAPH
+    weights: str
+    links: str
+    loss: float
+    rule: RULE
+    number: NUMBER
+    hold: str | Choice
+    decay: float
+    determinant_weights: bool
+    liars: int
+    window_steps: int | None
+    digest_steps: int | None
+    gate_probability: float
+    record_number: RECORD_NUMBER
+    payload_bytes: int
+    relay: bool
+    latch_delay_us: float
+    rounds: int
+    bus: str | Choice
+    schedule: str | Choice
+    occupancy: float
+    arbiter: str
+    trigger: float
+    cluster: str
+    stretch: float
+    filter: str | Choice
+    steps: int
+    seed: int
+    run: int
+    changes: Sequence[str]
+
+
+class SweptOptions(TypedDict, total=False):
+    """One value of each option, or several."""
+
+    target: Sequence[int] | np.ndarray | int
+    data: Sequence[str | None] | np.ndarray | str | None
+    control: Sequence[str] | np.ndarray | str
+    noise: Sequence[NOISE] | np.ndarray | NOISE
+    static_slots: Sequence[int] | np.ndarray | int
+    car: Sequence[str] | np.ndarray | str
+    manoeuvre: Sequence[str] | np.ndarray | str
+    adaptive: Sequence[bool] | np.ndarray | bool
+    nodes: Sequence[int] | np.ndarray | int
+    graph: Sequence[GRAPH] | np.ndarray | GRAPH
+    weights: Sequence[str] | np.ndarray | str
+    links: Sequence[str] | np.ndarray | str
+    loss: Sequence[float] | np.ndarray | float
+    rule: Sequence[RULE] | np.ndarray | RULE
+    number: Sequence[NUMBER] | np.ndarray | NUMBER
+    hold: Sequence[str | Choice] | np.ndarray | str | Choice
+    decay: Sequence[float] | np.ndarray | float
+    determinant_weights: Sequence[bool] | np.ndarray | bool
+    liars: Sequence[int] | np.ndarray | int
+    window_steps: Sequence[int | None] | np.ndarray | int | None
+    digest_steps: Sequence[int | None] | np.ndarray | int | None
+    gate_probability: Sequence[float] | np.ndarray | float
+    record_number: Sequence[RECORD_NUMBER] | np.ndarray | RECORD_NUMBER
+    payload_bytes: Sequence[int] | np.ndarray | int
+    relay: Sequence[bool] | np.ndarray | bool
+    latch_delay_us: Sequence[float] | np.ndarray | float
+    rounds: Sequence[int] | np.ndarray | int
+    bus: Sequence[str | Choice] | np.ndarray | str | Choice
+    schedule: Sequence[str | Choice] | np.ndarray | str | Choice
+    occupancy: Sequence[float] | np.ndarray | float
+    arbiter: Sequence[str] | np.ndarray | str
+    trigger: Sequence[float] | np.ndarray | float
+    cluster: Sequence[str] | np.ndarray | str
+    stretch: Sequence[float] | np.ndarray | float
+    filter: Sequence[str | Choice] | np.ndarray | str | Choice
+    steps: Sequence[int] | np.ndarray | int
+    seed: Sequence[int] | np.ndarray | int
+    run: Sequence[int] | np.ndarray | int
+    changes: Sequence[Sequence[str]] | np.ndarray | Sequence[str]

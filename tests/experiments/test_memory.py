@@ -1,0 +1,79 @@
+"""Memory is estimated before a start, and the estimate is that of the arrays of a run."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from concord.experiments import memory
+from concord.experiments.memory import check_memory, needed_bytes
+from concord.experiments.monte_carlo.simulate import Histories, simulate
+from concord.experiments.python_api import simulate as simulate_in_python
+from concord.experiments.scenario_options import scenario_of
+from concord.scenarios.catalogue import definitions
+from concord.scenarios.preparation import prepare
+from tests.experiments.flexray_support import concord, refused
+
+TOO_LONG = "--scenario oscillator --nodes 3 --steps 1000000000"
+TARGET = ("--target-rmse", "2x-centralised")
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["run", "run --driver batched", "run --driver processes", "run --driver realtime", "agree",
+     "sweep --runs 2", "sweep --graph ring,path", f"design {' '.join(TARGET)}", "setup"],
+)  # fmt: skip
+def test_a_run_that_does_not_fit_is_refused_before_it_begins(
+    command: str, tmp_path: Path, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    out = [] if command == "agree" else ["--out", "out"]
+    told = concord(capsys, *command.split(), *TOO_LONG.split(), *out)
+    assert told.code == 2 and told.out == ""
+    sentence = told.err.splitlines()[-1]
+    for part in ("--steps 1000000000 of 3 nodes", "GB of memory are needed and ", "GB are free; "):
+        assert part in sentence
+    assert "use fewer --steps" in sentence and not list(tmp_path.iterdir())
+
+
+def test_runs_count_together(capsys, monkeypatch):
+    monkeypatch.setattr(memory, "available_memory_mb", lambda: 1000.0)
+    words = ["run", "--driver", "batched", "--nodes", "20", "--steps", "60", "--runs"]
+    told = refused(concord(capsys, *words, "100000"))
+    assert "--steps 60 of 20 nodes in 100000 runs: about" in told
+    assert "and 1000 MB are free; use fewer --steps, --runs or --nodes" in told
+    with pytest.raises(ValueError, match="in 100000 runs"):
+        simulate_in_python(scenario_of("target-tracking", steps=60), runs=100_000)
+
+
+def test_the_result_of_a_sweep_counts_too(capsys, monkeypatch):
+    monkeypatch.setattr(memory, "available_memory_mb", lambda: 10.0)
+    words = ["sweep", "--scenario", "oscillator", "--nodes", "3", "--graph", "ring,path"]
+    told = refused(concord(capsys, *words, "--steps", "1000", "--runs", "200"))
+    assert "2 cells of 200 runs: about 24 MB of memory are needed and 10 MB are" in told
+
+
+def test_a_system_that_does_not_name_its_memory_refuses_nothing(monkeypatch):
+    monkeypatch.setattr(memory, "available_memory_mb", lambda: None)
+    check_memory(scenario_of("oscillator", steps=10**9))
+
+
+@pytest.mark.parametrize("name", [name for name in definitions() if name != "mrclam"])
+def test_every_scenario_has_an_estimate_that_grows_with_its_size(name: str):
+    scenario = definitions()[name].defaults
+    once = needed_bytes(scenario)
+    twice = scenario.with_(steps=2 * scenario.steps)
+    assert once > 0 and needed_bytes(twice) == pytest.approx(2 * once, rel=1e-9)
+    assert needed_bytes(scenario, 7) == 7 * once < needed_bytes(scenario, 7, messages=True)
+
+
+@pytest.mark.parametrize("rule", ["ci", "hcmci"])
+def test_the_estimate_holds_the_histories_and_little_more(rule: str):
+    scenario = scenario_of("target-tracking", nodes=8, steps=30, rule=rule)
+    histories = simulate(prepare(scenario), range(3))
+    kept = sum(value.nbytes for value in _arrays(histories))
+    assert kept < needed_bytes(scenario, 3) < 8 * kept
+
+
+def _arrays(histories: Histories) -> list[np.ndarray]:
+    return [value for value in histories if isinstance(value, np.ndarray)]
