@@ -102,6 +102,11 @@ class RunController:
         return not environment.members(self.config, self.state)
 
     @property
+    def _stands_still(self) -> bool:
+        """Whether steps wait for the first node that returns; the clock waits for none."""
+        return self.deserted and not self._timed
+
+    @property
     def paused(self) -> bool:
         """No step begins but those that are asked for."""
         return self._pause_at is not None
@@ -119,7 +124,7 @@ class RunController:
         """Give the environment a message of a node, or the end of one."""
         was_idle = self.state.idle
         self.state, messages = environment.step(self.config, self.state, event)
-        if self.state.idle and not was_idle:
+        if self._stands_still or (self.state.idle and not was_idle):
             messages += self._settle()
         return messages
 
@@ -251,7 +256,7 @@ class RunController:
     def _limit(self) -> int:
         """The step before which the environment stops."""
         limits = [self.config.steps]
-        if self._pending or self._awaited or self._able():
+        if self._pending or self._awaited or self._stands_still or self._able():
             limits.append(self.state.released)
         if any(self._has_company(node) for node in self._ready):
             # A neighbour that has come back with it can say what to believe one step later.

@@ -216,7 +216,7 @@ def test_a_node_that_stands_still_is_named(tmp_path: Path):
     assert first_difference(reference(setup, tmp_path), trace, "stopped") is None
 
 
-@pytest.mark.parametrize("victim", ["2", RECORDER])
+@pytest.mark.parametrize("victim", ["2", RECORDER, ENVIRONMENT])
 def test_who_was_stopped_for_longer_than_the_lease_stops_nobody_for_ever(
     tmp_path: Path, victim: str
 ):

@@ -44,8 +44,13 @@ class Asked(NamedTuple):
     answer: SimpleQueue[Answer]
 
 
+class Alone(NamedTuple):
+    """No node has been left for some seconds."""
+
+
 Notice = (
-    Presence
+    Alone
+    | Presence
     | Hello
     | Repeated
     | RecorderCaughtUp

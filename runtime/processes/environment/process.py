@@ -1,6 +1,7 @@
 """The environment process: a loop that gives messages and notices to the run controller."""
 
 import math
+import threading
 import time
 from collections.abc import Sequence
 
@@ -30,6 +31,7 @@ from concord.runtime.processes.environment.gathering import await_hellos, await_
 from concord.runtime.processes.environment.inbox import ENVIRONMENT_QUEUE, TOPICS, EnvironmentInbox
 from concord.runtime.processes.environment.management import Management
 from concord.runtime.processes.environment.notices import (
+    Alone,
     Asked,
     Hello,
     Notice,
@@ -45,6 +47,8 @@ from concord.runtime.processes.republisher import Republisher
 
 # A run without a recorder ends after so long; on several hosts its link may come back any time.
 _PEER_TIMEOUT_S = 60.0
+# A process that stood still for longer than its lease finds all nodes gone; they return within this.
+_RETURN_S = 6.0
 # The republisher keeps the messages of some steps more than one process may be behind another.
 _KEPT = 16_384
 _NOT_OURS = "nodes run on hosts of their own; end and start `concord node` there"
@@ -64,7 +68,7 @@ def run_environment(
     Raises:
         LinkError: the network cannot be joined.
         Disagreement: a node's configuration is another.
-        Deserted: no node is left.
+        Deserted: no node is left, and none has returned.
     """
     EnvironmentProcess(run, links, config, fingerprint, management, pacing, script).work()
 
@@ -171,6 +175,8 @@ class EnvironmentProcess:
                 self._end(node)
             case Asked(payload, answer):
                 answer.put(self._obey(payload))
+            case Alone():
+                self._end_if_deserted()
             case Beat():
                 self._send(self.controller.tick())
                 self._pacing.remind(self.controller.state.standing.absent, self._lines)
@@ -219,12 +225,19 @@ class EnvironmentProcess:
         self._take(Gone(node))
         if not self.controller.deserted:
             return
-        if self._management.keeps_nodes:
-            raise Deserted("no node is left")
-        # On several hosts this process may be the one that is cut off: it waits for the nodes.
+        # This process may be the one that was cut off, or stood still: it waits for the nodes.
         closed = self._pacing.without_nodes(self.controller.state.released)
         if closed is not None:
             self._take(closed)
+        if self._management.keeps_nodes:
+            timer = threading.Timer(_RETURN_S, self.inbox.notify, (Alone(),))
+            timer.daemon = True
+            timer.start()
+
+    def _end_if_deserted(self) -> None:
+        names = [str(node) for node in range(self._nodes)]
+        if self.controller.deserted and len(self.transport.missing(names)) == self._nodes:
+            raise Deserted("no node is left")
 
     def _obey(self, payload: bytes) -> Answer:
         try:
