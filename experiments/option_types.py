@@ -21,6 +21,7 @@ import numpy as np
 
 from concord.scenarios.types.option import Choice
 
+PLACEMENT = int | str | np.ndarray
 RULE = str | Choice | Callable[..., object]
 if TYPE_CHECKING:
     import networkx
@@ -33,7 +34,7 @@ _CLASSES = {
     "ScenarioOptions": ("One value of each option.", "{}"),
     "SweptOptions": ("One value of each option, or several.", "Sequence[{0}] | np.ndarray | {0}"),
 }
-_OF_NAME = {"graph": "GRAPH", "rule": "RULE"}
+_OF_NAME = {"graph": "GRAPH", "placement": "PLACEMENT", "rule": "RULE"}
 
 
 def text() -> str:

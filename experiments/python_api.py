@@ -17,7 +17,7 @@ from concord.experiments.compare.run import compute_missing, kept_before
 from concord.experiments.design.candidates import Cost
 from concord.experiments.design.results import Design, design_of
 from concord.experiments.design.search import SearchTask, search
-from concord.experiments.design.space import space_of
+from concord.experiments.design.space import placements_of, space_of
 from concord.experiments.design.target import parse_target
 from concord.experiments.launching import launched
 from concord.experiments.memory import check_memory
@@ -219,10 +219,14 @@ def design(
         ValueError: a target that is none, or no candidate that can run.
     """
     target = parse_target(target_rmse)
-    settled, space = space_of(_specification(scenario, options, runs, None, workers == 1))
+    specification = _specification(scenario, options, runs, None, workers == 1)
+    settled, space = space_of(specification)
     engine = engine_for(workers, None)
-    task = SearchTask(target, minimise, settled, space, runs, engine, lambda _: None)
-    return design_of(settled, target, minimise, search(task, [], []), True)
+    placements = placements_of(specification)
+    task = SearchTask(
+        target, minimise, settled, space, runs, engine, lambda _: None, placements=placements
+    )
+    return design_of(task, search(task, [], []), True)
 
 
 def plots(result: "xarray.Dataset | Design") -> "dict[str, Figure]":

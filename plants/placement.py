@@ -1,39 +1,110 @@
-"""Where to put sensors so that their radios form one network."""
+"""Where to put sensors so that their radios form one network, and sites as one word."""
+
+import math
+from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from concord.plants.checks import require_positive
 
 ATTEMPTS = 10_000
+SITES, FILE = "at:", "file:"
 # So many nodes speak at a time: all pairs of ten thousand would take a gigabyte.
 TOGETHER = 64
 
 
 def place_sensors(
-    nodes: int, area_side_m: float = 1000.0, radio_range_m: float = 330.0
+    nodes: int, area_side_m: float = 1000.0, radio_range_m: float = 330.0, drawing: int = 0
 ) -> NDArray[np.float64]:
     """Positions (nodes, 2) in m, uniform in a square, whose network of radio range is connected.
 
-    They are those of the smallest seed s = 0, 1, ... for which
-    `numpy.random.default_rng(s).uniform(0, area_side_m, (nodes, 2))` is connected.
+    A seed s = 0, 1, ... gives `numpy.random.default_rng(s).uniform(0, area_side_m, (nodes, 2))`.
+    Drawing 0 is that of the smallest seed whose network is connected, drawing 1 that of the next.
 
     Raises:
-        ValueError: for no nodes, lengths that are not positive, or if none of the first
-            `ATTEMPTS` seeds is connected (few nodes on a large area).
+        ValueError: for no nodes, lengths that are not positive, or if the first `ATTEMPTS` seeds
+            have too few connected networks (few nodes on a large area).
     """
     if nodes < 1:
         raise ValueError(f"{nodes} sensors: at least 1 must be placed; ask for more nodes")
+    if drawing < 0:
+        raise ValueError(f"placement {drawing}: must be 0 or more; drawings are counted from 0")
     require_positive(area_side_m=area_side_m, radio_range_m=radio_range_m)
+    found = 0
     for seed in range(ATTEMPTS):
         positions = np.random.default_rng(seed).uniform(0, area_side_m, (nodes, 2))
-        if _in_one_piece(positions, radio_range_m):
+        found += _in_one_piece(positions, radio_range_m)
+        if found > drawing:
             return positions
     raise ValueError(
         f"{nodes} sensors on {area_side_m:g} m x {area_side_m:g} m with a radio range of "
-        f"{radio_range_m:g} m: no placement of the first {ATTEMPTS} seeds is connected; "
-        "raise the range, shrink the area or add nodes"
+        f"{radio_range_m:g} m: {found} placements of the first {ATTEMPTS} seeds are connected, and "
+        f"drawing {drawing} is number {drawing + 1}; raise the range, shrink the area or add nodes"
     )
+
+
+def site_text(placement: str | ArrayLike) -> str:
+    """The word for positions (nodes, 2) in m, or for those in a file: `at:120/330;500/210`.
+
+    Args:
+        placement: an array, or `file:PATH` of a text file with a line `x, y` for each node; lines
+            that begin with # are left out.
+
+    Raises:
+        ValueError: a file that cannot be read, or that has other than two finite numbers a line.
+    """
+    if isinstance(placement, str):
+        path = Path(placement.removeprefix(FILE))
+        try:
+            lines = path.read_text().splitlines()
+        except (OSError, UnicodeDecodeError) as error:
+            raise ValueError(f"placement {placement}: cannot be read ({error})") from None
+        rows = [
+            _site(f"line {number}", line)
+            for number, line in enumerate(lines, start=1)
+            if line.strip() and not line.startswith("#")
+        ]
+    else:
+        rows = [_site(f"node {n}", row) for n, row in enumerate(np.atleast_1d(placement))]
+    if not rows:
+        raise ValueError(f"placement {placement}: has no site; write a line x, y for each node")
+    return SITES + ";".join(f"{x!r}/{y!r}" for x, y in rows)
+
+
+def sites(word: str, nodes: int) -> NDArray[np.float64]:
+    """Positions (nodes, 2) in m of a word that `site_text` wrote.
+
+    Raises:
+        ValueError: a site that is none, or another number of sites than of nodes.
+    """
+    if not word.startswith(SITES):
+        raise ValueError(
+            f"placement {word!r}: is none; give the number of a drawing (0, 1, 2, ...), or "
+            "file:PATH with a line x, y in m for each node"
+        )
+    texts = word.removeprefix(SITES).split(";")
+    found = np.array([_site(f"site {n}", text, "/") for n, text in enumerate(texts)])
+    if len(found) != nodes:
+        raise ValueError(
+            f"the placement has {len(found)} sites, and the network {nodes} nodes; give one site "
+            "for each node"
+        )
+    return found
+
+
+def _site(where: str, given: str | ArrayLike, separator: str = ",") -> tuple[float, float]:
+    words = given.split(separator) if isinstance(given, str) else np.ravel(np.asarray(given))
+    try:
+        x, y = (float(word) for word in words)
+    except ValueError:
+        x = y = math.nan
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise ValueError(
+            f"placement, {where}: {given!r} is no site; give two finite numbers in m, "
+            f"x{separator} y"
+        )
+    return x, y
 
 
 def _in_one_piece(positions: NDArray[np.float64], radio_range_m: float) -> bool:

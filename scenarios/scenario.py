@@ -95,23 +95,34 @@ SETTINGS = tuple(
 
 
 def in_words(options: dict[str, Any]) -> dict[str, Any]:
-    """Options with plain numbers for those of numpy, and a graph of networkx, or a matrix, as one
-    word; the graph says how many nodes there are, unless another option does.
+    """Options with plain numbers for those of numpy; a graph of networkx, a matrix, and sites as
+    one word each, which say how many nodes there are, unless another option does.
 
     Raises:
-        ValueError: a graph that is none.
+        ValueError: a graph or a placement that is none.
     """
     plain = {
         name: value.item() if isinstance(value, np.generic) else value
         for name, value in options.items()
     }
-    graph = plain.get("graph")
-    if graph is None or isinstance(graph, str):
-        return plain
     # Only here: a process of the network is handed the neighbours of its nodes.
-    from concord.topology.edge_text import edge_text
+    graph, placement = plain.get("graph"), plain.get("placement")
+    if graph is not None and not isinstance(graph, str):
+        from concord.topology.edge_text import edge_text
 
-    return {"nodes": len(graph), **plain, "graph": edge_text(graph)}
+        plain = {"nodes": len(graph), **plain, "graph": edge_text(graph)}
+    if placement is not None and not _is_drawing_or_sites(placement):
+        from concord.plants.placement import site_text
+
+        word = site_text(placement)
+        plain = {"nodes": word.count(";") + 1, **plain, "placement": word}
+    return plain
+
+
+def _is_drawing_or_sites(placement: object) -> bool:
+    return isinstance(placement, int) or (
+        isinstance(placement, str) and not placement.startswith("file:")
+    )
 
 
 def _with_schedule(scenario: Scenario, options: dict[str, object]) -> dict[str, object]:

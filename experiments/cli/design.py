@@ -17,6 +17,7 @@ from concord.experiments.cli.scenario_flags import said_in
 from concord.experiments.cli.sweep import FILE_WIDTH
 from concord.experiments.design.candidates import COST_UNITS, Candidate, RefusedCandidate
 from concord.experiments.design.results import (
+    Attempt,
     Design,
     Tried,
     check_place,
@@ -26,7 +27,7 @@ from concord.experiments.design.results import (
     write_design,
 )
 from concord.experiments.design.search import Found, SearchTask, search
-from concord.experiments.design.space import space_of
+from concord.experiments.design.space import placements_of, space_of
 from concord.experiments.design.target import parse_target
 from concord.experiments.few_samples import few_runs, few_steps
 from concord.experiments.progress import progress
@@ -63,7 +64,8 @@ def design(
     output: Annotated[DesignOptions, tyro.conf.OmitArgPrefixes],
 ) -> None:
     """Find the cheapest network that meets an error target. Fields given are settled, or are looked
-    for among the given values; graph, rule, weights, rounds, occupancy and schedule are open."""
+    for among the given values; graph, rule, weights, rounds, occupancy and schedule are open. The
+    network must bear all placements given: runs take one after the other."""
     out = output.out or Path("runs") / f"design-{time.strftime('%Y%m%d-%H%M%S')}.json"
     with user_errors():
         if out.exists():
@@ -71,7 +73,8 @@ def design(
         if output.runs < 2:
             raise ValueError(f"--runs {output.runs}: an interval needs at least 2")
         target = parse_target(output.target_rmse)
-        settled, space = space_of(specify(said_in(fields)))
+        specification = specify(said_in(fields))
+        settled, space = space_of(specification)
         engine = engine_for(output.workers, output.dask)
         check_place(out)
         asked: dict[str, Any] = {**settled}
@@ -79,8 +82,9 @@ def design(
             _say(f"warning: {warning}")
         shown_briefly = partial(progress, brief=True)
         task = SearchTask(
-            target, output.minimise, settled, space, output.runs, engine, _say, shown_briefly
-        )
+            target, output.minimise, settled, space, output.runs, engine, _say, shown_briefly,
+            placements_of(specification),
+        )  # fmt: skip
     kept: list[Candidate] = []
     refused: list[RefusedCandidate] = []
     started = time.monotonic()
@@ -90,13 +94,13 @@ def design(
     except (KeyboardInterrupt, WorkerLost) as error:
         if kept:
             done = Found(kept, refused, [])
-            write_design(design_of(settled, target, output.minimise, done, False), out)
+            write_design(design_of(task, done, False), out)
             _say(f"interrupted; what was tried is in {out}")
         if isinstance(error, WorkerLost):
             sys.stderr.write(f"concord: {error}\n")
             sys.exit(1)
         raise
-    result = design_of(settled, target, output.minimise, found, True)
+    result = design_of(task, found, True)
     with user_errors():
         write_design(result, out)
     _show(result, output, out, time.monotonic() - started)
@@ -171,6 +175,7 @@ def lines(result: Design) -> list[str]:
             *said,
             f"recommended for {target}, sparing {result.minimise}:",
             f"  {result.recommended.command}",
+            *_spread(result.recommended),
             f"under another seed: {again}",
         ]
     best = nearest(result)
@@ -181,3 +186,9 @@ def lines(result: Design) -> list[str]:
         f"no candidate surely meets {target}; the best reached is {interval} in {best.runs} runs: "
         f"{words}",
     ]
+
+
+def _spread(attempt: Attempt) -> list[str]:
+    errors = attempt.by_placement
+    each = ", ".join(f"{one.placement}: {one.error.value:.3g}" for one in errors)
+    return [f"by placement of the sensors: {each}"] if errors else []

@@ -15,6 +15,7 @@ from concord.experiments.few_samples import few_runs, few_steps
 from concord.experiments.progress import progress
 from concord.experiments.sweep.engines import engine_for
 from concord.experiments.sweep.options import FieldOptions
+from concord.experiments.sweep.placements import in_words, over_placements
 from concord.experiments.sweep.run import Begin, Swept, begin, finish
 from concord.experiments.sweep.specification import specify
 from concord.experiments.sweep.store import folder_of
@@ -113,6 +114,7 @@ def _warnings(begun: Begin) -> dict[str, list[str]]:
 
 def _show(swept: Swept, options: SweepOptions, out: Path) -> None:
     figures = figures_of(swept.dataset, options.interval)
+    spreads = over_placements(figures)
     took: dict[str, Any] = {
         "computed_cells": swept.computed_cells,
         "found_cells": swept.found_cells,
@@ -121,14 +123,17 @@ def _show(swept: Swept, options: SweepOptions, out: Path) -> None:
     }
     rate = swept.node_updates / swept.seconds if swept.seconds else 0.0
     if options.json:
-        whole = {**msgspec.to_builtins(figures), **took, "node_updates_per_second": rate,
-                 "result": str(out)}  # fmt: skip
+        over = msgspec.to_builtins(spreads)
+        whole = {**msgspec.to_builtins(figures), "over_placements": over, **took,
+                 "node_updates_per_second": rate, "result": str(out)}  # fmt: skip
         sys.stdout.write(msgspec.json.encode(whole).decode() + "\n")
         return
     console = Console()
     # A file or a pipe has no width to keep to.
     console = console if console.is_terminal else Console(width=FILE_WIDTH)
     console.print(table(figures, swept.dataset, console.width))
+    for one in spreads:
+        console.print(in_words(one), highlight=False, soft_wrap=True)
     if swept.computed_cells:
         console.print(
             f"computed {swept.computed_cells} of {len(figures.cells)} in {swept.seconds:.1f} s: "

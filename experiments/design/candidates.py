@@ -12,9 +12,10 @@ from concord.experiments.monte_carlo.intervals import Interval
 from concord.experiments.scenario_options import scenario_with_known
 from concord.experiments.sweep.cells import sorted_out
 from concord.experiments.sweep.pieces import Piece, compute
-from concord.experiments.sweep.specification import Cell
+from concord.experiments.sweep.specification import Cell, Value
 from concord.experiments.sweep.workers import Engine
 from concord.scenarios.catalogue import definition_of
+from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.assignment import refuse_left
 
 Cost = Literal["occupancy", "bytes", "energy"]
@@ -29,7 +30,7 @@ COST_UNITS: dict[Cost, str] = {
     "energy": "mJ per step (first-order radio model)",
 }
 # The kept histories of a run suffice for errors, costs and consistency.
-_KEPT = ("rmse", "rmse_centralised", "anees", *_COSTS.values())
+_KEPT = ("rmse", "rmse_centralised", "anees", "bound_mean", *_COSTS.values())
 
 
 # Runs of a candidate that are computed at once: few enough that all cores have some.
@@ -91,35 +92,57 @@ def with_runs(
     engine: Engine,
     on_runs: Callable[[int], None],
     first_run: int = 0,
+    placements: Sequence[Value] = (),
 ) -> list[Candidate]:
     """Return the same candidates with so many runs each, from `first_run` on.
 
-    Run r has the same noise for every candidate, so that they are compared on what they share.
-    `on_runs` is told how many runs are done.
+    Run r has the same noise for every candidate, so that they are compared on what they share; and
+    the same placement of sensors, one of `placements` after the other. `on_runs` is told how many
+    runs are done.
     """
-    pieces = [
-        Piece(place, msgspec.json.encode(one.cell.scenario), first, min(first + AT_ONCE, end))
-        for place, one in enumerate(candidates)
-        for end in [first_run + runs]
-        for first in range(first_run + one.runs, end, AT_ONCE)
-    ]
-    more: dict[int, list[tuple[int, dict[str, np.ndarray]]]] = {}
+    pieces: list[Piece] = []
+    places: list[np.ndarray] = []
+    for place, one in enumerate(candidates):
+        missing = np.arange(one.runs, runs)
+        for scenario, mine in _placed(one.cell.scenario, missing, placements):
+            for first in range(0, len(mine), AT_ONCE):
+                some = mine[first : first + AT_ONCE]
+                start = first_run + int(some[0]) // max(1, len(placements))
+                text = msgspec.json.encode(scenario)
+                pieces.append(Piece(len(pieces), text, start, start + len(some)))
+                places.append(np.stack([np.full(len(some), place), some]))
+    more: dict[int, list[tuple[np.ndarray, dict[str, np.ndarray]]]] = {}
     done = 0
     for number, figures in engine(compute, pieces):
-        piece = pieces[number]
-        kept = _kept(candidates[piece.cell].cell, figures)
-        more.setdefault(piece.cell, []).append((piece.first, kept))
-        done += piece.last - piece.first
+        (place, *_), numbers = places[number]
+        kept = _kept(candidates[place].cell, figures)
+        more.setdefault(int(place), []).append((numbers, kept))
+        done += len(numbers)
         on_runs(done)
     grown = list(candidates)
     for place, parts in more.items():
-        known = [grown[place].figures] if grown[place].runs else []
         # Whichever piece was ready first: a run keeps its place.
-        known += [part for _, part in sorted(parts, key=lambda part: part[0])]
+        order = np.argsort(np.concatenate([numbers for numbers, _ in parts]))
+        new = {
+            name: np.concatenate([kept[name] for _, kept in parts])[order] for name in parts[0][1]
+        }
+        known = grown[place].figures if grown[place].runs else {name: new[name][:0] for name in new}
         grown[place] = grown[place]._replace(
-            figures={name: np.concatenate([part[name] for part in known]) for name in known[0]}
+            figures={name: np.concatenate([known[name], new[name]]) for name in new}
         )
     return grown
+
+
+def _placed(
+    scenario: Scenario, runs: np.ndarray, placements: Sequence[Value]
+) -> list[tuple[Scenario, np.ndarray]]:
+    """The scenario with each placement, and those of the runs that have it."""
+    if not placements:
+        return [(scenario, runs)]
+    return [
+        (scenario.with_known(placement=placement)[0], runs[runs % len(placements) == place])
+        for place, placement in enumerate(placements)
+    ]
 
 
 def _kept(cell: Cell, figures: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -127,4 +150,4 @@ def _kept(cell: Cell, figures: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     bound = figures["bound"][min(first, len(figures["bound"]) - 1) :]
     runs = len(figures["rmse"])
     mean = np.full(runs, np.sqrt(np.mean(bound**2)))
-    return {**{name: figures[name] for name in _KEPT}, "bound_mean": mean}
+    return {name: figures.get(name, mean) for name in _KEPT}

@@ -7,9 +7,9 @@ import msgspec
 import numpy as np
 
 from concord.experiments.design.candidates import Candidate, Cost, RefusedCandidate
-from concord.experiments.design.search import Confirmed, Found, on_front
+from concord.experiments.design.search import Confirmed, Found, SearchTask, on_front
 from concord.experiments.design.space import Values
-from concord.experiments.design.target import DesignTarget
+from concord.experiments.design.target import DesignTarget, error_of
 from concord.experiments.monte_carlo.intervals import Interval, positive_mean_t
 from concord.experiments.results.folder import commit, versions
 from concord.experiments.sweep.specification import FIELDS, shown
@@ -34,8 +34,16 @@ class Tried(msgspec.Struct, frozen=True):
     front: bool
 
 
+class PlacementError(msgspec.Struct, frozen=True):
+    """The error with the sensors at one placement, with its 95 % interval."""
+
+    placement: str
+    error: Interval
+
+
 class Attempt(msgspec.Struct, frozen=True):
-    """A candidate on `runs` fresh runs: `meets` if the upper bound, at `confidence`, is within."""
+    """A candidate on `runs` fresh runs: `meets` if the upper bound, at `confidence`, is within;
+    `by_placement` where several placements were asked for."""
 
     values: Values
     runs: int
@@ -43,6 +51,7 @@ class Attempt(msgspec.Struct, frozen=True):
     confidence: float
     meets: bool
     command: str
+    by_placement: list[PlacementError] = []
 
 
 class Design(msgspec.Struct, frozen=True, kw_only=True):
@@ -66,13 +75,12 @@ class Design(msgspec.Struct, frozen=True, kw_only=True):
     commit: str | None
 
 
-def design_of(
-    settled: Values, target: DesignTarget, minimise: Cost, found: Found, finished: bool
-) -> Design:
+def design_of(task: SearchTask, found: Found, finished: bool) -> Design:
     """Return the result of a search."""
+    settled, target, minimise = task.settled, task.target, task.cost
     scenario = found.candidates[0].cell.scenario
     line = {one.cell.number for one in on_front(target, minimise, found.candidates)}
-    attempts = [_attempt(settled, one) for one in found.confirmed]
+    attempts = [_attempt(task, one) for one in found.confirmed]
     return Design(
         scenario=scenario.name,
         settled=settled,
@@ -166,8 +174,8 @@ def _tried(one: Candidate, target: DesignTarget, front: bool) -> Tried:
     )
 
 
-def _attempt(settled: Values, one: Confirmed) -> Attempt:
-    values = {**settled, **one.candidate.cell.values}
+def _attempt(task: SearchTask, one: Confirmed) -> Attempt:
+    values = {**task.settled, **one.candidate.cell.values}
     return Attempt(
         values=one.candidate.cell.values,
         runs=one.candidate.runs,
@@ -175,4 +183,17 @@ def _attempt(settled: Values, one: Confirmed) -> Attempt:
         confidence=one.confidence,
         meets=one.meets,
         command=command_for("run", values),
+        by_placement=_by_placement(task, one.candidate),
     )
+
+
+def _by_placement(task: SearchTask, one: Candidate) -> list[PlacementError]:
+    """Run r has placement r modulo their number."""
+    of_each = [
+        {name: values[place :: len(task.placements)] for name, values in one.figures.items()}
+        for place in range(len(task.placements))
+    ]
+    return [
+        PlacementError(shown(placement), error_of(task.target, figures, 0.95))
+        for placement, figures in zip(task.placements, of_each, strict=True)
+    ]

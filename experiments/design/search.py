@@ -40,6 +40,7 @@ FRESH_RUN = 100_000
 class SearchTask(NamedTuple):
     """Task of a search: target, space and workers.
 
+    `placements` of sensors are those that the network must bear: runs take one after the other.
     `say` receives the progress messages; `progress` shows how far the runs of a title are, of so
     many.
     """
@@ -54,6 +55,7 @@ class SearchTask(NamedTuple):
     progress: Callable[[str, int], AbstractContextManager[Callable[[int], None]]] = (
         lambda _title, _total: nullcontext(lambda _done: None)
     )
+    placements: tuple[Value, ...] = ()
 
 
 class Confirmed(NamedTuple):
@@ -135,7 +137,7 @@ def _with_runs(
 ) -> list[Candidate]:
     missing = sum(max(0, runs - one.runs) for one in candidates)
     with task.progress("runs", missing) as on_runs:
-        return with_runs(candidates, runs, task.engine, on_runs, first_run)
+        return with_runs(candidates, runs, task.engine, on_runs, first_run, task.placements)
 
 
 def _centres(task: SearchTask, known: Sequence[Candidate]) -> list[Candidate]:

@@ -17,6 +17,8 @@ from concord.experiments.sweep.specification import Specification, Value
 from concord.scenarios.catalogue import definition_of
 
 Values = dict[str, Value]
+# Sensors stand somewhere whatever is designed: several placements are borne and not chosen from.
+PLACEMENT = "placement"
 
 # Fields that are open unless the user says otherwise. Rules that are overconfident or may diverge
 # are not offered unasked; neither are those that only a message-by-message run can show.
@@ -55,6 +57,9 @@ def space_of(specification: Specification) -> tuple[Values, dict[str, list[Value
     if "graph" in space and own not in space["graph"]:
         space["graph"].insert(0, own)
     space |= specification.levels
+    if placements := placements_of(specification):
+        del space[PLACEMENT]
+        settled[PLACEMENT] = placements[0]
     nodes = max(int(count or 1) for count in space.get("nodes", [scenario.nodes]))
     given = space.get("occupancy", [settled.get("occupancy")])
     shares = _shares(given or _every_share(nodes), nodes)
@@ -64,6 +69,11 @@ def space_of(specification: Specification) -> tuple[Values, dict[str, list[Value
         space["schedule"] = ["full"]
     settled |= {field: values[0] for field, values in space.items() if len(values) == 1}
     return settled, {field: values for field, values in space.items() if len(values) > 1}
+
+
+def placements_of(specification: Specification) -> tuple[Value, ...]:
+    """Return the placements of sensors that the network must bear; none where it is one."""
+    return tuple(specification.levels.get(PLACEMENT, ()))
 
 
 def _every_share(nodes: int) -> list[Value]:

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import re
 import typing
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -229,6 +230,8 @@ def _value(field: str, text: str) -> Value:
             try:
                 return kind(text)
             except ValueError:
+                if str in kinds:
+                    return text
                 raise ValueError(f"{_option(field)} {text}: must be {meaning}") from None
     return text
 
@@ -237,6 +240,8 @@ def _range(field: str, text: str) -> Range | None:
     kinds = _kinds(field)
     if ".." not in text or not {int, float} & set(kinds):
         return None
+    if str in kinds and not re.fullmatch(r"\d+\.\.\d+", text):
+        return None  # a text with dots in it, such as a path
     ends = text.split("..")
     low, high = (_value(field, end) for end in (ends if len(ends) == 2 else (text, text)))
     assert isinstance(low, int | float) and isinstance(high, int | float)

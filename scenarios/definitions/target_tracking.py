@@ -7,42 +7,50 @@ each sees a target within 350 m, radio reaches 330 m. `target-crossing` is its s
 from collections.abc import Callable
 from functools import cache
 
-from concord.plants.placement import place_sensors
+from concord.plants.placement import place_sensors, sites
 from concord.plants.range_bearing import RangeBearing
 from concord.plants.targets import Target, straight_target, turning_target
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
 from concord.scenarios.types.network import SensorNetwork
-from concord.scenarios.types.plants import TargetCrossing, TargetTracking
+from concord.scenarios.types.plants import PlacedSensors, TargetCrossing, TargetTracking
 
 RADIO_RANGE_M = 330.0
 
 
 @cache
-def _target(make: Callable[..., Target], nodes: int) -> Target:
-    return make(place_sensors(nodes, radio_range_m=RADIO_RANGE_M))
+def _target(make: Callable[..., Target], nodes: int, placement: int | str) -> Target:
+    if isinstance(placement, str):
+        return make(sites(placement, nodes))
+    return make(place_sensors(nodes, radio_range_m=RADIO_RANGE_M, drawing=placement))
+
+
+def _made(make: Callable[..., Target], scenario: Scenario) -> Target:
+    plant = scenario.plant
+    assert isinstance(plant, PlacedSensors)
+    return _target(make, scenario.nodes, plant.placement)
 
 
 def _check(scenario: Scenario) -> None:
     # Placing the sensors is what can fail, and says why.
-    _target(turning_target, scenario.nodes)
+    _made(turning_target, scenario)
 
 
 def _definition(
     plant: TargetTracking | TargetCrossing, make: Callable[..., Target], states: int
 ) -> ScenarioDefinition:
     def sensor(scenario: Scenario, node: int) -> RangeBearing:
-        return _target(make, scenario.nodes).sensor(node)
+        return _made(make, scenario).sensor(node)
 
     return ScenarioDefinition(
         defaults=Scenario(
             plant=plant, network=SensorNetwork(nodes=20, graph="geometric"), steps=120
         ),
         check=_check,
-        plant=lambda scenario: _target(make, scenario.nodes),
-        model=lambda scenario: _target(make, scenario.nodes).model,
+        plant=lambda scenario: _made(make, scenario),
+        model=lambda scenario: _made(make, scenario).model,
         sensor=sensor,
-        sensors=lambda scenario: _target(make, scenario.nodes).sensors,
+        sensors=lambda scenario: _made(make, scenario).sensors,
         score=Score(states=(0, 2), unit="m", nees_states=tuple(range(states)), first_step=20),
         radio_range_m=RADIO_RANGE_M,
     )

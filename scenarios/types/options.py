@@ -10,6 +10,7 @@ import numpy as np
 
 from concord.scenarios.types.option import Choice
 
+PLACEMENT = int | str | np.ndarray
 RULE = str | Choice | Callable[..., object]
 if TYPE_CHECKING:
     import networkx
@@ -25,6 +26,7 @@ RECORD_NUMBER = Literal["int16", "float32", "float64"]
 class ScenarioOptions(TypedDict, total=False):
     """One value of each option."""
 
+    placement: PLACEMENT
     target: int
     data: str | None
     control: str
@@ -69,6 +71,7 @@ class ScenarioOptions(TypedDict, total=False):
 class SweptOptions(TypedDict, total=False):
     """One value of each option, or several."""
 
+    placement: Sequence[PLACEMENT] | np.ndarray | PLACEMENT
     target: Sequence[int] | np.ndarray | int
     data: Sequence[str | None] | np.ndarray | str | None
     control: Sequence[str] | np.ndarray | str

@@ -12,11 +12,21 @@ class SensedPlantChoice(Choice, frozen=True, kw_only=True):
     """A plant, what its sensors measure and what its filters believe."""
 
 
-class TargetTracking(SensedPlantChoice, frozen=True, kw_only=True, tag="target-tracking"):
+class PlacedSensors(SensedPlantChoice, frozen=True, kw_only=True):
+    """A plant that is seen by sensors at sites of their own."""
+
+    placement: Annotated[
+        int | str,
+        Option("Where the sensors stand: number of a random drawing (0, 1, 2, ...), or file:PATH "
+               "with a line x, y in m for each node."),
+    ] = 0  # fmt: skip
+
+
+class TargetTracking(PlacedSensors, frozen=True, kw_only=True, tag="target-tracking"):
     """A turning target seen by range-bearing sensors with a limited field of view."""
 
 
-class TargetCrossing(SensedPlantChoice, frozen=True, kw_only=True, tag="target-crossing"):
+class TargetCrossing(PlacedSensors, frozen=True, kw_only=True, tag="target-crossing"):
     """A target on a straight course seen by the same sensors."""
 
 

@@ -14,12 +14,19 @@ from concord.experiments.__main__ import main
 from concord.experiments.design.candidates import Cost, candidates_of
 from concord.experiments.design.results import design_of, nearest, read_design, write_design
 from concord.experiments.design.search import FRESH_RUN, Found, SearchTask, search
-from concord.experiments.design.space import OPEN, coarse_grid, neighbours_of, space_of
+from concord.experiments.design.space import (
+    OPEN,
+    coarse_grid,
+    neighbours_of,
+    placements_of,
+    space_of,
+)
 from concord.experiments.design.target import DesignTarget, error_of, parse_target
 from concord.experiments.sweep.pieces import Piece
 from concord.experiments.sweep.specification import shown, specify
 from concord.scenarios.bus_plan import build_schedule
 from concord.scenarios.scenario import Scenario
+from concord.scenarios.types.assignment import flat
 from concord.scenarios.types.buses import occupancy_of
 from tests.experiments.flexray_support import concord
 
@@ -129,7 +136,7 @@ def test_luck_is_found_out_on_fresh_runs():
 def test_a_target_that_nothing_meets_says_the_best():
     task, found = found_for("1.001x-centralised")
     assert found.recommended is None and not found.confirmed
-    design = design_of(task.settled, task.target, "occupancy", found, True)
+    design = design_of(task, found, True)
     best = nearest(design)
     assert best.values["graph"] == "complete" and best.values["rule"] == "hcmci"
     assert best.error.value < 1.1
@@ -137,7 +144,7 @@ def test_a_target_that_nothing_meets_says_the_best():
 
 def test_the_front_is_written_and_read_again(tmp_path: Path):
     task, found = found_for("1.6x-centralised")
-    design = design_of(task.settled, task.target, "occupancy", found, True)
+    design = design_of(task, found, True)
     write_design(design, tmp_path / "d.json")
     assert read_design(tmp_path / "d.json") == design
     line = sorted((one for one in design.tried if one.front), key=lambda one: one.error.value)
@@ -258,3 +265,52 @@ def test_a_mistake_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
         said = concord(capsys, "design", *options, "-o", tmp_path / "d.json")
         assert said.code == 2 and says in said.err.splitlines()[-1]
     assert not list(tmp_path.iterdir())
+
+
+def test_a_design_bears_all_placements_and_says_the_error_of_each():
+    """Run r has placement r modulo their number, however many runs a candidate grows by."""
+    taken: dict[tuple[bytes, int], list[int]] = {}
+
+    def engine(_function, pieces: Sequence[Piece]):
+        for place in reversed(range(len(pieces))):
+            piece = pieces[place]
+            scenario = msgspec.json.decode(piece.scenario, type=Scenario)
+            runs = np.arange(piece.first, piece.last)
+            placement = flat(scenario)["placement"]
+            taken.setdefault((scenario.rule.name.encode(), placement), []).extend(runs.tolist())
+            yield (
+                place,
+                {
+                    "rmse": 1.0 + placement + 0.001 * (runs % 100),
+                    "rmse_centralised": np.ones(len(runs)),
+                    "anees": np.ones(len(runs)),
+                    "published": np.ones(len(runs)),
+                    "bytes_per_step": np.full(len(runs), 10.0 + (scenario.rule.name == "hcmci")),
+                    "energy_per_step": np.ones(len(runs)),
+                    "bound": np.ones(scenario.steps),
+                },
+            )
+
+    asked = {
+        "scenario": "target-tracking", "placement": "0,1,2", "rule": "ci,hcmci", "graph": "ring",
+        "rounds": "1", "occupancy": "1", "weights": "metropolis", "steps": "40",
+    }  # fmt: skip
+    specification = specify(asked)
+    settled, space = space_of(specification)
+    assert "placement" not in space
+    placements = placements_of(specification)
+    task = SearchTask(
+        parse_target("9x-centralised"), "bytes", settled, space, 31, engine, lambda _: None,
+        placements=placements,
+    )  # fmt: skip
+    found = search(task, [], [])
+    for one in found.candidates:
+        run = np.arange(one.runs)
+        np.testing.assert_allclose(one.figures["rmse"], 1 + run % 3 + 0.001 * (run // 3 % 100))
+    for runs in taken.values():
+        assert len(runs) == len(set(runs)), "no run is computed twice"
+    attempt = design_of(task, found, True).recommended
+    assert attempt is not None
+    assert [one.placement for one in attempt.by_placement] == ["0", "1", "2"]
+    errors = [one.error.value for one in attempt.by_placement]
+    np.testing.assert_allclose(np.diff(errors), 1, rtol=0.01)

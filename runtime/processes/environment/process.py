@@ -47,7 +47,7 @@ from concord.runtime.processes.republisher import Republisher
 
 # A run without a recorder ends after so long; on several hosts its link may come back any time.
 _PEER_TIMEOUT_S = 60.0
-# A process that stood still for longer than its lease finds all nodes gone; they return within this.
+# A process that stood still for longer than its lease finds all nodes gone; so they return.
 _RETURN_S = 6.0
 # The republisher keeps the messages of some steps more than one process may be behind another.
 _KEPT = 16_384
