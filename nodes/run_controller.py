@@ -85,8 +85,7 @@ class RunController:
         self._script = sorted(script, key=lambda one: one.step)
         self._stage = stage
         self._pending: list[ChangeCommand] = []
-        self._ready: set[int] = set()
-        self._awaited: set[int] = set()
+        self._ready, self._awaited = set[int](), set[int]()
         self._pause_at: int | None = None
         self._paced_to: int | None = None
         self._rate = 0.0

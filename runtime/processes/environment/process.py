@@ -1,11 +1,7 @@
 """The environment process: a loop that gives messages and notices to the run controller."""
 
 import math
-import threading
-import time
 from collections.abc import Sequence
-
-import msgspec
 
 from concord.nodes import environment
 from concord.nodes.bounds import node_of
@@ -25,8 +21,7 @@ from concord.nodes.messages import (
 from concord.nodes.run_controller import ProcessStarter, RunController, Scripted
 from concord.runtime.network.links import ENVIRONMENT, RECORDER, ZenohEndpoints
 from concord.runtime.network.zenoh_transport import Transport
-from concord.runtime.processes.clock import EnvironmentClock
-from concord.runtime.processes.environment.failures import Deserted
+from concord.runtime.processes.environment.desertion import Desertion
 from concord.runtime.processes.environment.gathering import await_hellos, await_processes
 from concord.runtime.processes.environment.inbox import ENVIRONMENT_QUEUE, TOPICS, EnvironmentInbox
 from concord.runtime.processes.environment.management import Management
@@ -40,15 +35,13 @@ from concord.runtime.processes.environment.notices import (
     Repeated,
 )
 from concord.runtime.processes.environment.pacing import EnvironmentPacing, Lines
-from concord.runtime.processes.environment.reports import last_words, standing
+from concord.runtime.processes.environment.reports import clock, last_words, standing
 from concord.runtime.processes.environment.timetable import Beat
 from concord.runtime.processes.peer_timeout import PeerTimeout
 from concord.runtime.processes.republisher import Republisher
 
 # A run without a recorder ends after so long; on several hosts its link may come back any time.
 _PEER_TIMEOUT_S = 60.0
-# A process that stood still for longer than its lease finds all nodes gone; so they return.
-_RETURN_S = 6.0
 # The republisher keeps the messages of some steps more than one process may be behind another.
 _KEPT = 16_384
 _NOT_OURS = "nodes run on hosts of their own; end and start `concord node` there"
@@ -101,9 +94,10 @@ class EnvironmentProcess:
         self.republisher = Republisher(
             self.transport, "the world", "truth", _KEPT, self._waits_for, self._repeated
         )
+        self._desertion = Desertion(self.transport, self.inbox.notify, config.nodes)
         self._lines = Lines(self.transport, self.republisher, self.inbox.notify)
         self.transport.answer("state", self._state)
-        self.transport.answer("clock", self._clock)
+        self.transport.answer("clock", lambda _: clock(self._pacing.start_s))
         self.transport.answer("control", self.inbox.ask)
 
     def work(self) -> None:
@@ -176,7 +170,7 @@ class EnvironmentProcess:
             case Asked(payload, answer):
                 answer.put(self._obey(payload))
             case Alone():
-                self._end_if_deserted()
+                self._desertion.end(self.controller.deserted)
             case Beat():
                 self._send(self.controller.tick())
                 self._pacing.remind(self.controller.state.standing.absent, self._lines)
@@ -230,14 +224,7 @@ class EnvironmentProcess:
         if closed is not None:
             self._take(closed)
         if self._management.keeps_nodes:
-            timer = threading.Timer(_RETURN_S, self.inbox.notify, (Alone(),))
-            timer.daemon = True
-            timer.start()
-
-    def _end_if_deserted(self) -> None:
-        names = [str(node) for node in range(self._nodes)]
-        if self.controller.deserted and len(self.transport.missing(names)) == self._nodes:
-            raise Deserted("no node is left")
+            self._desertion.begin()
 
     def _obey(self, payload: bytes) -> Answer:
         try:
@@ -275,9 +262,6 @@ class EnvironmentProcess:
 
     def _repeated(self) -> list[tuple[str, bytes]]:
         return self._pacing.repeated(self.controller.state.standing.absent)
-
-    def _clock(self, _payload: bytes) -> bytes:
-        return msgspec.json.encode(EnvironmentClock(time.monotonic(), self._pacing.start_s))
 
     def _state(self, _payload: bytes) -> bytes:
         setup, refused = self._management.setup, self.inbox.refused.number

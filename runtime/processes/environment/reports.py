@@ -1,5 +1,6 @@
-"""Reports of the environment process: its state, the processes it waits for, its last message."""
+"""Reports of the environment process: state, clock, processes it waits for, last message."""
 
+import time
 from collections.abc import Sequence
 
 import msgspec
@@ -7,6 +8,7 @@ import msgspec
 from concord.nodes import environment
 from concord.nodes.environment_state import EnvironmentConfig, EnvironmentState
 from concord.nodes.run_controller import RunController
+from concord.runtime.processes.clock import EnvironmentClock
 from concord.runtime.processes.environment.notices import NetworkState
 from concord.runtime.processes.recorder.process import Finished
 
@@ -72,3 +74,8 @@ def _late(config: EnvironmentConfig, state: EnvironmentState) -> list[int]:
         for node in environment.members(config, state)
         if not state.idle and state.since.get(node, 0) <= number and node not in came
     ]
+
+
+def clock(start_s: float | None) -> bytes:
+    """The answer to what this process's clock shows, and when step 0 begins on it."""
+    return msgspec.json.encode(EnvironmentClock(time.monotonic(), start_s))
