@@ -66,6 +66,8 @@ docs: .venv/dev.stamp
 
 pictures: .venv/run.stamp
 	$(BIN)/python -m docs.picture
+	$(BIN)/python -m docs.animation
+	$(BIN)/python -m docs.gallery
 	$(BIN)/python -m docs.labelled_picture
 	$(BIN)/python -m docs.state_diagram
 

@@ -1,4 +1,4 @@
-"""Settings of the documentation site (`make site`): pages of docs/ and the reference."""
+"""Settings of the documentation site (`make docs`): pages of docs/ and the reference."""
 
 from concord import __version__
 

@@ -12,7 +12,16 @@ import pytest
 from tests.pages import ROOT, commands, link_checkout, run_as_reader
 
 README = ROOT / "README.md"
-_NAMES = ("topology", "bus", "measurement_bus", "labelled", "control", "faults", "realtime")
+_NAMES = (
+    "topology",
+    "bus",
+    "measurement_bus",
+    "labelled",
+    "control",
+    "faults",
+    "realtime",
+    "papers/meng2025",
+)
 PAGES = (
     README,
     *(ROOT / f"docs/{name}.md" for name in _NAMES),

@@ -25,8 +25,12 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_the_site_has_every_page_and_loads_nothing_from_elsewhere(site: Path):
-    pages = {page.stem for page in (ROOT / "docs").glob("*.md")}
-    built = {page.stem: page.read_text(encoding="utf-8") for page in site.glob("*.html")}
+    docs = ROOT / "docs"
+    pages = {str(page.relative_to(docs).with_suffix("")) for page in docs.rglob("*.md")}
+    built = {
+        str(page.relative_to(site).with_suffix("")): page.read_text(encoding="utf-8")
+        for page in site.rglob("*.html")
+    }
     assert pages <= set(built)
     for name, text in built.items():
         loaded = [one or other for one, other in _LOADED.findall(text)]

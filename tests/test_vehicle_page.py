@@ -1,4 +1,4 @@
-"""docs/vehicle.md: its commands run, its code holds, its files are read, its names exist."""
+"""docs/vehicle.md and its paper's page: commands run, code holds, files are read, names exist."""
 
 import importlib
 import importlib.util
@@ -15,6 +15,7 @@ from concord.plants.vehicle.parameters import car_from_toml
 from tests.pages import ROOT, blocks, commands, link_checkout, run_as_reader
 
 PAGE = (ROOT / "docs" / "vehicle.md").read_text(encoding="utf-8")
+PAPER = (ROOT / "docs" / "papers" / "adlukf.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +54,9 @@ def test_it_names_all_there_is():
 
 
 def test_functions_that_it_names_exist():
-    named = re.findall(r"`((?:concord\.filters|concord\.papers)\.[a-z_.]+)\.([a-z_]+)`", PAGE)
+    named = re.findall(
+        r"`((?:concord\.filters|concord\.papers)\.[a-z_.]+)\.([a-z_]+)`", PAGE + PAPER
+    )
     assert len(named) > 8
     for module, function in named:
         assert hasattr(importlib.import_module(module), function), f"{module}.{function}"

@@ -139,7 +139,7 @@ def errata() -> list[Erratum]:
     return [
         Erratum(
             1, "section 3", "equations (6) to (35)",
-            "lost in print; reconstructed in docs/vehicle.md",
+            "lost in print; reconstructed in docs/papers/adlukf.md",
         ),
         Erratum(
             2, "Table 3", f"RMSE of the side slip, {low:g} and {high:g} for the CKF",

@@ -6,7 +6,7 @@ does exactly that and is overconfident. `consistent` halves the weight of the re
 Its result is the UKF's belief: the second layer adds gain but no information.
 
 Source: Wang, Liu and Cui, Vehicle state estimation based on an adaptive dual-layer unscented Kalman
-filter, section 3.2. Its equations, lost in print, are reconstructed in docs/vehicle.md; the numbers
+filter, section 3.2. Its equations, lost in print, are in docs/papers/adlukf.md; the numbers
 beside the lines are those of that page.
 """
 

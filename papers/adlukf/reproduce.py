@@ -1,8 +1,8 @@
 """`concord reproduce adlukf`: the adaptive dual-layer UKF, on a car whose truth is independent.
 
 Source: Wang, Liu and Cui, Vehicle state estimation based on an adaptive dual-layer unscented Kalman
-filter. Its equations were lost and are reconstructed (docs/vehicle.md); the place of its simulator
-takes the CommonRoad multi-body model.
+filter. Its equations were lost and are reconstructed (docs/papers/adlukf.md). The CommonRoad
+multi-body model takes the place of its simulator.
 """
 
 from collections.abc import Iterator

@@ -5,7 +5,7 @@ from R. The differences in (31) and (33) need not be positive. A mean added to t
 errors that the state should explain. `sage_husa` adapts R alone and has stronger guarantees.
 
 Source: Wang, Liu and Cui, Vehicle state estimation based on an adaptive dual-layer unscented Kalman
-filter, section 3.3, equations 30-35; reconstructed in docs/vehicle.md.
+filter, section 3.3, equations 30-35; reconstructed in docs/papers/adlukf.md.
 """
 
 from typing import NamedTuple

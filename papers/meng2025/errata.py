@@ -1,4 +1,4 @@
-"""The errata of Meng et al. (2025), numbered as docs/measurement_bus.md explains them."""
+"""The errata of Meng et al. (2025), numbered as docs/papers/meng2025.md explains them."""
 
 from concord.papers.kit.claims import Erratum
 from concord.papers.meng2025.runs import SlotEstimates

@@ -18,7 +18,7 @@ _PLAIN_BASES = {"NamedTuple", "Protocol", "Generic", "Struct", "msgspec.Struct",
 
 def pages() -> str:
     """Return the text of all pages and scripts that name public functions to users."""
-    names = [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("examples/*")]
+    names = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("examples/*")]
     names += [ROOT / "pyproject.toml", ROOT / "Makefile", *ROOT.glob("docs/*.py")]
     return "\n".join(file.read_text(encoding="utf-8") for file in names if file.is_file())
 
