@@ -35,7 +35,7 @@ class Film(NamedTuple):
 
     Attributes:
         trace: the run.
-        fused, alone: places (steps, N, 2) of the beliefs of the network's nodes, and of nodes alone.
+        fused, alone: places (steps, N, 2) of the beliefs of nodes that fuse, and of nodes alone.
         errors: colour and error (steps,) of each curve, a root mean square over nodes and 5 steps.
     """
 
