@@ -1,6 +1,8 @@
 """The memory that runs need, estimated from their scenario before anything is drawn or started."""
 
+from collections.abc import Iterable
 from functools import partial
+from heapq import nlargest
 
 from concord.experiments.doctor.machine import available_memory_mb
 from concord.scenarios.catalogue import definition_of
@@ -47,6 +49,19 @@ def needed_bytes(scenario: Scenario, runs: int = 1, messages: bool = False) -> i
     if messages:
         per_node += _MESSAGES_BYTES + scenario.nodes * _FLOAT_BYTES
     return int(per_node * scenario.nodes * scenario.steps) * runs
+
+
+def check_workers(needs: Iterable[int], workers: int) -> None:
+    """Refuse pieces of work of so many bytes each, one at a time in each worker process, if the
+    largest do not fit at once.
+
+    Raises:
+        ValueError: naming the workers, the estimate, what is free and the cure.
+    """
+    at_once = nlargest(workers, needs)
+    if len(at_once) > 1:
+        cure = "use fewer --workers, --steps or --nodes"
+        require_memory(sum(at_once), f"{len(at_once)} --workers at once", cure)
 
 
 def require_memory(needed: int, what: str, cure: str) -> None:

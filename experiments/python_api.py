@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 
 from concord.experiments.agreement import DriverDifference, agreement
-from concord.experiments.compare.entries import asked_cases, entries_of, own_rules
+from concord.experiments.compare.entries import asked_cases, check_together, entries_of, own_rules
 from concord.experiments.compare.output import write_comparison
 from concord.experiments.compare.results import assemble, comparison_figures
 from concord.experiments.compare.run import compute_missing, kept_before
@@ -26,7 +26,7 @@ from concord.experiments.monte_carlo.simulate import AGES, COV, READINGS
 from concord.experiments.monte_carlo.simulate import simulate as simulate_setup
 from concord.experiments.results.folder import ARRAYS
 from concord.experiments.scenario_options import scenario_of
-from concord.experiments.sweep.engines import engine_for
+from concord.experiments.sweep.engines import engine_for, workers_here
 from concord.experiments.sweep.run import begin, finish
 from concord.experiments.sweep.specification import Specification, shown, specify
 from concord.scenarios.catalogue import definition_of
@@ -156,7 +156,7 @@ def sweep(
     # Another process, or a later call that resumes, finds own values by their files alone.
     is_alone = workers == 1 and out is None
     specification = _specification(scenario, options, runs, samples, is_alone)
-    begun = begin(specification, None if out is None else Path(out))
+    begun = begin(specification, None if out is None else Path(out), workers_here(workers))
     return finish(begun, engine_for(workers, None), lambda _: None).dataset
 
 
@@ -195,6 +195,7 @@ def compare(
         for name, source in zip(names, sources, strict=True)
     }
     entries = entries_of(asked_cases(cases, runs), own, None if data is None else str(data))
+    check_together(entries, workers_here(workers))
     engine, folder = engine_for(workers, None), None if out is None else Path(out)
     done = kept_before(entries, folder)
     dataset = assemble(*compute_missing(entries, done, folder, engine, lambda _: None))
@@ -224,8 +225,9 @@ def design(
     engine = engine_for(workers, None)
     placements = placements_of(specification)
     task = SearchTask(
-        target, minimise, settled, space, runs, engine, lambda _: None, placements=placements
-    )
+        target, minimise, settled, space, runs, engine, workers_here(workers), lambda _: None,
+        placements=placements,
+    )  # fmt: skip
     return design_of(task, search(task, [], []), True)
 
 

@@ -9,14 +9,14 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
-from concord.experiments.compare.entries import asked_cases, entries_of, own_rules
+from concord.experiments.compare.entries import asked_cases, check_together, entries_of, own_rules
 from concord.experiments.compare.output import write_comparison
 from concord.experiments.compare.results import assemble, comparison_figures
 from concord.experiments.compare.run import KEPT, compute_missing, kept_before
 from concord.experiments.compare.tables import as_json, print_comparison
 from concord.experiments.places import make_folder
 from concord.experiments.progress import progress
-from concord.experiments.sweep.engines import engine_for
+from concord.experiments.sweep.engines import engine_for, workers_here
 from concord.experiments.sweep.workers import WorkerLost
 from concord.experiments.user_errors import user_errors
 from concord.runtime.disk import NotWritten
@@ -54,6 +54,7 @@ def compare(options: Annotated[CompareOptions, tyro.conf.arg(name="")]) -> None:
         data = None if options.data is None else str(options.data)
         engine = engine_for(options.workers, None)
         entries = entries_of(cases, own, data)
+        check_together(entries, workers_here(options.workers))
         make_folder(out, "--out")
     done = kept_before(entries, out)
     can_run = sum(not entry.reason for entry in entries)

@@ -32,7 +32,7 @@ from concord.experiments.design.target import parse_target
 from concord.experiments.few_samples import few_runs, few_steps
 from concord.experiments.progress import progress
 from concord.experiments.scenario_options import scenario_with_known
-from concord.experiments.sweep.engines import engine_for
+from concord.experiments.sweep.engines import engine_for, workers_here
 from concord.experiments.sweep.options import FieldOptions
 from concord.experiments.sweep.specification import shown, specify
 from concord.experiments.sweep.workers import WorkerLost
@@ -82,7 +82,8 @@ def design(
             _say(f"warning: {warning}")
         shown_briefly = partial(progress, brief=True)
         task = SearchTask(
-            target, output.minimise, settled, space, output.runs, engine, _say, shown_briefly,
+            target, output.minimise, settled, space, output.runs, engine,
+            workers_here(output.workers, output.dask), _say, shown_briefly,
             placements_of(specification),
         )  # fmt: skip
     kept: list[Candidate] = []

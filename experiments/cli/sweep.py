@@ -13,7 +13,7 @@ from rich.console import Console
 from concord.experiments.cli.scenario_flags import said_in
 from concord.experiments.few_samples import few_runs, few_steps
 from concord.experiments.progress import progress
-from concord.experiments.sweep.engines import engine_for
+from concord.experiments.sweep.engines import engine_for, workers_here
 from concord.experiments.sweep.options import FieldOptions
 from concord.experiments.sweep.placements import in_words, over_placements
 from concord.experiments.sweep.run import Begin, Swept, begin, finish
@@ -69,7 +69,7 @@ def sweep(
             change_step=output.change_step,
         )
         engine = engine_for(output.workers, output.dask)
-        begun = begin(specification, out)
+        begun = begin(specification, out, workers_here(output.workers, output.dask))
     _announce(begun, out)
     total = specification.runs * len(begun.cells)
     try:

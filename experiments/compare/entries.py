@@ -8,9 +8,11 @@ from typing import NamedTuple
 import msgspec
 
 from concord.experiments.compare.suite import SUITE, Case
+from concord.experiments.memory import check_workers, needed_bytes
 from concord.experiments.results.folder import commit, versions
 from concord.experiments.scenario_options import scenario_of
 from concord.experiments.sweep.cells import sorted_out
+from concord.experiments.sweep.pieces import runs_at_once
 from concord.experiments.sweep.specification import Specification, cells_of, specify
 from concord.scenarios.preparation import prepare
 from concord.scenarios.rules import rule_of
@@ -97,6 +99,21 @@ def entries_of(cases: Sequence[Case], own: Mapping[str, str], data: str | None) 
         prepare(scenario_of("mrclam", data=data, target=4))
     rules = {name: name for name in RULE_SUMMARIES} | dict(own)
     return [_entry(case, name, source, data) for case in cases for name, source in rules.items()]
+
+
+def check_together(entries: Sequence[Entry], workers: int) -> None:
+    """Refuse a comparison whose entries do not fit into the memory of so many workers at once.
+
+    Raises:
+        ValueError: naming the estimate and the cure.
+    """
+    needs = []
+    for entry in entries:
+        if entry.specification is not None and not entry.reason:
+            (cell,) = cells_of(entry.specification)
+            runs = min(entry.case.runs, runs_at_once(cell.scenario))
+            needs.append(needed_bytes(cell.scenario, runs))
+    check_workers(needs, workers)
 
 
 def _entry(case: Case, name: str, source: str, data: str | None) -> Entry:

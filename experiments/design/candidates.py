@@ -8,6 +8,7 @@ import numpy as np
 
 from concord.experiments.design.space import Values
 from concord.experiments.design.target import DesignTarget, error_of
+from concord.experiments.memory import check_workers, needed_bytes
 from concord.experiments.monte_carlo.intervals import Interval
 from concord.experiments.scenario_options import scenario_with_known
 from concord.experiments.sweep.cells import sorted_out
@@ -66,12 +67,13 @@ class RefusedCandidate(msgspec.Struct, frozen=True):
 
 
 def candidates_of(
-    settled: Values, wanted: Sequence[Values], first_number: int
+    settled: Values, wanted: Sequence[Values], first_number: int, workers: int
 ) -> tuple[list[Candidate], list[RefusedCandidate]]:
     """Return the candidates that can run, of which nothing is known yet, and those that cannot.
 
     Raises:
-        ValueError: there is no such scenario, or its data cannot be read.
+        ValueError: there is no such scenario, its data cannot be read, or the candidates that so
+            many workers hold at once do not fit into the memory.
     """
     cells = []
     for number, values in enumerate(wanted, start=first_number):
@@ -80,6 +82,9 @@ def candidates_of(
         refuse_left(scenario, {name: value for name, value in left.items() if name in settled})
         cells.append(Cell(number, values, scenario))
     good, bad = sorted_out(cells, AT_ONCE)
+    needs = [needed_bytes(cell.scenario, AT_ONCE) for cell in good]
+    # A race gives each candidate many pieces of work.
+    check_workers((need for need in needs for _ in range(workers)), workers)
     return (
         [Candidate(cell, {}) for cell in good],
         [RefusedCandidate(cell.values, str(reason)) for cell, reason in bad],

@@ -38,7 +38,7 @@ FRESH_RUN = 100_000
 
 
 class SearchTask(NamedTuple):
-    """Task of a search: target, space and workers.
+    """Task of a search: target, space, engine and its worker processes on this machine.
 
     `placements` of sensors are those that the network must bear: runs take one after the other.
     `say` receives the progress messages; `progress` shows how far the runs of a title are, of so
@@ -51,6 +51,7 @@ class SearchTask(NamedTuple):
     space: Mapping[str, Sequence[Value]]
     confirm_runs: int
     engine: Engine
+    workers: int
     say: Callable[[str], None]
     progress: Callable[[str, int], AbstractContextManager[Callable[[int], None]]] = (
         lambda _title, _total: nullcontext(lambda _done: None)
@@ -126,7 +127,7 @@ def _look(
     kept: list[Candidate],
     refused: list[RefusedCandidate],
 ) -> None:
-    new, bad = candidates_of(task.settled, wanted, len(kept) + len(refused))
+    new, bad = candidates_of(task.settled, wanted, len(kept) + len(refused), task.workers)
     refused += bad
     task.say(f"{len(new)} candidates, {LOOK_RUNS} runs each")
     kept += _with_runs(task, new, LOOK_RUNS)

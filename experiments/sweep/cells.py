@@ -1,10 +1,17 @@
 """The cells of a sweep, all checked before the first one runs."""
 
 from collections.abc import Sequence
+from math import ceil
 
 import msgspec
 
-from concord.experiments.memory import check_memory, require_memory
+from concord.experiments.memory import (
+    check_memory,
+    check_workers,
+    needed_bytes,
+    require_memory,
+)
+from concord.experiments.sweep.pieces import runs_at_once
 from concord.experiments.sweep.specification import Cell, Specification, cells_of, shown
 from concord.scenarios.preparation import prepare
 
@@ -12,8 +19,8 @@ from concord.scenarios.preparation import prepare
 _KEPT_BYTES = 2 * 4 * 8
 
 
-def checked_cells(specification: Specification) -> list[Cell]:
-    """All cells of a sweep, each of which can run.
+def checked_cells(specification: Specification, workers: int = 1) -> list[Cell]:
+    """All cells of a sweep, each of which can run, and so many pieces of them at once.
 
     Raises:
         ValueError: naming the first cell that cannot, why, and how many more there are.
@@ -28,6 +35,13 @@ def checked_cells(specification: Specification) -> list[Cell]:
     require_memory(
         kept, f"{len(cells)} cells of {specification.runs} runs", "use fewer --steps or --runs"
     )
+    needs = [
+        (needed_bytes(cell.scenario, together), ceil(specification.runs / together))
+        for cell in good
+        for together in [min(specification.runs, runs_at_once(cell.scenario))]
+    ]
+    # More pieces of a cell than workers are never computed at once.
+    check_workers((need for need, pieces in needs for _ in range(min(pieces, workers))), workers)
     return good
 
 

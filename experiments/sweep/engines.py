@@ -7,6 +7,20 @@ from concord.experiments.sweep.dask_workers import connect
 from concord.experiments.sweep.workers import Engine, in_processes
 
 
+def workers_here(workers: int | None, dask: str | None = None) -> int:
+    """Return the number of worker processes on this machine: one per core that this process may
+    use where none is asked for, and one where Dask has workers of its own.
+
+    Raises:
+        ValueError: fewer than one.
+    """
+    if workers is not None and workers < 1:
+        raise ValueError(f"--workers {workers}: must be at least 1")
+    # A container may have limited the cores.
+    available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return 1 if dask is not None else workers or available or 1
+
+
 def engine_for(workers: int | None, dask: str | None) -> Engine:
     """Return the engine of so many processes here, or of the Dask scheduler at an address.
 
@@ -19,8 +33,4 @@ def engine_for(workers: int | None, dask: str | None) -> Engine:
                 "--workers and --dask: Dask has its own workers; leave one of them out"
             )
         return connect(dask)
-    if workers is not None and workers < 1:
-        raise ValueError(f"--workers {workers}: must be at least 1")
-    # The cores that this process may use, which a container may have limited.
-    available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return partial(in_processes, workers or available or 1)
+    return partial(in_processes, workers_here(workers))

@@ -26,14 +26,18 @@ class Piece(NamedTuple):
     last: int
 
 
+def runs_at_once(scenario: Scenario) -> int:
+    """Return the number of runs that a piece has at most."""
+    return max(1, LARGEST // (scenario.nodes * scenario.steps))
+
+
 def pieces_of(specification: Specification, cells: Sequence[Cell]) -> list[Piece]:
     """All pieces of these cells. They depend on the cell alone, so that results do too."""
     pieces = []
     end = specification.first_run + specification.runs
     for cell in cells:
-        scenario = cell.scenario
-        at_once = max(1, LARGEST // (scenario.nodes * scenario.steps))
-        text = msgspec.json.encode(scenario)
+        at_once = runs_at_once(cell.scenario)
+        text = msgspec.json.encode(cell.scenario)
         for first in range(specification.first_run, end, at_once):
             pieces.append(Piece(cell.number, text, first, min(first + at_once, end)))
     return pieces

@@ -51,13 +51,14 @@ class Begin(NamedTuple):
     done: dict[int, dict[str, np.ndarray]]
 
 
-def begin(specification: Specification, out: Path | None) -> Begin:
+def begin(specification: Specification, out: Path | None, workers: int = 1) -> Begin:
     """Check every cell, and find what an earlier start of the same sweep left; None keeps nothing.
+    So many worker processes on this machine are to compute it.
 
     Raises:
         ValueError: a cell that cannot run, or an `out` that belongs to another sweep.
     """
-    cells = checked_cells(specification)
+    cells = checked_cells(specification, workers)
     score_unit([definition_of(cell.scenario) for cell in cells])
     if out is None:
         return Begin(specification, None, None, cells, {})

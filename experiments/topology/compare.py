@@ -1,12 +1,12 @@
 """Graphs and weights side by side; families that are drawn at random with intervals over seeds."""
 
 import dataclasses
-import math
 from collections.abc import Callable, Sequence
 
 import msgspec
 import numpy as np
 
+from concord.experiments.monte_carlo.intervals import Interval, positive_mean_t
 from concord.experiments.topology.convergence import predicted_factor
 from concord.experiments.topology.subject import Subject, SubjectOptions, subject_of
 from concord.topology.adjacency import nodes_of
@@ -15,8 +15,8 @@ from concord.topology.graphs import is_random
 
 
 class GraphSpread(msgspec.Struct, frozen=True):
-    """The mean over graphs and its 95 % interval (Student's t); both ends equal for one graph. None
-    where some graph has no such figure."""
+    """The mean over graphs and its 95 % interval (Student's t on the logarithm, as no figure is
+    negative); both ends equal for one graph. None where some graph has no such figure."""
 
     mean: float | None
     low: float | None
@@ -26,8 +26,8 @@ class GraphSpread(msgspec.Struct, frozen=True):
         """For a table."""
         if self.mean is None or self.low is None or self.high is None:
             return "-"
-        half = (self.high - self.low) / 2
-        return f"{self.mean:.4g}" + (f" ± {half:.2g}" if half else "")
+        spread = Interval(self.mean, self.low, self.high).spread("± ")
+        return f"{self.mean:.4g} {spread}" if self.high > self.low else f"{self.mean:.4g}"
 
 
 class ComparisonRow(msgspec.Struct, frozen=True):
@@ -101,10 +101,5 @@ def _spread(values: tuple[float | None, ...]) -> GraphSpread:
     known = np.array([value for value in values if value is not None], dtype=float)
     if len(known) < len(values):
         return GraphSpread(None, None, None)
-    mean = float(known.mean())
-    if len(known) == 1:
-        return GraphSpread(mean, mean, mean)
-    from scipy.stats import t  # only here: it is slow to load
-
-    half = float(t.ppf(0.975, len(known) - 1) * known.std(ddof=1) / math.sqrt(len(known)))
-    return GraphSpread(mean, mean - half, mean + half)
+    mean, low, high = positive_mean_t(known)
+    return GraphSpread(mean, mean, mean) if len(known) == 1 else GraphSpread(mean, low, high)

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from concord.experiments.monte_carlo.intervals import mean_t
+from concord.experiments.monte_carlo.intervals import mean_t, positive_mean_t
 from concord.papers.adlukf.filters import CONTESTANTS
 from concord.papers.adlukf.study import CASES, STATES, UNITS, ErrorScores
 from concord.papers.kit.report import markdown_table
@@ -48,11 +48,15 @@ def state_index(name: str) -> int:
 
 
 def with_interval(values: np.ndarray) -> str:
-    """Mean ± half width, both to the first digit of the half width, or two if it is a 1."""
-    mean, low, high = mean_t(values)
+    """Mean ± half width of values of 0 or more, both to the first digit of the half width, or two
+    if it is a 1. Both bounds in place of the half width where one is far from the other."""
+    interval = positive_mean_t(values)
+    mean, low, high = interval
     half = (high - low) / 2
     if not (np.isfinite(half) and half > 0):
         return f"{mean:.3g}"
+    if "to" in (bounds := interval.spread()):
+        return f"{mean:.3g} {bounds}"
     magnitude = int(np.floor(np.log10(half)))
     places = max(0, -magnitude + (half < 2 * 10.0**magnitude))
     return f"{mean:.{places}f} ± {half:.{places}f}"

@@ -5,10 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from concord.experiments.monte_carlo.intervals import Interval, ratio_t
 from concord.papers.kit.checks import Check, at_most
 from concord.papers.kit.report import Section, markdown_table
 from concord.papers.labelled.cases import CUT, HUB, HUB_DEAD, CaseOutcome, FaultCase, runs_of_case
-from concord.papers.labelled.study import jackknife, side_by_side
+from concord.papers.labelled.study import ratio_text, side_by_side
 
 PARTS = (1.0, 0.25, 0.1)
 _SCORED_FROM = 20
@@ -85,7 +86,7 @@ def cases_section(found: Found) -> Section:
     after_cut = [last - 1, *range(last, last + 5)]
     parts = (
         f"{runs} runs of each case, hybrid schedule; errors over those of the centralised filter, "
-        "which loses nothing and is given no outlier; 95 % jackknife intervals.",
+        "which loses nothing and is given no outlier; 95 % intervals.",
         _spread_table(found),
         f"Node {HUB}, a hub, is dead from step {HUB_DEAD.start} and comes back cold at step "
         f"{HUB_DEAD.stop}. Its own error at that step and the next ones, of the runs in which it "
@@ -117,15 +118,15 @@ def cases_section(found: Found) -> Section:
 def _checks(found: Found) -> list[Check]:
     checks = []
     for name, (_, figure) in _KNOWN.items():
-        ratio, half_width = _ratio(found[name])
-        checks.append(at_most(f"{name}: lower end of the error", ratio - half_width, figure))
+        low = _ratio(found[name]).low
+        checks.append(at_most(f"{name}: lower end of the error", low, figure))
     for name in _HUB:
         checks.append(
             at_most(f"{name}: steps without an estimate", _lost(found[name]), _LOST_STEPS_MOST)
         )
     for part in PARTS[:2]:
         gated, clean = (
-            _ratio(found[f"{what}, {gate}, {part:g}"])[0]
+            _ratio(found[f"{what}, {gate}, {part:g}"]).value
             for what, gate in (("outliers 5 %", "gate"), ("none", "no gate"))
         )
         name = f"outliers, {part:g}: error behind the gate over that without outliers"
@@ -135,7 +136,7 @@ def _checks(found: Found) -> list[Check]:
 
 def _spread_table(found: Found) -> str:
     rows = [
-        (name, _plus_minus(*_ratio(found[name])), f"{figure:g}", *_consistency(found[name]),
+        (name, ratio_text(_ratio(found[name])), f"{figure:g}", *_consistency(found[name]),
          f"{np.mean([one.said_bytes for one in found[name]]):.0f}")
         for name, (_, figure) in _KNOWN.items()
     ]  # fmt: skip
@@ -143,18 +144,14 @@ def _spread_table(found: Found) -> str:
     return markdown_table(head, rows)
 
 
-def _ratio(found: Sequence[CaseOutcome]) -> tuple[float, float]:
-    """RMSE over the centralised one from the first scored step on, and its half-width."""
+def _ratio(found: Sequence[CaseOutcome]) -> Interval:
+    """RMSE over the centralised one from the first scored step on."""
     first = _SCORED_FROM
     squared = [
         (float(np.nanmean(one.squared[first:])), float(one.squared_centralised[first:].mean()))
         for one in found
     ]
-    return jackknife(np.array(squared))
-
-
-def _plus_minus(value: float, half_width: float) -> str:
-    return f"{value:.3f} ± {half_width:.3f}"
+    return ratio_t(*np.array(squared).T)
 
 
 def _consistency(found: Sequence[CaseOutcome]) -> tuple[str, str]:
@@ -176,7 +173,7 @@ def _hub_row(found: Sequence[CaseOutcome]) -> tuple[str, ...]:
 def _gate_row(found: Sequence[CaseOutcome]) -> tuple[str, ...]:
     wrong, right = sum(one.wrong for one in found), sum(one.right for one in found)
     return (
-        _plus_minus(*_ratio(found)),
+        ratio_text(_ratio(found)),
         *_consistency(found),
         f"{sum(one.wrong_refused for one in found)} of {wrong}",
         f"{sum(one.right_refused for one in found)} of {right}",

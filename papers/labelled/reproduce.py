@@ -17,7 +17,7 @@ from concord.papers.kit.report import Paper, Section, markdown_table
 from concord.papers.kit.traces import write_traces
 from concord.papers.labelled.cases_section import case_outcomes, cases_section
 from concord.papers.labelled.exact_section import NETWORKS, exact_section
-from concord.papers.labelled.study import FORMS, OCCUPANCIES, FormCell, cells
+from concord.papers.labelled.study import FORMS, OCCUPANCIES, FormCell, cells, ratio_text
 
 PICTURE = "labelled"
 EXCESS_MOST = 0.03
@@ -84,7 +84,7 @@ def error_section(table: FormTable, runs: int) -> Section:
     )  # fmt: skip
     rows = [
         (
-            name, f"{part:g}", f"{c.ratio:.3f} ± {c.half_width:.3f}", f"{c.anees:.3f}",
+            name, f"{part:g}", ratio_text(c.error), f"{c.anees:.3f}",
             f"{c.excess:+.3f} ± {c.excess_half_width:.3f}", f"{c.said_bytes:.0f}",
             f"{c.wire_bytes:.0f}", f"{c.wire_us:.0f}", _percent(c.coverage),
             _percent(c.checkpoint_share),
@@ -93,7 +93,7 @@ def error_section(table: FormTable, runs: int) -> Section:
     ]  # fmt: skip
     text = (
         f"{runs} runs of `target-tracking`, 20 nodes, 3 rounds; RMSE over that of the centralised "
-        "filter on the same noise, with 95 % jackknife intervals; bytes and microseconds per step "
+        "filter on the same noise, with 95 % intervals; bytes and microseconds per step "
         "of all nodes. Said: before numbers, headers and the padding of static frames.\n\n"
         f"![error against bytes]({PICTURE}.png)\n\n{markdown_table(head, rows)}"
     )
@@ -108,7 +108,7 @@ def _checks(table: FormTable) -> Iterator[Check]:
         if name in _STUDY:
             yield at_most(
                 f"{name}, {part:g}: lower end of the error",
-                c.ratio - c.half_width,
+                c.ratio_low,
                 _STUDY[name][OCCUPANCIES.index(part)],
             )
         rival = table.get(("ci", part))
@@ -156,7 +156,7 @@ def _draw_against(
         axes.errorbar(
             [cost(c) for c in points],
             [c.ratio for c in points],
-            [c.half_width for c in points],
+            np.array([[c.ratio - c.ratio_low, c.ratio_high - c.ratio] for c in points]).T,
             marker="o" if form.startswith("labelled") else "s",
             markersize=4,
             linewidth=1.2,

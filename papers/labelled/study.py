@@ -9,8 +9,8 @@ from multiprocessing import get_context
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import stats
 
+from concord.experiments.monte_carlo.intervals import Interval, mean_t, ratio_t
 from concord.experiments.monte_carlo.simulate import COV, READINGS, simulate
 from concord.experiments.progress import progress
 from concord.experiments.results.bus_report import wire_per_step
@@ -25,7 +25,6 @@ from concord.scenarios.preparation import prepare, share_bytes
 from concord.scenarios.setup import Setup
 
 OCCUPANCIES = (1.0, 0.5, 0.25, 0.1)
-CONFIDENCE = 0.95
 
 
 class Form(NamedTuple):
@@ -85,12 +84,14 @@ class RunOutcome(NamedTuple):
 class FormCell(NamedTuple):
     """A form at an occupancy, over all runs.
 
-    `ratio` is the RMSE over that of the centralised filter, `half_width` that of its interval; so
-    are `excess` and `excess_half_width` of the worst node's ANEES minus the centralised one.
+    `ratio` is the RMSE over that of the centralised filter, `ratio_low` and `ratio_high` are the
+    ends of its interval. `excess` is the worst node's ANEES minus the centralised one,
+    `excess_half_width` that of its interval.
     """
 
     ratio: float
-    half_width: float
+    ratio_low: float
+    ratio_high: float
     anees: float
     excess: float
     excess_half_width: float
@@ -99,6 +100,11 @@ class FormCell(NamedTuple):
     wire_us: float
     coverage: float
     checkpoint_share: float
+
+    @property
+    def error(self) -> Interval:
+        """The ratio with its interval."""
+        return Interval(self.ratio, self.ratio_low, self.ratio_high)
 
 
 def outcomes(job: StudyJob) -> list[RunOutcome]:
@@ -159,14 +165,12 @@ def cell(outcomes: Sequence[RunOutcome]) -> FormCell:
     squared = np.array([[o.squared, o.squared_centralised] for o in outcomes])
     consistency = np.array([o.consistency - o.consistency_centralised for o in outcomes])
     worst = int(consistency.mean(axis=0).argmax())
-    ratio, half_width = jackknife(squared)
-    spread = consistency[:, worst].std(ddof=1) / np.sqrt(len(outcomes))
+    excess = mean_t(consistency[:, worst])
     return FormCell(
-        ratio,
-        half_width,
+        *ratio_t(squared[:, 0], squared[:, 1]),
         float(np.mean([o.consistency for o in outcomes])),
-        float(consistency[:, worst].mean()),
-        float(_quantile(len(outcomes)) * spread),
+        excess.value,
+        excess.high - excess.value,
         *(
             float(np.mean([getattr(o, name) for o in outcomes]))
             for name in ("said_bytes", "wire_bytes", "wire_us", "coverage", "checkpoint_share")
@@ -186,19 +190,6 @@ def _scored(setup: Setup, truth: np.ndarray, belief: Gaussian) -> tuple[np.ndarr
     return squared.mean(1), values.mean(1) / len(states)
 
 
-def jackknife(squared: np.ndarray) -> tuple[float, float]:
-    """Ratio of the RMSE over runs (R, 2), and half the width of its interval.
-
-    Source: Efron (1982), The jackknife, the bootstrap and other resampling plans, chapter 3.
-    """
-    runs = len(squared)
-    total = squared.sum(axis=0)
-    ratio = np.sqrt(total[0] / total[1])
-    left = total - squared
-    without = np.sqrt(left[:, 0] / left[:, 1])
-    error = np.sqrt((runs - 1) / runs * ((without - without.mean()) ** 2).sum())
-    return float(ratio), float(_quantile(runs) * error)
-
-
-def _quantile(runs: int) -> float:
-    return float(stats.t.ppf(0.5 + CONFIDENCE / 2, runs - 1))
+def ratio_text(ratio: Interval) -> str:
+    """Return a ratio with its interval, for a table."""
+    return f"{ratio.value:.3f} {ratio.spread('± ')}".rstrip()

@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 from scipy import stats
 
-from concord.experiments.monte_carlo.intervals import Interval, mean_t
+from concord.experiments.monte_carlo.intervals import Interval, mean_t, positive_mean_t
 from concord.filters.metrics import nees
 from concord.papers.meng2025.runs import MeasuredBatch, SlotEstimates
 
@@ -58,11 +58,11 @@ def row(
     return EstimatorRow(
         name,
         label,
-        rmse=[_root(mean_t(of_state)) for of_state in squared.T],
-        anees=mean_t(normalised.mean(axis=0)),
+        rmse=[_root(positive_mean_t(of_state)) for of_state in squared.T],
+        anees=positive_mean_t(normalised.mean(axis=0)),
         coverage=mean_t(inside.mean(axis=0)),
         diverged=float(lost.mean()),
-        mse=mean_t(squared.sum(axis=-1)),
+        mse=positive_mean_t(squared.sum(axis=-1)),
         mse_to_trace=float(squared.sum(axis=-1).mean() / trace),
         largest_error=float(np.abs(kept).max(initial=0.0)),
         difference=None if reference is None else difference(batch, outcome, reference),

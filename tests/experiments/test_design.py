@@ -79,7 +79,7 @@ def found_for(
 ) -> tuple[SearchTask, Found]:
     settled, space = space_of(specify(ASKED))
     task = SearchTask(
-        parse_target(target), cost, settled, space, 60, landscape(**landscape_is), lambda _: None
+        parse_target(target), cost, settled, space, 60, landscape(**landscape_is), 1, lambda _: None
     )
     return task, search(task, [], [])
 
@@ -105,7 +105,7 @@ def test_every_run_of_a_search_is_in_its_progress():
     settled, space = space_of(specify(ASKED))
     target = parse_target("1.6x-centralised")
     task = SearchTask(
-        target, "occupancy", settled, space, 60, landscape(), lambda _: None, progress
+        target, "occupancy", settled, space, 60, landscape(), 1, lambda _: None, progress
     )
     found = search(task, [], [])
     for total, done in told:
@@ -184,7 +184,7 @@ def test_no_candidate_is_raced_twice(asked: dict[str, str], publishers: set[int]
     reached = coarse_grid(space)
     for one in reached:
         reached += [new for new in neighbours_of(one, space) if new not in reached]
-    good, refused = candidates_of(settled, reached, 0)
+    good, refused = candidates_of(settled, reached, 0, 1)
     assert good and not refused
     raced, sending = [], set()
     for scenario in (one.cell.scenario for one in good):
@@ -300,7 +300,7 @@ def test_a_design_bears_all_placements_and_says_the_error_of_each():
     assert "placement" not in space
     placements = placements_of(specification)
     task = SearchTask(
-        parse_target("9x-centralised"), "bytes", settled, space, 31, engine, lambda _: None,
+        parse_target("9x-centralised"), "bytes", settled, space, 31, engine, 1, lambda _: None,
         placements=placements,
     )  # fmt: skip
     found = search(task, [], [])

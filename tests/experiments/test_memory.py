@@ -1,12 +1,13 @@
 """Memory is estimated before a start, and the estimate is that of the arrays of a run."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from concord.experiments import memory
-from concord.experiments.memory import check_memory, needed_bytes
+from concord.experiments.memory import check_memory, check_workers, needed_bytes
 from concord.experiments.monte_carlo.simulate import Histories, simulate
 from concord.experiments.python_api import simulate as simulate_in_python
 from concord.experiments.scenario_options import scenario_of
@@ -51,6 +52,34 @@ def test_the_result_of_a_sweep_counts_too(capsys, monkeypatch):
     words = ["sweep", "--scenario", "oscillator", "--nodes", "3", "--graph", "ring,path"]
     told = refused(concord(capsys, *words, "--steps", "1000", "--runs", "200"))
     assert "2 cells of 200 runs: about 24 MB of memory are needed and 10 MB are" in told
+
+
+@pytest.mark.parametrize(
+    ("command", "runs_each"), [("sweep --runs 200", 41), (f"design {' '.join(TARGET)}", 25)]
+)
+def test_the_runs_of_all_workers_count_together(
+    command: str, runs_each: int, capsys, monkeypatch, tmp_path: Path
+):
+    """A worker holds `runs_each` runs, which fit alone, and eight workers do not."""
+    one = needed_bytes(scenario_of("oscillator", nodes=4, steps=3000), runs_each) / 1024**2
+    monkeypatch.setattr(memory, "available_memory_mb", lambda: 2 * one)
+    monkeypatch.chdir(tmp_path)
+    words = [*command.split(), "--scenario", "oscillator", "--nodes", "4", "--steps", "3000"]
+    told = refused(concord(capsys, *words, "--graph", "ring,path", "--workers", "8", "-o", "out"))
+    needed = float(re.findall(r"8 --workers at once: about (\d+) MB", told)[0])
+    assert needed == pytest.approx(8 * one, rel=0.01)
+    assert told.endswith("are free; use fewer --workers, --steps or --nodes\n")
+    assert not list(tmp_path.glob("out*"))
+
+
+def test_the_largest_pieces_of_work_count_once_for_each_worker(monkeypatch):
+    monkeypatch.setattr(memory, "available_memory_mb", lambda: 10.0)
+    megabytes = 1024**2
+    check_workers([1 * megabytes] * 100, 10)
+    check_workers([9 * megabytes, 1 * megabytes], 2)
+    check_workers([9 * megabytes, 1 * megabytes, 0], 64)
+    with pytest.raises(ValueError, match="3 --workers at once: about 11 MB"):
+        check_workers([1 * megabytes, 9 * megabytes, 1 * megabytes], 3)
 
 
 def test_a_system_that_does_not_name_its_memory_refuses_nothing(monkeypatch):

@@ -134,6 +134,16 @@ def test_a_comparison_has_intervals_where_graphs_are_random(answer):
     assert rows[0]["factor"]["low"] == rows[0]["factor"]["high"]
 
 
+def test_no_interval_of_a_family_reaches_below_zero(answer):
+    """Two seeds leave the number of cut nodes and the gap uncertain; neither can be negative."""
+    rows = answer("compare scale-free erdos-renyi geometric --nodes 14 --seeds 2")["rows"]
+    spreads = [one for row in rows for one in row.values() if isinstance(one, dict)]
+    wide = [one for one in spreads if one["mean"] and one["high"] > 2 * one["mean"]]
+    assert wide and all(one["low"] > 0 for one in wide)
+    for one in wide:
+        assert one["low"] * one["high"] == pytest.approx(one["mean"] ** 2)
+
+
 @pytest.mark.parametrize("suffix", [".graphml", ".edges", ".csv"])
 def test_a_generated_graph_is_read_back(answer, tmp_path: Path, suffix: str):
     written = answer(f"generate small-world --nodes 12 --seed 5 --out net{suffix}")

@@ -31,10 +31,11 @@ def test_the_interval_is_that_of_the_delta_method():
     mean, cov = squared.mean(0), np.cov(squared.T) / len(found)
     ratio = np.sqrt(mean[0] / mean[1])
     slope = 0.5 * ratio / mean * [1, -1]
-    expected = stats.t.ppf(0.975, 399) * np.sqrt(slope @ cov @ slope)
+    half_width = stats.t.ppf(0.975, 399) * np.sqrt(slope @ cov @ slope)
     result = cell(found)
     assert result.ratio == pytest.approx(ratio)
-    assert result.half_width == pytest.approx(expected, rel=0.02)
+    assert (result.error.high - result.error.low) / 2 == pytest.approx(half_width, rel=0.02)
+    assert result.error.high * result.error.low == pytest.approx(ratio**2)
     # The worst node is 0.1 above the centralised filter, which is paired with it.
     assert result.excess == pytest.approx(1.1) and result.excess_half_width < 1e-9
 
