@@ -22,7 +22,7 @@ import numpy as np
 from concord.scenarios.types.option import Choice
 
 PLACEMENT = int | str | np.ndarray
-RULE = str | Choice | Callable[..., object]
+FUNCTION = str | Choice | Callable[..., object]
 if TYPE_CHECKING:
     import networkx
 
@@ -34,7 +34,7 @@ _CLASSES = {
     "ScenarioOptions": ("One value of each option.", "{}"),
     "SweptOptions": ("One value of each option, or several.", "Sequence[{0}] | np.ndarray | {0}"),
 }
-_OF_NAME = {"graph": "GRAPH", "placement": "PLACEMENT", "rule": "RULE"}
+_OF_NAME = {"graph": "GRAPH", "placement": "PLACEMENT", "rule": "FUNCTION", "bus": "FUNCTION"}
 
 
 def text() -> str:

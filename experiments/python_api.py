@@ -279,7 +279,7 @@ def _word(name: str, value: Any) -> Any:
                 f"it, such as {name}={value.name!r}, {type(value).__struct_fields__[0]}=[...]"
             )
         return value.name
-    if callable(value) and name == "rule":
+    if callable(value) and name in ("rule", "bus"):
         return kept_source(value).name
     return in_words({name: value})[name]
 

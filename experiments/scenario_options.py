@@ -50,9 +50,7 @@ class OfferedOption(NamedTuple):
             found.setdefault(choice, [])
             if name not in found[choice]:
                 found[choice].append(name)
-        if all(
-            len(names) == len(offered_options()[choice].names) for choice, names in found.items()
-        ):
+        if all({*offered_options()[choice].names} <= {*names} for choice, names in found.items()):
             return ""
         return "; ".join(f"--{choice} {', '.join(names)}" for choice, names in found.items())
 

@@ -24,8 +24,9 @@ from concord.bus.schedule import (
 )
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.scenario import Scenario
-from concord.scenarios.types.buses import FlexRay, arbiter_of, occupancy_of
+from concord.scenarios.types.buses import Ideal, SharedBus, UserBus, arbiter_of, occupancy_of
 from concord.scenarios.types.rules import latch_delay_of
+from concord.scenarios.user_bus import user_bus, user_frame_format
 from concord.scenarios.user_values import function_or, is_source_name, pinned, source_of
 from concord.topology.names import unknown_name
 
@@ -94,12 +95,15 @@ def plan_bus(scenario: Scenario, share_bytes: int, neighbours: Neighbours = ()) 
         ValueError: unknown names, unreadable files, or a cluster that does not hold the schedule.
     """
     schedule, chosen = build_schedule(scenario, neighbours), scenario.bus
-    if not isinstance(chosen, FlexRay):
+    if isinstance(chosen, Ideal):
         _check_timeless(schedule)
         return TimelessBus(schedule, share_bytes)
+    arbiter = _arbiter(arbiter_of(chosen.schedule))
+    if isinstance(chosen, UserBus):
+        _check_no_relay(schedule, chosen)
+        return user_bus(chosen, schedule, share_bytes, arbiter)
     cluster = _cluster(chosen.cluster, schedule, share_bytes)
     latch_us = latch_delay_of(scenario.rule) or 0.0
-    arbiter = _arbiter(arbiter_of(chosen.schedule))
     return flexray_bus(schedule, cluster, share_bytes, arbiter, latch_us)
 
 
@@ -126,7 +130,8 @@ def _arbiter(name: str) -> Arbiter:
 
 def frame_format(scenario: Scenario) -> FrameFormat:
     """Return how the frames of a scenario's bus carry shares."""
-    return SHARE_FRAMES
+    chosen = scenario.bus
+    return user_frame_format(chosen) if isinstance(chosen, UserBus) else SHARE_FRAMES
 
 
 def _check_timeless(schedule: Schedule) -> None:
@@ -135,15 +140,19 @@ def _check_timeless(schedule: Schedule) -> None:
     Raises:
         ValueError: naming the options and the cure.
     """
-    if schedule.relay:
-        raise ValueError(
-            "--relay --bus ideal: whether a host can latch a frame at its slot depends "
-            "on the time between frames; use --bus flexray, or leave --relay out"
-        )
+    _check_no_relay(schedule, Ideal())
     if any(schedule.dynamic_slot_table):
         raise ValueError(
             "--bus ideal: the arbiter of a dynamic segment needs minislots; use --bus flexray, "
             "or --schedule full or round-robin"
+        )
+
+
+def _check_no_relay(schedule: Schedule, bus: SharedBus) -> None:
+    if schedule.relay:
+        raise ValueError(
+            f"--relay --bus {bus.name}: whether a host can latch a frame at its slot depends "
+            "on the time between frames; use --bus flexray, or leave --relay out"
         )
 
 

@@ -11,7 +11,7 @@ from concord.nodes.bounds import MAX_ROUNDS
 from concord.nodes.changes import Settings
 from concord.nodes.faults.active import Equipment
 from concord.nodes.messages import to_wire
-from concord.scenarios.bus_plan import plan_bus, with_pinned_arbiter
+from concord.scenarios.bus_plan import build_schedule, plan_bus, with_pinned_arbiter
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.equipment import equipment_of
 from concord.scenarios.links import losses_of, network_of
@@ -21,8 +21,9 @@ from concord.scenarios.script import check_script
 from concord.scenarios.setup import Setup
 from concord.scenarios.streams import generator
 from concord.scenarios.types.assignment import check_ranges, refuse_left
-from concord.scenarios.types.buses import stretch_of
+from concord.scenarios.types.buses import UserBus, stretch_of
 from concord.scenarios.types.filters import UnscentedFilter
+from concord.scenarios.user_bus import check_user_bus
 from concord.scenarios.user_values import is_source_name, source_of, value_of
 from concord.topology.names import unknown_name
 
@@ -113,6 +114,9 @@ def check_network(setup: Setup) -> None:
         _check_filter(scenario)
         check_rule(scenario, setup.neighbours, from_per_node(setup.weights, setup.neighbours))
     bus = plan_bus(scenario, share_bytes(setup), setup.neighbours)
+    if isinstance(scenario.bus, UserBus):
+        schedule = build_schedule(scenario, setup.neighbours)
+        check_user_bus(scenario.bus, bus, schedule, share_bytes(setup))
     bus.check_pace(scenario.rounds, setup.time_step_s, stretch_of(scenario.bus))
 
 

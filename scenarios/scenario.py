@@ -35,7 +35,9 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         Option("Consensus iterations per step, one communication cycle each.", group="rule",
                at_least=1, is_setting=True),
     ] = 3  # fmt: skip
-    bus: Annotated[BusChoice, Option("Bus that the nodes share.", group="bus")] = FlexRay()
+    bus: Annotated[
+        BusChoice, Option("Bus that the nodes share; FILE.py:NAME is your own.", group="bus")
+    ] = FlexRay()
     filter: Annotated[FilterChoice, Option("Filter of the nodes.", group="filter")] = (
         UnscentedFilter()
     )

@@ -94,6 +94,13 @@ def kept_source(value: object) -> ValueSource:
     return ValueSource(key)
 
 
+def builder_source(asked: object) -> ValueSource | None:
+    """Return the source of a function or class, given as such or by its name; None of others."""
+    if callable(asked):
+        return kept_source(asked)
+    return source_of(str(asked)) if is_source_name(asked) else None
+
+
 def named_source(source: ValueSource, is_it: Callable[[object], bool]) -> ValueSource:
     """Return where a file has an object of this session at its top; a source that is in a file
     already stays as it is.

@@ -2,16 +2,20 @@
 
 from collections.abc import Sequence
 from functools import cache, lru_cache
+from typing import TypeVar
 
 import msgspec
 
 from concord.plants.own_plant import OwnPlant, OwnSensor, OwnTruth, require_sensors
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
+from concord.scenarios.types.buses import UserBus
 from concord.scenarios.types.network import SensorNetwork
 from concord.scenarios.types.plants import UserPlant
 from concord.scenarios.types.rules import UserRule
 from concord.scenarios.user_values import ValueSource, kept_source, named_source, value_of
+
+FunctionChoice = TypeVar("FunctionChoice", UserRule, UserBus)
 
 
 def own_scenario(
@@ -74,13 +78,13 @@ def own_scenario(
 
 
 def portable(scenario: Scenario) -> Scenario:
-    """The scenario with its own plant and rule by their names in files, so that other processes
-    find them; unchanged where they have such names.
+    """The scenario with its own plant, rule and bus by their names in files, so that other
+    processes find them; unchanged where they have such names.
 
     Raises:
         ValueError: only this session has them.
     """
-    plant, rule = scenario.plant, scenario.rule
+    plant, rule, bus = scenario.plant, scenario.rule, scenario.bus
     if isinstance(plant, UserPlant):
         plant = UserPlant.of(
             named_source(
@@ -89,10 +93,16 @@ def portable(scenario: Scenario) -> Scenario:
             )
         )
     if isinstance(rule, UserRule):
-        kept = value_of(rule.where)
-        source = named_source(rule.where, lambda value: value is kept)
-        rule = msgspec.structs.replace(rule, source=source.name, digest=source.digest)
-    return msgspec.structs.replace(scenario, plant=plant, rule=rule)
+        rule = _in_a_file(rule)
+    if isinstance(bus, UserBus):
+        bus = _in_a_file(bus)
+    return msgspec.structs.replace(scenario, plant=plant, rule=rule, bus=bus)
+
+
+def _in_a_file(choice: FunctionChoice) -> FunctionChoice:
+    kept = value_of(choice.where)
+    source = named_source(choice.where, lambda value: value is kept)
+    return msgspec.structs.replace(choice, source=source.name, digest=source.digest)
 
 
 @lru_cache

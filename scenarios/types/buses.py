@@ -2,7 +2,8 @@
 
 from typing import Annotated
 
-from concord.scenarios.types.option import Choice, Option
+from concord.scenarios.types.option import USER, Choice, Option
+from concord.scenarios.user_values import FromFile, builder_source
 
 
 class BusSchedule(Choice, frozen=True, kw_only=True):
@@ -74,6 +75,9 @@ ScheduleChoice = (
     | SilentSchedule
 )
 TimelessSchedule = FullSchedule | RoundRobinSchedule
+STRETCH = Option(
+    "Stretch the plant's sampling time by this factor to hold the bus cycles.", at_least=1
+)
 SCHEDULE = Option("Schedule: which nodes may publish in a cycle.", group="bus", is_setting=True)
 
 
@@ -90,11 +94,7 @@ class FlexRay(SharedBus, frozen=True, kw_only=True, tag="flexray"):
         Option("FlexRay cluster: fitted (the shortest cycle that holds the schedule), fitted-ab "
                "(on both channels), a preset (audi, bosch, ...), a TOML or a FIBEX file."),
     ] = "fitted"  # fmt: skip
-    stretch: Annotated[
-        float,
-        Option("Stretch the plant's sampling time by this factor to hold the bus cycles.",
-               at_least=1),
-    ] = 1.0  # fmt: skip
+    stretch: Annotated[float, STRETCH] = 1.0
 
 
 class Ideal(SharedBus, frozen=True, kw_only=True, tag="ideal"):
@@ -103,7 +103,22 @@ class Ideal(SharedBus, frozen=True, kw_only=True, tag="ideal"):
     schedule: Annotated[TimelessSchedule, SCHEDULE] = FullSchedule()
 
 
-BusChoice = FlexRay | Ideal
+class UserBus(FromFile, SharedBus, frozen=True, kw_only=True, tag=USER):
+    """A bus of your own, from a Python file: `build(schedule, share_bytes, arbiter) -> Bus`."""
+
+    source: str = ""
+    digest: str = ""
+    schedule: Annotated[ScheduleChoice, SCHEDULE] = FullSchedule()
+    stretch: Annotated[float, STRETCH] = 1.0
+
+    @classmethod
+    def made_of(cls, asked: object) -> "UserBus | None":
+        """A bus by the name of its file, or as the function or class that builds it."""
+        found = builder_source(asked)
+        return found and cls(source=found.name, digest=found.digest)
+
+
+BusChoice = FlexRay | Ideal | UserBus
 
 
 def occupancy_of(schedule: BusSchedule) -> float:
@@ -118,7 +133,7 @@ def arbiter_of(schedule: BusSchedule) -> str:
 
 def stretch_of(bus: SharedBus) -> float:
     """The factor by which the plant's sampling time is stretched; 1 on a bus without time."""
-    return bus.stretch if isinstance(bus, FlexRay) else 1.0
+    return bus.stretch if isinstance(bus, FlexRay | UserBus) else 1.0
 
 
 def trigger_of(schedule: BusSchedule) -> float:

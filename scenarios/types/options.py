@@ -11,7 +11,7 @@ import numpy as np
 from concord.scenarios.types.option import Choice
 
 PLACEMENT = int | str | np.ndarray
-RULE = str | Choice | Callable[..., object]
+FUNCTION = str | Choice | Callable[..., object]
 if TYPE_CHECKING:
     import networkx
 
@@ -40,7 +40,7 @@ class ScenarioOptions(TypedDict, total=False):
     weights: str
     links: str
     loss: float
-    rule: RULE
+    rule: FUNCTION
     number: NUMBER
     hold: str | Choice
     decay: float
@@ -54,7 +54,7 @@ class ScenarioOptions(TypedDict, total=False):
     relay: bool
     latch_delay_us: float
     rounds: int
-    bus: str | Choice
+    bus: FUNCTION
     schedule: str | Choice
     occupancy: float
     arbiter: str
@@ -85,7 +85,7 @@ class SweptOptions(TypedDict, total=False):
     weights: Sequence[str] | np.ndarray | str
     links: Sequence[str] | np.ndarray | str
     loss: Sequence[float] | np.ndarray | float
-    rule: Sequence[RULE] | np.ndarray | RULE
+    rule: Sequence[FUNCTION] | np.ndarray | FUNCTION
     number: Sequence[NUMBER] | np.ndarray | NUMBER
     hold: Sequence[str | Choice] | np.ndarray | str | Choice
     decay: Sequence[float] | np.ndarray | float
@@ -99,7 +99,7 @@ class SweptOptions(TypedDict, total=False):
     relay: Sequence[bool] | np.ndarray | bool
     latch_delay_us: Sequence[float] | np.ndarray | float
     rounds: Sequence[int] | np.ndarray | int
-    bus: Sequence[str | Choice] | np.ndarray | str | Choice
+    bus: Sequence[FUNCTION] | np.ndarray | FUNCTION
     schedule: Sequence[str | Choice] | np.ndarray | str | Choice
     occupancy: Sequence[float] | np.ndarray | float
     arbiter: Sequence[str] | np.ndarray | str

@@ -14,7 +14,7 @@ from concord.scenarios.types.holds import (
     ZeroOrder,
 )
 from concord.scenarios.types.option import USER, Choice, Option, name_of
-from concord.scenarios.user_values import FromFile, is_source_name, kept_source, source_of
+from concord.scenarios.user_values import FromFile, builder_source
 
 Number = Literal["float64", "float32"]
 HOLD = Option("Use of the last share of a silent neighbour.", group="rule", is_setting=True)
@@ -147,10 +147,8 @@ class UserRule(FromFile, AverageRule, frozen=True, kw_only=True, tag=USER):
     @classmethod
     def made_of(cls, asked: object) -> "UserRule | None":
         """A rule by the name of its file, or as a function."""
-        if not callable(asked) and not is_source_name(asked):
-            return None
-        source = kept_source(asked) if callable(asked) else source_of(str(asked))
-        return cls(source=source.name, digest=source.digest)
+        found = builder_source(asked)
+        return found and cls(source=found.name, digest=found.digest)
 
 
 RuleChoice = (
