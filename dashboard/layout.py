@@ -37,7 +37,7 @@ def lay_out(server: viser.ViserServer, states_first: bool) -> Panels:
     nodes = lower.add_tab("Nodes", icon.TABLE)
     selected = lower.add_tab("Selected", icon.FOCUS_2)
     bus_panel, zoom_panel = gui.add_panel(), gui.add_panel()
-    bus = bus_panel.add_tab("FlexRay bus", icon.TIMELINE)
+    bus = bus_panel.add_tab("Bus", icon.TIMELINE)
     corner = {"States": icon.WAVE_SINE, "Beliefs": icon.ZOOM_IN}
     order = sorted(corner, reverse=states_first)
     tabs = {name: zoom_panel.add_tab(name, corner[name]) for name in order}
