@@ -1,5 +1,6 @@
 """A bus of the user's own: that of the page, the bus without time again, and broken ones."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,9 @@ from concord.bus.bus import Bus
 from concord.bus.flexray.share_frames import SHARE_FRAMES
 from concord.bus.ideal import TimelessBus
 from concord.bus.schedule import round_robin
+from concord.dashboard.frames.stage import set_stage
+from concord.dashboard.panels.timeline import TimelineView
+from concord.dashboard.theme import DARK
 from concord.experiments.agreement import agreement
 from concord.experiments.monte_carlo.simulate import simulate
 from concord.experiments.results.bus_report import capture
@@ -22,6 +26,7 @@ from concord.scenarios.definitions.own import portable
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.tempo import tempo_of
+from tests.dashboard.runs import frames_of
 from tests.pages import ROOT, blocks
 
 PAGE = (ROOT / "docs" / "own_plant.md").read_text(encoding="utf-8")
@@ -58,6 +63,23 @@ def test_the_times_of_the_page_follow_from_its_bit_rate(serial: str):
     with pytest.raises(ValueError, match=r"cycles of .* exceed a step; use --stretch"):
         prepare(network(serial, rounds=200))
     prepare(network(serial, rounds=200, stretch=10))
+
+
+def test_the_dashboard_draws_it_to_scale(serial: str):
+    setup = prepare(network(serial, schedule="hybrid", occupancy=0.4))
+    stage = set_stage(setup)
+    frame = frames_of(stage, in_memory(setup))[-1]
+    cycle = frame.cycles[-1]
+    drawn = TimelineView(stage).draw(DARK, frame, [cycle], cycle, 0.0, None)
+    boxes = re.findall(r'data-node="(\d+)".*?<rect x="([\d.]+)" y="[\d.]+" width="([\d.]+)"', drawn)
+    assert {int(node) for node, *_ in boxes} == {one.node for one in cycle.frames}
+    scale = {
+        float(width) / (one.end_us - one.start_us)
+        for one in cycle.frames
+        for node, _, width in boxes
+        if int(node) == one.node
+    }
+    assert max(scale) == pytest.approx(min(scale), rel=0.02)
 
 
 @pytest.mark.zenoh
