@@ -8,7 +8,7 @@ import numpy as np
 
 from concord.experiments.compare.entries import Entry
 from concord.experiments.compare.run import TAKEN, Figures
-from concord.experiments.monte_carlo.intervals import Interval, mean_t, ratio_t
+from concord.experiments.monte_carlo.intervals import Interval, positive_mean_t, ratio_t
 from concord.experiments.monte_carlo.run_figures import FIGURES
 from concord.experiments.results.folder import commit, versions
 from concord.scenarios.catalogue import definition_named
@@ -129,8 +129,8 @@ def _case(part: "xarray.Dataset") -> CaseFigures:
         error = ratio_t(np.square(one["rmse"]), central)
         found.append(
             RuleFigures(
-                rule, error, mean_t(one["anees"]), mean_t(one["bytes_per_step"]),
-                mean_t(one["wire_us"]), float(one["node_us"]),
+                rule, error, positive_mean_t(one["anees"]), positive_mean_t(one["bytes_per_step"]),
+                positive_mean_t(one["wire_us"]), float(one["node_us"]),
                 float(one["node_us"] / cheapest), str(one["reason"]),
             )
         )  # fmt: skip
