@@ -18,7 +18,7 @@ from concord.experiments.design.candidates import Cost
 from concord.experiments.design.results import Design, design_of
 from concord.experiments.design.search import SearchTask, search
 from concord.experiments.design.space import placements_of, space_of
-from concord.experiments.design.target import parse_target
+from concord.experiments.design.target import BusLimits, parse_target
 from concord.experiments.launching import launched
 from concord.experiments.memory import check_memory
 from concord.experiments.monte_carlo.run_many import histories_dataset
@@ -209,7 +209,9 @@ def design(
     target_rmse: str,
     scenario: Scenario | str | Sequence[str] = "target-tracking",
     *,
-    minimise: Cost = "occupancy",
+    minimise: Cost = "bytes",
+    latency_ms: float | None = None,
+    load: float | None = None,
     runs: int = 100,
     workers: int = 1,
     **options: Unpack[SweptOptions],
@@ -219,14 +221,15 @@ def design(
     Raises:
         ValueError: a target that is none, or no candidate that can run.
     """
-    target = parse_target(target_rmse)
+    target, limits = parse_target(target_rmse), BusLimits(latency_ms, load)
+    limits.check()
     specification = _specification(scenario, options, runs, None, workers == 1)
     settled, space = space_of(specification)
     engine = engine_for(workers, None)
     placements = placements_of(specification)
     task = SearchTask(
         target, minimise, settled, space, runs, engine, workers_here(workers), lambda _: None,
-        placements=placements,
+        placements=placements, limits=limits,
     )  # fmt: skip
     return design_of(task, search(task, [], []), True)
 

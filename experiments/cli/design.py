@@ -5,7 +5,7 @@ import time
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import msgspec
 import tyro
@@ -15,11 +15,10 @@ from rich.table import Table
 
 from concord.experiments.cli.scenario_flags import said_in
 from concord.experiments.cli.sweep import FILE_WIDTH
-from concord.experiments.design.candidates import COST_UNITS, Candidate, RefusedCandidate
+from concord.experiments.design.candidates import COSTS, Candidate, Cost, RefusedCandidate
 from concord.experiments.design.results import (
     Attempt,
     Design,
-    Tried,
     check_place,
     command_for,
     design_of,
@@ -28,7 +27,7 @@ from concord.experiments.design.results import (
 )
 from concord.experiments.design.search import Found, SearchTask, search
 from concord.experiments.design.space import placements_of, space_of
-from concord.experiments.design.target import parse_target
+from concord.experiments.design.target import BusLimits, parse_target
 from concord.experiments.few_samples import few_runs, few_steps
 from concord.experiments.progress import progress
 from concord.experiments.scenario_options import scenario_with_known
@@ -45,8 +44,13 @@ class DesignOptions:
 
     target_rmse: str
     """Error to be met: 1.5x-centralised, 2x-bound, or a number in the scenario's unit."""
-    minimise: Literal["occupancy", "bytes", "energy"] = "occupancy"
-    """Cost to minimise: nodes that publish per cycle, bytes per step, or energy per step."""
+    minimise: Cost = "bytes"
+    """Cost to minimise: bytes or microseconds of the bus per step, nodes that publish per cycle, or
+    energy per step."""
+    latency_ms: float | None = None
+    """Longest delay from a measurement to the end of the last share of its step."""
+    load: float | None = None
+    """Greatest share of a cycle in which the bus carries frames."""
     runs: int = 100
     """Fresh runs that confirm the recommended network."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
@@ -64,15 +68,17 @@ def design(
     output: Annotated[DesignOptions, tyro.conf.OmitArgPrefixes],
 ) -> None:
     """Find the cheapest network that meets an error target. Fields given are settled, or are looked
-    for among the given values; graph, rule, weights, rounds, occupancy and schedule are open. The
-    network must bear all placements given: runs take one after the other."""
+    for among the given values; graph, rule, weights, rounds, occupancy, schedule, formats of
+    numbers and relay are open. The network must bear all placements given: runs take one after the
+    other."""
     out = output.out or Path("runs") / f"design-{time.strftime('%Y%m%d-%H%M%S')}.json"
     with user_errors():
         if out.exists():
             raise ValueError(f"--out {out}: exists and is never written over; choose another name")
         if output.runs < 2:
             raise ValueError(f"--runs {output.runs}: an interval needs at least 2")
-        target = parse_target(output.target_rmse)
+        target, limits = parse_target(output.target_rmse), BusLimits(output.latency_ms, output.load)
+        limits.check()
         specification = specify(said_in(fields))
         settled, space = space_of(specification)
         engine = engine_for(output.workers, output.dask)
@@ -84,7 +90,7 @@ def design(
         task = SearchTask(
             target, output.minimise, settled, space, output.runs, engine,
             workers_here(output.workers, output.dask), _say, shown_briefly,
-            placements_of(specification),
+            placements_of(specification), limits,
         )  # fmt: skip
     kept: list[Candidate] = []
     refused: list[RefusedCandidate] = []
@@ -135,28 +141,28 @@ def _show(result: Design, options: DesignOptions, out: Path, seconds: float) -> 
 def table(result: Design) -> Table:
     """Return the front: what no other candidate beats, the cheapest first."""
     grid = Table(
-        title=f"front: {COST_UNITS[result.minimise]} against error, of {len(result.tried)} "
+        title=f"front: {COSTS[result.minimise].meaning} against error, of {len(result.tried)} "
         "candidates; ± half of the 95 % interval",
         title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0),
     )  # fmt: skip
     line = sorted((one for one in result.tried if one.front), key=lambda one: -one.error.value)
-    fields = list(line[0].values) if line else []
+    fields = list(dict.fromkeys(field for one in line for field in one.values))
     for field in fields:
         grid.add_column(field)
     unit = result.unit if result.target.reference == "unit" else f"x {result.target.reference}"
-    for heading in (f"RMSE {unit}", "ANEES", "published", "B/step", "mJ/step", "runs"):
+    costs = dict.fromkeys(("bytes", result.minimise))
+    for heading in (f"RMSE {unit}", "ANEES", *(COSTS[cost].heading for cost in costs), "runs"):
         grid.add_column(heading, justify="right")
     for one in line:
-        grid.add_row(*(shown(one.values[field]) for field in fields), *_figures(one))
+        chosen = (_brief(one.values.get(field, "-")) for field in fields)
+        spent = (f"{one.costs[cost]:.3g}" for cost in costs)
+        error = f"{one.error.value:.3g} {one.error.spread()}"
+        grid.add_row(*chosen, error, f"{one.anees.value:.2f}", *spent, str(one.runs))
     return grid
 
 
-def _figures(one: Tried) -> tuple[str, ...]:
-    return (
-        f"{one.error.value:.3g} {one.error.spread()}", f"{one.anees.value:.2f}",
-        f"{one.occupancy:.3f}",
-        f"{one.bytes_per_step:.0f}", f"{one.energy_per_step_mj:.1f}", str(one.runs),
-    )  # fmt: skip
+def _brief(value: object) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else shown(value)
 
 
 def lines(result: Design) -> list[str]:
@@ -177,6 +183,8 @@ def lines(result: Design) -> list[str]:
             f"recommended for {target}, sparing {result.minimise}:",
             f"  {result.recommended.command}",
             *_spread(result.recommended),
+            *_age(result.recommended),
+            *(f"warning: {warning}" for warning in result.recommended.warnings),
             f"under another seed: {again}",
         ]
     best = nearest(result)
@@ -193,3 +201,13 @@ def _spread(attempt: Attempt) -> list[str]:
     errors = attempt.by_placement
     each = ", ".join(f"{one.placement}: {one.error.value:.3g}" for one in errors)
     return [f"by placement of the sensors: {each}"] if errors else []
+
+
+def _age(attempt: Attempt) -> list[str]:
+    """The age of information, with its bound."""
+    if attempt.age is None:
+        return []
+    bound, observed = attempt.age
+    return [
+        f"age of information: at most {bound} steps by schedule and graph; observed: {observed}"
+    ]

@@ -19,19 +19,26 @@ from concord.scenarios.catalogue import definition_of
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.assignment import refuse_left
 
-Cost = Literal["occupancy", "bytes", "energy"]
-_COSTS: dict[Cost, str] = {
-    "occupancy": "published",
-    "bytes": "bytes_per_step",
-    "energy": "energy_per_step",
-}
-COST_UNITS: dict[Cost, str] = {
-    "occupancy": "share of the nodes that publish per cycle",
-    "bytes": "bytes on the bus per step",
-    "energy": "mJ per step (first-order radio model)",
+Cost = Literal["bytes", "bus-time", "occupancy", "energy"]
+
+
+class CostFigure(NamedTuple):
+    """A cost: the figure of a run that it is the mean of, its heading, and its meaning."""
+
+    figure: str
+    heading: str
+    meaning: str
+
+
+COSTS: dict[Cost, CostFigure] = {
+    "bytes": CostFigure("bytes_per_step", "B/step", "bytes on the bus per step"),
+    "bus-time": CostFigure("bus_time_us", "us/step", "us of the bus per step"),
+    "occupancy": CostFigure("published", "published", "share of the nodes that publish per cycle"),
+    "energy": CostFigure("energy_per_step", "mJ/step", "mJ per step (first-order radio model)"),
 }
 # The kept histories of a run suffice for errors, costs and consistency.
-_KEPT = ("rmse", "rmse_centralised", "anees", "bound_mean", *_COSTS.values())
+_KEPT = ("rmse", "rmse_centralised", "anees", "bound_mean", "bus_load", "delay_us",
+         *(cost.figure for cost in COSTS.values()))  # fmt: skip
 
 
 # Runs of a candidate that are computed at once: few enough that all cores have some.
@@ -51,7 +58,7 @@ class Candidate(NamedTuple):
 
     def cost(self, cost: Cost) -> tuple[float, float]:
         """Return the cost to minimise, then bytes, which decide between equal candidates."""
-        spared, sent = (self.figures[name].mean() for name in (_COSTS[cost], "bytes_per_step"))
+        spared, sent = (self.figures[COSTS[one].figure].mean() for one in (cost, "bytes"))
         return float(spared), float(sent)
 
     def error(self, target: DesignTarget, confidence: float) -> Interval:

@@ -4,19 +4,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from concord.experiments.design.candidates import COST_UNITS
+from concord.experiments.design.candidates import COSTS
 from concord.experiments.design.results import Design, Tried
 from concord.experiments.results.palette import GREY, plain_numbers, styles
 from concord.experiments.sweep.specification import shown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-_PRICE = {
-    "occupancy": lambda one: one.occupancy,
-    "bytes": lambda one: one.bytes_per_step,
-    "energy": lambda one: one.energy_per_step_mj,
-}
 
 
 def design_figures(design: Design) -> "dict[str, Figure]":
@@ -30,7 +24,9 @@ def design_figures(design: Design) -> "dict[str, Figure]":
 def _front(design: Design, cost: Any) -> "Figure":
     import matplotlib.pyplot as plt
 
-    price = _PRICE[cost]
+    def price(one: Tried) -> float:
+        return one.costs[cost]
+
     figure, axes = plt.subplots(figsize=(7.2, 4.8), layout="constrained")
     colour = next((f for f in ("rule", "graph") if f in design.tried[0].values), None)
     marker = "graph" if colour == "rule" and "graph" in design.tried[0].values else None
@@ -52,7 +48,7 @@ def _front(design: Design, cost: Any) -> "Figure":
                       color=style.colour if pick == "colour" else GREY,
                       marker="o" if pick == "colour" else style.marker)  # fmt: skip
     unit = design.unit if design.target.reference == "unit" else f"x {design.target.reference}"
-    axes.set(xlabel=COST_UNITS[cost], ylabel=f"RMSE, {unit}", xscale="log", yscale="log")
+    axes.set(xlabel=COSTS[cost].meaning, ylabel=f"RMSE, {unit}", xscale="log", yscale="log")
     plain_numbers(axes.xaxis)
     plain_numbers(axes.yaxis)
     nodes = f", {design.settled['nodes']} nodes" if "nodes" in design.settled else ""

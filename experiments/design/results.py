@@ -6,15 +6,18 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from concord.experiments.design.candidates import Candidate, Cost, RefusedCandidate
+from concord.experiments.design.candidates import COSTS, Candidate, Cost, RefusedCandidate
+from concord.experiments.design.information_age import InformationAge, information_age
 from concord.experiments.design.search import Confirmed, Found, SearchTask, on_front
 from concord.experiments.design.space import Values
 from concord.experiments.design.target import DesignTarget, error_of
 from concord.experiments.monte_carlo.intervals import Interval, positive_mean_t
 from concord.experiments.results.folder import commit, versions
-from concord.experiments.sweep.specification import FIELDS, shown
+from concord.experiments.sweep.specification import FIELDS, Value, shown
 from concord.runtime.disk import writing
 from concord.scenarios.catalogue import definition_of
+from concord.scenarios.preparation import prepare
+from concord.scenarios.warnings import warnings_of
 
 
 class Tried(msgspec.Struct, frozen=True):
@@ -28,9 +31,7 @@ class Tried(msgspec.Struct, frozen=True):
     runs: int
     error: Interval
     anees: Interval
-    occupancy: float
-    bytes_per_step: float
-    energy_per_step_mj: float
+    costs: dict[Cost, float]
     front: bool
 
 
@@ -43,7 +44,8 @@ class PlacementError(msgspec.Struct, frozen=True):
 
 class Attempt(msgspec.Struct, frozen=True):
     """A candidate on `runs` fresh runs: `meets` if the upper bound, at `confidence`, is within;
-    `by_placement` where several placements were asked for."""
+    `by_placement` where several placements were asked for; `warnings` as before a run; `age` of
+    information where it is known."""
 
     values: Values
     runs: int
@@ -52,6 +54,8 @@ class Attempt(msgspec.Struct, frozen=True):
     meets: bool
     command: str
     by_placement: list[PlacementError] = []
+    warnings: list[str] = []
+    age: InformationAge | None = None
 
 
 class Design(msgspec.Struct, frozen=True, kw_only=True):
@@ -150,10 +154,15 @@ def read_design(path: Path) -> Design:
 
 def command_for(verb: str, values: Values, more: Sequence[str] = ()) -> str:
     """Return the command that runs these fields."""
-    options = [
-        f"--{field.replace('_', '-')} {shown(values[field])}" for field in FIELDS if field in values
-    ]
+    options = [_option(verb, field, values[field]) for field in FIELDS if field in values]
     return " ".join([f"concord {verb}", *options, *more])
+
+
+def _option(verb: str, field: str, value: Value) -> str:
+    name = field.replace("_", "-")
+    if verb == "run" and isinstance(value, bool):
+        return f"--{name}" if value else f"--no-{name}"
+    return f"--{name} {str(value).lower() if isinstance(value, bool) else shown(value)}"
 
 
 def nearest(design: Design) -> Tried:
@@ -167,15 +176,14 @@ def _tried(one: Candidate, target: DesignTarget, front: bool) -> Tried:
         runs=one.runs,
         error=one.error(target, 0.95),
         anees=positive_mean_t(one.figures["anees"]),
-        occupancy=one.cost("occupancy")[0],
-        bytes_per_step=one.cost("bytes")[0],
-        energy_per_step_mj=one.cost("energy")[0],
+        costs={cost: one.cost(cost)[0] for cost in COSTS},
         front=front,
     )
 
 
 def _attempt(task: SearchTask, one: Confirmed) -> Attempt:
     values = {**task.settled, **one.candidate.cell.values}
+    scenario = one.candidate.cell.scenario
     return Attempt(
         values=one.candidate.cell.values,
         runs=one.candidate.runs,
@@ -184,6 +192,8 @@ def _attempt(task: SearchTask, one: Confirmed) -> Attempt:
         meets=one.meets,
         command=command_for("run", values),
         by_placement=_by_placement(task, one.candidate),
+        warnings=list(warnings_of(prepare(scenario))),
+        age=information_age(scenario) if one.meets else None,
     )
 
 

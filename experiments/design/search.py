@@ -21,7 +21,7 @@ from concord.experiments.design.candidates import (
     with_runs,
 )
 from concord.experiments.design.space import Values, coarse_grid, neighbours_of
-from concord.experiments.design.target import DesignTarget
+from concord.experiments.design.target import BusLimits, DesignTarget
 from concord.experiments.monte_carlo.intervals import Interval
 from concord.experiments.monte_carlo.pareto import front
 from concord.experiments.sweep.specification import Value
@@ -38,7 +38,7 @@ FRESH_RUN = 100_000
 
 
 class SearchTask(NamedTuple):
-    """Task of a search: target, space, engine and its worker processes on this machine.
+    """Task of a search: target, limits, space, engine and its worker processes on this machine.
 
     `placements` of sensors are those that the network must bear: runs take one after the other.
     `say` receives the progress messages; `progress` shows how far the runs of a title are, of so
@@ -57,6 +57,7 @@ class SearchTask(NamedTuple):
         lambda _title, _total: nullcontext(lambda _done: None)
     )
     placements: tuple[Value, ...] = ()
+    limits: BusLimits = BusLimits()
 
 
 class Confirmed(NamedTuple):
@@ -87,7 +88,7 @@ def search(task: SearchTask, kept: list[Candidate], refused: list[RefusedCandida
     Raises:
         ValueError: none of the candidates can run.
     """
-    _look(task, coarse_grid(task.space), kept, refused)
+    _look(task, coarse_grid(task.settled, task.space), kept, refused)
     if not kept:
         raise ValueError(f"none of the candidates can run; the first: {refused[0].reason}")
     for _ in range(LOOKS_CLOSER):
@@ -95,7 +96,7 @@ def search(task: SearchTask, kept: list[Candidate], refused: list[RefusedCandida
         near = [
             values
             for centre in _centres(task, kept)
-            for values in neighbours_of(centre.cell.values, task.space)
+            for values in neighbours_of(task.settled, centre.cell.values, task.space)
         ]
         new: list[Values] = []
         for values in near:
@@ -130,7 +131,14 @@ def _look(
     new, bad = candidates_of(task.settled, wanted, len(kept) + len(refused), task.workers)
     refused += bad
     task.say(f"{len(new)} candidates, {LOOK_RUNS} runs each")
-    kept += _with_runs(task, new, LOOK_RUNS)
+    for one in _with_runs(task, new, LOOK_RUNS):
+        if (excess := task.limits.excess(one.figures)) is not None:
+            refused.append(RefusedCandidate(one.cell.values, excess))
+        elif np.isnan(one.cost(task.cost)[0]):
+            why = f"--minimise {task.cost}: a bus without time has none; choose --minimise bytes"
+            refused.append(RefusedCandidate(one.cell.values, why))
+        else:
+            kept.append(one)
 
 
 def _with_runs(
@@ -204,7 +212,7 @@ def _confirm(task: SearchTask, finalists: Sequence[Candidate]) -> list[Confirmed
         fresh = _with_runs(task, [one._replace(figures={})], task.confirm_runs, FRESH_RUN)[0]
         # A two-sided interval that leaves out `risk` above.
         error = fresh.error(task.target, 1 - 2 * risk)
-        meets = error.high <= task.target.most
+        meets = error.high <= task.target.most and task.limits.excess(fresh.figures) is None
         tried.append(Confirmed(fresh, error, 1 - risk, meets))
         if meets:
             break

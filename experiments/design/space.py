@@ -15,20 +15,24 @@ from concord.bus.schedule import publishers_per_cycle
 from concord.experiments.scenario_options import scenario_with_known
 from concord.experiments.sweep.specification import Specification, Value
 from concord.scenarios.catalogue import definition_of
+from concord.scenarios.rules import rule_of
 
 Values = dict[str, Value]
 # Sensors stand somewhere whatever is designed: several placements are borne and not chosen from.
 PLACEMENT = "placement"
 
 # Fields that are open unless the user says otherwise. Rules that are overconfident or may diverge
-# are not offered unasked; neither are those that only a message-by-message run can show.
+# are not offered unasked.
 OPEN: dict[str, tuple[Value, ...]] = {
     "graph": ("ring", "4-regular", "small-world", "complete"),
-    "rule": ("ci", "hcmci"),
+    "rule": ("ci", "hcmci", "labelled"),
     "weights": ("metropolis", "best-constant"),
     "rounds": (1, 2, 3, 5),
     "occupancy": (),
     "schedule": ("hybrid", "dynamic", "round-robin"),
+    "number": ("float32", "float64"),
+    "record_number": ("int16", "float32"),
+    "relay": (False, True),
 }
 # An open occupancy has at most so many values: all S / N of a small network, and of a larger one
 # numbers of publishers in equal ratios.
@@ -38,7 +42,10 @@ MOST_OCCUPANCIES = 10
 COARSE: dict[str, tuple[Value, ...]] = {
     "weights": ("metropolis",),
     "rounds": (1, 3),
-    "schedule": ("hybrid",),
+    "schedule": ("dynamic",),
+    "number": ("float32",),
+    "record_number": ("int16",),
+    "relay": (False,),
 }
 _ORDERED = ("rounds", "occupancy")
 
@@ -103,7 +110,15 @@ def tidy(values: Values) -> Values:
     return values
 
 
-def coarse_grid(space: Mapping[str, Sequence[Value]]) -> list[Values]:
+def relevant(settled: Values, values: Values) -> Values:
+    """Return the fields of a candidate that change something: its rule and its bus have them."""
+    asked: dict[str, Any] = {**settled, **tidy(values)}
+    scenario, left = scenario_with_known(**asked)
+    unused = {*left} if rule_of(scenario).weighted else {*left, "weights"}
+    return {name: value for name, value in tidy(values).items() if name not in unused}
+
+
+def coarse_grid(settled: Values, space: Mapping[str, Sequence[Value]]) -> list[Values]:
     """Return the candidates of the first look."""
     few = {
         field: [v for v in values if v in COARSE.get(field, values)] or list(values)[:2]
@@ -113,12 +128,16 @@ def coarse_grid(space: Mapping[str, Sequence[Value]]) -> list[Values]:
         shares = few["occupancy"]
         few["occupancy"] = [shares[0], shares[len(shares) // 2], shares[-1]]
     combinations = itertools.product(*few.values())
-    return _once(tidy(dict(zip(few, values, strict=True))) for values in combinations)
+    return _once(relevant(settled, dict(zip(few, values, strict=True))) for values in combinations)
 
 
-def neighbours_of(values: Values, space: Mapping[str, Sequence[Value]]) -> list[Values]:
+def neighbours_of(
+    settled: Values, values: Values, space: Mapping[str, Sequence[Value]]
+) -> list[Values]:
     """Candidates that differ in one field, by one step of a number or by any name; and those that
     trade rounds for occupancy, all the way."""
+    # A candidate has no values for options that another rule or bus has.
+    values = {**{field: levels[0] for field, levels in space.items()}, **values}
     near = []
     moves: list[Values] = [
         {field: other} for field, levels in space.items() for other in _near(field, values, levels)
@@ -135,8 +154,8 @@ def neighbours_of(values: Values, space: Mapping[str, Sequence[Value]]) -> list[
             # It leaves the full bus: any way to share it is as near.
             near += [{**moved, "schedule": way} for way in space.get("schedule", ("hybrid",))]
         else:
-            near.append(tidy(moved))
-    return _once(near)
+            near.append(moved)
+    return _once(relevant(settled, one) for one in near)
 
 
 def _near(field: str, values: Values, levels: Sequence[Value]) -> list[Value]:

@@ -2,7 +2,7 @@
 
 import math
 import re
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -53,6 +53,37 @@ def parse_target(text: str) -> DesignTarget:
             f"--target-rmse {text}: no network is better than its reference; ask for 1 or more"
         )
     return DesignTarget(most, reference)  # type: ignore[arg-type]
+
+
+class BusLimits(NamedTuple):
+    """The longest delay from a measurement to the end of the last share of its step, and the
+    greatest load of the bus; None does not limit."""
+
+    latency_ms: float | None = None
+    load: float | None = None
+
+    def check(self) -> None:
+        """Refuse limits that no network meets.
+
+        Raises:
+            ValueError: naming the limit, its value and the rule.
+        """
+        if self.latency_ms is not None and not self.latency_ms > 0:
+            raise ValueError(f"--latency-ms {self.latency_ms:g}: must be above 0")
+        if self.load is not None and not 0 < self.load <= 1:
+            raise ValueError(f"--load {self.load:g}: must be in (0, 1]")
+
+    def excess(self, figures: dict[str, np.ndarray]) -> str | None:
+        """Return the limit that a candidate breaks on the mean of its runs, in words."""
+        for limit, name, unit, scale in (
+            (self.latency_ms, "delay_us", "latency-ms", 1e-3),
+            (self.load, "bus_load", "load", 1.0),
+        ):
+            value = float(figures[name].mean()) * scale
+            if limit is not None and not value <= limit:
+                has = "a bus without time has none" if np.isnan(value) else f"it has {value:.3g}"
+                return f"--{unit} {limit:g}: {has}"
+        return None
 
 
 def error_of(target: DesignTarget, figures: dict[str, np.ndarray], confidence: float) -> Interval:

@@ -47,6 +47,7 @@ FIGURES = {
     "bytes_per_step": Figure(_RUN, "B", "bytes of all frames of a step, frame overhead included"),
     "energy_per_step": Figure(_RUN, "mJ", "first-order radio model, senders and hearers"),
     "bus_load": Figure(_RUN, "1", "share of a cycle in which the channel carries frames"),
+    "bus_time_us": Figure(_RUN, "us", "time of a step in which the channel carries frames"),
     "delay_us": Figure(_RUN, "us", "from the measurement to the end of the last share of a step"),
     "share_age": Figure(_RUN, "cycles", "mean age of the neighbours' shares behind an estimate"),
     "share_age_max": Figure(_RUN, "cycles", "the oldest of them"),
@@ -145,12 +146,13 @@ def traffic_of(setup: Setup, histories: Histories) -> dict[str, np.ndarray]:
     plant = definition_of(setup.scenario).plant(setup.scenario)
     energy_nj = energy_per_bit_nj(setup.neighbours, plant.positions(0))
     heard = kept(histories)[1].reshape(len(payload), -1)
-    load, delay_us = _bus(setup, payload)
+    load, bus_time_us, delay_us = _bus(setup, payload)
     return {
         "published": (payload > 0).sum(axis=(1, 2, 3)) / (_cycles(setup) * payload.shape[-1]),
         "bytes_per_step": sent.sum(axis=2).mean(axis=1),
         "energy_per_step": (8 * sent * energy_nj).sum(axis=2).mean(axis=1) * 1e-6,
         "bus_load": load,
+        "bus_time_us": bus_time_us,
         "delay_us": delay_us,
         "share_age": mean_of_known(np.where(heard < 0, np.nan, heard), (1,)),
         "share_age_max": largest_of_known(np.where(heard < 0, np.nan, heard)),
@@ -168,12 +170,13 @@ def _cycles(setup: Setup) -> int:
     )
 
 
-def _bus(setup: Setup, payload: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean load (R,) and mean delay (R,); NaN on a bus without time, or of several settings."""
+def _bus(setup: Setup, payload: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Mean load (R,), mean time of frames per step (R,) and mean delay (R,); NaN on a bus without
+    time, or of several settings."""
     bus = build_bus(setup)
     runs, steps, rounds, nodes = payload.shape
     if not bus.has_time or any(change.anew for change in changes_of(setup)):
-        return np.full(runs, np.nan), np.full(runs, np.nan)
+        return np.full(runs, np.nan), np.full(runs, np.nan), np.full(runs, np.nan)
     cycles = np.arange(steps * rounds) % bus.schedule.period
     rows = np.column_stack((np.tile(cycles, runs), payload.reshape(-1, nodes)))
     # The same nodes in the same cycle of the schedule take the same time.
@@ -185,7 +188,8 @@ def _bus(setup: Setup, payload: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         delay_us[number] = bus.fusion_delay_us(rounds, frames)
     shape = (runs, steps, rounds)
     last = delay_us[which].reshape(shape)[:, :, -1]
-    return load[which].reshape(shape).mean(axis=(1, 2)), last.mean(axis=1)
+    mean_load = load[which].reshape(shape).mean(axis=(1, 2))
+    return mean_load, mean_load * bus.cycle_us * rounds, last.mean(axis=1)
 
 
 def _part(cov: np.ndarray, states: list[int]) -> np.ndarray:

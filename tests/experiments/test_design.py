@@ -21,7 +21,7 @@ from concord.experiments.design.space import (
     placements_of,
     space_of,
 )
-from concord.experiments.design.target import DesignTarget, error_of, parse_target
+from concord.experiments.design.target import BusLimits, DesignTarget, error_of, parse_target
 from concord.experiments.sweep.pieces import Piece
 from concord.experiments.sweep.specification import shown, specify
 from concord.scenarios.bus_plan import build_schedule
@@ -46,7 +46,9 @@ def landscape(noise: float = 0.05, luck: float = 0.0):
         occupancy = occupancy_of(schedule)
         ratio = 1 + 0.1 / occupancy / s.rounds
         ratio += {"ring": 0.3, "complete": 0.0}.get(graph, 0.2)
-        ratio += {"ci": 0.3, "hcmci": 0.0}[rule] + {"dynamic": 0.0}.get(schedule.name, 0.02)
+        ratio += {"ci": 0.3, "hcmci": 0.0, "labelled": 0.4}[rule] + {"dynamic": 0.0}.get(
+            schedule.name, 0.02
+        )
         if piece.first < FRESH_RUN:
             ratio *= 1 - luck
         common = np.array([1 + noise * np.random.default_rng(r).standard_normal() for r in runs])
@@ -64,6 +66,9 @@ def landscape(noise: float = 0.05, luck: float = 0.0):
             "published": np.full(len(runs), occupancy),
             "bytes_per_step": np.full(len(runs), sent),
             "energy_per_step": np.full(len(runs), sent * (3 if graph == "complete" else 1)),
+            "bus_load": np.full(len(runs), occupancy / 2),
+            "bus_time_us": np.full(len(runs), sent * 0.8),
+            "delay_us": np.full(len(runs), 1000.0 * s.rounds),
             "bound": np.full(s.steps, 0.5),
         }
 
@@ -148,20 +153,20 @@ def test_the_front_is_written_and_read_again(tmp_path: Path):
     write_design(design, tmp_path / "d.json")
     assert read_design(tmp_path / "d.json") == design
     line = sorted((one for one in design.tried if one.front), key=lambda one: one.error.value)
-    costs = [(one.occupancy, one.bytes_per_step) for one in line]
+    costs = [(one.costs["occupancy"], one.costs["bytes"]) for one in line]
     assert costs == sorted(costs, reverse=True)
     assert design.recommended is not None
     assert design.recommended.command.startswith("concord run --scenario oscillator --nodes 10")
 
 
 def test_every_value_can_be_reached_from_the_coarse_grid():
-    _, space = space_of(specify({"scenario": "oscillator"}))
+    settled, space = space_of(specify({"scenario": "oscillator"}))
     assert set(space) == set(OPEN)
-    reached = coarse_grid(space)
+    reached = coarse_grid(settled, space)
     for one in reached:
-        reached += [new for new in neighbours_of(one, space) if new not in reached]
+        reached += [new for new in neighbours_of(settled, one, space) if new not in reached]
     for field, values in space.items():
-        assert {one[field] for one in reached} >= set(values), field
+        assert {one[field] for one in reached if field in one} >= set(values), field
     assert all((one["occupancy"] == 1.0) == (one["schedule"] == "full") for one in reached)
 
 
@@ -181,9 +186,9 @@ OF_THE_README = {"scenario": "oscillator", "nodes": "5", "steps": "60", "graph":
 )
 def test_no_candidate_is_raced_twice(asked: dict[str, str], publishers: set[int]):
     settled, space = space_of(specify(asked))
-    reached = coarse_grid(space)
+    reached = coarse_grid(settled, space)
     for one in reached:
-        reached += [new for new in neighbours_of(one, space) if new not in reached]
+        reached += [new for new in neighbours_of(settled, one, space) if new not in reached]
     good, refused = candidates_of(settled, reached, 0, 1)
     assert good and not refused
     raced, sending = [], set()
@@ -269,7 +274,7 @@ def test_a_mistake_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str
 
 def test_a_design_bears_all_placements_and_says_the_error_of_each():
     """Run r has placement r modulo their number, however many runs a candidate grows by."""
-    taken: dict[tuple[bytes, int], list[int]] = {}
+    taken: dict[bytes, list[int]] = {}
 
     def engine(_function, pieces: Sequence[Piece]):
         for place in reversed(range(len(pieces))):
@@ -277,7 +282,7 @@ def test_a_design_bears_all_placements_and_says_the_error_of_each():
             scenario = msgspec.json.decode(piece.scenario, type=Scenario)
             runs = np.arange(piece.first, piece.last)
             placement = flat(scenario)["placement"]
-            taken.setdefault((scenario.rule.name.encode(), placement), []).extend(runs.tolist())
+            taken.setdefault(piece.scenario, []).extend(runs.tolist())
             yield (
                 place,
                 {
@@ -287,6 +292,9 @@ def test_a_design_bears_all_placements_and_says_the_error_of_each():
                     "published": np.ones(len(runs)),
                     "bytes_per_step": np.full(len(runs), 10.0 + (scenario.rule.name == "hcmci")),
                     "energy_per_step": np.ones(len(runs)),
+                    "bus_load": np.ones(len(runs)),
+                    "bus_time_us": np.ones(len(runs)),
+                    "delay_us": np.ones(len(runs)),
                     "bound": np.ones(scenario.steps),
                 },
             )
@@ -314,3 +322,47 @@ def test_a_design_bears_all_placements_and_says_the_error_of_each():
     assert [one.placement for one in attempt.by_placement] == ["0", "1", "2"]
     errors = [one.error.value for one in attempt.by_placement]
     np.testing.assert_allclose(np.diff(errors), 1, rtol=0.01)
+
+
+def test_limits_refuse_candidates_with_the_limit_and_what_they_have():
+    settled, space = space_of(specify(ASKED))
+    task = SearchTask(
+        parse_target("3x-centralised"), "bytes", settled, space, 31, landscape(), 1, lambda _: None,
+        limits=BusLimits(latency_ms=2.0, load=0.3),
+    )  # fmt: skip
+    found = search(task, [], [])
+    # The landscape has a delay of 1 ms a round, and a load of half the occupancy.
+    for one in found.candidates:
+        assert (
+            one.cell.values["rounds"] in (1, 2) and float(str(one.cell.values["occupancy"])) <= 0.6
+        )
+    reasons = {one.reason for one in found.refused}
+    assert "--latency-ms 2: it has 3" in reasons and "--load 0.3: it has 0.5" in reasons
+    assert found.recommended is not None
+
+
+@pytest.mark.parametrize(
+    ("limits", "says"),
+    [
+        (BusLimits(latency_ms=0.0), "--latency-ms 0: must be above 0"),
+        (BusLimits(load=1.5), r"--load 1.5: must be in \(0, 1\]"),
+    ],
+)
+def test_limits_that_no_network_meets_are_refused(limits: BusLimits, says: str):
+    with pytest.raises(ValueError, match=says):
+        limits.check()
+
+
+def test_options_that_a_rule_has_not_make_no_second_candidate():
+    settled, space = space_of(specify({"scenario": "target-tracking", "graph": "ring"}))
+    reached = coarse_grid(settled, space)
+    for one in reached:
+        near = neighbours_of(settled, one, space)
+        reached += [new for new in near if new not in reached][:40]
+        if len(reached) > 200:
+            break
+    for one in reached:
+        if one["rule"] == "labelled":
+            assert "weights" not in one and "number" not in one and "record_number" in one
+        else:
+            assert "weights" in one and "number" in one and "relay" not in one

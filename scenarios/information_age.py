@@ -1,0 +1,104 @@
+"""Age of information: how old the newest reading of any node is at any other node.
+
+A share carries all that its sender holds, so a reading moves one link further with each share. The
+newest steps that nodes know are a max-plus linear system: over a cycle, each node's become the
+maximum of its own and those of the senders it hears. A schedule without contention repeats, and so
+do the ages once every reading has crossed the graph; their greatest value is exact (Baccelli,
+Cohen, Olsder and Quadrat 1992, Synchronization and Linearity, section 3.7).
+"""
+
+from collections.abc import Callable, Sequence
+from math import lcm
+
+import numpy as np
+
+from concord.bus.schedule import Schedule
+
+Flags = Callable[[int], np.ndarray]
+"""Cycle, or step -> (N,) what is true of each node then."""
+
+
+def worst_age_steps(
+    schedule: Schedule, neighbours: Sequence[Sequence[int]], rounds: int
+) -> int | None:
+    """The greatest age at the end of a step, in steps, where all nodes take readings in every step,
+    on links that lose nothing.
+
+    None where schedule and graph bound it not: nodes contend for slots, or a node never hears of
+    another.
+    """
+    if any(schedule.contenders(cycle) for cycle in range(schedule.period)):
+        return None
+    nodes = schedule.nodes
+
+    def sent(cycle: int) -> np.ndarray:
+        return np.isin(np.arange(nodes), schedule.static_senders(cycle))
+
+    def taken(_step: int) -> np.ndarray:
+        return np.ones(nodes, dtype=bool)
+
+    period_steps = lcm(schedule.period, rounds) // rounds
+    # A reading that moves at all moves one link in a period.
+    settled_steps = nodes * period_steps
+    steps = settled_steps + 2 * period_steps
+    ages = greatest_ages_steps(schedule, neighbours, rounds, steps, sent, taken)
+    before, last = ages[-2 * period_steps : -period_steps], ages[-period_steps:]
+    return int(last.max()) if last.max() <= before.max() else None
+
+
+def greatest_ages_steps(
+    schedule: Schedule,
+    neighbours: Sequence[Sequence[int]],
+    rounds: int,
+    steps: int,
+    sent: Flags,
+    taken: Flags,
+) -> np.ndarray:
+    """The greatest age (steps,) over all pairs of nodes at the end of each step, in steps: how far
+    what a node knows of another is behind what that one has taken.
+
+    Args:
+        schedule: who composes shares together.
+        neighbours: those that each node hears.
+        rounds: cycles of a step.
+        steps: how many.
+        sent: of a cycle, who has sent a share. Winners of slots that nodes contend for count as
+            sending at its end.
+        taken: of a step, who has taken a reading.
+    """
+    nodes = schedule.nodes
+    hears = np.zeros((nodes, nodes), dtype=bool)
+    for node, heard in enumerate(neighbours):
+        hears[node, list(heard)] = True
+    newest = np.full((nodes, nodes), -1)  # of each source (column), known to each node (row)
+    is_known = np.zeros(nodes, dtype=bool)
+    greatest = np.empty(steps, dtype=int)
+    for step in range(steps):
+        takes = taken(step)
+        newest[:, takes & ~is_known] = step - 1
+        is_known |= takes
+        newest[takes, takes] = step
+        for cycle in range(step * rounds, (step + 1) * rounds):
+            has_sent = sent(cycle)
+            for group in _senders(schedule, cycle):
+                senders = [node for node in group if has_sent[node]]
+                newest = np.maximum(newest, _heard(newest, hears, senders))
+        greatest[step] = (newest.diagonal() - newest).max()
+    return greatest
+
+
+def _senders(schedule: Schedule, cycle: int) -> list[Sequence[int]]:
+    """The nodes that may send in a cycle: those together that compose their shares at once."""
+    groups = schedule.groups(cycle)
+    contenders = schedule.contenders(cycle)
+    if len(groups) == 1:
+        return [(*groups[0].senders, *contenders)]
+    return [*(group.senders for group in groups if group.senders), contenders]
+
+
+def _heard(newest: np.ndarray, hears: np.ndarray, senders: Sequence[int]) -> np.ndarray:
+    """The newest that each node hears (N, N) of each source from these senders."""
+    heard = np.full_like(newest, -1)
+    for sender in senders:
+        heard[hears[:, sender]] = np.maximum(heard[hears[:, sender]], newest[sender])
+    return heard
