@@ -16,7 +16,7 @@ from concord.nodes.rules.labelled_frame import (
 from concord.nodes.rules.record_codec import record_codec
 from concord.scenarios.bus_plan import frame_format
 from concord.scenarios.node_context import Everybody
-from concord.scenarios.scenario import Scenario
+from concord.scenarios.scenario import Scenario, lossy_links
 from concord.scenarios.script import script_of
 from concord.scenarios.types.buses import FlexRay, occupancy_of, trigger_of
 from concord.scenarios.types.rules import MeasurementFlooding
@@ -87,10 +87,11 @@ def digest_of(scenario: Scenario) -> int:
 
 def without_arrays(scenario: Scenario) -> str | None:
     """Return the part of a scenario that has no array form under this rule; None if all has."""
-    # Elsewhere a share may take several frames, or not fit beside others: that hangs on its length.
-    bus = scenario.bus
-    if isinstance(bus, FlexRay) and bus.cluster not in ("fitted", "fitted-ab"):
-        return f"rule labelled on a cluster of its own (--cluster {bus.cluster})"
+    # Elsewhere a share may take several frames, of which a link loses each by itself.
+    bus, lossy = scenario.bus, lossy_links(scenario)
+    own = isinstance(bus, FlexRay) and bus.cluster not in ("fitted", "fitted-ab")
+    if own and (lossy or scenario.changes):
+        return f"rule labelled on --cluster {bus.cluster} with {lossy or '--changes'}"
     if any(isinstance(one.command, Restart) for one in script_of(scenario)):
         # Windows of one network would begin at different steps.
         return "rule labelled where nodes come back (--changes restart)"

@@ -58,6 +58,7 @@ class ScenarioOptions(TypedDict, total=False):
     schedule: str | Choice
     occupancy: float
     arbiter: str
+    urgency_classes: int
     trigger: float
     cluster: str
     stretch: float
@@ -103,6 +104,7 @@ class SweptOptions(TypedDict, total=False):
     schedule: Sequence[str | Choice] | np.ndarray | str | Choice
     occupancy: Sequence[float] | np.ndarray | float
     arbiter: Sequence[str] | np.ndarray | str
+    urgency_classes: Sequence[int] | np.ndarray | int
     trigger: Sequence[float] | np.ndarray | float
     cluster: Sequence[str] | np.ndarray | str
     stretch: Sequence[float] | np.ndarray | float
