@@ -42,7 +42,7 @@ class Form(NamedTuple):
 
 # The study's arbiter knows all bids.
 _IDEAL = {"arbiter": "wtod"}
-_NEAR = {"rule": "labelled", **_IDEAL}
+_NEAR = {"rule": "labelled", "payload_bytes": 254, **_IDEAL}
 _FAR = {"schedule": "hybrid", "number": "float32", **_IDEAL}
 FORMS = (
     Form("labelled, hybrid", {**_NEAR, "schedule": "hybrid"}),
