@@ -243,8 +243,8 @@ class Bus(Protocol):
         """Return the frames of a cycle from the payload bytes of each node, 0 of a silent one.
 
         The bytes are those of all frames of a node together: the owner of a slot sends in as many
-        of its slots as it takes, any other node in awarded slots, those of its urgency class; empty
-        `classes` are all 0.
+        of its slots as it takes, any other node in awarded slots. Those have the frame IDs of the
+        node's urgency class; empty `classes` are all 0.
         """
         ...
 

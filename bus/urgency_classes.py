@@ -14,9 +14,9 @@ class UrgencyClasses:
     """Classes 0 (first on the bus) to `count` - 1 of bids between `least_bid` and `most_bid`.
 
     Bids have the classes from 1 on, at equal ratios of bids. Class 0 is for contenders that have
-    asked in vain `patience` times in a row, whatever they bid. A winner leaves class 0 for as long
-    as that. With a `patience` of at least the number of contenders, all others that wait there are
-    therefore served before it comes back: no contender waits for longer than `patience` plus the
+    asked in vain `old_after` times in a row, whatever they bid. A winner leaves class 0 for as
+    long as that. If that is the number of contenders at least, all others that wait there are
+    therefore served before it comes back: no contender waits for longer than `old_after` plus the
     number of contenders. With `count` 1 a node has one frame ID and bids do not matter.
 
     Raises:
@@ -24,15 +24,15 @@ class UrgencyClasses:
     """
 
     def __init__(
-        self, count: int = 1, least_bid: int = 1 << 20, most_bid: int = 1 << 51, patience: int = 1
+        self, count: int = 1, least_bid: int = 1 << 20, most_bid: int = 1 << 51, old_after: int = 1
     ) -> None:
-        if count < 1 or not 0 < least_bid < most_bid or patience < 1:
+        if count < 1 or not 0 < least_bid < most_bid or old_after < 1:
             raise ValueError(
-                f"{count} urgency classes of bids from {least_bid} to {most_bid} with patience "
-                f"{patience}: give at least one class, rising bids above 0, and patience from 1 on"
+                f"{count} urgency classes of bids from {least_bid} to {most_bid}, old after "
+                f"{old_after} waits: give at least one class, rising bids above 0 and an age above 0"
             )
         self.count = count
-        self._patience, self._least_bid, self._ratio = patience, least_bid, most_bid / least_bid
+        self._old_after, self._least_bid, self._ratio = old_after, least_bid, most_bid / least_bid
         self._borders = self.spread(np.arange(1, count - 1) / max(1, count - 1))
 
     def of(self, bids: Numbers, waits: Numbers) -> NDArray[np.int64]:
@@ -41,7 +41,7 @@ class UrgencyClasses:
         if self.count == 1:
             return np.zeros(bids.shape, dtype=np.int64)
         classes = self.count - 1 - np.searchsorted(self._borders, bids, side="right")
-        return np.where(waits >= self._patience, 0, classes)
+        return np.where(waits >= self._old_after, 0, classes)
 
     def spread(self, places: NDArray[np.float64]) -> NDArray[np.int64]:
         """Return the bids at these places of the range on a logarithmic scale: 0 is its beginning,

@@ -121,7 +121,7 @@ def _classes(scenario: Scenario, schedule: Schedule) -> UrgencyClasses:
     least, most = BIDS_FOR_CHANGE
     if isinstance(scenario.rule, MeasurementFlooding):
         least, most = bids_for_records(scenario.nodes)
-    return UrgencyClasses(count, least, most, patience=len(contenders))
+    return UrgencyClasses(count, least, most, old_after=len(contenders))
 
 
 def with_pinned_arbiter(scenario: Scenario) -> Scenario:

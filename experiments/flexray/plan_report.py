@@ -46,11 +46,11 @@ class SlotRow(msgspec.Struct, frozen=True):
 class PlanReport(msgspec.Struct, frozen=True):
     """A schedule with its slots on a cluster, and its rehearsal.
 
-    `published` is the part of the nodes that publishes in a rehearsed cycle, on average;
+    `published` is the part of the nodes that publishes in a rehearsed cycle, on average.
     `dynamic_slots` is how many contenders the schedule lets into a cycle, and `dynamic_room` how
-    many of them fit whoever wins, and `urgency_classes` in how many classes each of them has frame
-    IDs. `time` and `remarks` are for people: whether the cycles of a step
-    fit into it, and what a FlexRay controller alone cannot do.
+    many of them fit whoever wins. Each contender has frame IDs in `urgency_classes` classes. `time`
+    and `remarks` are for people: whether the cycles of a step fit into it, and what a FlexRay
+    controller alone cannot do.
     """
 
     schedule: str

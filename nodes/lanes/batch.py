@@ -91,9 +91,6 @@ class InBatch(Generic[Own, Held, Share]):
         """How urgent a dynamic slot is to these nodes (C,): integers (R, C)."""
         return self.rule.bid(content.known)[:, nodes]
 
-    def body_bytes(self, content: BatchContent[Own, Held], nodes: np.ndarray) -> None:
-        """Return None: all shares have one length."""
-
     def exchange(
         self, content: BatchContent[Own, Held], sends: np.ndarray, lost: np.ndarray | None
     ) -> BatchContent[Own, Held]:

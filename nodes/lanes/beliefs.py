@@ -157,9 +157,6 @@ class BatchedBeliefs:
         """How far beliefs have moved since they were last published."""
         return content.published.bids_of(nodes, content.belief, self.trigger)
 
-    def body_bytes(self, content: BatchedContent, nodes: np.ndarray) -> None:
-        """Return None: all shares have one length."""
-
     def exchange(
         self, content: BatchedContent, sends: np.ndarray, lost: np.ndarray | None
     ) -> BatchedContent:

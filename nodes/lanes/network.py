@@ -16,8 +16,8 @@ from concord.nodes.lanes.filter import Counters
 Contest = Callable[
     [ArbiterState, int, int, np.ndarray, np.ndarray, Callable[[], np.ndarray | None]], Awards
 ]
-"""The arbiter of all runs: (memory, cycle, group of it, nodes (C,) that may ask, bids (R, C),
-`body_bytes` of a rule for them) -> awards (R, C); `bids.NO_BID` does not ask."""
+"""The arbiter of all runs: (memory, cycle, group of it, nodes (C,) that may ask, bids (R, C), how
+to find the lengths of their shares) -> awards (R, C); `bids.NO_BID` does not ask."""
 
 Framed = Callable[[int, np.ndarray, np.ndarray | None], tuple[np.ndarray, np.ndarray]]
 """(cycle, who sends (R, N), bytes of each share (R, N); None where all have one length) -> frames,
@@ -57,11 +57,6 @@ class BatchedRule(Protocol):
         """How urgent a dynamic slot is to these nodes (C,): integers (R, C)."""
         ...
 
-    def body_bytes(self, content: Any, nodes: np.ndarray) -> np.ndarray | None:
-        """Lengths (R, C) of the shares that these nodes (C,) would send now; None where all shares
-        of the rule have one length."""
-        ...
-
     def exchange(self, content: Any, sends: np.ndarray, lost: np.ndarray | None) -> Any:
         """A communication cycle, or with relays a part of one, in which nodes `sends` (R, N) share
         and all fuse.
@@ -93,6 +88,15 @@ class RuleWithReturns(BatchedRule, Protocol):
 
     def restarted(self, content: Any, nodes: np.ndarray, belief: Gaussian) -> Any:
         """Between two steps: nodes (J,) begin anew with beliefs (R, J, n), and hold nothing."""
+        ...
+
+
+@runtime_checkable
+class RuleWithLengths(BatchedRule, Protocol):
+    """One whose shares differ in length."""
+
+    def body_bytes(self, content: Any, nodes: np.ndarray) -> np.ndarray:
+        """Lengths (R, C) of the shares that these nodes (C,) would send now."""
         ...
 
 

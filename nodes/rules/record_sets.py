@@ -17,8 +17,8 @@ SILENCE = 4096
 
 def bids_for_records(nodes: int) -> tuple[int, int]:
     """Return the bids between which urgency is told apart: from one new record that one neighbour
-    lacks to four of every node."""
-    return URGENCY * SILENCE, 4 * nodes * URGENCY * SILENCE
+    lacks to three of every node."""
+    return URGENCY * SILENCE, 3 * nodes * URGENCY * SILENCE
 
 
 def record_bit(place: int, source: int, nodes: int) -> RecordSet:

@@ -19,6 +19,8 @@ from concord.nodes.lanes.filter import Counters, with_lanes
 from concord.nodes.lanes.links import places
 from concord.nodes.lanes.network import (
     BatchedNetwork,
+    BatchedRule,
+    RuleWithLengths,
     RuleWithReturns,
     RunSegment,
     RunSettings,
@@ -159,12 +161,12 @@ def _communicated(
     segment: RunSegment, content: Any, arbiter: Any, step: int
 ) -> tuple[Any, Any, _Said]:
     """Run all cycles of a step."""
-    said: list[_Said] = []
+    done: list[_Said] = []
     for cycle in segment.settings.cycles(step):
         lost = None if segment.lost is None else segment.lost(step, cycle)
         content, arbiter, in_cycle = _cycle(segment, content, arbiter, cycle, lost)
-        said.append(in_cycle)
-    return content, arbiter, _Said(*map(np.stack, zip(*said, strict=True)))
+        done.append(in_cycle)
+    return content, arbiter, _Said(*map(np.stack, zip(*done, strict=True)))
 
 
 def _cycle(
@@ -173,12 +175,12 @@ def _cycle(
     """Run a cycle, group by group; return what nodes did in it: (R, N) each."""
     rule, schedule = segment.settings.rule, segment.settings.schedule
     shape = rule.belief(content).mean.shape[:2]
-    said = _Said(np.zeros(shape, bool), np.zeros(shape, bool), np.zeros(shape, np.int64))
+    done = _Said(np.zeros(shape, bool), np.zeros(shape, bool), np.zeros(shape, np.int64))
     for number in range(len(schedule.groups(cycle))):
-        arbiter, now = _access(segment, arbiter, content, (cycle, number), said.sends)
+        arbiter, now = _access(segment, arbiter, content, (cycle, number), done.sends)
         content = rule.exchange(content, now.sends, lost)
-        said = _Said(*(before | new for before, new in zip(said, now, strict=True)))
-    return content, arbiter, said
+        done = _Said(*(before | new for before, new in zip(done, now, strict=True)))
+    return content, arbiter, done
 
 
 def _access(
@@ -202,13 +204,18 @@ def _access(
         bids = rule.bids(content, contenders)
         silent = spoke[:, contenders] | ~segment.present[contenders]
         bids = np.where(silent, NO_BID, bids)
-        lengths = partial(rule.body_bytes, content, contenders)
+        lengths = partial(_lengths, rule, content, contenders)
         awards = segment.settings.contest(arbiter, cycle, number, contenders, bids, lengths)
         arbiter = awards.state
         asked[:, contenders] = bids != NO_BID
         sends[:, contenders] = awards.wins
         classes[:, contenders] = np.where(awards.wins, awards.classes, 0)
     return arbiter, _Said(sends, asked, classes)
+
+
+def _lengths(rule: BatchedRule, content: Any, nodes: np.ndarray) -> np.ndarray | None:
+    """Return the lengths (R, C) of what nodes (C,) would send; None where all have one length."""
+    return rule.body_bytes(content, nodes) if isinstance(rule, RuleWithLengths) else None
 
 
 def _framed(

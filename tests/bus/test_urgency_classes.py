@@ -28,7 +28,7 @@ def bus_of(
     schedule = dynamic_only(nodes, slots / nodes)
     if cluster is None:
         cluster = fitted_cluster(schedule, payload_lengths(share_bytes), count)
-    classes = UrgencyClasses(count, LEAST, MOST, patience=nodes)
+    classes = UrgencyClasses(count, LEAST, MOST, old_after=nodes)
     return flexray_bus(schedule, cluster, share_bytes, ARBITERS["urgency"], classes=classes)
 
 
@@ -156,7 +156,7 @@ def test_relayed_frames_keep_the_order_of_the_slot_counter(nodes, count, slots, 
         nodes, plain.static_table, plain.contender_table, plain.dynamic_slot_table, True
     )
     cluster = fitted_cluster(schedule, payload_lengths(60), count)
-    classes = UrgencyClasses(count, LEAST, MOST, patience=nodes)
+    classes = UrgencyClasses(count, LEAST, MOST, old_after=nodes)
     bus = flexray_bus(schedule, cluster, 60, ARBITERS["urgency"], 0.0, classes)
     state = begin_arbitration(nodes)
     for cycle in range(3):

@@ -10,7 +10,7 @@ from concord.experiments.scenario_options import in_options, offered_options, sc
 from concord.scenarios.catalogue import definition_named, definition_of, definitions
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.assignment import assigned, check_ranges, flat
-from concord.scenarios.types.buses import FlexRay, DynamicSchedule, Ideal
+from concord.scenarios.types.buses import DynamicSchedule, FlexRay, Ideal
 from concord.scenarios.types.declarations import every_option
 from concord.scenarios.types.rules import CovarianceIntersection, MeasurementFlooding
 
