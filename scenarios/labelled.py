@@ -109,10 +109,9 @@ def digest_of(scenario: Scenario) -> int:
 def without_arrays(scenario: Scenario) -> str | None:
     """Return the part of a scenario that has no array form under this rule; None if all has."""
     # Elsewhere a share may take several frames, of which a link loses each by itself.
-    bus, lossy = scenario.bus, lossy_links(scenario)
-    own = isinstance(bus, FlexRay) and bus.cluster not in ("fitted", "fitted-ab")
-    if own and (lossy or scenario.changes):
-        return f"rule labelled on --cluster {bus.cluster} with {lossy or '--changes'}"
+    bus, lossy = scenario.bus, lossy_links(scenario) or bool(scenario.changes) * "--changes"
+    if lossy and isinstance(bus, FlexRay) and bus.cluster not in ("fitted", "fitted-ab"):
+        return f"rule labelled on --cluster {bus.cluster} with {lossy}"
     if any(isinstance(one.command, Restart) for one in script_of(scenario)):
         # Windows of one network would begin at different steps.
         return "rule labelled where nodes come back (--changes restart)"

@@ -163,8 +163,7 @@ class BatchedFlooding:
     def bids(self, content: BatchedLabelledContent, nodes: np.ndarray) -> np.ndarray:
         """How many records the neighbours of these nodes (C,) lack: `LabelledFlooding.bid`."""
         shape = (len(content.owed), len(nodes))
-        runs, places = (one.ravel() for one in np.indices(shape))
-        some = nodes[places]
+        runs, some = (one.ravel() for one in (np.indices(shape)[0], np.broadcast_to(nodes, shape)))
         absent = self._absent(content, runs, some)
         urgency = need(absent, self._urgencies).sum(axis=1) + URGENCY * content.owed[runs, some]
         silent = np.minimum(content.cycle - content.sent_cycle[runs, some], SILENCE - 1)
@@ -350,7 +349,8 @@ class BatchedFlooding:
 
     def spread(self, content: BatchedLabelledContent) -> ShareContents:
         """Return the contents of the step's shares, and the records held at its end."""
-        return ShareContents(*content.carried, flags_of(content.held, self._nodes))
+        sent, checkpoints, records = content.carried
+        return ShareContents(sent, checkpoints, records, flags_of(content.held, self._nodes))
 
     def _absent(
         self,

@@ -128,8 +128,9 @@ def arbiter_of(schedule: BusSchedule) -> str:
 
 def urgency_classes_of(schedule: BusSchedule) -> int:
     """The frame IDs of a contender; 1 where no bids tell it which to take."""
-    is_urgency = isinstance(schedule, ContendedSchedule) and schedule.arbiter == URGENCY
-    return schedule.urgency_classes if is_urgency else 1
+    if isinstance(schedule, ContendedSchedule) and schedule.arbiter == URGENCY:
+        return schedule.urgency_classes
+    return 1
 
 
 def stretch_of(bus: SharedBus) -> float:
