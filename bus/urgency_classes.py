@@ -29,7 +29,7 @@ class UrgencyClasses:
         if count < 1 or not 0 < least_bid < most_bid or old_after < 1:
             raise ValueError(
                 f"{count} urgency classes of bids from {least_bid} to {most_bid}, old after "
-                f"{old_after} waits: give at least one class, bids that rise from above 0, and an age"
+                f"{old_after} waits: give at least one class, bids rising from above 0, and an age"
             )
         self.count = count
         self._old_after, self._least_bid, self._ratio = old_after, least_bid, most_bid / least_bid
