@@ -29,19 +29,29 @@ class ArbiterState(NamedTuple):
 
 
 Urgency = Callable[[ArbiterState, Numbers, Numbers], NDArray[np.generic]]
-"""(state, bids (..., C), frame IDs (C,)) -> order of the requests (..., C), small numbers first;
-equal ones go by frame ID. The state is that of the contenders: (..., 1) and (..., C)."""
+"""(state, bids (..., C), frame IDs (..., C)) -> order of the requests (..., C), small numbers
+first; equal ones go by frame ID. The state is that of the contenders: (..., 1) and (..., C)."""
 
 
 class Arbiter(NamedTuple):
     """How requests are ordered, and what happens to one that does not fit beside the others.
 
-    With `overtakes` the arbiter passes over that request; otherwise it ends the cycle, unless the
-    request would not fit on an empty bus either.
+    Attributes:
+        urgency: order of the requests.
+        overtakes: pass over a request that does not fit; otherwise it ends the cycle, unless it
+            would not fit on an empty bus either.
+        by_class: a node sends in the frame ID of its urgency class (`bus/urgency_classes.py`), and
+            not in the only one that it has.
+        withdraws: hosts count the shares of a cycle and withdraw their requests when as many were
+            sent as the schedule lets into it; otherwise the bus sends whatever fits.
+        is_ideal: no controller awards slots in this order; a run says so.
     """
 
     urgency: Urgency
     overtakes: bool = True
+    by_class: bool = False
+    withdraws: bool = True
+    is_ideal: bool = True
 
 
 def lowest_frame_id(state: ArbiterState, bids: Numbers, frame_ids: Numbers) -> Numbers:
@@ -60,8 +70,9 @@ def in_turn(state: ArbiterState, bids: Numbers, frame_ids: Numbers) -> NDArray[n
 
 
 ARBITERS: dict[str, Arbiter] = {
+    "urgency": Arbiter(lowest_frame_id, by_class=True, is_ideal=False),
     "wtod": Arbiter(largest_bid),
-    "minislot": Arbiter(lowest_frame_id),
+    "minislot": Arbiter(lowest_frame_id, withdraws=False, is_ideal=False),
     "round-robin": Arbiter(in_turn, overtakes=False),
 }
 
@@ -82,6 +93,7 @@ def award(
     bids: Numbers,
     slots: int,
     fits: Fits | None = None,
+    passed: NDArray[np.bool_] | None = None,
 ) -> tuple[ArbiterState, NDArray[np.bool_]]:
     """Award the slots of one group of a cycle.
 
@@ -89,30 +101,34 @@ def award(
         arbiter: orders the requests.
         state: what it remembers.
         nodes: (C,), the contenders.
-        frame_ids: (C,), of their slots.
+        frame_ids: (C,) or (..., C), of their slots.
         bids: (..., C), `NO_BID` of a contender that does not ask.
         slots: at most this many contenders win.
         fits: whether requests fit beside each other; None where any `slots` of them do.
+        passed: (..., C), contenders whose slots are over in this cycle; None for none.
 
     Returns:
         The state after the cycle, and the winners (..., C).
     """
     nodes = np.asarray(nodes, dtype=np.int64)
     asks, waited = bids != NO_BID, state.waits[..., nodes]
+    pending = asks if passed is None else asks & ~passed
     seen = ArbiterState(state.last_frame_id[..., None], waited)
+    frame_ids = np.broadcast_to(frame_ids, bids.shape)
     urgency = np.broadcast_to(arbiter.urgency(seen, bids, frame_ids), bids.shape)
-    order = np.lexsort((np.broadcast_to(frame_ids, bids.shape), urgency, ~asks), axis=-1)
+    order = np.lexsort((frame_ids, urgency, ~pending), axis=-1)
     if fits is None:
         first = np.arange(bids.shape[-1]) < slots
-        ranked = first & np.take_along_axis(asks, order, axis=-1)
+        ranked = first & np.take_along_axis(pending, order, axis=-1)
     else:
         ranked = np.zeros(bids.shape, dtype=bool)
         for run in np.ndindex(bids.shape[:-1]):
-            places = order[run][: np.count_nonzero(asks[run])].tolist()
+            places = order[run][: np.count_nonzero(pending[run])].tolist()
             ranked[run][_fitting(arbiter, run, places, slots, fits)] = True
     wins = np.zeros(bids.shape, dtype=bool)
     np.put_along_axis(wins, order, ranked, axis=-1)
-    return _remembered(state, nodes, frame_ids[order], ranked, asks, wins), wins
+    ordered_ids = np.take_along_axis(frame_ids, order, axis=-1)
+    return _remembered(state, nodes, ordered_ids, ranked, asks, wins), wins
 
 
 def _fitting(

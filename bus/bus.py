@@ -97,6 +97,15 @@ class FrameFormat(NamedTuple):
     on_channel: Callable[[bytes, str], bytes]
 
 
+class Awards(NamedTuple):
+    """Result of a contest: the arbiter's state, the winners (..., C) of the contenders, and the
+    urgency class (..., C) in which each asked; 0 where a node has one frame ID."""
+
+    state: ArbiterState
+    wins: NDArray[np.bool_]
+    classes: NDArray[np.int64]
+
+
 class Bus(Protocol):
     """A bus that follows a schedule, made for shares of a known greatest length."""
 
@@ -117,8 +126,10 @@ class Bus(Protocol):
 
     # --- shares and frames ------------------------------------------------------------------------
 
-    def encode(self, node: int, cycle: int, body: bytes) -> list[bytes]:
-        """Return the frames in which a node sends a share in a cycle.
+    def encode(self, node: int, cycle: int, body: bytes, urgency_class: int = 0) -> list[bytes]:
+        """Return the frames in which a node sends a share in a cycle, in the slots of its class.
+
+        A class beyond those that the node has counts as its last.
 
         Raises:
             ValueError: the share is longer than the node's slots.
@@ -150,6 +161,10 @@ class Bus(Protocol):
         """
         ...
 
+    def urgency_class(self, node: int, cycle: int, frame_id: int) -> int:
+        """Return the class of a node's frame ID; 0 for an ID that is not the node's."""
+        ...
+
     def in_slot_of(self, frame: bytes, node: int, cycle: int) -> bytes | None:
         """Return a sound frame moved to the first slot of a node; None where it has no slot."""
         ...
@@ -160,6 +175,11 @@ class Bus(Protocol):
 
     # --- awarded slots ----------------------------------------------------------------------------
 
+    @property
+    def has_ideal_arbiter(self) -> bool:
+        """Whether slots are awarded in an order that no controller knows."""
+        ...
+
     def arbitrate(
         self,
         state: ArbiterState,
@@ -167,8 +187,8 @@ class Bus(Protocol):
         group: int,
         nodes: Sequence[int] | NDArray[np.int64],
         bids: NDArray[np.int64],
-        payload_bytes: NDArray[np.int64],
-    ) -> tuple[ArbiterState, NDArray[np.bool_]]:
+        payload_bytes: Callable[[], NDArray[np.int64]],
+    ) -> Awards:
         """Award the slots of one group of a cycle.
 
         Args:
@@ -177,10 +197,8 @@ class Bus(Protocol):
             group: number of the group in the cycle.
             nodes: (C,), the contenders, ascending.
             bids: (..., C), `NO_BID` of a contender that does not ask.
-            payload_bytes: (..., C), of all frames of a contender's share.
-
-        Returns:
-            The state after the cycle, and the winners (..., C).
+            payload_bytes: (..., C), of all frames of a contender's share; called where not all
+                shares fit.
         """
         ...
 
@@ -219,11 +237,14 @@ class Bus(Protocol):
         """Return the beginning and the end of the slots that a node owns in a cycle."""
         ...
 
-    def transmissions(self, cycle: int, payload_bytes: Sequence[int]) -> tuple[Transmission, ...]:
+    def transmissions(
+        self, cycle: int, payload_bytes: Sequence[int], classes: Sequence[int] = ()
+    ) -> tuple[Transmission, ...]:
         """Return the frames of a cycle from the payload bytes of each node, 0 of a silent one.
 
         The bytes are those of all frames of a node together: the owner of a slot sends in as many
-        of its slots as it takes, any other node in awarded slots.
+        of its slots as it takes, any other node in awarded slots. Those have the frame IDs of the
+        node's urgency class; empty `classes` are all 0.
         """
         ...
 

@@ -12,6 +12,7 @@ from concord.bus.flexray.publication import Slot
 from concord.bus.flexray.share_frames import CYCLE_COUNTS, payload_lengths
 from concord.bus.flexray.slotted_bus import SlottedBus
 from concord.bus.schedule import Schedule
+from concord.bus.urgency_classes import ONE_CLASS
 
 
 class TimelessBus(SlottedBus):
@@ -37,7 +38,9 @@ class TimelessBus(SlottedBus):
             )
             for node in range(schedule.nodes)
         ]
-        super().__init__(schedule, lambda node, cycle: owned[node], arbiter, CYCLE_COUNTS)
+        super().__init__(
+            schedule, lambda node, cycle: (owned[node],), arbiter, CYCLE_COUNTS, ONE_CLASS
+        )
 
     def segments(self) -> tuple[SegmentTime, ...]:
         """Return one segment, in which each owner of a slot has a place of length 1."""
@@ -53,7 +56,9 @@ class TimelessBus(SlottedBus):
         place = self.schedule.static_senders(cycle).index(node)
         return float(place), place + 1.0
 
-    def transmissions(self, cycle: int, payload_bytes: Sequence[int]) -> tuple[Transmission, ...]:
+    def transmissions(
+        self, cycle: int, payload_bytes: Sequence[int], classes: Sequence[int] = ()
+    ) -> tuple[Transmission, ...]:
         """Return the shares of the owners of slots, each as one frame in its place."""
         return tuple(
             Transmission(

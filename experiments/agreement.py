@@ -17,7 +17,7 @@ from concord.runtime.recording import read_recording
 from concord.scenarios.setup import Setup
 
 BATCHED = "batched"
-_COMPARED = ("truth", "readings", "published", "mean", "cov", "ages")
+_COMPARED = ("truth", "readings", "published", "classes", "mean", "cov", "ages")
 OnStep = Callable[[int], None]
 
 

@@ -8,6 +8,8 @@ from concord.filters.linalg import solve_spd
 
 FIRST_BID = 2**31 - 1
 BID_RESOLUTION = 1 / 1024
+BIDS_FOR_CHANGE = (64, 65536)
+"""Bids between which urgency is told apart: of squared changes from 1/16 to 64."""
 
 
 def bid_for_change(belief: Gaussian, published: Gaussian, trigger: float) -> np.ndarray:

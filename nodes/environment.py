@@ -322,9 +322,9 @@ def _grant(
             return state
         # In node order: the order of arrival on the wire must not matter.
         requests = [bids[node] for node in sorted(contenders) if node in bids]
-        arbiter, winners = _award(config, state, contest, requests)
-        grant = Grant(state.next_cycle, list(winners), state.next_group, unheard or UNSET)
-        outbox.append(grant)
+        arbiter, winners, classes = _award(config, state, contest, requests)
+        told = (unheard or UNSET, classes if any(classes) else UNSET)
+        outbox.append(Grant(state.next_cycle, list(winners), state.next_group, *told))
         rest = {key: asked for key, asked in state.bids.items() if key != contest}
         state = state._replace(
             arbiter=arbiter, bids=rest, next_group=state.next_group + 1, won=state.won + winners
@@ -337,22 +337,23 @@ def _award(
     state: EnvironmentState,
     contest: tuple[int, int],
     requests: Sequence[Bid],
-) -> tuple[ArbiterState, tuple[int, ...]]:
-    """Return the arbiter's memory and the winners of a contest, ascending."""
+) -> tuple[ArbiterState, tuple[int, ...], list[int]]:
+    """Return the arbiter's memory, and the winners of a contest, ascending, with their classes."""
     nodes = [request.node for request in requests]
     # A peer may bid any number: what is beyond all bids is as urgent as can be.
     bids = [
         NO_BID if request.bid is None else min(max(request.bid, 0), _LARGEST_BID)
         for request in requests
     ]
-    arbiter, wins = config.bus.arbitrate(
+    awards = config.bus.arbitrate(
         state.arbiter,
         *contest,
         nodes,
         np.array(bids, dtype=np.int64),
-        np.array([request.payload_bytes for request in requests], dtype=np.int64),
+        lambda: np.array([request.payload_bytes for request in requests], dtype=np.int64),
     )
-    return arbiter, tuple(node for node, won in zip(nodes, wins.tolist(), strict=True) if won)
+    winners = tuple(node for node, won in zip(nodes, awards.wins.tolist(), strict=True) if won)
+    return awards.state, winners, awards.classes[awards.wins].tolist()
 
 
 _HELD, _BIDS, _ESTIMATES, _FINISHED = EnvironmentPhase

@@ -66,8 +66,9 @@ class Bid(msgspec.Struct, frozen=True):
 
 
 class Grant(msgspec.Struct, frozen=True):
-    """Environment to all: the winners of this group's dynamic slots, in bus order.
+    """Environment to all: the winners of this group's dynamic slots, ascending.
 
+    `classes` are those in whose frame IDs the winners send; left out where nodes have one frame ID.
     In real time `unheard` are contenders that had not asked when bids ended.
     """
 
@@ -75,6 +76,13 @@ class Grant(msgspec.Struct, frozen=True):
     winners: NodeList
     group: Group = 0
     unheard: NodeList | msgspec.UnsetType = msgspec.UNSET
+    classes: NodeList | msgspec.UnsetType = msgspec.UNSET
+
+    def urgency_class(self, node: int) -> int:
+        """The class in whose frame ID a winner sends; 0 where the grant says nothing of it."""
+        if self.classes is msgspec.UNSET:
+            return 0
+        return dict(zip(self.winners, self.classes, strict=False)).get(node, 0)
 
 
 class Truth(msgspec.Struct, frozen=True):

@@ -144,9 +144,11 @@ def _open_step(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) 
 
 
 def _take_grant(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> NodeState:
-    winners = state.inbox.grants[state.cycle, state.group]
-    state = replace(state, phase=Phase.SHARES, won=state.won + winners)
-    return _send(config, state, outbox) if config.index in winners else state
+    grant = state.inbox.grants[state.cycle, state.group]
+    state = replace(state, phase=Phase.SHARES, won=state.won + tuple(grant.winners))
+    if config.index not in grant.winners:
+        return state
+    return _send(config, state, outbox, grant.urgency_class(config.index))
 
 
 def _ignore(
@@ -218,14 +220,16 @@ def _bid(config: NodeConfig, state: NodeState) -> Bid:
     return Bid(config.index, state.cycle, bid, sum(payloads), state.group)
 
 
-def _send(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]) -> NodeState:
+def _send(
+    config: NodeConfig, state: NodeState, outbox: list[NodeMessage], urgency_class: int = 0
+) -> NodeState:
     faults, step, cycle = config.faults, state.step, state.cycle
     if faults.standing and is_silent(faults, step, cycle, config.index):
         return count(state, "silent")
     content, body = config.estimator.compose(state.content)
     if faults.standing:
         body = spoken(faults, step, cycle, config.index, body)
-    frames = config.bus.encode(config.index, cycle, body)
+    frames = config.bus.encode(config.index, cycle, body, urgency_class)
     outbox.extend(ShareSent(config.index, cycle, frame) for frame in frames)
     counters = counted(state.counters, *["sent" for _ in frames])
     return replace(state, content=content, counters=counters)
@@ -238,7 +242,8 @@ def _due(config: NodeConfig, state: NodeState) -> tuple[int, ...]:
     """
     due = config.groups(state.cycle)[state.group].neighbours
     if state.inbox.grants:
-        granted = state.inbox.grants.get((state.cycle, state.group), ())
+        grant = state.inbox.grants.get((state.cycle, state.group))
+        granted = () if grant is None else grant.winners
         due = tuple(j for j in config.neighbours if j in due or j in granted)
     if not state.absent:
         return due
@@ -334,7 +339,7 @@ def _keep_grant(
     is_far = event.cycle > last_early_cycle(config, state)
     if is_far or len(state.inbox.grants) >= MOST_EARLY:
         return count(state, "rejected future")
-    grants = {**state.inbox.grants, key: tuple(event.winners)}
+    grants = {**state.inbox.grants, key: event}
     return replace(state, inbox=replace(state.inbox, grants=grants))
 
 

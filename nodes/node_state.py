@@ -16,7 +16,7 @@ from concord.nodes.changes import UNCHANGED, Standing
 from concord.nodes.estimator import AnyEstimator
 from concord.nodes.faults.active import HEALTHY, Faults
 from concord.nodes.faults.losses import PERFECT, LinkState
-from concord.nodes.messages import Measured
+from concord.nodes.messages import Grant, Measured
 
 
 class Phase(Enum):
@@ -113,7 +113,7 @@ class Inbox(msgspec.Struct, frozen=True):
     """
 
     measured: dict[int, Measured]
-    grants: dict[tuple[int, int], tuple[int, ...]]
+    grants: dict[tuple[int, int], Grant]
     parts: dict[tuple[int, int], dict[int, bytes | None]]
     shares: dict[tuple[int, int], Any]
     early: dict[tuple[int, int, int], tuple[Fragment, bytes]]

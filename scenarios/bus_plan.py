@@ -10,7 +10,7 @@ from concord.bus.bus import Bus, FrameFormat
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.cluster_files import FILE_ENDINGS, read_cluster_file
 from concord.bus.flexray.fitted import fitted_cluster
-from concord.bus.flexray.flexray_bus import flexray_bus
+from concord.bus.flexray.flexray_bus import FlexRayBus, flexray_bus
 from concord.bus.flexray.presets import PRESETS, preset
 from concord.bus.flexray.share_frames import SHARE_FRAMES, payload_lengths
 from concord.bus.ideal import TimelessBus
@@ -22,10 +22,20 @@ from concord.bus.schedule import (
     publishers_per_cycle,
     round_robin,
 )
+from concord.bus.urgency_classes import ONE_CLASS, UrgencyClasses
+from concord.nodes.bids import BIDS_FOR_CHANGE
+from concord.nodes.rules.record_sets import bids_for_records
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.scenario import Scenario
-from concord.scenarios.types.buses import Ideal, SharedBus, UserBus, arbiter_of, occupancy_of
-from concord.scenarios.types.rules import latch_delay_of
+from concord.scenarios.types.buses import (
+    Ideal,
+    SharedBus,
+    UserBus,
+    arbiter_of,
+    occupancy_of,
+    urgency_classes_of,
+)
+from concord.scenarios.types.rules import MeasurementFlooding, latch_delay_of
 from concord.scenarios.user_bus import user_bus, user_frame_format
 from concord.scenarios.user_values import function_or, is_source_name, pinned, source_of
 from concord.topology.names import unknown_name
@@ -83,7 +93,7 @@ def build_schedule(scenario: Scenario, neighbours: Neighbours = ()) -> Schedule:
     chosen = scenario.bus.schedule
     if chosen.name not in _SCHEDULES:
         raise unknown_name("schedule", chosen.name, _SCHEDULES)
-    _arbiter(arbiter_of(chosen))
+    arbiter_named(arbiter_of(chosen))
     schedule = _SCHEDULES[chosen.name](scenario.nodes, occupancy_of(chosen), neighbours)
     return msgspec.structs.replace(schedule, relay=latch_delay_of(scenario.rule) is not None)
 
@@ -98,13 +108,28 @@ def plan_bus(scenario: Scenario, share_bytes: int, neighbours: Neighbours = ()) 
     if isinstance(chosen, Ideal):
         _check_timeless(schedule)
         return TimelessBus(schedule, share_bytes)
-    arbiter = _arbiter(arbiter_of(chosen.schedule))
+    arbiter = arbiter_named(arbiter_of(chosen.schedule))
     if isinstance(chosen, UserBus):
         _check_no_relay(schedule, chosen)
+        # Its nodes have no frame IDs by class, so the most urgent bid wins.
+        arbiter = ARBITERS["wtod"] if arbiter.by_class else arbiter
         return user_bus(chosen, schedule, share_bytes, arbiter)
-    cluster = _cluster(chosen.cluster, schedule, share_bytes)
+    classes = _classes(scenario, schedule)
+    cluster = _cluster(chosen.cluster, schedule, share_bytes, classes.count)
     latch_us = latch_delay_of(scenario.rule) or 0.0
-    return flexray_bus(schedule, cluster, share_bytes, arbiter, latch_us)
+    return flexray_bus(schedule, cluster, share_bytes, arbiter, latch_us, classes)
+
+
+def _classes(scenario: Scenario, schedule: Schedule) -> UrgencyClasses:
+    """Return the urgency classes of the contenders, from the range in which the rule bids."""
+    contenders = {node for row in schedule.contender_table for node in row}
+    count = urgency_classes_of(scenario.bus.schedule)
+    if count == 1 or not contenders:
+        return ONE_CLASS
+    least, most = BIDS_FOR_CHANGE
+    if isinstance(scenario.rule, MeasurementFlooding):
+        least, most = bids_for_records(scenario.nodes)
+    return UrgencyClasses(count, least, most, old_after=len(contenders))
 
 
 def with_pinned_arbiter(scenario: Scenario) -> Scenario:
@@ -117,7 +142,7 @@ def with_pinned_arbiter(scenario: Scenario) -> Scenario:
     return scenario.with_(arbiter=pinned(name)) if is_source_name(name) else scenario
 
 
-def _arbiter(name: str) -> Arbiter:
+def arbiter_named(name: str) -> Arbiter:
     """The arbiter of a name, or of a user's file: an `Arbiter`, or its function of urgency."""
     if not is_source_name(name):
         if name not in ARBITERS:
@@ -126,6 +151,13 @@ def _arbiter(name: str) -> Arbiter:
     must = "a function urgency(state, bids, frame_ids), or an Arbiter of concord.bus.arbitration"
     value = function_or(Arbiter, source_of(name), must)
     return value if isinstance(value, Arbiter) else Arbiter(value)
+
+
+def contenders_and_room(bus: Bus) -> tuple[int, int]:
+    """Return how many nodes contend on a bus, and how many of their longest shares fit together."""
+    contenders = {node for row in bus.schedule.contender_table for node in row}
+    room = bus.dynamic_room() if isinstance(bus, FlexRayBus) else len(contenders)
+    return len(contenders), room
 
 
 def frame_format(scenario: Scenario) -> FrameFormat:
@@ -156,11 +188,11 @@ def _check_no_relay(schedule: Schedule, bus: SharedBus) -> None:
         )
 
 
-def _cluster(name: str, schedule: Schedule, share_bytes: int) -> Cluster:
+def _cluster(name: str, schedule: Schedule, share_bytes: int, classes: int) -> Cluster:
     if name == FITTED:
-        return _fitted(schedule, share_bytes)
+        return _fitted(schedule, share_bytes, classes)
     if name == REDUNDANT:
-        return msgspec.structs.replace(_fitted(schedule, share_bytes), channels="AB")
+        return msgspec.structs.replace(_fitted(schedule, share_bytes, classes), channels="AB")
     if name in PRESETS:
         return preset(name)
     path = Path(name)
@@ -169,16 +201,19 @@ def _cluster(name: str, schedule: Schedule, share_bytes: int) -> Cluster:
     return read_cluster_file(path)
 
 
-def _fitted(schedule: Schedule, share_bytes: int) -> Cluster:
+def _fitted(schedule: Schedule, share_bytes: int, classes: int) -> Cluster:
     try:
-        return fitted_cluster(schedule, payload_lengths(share_bytes))
+        return fitted_cluster(schedule, payload_lengths(share_bytes), classes)
     except ValueError as error:
         senders = max(
             len(schedule.static_senders(cycle)) + schedule.dynamic_slots(cycle)
             for cycle in range(schedule.period)
         )
         raise ValueError(
-            f"no FlexRay cycle (16 ms at most) holds {senders} shares of {share_bytes} bytes; "
-            "lower --occupancy, use --number float32, or --bus ideal for a bus without time "
+            f"no FlexRay cycle (16 ms at most) holds {senders} shares of {share_bytes} bytes"
+            + (f" and frame IDs of {classes} urgency classes" if classes > 1 else "")
+            + "; lower --occupancy"
+            + (" or --urgency-classes" if classes > 1 else "")
+            + ", use --number float32, or --bus ideal for a bus without time "
             f"({error})"
         ) from None

@@ -1,6 +1,7 @@
 """The rule `labelled` in a scenario: the knowledge common to all nodes, and the refused cases."""
 
 from collections.abc import Sequence
+from math import ceil
 
 import numpy as np
 
@@ -12,13 +13,14 @@ from concord.nodes.rules.labelled_frame import (
     MAX_WINDOW_STEPS,
     LabelledFrameCodec,
     check_limit,
+    least_limit,
 )
 from concord.nodes.rules.record_codec import record_codec
 from concord.scenarios.bus_plan import frame_format
 from concord.scenarios.node_context import Everybody
-from concord.scenarios.scenario import Scenario
+from concord.scenarios.scenario import Scenario, lossy_links
 from concord.scenarios.script import script_of
-from concord.scenarios.types.buses import FlexRay, occupancy_of, trigger_of
+from concord.scenarios.types.buses import DynamicSchedule, FlexRay, occupancy_of, trigger_of
 from concord.scenarios.types.rules import MeasurementFlooding
 
 RECORD_NUMBERS = {"int16": "<i2", "float32": "<f4", "float64": "<f8"}
@@ -27,6 +29,9 @@ _CHECKPOINT_NUMBER = "<f4"
 _LEAST_WINDOW_STEPS = 32
 _LOSSY_DIGEST_STEPS = 8
 _NEGLIGIBLE_LOSS = 0.01
+# Range and bearing are two numbers. The record of most sensors takes fewer bytes than the content.
+_USUAL_NUMBERS = 2
+_LEAST_CONTENT_BYTES = 96
 
 
 def flooding_of(scenario: Scenario) -> MeasurementFlooding:
@@ -60,10 +65,26 @@ def largest_share(scenario: Scenario, states: int) -> int:
     Raises:
         ValueError: it does not hold a checkpoint of so many states.
     """
-    limit = flooding_of(scenario).payload_bytes - frame_format(scenario).numbering_bytes
-    checkpoint = BeliefCodec(states, _CHECKPOINT_NUMBER).size
+    form, checkpoint = frame_format(scenario), BeliefCodec(states, _CHECKPOINT_NUMBER).size
+    asked = flooding_of(scenario).payload_bytes
+    most = form.payload_limit_bytes if asked is None else asked
+    limit = most - form.numbering_bytes
     check_limit(limit, scenario.nodes, digest_of(scenario), checkpoint)
-    return limit
+    if asked is not None or isinstance(scenario.bus.schedule, DynamicSchedule):
+        return limit
+    content = max(checkpoint, _expected_need(scenario), _LEAST_CONTENT_BYTES)
+    return min(limit, least_limit(scenario.nodes, digest_of(scenario), content))
+
+
+def _expected_need(scenario: Scenario) -> int:
+    """Bytes of the records that a share takes, if half of the nodes send each record of a step.
+
+    Records that find no room wait; a contender bids for them.
+    """
+    number = RECORD_NUMBERS[flooding_of(scenario).record_number]
+    record_bytes = LabelledFrameCodec.cost(_USUAL_NUMBERS * np.dtype(number).itemsize)
+    shares = scenario.rounds * occupancy_of(scenario.bus.schedule)
+    return ceil(record_bytes * scenario.nodes / 2 / shares)
 
 
 def window_of(scenario: Scenario, neighbours: Sequence[Sequence[int]]) -> int:
@@ -87,10 +108,10 @@ def digest_of(scenario: Scenario) -> int:
 
 def without_arrays(scenario: Scenario) -> str | None:
     """Return the part of a scenario that has no array form under this rule; None if all has."""
-    # Elsewhere a share may take several frames, or not fit beside others: that hangs on its length.
-    bus = scenario.bus
-    if isinstance(bus, FlexRay) and bus.cluster not in ("fitted", "fitted-ab"):
-        return f"rule labelled on a cluster of its own (--cluster {bus.cluster})"
+    # Elsewhere a share may take several frames, of which a link loses each by itself.
+    bus, lossy = scenario.bus, lossy_links(scenario) or bool(scenario.changes) * "--changes"
+    if lossy and isinstance(bus, FlexRay) and bus.cluster not in ("fitted", "fitted-ab"):
+        return f"rule labelled on --cluster {bus.cluster} with {lossy}"
     if any(isinstance(one.command, Restart) for one in script_of(scenario)):
         # Windows of one network would begin at different steps.
         return "rule labelled where nodes come back (--changes restart)"

@@ -14,7 +14,7 @@ from concord.scenarios.types.network import SensorNetwork
 from concord.scenarios.types.option import Option
 from concord.scenarios.types.options import ScenarioOptions
 from concord.scenarios.types.plants import PlantChoice
-from concord.scenarios.types.rules import CovarianceIntersection, RuleChoice
+from concord.scenarios.types.rules import CovarianceIntersection, MeasurementFlooding, RuleChoice
 
 
 class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -141,8 +141,12 @@ def _with_schedule(scenario: Scenario, options: dict[str, object]) -> dict[str, 
     if "schedule" in options:
         return options
     # A part of the bus is a wish for a schedule that can give it.
-    is_ideal = options.get("bus", scenario.bus.name) == "ideal"
-    return {**options, "schedule": "round-robin" if is_ideal else "hybrid"}
+    if options.get("bus", scenario.bus.name) == "ideal":
+        return {**options, "schedule": "round-robin"}
+    # Shares of records differ in length, and static slots are all as long as the longest.
+    rule = options.get("rule", scenario.rule)
+    is_flooding = rule == "labelled" or isinstance(rule, MeasurementFlooding)
+    return {**options, "schedule": "dynamic" if is_flooding else "hybrid"}
 
 
 def lossy_links(scenario: Scenario) -> str:

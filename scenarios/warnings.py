@@ -7,13 +7,21 @@ import numpy as np
 
 from concord.nodes.messages import from_wire
 from concord.nodes.rules.labelled_frame import MAX_WINDOW_STEPS
+from concord.scenarios.build import build_bus
+from concord.scenarios.bus_plan import arbiter_named, contenders_and_room
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.labelled import digest_of, latency_steps, window_of
 from concord.scenarios.rules import rule_of
 from concord.scenarios.scenario import lossy_links
 from concord.scenarios.setup import Setup
 from concord.scenarios.streams import generator
-from concord.scenarios.types.buses import ContendedSchedule, occupancy_of, trigger_of
+from concord.scenarios.types.buses import (
+    URGENCY,
+    ContendedSchedule,
+    arbiter_of,
+    occupancy_of,
+    trigger_of,
+)
 from concord.scenarios.types.holds import Decayed, Raw
 from concord.scenarios.types.rules import (
     ClassicalHybridConsensus,
@@ -56,6 +64,8 @@ def warnings_of(setup: Setup) -> tuple[str, ...]:
         *_short_window(setup),
         *_never_resent(setup),
         *_ideal_relay(setup),
+        *_ideal_arbiter(setup),
+        *_starving_order(setup),
     )
 
 
@@ -205,20 +215,37 @@ def _never_resent(setup: Setup) -> Iterator[str]:
 
 def _ideal_relay(setup: Setup) -> Iterator[str]:
     """Warn of the assumptions behind relaying within a cycle."""
-    scenario = setup.scenario
-    rule = scenario.rule
+    rule = setup.scenario.rule
     if isinstance(rule, MeasurementFlooding) and rule.relay:
-        awards = isinstance(scenario.bus.schedule, ContendedSchedule)
         yield (
             f"--relay: hosts must compose a frame within {rule.latch_delay_us:g} us of the one "
-            "before"
-            + (
-                ", and dynamic slots go to whoever needs them most at that moment, in any "
-                "order of frame IDs, which a FlexRay controller cannot do"
-                if awards
-                else ""
-            )
-            + "; without --relay nothing of this is assumed"
+            "before; without --relay nothing of this is assumed"
+        )
+
+
+def _ideal_arbiter(setup: Setup) -> Iterator[str]:
+    """Arbiters that know the bids of all nodes."""
+    bus = setup.scenario.bus
+    name = arbiter_of(bus.schedule)
+    if isinstance(bus.schedule, ContendedSchedule) and arbiter_named(name).is_ideal:
+        yield (
+            f"--arbiter {name} is ideal: it compares the bids of all nodes and awards slots in any "
+            f"order, which no FlexRay controller does; use --arbiter {URGENCY}, which FlexRay "
+            "itself arbitrates"
+        )
+
+
+def _starving_order(setup: Setup) -> Iterator[str]:
+    """One frame ID for each node: those with the last IDs send when all others leave room."""
+    if arbiter_of(setup.scenario.bus.schedule) != "minislot":
+        return
+    contenders, room = contenders_and_room(build_bus(setup))
+    if contenders > room:
+        yield (
+            f"--arbiter minislot: {contenders} nodes contend with one frame ID each, and the "
+            f"dynamic segment holds {room} of their longest shares in a cycle; while nodes with "
+            f"lower IDs ask, the last {contenders - room} may never send; use --arbiter {URGENCY}, "
+            "or a cluster with more minislots"
         )
 
 

@@ -259,7 +259,7 @@ def test_runs_do_not_hang_on_which_are_asked_for_or_on_what_is_kept():
 
 
 def test_rules_without_an_array_form_run_message_by_message():
-    only = {"rule": "labelled", "cluster": "bosch", "schedule": "dynamic", "stretch": 100.0}
+    only = {"rule": "labelled", "cluster": "bosch", "loss": 0.1, "stretch": 100.0}
     setup = prepare(scenario("target-tracking", nodes=5, graph="ring", steps=3, rounds=1, **only))
     assert "--cluster bosch" in (without_array_form(setup.scenario) or "")
     histories = simulate(setup, RUNS, keep=OPTIONAL)

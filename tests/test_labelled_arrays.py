@@ -9,7 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from concord.experiments.monte_carlo.simulate import simulate
+from concord.experiments.results.near_agreement import departures
 from concord.experiments.results.trace import read_trace
+from concord.experiments.scenario_options import scenario_of
 from concord.runtime.batched.build import build_network, without_array_form
 from concord.runtime.drivers import in_memory
 from concord.scenarios.catalogue import definition_named
@@ -147,7 +149,7 @@ def test_sightings_of_recorded_robots_agree(mrclam_folder: Path):
 @pytest.mark.parametrize(
     ("name", "options", "says"),
     [
-        ("target-tracking", {"cluster": "bosch"}, "--cluster bosch"),
+        ("target-tracking", {"cluster": "bosch", "loss": 0.1}, "--cluster bosch"),
         ("oscillator", {"changes": ("3 kill 1", "4 restart 1")}, "--changes restart"),
     ],
 )
@@ -158,3 +160,24 @@ def test_what_has_no_array_form_is_named(name: str, options: dict[str, Any], say
     if name == "target-tracking":
         with pytest.raises(ValueError, match="use --driver in-process"):
             build_network(prepare(labelled(nodes=4, graph="ring", steps=2, **options)), [0])
+
+
+@pytest.mark.parametrize(("cluster", "nodes"), [("audi", 12), ("flexray-adapter", 5)])
+@pytest.mark.parametrize("arbiter", ["urgency", "wtod", "minislot"])
+def test_shares_that_compete_for_minislots_have_their_own_lengths(
+    arbiter: str, cluster: str, nodes: int
+):
+    """On a cluster that does not hold the longest shares of all winners, lengths decide."""
+    options = scenario_of(
+        scenario="target-tracking", nodes=nodes, rule="labelled", schedule="dynamic",
+        occupancy=0.75, cluster=cluster, arbiter=arbiter, steps=12, payload_bytes=100,
+        **({"urgency_classes": 2} if arbiter == "urgency" else {}),
+    )  # fmt: skip
+    assert without_array_form(options) is None
+    setup = prepare(options)
+    trace = read_trace(setup, in_memory(setup))
+    assert not departures(setup, trace)
+    histories = simulate(setup, [0])
+    for name, counts in histories.counters.items():
+        assert [one.get(name, 0) for one in trace.counters] == counts[0].tolist(), name
+    assert trace.classes.any() == (arbiter == "urgency")

@@ -11,13 +11,14 @@ _MIN_STATIC_PAYLOAD_BYTES = 2
 _IDLE_MACROTICKS = 40
 
 
-def fitted_cluster(schedule: Schedule, payloads: Sequence[int]) -> Cluster:
+def fitted_cluster(schedule: Schedule, payloads: Sequence[int], classes: int = 1) -> Cluster:
     """The cluster with macroticks of 1 us and the action points of the demo cluster, in which every
     static turn of `schedule` has its slots and every choice of winners fits the dynamic segment.
 
     Args:
         schedule: which node publishes when.
         payloads: payload length in bytes of each frame that a share takes, all but the last full.
+        classes: urgency classes, in each of which a contender has frame IDs of its own.
 
     Raises:
         ClusterError: no FlexRay cycle (16 ms at most) is long enough.
@@ -31,7 +32,7 @@ def fitted_cluster(schedule: Schedule, payloads: Sequence[int]) -> Cluster:
     winners = min(max(schedule.dynamic_slot_table), contenders)
     lengths = [DEMO.dynamic_slot_minislots(size) for size in payloads]
     # The worst case: the winners have the last IDs, and every slot before them counts by empty.
-    minislots = (contenders - winners) * len(payloads) + winners * sum(lengths)
+    minislots = (contenders * classes - winners) * len(payloads) + winners * sum(lengths)
     # A short last frame that begins where a long one could not any more begins too late.
     minislots += (max(lengths) - lengths[-1]) if minislots else 0
     macroticks = (

@@ -1,7 +1,8 @@
 """The FlexRay bus of a network: a schedule with its slots on a cluster."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
+from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from concord.bus.flexray.timing import (
     static_transmissions,
 )
 from concord.bus.schedule import Schedule
+from concord.bus.urgency_classes import ONE_CLASS, UrgencyClasses
 
 
 class FlexRayBus(SlottedBus):
@@ -32,10 +34,15 @@ class FlexRayBus(SlottedBus):
     has_time = True
 
     def __init__(
-        self, schedule: Schedule, cluster: Cluster, table: SlotTable, arbiter: Arbiter
+        self,
+        schedule: Schedule,
+        cluster: Cluster,
+        table: SlotTable,
+        arbiter: Arbiter,
+        classes: UrgencyClasses,
     ) -> None:
         slots = Publications(table, cluster).slots
-        super().__init__(schedule, slots, arbiter, cluster.number_of_cycles)
+        super().__init__(schedule, slots, arbiter, cluster.number_of_cycles, classes)
         self.cluster = cluster
         self.table = table
 
@@ -80,13 +87,18 @@ class FlexRayBus(SlottedBus):
         end_us = self.cluster.slot_start_us(max(owned)) + self.cluster.static_slot_us
         return self.cluster.slot_start_us(min(owned)), end_us
 
-    def transmissions(self, cycle: int, payload_bytes: Sequence[int]) -> tuple[Transmission, ...]:
+    def transmissions(
+        self, cycle: int, payload_bytes: Sequence[int], classes: Sequence[int] = ()
+    ) -> tuple[Transmission, ...]:
         """Return the frames of a cycle from the payload bytes of each node, 0 of a silent one."""
         static = _filled(self._owned[cycle % len(self._owned)], payload_bytes)
+        own = self.schedule.static_senders(cycle)
         winners = [
-            self._requests[node]._replace(payload_bytes=size)
-            for node, size in enumerate(payload_bytes)
-            if size and node not in self.schedule.static_senders(cycle)
+            Request(node, self.slots(node, cycle)[urgency_class][0].frame_id, size)
+            for node, (size, urgency_class) in enumerate(
+                zip_longest(payload_bytes, classes, fillvalue=0)
+            )
+            if size and node not in own
         ]
         return (*static, *dynamic_transmissions(self.cluster, winners))
 
@@ -103,19 +115,25 @@ class FlexRayBus(SlottedBus):
         check_timing(self.cluster, rounds, time_step_s, stretch)
 
     def dynamic_room(self) -> int:
-        """Return how many of the contenders that may win in a cycle fit whichever of them do."""
-        wanted = min(max(self.schedule.dynamic_slot_table), len(self._requests))
+        """Return how many of the contenders that may win in a cycle fit whichever of them do, in
+        whatever class."""
         # The last IDs are the worst: every slot before them counts by empty.
-        worst = list(self._requests.values())
-        for count in range(wanted, 0, -1):
+        last = self.table.classes - 1
+        worst = [self.table.request(node, last) for node in self._contenders]
+        for count in range(self._most_winners, 0, -1):
             if not walk(self.cluster, worst[-count:]).waiting:
                 return count
         return 0
 
     @cached_property
     def _all_fit(self) -> bool:
-        wanted = min(max(self.schedule.dynamic_slot_table), len(self._requests))
-        return self.dynamic_room() == wanted
+        return self.dynamic_room() == self._most_winners
+
+    @property
+    def _most_winners(self) -> int:
+        slots = max(self.schedule.dynamic_slot_table)
+        contenders = len(self._contenders) if slots else 0
+        return min(slots, contenders) if self._arbiter.withdraws else contenders
 
     @cached_property
     def _owned(self) -> list[tuple[Transmission, ...]]:
@@ -125,25 +143,22 @@ class FlexRayBus(SlottedBus):
         ]
 
     @cached_property
-    def _requests(self) -> dict[int, Request]:
-        """The longest request of each contender, in order of nodes."""
-        contenders = sorted({node for row in self.schedule.contender_table for node in row})
-        return {node: self.table.request(node) for node in contenders}
+    def _contenders(self) -> list[int]:
+        return sorted({node for row in self.schedule.contender_table for node in row})
 
     def _fits(
         self,
-        nodes: Sequence[int] | NDArray[np.int64],
+        nodes: NDArray[np.int64],
         frame_ids: NDArray[np.int64],
-        payload_bytes: NDArray[np.int64],
+        payload_bytes: Callable[[], NDArray[np.int64]],
     ) -> Fits | None:
         if self._all_fit:
             return None
+        sizes, owners = payload_bytes(), nodes.tolist()
 
         def fits(run: tuple[int, ...], places: Sequence[int]) -> bool:
-            requests = [
-                Request(int(nodes[i]), int(frame_ids[i]), int(payload_bytes[*run, i]))
-                for i in places
-            ]
+            ids, lengths = frame_ids[run], sizes[run]
+            requests = [Request(owners[i], int(ids[i]), int(lengths[i])) for i in places]
             return not walk(self.cluster, requests).waiting
 
         return fits
@@ -155,6 +170,7 @@ def flexray_bus(
     share_bytes: int,
     arbiter: Arbiter,
     latch_delay_us: float = 0.0,
+    classes: UrgencyClasses = ONE_CLASS,
 ) -> FlexRayBus:
     """Return the bus of a schedule whose shares have at most that many bytes.
 
@@ -166,10 +182,10 @@ def flexray_bus(
     if any(schedule.static_table):
         static = payload_lengths(share_bytes, cluster.static_payload_bytes)
     dynamic = payload_lengths(share_bytes, cluster.dynamic_payload_bytes)
-    table = allocate(schedule, cluster, static, dynamic)
+    table = allocate(schedule, cluster, static, dynamic, classes.count)
     if schedule.relay:
         check_relay(schedule, cluster, table, latch_delay_us)
-    return FlexRayBus(schedule, cluster, table, arbiter)
+    return FlexRayBus(schedule, cluster, table, arbiter, classes)
 
 
 def _filled(owned: Sequence[Transmission], sizes: Sequence[int]) -> list[Transmission]:

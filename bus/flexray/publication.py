@@ -34,17 +34,19 @@ class Publications:
         self._static_payload_bytes = cluster.static_payload_bytes
         self._period = lcm(*(slot.repetition for slot in table.assignments))
         # Cache of lookups; a table repeats within few cycles.
-        self._known: dict[tuple[int, int], tuple[Slot, ...]] = {}
-        self._dynamic = {
-            node: tuple(
-                Slot(frame_id, payload_bytes, fixed=False)
-                for frame_id, payload_bytes in zip(sorted(ids), table.dynamic_payloads, strict=True)
+        self._known: dict[tuple[int, int], tuple[tuple[Slot, ...], ...]] = {}
+        lengths = table.dynamic_payloads * table.classes
+        self._dynamic: dict[int, tuple[tuple[Slot, ...], ...]] = {}
+        for node, ids in dynamic.items():
+            slots = [Slot(*one, fixed=False) for one in zip(sorted(ids), lengths, strict=True)]
+            size = len(table.dynamic_payloads)
+            self._dynamic[node] = tuple(
+                tuple(slots[first : first + size]) for first in range(0, len(slots), size)
             )
-            for node, ids in dynamic.items()
-        }
 
-    def slots(self, node: int, cycle: int) -> tuple[Slot, ...]:
-        """The slots of one share in this cycle: its static ones, else those it may contend for.
+    def slots(self, node: int, cycle: int) -> tuple[tuple[Slot, ...], ...]:
+        """The slots of one share in this cycle: its static ones, else for each urgency class those
+        that it may contend for; empty for a node without slots.
 
         Every static frame has the cluster's static payload length.
         """
@@ -54,10 +56,10 @@ class Publications:
             slots = self._known[key] = self._look_up(*key)
         return slots
 
-    def _look_up(self, node: int, cycle: int) -> tuple[Slot, ...]:
+    def _look_up(self, node: int, cycle: int) -> tuple[tuple[Slot, ...], ...]:
         static = tuple(
             Slot(slot.frame_id, self._static_payload_bytes)
             for slot in self._static.get(node, ())
             if slot.sends(cycle)
         )
-        return static or self._dynamic.get(node, ())
+        return (static,) if static else self._dynamic.get(node, ())

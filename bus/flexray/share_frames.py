@@ -17,6 +17,7 @@ from concord.bus.flexray.fragments import PREFIX_BYTES as NUMBERING_BYTES
 from concord.bus.flexray.fragments import FragmentError, fragment_count, join, payload_sizes, split
 from concord.bus.flexray.frame import (
     HEADER_BYTES,
+    MAX_FRAME_ID,
     MAX_PAYLOAD_BYTES,
     OVERHEAD_BYTES,
     Frame,
@@ -211,6 +212,11 @@ def cycle_of(frame: bytes) -> int:
     """The cycle that a frame's payload begins with, unchecked; 0 where the frame is too short."""
     whole = len(frame) >= HEADER_BYTES + PREFIX_BYTES
     return _CYCLE.unpack_from(frame, HEADER_BYTES)[0] if whole else 0
+
+
+def frame_id_of(frame: bytes) -> int:
+    """The frame ID in a frame's header, unchecked: the last 11 of its first 16 bits."""
+    return int.from_bytes(frame[:2], "big") & MAX_FRAME_ID
 
 
 SHARE_FRAMES = FrameFormat(

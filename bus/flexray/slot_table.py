@@ -10,6 +10,7 @@ import msgspec
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.cluster_parameters import Channels, Segment
 from concord.bus.flexray.dynamic_segment import Request, walk
+from concord.bus.flexray.frame import MAX_FRAME_ID
 from concord.bus.schedule import Schedule
 
 REPETITIONS = (1, 2, 4, 8, 16, 32, 64)
@@ -31,12 +32,13 @@ class SlotAssignment(msgspec.Struct, frozen=True):
 
 class SlotTable(msgspec.Struct, frozen=True):
     """A schedule's slots on a cluster. A share travels in frames with payloads of these bytes, one
-    in each of its sender's slots of a cycle."""
+    in each of its sender's slots of a cycle; a contender has such slots in each of `classes`."""
 
     assignments: tuple[SlotAssignment, ...]
     first_dynamic_id: int
     static_payloads: tuple[int, ...]
     dynamic_payloads: tuple[int, ...]
+    classes: int = 1
 
     def static_slots(self, cycle: int) -> tuple[SlotAssignment, ...]:
         """Static slots in use in this cycle, in order."""
@@ -46,16 +48,17 @@ class SlotTable(msgspec.Struct, frozen=True):
             if slot.frame_id < self.first_dynamic_id and slot.sends(cycle)
         )
 
-    def request(self, node: int) -> Request:
+    def request(self, node: int, urgency_class: int = 0) -> Request:
         """The request with which this node asks for the dynamic segment for one share."""
-        ids = [
+        ids = sorted(
             slot.frame_id
             for slot in self.assignments
             if slot.node == node and slot.frame_id >= self.first_dynamic_id
-        ]
+        )
         if not ids:
             raise ValueError(f"node {node} owns no dynamic slot; it sends in static slots only")
-        return Request(node, min(ids), sum(self.dynamic_payloads))
+        frame_id = ids[urgency_class * len(self.dynamic_payloads)]
+        return Request(node, frame_id, sum(self.dynamic_payloads))
 
 
 def allocate(
@@ -63,14 +66,15 @@ def allocate(
     cluster: Cluster,
     static_payloads: Sequence[int],
     dynamic_payloads: Sequence[int],
+    classes: int = 1,
 ) -> SlotTable:
     """Give every publisher the slots that one share needs: static ones from 1 on, dynamic ones from
-    the cluster's first on, in order of nodes.
+    the cluster's first on, class by class of urgency and in order of nodes within each.
 
     `static_payloads` and `dynamic_payloads` are the payload lengths of the frames in which a share
     travels in either segment (`payload_sizes`); dynamic frames but the last are full.
     Raises ValueError if the cluster has too few static slots, a payload is longer than its frames
-    carry, or a contender could never send.
+    carry, there are more frame IDs than FlexRay has, or a contender could never send.
     """
     contenders = sorted({node for row in schedule.contender_table for node in row})
     if any(schedule.static_table):
@@ -86,12 +90,20 @@ def allocate(
             f"{cluster.name!r} has {cluster.static_slots}; lower the occupancy, use float32, or "
             "another cluster"
         )
-    first = cluster.first_dynamic_id
+    first, owned = cluster.first_dynamic_id, len(contenders) * len(dynamic_payloads)
+    if classes > 1 and first + classes * owned - 1 > MAX_FRAME_ID:
+        raise ValueError(
+            f"{classes} urgency classes of {owned} frame IDs each after {first - 1} static ones, "
+            f"but frame IDs end at {MAX_FRAME_ID}; use --urgency-classes "
+            f"{max(1, (MAX_FRAME_ID - first + 1) // owned)}, or fewer contenders"
+        )
+    in_class = [node for node in contenders for _ in dynamic_payloads]
     dynamic = tuple(
         SlotAssignment(first + rank, node, cluster.channels)
-        for rank, node in enumerate(node for node in contenders for _ in dynamic_payloads)
+        for rank, node in enumerate(in_class * classes)
     )
-    table = SlotTable(slots + dynamic, first, tuple(static_payloads), tuple(dynamic_payloads))
+    payloads = tuple(static_payloads), tuple(dynamic_payloads)
+    table = SlotTable(slots + dynamic, first, *payloads, classes)
     for node in contenders:
         _check_reachable(table.request(node), cluster)
     return table

@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from concord.bus.arbitration import Arbiter, ArbiterState, Fits, award
-from concord.bus.bus import Fragment, Rejected, SharePlace
+from concord.bus.bus import Awards, Fragment, Rejected, SharePlace
 from concord.bus.flexray.publication import Slot
 from concord.bus.flexray.share_frames import (
     SHARE_FRAMES,
+    frame_id_of,
     frame_payloads,
     in_slot,
     numbered,
@@ -19,9 +20,11 @@ from concord.bus.flexray.share_frames import (
     whole_body,
 )
 from concord.bus.schedule import Schedule
+from concord.bus.urgency_classes import UrgencyClasses
 
-Slots = Callable[[int, int], tuple[Slot, ...]]
-"""(node, cycle) -> the slots of the node's share in that cycle."""
+Slots = Callable[[int, int], tuple[tuple[Slot, ...], ...]]
+"""(node, cycle) -> for each urgency class the slots of the node's share in that cycle; one class
+for a node with slots of its own, none for a node without slots."""
 
 
 class SlottedBus:
@@ -31,24 +34,36 @@ class SlottedBus:
     frame_format = SHARE_FRAMES
 
     def __init__(
-        self, schedule: Schedule, slots: Slots, arbiter: Arbiter, cycle_counts: int
+        self,
+        schedule: Schedule,
+        slots: Slots,
+        arbiter: Arbiter,
+        cycle_counts: int,
+        classes: UrgencyClasses,
     ) -> None:
         self.schedule = schedule
         self.slots = slots
+        self.classes = classes
         self._arbiter = arbiter
         self._cycle_counts = cycle_counts
 
-    def encode(self, node: int, cycle: int, body: bytes) -> list[bytes]:
+    def encode(self, node: int, cycle: int, body: bytes, urgency_class: int = 0) -> list[bytes]:
         """Return the frames in which a node sends a share in a cycle."""
-        return to_frames(body, cycle, self.slots(node, cycle), self._cycle_counts)
+        slots = self.slots(node, cycle)
+        of_class = slots[min(urgency_class, len(slots) - 1)]
+        return to_frames(body, cycle, of_class, self._cycle_counts)
 
     def payloads(self, node: int, cycle: int, body_bytes: int) -> tuple[int, ...]:
         """Return the payload length of each frame that `encode` makes of a body of that length."""
-        return frame_payloads(body_bytes, self.slots(node, cycle))
+        return frame_payloads(body_bytes, self.slots(node, cycle)[0])
 
     def due_body(self, frame: bytes, sender: int, cycle: int, body_bytes: int) -> bytes | None:
         """Return the body in a frame that is bit by bit what `encode` makes; None for others."""
-        slot = self.slots(sender, cycle)[0]
+        slots = self.slots(sender, cycle)
+        slot = slots[0][0]
+        if len(slots) > 1:
+            sent_in = frame_id_of(frame)
+            slot = next((one[0] for one in slots if one[0].frame_id == sent_in), slot)
         return whole_body(frame, slot, body_bytes, cycle, self._cycle_counts)
 
     def receive(self, frame: bytes) -> Fragment:
@@ -63,20 +78,33 @@ class SlottedBus:
             cycle
         ):
             raise Rejected("unscheduled")
-        # A share takes the first of its sender's slots, as many as it needs.
-        for number, slot in enumerate(self.slots(sender, cycle)[:frames]):
-            if slot.frame_id == fragment.frame_id:
-                return SharePlace(number, frames)
+        # A share takes the first slots of a class of its sender, as many as it needs.
+        for of_class in self.slots(sender, cycle):
+            for number, slot in enumerate(of_class[:frames]):
+                if slot.frame_id == fragment.frame_id:
+                    return SharePlace(number, frames)
         raise Rejected("wrong-slot")
+
+    def urgency_class(self, node: int, cycle: int, frame_id: int) -> int:
+        """Return the class of a node's frame ID; 0 for an ID that is not the node's."""
+        for number, of_class in enumerate(self.slots(node, cycle)):
+            if any(slot.frame_id == frame_id for slot in of_class):
+                return number
+        return 0
 
     def in_slot_of(self, frame: bytes, node: int, cycle: int) -> bytes | None:
         """Return a sound frame moved to the first slot of a node; None where it has no slot."""
         slots = self.slots(node, cycle)
-        return in_slot(frame, slots[0].frame_id) if slots else None
+        return in_slot(frame, slots[0][0].frame_id) if slots else None
 
     def renumbered(self, frame: bytes, cycle: int) -> bytes:
         """Return a sound frame with the number of another cycle."""
         return renumbered(frame, cycle, self._cycle_counts)
+
+    @property
+    def has_ideal_arbiter(self) -> bool:
+        """Whether slots are awarded in an order that no controller knows."""
+        return self._arbiter.is_ideal
 
     def arbitrate(
         self,
@@ -85,21 +113,37 @@ class SlottedBus:
         group: int,
         nodes: Sequence[int] | NDArray[np.int64],
         bids: NDArray[np.int64],
-        payload_bytes: NDArray[np.int64],
-    ) -> tuple[ArbiterState, NDArray[np.bool_]]:
+        payload_bytes: Callable[[], NDArray[np.int64]],
+    ) -> Awards:
         """Award the slots of one group of a cycle (`concord.bus.bus.Bus.arbitrate`)."""
-        frame_ids = np.array(
-            [self.slots(int(node), cycle)[0].frame_id for node in nodes], dtype=np.int64
-        )
-        slots = self.schedule.groups(cycle)[group].dynamic_slots
-        fits = self._fits(nodes, frame_ids, payload_bytes)
-        return award(self._arbiter, state, nodes, frame_ids, bids, slots, fits)
+        places = np.asarray(nodes, dtype=np.int64)
+        slots = [self.slots(node, cycle) for node in places.tolist()]
+        ids = [[of_class[0].frame_id for of_class in of_node] for of_node in slots]
+        owned = np.array(ids, dtype=np.int64).reshape(len(slots), self.classes.count)
+        groups = self.schedule.groups(cycle)
+        most = groups[group].dynamic_slots
+        if not (self._arbiter.withdraws or self.schedule.relay):
+            most = len(slots)
+        classes = self.classes.of(bids, state.waits[..., places])
+        passed = None
+        if self.schedule.relay and self.classes.count > 1:
+            begins = not any(one.dynamic_slots for one in groups[:group])
+            last = np.where(begins, 0, state.last_frame_id)
+            # Of a class whose slot is over, a host takes the next ID of its node.
+            over = (owned <= last[..., None, None]).sum(axis=-1)
+            passed = over == self.classes.count
+            classes = np.minimum(np.maximum(classes, over), self.classes.count - 1)
+            state = state._replace(last_frame_id=last)
+        frame_ids = owned[np.arange(len(slots)), classes]
+        fits = self._fits(places, frame_ids, payload_bytes)
+        state, wins = award(self._arbiter, state, places, frame_ids, bids, most, fits, passed)
+        return Awards(state, wins, classes)
 
     def _fits(
         self,
-        nodes: Sequence[int] | NDArray[np.int64],
+        nodes: NDArray[np.int64],
         frame_ids: NDArray[np.int64],
-        payload_bytes: NDArray[np.int64],
+        payload_bytes: Callable[[], NDArray[np.int64]],
     ) -> Fits | None:
         """Return whether requests fit beside each other; None where all that may win do."""
         return None

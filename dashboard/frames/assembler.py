@@ -99,7 +99,9 @@ class Assembler:
         numbers = self._network.cycles(number)
         cycles = tuple(
             self._bus.cycle(
-                cycle, {node: size for (when, node), size in told.sizes.items() if when == cycle}
+                cycle,
+                {node: size for (when, node), size in told.sizes.items() if when == cycle},
+                {node: one for (when, node), one in told.frame_ids.items() if when == cycle},
             )
             for cycle in numbers
         )

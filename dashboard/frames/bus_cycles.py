@@ -12,11 +12,16 @@ class BusView:
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
 
-    def cycle(self, cycle: int, sizes: Mapping[int, int]) -> BusCycle:
-        """A cycle in which each node sent so many payload bytes, all its frames together."""
+    def cycle(self, cycle: int, sizes: Mapping[int, int], frame_ids: Mapping[int, int]) -> BusCycle:
+        """A cycle in which each node sent so many payload bytes, all its frames together, of which
+        one had this ID."""
         schedule = self._bus.schedule
         row = [sizes.get(node, 0) for node in range(schedule.nodes)]
-        frames = self._bus.transmissions(cycle, row)
+        classes = [
+            self._bus.urgency_class(node, cycle, frame_ids.get(node, 0))
+            for node in range(schedule.nodes)
+        ]
+        frames = self._bus.transmissions(cycle, row, classes)
         silent = tuple(node for node in schedule.static_senders(cycle) if not row[node])
         return BusCycle(cycle, tuple(sorted(frames, key=_when)), silent, sum(row))
 

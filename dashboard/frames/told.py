@@ -11,12 +11,14 @@ from concord.runtime.whole_steps import WholeStep
 
 @dataclass
 class StepContent:
-    """The content of a step; `sizes` are payload bytes by (cycle, node)."""
+    """The content of a step, by (cycle, node): `sizes` are payload bytes, `frame_ids` one ID of the
+    share."""
 
     truth: Truth | None = None
     measured: dict[int, Measured] = field(default_factory=dict)
     estimates: dict[int, Estimate] = field(default_factory=dict)
     sizes: Counter[tuple[int, int]] = field(default_factory=Counter)
+    frame_ids: dict[tuple[int, int], int] = field(default_factory=dict)
 
 
 def read_step(step: WholeStep, nodes: int, frames: FrameFormat) -> StepContent:
@@ -43,8 +45,9 @@ def read_step(step: WholeStep, nodes: int, frames: FrameFormat) -> StepContent:
 
 def _read_share(told: StepContent, sender: int | None, data: bytes, frames: FrameFormat) -> None:
     try:
-        cycle = frames.read(data).cycle
+        fragment = frames.read(data)
     except Rejected:
         return
     if sender is not None:
-        told.sizes[cycle, sender] += len(data) - frames.overhead_bytes
+        told.sizes[fragment.cycle, sender] += len(data) - frames.overhead_bytes
+        told.frame_ids[fragment.cycle, sender] = fragment.frame_id

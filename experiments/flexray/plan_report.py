@@ -46,10 +46,11 @@ class SlotRow(msgspec.Struct, frozen=True):
 class PlanReport(msgspec.Struct, frozen=True):
     """A schedule with its slots on a cluster, and its rehearsal.
 
-    `published` is the part of the nodes that publishes in a rehearsed cycle, on average;
+    `published` is the part of the nodes that publishes in a rehearsed cycle, on average.
     `dynamic_slots` is how many contenders the schedule lets into a cycle, and `dynamic_room` how
-    many of them fit whoever wins. `time` and `remarks` are for people: whether the cycles of a step
-    fit into it, and what a FlexRay controller alone cannot do.
+    many of them fit whoever wins. Each contender has frame IDs in `urgency_classes` classes. `time`
+    and `remarks` are for people: whether the cycles of a step fit into it, and what a FlexRay
+    controller alone cannot do.
     """
 
     schedule: str
@@ -63,6 +64,7 @@ class PlanReport(msgspec.Struct, frozen=True):
     dynamic_payloads: list[int]
     dynamic_slots: int
     dynamic_room: int
+    urgency_classes: int
     time: str
     fits_time: bool
     remarks: list[str]
@@ -155,12 +157,13 @@ def _report(alternative: Alternative) -> PlanReport:
         dynamic_payloads=list(table.dynamic_payloads),
         dynamic_slots=max(bus.schedule.dynamic_slot_table),
         dynamic_room=bus.dynamic_room(),
+        urgency_classes=table.classes,
         time=time,
         fits_time=fits_time,
         remarks=list(deviations(table.assignments, cluster)),
         slots=slot_rows(table),
         published=float(rehearsal.published.mean()),
-        figures=bus_figures(bus, rehearsal.payload_bytes, rehearsal.asked, rehearsal.ages.ravel()),
+        figures=bus_figures(bus, rehearsal.sent, rehearsal.asked, rehearsal.ages.ravel()),
     )
 
 

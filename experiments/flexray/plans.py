@@ -69,7 +69,7 @@ def show(
                 f"steps of {rounds} rounds); choose one of these, or more --steps"
             )
     rehearsal = rehearse(setup, bus, cycle // rounds + 1)
-    frames = timetable(bus, rehearsal.payload_bytes)[cycle]
+    frames = timetable(bus, rehearsal.sent)[cycle]
     if bus.schedule.contenders(cycle):
         sys.stderr.write(f"rehearsed: {REHEARSED}\n")
     if json:
@@ -138,10 +138,22 @@ def _shown_lines(shown: PlanReport) -> list[str]:
                 else f"only {shown.dynamic_room} of them fit whoever wins; the others wait"
             )
         )
+        if shown.urgency_classes > 1:
+            text.append(_price_of_classes(shown))
     if shown.remarks:
         others = f" (and {len(shown.remarks) - 1} more slots)" if len(shown.remarks) > 1 else ""
         text.append(f"beyond cycle multiplexing: {shown.remarks[0]}{others}")
     return text
+
+
+def _price_of_classes(shown: PlanReport) -> str:
+    owned = sum(len(row.frame_ids) for row in shown.slots if row.segment == "dynamic")
+    empty = max(0, owned - shown.dynamic_slots * len(shown.dynamic_payloads))
+    lost_us = empty * shown.cluster.minislot_us
+    return (
+        f"{shown.urgency_classes} urgency classes of {owned // shown.urgency_classes} frame IDs, "
+        f"for which at most {empty} empty minislots ({lost_us:.4g} us) pass in a cycle"
+    )
 
 
 def _frames(payloads: list[int]) -> str:
@@ -173,13 +185,19 @@ def _slot_grid(rows: list[SlotRow]) -> Table:
     for heading in ("segment", "frame IDs", "channel", "in cycles"):
         grid.add_column(heading)
     for row in rows:
-        first, last = row.frame_ids[0], row.frame_ids[-1]
         if row.segment == "dynamic":
             when = "when it wins"
         elif row.repetition == 1:
             when = "all"
         else:
             when = f"{row.base_cycle} modulo {row.repetition}"
-        ids = str(first) if first == last else f"{first}-{last}"
-        grid.add_row(str(row.node), row.segment, ids, row.channel, when)
+        grid.add_row(str(row.node), row.segment, _ids(row.frame_ids), row.channel, when)
     return grid
+
+
+def _ids(frame_ids: list[int]) -> str:
+    """Return ascending frame IDs in short: `1-7`, or `52, 72, ... 192` where they have gaps."""
+    begins = [one for one in frame_ids if one - 1 not in frame_ids]
+    ends = [one for one in frame_ids if one + 1 not in frame_ids]
+    runs = [f"{a}" if a == b else f"{a}-{b}" for a, b in zip(begins, ends, strict=True)]
+    return ", ".join(runs if len(runs) < 4 else (*runs[:2], f"... {runs[-1]}"))

@@ -4,6 +4,7 @@ In a rehearsal every contender asks in every contended cycle, the longer it was 
 urgently. A run asks less where it has a trigger, and bids by what has changed.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import msgspec
@@ -12,6 +13,7 @@ import numpy as np
 from concord.bus.arbitration import begin_arbitration
 from concord.bus.flexray.flexray_bus import FlexRayBus
 from concord.bus.schedule import Schedule
+from concord.experiments.results.bus_report import SentShares
 from concord.scenarios.build import build_bus
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
@@ -25,15 +27,15 @@ ANY_STRETCH = 1e9
 
 
 class Rehearsal(NamedTuple):
-    """Payload bytes that each node sent, and dynamic-segment bids; both (steps, rounds, N)."""
+    """Shares that each node sent, and dynamic-segment bids; both (steps, rounds, N)."""
 
-    payload_bytes: np.ndarray
+    sent: SentShares
     asked: np.ndarray
 
     @property
     def published(self) -> np.ndarray:
         """Return the nodes that published (steps, rounds, N)."""
-        return self.payload_bytes > 0
+        return self.sent.payload_bytes > 0
 
     @property
     def ages(self) -> np.ndarray:
@@ -102,6 +104,7 @@ def rehearse(setup: Setup, bus: FlexRayBus, steps: int) -> Rehearsal:
     scenario, schedule = setup.scenario, bus.schedule
     cycles = steps * scenario.rounds
     payload_bytes = np.zeros((cycles, scenario.nodes), dtype=np.int64)
+    classes = np.zeros_like(payload_bytes)
     asked = np.zeros((cycles, scenario.nodes), dtype=bool)
     state = begin_arbitration(scenario.nodes)
     silent = [0] * scenario.nodes
@@ -110,10 +113,12 @@ def rehearse(setup: Setup, bus: FlexRayBus, steps: int) -> Rehearsal:
         senders = schedule.static_senders(cycle)
         if contenders:
             sizes = np.array([_payload_bytes(bus, i, cycle) for i in contenders])
-            bids = np.array([silent[i] for i in contenders])
-            state, wins = bus.arbitrate(state, cycle, 0, contenders, bids, sizes)
+            bids = bus.classes.spread(np.array([silent[i] for i in contenders]) / len(contenders))
+            awards = bus.arbitrate(state, cycle, 0, contenders, bids, partial(np.array, sizes))
+            state, winners = awards.state, np.array(contenders)[awards.wins]
             asked[cycle, contenders] = True
-            senders += tuple(np.array(contenders)[wins].tolist())
+            classes[cycle, winners] = awards.classes[awards.wins]
+            senders += tuple(winners.tolist())
         for node in senders:
             payload_bytes[cycle, node] = _payload_bytes(bus, node, cycle)
         silent = [
@@ -121,11 +126,12 @@ def rehearse(setup: Setup, bus: FlexRayBus, steps: int) -> Rehearsal:
             for sent, waited in zip(payload_bytes[cycle], silent, strict=True)
         ]
     shape = (steps, scenario.rounds, scenario.nodes)
-    return Rehearsal(payload_bytes.reshape(shape), asked.reshape(shape))
+    sent = SentShares(payload_bytes.reshape(shape), classes.reshape(shape))
+    return Rehearsal(sent, asked.reshape(shape))
 
 
 def _payload_bytes(bus: FlexRayBus, node: int, cycle: int) -> int:
-    return sum(slot.payload_bytes for slot in bus.slots(node, cycle))
+    return sum(slot.payload_bytes for slot in bus.slots(node, cycle)[0])
 
 
 def _largest(setup: Setup) -> Alternative | None:

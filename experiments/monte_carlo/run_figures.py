@@ -146,7 +146,7 @@ def traffic_of(setup: Setup, histories: Histories) -> dict[str, np.ndarray]:
     plant = definition_of(setup.scenario).plant(setup.scenario)
     energy_nj = energy_per_bit_nj(setup.neighbours, plant.positions(0))
     heard = kept(histories)[1].reshape(len(payload), -1)
-    load, bus_time_us, delay_us = _bus(setup, payload)
+    load, bus_time_us, delay_us = _bus(setup, payload, histories.classes)
     return {
         "published": (payload > 0).sum(axis=(1, 2, 3)) / (_cycles(setup) * payload.shape[-1]),
         "bytes_per_step": sent.sum(axis=2).mean(axis=1),
@@ -170,7 +170,9 @@ def _cycles(setup: Setup) -> int:
     )
 
 
-def _bus(setup: Setup, payload: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _bus(
+    setup: Setup, payload: np.ndarray, classes: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mean load (R,), mean time of frames per step (R,) and mean delay (R,); NaN on a bus without
     time, or of several settings."""
     bus = build_bus(setup)
@@ -178,12 +180,13 @@ def _bus(setup: Setup, payload: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.
     if not bus.has_time or any(change.anew for change in changes_of(setup)):
         return np.full(runs, np.nan), np.full(runs, np.nan), np.full(runs, np.nan)
     cycles = np.arange(steps * rounds) % bus.schedule.period
-    rows = np.column_stack((np.tile(cycles, runs), payload.reshape(-1, nodes)))
-    # The same nodes in the same cycle of the schedule take the same time.
+    sent = (one.reshape(-1, nodes) for one in (payload, classes))
+    rows = np.column_stack((np.tile(cycles, runs), *sent))
+    # The same frames in the same cycle of the schedule take the same time.
     kinds, which = np.unique(rows, axis=0, return_inverse=True)
     load, delay_us = np.empty(len(kinds)), np.empty(len(kinds))
-    for number, (cycle, *sizes) in enumerate(kinds.tolist()):
-        frames = bus.transmissions(cycle, sizes)
+    for number, (cycle, *sizes_and_classes) in enumerate(kinds.tolist()):
+        frames = bus.transmissions(cycle, sizes_and_classes[:nodes], sizes_and_classes[nodes:])
         load[number] = bus.load(frames)
         delay_us[number] = bus.fusion_delay_us(rounds, frames)
     shape = (runs, steps, rounds)

@@ -50,6 +50,7 @@ class Histories(NamedTuple):
             truth.
         payload_bytes: (R, S, L, N), sent by a node in a communication cycle; 0 if it sent nothing.
         asked: (R, S, L, N), True where a node bid for the dynamic segment.
+        classes: (R, S, L, N), the urgency class in whose frame ID a node won; else 0.
         counters: totals (R, N) by name, as nodes count them; what never happened has no name.
         prior_mean: (R, n), where filters began.
         readings: (R, S, N, r, d), NaN where none was taken. If kept.
@@ -68,6 +69,7 @@ class Histories(NamedTuple):
     nees: np.ndarray
     payload_bytes: np.ndarray
     asked: np.ndarray
+    classes: np.ndarray
     counters: dict[str, np.ndarray]
     prior_mean: np.ndarray
     readings: np.ndarray | None
@@ -84,6 +86,7 @@ class _Recorded(NamedTuple):
     belief: Gaussian
     payload_bytes: np.ndarray
     asked: np.ndarray
+    classes: np.ndarray
     readings: np.ndarray
     ages: np.ndarray
 
@@ -220,13 +223,17 @@ def _driven(setup: Setup, runs: Sequence[int]) -> _Part:
 
 def _recorded(instant: Instant, rounds: int) -> _Recorded:
     lacking = ((0, rounds - len(instant.payload_bytes)), (0, 0), (0, 0))
-    payload, asked = (np.pad(one, lacking) for one in (instant.payload_bytes, instant.asked))
+    payload, asked, classes = (
+        np.pad(one, lacking).transpose(1, 0, 2)
+        for one in (instant.payload_bytes, instant.asked, instant.classes)
+    )
     return _Recorded(
         instant.truth,
         instant.control,
         instant.belief,
-        payload.transpose(1, 0, 2),
-        asked.transpose(1, 0, 2),
+        payload,
+        asked,
+        classes,
         instant.readings,
         instant.ages,
     )
@@ -251,6 +258,7 @@ def _replayed(setup: Setup, runs: Sequence[int]) -> _Part:
                 Gaussian(trace.mean[None, step], trace.cov[None, step]),
                 trace.payload_bytes[None, step],
                 trace.asked[None, step],
+                trace.classes[None, step],
                 trace.readings[None, step],
                 trace.ages[None, step, receiver, sender],
             )
@@ -279,6 +287,7 @@ def _write(
         "nees": nees(errors, belief.cov[..., states, :][..., states]),
         "payload_bytes": recorded.payload_bytes.astype(np.int32),
         "asked": recorded.asked,
+        "classes": recorded.classes.astype(np.int16),
         READINGS: recorded.readings if READINGS in keep else None,
         AGES: recorded.ages.astype(np.int32) if AGES in keep else None,
         COV: belief.cov if COV in keep else None,

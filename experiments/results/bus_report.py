@@ -28,6 +28,9 @@ class BusFigures(msgspec.Struct, frozen=True):
             padding, and how long they keep the bus busy.
         delay_us_mean, delay_us_max: from a measurement to the last share of its step.
         contenders: nodes that asked for the dynamic segment; `starved` of them never got it.
+        ideal_arbiter: no controller awards slots in the order in which they got it.
+        empty_minislots_mean, empty_minislots_max: minislots of a cycle in which no node sent, up to
+            the last frame: the price of frame IDs that are not used.
         longest_wait_cycles: most contended cycles in a row in which `longest_wait_node` asked in
             vain; None where nobody ever did.
         share_ages: how many of the neighbours' shares behind the estimates were 0, 1, 2, ... cycles
@@ -46,11 +49,22 @@ class BusFigures(msgspec.Struct, frozen=True):
     delay_us_mean: float
     delay_us_max: float
     contenders: int
+    ideal_arbiter: bool
     starved: list[int]
+    empty_minislots_mean: float
+    empty_minislots_max: int
     longest_wait_cycles: int
     longest_wait_node: int | None
     share_ages: list[int]
     never_heard: int
+
+
+class SentShares(NamedTuple):
+    """Payload bytes of what each node sent in a cycle, and the urgency class of the frame IDs in
+    which it sent; both (..., N)."""
+
+    payload_bytes: np.ndarray
+    classes: np.ndarray
 
 
 class BusTimes(NamedTuple):
@@ -79,40 +93,38 @@ def figures_of(setup: Setup, trace: Trace) -> BusFigures | None:
         trace.ages[:, node, [j for j in neighbours if j in publishers]].ravel()
         for node, neighbours in enumerate(setup.neighbours)
     ]
-    return bus_figures(bus, trace.payload_bytes, trace.asked, np.concatenate(heard))
+    sent = SentShares(trace.payload_bytes, trace.classes)
+    return bus_figures(bus, sent, trace.asked, np.concatenate(heard))
 
 
 def times_of(setup: Setup, trace: Trace) -> BusTimes | None:
     """When what was on the bus in a run; None where the bus has no time, or was another."""
     bus = build_bus(setup)
     timed = bus.has_time and trace.history.one_bus
-    return bus_times(bus, trace.payload_bytes) if timed else None
+    return bus_times(bus, SentShares(trace.payload_bytes, trace.classes)) if timed else None
 
 
-def timetable(bus: Bus, payload_bytes: np.ndarray) -> list[tuple[Transmission, ...]]:
-    """Return the frames of every cycle; `payload_bytes` (..., N) has one row per cycle from cycle 0
-    on, of what each node sends (`Bus.transmissions`)."""
-    rows = payload_bytes.reshape(-1, bus.schedule.nodes).tolist()
-    return [bus.transmissions(cycle, sizes) for cycle, sizes in enumerate(rows)]
+def timetable(bus: Bus, sent: SentShares) -> list[tuple[Transmission, ...]]:
+    """Return the frames of every cycle from cycle 0 on (`Bus.transmissions`)."""
+    rows = (one.reshape(-1, bus.schedule.nodes).tolist() for one in sent)
+    return [bus.transmissions(cycle, *row) for cycle, row in enumerate(zip(*rows, strict=True))]
 
 
-def bus_figures(
-    bus: Bus, payload_bytes: np.ndarray, asked: np.ndarray, ages: np.ndarray
-) -> BusFigures:
+def bus_figures(bus: Bus, shares: SentShares, asked: np.ndarray, ages: np.ndarray) -> BusFigures:
     """Return the figures of a bus with time.
 
-    `payload_bytes` (steps, rounds, N) say who sent how much, `asked` who asked for the dynamic
-    segment; `ages` (any,) are those of the shares behind the estimates, -1 where there was none.
+    `shares` (steps, rounds, N) were sent, `asked` tells who asked for the dynamic segment; `ages`
+    (any,) are those of the shares behind the estimates, -1 where there was none.
     """
-    cycles = timetable(bus, payload_bytes)
-    rounds, nodes = payload_bytes.shape[1:]
+    cycles = timetable(bus, shares)
+    rounds, nodes = shares.payload_bytes.shape[1:]
     frames = [len(cycle) for cycle in cycles]
     load = [bus.load(cycle) for cycle in cycles]
     delay_us = [bus.fusion_delay_us(rounds, last) for last in cycles[rounds - 1 :: rounds]]
     sent_frames = [frame for cycle in cycles for frame in cycle]
     wire_bytes_per_step, wire_us_per_step = _on_the_wire(bus, sent_frames, len(cycles) / rounds)
-    asked, sent = asked.reshape(-1, nodes), payload_bytes.reshape(-1, nodes) > 0
-    waits = longest_waits(asked, sent)
+    asked, sent = asked.reshape(-1, nodes), shares.payload_bytes.reshape(-1, nodes) > 0
+    waits, empty = longest_waits(asked, sent), [empty_minislots(cycle) for cycle in cycles]
     starved = np.flatnonzero(asked.any(axis=0) & ~(asked & sent).any(axis=0))
     return BusFigures(
         cluster=bus.name,
@@ -127,7 +139,10 @@ def bus_figures(
         delay_us_mean=float(np.mean(delay_us)),
         delay_us_max=max(delay_us),
         contenders=int(asked.any(axis=0).sum()),
+        ideal_arbiter=bus.has_ideal_arbiter,
         starved=starved.tolist(),
+        empty_minislots_mean=float(np.mean(empty)),
+        empty_minislots_max=max(empty),
         longest_wait_cycles=int(waits.max()),
         longest_wait_node=int(waits.argmax()) if waits.any() else None,
         share_ages=np.bincount(ages[ages >= 0]).tolist(),
@@ -135,11 +150,11 @@ def bus_figures(
     )
 
 
-def wire_per_step(bus: Bus, payload_bytes: np.ndarray) -> tuple[float, float]:
+def wire_per_step(bus: Bus, sent: SentShares) -> tuple[float, float]:
     """Bytes of all frames with headers and padding, and microseconds, per step: of a bus with time
-    on which was sent what `payload_bytes` (steps, rounds, N) says."""
-    cycles = timetable(bus, payload_bytes)
-    return _on_the_wire(bus, [frame for cycle in cycles for frame in cycle], len(payload_bytes))
+    on which these shares (steps, rounds, N) were sent."""
+    frames = [frame for cycle in timetable(bus, sent) for frame in cycle]
+    return _on_the_wire(bus, frames, len(sent.payload_bytes))
 
 
 def _on_the_wire(bus: Bus, frames: Sequence[Transmission], steps: float) -> tuple[float, float]:
@@ -148,10 +163,10 @@ def _on_the_wire(bus: Bus, frames: Sequence[Transmission], steps: float) -> tupl
     return wire_bytes / steps, sum(frame.end_us - frame.start_us for frame in frames) / steps
 
 
-def bus_times(bus: Bus, payload_bytes: np.ndarray) -> BusTimes:
-    """When what is on a bus with time; `payload_bytes` (steps, rounds, N) say who sends what."""
-    cycles = timetable(bus, payload_bytes)
-    rounds, nodes = payload_bytes.shape[1:]
+def bus_times(bus: Bus, sent: SentShares) -> BusTimes:
+    """When what is on a bus with time, on which these shares (steps, rounds, N) were sent."""
+    cycles = timetable(bus, sent)
+    rounds, nodes = sent.payload_bytes.shape[1:]
     start_us = np.full((len(cycles), nodes), np.nan)
     end_us = np.full((len(cycles), nodes), np.nan)
     for number, cycle in enumerate(cycles):
@@ -161,8 +176,8 @@ def bus_times(bus: Bus, payload_bytes: np.ndarray) -> BusTimes:
     return BusTimes(
         np.array([bus.load(cycle) for cycle in cycles]).reshape(-1, rounds),
         np.array([bus.fusion_delay_us(rounds, last) for last in cycles[rounds - 1 :: rounds]]),
-        start_us.reshape(payload_bytes.shape),
-        end_us.reshape(payload_bytes.shape),
+        start_us.reshape(sent.payload_bytes.shape),
+        end_us.reshape(sent.payload_bytes.shape),
     )
 
 
@@ -177,6 +192,15 @@ def longest_waits(asked: np.ndarray, sent: np.ndarray) -> np.ndarray:
         wait = np.where(wanted & ~got, wait + 1, 0)
         longest = np.maximum(longest, wait)
     return longest
+
+
+def empty_minislots(cycle: Sequence[Transmission]) -> int:
+    """Return the minislots of a cycle in which no node sent, up to the last frame."""
+    frames = sorted((one.minislot, one.frame_id) for one in cycle if one.minislot)
+    if not frames:
+        return 0
+    (first_minislot, first_id), (_, last_id) = frames[0], frames[-1]
+    return first_minislot - 1 + last_id - first_id - (len(frames) - 1)
 
 
 def capture(
@@ -195,7 +219,7 @@ def capture(
     step_us = setup.time_step_s * stretch_of(setup.scenario.bus) * 1e6
     placed = [
         {(frame.node, frame.frame_id): frame for frame in cycle}
-        for cycle in timetable(bus, trace.payload_bytes)
+        for cycle in timetable(bus, SentShares(trace.payload_bytes, trace.classes))
     ]
     captured: list[Captured] = []
     for topic, data in messages:
@@ -234,7 +258,12 @@ def lines(figures: BusFigures) -> list[str]:
             f"{np.median(ages):g} cycles, oldest {ages[-1]}{unheard if figures.never_heard else ''}"
         )
     if figures.contenders:
-        text.append(f"dynamic segment: {figures.contenders} contenders, {starvation(figures)}")
+        text.append(
+            f"dynamic segment: {figures.contenders} contenders"
+            f"{' (ideal arbiter)' if figures.ideal_arbiter else ''}, {starvation(figures)}; "
+            f"{figures.empty_minislots_mean:.0f} empty minislots before the last frame of a cycle "
+            f"(most {figures.empty_minislots_max})"
+        )
     return text
 
 

@@ -33,6 +33,7 @@ def departures(setup: Setup, trace: Trace) -> dict[str, tuple[np.ndarray, np.nda
         "truth": (trace.truth, histories.truth[0], np.abs(trace.truth)),
         "readings": (trace.readings, histories.readings[0], np.abs(trace.readings)),
         "payload_bytes": (trace.payload_bytes, histories.payload_bytes[0], _exact),
+        "classes": (trace.classes, histories.classes[0], _exact),
         "mean": (trace.mean, histories.mean[0], np.maximum(np.abs(trace.mean), sd)),
         "cov": (trace.cov, histories.cov[0], sd[..., :, None] * sd[..., None, :]),
         "ages": (trace.ages[:, receiver, sender], histories.ages[0], _exact),

@@ -10,7 +10,7 @@ from concord.experiments.results.record_spread import RecordSpread, record_sprea
 from concord.filters.linalg import unpack_upper
 from concord.nodes.changes import Event
 from concord.nodes.history import History, history_of, with_holes, without_lost_words
-from concord.nodes.messages import Bid, Estimate, Measured, Timing, Truth, from_wire
+from concord.nodes.messages import Bid, Estimate, Grant, Measured, Timing, Truth, from_wire
 from concord.runtime.recorded import SharedFrame, meaning
 from concord.scenarios.bus_plan import frame_format
 from concord.scenarios.setup import Setup
@@ -27,7 +27,8 @@ class Trace(NamedTuple):
         not driven. mean, cov: estimates (steps, N, n) and (steps, N, n, n). ages: cycles since what
         i holds of j was sent: (steps, N, N), -1 never, 0 for itself. payload_bytes: (steps, rounds,
         N), what a node sent in a communication cycle, all its frames together; 0 where it was
-        silent. asked: (steps, rounds, N), which node asked for the dynamic segment. counters: per
+        silent. asked: (steps, rounds, N), which node asked for the dynamic segment. classes:
+        (steps, rounds, N), the urgency class in whose frame ID a node won; else 0. counters: per
         node, totals at its last estimate. history: who took part when, and in how many rounds; a
         step with fewer than the most leaves the last ones empty. spread: of labelled records; None
         for rules without, and where the network changed.
@@ -41,6 +42,7 @@ class Trace(NamedTuple):
     ages: np.ndarray
     payload_bytes: np.ndarray
     asked: np.ndarray
+    classes: np.ndarray
     counters: list[dict[str, int]]
     history: History
     spread: RecordSpread | None = None
@@ -64,6 +66,7 @@ def read_trace(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> Trace:
     estimates: dict[tuple[int, int], Estimate] = {}
     sent: list[tuple[int, Fragment, int]] = []
     asked: list[tuple[int, int, int]] = []
+    classes: list[tuple[int, int, int]] = []
     events: list[Event] = []
     last: dict[int, int] = {}
     timed, frames = False, frame_format(setup.scenario)
@@ -75,6 +78,9 @@ def read_trace(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> Trace:
                 truths[message.step] = message
             case Bid() as message if message.bid is not None:
                 asked.append((message.cycle, message.node, 1))
+            case Grant() as message:
+                won = ((node, message.urgency_class(node)) for node in message.winners)
+                classes += [(message.cycle, *one) for one in won if one[0] < nodes]
             case Measured() as message:
                 measured[message.step, message.node] = message
             case Estimate() as message:
@@ -96,7 +102,7 @@ def read_trace(setup: Setup, messages: Iterable[tuple[str, bytes]]) -> Trace:
         if history.is_in(node, steps)
     ):
         steps += 1
-    return _assemble(setup, history, steps, truths, measured, estimates, sent, asked)
+    return _assemble(setup, history, steps, truths, measured, estimates, sent, asked, classes)
 
 
 def _assemble(
@@ -108,6 +114,7 @@ def _assemble(
     estimates: dict[tuple[int, int], Estimate],
     sent: list[tuple[int, Fragment, int]],
     asked: list[tuple[int, int, int]],
+    classes: list[tuple[int, int, int]],
 ) -> Trace:
     nodes, n = setup.scenario.nodes, len(setup.prior_mean)
     mean = np.full((steps, nodes, n), np.nan)
@@ -143,6 +150,7 @@ def _assemble(
         ages=ages,
         payload_bytes=_summed(lengths, steps, history, nodes),
         asked=_summed(asked, steps, history, nodes) > 0,
+        classes=_summed(classes, steps, history, nodes),
         counters=counters,
         history=history,
         spread=record_spread(setup, fragments, readings) if steps and not history.changed else None,

@@ -30,10 +30,10 @@ from concord.nodes.lanes.records import (
     one_step_on,
     packed,
 )
-from concord.nodes.rules.labelled import GAP_STEPS, SILENCE
+from concord.nodes.rules.labelled import GAP_STEPS
 from concord.nodes.rules.labelled_frame import LabelledFrameCodec
 from concord.nodes.rules.local_filter import SensorGroup, finite_lanes
-from concord.nodes.rules.record_sets import URGENCY, urgencies
+from concord.nodes.rules.record_sets import SILENCE, URGENCY, urgencies
 from concord.nodes.rules.source_gate import judged
 from concord.nodes.rules.window_filter import WindowFilter, Windows, one_place_on
 
@@ -163,8 +163,7 @@ class BatchedFlooding:
     def bids(self, content: BatchedLabelledContent, nodes: np.ndarray) -> np.ndarray:
         """How many records the neighbours of these nodes (C,) lack: `LabelledFlooding.bid`."""
         shape = (len(content.owed), len(nodes))
-        runs, some = (one.ravel() for one in np.indices(shape))
-        some = nodes[some]
+        runs, some = (one.ravel() for one in (np.indices(shape)[0], np.broadcast_to(nodes, shape)))
         absent = self._absent(content, runs, some)
         urgency = need(absent, self._urgencies).sum(axis=1) + URGENCY * content.owed[runs, some]
         silent = np.minimum(content.cycle - content.sent_cycle[runs, some], SILENCE - 1)
@@ -172,6 +171,11 @@ class BatchedFlooding:
         if self.frames.digest_steps == 0:
             bids = np.where(urgency == 0, NO_BID, bids)
         return bids.reshape(shape)
+
+    def body_bytes(self, content: BatchedLabelledContent, nodes: np.ndarray) -> np.ndarray:
+        """Return the lengths (R, C) of the shares that these nodes (C,) would compose now."""
+        runs, places = (one.ravel() for one in np.indices((len(content.owed), len(nodes))))
+        return self._chosen(content, runs, nodes[places])[2].reshape(-1, len(nodes))
 
     def exchange(
         self, content: BatchedLabelledContent, sends: np.ndarray, lost: np.ndarray | None
@@ -194,6 +198,24 @@ class BatchedFlooding:
         self, content: BatchedLabelledContent, runs: np.ndarray, nodes: np.ndarray
     ) -> tuple[BatchedLabelledContent, _Shares, np.ndarray]:
         """The shares of these nodes, and which of them can be read."""
+        records, owed, body_bytes, count = self._chosen(content, runs, nodes)
+        base = Gaussian(*(values[runs, nodes] for values in content.windows.base))
+        number = self.frames.belief.number
+        checkpoint, sound = _as_sent(base, number) if owed.any() else (base, owed)
+        carried, sent_cycle = content.carried.copy(), content.sent_cycle.copy()
+        turn = (content.cycle - self.first_cycle) % self.rounds
+        for kind, values in enumerate((body_bytes, owed, count)):
+            carried[kind, turn, runs, nodes] = values
+        sent_cycle[runs, nodes] = content.cycle
+        left = content.owed.copy()
+        left[runs, nodes] = False
+        content = content._replace(owed=left, carried=carried, sent_cycle=sent_cycle)
+        return content, _Shares(runs, nodes, records, owed, checkpoint), sound | ~owed
+
+    def _chosen(
+        self, content: BatchedLabelledContent, runs: np.ndarray, nodes: np.ndarray
+    ) -> tuple[RecordSets, np.ndarray, np.ndarray, np.ndarray]:
+        """Return records, whether a checkpoint is owed, bytes and number of records of shares."""
         missing = np.bitwise_or.reduce(self._absent(content, runs, nodes), axis=1)
         wanted = (missing,)
         if self.frames.digest_steps:
@@ -204,20 +226,7 @@ class BatchedFlooding:
         owed = content.owed[runs, nodes]
         room = np.where(owed, self.frames.room(True), self.frames.room(False))
         records, taken, count = first_that_fit(wanted, content.costs[runs], room)
-        base = Gaussian(*(values[runs, nodes] for values in content.windows.base))
-        checkpoint, sound = (
-            _as_sent(base, self.frames.belief.number) if owed.any() else (base, owed)
-        )
-        carried, sent_cycle = content.carried.copy(), content.sent_cycle.copy()
-        turn = (content.cycle - self.first_cycle) % self.rounds
-        body_bytes = self.frames.limit_bytes - room + taken
-        for kind, values in enumerate((body_bytes, owed, count)):
-            carried[kind, turn, runs, nodes] = values
-        sent_cycle[runs, nodes] = content.cycle
-        left = content.owed.copy()
-        left[runs, nodes] = False
-        content = content._replace(owed=left, carried=carried, sent_cycle=sent_cycle)
-        return content, _Shares(runs, nodes, records, owed, checkpoint), sound | ~owed
+        return records, owed, self.frames.limit_bytes - room + taken, count
 
     def _came(self, shares: _Shares, arriving: np.ndarray) -> _Came:
         lanes = np.zeros((len(arriving), self._nodes), dtype=np.int64)
@@ -229,9 +238,8 @@ class BatchedFlooding:
         self, content: BatchedLabelledContent, shares: _Shares, came: _Came
     ) -> BatchedLabelledContent:
         """Note the neighbours' statements about themselves."""
-        runs, links = came.runs, came.links
+        runs, links, known, confirmed = came.runs, came.links, content.known, content.confirmed
         heard, share_cycles = content.heard.copy(), content.share_cycles.copy()
-        known, confirmed = content.known, content.confirmed
         strange = np.zeros(heard.shape, dtype=bool)
         strange[runs, links] = content.windows.step - heard[runs, links] > self.gap_steps
         heard[runs, links] = content.windows.step
@@ -341,9 +349,8 @@ class BatchedFlooding:
 
     def spread(self, content: BatchedLabelledContent) -> ShareContents:
         """Return the contents of the step's shares, and the records held at its end."""
-        body_bytes, checkpoints, records = content.carried
-        held = flags_of(content.held, self._nodes)
-        return ShareContents(body_bytes, checkpoints, records, held)
+        sent, checkpoints, records = content.carried
+        return ShareContents(sent, checkpoints, records, flags_of(content.held, self._nodes))
 
     def _absent(
         self,

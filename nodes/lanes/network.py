@@ -7,16 +7,17 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from concord.bus.arbitration import ArbiterState
+from concord.bus.bus import Awards
 from concord.bus.schedule import Schedule
 from concord.filters.gaussian import Gaussian
 from concord.nodes.environment_state import ControlStep, Delivery, Plant
 from concord.nodes.lanes.filter import Counters
 
 Contest = Callable[
-    [ArbiterState, int, int, np.ndarray, np.ndarray], tuple[ArbiterState, np.ndarray]
+    [ArbiterState, int, int, np.ndarray, np.ndarray, Callable[[], np.ndarray | None]], Awards
 ]
-"""The arbiter of all runs: (memory, cycle, group of it, nodes (C,) that may ask, bids (R, C)) ->
-(memory, wins (R, C)); `bids.NO_BID` does not ask."""
+"""The arbiter of all runs: (memory, cycle, group of it, nodes (C,) that may ask, bids (R, C), how
+to find the lengths of their shares) -> awards (R, C); `bids.NO_BID` does not ask."""
 
 Framed = Callable[[int, np.ndarray, np.ndarray | None], tuple[np.ndarray, np.ndarray]]
 """(cycle, who sends (R, N), bytes of each share (R, N); None where all have one length) -> frames,
@@ -87,6 +88,15 @@ class RuleWithReturns(BatchedRule, Protocol):
 
     def restarted(self, content: Any, nodes: np.ndarray, belief: Gaussian) -> Any:
         """Between two steps: nodes (J,) begin anew with beliefs (R, J, n), and hold nothing."""
+        ...
+
+
+@runtime_checkable
+class RuleWithLengths(BatchedRule, Protocol):
+    """One whose shares differ in length."""
+
+    def body_bytes(self, content: Any, nodes: np.ndarray) -> np.ndarray:
+        """Lengths (R, C) of the shares that these nodes (C,) would send now."""
         ...
 
 

@@ -21,6 +21,7 @@ from concord.nodes.messages import Measured, from_wire
 from concord.nodes.rules.labelled_frame import Labelled, LabelledFrameCodec, LabelledShare
 from concord.nodes.rules.local_filter import SensorGroup, control_of, failure_names, finite
 from concord.nodes.rules.record_sets import (
+    SILENCE,
     URGENCY,
     RecordSet,
     lacked,
@@ -34,8 +35,6 @@ from concord.nodes.rules.record_sets import (
 from concord.nodes.rules.source_gate import judged
 from concord.nodes.rules.window_filter import WindowFilter, Windows, one_lane
 
-# Equal needs are served in the order of silence, up to so many cycles.
-SILENCE = 4096
 # Steps of silence after which a neighbour is owed a checkpoint.
 GAP_STEPS = 16
 

@@ -147,7 +147,7 @@ def check_limit(limit_bytes: int, nodes: int, digest_steps: int, content_bytes: 
         ValueError: saying by how much they are too short.
     """
     head_bytes = _HEAD_BYTES + _digest_bytes(nodes, digest_steps)
-    missing = head_bytes + content_bytes - limit_bytes
+    missing = least_limit(nodes, digest_steps, content_bytes) - limit_bytes
     if missing > 0:
         raise ValueError(
             f"labelled shares of at most {limit_bytes} bytes must hold a checkpoint or a record of "
@@ -155,6 +155,11 @@ def check_limit(limit_bytes: int, nodes: int, digest_steps: int, content_bytes: 
             f"--payload-bytes by {missing + missing % 2} or more (254 at most), or lower "
             "--digest-steps"
         )
+
+
+def least_limit(nodes: int, digest_steps: int, content_bytes: int) -> int:
+    """Return the length of a share that holds a content of that length."""
+    return _HEAD_BYTES + _digest_bytes(nodes, digest_steps) + content_bytes
 
 
 def _digest_bytes(nodes: int, digest_steps: int) -> int:

@@ -11,6 +11,14 @@ RecordSet = int
 # A record that one neighbour lacks, and what it loses of that urgency with every step of age.
 URGENCY = 65536
 _DISCOUNT = 0.9
+# Equal needs are served in the order of silence, up to so many cycles.
+SILENCE = 4096
+
+
+def bids_for_records(nodes: int) -> tuple[int, int]:
+    """Return the bids between which urgency is told apart: from one new record that one neighbour
+    lacks to three of every node."""
+    return URGENCY * SILENCE, 3 * nodes * URGENCY * SILENCE
 
 
 def record_bit(place: int, source: int, nodes: int) -> RecordSet:

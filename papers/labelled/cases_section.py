@@ -22,7 +22,8 @@ _GATED_MOST = 1.1
 
 
 def _case(occupancy: float, **options: Any) -> dict[str, Any]:
-    return {"occupancy": occupancy, "schedule": "hybrid", **options}
+    ideal = {"schedule": "hybrid", "arbiter": "wtod", "payload_bytes": 254}
+    return {"occupancy": occupancy, **ideal, **options}
 
 
 def _name(what: str, relay: bool, part: float) -> str:

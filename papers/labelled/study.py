@@ -13,7 +13,7 @@ import numpy as np
 from concord.experiments.monte_carlo.intervals import Interval, mean_t, ratio_t
 from concord.experiments.monte_carlo.simulate import COV, READINGS, simulate
 from concord.experiments.progress import progress
-from concord.experiments.results.bus_report import wire_per_step
+from concord.experiments.results.bus_report import SentShares, wire_per_step
 from concord.experiments.results.record_spread import figures_of
 from concord.experiments.scenario_options import scenario_of
 from concord.filters.gaussian import Gaussian
@@ -39,16 +39,19 @@ class Form(NamedTuple):
         return self.options["rule"] == "labelled"
 
 
-_NEAR = {"rule": "labelled"}
+# The study's arbiter knows all bids.
+_IDEAL = {"arbiter": "wtod"}
+_NEAR = {"rule": "labelled", "payload_bytes": 254, **_IDEAL}
+_FAR = {"schedule": "hybrid", "number": "float32", **_IDEAL}
 FORMS = (
     Form("labelled, hybrid", {**_NEAR, "schedule": "hybrid"}),
     Form("labelled, hybrid-leaves", {**_NEAR, "schedule": "hybrid-leaves"}),
     Form("labelled, dynamic", {**_NEAR, "schedule": "dynamic"}),
     Form("labelled relay, hybrid", {**_NEAR, "schedule": "hybrid", "relay": True}),
     Form("labelled relay, dynamic", {**_NEAR, "schedule": "dynamic", "relay": True}),
-    Form("ci", {"rule": "ci", "schedule": "hybrid", "number": "float32"}),
-    Form("hcmci", {"rule": "hcmci", "schedule": "hybrid", "number": "float32"}),
-    Form("wac", {"rule": "wac", "schedule": "hybrid", "number": "float32"}),
+    Form("ci", {"rule": "ci", **_FAR}),
+    Form("hcmci", {"rule": "hcmci", **_FAR}),
+    Form("wac", {"rule": "wac", **_FAR}),
 )
 
 
@@ -125,8 +128,8 @@ def outcomes(job: StudyJob) -> list[RunOutcome]:
     found = []
     for run in range(job.runs):
         spread = figures_of(histories.spreads[run]) if job.form.labelled else None
-        sent = histories.payload_bytes[run]
-        shares = np.count_nonzero(sent) * share_bytes(setup) / setup.scenario.steps
+        sent = SentShares(histories.payload_bytes[run], histories.classes[run])
+        shares = np.count_nonzero(sent.payload_bytes) * share_bytes(setup) / setup.scenario.steps
         found.append(
             RunOutcome(
                 squared[run].mean(),

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 
 from concord.bus.arbitration import ArbiterState, begin_arbitration
-from concord.bus.bus import Bus
+from concord.bus.bus import Awards, Bus
 from concord.filters.gaussian import Gaussian
 from concord.filters.sigma_points import scaled_unscented
 from concord.nodes.changes import UNCHANGED, Standing
@@ -238,7 +238,17 @@ def _contest(
     group: int,
     nodes: np.ndarray,
     bids: np.ndarray,
-) -> tuple[ArbiterState, np.ndarray]:
+    body_bytes: Callable[[], np.ndarray | None],
+) -> Awards:
     """The arbiter of all runs."""
-    payload = np.broadcast_to(frames_of(setup, bus, cycle)[1][nodes], bids.shape)
+
+    def payload() -> np.ndarray:
+        bodies = body_bytes()
+        if bodies is None:
+            return np.broadcast_to(frames_of(setup, bus, cycle)[1][nodes], bids.shape)
+        lengths, which = np.unique(bodies, return_inverse=True)
+        # The dynamic slots of all nodes are alike.
+        sums = [sum(bus.payloads(int(nodes[0]), cycle, length)) for length in lengths.tolist()]
+        return np.array(sums, dtype=np.int64)[which].reshape(bids.shape)
+
     return bus.arbitrate(state, cycle, group, nodes, bids, payload)

@@ -7,6 +7,7 @@ or malformed.
 """
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +19,8 @@ from concord.nodes.lanes.filter import Counters, with_lanes
 from concord.nodes.lanes.links import places
 from concord.nodes.lanes.network import (
     BatchedNetwork,
+    BatchedRule,
+    RuleWithLengths,
     RuleWithReturns,
     RunSegment,
     RunSettings,
@@ -31,8 +34,9 @@ class Instant(NamedTuple):
     """Results of a step; for an absent node NaN, age -1, and nothing sent.
 
     truth: (R, n). readings: (R, N, r, d). control: (R, p) that drove into the step. belief: after
-    the last round, (R, N, n), (R, N, n, n). ages: (R, E). payload_bytes, asked: (rounds, R, N), of
-    what a node sent in a cycle and whether it asked for the dynamic segment. counters: totals
+    the last round, (R, N, n), (R, N, n, n). ages: (R, E). payload_bytes, asked, classes: (rounds,
+    R, N), of what a node sent in a cycle, whether it asked for the dynamic segment, and in which
+    urgency class it won. counters: totals
     (R, N) by name, of a node that came back since then. spread: what shares carried, where they
     have no length of their own.
     """
@@ -45,15 +49,18 @@ class Instant(NamedTuple):
     ages: np.ndarray
     payload_bytes: np.ndarray
     asked: np.ndarray
+    classes: np.ndarray
     counters: Counters
     spread: ShareContents | None
 
 
 class _Said(NamedTuple):
-    """Publications in a step: which nodes sent and which asked (rounds, R, N)."""
+    """Publications in a step, or in a cycle of it: which nodes sent, which asked, and in which
+    urgency class they won: (rounds, R, N)."""
 
     sends: np.ndarray
     asked: np.ndarray
+    classes: np.ndarray
 
 
 def run(network: BatchedNetwork) -> Iterator[Instant]:
@@ -90,6 +97,7 @@ def run(network: BatchedNetwork) -> Iterator[Instant]:
             rule.ages(content) if heard.all() else np.where(heard, rule.ages(content), -1),
             payload,
             sent.asked,
+            sent.classes,
             tally.shown,
             spread,
         )
@@ -153,51 +161,61 @@ def _communicated(
     segment: RunSegment, content: Any, arbiter: Any, step: int
 ) -> tuple[Any, Any, _Said]:
     """Run all cycles of a step."""
-    sends, asked = [], []
+    done: list[_Said] = []
     for cycle in segment.settings.cycles(step):
         lost = None if segment.lost is None else segment.lost(step, cycle)
-        content, arbiter, speak, ask = _cycle(segment, content, arbiter, cycle, lost)
-        sends.append(speak)
-        asked.append(ask)
-    return content, arbiter, _Said(np.stack(sends), np.stack(asked))
+        content, arbiter, in_cycle = _cycle(segment, content, arbiter, cycle, lost)
+        done.append(in_cycle)
+    return content, arbiter, _Said(*map(np.stack, zip(*done, strict=True)))
 
 
 def _cycle(
     segment: RunSegment, content: Any, arbiter: Any, cycle: int, lost: np.ndarray | None
-) -> tuple[Any, Any, np.ndarray, np.ndarray]:
-    """Run a cycle, group by group; return which nodes sent in it and which asked: (R, N) each."""
+) -> tuple[Any, Any, _Said]:
+    """Run a cycle, group by group; return what nodes did in it: (R, N) each."""
     rule, schedule = segment.settings.rule, segment.settings.schedule
     shape = rule.belief(content).mean.shape[:2]
-    spoke, asked = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
+    done = _Said(np.zeros(shape, bool), np.zeros(shape, bool), np.zeros(shape, np.int64))
     for number in range(len(schedule.groups(cycle))):
-        arbiter, speak, ask = _access(segment, arbiter, content, (cycle, number), spoke)
-        content = rule.exchange(content, speak, lost)
-        spoke, asked = spoke | speak, asked | ask
-    return content, arbiter, spoke, asked
+        arbiter, now = _access(segment, arbiter, content, (cycle, number), done.sends)
+        content = rule.exchange(content, now.sends, lost)
+        done = _Said(*(before | new for before, new in zip(done, now, strict=True)))
+    return content, arbiter, done
 
 
 def _access(
     segment: RunSegment, arbiter: Any, content: Any, place: tuple[int, int], spoke: np.ndarray
-) -> tuple[Any, np.ndarray, np.ndarray]:
-    """Return which nodes send in a group (cycle, group) and which ask for its dynamic slots.
+) -> tuple[Any, _Said]:
+    """Return which nodes send in a group (cycle, group), which ask for its dynamic slots, and in
+    which class they win.
 
-    Both are (R, N). No node sends twice in a cycle; nodes `spoke` (R, N) have sent already.
+    All are (R, N). No node sends twice in a cycle; nodes `spoke` (R, N) have sent already.
     """
     cycle, number = place
     schedule = segment.settings.schedule
     group = schedule.groups(cycle)[number]
     sends, asked = np.zeros((2, *spoke.shape), dtype=bool)
+    classes = np.zeros(spoke.shape, dtype=np.int64)
     sends[:, places(group.senders)] = True
     sends &= segment.present
     contenders = places(contenders_left(schedule, cycle, ()))
     if group.dynamic_slots and len(contenders):
-        bids = segment.settings.rule.bids(content, contenders)
+        rule = segment.settings.rule
+        bids = rule.bids(content, contenders)
         silent = spoke[:, contenders] | ~segment.present[contenders]
         bids = np.where(silent, NO_BID, bids)
-        arbiter, wins = segment.settings.contest(arbiter, cycle, number, contenders, bids)
+        lengths = partial(_lengths, rule, content, contenders)
+        awards = segment.settings.contest(arbiter, cycle, number, contenders, bids, lengths)
+        arbiter = awards.state
         asked[:, contenders] = bids != NO_BID
-        sends[:, contenders] = wins
-    return arbiter, sends, asked
+        sends[:, contenders] = awards.wins
+        classes[:, contenders] = np.where(awards.wins, awards.classes, 0)
+    return arbiter, _Said(sends, asked, classes)
+
+
+def _lengths(rule: BatchedRule, content: Any, nodes: np.ndarray) -> np.ndarray | None:
+    """Return the lengths (R, C) of what nodes (C,) would send; None where all have one length."""
+    return rule.body_bytes(content, nodes) if isinstance(rule, RuleWithLengths) else None
 
 
 def _framed(

@@ -27,16 +27,26 @@ class RoundRobinSchedule(PartialSchedule, frozen=True, kw_only=True, tag="round-
     """Nodes publish in turns of fixed order."""
 
 
+URGENCY = "urgency"
+"""The arbiter of the dynamic segment that users get: FlexRay's, with frame IDs by urgency."""
+
+
 class ContendedSchedule(PartialSchedule, frozen=True, kw_only=True):
     """A schedule with nodes that contend for slots of the dynamic segment."""
 
     arbiter: Annotated[
         str,
         Option(
-            "Arbiter of the dynamic segment: wtod, minislot, round-robin, FILE.py:NAME.",
+            "Arbiter of the dynamic segment: urgency and minislot (FlexRay's own), wtod and "
+            "round-robin (ideal: no controller does that), FILE.py:NAME.",
             is_setting=True,
         ),
-    ] = "wtod"
+    ] = URGENCY
+    urgency_classes: Annotated[
+        int,
+        Option("Frame IDs of a contender with the arbiter urgency, one for each class of urgency.",
+               at_least=2, at_most=64, is_setting=True),
+    ] = 8  # fmt: skip
     trigger: Annotated[
         float,
         Option("Ask for a dynamic slot only after a change of the estimate larger than this, as a "
@@ -127,8 +137,15 @@ def occupancy_of(schedule: BusSchedule) -> float:
 
 
 def arbiter_of(schedule: BusSchedule) -> str:
-    """The arbiter of the dynamic segment; the usual one where no node contends."""
+    """The arbiter of the dynamic segment; that of the paper where its sensors contend."""
     return schedule.arbiter if isinstance(schedule, ContendedSchedule) else "wtod"
+
+
+def urgency_classes_of(schedule: BusSchedule) -> int:
+    """The frame IDs of a contender; 1 where no bids tell it which to take."""
+    if isinstance(schedule, ContendedSchedule) and schedule.arbiter == URGENCY:
+        return schedule.urgency_classes
+    return 1
 
 
 def stretch_of(bus: SharedBus) -> float:

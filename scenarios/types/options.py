@@ -50,7 +50,7 @@ class ScenarioOptions(TypedDict, total=False):
     digest_steps: int | None
     gate_probability: float
     record_number: RECORD_NUMBER
-    payload_bytes: int
+    payload_bytes: int | None
     relay: bool
     latch_delay_us: float
     rounds: int
@@ -58,6 +58,7 @@ class ScenarioOptions(TypedDict, total=False):
     schedule: str | Choice
     occupancy: float
     arbiter: str
+    urgency_classes: int
     trigger: float
     cluster: str
     stretch: float
@@ -95,7 +96,7 @@ class SweptOptions(TypedDict, total=False):
     digest_steps: Sequence[int | None] | np.ndarray | int | None
     gate_probability: Sequence[float] | np.ndarray | float
     record_number: Sequence[RECORD_NUMBER] | np.ndarray | RECORD_NUMBER
-    payload_bytes: Sequence[int] | np.ndarray | int
+    payload_bytes: Sequence[int | None] | np.ndarray | int | None
     relay: Sequence[bool] | np.ndarray | bool
     latch_delay_us: Sequence[float] | np.ndarray | float
     rounds: Sequence[int] | np.ndarray | int
@@ -103,6 +104,7 @@ class SweptOptions(TypedDict, total=False):
     schedule: Sequence[str | Choice] | np.ndarray | str | Choice
     occupancy: Sequence[float] | np.ndarray | float
     arbiter: Sequence[str] | np.ndarray | str
+    urgency_classes: Sequence[int] | np.ndarray | int
     trigger: Sequence[float] | np.ndarray | float
     cluster: Sequence[str] | np.ndarray | str
     stretch: Sequence[float] | np.ndarray | float

@@ -117,10 +117,10 @@ class MeasurementFlooding(FusionRule, frozen=True, kw_only=True, tag="labelled")
         Literal["int16", "float32", "float64"], Option("Format of readings on the wire.")
     ] = "int16"
     payload_bytes: Annotated[
-        int,
-        Option("Longest payload of a frame.", unit="bytes", at_least=16, at_most=254,
-               even=True),
-    ] = 254  # fmt: skip
+        int | None,
+        Option("Longest payload of a frame; when left out 254, or where nodes own static slots "
+               "what a step's records need.", unit="bytes", at_least=16, at_most=254, even=True),
+    ] = None  # fmt: skip
     relay: Annotated[
         bool,
         Option("Compose each share at its slot, with what earlier slots of the cycle brought."),

@@ -58,7 +58,7 @@ def serve_one(
     return state, [winner.node for winner in sorted(winners, key=lambda one: one.frame_id)]
 
 
-# --- the three arbiters, request by request ------------------------------------------------------
+# --- the arbiters, request by request ------------------------------------------------------
 
 
 def by_hand(
@@ -67,7 +67,7 @@ def by_hand(
     """The frame ID served last, and the winners in order of their slots."""
     pending = [one.request for one in sorted(asked, key=lambda one: one.request.frame_id)]
     bids = {one.request.node: one.bid for one in asked}
-    if arbiter == "minislot":
+    if arbiter in ("minislot", "urgency"):
         waiting = set(walk(cluster, pending).waiting)
         winners = [request for request in pending if request not in waiting][:slots]
     elif arbiter == "wtod":

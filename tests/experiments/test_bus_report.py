@@ -13,8 +13,10 @@ from concord.bus.flexray.flexray_bus import FlexRayBus
 from concord.bus.flexray.share_frames import read_frame
 from concord.bus.flexray.slot_table import allocate
 from concord.bus.schedule import Schedule
+from concord.bus.urgency_classes import ONE_CLASS
 from concord.experiments.flexray.rehearsal import rehearse
 from concord.experiments.results.bus_report import (
+    SentShares,
     bus_figures,
     bus_times,
     figures_of,
@@ -22,7 +24,7 @@ from concord.experiments.results.bus_report import (
     longest_waits,
     timetable,
 )
-from concord.experiments.results.trace import read_trace
+from concord.experiments.results.trace import Trace, read_trace
 from concord.experiments.scenario_options import scenario_with_known
 from concord.runtime.drivers import in_memory
 from concord.scenarios.build import build_bus
@@ -58,12 +60,22 @@ def small_plan() -> FlexRayBus:
     """Nodes 0 and 1 share static slot 1, nodes 2 and 3 contend for one dynamic frame a cycle."""
     schedule = Schedule(4, ((0,), (1,)), ((2, 3),), (1,))
     table = allocate(schedule, SMALL, (20,), (20,))
-    return FlexRayBus(schedule, SMALL, table, ARBITERS["wtod"])
+    return FlexRayBus(schedule, SMALL, table, ARBITERS["wtod"], ONE_CLASS)
 
 
 def marked(rows: list[tuple[int, ...]]) -> np.ndarray:
     """(2 steps, 2 rounds, 4 nodes)."""
     return np.array([[node in row for node in range(4)] for row in rows]).reshape(2, 2, 4)
+
+
+def in_one_class(payload_bytes: np.ndarray) -> SentShares:
+    """Return shares of nodes with one frame ID each."""
+    return SentShares(payload_bytes, np.zeros_like(payload_bytes))
+
+
+def sent_in(trace: Trace) -> SentShares:
+    """Return the shares of a run."""
+    return SentShares(trace.payload_bytes, trace.classes)
 
 
 def sizes(rows: list[tuple[int, ...]]) -> np.ndarray:
@@ -72,7 +84,9 @@ def sizes(rows: list[tuple[int, ...]]) -> np.ndarray:
 
 
 def test_a_small_bus_by_hand():
-    figures = bus_figures(small_plan(), sizes(SENDERS), marked(ASKERS), np.array([0, 0, 1, 3, -1]))
+    figures = bus_figures(
+        small_plan(), in_one_class(sizes(SENDERS)), marked(ASKERS), np.array([0, 0, 1, 3, -1])
+    )
     assert (figures.cluster, figures.cycle_us) == ("small", 400.0)
     assert figures.frames == 8
     assert (figures.frames_per_cycle_mean, figures.frames_per_cycle_max) == (2.0, 2)
@@ -92,7 +106,7 @@ def test_a_small_bus_by_hand():
 
 
 def test_times_of_a_small_bus_by_hand():
-    times = bus_times(small_plan(), sizes(SENDERS))
+    times = bus_times(small_plan(), in_one_class(sizes(SENDERS)))
     nan = np.nan
     begins = [[[5, nan, 125, nan], [nan, 5, 125, nan]], [[5, nan, 125, nan], [nan, 5, nan, 135]]]
     np.testing.assert_allclose(times.share_start_us, begins)
@@ -104,10 +118,10 @@ def test_times_of_a_small_bus_by_hand():
 def test_shares_take_as_much_of_the_bus_as_they_have_bytes():
     schedule = Schedule(4, ((0,),), ((2, 3),), (2,))
     table = allocate(schedule, SMALL, (20, 20), (20,))
-    plan = FlexRayBus(schedule, SMALL, table, ARBITERS["wtod"])
+    plan = FlexRayBus(schedule, SMALL, table, ARBITERS["wtod"], ONE_CLASS)
     # Static frames of 20 bytes: one, then two of them. Dynamic frames of 8 and 20 bytes.
     sizes = np.array([[20, 0, 8, 20], [40, 0, 20, 0]])
-    first, second = timetable(plan, sizes)
+    first, second = timetable(plan, in_one_class(sizes))
     assert [(f.node, f.frame_id, f.payload_bytes) for f in first] == [
         (0, 1, 20), (2, 3, 8), (3, 4, 20),
     ]  # fmt: skip
@@ -122,7 +136,7 @@ def test_shares_take_as_much_of_the_bus_as_they_have_bytes():
 def test_who_never_wins_starves_and_is_named():
     sent = marked([(0, 2), (1, 2), (0, 2), (1, 2)])
     asked = marked([(2, 3)] * 4)
-    figures = bus_figures(small_plan(), 20 * sent, asked, np.array([], dtype=int))
+    figures = bus_figures(small_plan(), in_one_class(20 * sent), asked, np.array([], dtype=int))
     assert figures.starved == [3]
     assert (figures.longest_wait_cycles, figures.longest_wait_node) == (4, 3)
     text = "\n".join(lines(figures))
@@ -131,7 +145,7 @@ def test_who_never_wins_starves_and_is_named():
 
 def test_silence_on_the_bus_is_no_load():
     nobody = marked([()] * 4)
-    figures = bus_figures(small_plan(), 0 * nobody, nobody, np.array([-1]))
+    figures = bus_figures(small_plan(), in_one_class(0 * nobody), nobody, np.array([-1]))
     assert (figures.frames, figures.load_max, figures.contenders) == (0, 0.0, 0)
     assert figures.longest_wait_node is None
     assert figures.delay_us_max == pytest.approx(400.0)
@@ -153,7 +167,7 @@ choices = st.fixed_dictionaries(
         "rounds": st.integers(1, 3),
         "cluster": st.sampled_from(["fitted", "audi", "bosch", "flexray-adapter", "demo"]),
         "schedule": st.sampled_from(["round-robin", "hybrid", "dynamic"]),
-        "arbiter": st.sampled_from(["wtod", "minislot", "round-robin"]),
+        "arbiter": st.sampled_from(["urgency", "wtod", "minislot", "round-robin"]),
         "occupancy": st.floats(0.05, 1.0),
         "number": st.sampled_from(["float64", "float32"]),
         "trigger": st.sampled_from([0.0, 0.5]),
@@ -177,13 +191,13 @@ def flexray_bus(setup: Setup) -> FlexRayBus:
     return bus
 
 
-def assert_orderly(plan: FlexRayBus, payload_bytes: np.ndarray) -> None:
+def assert_orderly(plan: FlexRayBus, sent: SentShares) -> None:
     """One frame at a time, each in its segment, none begun after pLatestTx."""
     cluster = plan.cluster
     static_us = cluster.static_slots * cluster.static_slot_us
     latest_us = cluster.minislot_start_us(cluster.latest_transmission_minislot + 1)
     segment_us = cluster.minislot_start_us(cluster.minislots + 1)
-    for cycle in timetable(plan, payload_bytes):
+    for cycle in timetable(plan, sent):
         for earlier, later in pairwise(cycle):
             assert earlier.end_us < later.start_us
             assert earlier.frame_id < later.frame_id
@@ -201,10 +215,10 @@ def test_no_two_frames_of_a_run_overlap_and_all_were_recorded(options: dict):
     setup = prepared(options)
     messages = in_memory(setup)
     trace, plan = read_trace(setup, messages), flexray_bus(setup)
-    assert_orderly(plan, trace.payload_bytes)
+    assert_orderly(plan, sent_in(trace))
     planned = {
         (number, frame.node, frame.frame_id, frame.payload_bytes)
-        for number, cycle in enumerate(timetable(plan, trace.payload_bytes))
+        for number, cycle in enumerate(timetable(plan, sent_in(trace)))
         for frame in cycle
     }
     shares = [(int(topic[6:]), data) for topic, data in messages if topic.startswith("share/")]
@@ -222,7 +236,7 @@ def test_no_two_frames_of_a_larger_network_overlap(options: dict, nodes: int):
     setup = prepared({**options, "nodes": nodes})
     plan = flexray_bus(setup)
     rehearsal = rehearse(setup, plan, 6)
-    assert_orderly(plan, rehearsal.payload_bytes)
+    assert_orderly(plan, rehearsal.sent)
     table = plan.table
     for node in range(nodes):
         if any(node in row for row in plan.schedule.static_table):

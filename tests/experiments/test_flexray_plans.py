@@ -67,20 +67,41 @@ def test_what_fits_is_shown_as_asked(capsys):
 
 
 def test_a_fixed_priority_starves_those_behind_it(capsys):
-    answer = concord(capsys, *ASKED, "--occupancy", 0.25, "--arbiter", "minislot", "--json").json()
-    # Two or three of ten contenders win in a cycle, always the first ones.
-    assert answer["shown"]["figures"]["starved"] == [13, 14, 15, 16, 17, 18, 19]
-    fair = concord(capsys, *ASKED, "--occupancy", 0.25, "--json").json()
+    """The occupancy is no cap: the segment holds 11 shares, so the first 11 send in each cycle."""
+    asked = (*ASKED, "--schedule", "dynamic", "--occupancy", 0.25)
+    answer = concord(capsys, *asked, "--arbiter", "minislot", "--json").json()
+    assert answer["shown"]["figures"]["starved"] == list(range(11, 20))
+    assert answer["shown"]["published"] == 11 / 20
+    fair = concord(capsys, *asked, "--json").json()
     assert fair["shown"]["figures"]["starved"] == []
+    assert fair["shown"]["published"] < 0.25 + 1e-9
+
+
+def test_the_price_of_urgency_classes_is_told(capsys):
+    asked = (*ASKED, "--schedule", "dynamic", "--occupancy", 0.1)
+    answer = concord(capsys, *asked, "--json").json()["shown"]
+    assert answer["urgency_classes"] == 8
+    owned = [row["frame_ids"] for row in answer["slots"]]
+    assert owned == [[52 + node + 20 * k for k in range(8)] for node in range(20)]
+    # All IDs before that of the last winner but those of the winners.
+    assert 0 < answer["figures"]["empty_minislots_max"] <= 8 * 20 - 2
+    text = concord(capsys, *asked).out
+    assert "8 urgency classes of 20 frame IDs, for which at most 158 empty minislots" in text
+    assert "52, 72, ... 192" in text
+    few = concord(capsys, *asked, "--urgency-classes", 2, "--json").json()["shown"]["figures"]
+    assert few["empty_minislots_max"] < answer["figures"]["empty_minislots_max"]
 
 
 def test_a_crowded_dynamic_segment_is_admitted(capsys):
-    answer = concord(capsys, *ASKED, "--schedule", "dynamic", "--json").json()
-    shown = answer["shown"]
-    assert answer["problem"] is None
-    assert shown["dynamic_slots"] == 20 and shown["dynamic_room"] == 11
-    assert 11 / 20 <= shown["published"] < 1
-    assert "only 11 of them fit" in concord(capsys, *ASKED, "--schedule", "dynamic").out
+    # A frame takes 21 minislots, and each of 156 empty IDs takes one; frames begin by the 225th.
+    for arbiter, room in (("minislot", 11), ("urgency", 4)):
+        asked = (*ASKED, "--schedule", "dynamic", "--arbiter", arbiter)
+        answer = concord(capsys, *asked, "--json").json()
+        shown = answer["shown"]
+        assert answer["problem"] is None
+        assert shown["dynamic_slots"] == 20 and shown["dynamic_room"] == room
+        assert room / 20 <= shown["published"] < 1
+        assert f"only {room} of them fit" in concord(capsys, *asked).out
 
 
 def test_cycles_longer_than_the_step_are_said_to_be(capsys):
@@ -161,7 +182,8 @@ def test_dynamic_room_is_the_most_that_any_winners_fit(nodes: int, cluster: str,
         return
     car = plan.cluster
     room = plan.dynamic_room()
-    requests = [plan.table.request(node) for node in range(nodes)]
+    last = plan.table.classes - 1
+    requests = [plan.table.request(node, last) for node in range(nodes)]
 
     def fits(count: int) -> bool:
         return all(not walk(car, some).waiting for some in combinations(requests, count))
@@ -191,7 +213,7 @@ def test_the_shown_slots_are_those_of_the_schedule(nodes: int, occupancy: float,
         ids = [number for row in sending for number in row.frame_ids]
         assert len(ids) == len(set(ids))
         for row in sending:
-            assert tuple(row.frame_ids) == tuple(s.frame_id for s in plan.slots(row.node, cycle))
+            assert tuple(row.frame_ids) == tuple(s.frame_id for s in plan.slots(row.node, cycle)[0])
 
 
 @given(
@@ -244,7 +266,7 @@ def test_where_bids_do_not_matter_the_rehearsal_is_the_run(schedule, arbiter, cl
 
 
 def test_under_growing_bids_the_longest_silent_go_first():
-    setup = changed(unplanned(9, "demo"), schedule="dynamic", occupancy=1 / 3)
+    setup = changed(unplanned(9, "demo"), schedule="dynamic", occupancy=1 / 3, arbiter="wtod")
     rehearsal = rehearse(setup, flexray(setup), 4)
     turns = rehearsal.published.reshape(-1, 9)
     assert (turns.sum(1) == 3).all()

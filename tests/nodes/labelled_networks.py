@@ -91,9 +91,9 @@ def labelled(
 _FRAMES = 16
 
 
-def _slots(node: int, cycle: int) -> tuple[Slot, ...]:
+def _slots(node: int, cycle: int) -> tuple[tuple[Slot, ...], ...]:
     first = _FRAMES * node + 1
-    return tuple(Slot(first + part, 254, fixed=False) for part in range(_FRAMES))
+    return (tuple(Slot(first + part, 254, fixed=False) for part in range(_FRAMES)),)
 
 
 # --- what should be held, found without the rule -------------------------------------------------

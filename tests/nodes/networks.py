@@ -1,7 +1,7 @@
 """Small networks for the tests of nodes/: a linear plant, chosen priors, links that lose frames."""
 
 import zlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from concord.bus.flexray.publication import Slot
+from concord.bus.flexray.slotted_bus import Slots
 from concord.bus.ideal import TimelessBus
 from concord.bus.schedule import Schedule, dynamic_only, full_publish, hybrid, round_robin
 from concord.filters.fusion import hold
@@ -100,7 +100,7 @@ class Network(NamedTuple):
     nodes: list[NodeConfig]
 
 
-def with_slots(config: NodeConfig, slots: Callable[[int, int], tuple[Slot, ...]]) -> NodeConfig:
+def with_slots(config: NodeConfig, slots: Slots) -> NodeConfig:
     """The node on a bus on which a share has these slots: (node, cycle) -> slots."""
     bus = TimelessBus(config.schedule, config.estimator.share_bytes)
     bus.slots = slots

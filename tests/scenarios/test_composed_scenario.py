@@ -10,7 +10,7 @@ from concord.experiments.scenario_options import in_options, offered_options, sc
 from concord.scenarios.catalogue import definition_named, definition_of, definitions
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.assignment import assigned, check_ranges, flat
-from concord.scenarios.types.buses import FlexRay, HybridSchedule, Ideal
+from concord.scenarios.types.buses import DynamicSchedule, FlexRay, Ideal
 from concord.scenarios.types.declarations import every_option
 from concord.scenarios.types.rules import CovarianceIntersection, MeasurementFlooding
 
@@ -79,7 +79,7 @@ def test_values_are_taken_as_names_are():
     by_name = USUAL.with_(rule="labelled", window_steps=8, occupancy=0.25)
     by_value = USUAL.with_(
         rule=MeasurementFlooding(window_steps=8),
-        bus=FlexRay(schedule=HybridSchedule(occupancy=0.25)),
+        bus=FlexRay(schedule=DynamicSchedule(occupancy=0.25)),
     )
     assert by_name == by_value
     assert USUAL.with_(bus=Ideal()) == USUAL.with_(bus="ideal")

@@ -72,7 +72,7 @@ def test_the_first_cycles():
     [
         {},
         {"static_slots": 2},
-        {"hold": "zero-input", "schedule": "dynamic"},
+        {"hold": "zero-input", "schedule": "dynamic", "arbiter": "wtod"},
         {"schedule": "round-robin"},
         {"schedule": "full", "run": 3},
     ],

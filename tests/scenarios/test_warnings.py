@@ -198,3 +198,33 @@ def test_labelled_without_digests_never_makes_good_what_a_link_lost():
     assert quiet(rule="labelled", loss=0.5)
     (warning,) = warnings_of(setup_of(rule="labelled", loss=0.5, digest_steps=0))
     assert "--digest-steps" in warning
+
+
+# --- arbiters ------------------------------------------------------------------------------------
+
+
+def of_arbiter(**changes) -> tuple[Setup, str]:
+    setup = setup_of(nodes=8, graph="ring", schedule="dynamic", **changes)
+    return setup, "\n".join(warnings_of(setup))
+
+
+def test_one_frame_id_a_node_starves_the_last_nodes_where_all_do_not_fit():
+    setup, said = of_arbiter(arbiter="minislot", occupancy=0.25)
+    assert "8 nodes contend with one frame ID each" in said and "use --arbiter urgency" in said
+    sent = read_trace(setup, in_memory(setup)).published.any(axis=(0, 1))
+    held = int(sent.sum())
+    assert held < 8 and sent.tolist() == [True] * held + [False] * (8 - held)
+    assert f"holds {held} of their longest shares" in said
+
+
+def test_urgency_classes_starve_no_node_and_need_no_warning():
+    setup, said = of_arbiter(arbiter="urgency", occupancy=0.25)
+    assert said == ""
+    assert read_trace(setup, in_memory(setup)).published.any(axis=(0, 1)).all()
+    # All shares fit: the order does not matter.
+    assert of_arbiter(arbiter="minislot", occupancy=1.0)[1] == ""
+
+
+@pytest.mark.parametrize("arbiter", ["wtod", "round-robin"])
+def test_an_arbiter_that_knows_all_bids_is_called_ideal(arbiter: str):
+    assert f"--arbiter {arbiter} is ideal" in of_arbiter(arbiter=arbiter, occupancy=0.25)[1]
