@@ -100,11 +100,24 @@ def update(
     measurement = np.asarray(measurement, dtype=float)
     m = measurement.shape[-1]
     check_noise(noise_cov, m, "measurement noise covariance")
+    predicted, cov, cross_cov = measured(belief, measure, m, rule, residual, state_residual)
+    return condition(belief, measurement, predicted, cov + noise_cov, cross_cov, residual, gate)
+
+
+def measured(
+    belief: Gaussian,
+    measure: Model,
+    size: int,
+    rule: SigmaPointRule,
+    residual: Residual = np.subtract,
+    state_residual: Residual = np.subtract,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Moments of a measurement without noise: mean (..., m), covariance (..., m, m), and covariance
+    of state and measurement (..., n, m), for m = `size`; other arguments as in `update`."""
     points = sigma_points(belief, rule)
-    values = evaluate(measure, points, m, "measure")
+    values = evaluate(measure, points, size, "measure")
     predicted = weighted_mean(values, rule, residual)
     away = residual(values, predicted)
     weighted = weigh(away, rule)
-    innovation_cov = symmetrise(sum_of_products(weighted, away)) + noise_cov
     cross_cov = sum_of_products(state_residual(points, belief.mean), weighted)
-    return condition(belief, measurement, predicted, innovation_cov, cross_cov, residual, gate)
+    return predicted, symmetrise(sum_of_products(weighted, away)), cross_cov

@@ -11,9 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from concord.filters.filter import Filter
 from concord.filters.gaussian import Gaussian
-from concord.filters.sigma_points import SigmaPointRule
-from concord.filters.ukf import update
 from concord.nodes.rules.all_sensors import AllSensors, SourceSensors
 from concord.nodes.rules.lane_rule import Failures
 from concord.nodes.rules.local_filter import Carried, Model, finite_lanes, predict_to_step, where
@@ -68,7 +67,7 @@ class WindowFilter:
     """
 
     model: Model
-    points: SigmaPointRule
+    filter: Filter
     sensors: AllSensors
     codecs: Sequence[RecordCodec | None]
 
@@ -126,7 +125,7 @@ class WindowFilter:
         if step == 0:
             return Carried(belief, np.ones(windows.right.shape, dtype=bool))
         driven = None if control is None else control[:, None]
-        moved, sound = predict_to_step(belief, driven, step, self.model, self.points)
+        moved, sound = predict_to_step(belief, driven, step, self.model, self.filter)
         return Carried(where(sound, moved, belief), sound)
 
     def filtered(
@@ -174,7 +173,7 @@ class WindowFilter:
         if step == 0:
             return belief, np.ones(len(runs), dtype=bool)
         driven = None if control is None else control[runs]
-        moved, sound = predict_to_step(belief, driven, step, self.model, self.points)
+        moved, sound = predict_to_step(belief, driven, step, self.model, self.filter)
         return where(sound, moved, belief), sound
 
     def _updated(
@@ -197,12 +196,11 @@ class WindowFilter:
         sensors = self.sensors.of(chosen // several)
         if (state_noise := sensors.state_noise(belief, step)) is not None:
             covs = covs + state_noise
-        after = update(
+        after = self.filter.update(
             belief,
             _in_a_row(values),
             lambda states: _in_a_row(sensors.measure(states, step)),
             _block_diagonal(covs),
-            self.points,
             residual=partial(_residual, sensors),
         ).belief
         sound = finite_lanes(after)
