@@ -29,6 +29,7 @@ from concord.experiments.scenario_options import scenario_of
 from concord.experiments.sweep.engines import engine_for
 from concord.experiments.sweep.run import begin, finish
 from concord.experiments.sweep.specification import Specification, shown, specify
+from concord.filters.filter import Filter
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.definitions.own import portable
 from concord.scenarios.preparation import prepare
@@ -277,7 +278,7 @@ def _word(name: str, value: Any) -> Any:
                 f"it, such as {name}={value.name!r}, {type(value).__struct_fields__[0]}=[...]"
             )
         return value.name
-    if callable(value) and name == "rule":
+    if (callable(value) and name == "rule") or (isinstance(value, Filter) and name == "filter"):
         return kept_source(value).name
     return in_words({name: value})[name]
 

@@ -36,9 +36,9 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
                at_least=1, is_setting=True),
     ] = 3  # fmt: skip
     bus: Annotated[BusChoice, Option("Bus that the nodes share.", group="bus")] = FlexRay()
-    filter: Annotated[FilterChoice, Option("Filter of the nodes.", group="filter")] = (
-        UnscentedFilter()
-    )
+    filter: Annotated[
+        FilterChoice, Option("Filter of the nodes; FILE.py:NAME is your own.", group="filter")
+    ] = UnscentedFilter()
     steps: Annotated[int, Option("Sampling instants to simulate.", at_least=1)]
     seed: Annotated[int, Option("Seed of everything random.", at_least=0)] = 1
     run: Annotated[

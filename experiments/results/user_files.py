@@ -1,4 +1,4 @@
-"""Copies of the user files that a run took a plant, a rule or an arbiter from, in its folder."""
+"""Copies of the user files that a run took its plant, rule, filter or arbiter from."""
 
 import shutil
 from pathlib import Path
@@ -8,13 +8,19 @@ import msgspec
 from concord.runtime.disk import writing
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.buses import arbiter_of
-from concord.scenarios.types.plants import UserPlant
-from concord.scenarios.types.rules import UserRule
-from concord.scenarios.user_values import ValueSource, file_of, is_source_name, source_of
+from concord.scenarios.user_values import (
+    FromFile,
+    ValueSource,
+    file_of,
+    is_source_name,
+    source_of,
+)
+
+_PARTS = ("plant", "rule", "filter")
 
 
 def keep_copies(folder: Path, scenario: Scenario) -> None:
-    """Copy the files of a scenario's own plant, rule and arbiter into the folder of its run."""
+    """Copy the user's files of a scenario into the folder of its run."""
     for source in _sources(scenario):
         copy = _copy(folder, source)
         with writing(copy):
@@ -24,9 +30,9 @@ def keep_copies(folder: Path, scenario: Scenario) -> None:
 def from_copies(folder: Path, scenario: Scenario) -> Scenario:
     """The scenario with the copies in the folder of its run, where there are some."""
     changed = {}
-    for part in ("plant", "rule"):
+    for part in _PARTS:
         choice = getattr(scenario, part)
-        if isinstance(choice, UserPlant | UserRule) and _copy(folder, choice.where).is_file():
+        if isinstance(choice, FromFile) and _copy(folder, choice.where).is_file():
             name = choice.source.rpartition(":")[2]
             copied = f"{_copy(folder, choice.where)}:{name}"
             changed[part] = msgspec.structs.replace(choice, source=copied)
@@ -40,8 +46,8 @@ def from_copies(folder: Path, scenario: Scenario) -> Scenario:
 
 
 def _sources(scenario: Scenario) -> list[ValueSource]:
-    choices = (scenario.plant, scenario.rule)
-    found = [one.where for one in choices if isinstance(one, UserPlant | UserRule)]
+    choices = [getattr(scenario, part) for part in _PARTS]
+    found = [one.where for one in choices if isinstance(one, FromFile)]
     arbiter = arbiter_of(scenario.bus.schedule)
     found += [source_of(arbiter)] if is_source_name(arbiter) else []
     return [source for source in found if source.digest]

@@ -9,9 +9,15 @@ from concord.plants.own_plant import OwnPlant, OwnSensor, OwnTruth, require_sens
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
 from concord.scenarios.types.network import SensorNetwork
+from concord.scenarios.types.option import Choice
 from concord.scenarios.types.plants import UserPlant
-from concord.scenarios.types.rules import UserRule
-from concord.scenarios.user_values import ValueSource, kept_source, named_source, value_of
+from concord.scenarios.user_values import (
+    FromFile,
+    ValueSource,
+    kept_source,
+    named_source,
+    value_of,
+)
 
 
 def own_scenario(
@@ -74,13 +80,13 @@ def own_scenario(
 
 
 def portable(scenario: Scenario) -> Scenario:
-    """The scenario with its own plant and rule by their names in files, so that other processes
-    find them; unchanged where they have such names.
+    """The scenario with its own plant, rule and filter by their names in files, where other
+    processes find them; unchanged where they have such names.
 
     Raises:
         ValueError: only this session has them.
     """
-    plant, rule = scenario.plant, scenario.rule
+    plant = scenario.plant
     if isinstance(plant, UserPlant):
         plant = UserPlant.of(
             named_source(
@@ -88,11 +94,16 @@ def portable(scenario: Scenario) -> Scenario:
                 lambda value: isinstance(value, Scenario) and value.plant == scenario.plant,
             )
         )
-    if isinstance(rule, UserRule):
-        kept = value_of(rule.where)
-        source = named_source(rule.where, lambda value: value is kept)
-        rule = msgspec.structs.replace(rule, source=source.name, digest=source.digest)
-    return msgspec.structs.replace(scenario, plant=plant, rule=rule)
+    named = {part: _named(getattr(scenario, part)) for part in ("rule", "filter")}
+    return msgspec.structs.replace(scenario, plant=plant, **named)
+
+
+def _named(choice: Choice) -> Choice:
+    if not isinstance(choice, FromFile):
+        return choice
+    kept = value_of(choice.where)
+    source = named_source(choice.where, lambda value: value is kept)
+    return msgspec.structs.replace(choice, source=source.name, digest=source.digest)
 
 
 @lru_cache
