@@ -112,15 +112,16 @@ def check_models(
     groups: tuple[SensorGroup, ...],
     delivered: np.ndarray,
 ) -> None:
-    """Refuse plants and sensors with which a filter cannot compute.
+    """Refuse a filter that is none, and plants and sensors with which it cannot compute.
 
     `prior` is (n,); `delivered` (N, r, d) are readings of all nodes at step 0, NaN where a node
     takes none.
 
     Raises:
-        ValueError: naming what is not linear or singular, and the cure.
+        ValueError: naming the filter, what is not linear or singular, and the cure.
     """
     entry = entry_of(choice)
+    build_filter(choice, len(prior.mean))
     if entry.linear:
         _require_linear(choice, prior, model, groups)
     if entry.singular:
