@@ -18,9 +18,10 @@ predicted belief before the update, so that they spread with the process noise a
 
 import numpy as np
 
+from concord.filters import square_root
 from concord.filters.conditioning import condition
 from concord.filters.gaussian import Gaussian
-from concord.filters.linalg import symmetrise
+from concord.filters.linalg import cholesky, symmetrise
 from concord.filters.moments import (
     Model,
     Residual,
@@ -31,7 +32,7 @@ from concord.filters.moments import (
     weighted_mean,
 )
 from concord.filters.sigma_points import SigmaPointRule, sigma_points
-from concord.filters.update import Update
+from concord.filters.update import Update, chosen
 
 
 def predict(
@@ -92,7 +93,9 @@ def update(
 
     Returns:
         An Update; NaN in a lane whose state or innovation covariance is not positive definite. A
-        lane with nothing taken, or gated out, keeps its belief bit for bit.
+        lane with nothing taken, or gated out, keeps its belief bit for bit. A lane whose reading is
+        far sharper than its prediction is computed in square-root form (`square_root`); it is NaN
+        where the covariance cannot hold the result.
 
     Raises:
         ValueError: the rule, the noise, the measurement or the model's values do not fit.
@@ -101,7 +104,16 @@ def update(
     m = measurement.shape[-1]
     check_noise(noise_cov, m, "measurement noise covariance")
     predicted, cov, cross_cov = measured(belief, measure, m, rule, residual, state_residual)
-    return condition(belief, measurement, predicted, cov + noise_cov, cross_cov, residual, gate)
+    found = condition(belief, measurement, predicted, cov + noise_cov, cross_cov, residual, gate)
+    sharp = square_root.cancels(cov, noise_cov)
+    if sharp is None or state_residual is not np.subtract:
+        return found
+    if (rule.cov_weights >= 0).all():
+        exact = square_root.update(belief, measurement, measure, noise_cov, rule, residual, gate)
+        found = chosen(sharp, exact, found)
+    is_lost = sharp & np.isnan(cholesky(found.belief.cov)).any(axis=(-1, -2))
+    lost = Gaussian(*(np.full_like(part, np.nan) for part in found.belief))
+    return chosen(is_lost, found._replace(belief=lost), found)
 
 
 def measured(
