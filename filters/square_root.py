@@ -29,7 +29,7 @@ def cancels(cov: np.ndarray, noise_cov: np.ndarray) -> np.ndarray | None:
     noise that `conditioning` loses digits; None for no lane."""
     lost = cov.diagonal(0, -2, -1) > LARGEST_RATIO * noise_cov.diagonal(0, -2, -1)
     # An array is seldom searched, and counted in a seventh of the time.
-    return lost.any(axis=-1) if np.count_nonzero(lost) else None
+    return np.asarray(lost.any(axis=-1)) if np.count_nonzero(lost) else None
 
 
 def update(
@@ -67,7 +67,7 @@ def update(
         [np.concatenate([away, spread], axis=-1), np.concatenate([noise_root, none], axis=-1)],
         axis=-2,
     )
-    factor = np.linalg.qr(rows, mode="r").mT
+    factor: np.ndarray = np.swapaxes(np.linalg.qr(rows, mode="r"), -1, -2)
     F, G, L = factor[..., :m, :m], factor[..., m:, :m], factor[..., m:, m:]
     whitened = multiply(inverse_of_triangle(F), innovation)
     after = Gaussian(belief.mean + multiply(G, whitened), L @ L.mT)

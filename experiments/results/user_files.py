@@ -8,6 +8,7 @@ import msgspec
 from concord.runtime.disk import writing
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.buses import arbiter_of
+from concord.scenarios.types.option import Choice
 from concord.scenarios.user_values import (
     FromFile,
     ValueSource,
@@ -16,7 +17,7 @@ from concord.scenarios.user_values import (
     source_of,
 )
 
-_PARTS = ("plant", "rule", "filter")
+_FIELDS = ("plant", "rule", "filter")
 
 
 def keep_copies(folder: Path, scenario: Scenario) -> None:
@@ -30,12 +31,12 @@ def keep_copies(folder: Path, scenario: Scenario) -> None:
 def from_copies(folder: Path, scenario: Scenario) -> Scenario:
     """The scenario with the copies in the folder of its run, where there are some."""
     changed = {}
-    for part in _PARTS:
-        choice = getattr(scenario, part)
+    for field in _FIELDS:
+        choice: Choice = getattr(scenario, field)
         if isinstance(choice, FromFile) and _copy(folder, choice.where).is_file():
             name = choice.source.rpartition(":")[2]
             copied = f"{_copy(folder, choice.where)}:{name}"
-            changed[part] = msgspec.structs.replace(choice, source=copied)
+            changed[field] = msgspec.structs.replace(choice, source=copied)
     scenario = msgspec.structs.replace(scenario, **changed)
     arbiter = arbiter_of(scenario.bus.schedule)
     if is_source_name(arbiter) and _copy(folder, source_of(arbiter)).is_file():
@@ -46,7 +47,7 @@ def from_copies(folder: Path, scenario: Scenario) -> Scenario:
 
 
 def _sources(scenario: Scenario) -> list[ValueSource]:
-    choices = [getattr(scenario, part) for part in _PARTS]
+    choices = [getattr(scenario, field) for field in _FIELDS]
     found = [one.where for one in choices if isinstance(one, FromFile)]
     arbiter = arbiter_of(scenario.bus.schedule)
     found += [source_of(arbiter)] if is_source_name(arbiter) else []

@@ -94,8 +94,9 @@ def portable(scenario: Scenario) -> Scenario:
                 lambda value: isinstance(value, Scenario) and value.plant == scenario.plant,
             )
         )
-    named = {part: _named(getattr(scenario, part)) for part in ("rule", "filter")}
-    return msgspec.structs.replace(scenario, plant=plant, **named)
+    return msgspec.structs.replace(
+        scenario, plant=plant, rule=_named(scenario.rule), filter=_named(scenario.filter)
+    )
 
 
 def _named(choice: Choice) -> Choice:

@@ -16,6 +16,7 @@ from concord.scenarios.definitions.own import own_scenario
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.filters import FILTER_SUMMARIES
+from concord.scenarios.warnings import warnings_of
 
 
 def known(cov: float = 1.0, R: float = 1.0) -> Scenario:
@@ -89,10 +90,11 @@ def test_the_centralised_filter_takes_readings_one_by_one_in_the_order_of_the_no
             belief = ukf.predict(belief, lambda x: model.transition(x, None, 0), noise, rule)
         for node in range(6):
             sensor = definition.sensor(setup.scenario, node)
-            value, noise = sensor.interpret(trace.readings[step, node, 0])  # type: ignore[union-attr]
+            assert sensor is not None
+            value, noise = sensor.interpret(trace.readings[step, node, 0])
             belief = ukf.update(
                 belief, value, lambda x, h=sensor: h.measure(x, 0), noise, rule,
-                residual=sensor.residual,  # type: ignore[union-attr]
+                residual=sensor.residual,
             ).belief  # fmt: skip
         np.testing.assert_allclose(found.mean[step], belief.mean, rtol=1e-10)
         np.testing.assert_allclose(found.cov[step], belief.cov, rtol=1e-9, atol=1e-12)
@@ -106,3 +108,10 @@ def test_baselines_use_the_filter_of_the_scenario():
         trace = read_trace(setup, in_memory(setup))
         alone = local_only(setup, trace.readings, None)
         np.testing.assert_allclose(alone.mean, trace.mean, rtol=1e-9, err_msg=name)
+
+
+def test_a_rule_of_sets_warns_of_a_filter_that_has_no_effect():
+    asked = scenario_of("liu2021-network", rule="ellipsoid", steps=5)
+    assert not any("--filter" in one for one in warnings_of(prepare(asked)))
+    found = warnings_of(prepare(asked.with_(filter="ekf")))
+    assert any("--filter ekf changes nothing here" in one for one in found)
