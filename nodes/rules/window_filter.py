@@ -191,11 +191,10 @@ class WindowFilter:
         there = np.repeat(held, several, axis=1) & read[runs]
         # Those that are held come first; the rest is filled up with NaN.
         chosen = np.argsort(~there, axis=1, kind="stable")
-        sound = np.ones(len(runs), dtype=bool)
+        lanes, sound = np.arange(len(runs)), np.ones(len(runs), dtype=bool)
         for turn in range(int(there.sum(axis=1).max(initial=0))):
             which = chosen[:, turn]
-            real = np.take_along_axis(there, which[:, None], axis=1)
-            values = np.where(real, flat[runs, which], np.nan)
+            values = np.where(there[lanes, which, None], flat[runs, which], np.nan)
             after = self._taken(belief, values, noise_covs[runs, which], which // several, step)
             is_finite = finite_lanes(after)
             belief, sound = where(is_finite, after, belief), sound & is_finite
