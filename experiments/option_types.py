@@ -19,10 +19,12 @@ from typing import TYPE_CHECKING, Literal, TypedDict
 
 import numpy as np
 
+from concord.filters.filter import Filter
 from concord.scenarios.types.option import Choice
 
 PLACEMENT = int | str | np.ndarray
 FUNCTION = str | Choice | Callable[..., object]
+FILTER = str | Choice | Filter
 if TYPE_CHECKING:
     import networkx
 
@@ -34,7 +36,13 @@ _CLASSES = {
     "ScenarioOptions": ("One value of each option.", "{}"),
     "SweptOptions": ("One value of each option, or several.", "Sequence[{0}] | np.ndarray | {0}"),
 }
-_OF_NAME = {"graph": "GRAPH", "placement": "PLACEMENT", "rule": "FUNCTION", "bus": "FUNCTION"}
+_OF_NAME = {
+    "bus": "FUNCTION",
+    "filter": "FILTER",
+    "graph": "GRAPH",
+    "placement": "PLACEMENT",
+    "rule": "FUNCTION",
+}
 
 
 def text() -> str:

@@ -29,6 +29,7 @@ from concord.experiments.scenario_options import scenario_of
 from concord.experiments.sweep.engines import engine_for, workers_here
 from concord.experiments.sweep.run import begin, finish
 from concord.experiments.sweep.specification import Specification, shown, specify
+from concord.filters.filter import Filter
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.definitions.own import portable
 from concord.scenarios.preparation import prepare
@@ -282,7 +283,8 @@ def _word(name: str, value: Any) -> Any:
                 f"it, such as {name}={value.name!r}, {type(value).__struct_fields__[0]}=[...]"
             )
         return value.name
-    if callable(value) and name in ("rule", "bus"):
+    own = isinstance(value, Filter) if name == "filter" else callable(value)
+    if own and name in ("rule", "bus", "filter"):
         return kept_source(value).name
     return in_words({name: value})[name]
 

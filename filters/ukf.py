@@ -18,9 +18,10 @@ predicted belief before the update, so that they spread with the process noise a
 
 import numpy as np
 
+from concord.filters import square_root
 from concord.filters.conditioning import condition
 from concord.filters.gaussian import Gaussian
-from concord.filters.linalg import symmetrise
+from concord.filters.linalg import cholesky, symmetrise
 from concord.filters.moments import (
     Model,
     Residual,
@@ -31,7 +32,7 @@ from concord.filters.moments import (
     weighted_mean,
 )
 from concord.filters.sigma_points import SigmaPointRule, sigma_points
-from concord.filters.update import Update
+from concord.filters.update import Update, chosen
 
 
 def predict(
@@ -92,7 +93,9 @@ def update(
 
     Returns:
         An Update; NaN in a lane whose state or innovation covariance is not positive definite. A
-        lane with nothing taken, or gated out, keeps its belief bit for bit.
+        lane with nothing taken, or gated out, keeps its belief bit for bit. A lane whose reading is
+        far sharper than its prediction is computed in square-root form (`square_root`); it is NaN
+        where the covariance cannot hold the result.
 
     Raises:
         ValueError: the rule, the noise, the measurement or the model's values do not fit.
@@ -100,11 +103,33 @@ def update(
     measurement = np.asarray(measurement, dtype=float)
     m = measurement.shape[-1]
     check_noise(noise_cov, m, "measurement noise covariance")
+    predicted, cov, cross_cov = measured(belief, measure, m, rule, residual, state_residual)
+    found = condition(belief, measurement, predicted, cov + noise_cov, cross_cov, residual, gate)
+    sharp = square_root.cancels(cov, noise_cov)
+    if sharp is None or state_residual is not np.subtract:
+        return found
+    if (rule.cov_weights >= 0).all():
+        exact = square_root.update(belief, measurement, measure, noise_cov, rule, residual, gate)
+        found = chosen(sharp, exact, found)
+    is_lost = sharp & np.isnan(cholesky(found.belief.cov)).any(axis=(-1, -2))
+    lost = Gaussian(*(np.full_like(part, np.nan) for part in found.belief))
+    return chosen(is_lost, found._replace(belief=lost), found)
+
+
+def measured(
+    belief: Gaussian,
+    measure: Model,
+    size: int,
+    rule: SigmaPointRule,
+    residual: Residual = np.subtract,
+    state_residual: Residual = np.subtract,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Moments of a measurement without noise: mean (..., m), covariance (..., m, m), and covariance
+    of state and measurement (..., n, m), for m = `size`; other arguments as in `update`."""
     points = sigma_points(belief, rule)
-    values = evaluate(measure, points, m, "measure")
+    values = evaluate(measure, points, size, "measure")
     predicted = weighted_mean(values, rule, residual)
     away = residual(values, predicted)
     weighted = weigh(away, rule)
-    innovation_cov = symmetrise(sum_of_products(weighted, away)) + noise_cov
     cross_cov = sum_of_products(state_residual(points, belief.mean), weighted)
-    return condition(belief, measurement, predicted, innovation_cov, cross_cov, residual, gate)
+    return predicted, symmetrise(sum_of_products(weighted, away)), cross_cov

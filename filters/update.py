@@ -25,6 +25,22 @@ class Update(NamedTuple):
     normalised_innovation_squared: np.ndarray
 
 
+def chosen(lanes: np.ndarray, one: Update, other: Update) -> Update:
+    """`one` in these lanes (...), `other` elsewhere."""
+    if not lanes.any():
+        return other
+    column, matrix = lanes[..., None], lanes[..., None, None]
+    return Update(
+        Gaussian(
+            np.where(column, one.belief.mean, other.belief.mean),
+            np.where(matrix, one.belief.cov, other.belief.cov),
+        ),
+        np.where(column, one.innovation, other.innovation),
+        np.where(matrix, one.innovation_cov, other.innovation_cov),
+        np.where(lanes, one.normalised_innovation_squared, other.normalised_innovation_squared),
+    )
+
+
 def missing_entries(measurement: np.ndarray) -> np.ndarray | None:
     """True (..., m) where an entry is NaN, that is, was not taken; None when all were."""
     if measurement.ndim == 1 and not math.isnan(measurement.dot(measurement)):

@@ -10,7 +10,7 @@ stochastic nonlinearities under FlexRay protocol, equation (1).
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -142,25 +142,3 @@ class StochasticSystem:
             + self.measurement(step).value(state, noise[..., m:])
             + noise[..., :m] @ factor.T
         )
-
-
-def replicated(system: StochasticSystem, copies: int) -> StochasticSystem:
-    """A system whose sensors are there several times over, each set with noise of its own."""
-    identity: np.ndarray = np.eye(copies)
-
-    def measurement(step: int) -> StochasticNonlinearity:
-        once = system.measurement(step)
-        terms = (
-            Term(np.kron(identity[:, [copy]], term.outer).astype(np.float64), term.inner)
-            for copy in range(copies)
-            for term in once.terms
-        )
-        return StochasticNonlinearity(copies * once.size, once.states, tuple(terms))
-
-    return replace(
-        system,
-        measure=lambda state, step: np.concatenate([system.measure(state, step)] * copies, -1),
-        sizes=system.sizes * copies,
-        measurement_noise_cov=lambda step: np.kron(identity, system.measurement_noise_cov(step)),
-        measurement=measurement,
-    )

@@ -8,18 +8,18 @@ import numpy as np
 
 from concord.bus.bus import Bus
 from concord.bus.schedule import Schedule
+from concord.filters.filter import Filter
 from concord.filters.gaussian import Gaussian
-from concord.filters.sigma_points import scaled_unscented
 from concord.nodes.changes import UNCHANGED, Standing
 from concord.nodes.environment_state import ControlStep, EnvironmentConfig
 from concord.nodes.estimator import AnyEstimator
 from concord.nodes.messages import from_wire
 from concord.nodes.node_state import NodeConfig
-from concord.nodes.rules.local_filter import SensorGroup
 from concord.scenarios.bus_plan import plan_bus
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.definitions.control import control_node
 from concord.scenarios.equipment import build_faults, spread_of
+from concord.scenarios.filters import build_filter
 from concord.scenarios.links import link_state
 from concord.scenarios.node_context import Beginning, Everybody, NodeContext, RuleContext
 from concord.scenarios.preparation import complete_settings, share_bytes, with_settings
@@ -97,9 +97,7 @@ def _estimator(setup: Setup, node: int, schedule: Schedule, beginning: Beginning
         model=definition.model(scenario),
         sensor=definition.sensor(scenario, node),
         prior=Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov)),
-        points=definition.points(scenario)
-        if definition.points
-        else scaled_unscented(len(setup.prior_mean)),
+        filter=filter_of(setup),
         everybody=partial(everybody_of, setup, schedule),
         beginning=beginning,
     )
@@ -109,6 +107,14 @@ def _estimator(setup: Setup, node: int, schedule: Schedule, beginning: Beginning
         if definition.estimator_wrapper
         else rule
     )
+
+
+def filter_of(setup: Setup) -> Filter:
+    """The filter of the nodes of a setup."""
+    scenario = setup.scenario
+    points = definition_of(scenario).points
+    own = None if points is None else points(scenario)
+    return build_filter(scenario.filter, len(setup.prior_mean), own)
 
 
 def rule_context(setup: Setup, contends: bool = True) -> RuleContext:
@@ -133,17 +139,8 @@ def everybody_of(setup: Setup, schedule: Schedule) -> Everybody:
     noise = plant.draw(partial(generator, scenario), 1).measurement[0]
     _, readings, channels = plant.observe(from_wire(setup.initial_state), noise, 0).shape
     sensors = tuple(definition.sensor(scenario, node) for node in range(scenario.nodes))
-    groups = sensor_groups(scenario)
+    groups = definition.sensor_groups(scenario)
     return Everybody(scenario, schedule, sensors, groups, (readings, channels))
-
-
-def sensor_groups(scenario: Scenario) -> tuple[SensorGroup, ...]:
-    """The sensors of all nodes: one for all where the scenario has such, else one for each."""
-    definition = definition_of(scenario)
-    if definition.sensors is not None:
-        return (SensorGroup(slice(None), definition.sensors(scenario)),)
-    single = ((node, definition.sensor(scenario, node)) for node in range(scenario.nodes))
-    return tuple(SensorGroup(slice(i, i + 1), one) for i, one in single if one is not None)
 
 
 def build_environment(setup: Setup) -> EnvironmentConfig:

@@ -6,6 +6,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from concord.filters.filter import Filter
 from concord.filters.fusion import (
     diffusion,
     hold,
@@ -16,7 +17,6 @@ from concord.filters.fusion import (
 from concord.filters.fusion.averaging import MOMENTS, Averaged, Averaging, Directly
 from concord.filters.fusion.trimmed import trimmed_intersection
 from concord.filters.gaussian import Gaussian
-from concord.filters.sigma_points import SigmaPointRule
 from concord.nodes.estimator import AnyEstimator
 from concord.nodes.lanes.batch import AveragesInBatch, InBatch
 from concord.nodes.lanes.beliefs import BatchedBeliefs
@@ -120,7 +120,7 @@ def _at_node(kind: type[NodeRule], build: BuildRule, what: str, context: NodeCon
     place = Place(np.array(context.node), context.weights)
     length = rule.say(rule.start(place.node, context.prior, context.prior)).shape[-1]
     codec = VectorCodec(length, context.rule.number, what)
-    return kind(rule, place, context.model, context.sensor, context.prior, context.points, codec)
+    return kind(rule, place, context.model, context.sensor, context.prior, context.filter, codec)
 
 
 def flooding(context: NodeContext) -> AnyEstimator:
@@ -133,7 +133,7 @@ def flooding(context: NodeContext) -> AnyEstimator:
         neighbours=neighbours,
         prior=context.prior,
         own=() if context.sensor is None else (SensorGroup(slice(None), context.sensor),),
-        filter=_window_filter(everybody, frames, context.model, context.points),
+        filter=_window_filter(everybody, frames, context.model, context.filter),
         frames=frames,
         schedule=everybody.schedule,
         rounds=everybody.scenario.rounds,
@@ -144,10 +144,10 @@ def flooding(context: NodeContext) -> AnyEstimator:
 
 
 def _window_filter(
-    everybody: Everybody, frames: LabelledFrameCodec, model: Model, points: SigmaPointRule
+    everybody: Everybody, frames: LabelledFrameCodec, model: Model, filter: Filter
 ) -> WindowFilter:
     sensors = AllSensors(everybody.groups, len(everybody.sensors), everybody.readings_shape)
-    return WindowFilter(model, points, sensors, frames.codecs)
+    return WindowFilter(model, filter, sensors, frames.codecs)
 
 
 # --- at all nodes of many runs -------------------------------------------------------------------
@@ -195,7 +195,7 @@ def flooding_in_batch(context: BatchContext) -> BatchedRule:
     frames = frame_codec(everybody, context.rule.neighbours, context.rule.states)
     return BatchedFlooding(
         own=everybody.groups,
-        filter=_window_filter(everybody, frames, filters.model, filters.points),
+        filter=_window_filter(everybody, frames, filters.model, filters.filter),
         frames=frames,
         links=context.links,
         schedule=everybody.schedule,

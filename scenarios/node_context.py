@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from concord.bus.schedule import Schedule
+from concord.filters.filter import Filter
 from concord.filters.gaussian import Gaussian
-from concord.filters.sigma_points import SigmaPointRule
 from concord.nodes.lanes.links import Links, Shares
 from concord.nodes.rules.belief_consensus import HoldPolicy
 from concord.nodes.rules.local_filter import LocalFilters, Model, Sensor, SensorGroup
@@ -65,7 +65,7 @@ class NodeContext(NamedTuple):
     model: Model
     sensor: Sensor | None
     prior: Gaussian
-    points: SigmaPointRule
+    filter: Filter
     everybody: Callable[[], Everybody] | None = None
     beginning: Beginning = Beginning()
 

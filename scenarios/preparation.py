@@ -5,15 +5,18 @@ import os
 from functools import partial
 
 import msgspec
+import numpy as np
 
 from concord._version import __version__
+from concord.filters.gaussian import Gaussian
 from concord.nodes.bounds import MAX_ROUNDS
 from concord.nodes.changes import Settings
 from concord.nodes.faults.active import Equipment
-from concord.nodes.messages import to_wire
+from concord.nodes.messages import from_wire, to_wire
 from concord.scenarios.bus_plan import build_schedule, plan_bus, with_pinned_arbiter
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.equipment import equipment_of
+from concord.scenarios.filters import check_models
 from concord.scenarios.links import losses_of, network_of
 from concord.scenarios.rules import check_rule, is_set_valued, share_size
 from concord.scenarios.scenario import SETTINGS, Scenario, require
@@ -22,7 +25,6 @@ from concord.scenarios.setup import Setup
 from concord.scenarios.streams import generator
 from concord.scenarios.types.assignment import check_ranges, refuse_left
 from concord.scenarios.types.buses import UserBus, stretch_of
-from concord.scenarios.types.filters import UnscentedFilter
 from concord.scenarios.user_bus import check_user_bus
 from concord.scenarios.user_values import is_source_name, source_of, value_of
 from concord.topology.names import unknown_name
@@ -69,6 +71,7 @@ def prepare(scenario: Scenario) -> Setup:
     unborn = Setup(scenario, neighbours, rows, [], [], [], plant.time_step_s, losses, turns)
     setup = setup_of_run(unborn, scenario.run)
     check_network(setup)
+    _check_filter(setup)
     check_script(
         scenario, neighbours, partial(complete_settings, setup), partial(_equipment, setup)
     )
@@ -111,7 +114,6 @@ def check_network(setup: Setup) -> None:
     definition = definition_of(scenario)
     definition.check(scenario)
     if definition.wiring is None:
-        _check_filter(scenario)
         check_rule(scenario, setup.neighbours, from_per_node(setup.weights, setup.neighbours))
     bus = plan_bus(scenario, share_bytes(setup), setup.neighbours)
     if isinstance(scenario.bus, UserBus):
@@ -120,12 +122,25 @@ def check_network(setup: Setup) -> None:
     bus.check_pace(scenario.rounds, setup.time_step_s, stretch_of(scenario.bus))
 
 
-def _check_filter(scenario: Scenario) -> None:
-    """Refuse a filter that belongs to the receiver of a measurement bus."""
-    if not isinstance(scenario.filter, UnscentedFilter):
-        raise ValueError(
-            f"--filter {scenario.filter.name}: it is for --scenario meng2025; leave it out"
-        )
+def _check_filter(setup: Setup) -> None:
+    """Refuse a filter that cannot compute with the plant and the sensors.
+
+    Raises:
+        ValueError: naming the filter, what is in its way, and the cure.
+    """
+    scenario = setup.scenario
+    definition = definition_of(scenario)
+    if definition.wiring is not None:
+        return
+    plant = definition.plant(scenario)
+    noise = plant.draw(partial(generator, scenario), 1).measurement[0]
+    check_models(
+        scenario.filter,
+        Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov)),
+        definition.model(scenario),
+        definition.sensor_groups(scenario),
+        plant.observe(from_wire(setup.initial_state), noise, 0),
+    )
 
 
 def complete_settings(setup: Setup, before: Settings, asked: Settings) -> Settings:

@@ -38,9 +38,9 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     bus: Annotated[
         BusChoice, Option("Bus that the nodes share; FILE.py:NAME is your own.", group="bus")
     ] = FlexRay()
-    filter: Annotated[FilterChoice, Option("Filter of the nodes.", group="filter")] = (
-        UnscentedFilter()
-    )
+    filter: Annotated[
+        FilterChoice, Option("Filter of the nodes; FILE.py:NAME is your own.", group="filter")
+    ] = UnscentedFilter()
     steps: Annotated[int, Option("Sampling instants to simulate.", at_least=1)]
     seed: Annotated[int, Option("Seed of everything random.", at_least=0)] = 1
     run: Annotated[

@@ -10,7 +10,7 @@ from concord.filters.gaussian import Gaussian
 from concord.filters.sigma_points import SigmaPointRule
 from concord.nodes.environment_state import Delivery
 from concord.nodes.estimator import AnyEstimator
-from concord.nodes.rules.local_filter import Model, Sensor
+from concord.nodes.rules.local_filter import Model, Sensor, SensorGroup
 from concord.scenarios.node_context import NodeContext
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
@@ -98,7 +98,7 @@ class ScenarioDefinition(NamedTuple):
         warnings: what a user must be told of the plant before a run.
         radio_range_m: reach of a node in the geometric graph, for plants that have positions.
         all_steps: how many steps recorded data hold; None where any number will do.
-        points: the sigma-point rule of the filters, None for that of the house.
+        points: the sigma points of unscented filters, None for those of the house.
         wiring: of a network in which not every node filters and fuses.
         delivery: what lies between sensors and their nodes, None where readings arrive as taken.
         baseline_filter: (setup, nodes, readings (steps, N, r, d)) -> beliefs (steps,) of one
@@ -123,3 +123,10 @@ class ScenarioDefinition(NamedTuple):
     baseline_filter: Callable[[Setup, Sequence[int], np.ndarray], Gaussian] | None = None
     estimator_wrapper: Callable[[Scenario, NodeContext, AnyEstimator], AnyEstimator] | None = None
     sensors: Callable[[Scenario], Sensor] | None = None
+
+    def sensor_groups(self, scenario: Scenario) -> tuple[SensorGroup, ...]:
+        """The sensors of all nodes: one for all where the scenario has such, else one for each."""
+        if self.sensors is not None:
+            return (SensorGroup(slice(None), self.sensors(scenario)),)
+        single = ((node, self.sensor(scenario, node)) for node in range(scenario.nodes))
+        return tuple(SensorGroup(slice(i, i + 1), one) for i, one in single if one is not None)

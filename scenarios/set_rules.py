@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from concord.filters.gaussian import Gaussian
-from concord.filters.sigma_points import scaled_unscented
 from concord.nodes.rules.lane_rule import LocalStep
 from concord.nodes.rules.local_filter import LocalFilters, SensorGroup
 from concord.nodes.rules.set_membership import (
@@ -17,6 +16,7 @@ from concord.nodes.rules.set_membership import (
 )
 from concord.nodes.rules.set_shapes import Shape
 from concord.scenarios.catalogue import definition_of
+from concord.scenarios.filters import build_filter
 from concord.scenarios.node_context import RuleContext
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
@@ -53,7 +53,8 @@ def baseline_filter(
 ) -> Gaussian:
     """One set that is cut with the readings (steps, N, r, d) of these nodes, after every step."""
     definition = definition_of(setup.scenario)
-    model, points = definition.model(setup.scenario), scaled_unscented(len(setup.prior_mean))
+    model = definition.model(setup.scenario)
+    gaussian = build_filter(setup.scenario.filter, len(setup.prior_mean))
     groups = {
         node: SensorGroup(slice(None), sensor)
         for node in nodes
@@ -66,10 +67,10 @@ def baseline_filter(
         driven = None if control is None or step == 0 else control[step]
         if step > 0:
             own = predict_sets(
-                shape, own, LocalStep(LocalFilters(model, (), points), delivered[0], driven, step)
+                shape, own, LocalStep(LocalFilters(model, (), gaussian), delivered[0], driven, step)
             )
         for node, group in groups.items():
-            filters = LocalFilters(model, (group,), points)
+            filters = LocalFilters(model, (group,), gaussian)
             own, _ = take_strips(shape, own, LocalStep(filters, delivered[node], driven, step))
         bounds.append(shape.bounds(own))
     return Gaussian(np.array([b.mean for b in bounds]), np.array([b.cov for b in bounds]))

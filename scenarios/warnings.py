@@ -44,8 +44,8 @@ _DISAGREEMENT = 0.01
 
 
 def warnings_of(setup: Setup) -> tuple[str, ...]:
-    """A sentence for every known failure of the setup's rule on its network, and for weights that
-    the rule does not use; empty if none.
+    """A sentence for every known failure of the setup's rule on its network, and for weights or a
+    filter that the rule does not use; empty if none.
 
     Each names the rule, the condition with its numbers, and what to use instead. Sources are given
     where the conditions are: the functions of `filters/`.
@@ -55,6 +55,7 @@ def warnings_of(setup: Setup) -> tuple[str, ...]:
         return ()
     return (
         *_idle_weights(setup),
+        *_idle_filter(setup),
         *definition_of(setup.scenario).warnings(setup.scenario),
         *_diverging_average(setup),
         *_too_few_rounds(setup),
@@ -77,6 +78,17 @@ def _idle_weights(setup: Setup) -> Iterator[str]:
         yield (
             f"--weights {scenario.network.weights} changes nothing here: rule "
             f"{scenario.rule.name} takes no weights; leave it out, or use another rule"
+        )
+
+
+def _idle_filter(setup: Setup) -> Iterator[str]:
+    """The filter of a network whose rule keeps sets."""
+    scenario = setup.scenario
+    usual = definition_of(scenario).defaults.filter
+    if scenario.filter != usual and rule_of(scenario).set_valued:
+        yield (
+            f"--filter {scenario.filter.name} changes nothing here: rule {scenario.rule.name} "
+            "keeps sets and has no filter; leave it out, or use another rule"
         )
 
 

@@ -7,7 +7,7 @@ import pytest
 from tests.pages import ROOT, blocks, commands, run_as_reader
 
 PAGE = (ROOT / "docs" / "own_plant.md").read_text(encoding="utf-8")
-NAMES = ("pendulum", "sharpest", "patient", "serial")
+NAMES = ("pendulum", "sharpest", "fading", "patient", "serial")
 CHECKING = (ROOT / "docs" / "checking.md").read_text(encoding="utf-8")
 
 

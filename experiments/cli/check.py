@@ -1,4 +1,4 @@
-"""`concord check`: hold a fusion rule or a scenario against the promises that concord relies on."""
+"""`concord check`: hold a rule, a filter or a scenario against the promises concord relies on."""
 
 import shlex
 import sys
@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 import tyro
 
+from concord.experiments.conformance.filter_promises import FILTER_PROMISES, checked_filter
 from concord.experiments.conformance.promise import Promise, PromiseResult
 from concord.experiments.conformance.rule_promises import RULE_PROMISES, checked_rule
 from concord.experiments.conformance.scenario_promises import SCENARIO_PROMISES, checked_scenario
@@ -17,9 +18,11 @@ from concord.experiments.scenario_options import scenario_of
 from concord.experiments.sweep.engines import engine_for
 from concord.experiments.sweep.workers import WorkerLost
 from concord.experiments.user_errors import user_errors
+from concord.filters.filter import Filter
 from concord.scenarios.catalogue import definitions
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition
+from concord.scenarios.types.filters import FILTER_SUMMARIES
 from concord.scenarios.types.rules import RULE_SUMMARIES
 from concord.scenarios.user_values import is_source_name, source_of, value_of
 from concord.topology.names import unknown_name
@@ -37,6 +40,8 @@ class CheckOptions:
     """Name of the only promise."""
     consistent: bool = True
     """The rule claims that its covariance covers the error."""
+    linear: bool = True
+    """The filter claims to equal the Kalman filter on linear models."""
     workers: int | None = None
     """Processes on this machine for the random networks; one per core when left out."""
     json: bool = False
@@ -48,12 +53,13 @@ def check(
         str,
         tyro.conf.Positional,
         tyro.conf.arg(
-            metavar="RULE-OR-SCENARIO", help="A rule or a scenario, by its name or as FILE.py:NAME."
+            metavar="SUBJECT",
+            help="A rule, a filter or a scenario, by its name or as FILE.py:NAME.",
         ),
     ],
     output: Annotated[CheckOptions, tyro.conf.OmitArgPrefixes],
 ) -> None:
-    """Check each promise of a rule or a scenario in drawn cases; exit code 1 if one is broken."""
+    """Check the promises of a rule, a filter or a scenario in drawn cases; 1 if one is broken."""
     with user_errors():
         if output.cases < 1:
             raise ValueError(f"--cases {output.cases}: must be at least 1")
@@ -93,12 +99,16 @@ def _subject(name: str, output: CheckOptions) -> tuple[Any, Sequence[Promise[Any
     if is_source_name(name):
         value = value_of(source_of(name))
         is_scenario = isinstance(value, Scenario | ScenarioDefinition)
+        is_filter = isinstance(value, Filter)
     else:
-        is_scenario = name in definitions()
-        if not is_scenario and name not in RULE_SUMMARIES:
-            raise unknown_name("rule or scenario", name, [*RULE_SUMMARIES, *definitions()])
+        is_scenario, is_filter = name in definitions(), name in FILTER_SUMMARIES
+        if not (is_scenario or is_filter or name in RULE_SUMMARIES):
+            known = [*RULE_SUMMARIES, *FILTER_SUMMARIES, *definitions()]
+            raise unknown_name("rule, filter or scenario", name, known)
     if is_scenario:
         return checked_scenario(scenario_of(name)), SCENARIO_PROMISES
+    if is_filter:
+        return checked_filter(name, output.linear), FILTER_PROMISES
     return checked_rule(name, output.consistent, engine), RULE_PROMISES
 
 

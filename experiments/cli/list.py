@@ -14,6 +14,7 @@ from concord.experiments.scenario_options import offered_options
 from concord.nodes.faults.vocabulary import EVERY_FAULT, usage
 from concord.scenarios.bus_plan import arbiter_names, cluster_names, schedule_names
 from concord.scenarios.catalogue import definitions
+from concord.scenarios.types.filters import FILTER_SUMMARIES
 from concord.scenarios.types.rules import RULE_SUMMARIES
 from concord.topology.choices import GRAPHS, WEIGHTS
 from concord.topology.link_names import NAMES as LINK_NAMES
@@ -28,7 +29,7 @@ class ListOptions:
 
 
 def list_all(options: Annotated[ListOptions, tyro.conf.arg(name="")]) -> None:
-    """List scenarios, graphs, weights, rules, schedules, hold policies and faults."""
+    """List scenarios, graphs, weights, rules, filters, schedules, hold policies and faults."""
     names = {
         "graphs": list(GRAPHS),
         "weights": list(WEIGHTS),
@@ -48,7 +49,8 @@ def list_all(options: Annotated[ListOptions, tyro.conf.arg(name="")]) -> None:
         scenarios = {name: definition.defaults for name, definition in definitions().items()}
         faults = {word: fault.summary for word, fault in EVERY_FAULT.items()}
         everything = {
-            "scenarios": scenarios, "rules": RULE_SUMMARIES, **names, "own": own, "faults": faults,
+            "scenarios": scenarios, "rules": RULE_SUMMARIES, "filters": FILTER_SUMMARIES, **names,
+            "own": own, "faults": faults,
         }  # fmt: skip
         sys.stdout.write(msgspec.json.encode(everything).decode() + "\n")
         return
@@ -64,6 +66,10 @@ def list_all(options: Annotated[ListOptions, tyro.conf.arg(name="")]) -> None:
     for name, summary in RULE_SUMMARIES.items():
         rules.add_row(name, summary)
     console.print(rules)
+    filters = Table("filter", "what it is")
+    for name, summary in FILTER_SUMMARIES.items():
+        filters.add_row(name, summary)
+    console.print(filters)
     faults = Table("fault", "what happens")
     for word, fault in EVERY_FAULT.items():
         faults.add_row(escape(usage(word)), fault.summary)

@@ -1,4 +1,4 @@
-"""Copies of the user files of a run in its folder: of its plant, rule, bus and arbiter."""
+"""Copies of the user files of a run in its folder: of its plant, rule, filter, bus and arbiter."""
 
 import shutil
 from pathlib import Path
@@ -8,11 +8,20 @@ import msgspec
 from concord.runtime.disk import writing
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.types.buses import arbiter_of
-from concord.scenarios.user_values import FromFile, ValueSource, file_of, is_source_name, source_of
+from concord.scenarios.types.option import Choice
+from concord.scenarios.user_values import (
+    FromFile,
+    ValueSource,
+    file_of,
+    is_source_name,
+    source_of,
+)
+
+_FIELDS = ("plant", "rule", "bus", "filter")
 
 
 def keep_copies(folder: Path, scenario: Scenario) -> None:
-    """Copy the files of a scenario's own values into the folder of its run."""
+    """Copy the user's files of a scenario into the folder of its run."""
     for source in _sources(scenario):
         copy = _copy(folder, source)
         with writing(copy):
@@ -22,12 +31,12 @@ def keep_copies(folder: Path, scenario: Scenario) -> None:
 def from_copies(folder: Path, scenario: Scenario) -> Scenario:
     """The scenario with the copies in the folder of its run, where there are some."""
     changed = {}
-    for part in ("plant", "rule", "bus"):
-        choice: msgspec.Struct = getattr(scenario, part)
+    for field in _FIELDS:
+        choice: Choice = getattr(scenario, field)
         if isinstance(choice, FromFile) and _copy(folder, choice.where).is_file():
             name = choice.source.rpartition(":")[2]
             copied = f"{_copy(folder, choice.where)}:{name}"
-            changed[part] = msgspec.structs.replace(choice, source=copied)
+            changed[field] = msgspec.structs.replace(choice, source=copied)
     scenario = msgspec.structs.replace(scenario, **changed)
     arbiter = arbiter_of(scenario.bus.schedule)
     if is_source_name(arbiter) and _copy(folder, source_of(arbiter)).is_file():
@@ -38,7 +47,7 @@ def from_copies(folder: Path, scenario: Scenario) -> Scenario:
 
 
 def _sources(scenario: Scenario) -> list[ValueSource]:
-    choices = (scenario.plant, scenario.rule, scenario.bus)
+    choices = [getattr(scenario, field) for field in _FIELDS]
     found = [one.where for one in choices if isinstance(one, FromFile)]
     arbiter = arbiter_of(scenario.bus.schedule)
     found += [source_of(arbiter)] if is_source_name(arbiter) else []

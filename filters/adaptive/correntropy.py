@@ -12,10 +12,12 @@ infinite bandwidth therefore gives `ukf.update` exactly. The iteration uses prec
 weight of zero causes no singularity.
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from concord.filters import ukf
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import cholesky, inverse_spd, multiply, symmetrise
 from concord.filters.moments import Model, Residual, check_noise, evaluate, moments, points_last
@@ -31,8 +33,10 @@ def update(
     rule: SigmaPointRule,
     bandwidth: float,
     *,
-    iterations: int = 10,
+    iterations: int = 100,
+    tolerance: float = 1e-6,
     residual: Residual = np.subtract,
+    gate: float | None = None,
 ) -> Update:
     """The belief given a measurement, its outliers discounted.
 
@@ -46,8 +50,11 @@ def update(
         noise_cov: covariance of the additive measurement noise, (m, m) or (..., m, m).
         rule: a sigma-point rule for n dimensions.
         bandwidth: b, in standard deviations of an error; 2 to 5 are usual, infinity gives the UKF.
-        iterations: of the fixed point; each shrinks its error by a factor.
+        iterations: most steps to the fixed point; each shrinks the error by a factor.
+        tolerance: a lane stops when a step moves no state by more than this part of its standard
+            deviation before the reading.
         residual: difference of two measurements, for measurements with angles.
+        gate: lanes whose normalised innovation squared exceeds it keep their belief.
 
     Returns:
         An Update; NaN in a lane whose state or noise covariance is not positive definite. The
@@ -78,15 +85,50 @@ def update(
         innovation_cov = without_rows(innovation_cov, missing)
         cross_cov = np.where(missing[..., None, :], 0.0, cross_cov)
     linear = _linearised(belief, innovation_cov, cross_cov)
-    gain = np.zeros_like(cross_cov)
-    for _ in range(iterations):
-        gain = _gain(linear, multiply(gain, innovation), innovation, bandwidth)
+    gain = _fixed_point(belief, linear, innovation, bandwidth, (iterations, tolerance))
     left = np.eye(gain.shape[-2]) - gain @ linear.rows
     cov = symmetrise(left @ belief.cov @ left.mT + gain @ linear.noise_cov @ gain.mT)
     after = Gaussian(belief.mean + multiply(gain, innovation), cov)
     whitened = multiply(np.linalg.inv(cholesky(innovation_cov)), innovation)
     squared = np.vecdot(whitened, whitened)
-    return settle(belief, after, innovation, innovation_cov, squared, missing, None)
+    return settle(belief, after, innovation, innovation_cov, squared, missing, gate)
+
+
+@dataclass(frozen=True, eq=False)
+class CorrentropyFilter:
+    """The maximum-correntropy filter as a value: the predictions of `ukf`, and `update`."""
+
+    rule: SigmaPointRule
+    bandwidth: float
+    iterations: int
+
+    def predict(self, belief: Gaussian, transition: Model, noise_cov: np.ndarray, /) -> Gaussian:
+        """Return the result of `ukf.predict`."""
+        return ukf.predict(belief, transition, noise_cov, self.rule)
+
+    def update(
+        self,
+        belief: Gaussian,
+        measurement: np.ndarray,
+        measure: Model,
+        noise_cov: np.ndarray,
+        /,
+        *,
+        residual: Residual = np.subtract,
+        gate: float | None = None,
+    ) -> Update:
+        """The belief given a measurement, its outliers discounted."""
+        return update(
+            belief,
+            measurement,
+            measure,
+            noise_cov,
+            self.rule,
+            self.bandwidth,
+            iterations=self.iterations,
+            residual=residual,
+            gate=gate,
+        )
 
 
 class _Linear(NamedTuple):
@@ -107,6 +149,28 @@ def _linearised(belief: Gaussian, innovation_cov: np.ndarray, cross_cov: np.ndar
         np.linalg.inv(cholesky(belief.cov)),
         np.linalg.inv(cholesky(noise_cov)),
     )
+
+
+def _fixed_point(
+    belief: Gaussian,
+    linear: _Linear,
+    innovation: np.ndarray,
+    bandwidth: float,
+    limits: tuple[int, float],
+) -> np.ndarray:
+    """Gain (..., n, m) that its own weights give; `limits` are iterations and tolerance."""
+    iterations, tolerance = limits
+    least = tolerance * np.sqrt(np.abs(np.diagonal(belief.cov, axis1=-2, axis2=-1)))
+    gain = np.zeros((*innovation.shape[:-1], *linear.rows.mT.shape[-2:]))
+    is_open = np.ones(innovation.shape[:-1], dtype=bool)
+    for _ in range(iterations):
+        shift = multiply(gain, innovation)
+        found = _gain(linear, shift, innovation, bandwidth)
+        gain = np.where(is_open[..., None, None], found, gain)
+        is_open = is_open & (np.abs(multiply(found, innovation) - shift) > least).any(axis=-1)
+        if not is_open.any():
+            break
+    return gain
 
 
 def _gain(

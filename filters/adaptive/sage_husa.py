@@ -37,14 +37,15 @@ class NoiseEstimate(NamedTuple):
 class Bounds(NamedTuple):
     """Absolute limits of a variance, in the units of the measurement squared; arrays (..., m) too.
 
-    Limits relative to the start would keep the filter from leaving a wrong one.
+    Limits relative to the start would keep the filter from leaving a wrong one. No number suits the
+    units of every sensor, so there is no limit unless one is given.
     """
 
-    low: np.ndarray | float = 1e-8
-    high: np.ndarray | float = 1e4
+    low: np.ndarray | float = 0.0
+    high: np.ndarray | float = np.inf
 
 
-BOUNDS = Bounds()
+UNBOUNDED = Bounds()
 
 
 def begin(variances: np.ndarray) -> NoiseEstimate:
@@ -83,7 +84,7 @@ def adapt(
     spread: np.ndarray,
     *,
     forgetting: float = 0.98,
-    bounds: Bounds = BOUNDS,
+    bounds: Bounds = UNBOUNDED,
     outlier_limit: float | None = None,
 ) -> NoiseEstimate:
     """The estimate after one reading more: R <- (1 - d) R + d (residual^2 + spread).

@@ -249,7 +249,7 @@ class BatchedBeliefs:
             control = None if content.control is None else content.control[runs]
             filters = self.filters
             moved, sound = predict_to_step(
-                old, control, content.step, filters.model, filters.points
+                old, control, content.step, filters.model, filters.filter
             )
             old = where(sound, moved, old)
             forgotten = np.zeros(fresh.shape, dtype=bool)

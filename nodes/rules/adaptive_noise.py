@@ -141,5 +141,5 @@ def learn(
     value, declared = sensor.interpret(reading)
     measure = partial(sensor.measure, step=step)
     left, spread = sage_husa.unexplained(belief, value, measure, points, sensor.residual)
-    bounds = sage_husa.BOUNDS._replace(low=np.diagonal(declared))
+    bounds = sage_husa.Bounds(low=np.diagonal(declared))
     return sage_husa.adapt(noise, left, spread, bounds=bounds)

@@ -6,8 +6,8 @@ from typing import Generic, cast
 
 import numpy as np
 
+from concord.filters.filter import Filter
 from concord.filters.gaussian import Gaussian
-from concord.filters.sigma_points import SigmaPointRule
 from concord.nodes.bids import asked
 from concord.nodes.messages import Measured, from_wire
 from concord.nodes.rules.lane_rule import (
@@ -42,7 +42,7 @@ class AtNode(Generic[Own, Held, Share]):
     model: Model
     sensor: Sensor | None
     prior: Gaussian
-    points: SigmaPointRule
+    filter: Filter
     codec: VectorCodec
 
     @property
@@ -78,7 +78,7 @@ class AtNode(Generic[Own, Held, Share]):
     @cached_property
     def _filters(self) -> LocalFilters:
         groups = () if self.sensor is None else (SensorGroup(slice(None), self.sensor),)
-        return LocalFilters(self.model, groups, self.points)
+        return LocalFilters(self.model, groups, self.filter)
 
     def bid(self, content: LaneContent[Own, Held]) -> int | None:
         """How urgent a dynamic slot is (None: nothing to send)."""

@@ -56,10 +56,10 @@ class LocalStep(NamedTuple):
 
     def predict(self, *beliefs: Gaussian) -> tuple[Carried, ...]:
         """Beliefs of the step before, own and held ones, at this step."""
-        model, points = self.filters.model, self.filters.points
+        model, filter = self.filters.model, self.filters.filter
         if beliefs[0].mean.ndim > 1:
             return tuple(
-                predict_to_step(one, self.control, self.step, model, points) for one in beliefs
+                predict_to_step(one, self.control, self.step, model, filter) for one in beliefs
             )
         # The plant's functions cost a node more to enter than to evaluate.
         n = beliefs[0].mean.shape[-1]
@@ -67,7 +67,7 @@ class LocalStep(NamedTuple):
         together = Gaussian(
             np.concatenate(means), np.concatenate([one.cov.reshape(-1, n, n) for one in beliefs])
         )
-        moved, sound = predict_to_step(together, self.control, self.step, model, points)
+        moved, sound = predict_to_step(together, self.control, self.step, model, filter)
         found, first = [], 0
         for one, fields in zip(beliefs, means, strict=True):
             lanes = slice(first, first := first + len(fields))

@@ -8,9 +8,8 @@ from typing import NamedTuple, Protocol, cast, runtime_checkable
 
 import numpy as np
 
+from concord.filters.filter import Filter
 from concord.filters.gaussian import Gaussian
-from concord.filters.sigma_points import SigmaPointRule
-from concord.filters.ukf import predict, update
 from concord.filters.update import Update
 from concord.nodes.messages import Measured, from_wire
 
@@ -65,12 +64,12 @@ class Carried(NamedTuple):
 
 
 def predict_to_step(
-    beliefs: Gaussian, control: np.ndarray | None, step: int, model: Model, points: SigmaPointRule
+    beliefs: Gaussian, control: np.ndarray | None, step: int, model: Model, filter: Filter
 ) -> Carried:
     """Beliefs (..., n) of the step before, predicted to `step`, into which `control` drove."""
     noise_cov = with_state_noise(model.process_noise_cov(step - 1), model, beliefs, step - 1)
     transition = partial(model.transition, control=control, step=step - 1)
-    moved = predict(beliefs, transition, noise_cov, points)
+    moved = filter.predict(beliefs, transition, noise_cov)
     return Carried(moved, finite_lanes(moved))
 
 
@@ -85,7 +84,7 @@ def control_of(measured: Measured) -> np.ndarray | None:
 
 
 def update_with_readings(
-    belief: Gaussian, readings: np.ndarray, step: int, sensor: Sensor, points: SigmaPointRule
+    belief: Gaussian, readings: np.ndarray, step: int, sensor: Sensor, filter: Filter
 ) -> tuple[Gaussian, dict[str, np.ndarray]]:
     """Beliefs (..., n) after their readings (..., r, d), one by one.
 
@@ -98,7 +97,7 @@ def update_with_readings(
         if np.isnan(delivered).all():
             continue
         result = update_with_reading(
-            belief, sensor.interpret(delivered), step, sensor, points, sensor.gate
+            belief, sensor.interpret(delivered), step, sensor, filter, sensor.gate
         )
         sound = finite_lanes(result.belief)
         _count(failures, "update-failed", ~sound)
@@ -113,32 +112,31 @@ def update_with_reading(
     interpreted: tuple[np.ndarray, np.ndarray],
     step: int,
     sensor: Sensor,
-    points: SigmaPointRule,
+    filter: Filter,
     gate: float | None = None,
 ) -> Update:
     """Beliefs (..., n) after one reading of values (..., m) and noise covariances (..., m, m),
     unless it lies beyond the gate."""
     value, noise_cov = interpreted
-    return update(
+    return filter.update(
         belief,
         value,
         partial(sensor.measure, step=step),
         with_state_noise(noise_cov, sensor, belief, step),
-        points,
         residual=sensor.residual,
         gate=gate,
     )
 
 
 def update_with_own(
-    belief: Gaussian, measured: Measured, sensor: Sensor | None, points: SigmaPointRule
+    belief: Gaussian, measured: Measured, sensor: Sensor | None, filter: Filter
 ) -> tuple[Gaussian, tuple[str, ...]]:
     """One node's belief (n,) after its readings, and the names of what went wrong."""
     # Mostly nothing was taken, and to find that out in an array takes longer.
     taken = [reading for reading in measured.readings if any(v is not None for v in reading)]
     if sensor is None or not taken:
         return belief, ()
-    belief, failures = update_with_readings(belief, from_wire(taken), measured.step, sensor, points)
+    belief, failures = update_with_readings(belief, from_wire(taken), measured.step, sensor, filter)
     return belief, failure_names(failures)
 
 
@@ -178,14 +176,14 @@ class LocalFilters:
 
     model: Model
     groups: tuple[SensorGroup, ...]
-    points: SigmaPointRule
+    filter: Filter
 
     def predict(
         self, belief: Gaussian, control: np.ndarray | None, step: int
     ) -> tuple[Gaussian, np.ndarray]:
         """Beliefs (R, N, n) of the step before at `step`, and where that went well (R, N)."""
         driven = None if control is None else control[:, None, :]
-        moved, sound = predict_to_step(belief, driven, step, self.model, self.points)
+        moved, sound = predict_to_step(belief, driven, step, self.model, self.filter)
         return where(sound, moved, belief), sound
 
     def update(
@@ -199,13 +197,13 @@ class LocalFilters:
             return belief, {}
         if len(self.groups) == 1 and self.groups[0].whole:
             sensor = self.groups[0].sensor
-            return update_with_readings(belief, readings, step, sensor, self.points)
+            return update_with_readings(belief, readings, step, sensor, self.filter)
         mean, cov = belief.mean.copy(), belief.cov.copy()
         counted: dict[str, np.ndarray] = {}
         for nodes, sensor in self.groups:
             own = Gaussian(belief.mean[:, nodes], belief.cov[:, nodes])
             after, failures = update_with_readings(
-                own, readings[:, nodes], step, sensor, self.points
+                own, readings[:, nodes], step, sensor, self.filter
             )
             mean[:, nodes], cov[:, nodes] = after
             for name, count in failures.items():

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from concord.filters.filter import Filter
 from concord.filters.gaussian import Gaussian
-from concord.filters.sigma_points import SigmaPointRule
 from concord.nodes.rules.lane_rule import Failures
 from concord.nodes.rules.local_filter import (
     Sensor,
@@ -38,11 +38,11 @@ def judged(
         return readings, {}
     belief, sound = window_filter.predicted(windows, control)
     kept, gated = readings.copy(), np.zeros(sound.shape, dtype=np.int64)
-    step, points = windows.step + 1, window_filter.points
+    step, filter = windows.step + 1, window_filter.filter
     for nodes, sensor in judges:
         before = Gaussian(belief.mean[:, nodes], belief.cov[:, nodes])
         kept[:, nodes], gated[:, nodes] = without_outliers(
-            before, readings[:, nodes], sensor, step, points, gates
+            before, readings[:, nodes], sensor, step, filter, gates
         )
     return kept, {"predict-failed": ~sound, "gated": gated}
 
@@ -52,7 +52,7 @@ def without_outliers(
     delivered: np.ndarray,
     sensor: Sensor,
     step: int,
-    points: SigmaPointRule,
+    filter: Filter,
     gates: Sequence[float] = (),
 ) -> tuple[np.ndarray, np.ndarray]:
     """Readings (..., r, d) with NaN for those beyond the gate, and how many (...) those are.
@@ -68,7 +68,7 @@ def without_outliers(
         if np.isnan(reading).all():
             continue
         interpreted = sensor.interpret(reading)
-        result = update_with_reading(belief, interpreted, step, sensor, points)
+        result = update_with_reading(belief, interpreted, step, sensor, filter)
         refused = result.normalised_innovation_squared > _gates(interpreted[0], sensor, gates)
         kept[..., place, :] = np.where(refused[..., None], np.nan, reading)
         gated += refused

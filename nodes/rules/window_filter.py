@@ -11,9 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from concord.filters.filter import Filter
 from concord.filters.gaussian import Gaussian
-from concord.filters.sigma_points import SigmaPointRule
-from concord.filters.ukf import update
 from concord.nodes.rules.all_sensors import AllSensors, SourceSensors
 from concord.nodes.rules.lane_rule import Failures
 from concord.nodes.rules.local_filter import Carried, Model, finite_lanes, predict_to_step, where
@@ -68,7 +67,7 @@ class WindowFilter:
     """
 
     model: Model
-    points: SigmaPointRule
+    filter: Filter
     sensors: AllSensors
     codecs: Sequence[RecordCodec | None]
 
@@ -126,7 +125,7 @@ class WindowFilter:
         if step == 0:
             return Carried(belief, np.ones(windows.right.shape, dtype=bool))
         driven = None if control is None else control[:, None]
-        moved, sound = predict_to_step(belief, driven, step, self.model, self.points)
+        moved, sound = predict_to_step(belief, driven, step, self.model, self.filter)
         return Carried(where(sound, moved, belief), sound)
 
     def filtered(
@@ -174,39 +173,52 @@ class WindowFilter:
         if step == 0:
             return belief, np.ones(len(runs), dtype=bool)
         driven = None if control is None else control[runs]
-        moved, sound = predict_to_step(belief, driven, step, self.model, self.points)
+        moved, sound = predict_to_step(belief, driven, step, self.model, self.filter)
         return where(sound, moved, belief), sound
 
     def _updated(
         self, windows: Windows, place: int, runs: np.ndarray, belief: Gaussian, held: np.ndarray
     ) -> tuple[Gaussian, np.ndarray]:
-        """Beliefs (L, n) after all records of the place at once that lanes hold (L, N)."""
+        """Beliefs (L, n) after the records of a place that lanes hold (L, N), one by one.
+
+        Sources ascend, as in the centralised filter (`concord.scenarios.baselines`).
+        """
         step, numbers = windows.step_at(place), self.sensors.size
         flat = windows.values[:, place].reshape(len(windows.values), -1, numbers)
+        noise_covs = windows.noise_covs[:, place].reshape(*flat.shape, numbers)
         several = self.sensors.delivered[0]
         read = np.asarray((~np.isnan(flat)).any(axis=-1))
         there = np.repeat(held, several, axis=1) & read[runs]
-        most = int(there.sum(axis=1).max(initial=0))
-        if most == 0:
-            return belief, np.ones(len(runs), dtype=bool)
-        # Those that are held come first, sources ascending; the rest is filled up with NaN.
-        chosen = np.argsort(~there, axis=1, kind="stable")[:, :most]
-        real = np.take_along_axis(there, chosen, axis=1)[..., None]
-        values = np.where(real, flat[runs[:, None], chosen], np.nan)
-        covs = windows.noise_covs[:, place].reshape(*flat.shape, numbers)[runs[:, None], chosen]
-        sensors = self.sensors.of(chosen // several)
+        # Those that are held come first; the rest is filled up with NaN.
+        chosen = np.argsort(~there, axis=1, kind="stable")
+        lanes, sound = np.arange(len(runs)), np.ones(len(runs), dtype=bool)
+        for turn in range(int(there.sum(axis=1).max(initial=0))):
+            which = chosen[:, turn]
+            values = np.where(there[lanes, which, None], flat[runs, which], np.nan)
+            after = self._taken(belief, values, noise_covs[runs, which], which // several, step)
+            is_finite = finite_lanes(after)
+            belief, sound = where(is_finite, after, belief), sound & is_finite
+        return belief, sound
+
+    def _taken(
+        self,
+        belief: Gaussian,
+        values: np.ndarray,
+        noise_covs: np.ndarray,
+        sources: np.ndarray,
+        step: int,
+    ) -> Gaussian:
+        """Beliefs (L, n) after one reading each (L, m) of these sources (L,)."""
+        sensors = self.sensors.of(sources[:, None])
         if (state_noise := sensors.state_noise(belief, step)) is not None:
-            covs = covs + state_noise
-        after = update(
+            noise_covs = noise_covs + state_noise[:, 0]
+        return self.filter.update(
             belief,
-            _in_a_row(values),
-            lambda states: _in_a_row(sensors.measure(states, step)),
-            _block_diagonal(covs),
-            self.points,
+            values,
+            lambda states: sensors.measure(states, step)[..., 0, :],
+            noise_covs,
             residual=partial(_residual, sensors),
         ).belief
-        sound = finite_lanes(after)
-        return where(sound, after, belief), sound
 
     @cached_property
     def _rounding_covs(self) -> np.ndarray:
@@ -233,19 +245,4 @@ def one_place_on(values: np.ndarray, axis: int, newest: np.ndarray | float = 0) 
 
 
 def _residual(sensors: SourceSensors, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    apart = (values.reshape(*values.shape[:-1], -1, sensors.size) for values in (one, other))
-    return _in_a_row(sensors.residual(*apart))
-
-
-def _in_a_row(values: np.ndarray) -> np.ndarray:
-    """Readings (..., K, m) one behind the other, (..., K m)."""
-    return values.reshape(*values.shape[:-2], -1)
-
-
-def _block_diagonal(blocks: np.ndarray) -> np.ndarray:
-    """Matrices (L, K m, K m) of blocks (L, K, m, m)."""
-    lanes, count, size = blocks.shape[:3]
-    matrix = np.zeros((lanes, count, size, count, size))
-    each = np.arange(count)
-    matrix[:, each, :, each] = blocks.swapaxes(0, 1)
-    return matrix.reshape(lanes, count * size, count * size)
+    return sensors.residual(one[..., None, :], other[..., None, :])[..., 0, :]

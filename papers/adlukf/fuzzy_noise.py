@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.filters.adaptive.sage_husa import BOUNDS, Bounds
+from concord.filters.adaptive.sage_husa import Bounds
+from concord.papers.adlukf.sage_husa_as_printed import MEASUREMENT_BOUNDS
 
 WINDOW = 30
 """Innovations of a channel that are looked back on."""
@@ -42,7 +43,10 @@ def begin(variances: np.ndarray) -> FuzzyNoise:
 
 
 def adapt(
-    noise: FuzzyNoise, innovation: np.ndarray, innovation_cov: np.ndarray, bounds: Bounds = BOUNDS
+    noise: FuzzyNoise,
+    innovation: np.ndarray,
+    innovation_cov: np.ndarray,
+    bounds: Bounds = MEASUREMENT_BOUNDS,
 ) -> FuzzyNoise:
     """The estimate after one reading more.
 

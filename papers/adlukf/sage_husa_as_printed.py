@@ -12,9 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from concord.filters.adaptive.sage_husa import BOUNDS, Bounds, fading_weight
+from concord.filters.adaptive.sage_husa import Bounds, fading_weight
 
 PROCESS_BOUNDS = Bounds(1e-14, 1e2)
+MEASUREMENT_BOUNDS = Bounds(1e-8, 1e4)
 
 
 class NoiseStatistics(NamedTuple):
@@ -73,7 +74,7 @@ def adapt(
     forgetting: float = 0.97,
     means: bool = False,
     process_bounds: Bounds = PROCESS_BOUNDS,
-    measurement_bounds: Bounds = BOUNDS,
+    measurement_bounds: Bounds = MEASUREMENT_BOUNDS,
 ) -> NoiseStatistics:
     """The statistics after one step more: (31), (33)-(35) and, with `means`, (30) and (32).
 

@@ -13,6 +13,7 @@ from concord.experiments.progress import progress
 from concord.filters.fusion import hold
 from concord.filters.fusion.averaging import MOMENTS
 from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_point_filter import SigmaPointFilter
 from concord.filters.sigma_points import scaled_unscented
 from concord.nodes.lanes.beliefs import BatchedBeliefs
 from concord.nodes.lanes.links import Shares, links_of
@@ -196,7 +197,7 @@ def _network_means(
         filters=LocalFilters(
             plant.model,
             (SensorGroup(slice(None), plant.sensors),),
-            scaled_unscented(len(plant.state_names)),
+            SigmaPointFilter(scaled_unscented(len(plant.state_names))),
         ),
         averaging=MOMENTS,
         hold=HoldPolicy(lambda base, ages, *_: hold.renormalise(base, ages), carried=False),
@@ -222,15 +223,15 @@ def _central_means(
     plant: LinearPlant, belief: Gaussian, readings: np.ndarray, controls: np.ndarray
 ) -> np.ndarray:
     """Means (steps, R, n) of a filter that takes the readings of all nodes."""
-    points = scaled_unscented(len(plant.state_names))
+    ukf = SigmaPointFilter(scaled_unscented(len(plant.state_names)))
     rows = plant.sensors.rows
     every = LinearSensor(rows.reshape(-1, rows.shape[-1]), plant.sensors.noise_std.ravel())
     means = []
     for step, delivered in enumerate(readings):
         if step:
-            belief = predict_to_step(belief, controls[step - 1], step, plant.model, points).beliefs
+            belief = predict_to_step(belief, controls[step - 1], step, plant.model, ukf).beliefs
         together = delivered.reshape(len(delivered), 1, -1)
-        belief, _ = update_with_readings(belief, together, step, every, points)
+        belief, _ = update_with_readings(belief, together, step, every, ukf)
         means.append(belief.mean)
     return np.array(means)
 

@@ -9,7 +9,6 @@ import numpy as np
 from concord.bus.arbitration import ArbiterState, begin_arbitration
 from concord.bus.bus import Awards, Bus
 from concord.filters.gaussian import Gaussian
-from concord.filters.sigma_points import scaled_unscented
 from concord.nodes.changes import UNCHANGED, Standing
 from concord.nodes.commands import Configure, Inject
 from concord.nodes.faults.losses import LinkState, hears_all
@@ -24,8 +23,8 @@ from concord.scenarios.build import (
     build_bus,
     build_controller,
     everybody_of,
+    filter_of,
     rule_context,
-    sensor_groups,
 )
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.links import link_state
@@ -158,15 +157,13 @@ def _batch_context(setup: Setup, bus: Bus, links: Links, standing: Standing) -> 
     definition = definition_of(scenario)
     own = np.array([row[0] for row in setup.weights])
     link = np.array([weight for row in setup.weights for weight in row[1:]])
-    points = (
-        definition.points(scenario)
-        if definition.points
-        else scaled_unscented(len(setup.prior_mean))
+    filters = LocalFilters(
+        definition.model(scenario), definition.sensor_groups(scenario), filter_of(setup)
     )
     contenders = {node for row in bus.schedule.contender_table for node in row}
     return BatchContext(
         rule_context(setup, bool(contenders)),
-        LocalFilters(definition.model(scenario), sensor_groups(scenario), points),
+        filters,
         links,
         Shares(own[None], link[None]),
         scenario.rounds,

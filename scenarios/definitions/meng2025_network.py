@@ -6,24 +6,19 @@ buses are not synchronised: that of node i is i slots ahead. Between the nodes t
 bus as in any network, with any rule. The paper names distributed estimation as its future work.
 """
 
-from collections.abc import Sequence
 from functools import cache, partial
 
 import numpy as np
 
 from concord.bus.measurement_bus import MeasurementBus, flexray
-from concord.filters.gaussian import Gaussian
-from concord.filters.stochastic_ukf import RECOMMENDED, Received
 from concord.nodes.environment_state import Delivery
 from concord.plants import meng2025
 from concord.plants.sensed import SensedPlant, clusters
-from concord.plants.stochastic import replicated
-from concord.scenarios.definitions.measurement_runs import BusFilter, estimate, first_received
+from concord.scenarios.definitions.measurement_runs import first_received
 from concord.scenarios.definitions.meng2025 import SENSORS, SYSTEM, paper_points, static_slots_of
 from concord.scenarios.definitions.stochastic_models import SystemModel, SystemSensor
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
-from concord.scenarios.setup import Setup
 from concord.scenarios.types.network import SensorNetwork
 from concord.scenarios.types.plants import StochasticNetwork
 
@@ -54,18 +49,6 @@ def _delivery(scenario: Scenario) -> Delivery:
     return Delivery(partial(_transmit, bus), received)
 
 
-def _baseline_filter(setup: Setup, nodes: Sequence[int], readings: np.ndarray) -> Gaussian:
-    """The recommended filter with what the buses of some nodes delivered (steps, N, 1, m).
-
-    All of it at once: how one filter took them one by one would hang on their order.
-    """
-    values = readings[1:, nodes, 0].reshape(len(readings) - 1, -1)
-    prior = Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov))
-    everything = replicated(SYSTEM, len(nodes))
-    estimator = BusFilter(everything, RECOMMENDED, paper_points(), prior)
-    return estimate(estimator, Received(values, ~np.isnan(values)))
-
-
 def _check(scenario: Scenario) -> None:
     static_slots_of(scenario)
 
@@ -82,5 +65,4 @@ DEFINITION = ScenarioDefinition(
     score=Score(states=(0, 1), unit="1", nees_states=(0, 1), first_step=1),
     points=lambda _: paper_points(),
     delivery=_delivery,
-    baseline_filter=_baseline_filter,
 )

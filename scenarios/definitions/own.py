@@ -2,20 +2,22 @@
 
 from collections.abc import Sequence
 from functools import cache, lru_cache
-from typing import TypeVar
 
 import msgspec
 
 from concord.plants.own_plant import OwnPlant, OwnSensor, OwnTruth, require_sensors
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
-from concord.scenarios.types.buses import UserBus
 from concord.scenarios.types.network import SensorNetwork
+from concord.scenarios.types.option import Choice
 from concord.scenarios.types.plants import UserPlant
-from concord.scenarios.types.rules import UserRule
-from concord.scenarios.user_values import ValueSource, kept_source, named_source, value_of
-
-FunctionChoice = TypeVar("FunctionChoice", UserRule, UserBus)
+from concord.scenarios.user_values import (
+    FromFile,
+    ValueSource,
+    kept_source,
+    named_source,
+    value_of,
+)
 
 
 def own_scenario(
@@ -78,13 +80,13 @@ def own_scenario(
 
 
 def portable(scenario: Scenario) -> Scenario:
-    """The scenario with its own plant, rule and bus by their names in files, so that other
+    """The scenario with its own plant, rule, bus and filter by their names in files, so that other
     processes find them; unchanged where they have such names.
 
     Raises:
         ValueError: only this session has them.
     """
-    plant, rule, bus = scenario.plant, scenario.rule, scenario.bus
+    plant = scenario.plant
     if isinstance(plant, UserPlant):
         plant = UserPlant.of(
             named_source(
@@ -92,14 +94,18 @@ def portable(scenario: Scenario) -> Scenario:
                 lambda value: isinstance(value, Scenario) and value.plant == scenario.plant,
             )
         )
-    if isinstance(rule, UserRule):
-        rule = _in_a_file(rule)
-    if isinstance(bus, UserBus):
-        bus = _in_a_file(bus)
-    return msgspec.structs.replace(scenario, plant=plant, rule=rule, bus=bus)
+    return msgspec.structs.replace(
+        scenario,
+        plant=plant,
+        rule=_named(scenario.rule),
+        bus=_named(scenario.bus),
+        filter=_named(scenario.filter),
+    )
 
 
-def _in_a_file(choice: FunctionChoice) -> FunctionChoice:
+def _named(choice: Choice) -> Choice:
+    if not isinstance(choice, FromFile):
+        return choice
     kept = value_of(choice.where)
     source = named_source(choice.where, lambda value: value is kept)
     return msgspec.structs.replace(choice, source=source.name, digest=source.digest)

@@ -34,6 +34,7 @@ from concord.plants.vehicle.network import (
 )
 from concord.plants.vehicle.parameters import Car
 from concord.plants.vehicle.sensors import SensorError
+from concord.scenarios.filters import build_filter
 from concord.scenarios.node_context import NodeContext
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.scenario_definition import ScenarioDefinition, Score
@@ -151,26 +152,27 @@ def _estimator_wrapper(
     if not vehicle_of(scenario).adaptive:
         return rule
     assert context.sensor is not None, "every node of the car has a sensor"
-    return AdaptiveNoise(rule, context.sensor, context.points)
+    return AdaptiveNoise(rule, context.sensor, scaled_unscented(len(context.prior.mean)))
 
 
 def _baseline_filter(setup: Setup, nodes: Sequence[int], readings: np.ndarray) -> Gaussian:
     """Beliefs (steps,) of one filter that takes the readings of these nodes, and learns as they."""
     scenario = setup.scenario
     model, points = _model(scenario), scaled_unscented(len(setup.prior_mean))
+    own_filter = build_filter(scenario.filter, len(setup.prior_mean))
     belief = Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov))
     sensors = {node: _sensor(scenario, node) for node in nodes}
     noises: dict[int, NoiseEstimate] = {}
     means, covs = [], []
     for step, delivered in enumerate(readings):
         if step > 0:
-            belief = predict_to_step(belief, None, step, model, points).beliefs
+            belief = predict_to_step(belief, None, step, model, own_filter).beliefs
         for node, own in sensors.items():
             measured = Measured(node, step, to_wire(delivered[node]))
             taken = own
             if node in noises:
                 taken = AdaptedSensor(own, noises[node])
-            belief, _ = update_with_own(belief, measured, taken, points)
+            belief, _ = update_with_own(belief, measured, taken, own_filter)
             for reading in delivered[node]:
                 if vehicle_of(scenario).adaptive and not np.isnan(reading).all():
                     noise = noises.get(node) or declared_noise(own, reading)

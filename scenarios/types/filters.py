@@ -1,6 +1,10 @@
-"""Filters as values: how a node computes its estimate from readings."""
+"""Filters as values: how a node computes its estimate from readings, with the filter's options."""
 
-from concord.scenarios.types.option import Choice
+from typing import Annotated, get_args
+
+from concord.filters.filter import Filter
+from concord.scenarios.types.option import USER, Choice, Option, name_of
+from concord.scenarios.user_values import FromFile, is_source_name, kept_source, source_of
 
 
 class FilterBase(Choice, frozen=True, kw_only=True):
@@ -8,11 +12,81 @@ class FilterBase(Choice, frozen=True, kw_only=True):
 
 
 class UnscentedFilter(FilterBase, frozen=True, kw_only=True, tag="ukf"):
-    """Unscented Kalman filter."""
+    """Unscented Kalman filter, with the sigma points of the scenario."""
+
+
+class CubatureFilter(FilterBase, frozen=True, kw_only=True, tag="ckf"):
+    """Cubature Kalman filter: sigma points of equal positive weights."""
+
+
+class TangentFilter(FilterBase, frozen=True, kw_only=True, tag="ekf"):
+    """Extended Kalman filter, with Jacobians by central differences."""
+
+
+class LinearFilter(FilterBase, frozen=True, kw_only=True, tag="kf"):
+    """Kalman filter, for plants and sensors that are linear; takes a singular covariance."""
+
+
+class PassesFilter(FilterBase, frozen=True, kw_only=True):
+    """A filter that takes a reading in several passes."""
+
+    iterations: Annotated[
+        int, Option("Most passes of an update, for beliefs that do not settle before.", at_least=2)
+    ] = 20
+
+
+class PosteriorLinearisation(PassesFilter, frozen=True, kw_only=True, tag="iplf"):
+    """Iterated posterior linearisation: the ukf, linearised where the reading leads."""
+
+
+class IteratedTangentFilter(PassesFilter, frozen=True, kw_only=True, tag="iekf"):
+    """Iterated extended Kalman filter: the ekf, linearised where the reading leads."""
+
+
+class MaximumCorrentropy(PassesFilter, frozen=True, kw_only=True, tag="mcukf"):
+    """Maximum-correntropy unscented Kalman filter: outliers lose their weight."""
+
+    bandwidth: Annotated[
+        float,
+        Option("Error from which a reading loses weight, in standard deviations.", above=0),
+    ] = 3.0
 
 
 class RecommendedFilter(FilterBase, frozen=True, kw_only=True, tag="recommended"):
     """Unscented filter with exact moments of noise that grows with the state (meng2025)."""
 
 
-FilterChoice = UnscentedFilter | RecommendedFilter
+class UserFilter(FromFile, FilterBase, frozen=True, kw_only=True, tag=USER):
+    """A filter of your own, from a Python file: an object with `predict` and `update`."""
+
+    source: str = ""
+    digest: str = ""
+
+    @classmethod
+    def made_of(cls, asked: object) -> "UserFilter | None":
+        """A filter by the name of its file, or as an object."""
+        if is_source_name(asked):
+            source = source_of(str(asked))
+        elif isinstance(asked, Filter):
+            source = kept_source(asked)
+        else:
+            return None
+        return cls(source=source.name, digest=source.digest)
+
+
+FilterChoice = (
+    UnscentedFilter
+    | CubatureFilter
+    | TangentFilter
+    | LinearFilter
+    | PosteriorLinearisation
+    | IteratedTangentFilter
+    | MaximumCorrentropy
+    | RecommendedFilter
+    | UserFilter
+)
+FILTER_SUMMARIES = {
+    name_of(one): one.summary()
+    for one in get_args(FilterChoice)
+    if one not in (RecommendedFilter, UserFilter)
+}

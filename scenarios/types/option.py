@@ -85,6 +85,8 @@ class Option(NamedTuple):
                 return even + "0 or more"
             case None, least, None, None:
                 return even + f"at least {least:g}"
+            case above, None, None, None:
+                return even + f"above {above:g}"
             case None, least, below, None if below is not None:
                 return even + f"at least {least:g} and below {below:g}"
             case None, int(least), None, int(most) if least != 0:

@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Literal, TypedDict
 
 import numpy as np
 
+from concord.filters.filter import Filter
 from concord.scenarios.types.option import Choice
 
 PLACEMENT = int | str | np.ndarray
 FUNCTION = str | Choice | Callable[..., object]
+FILTER = str | Choice | Filter
 if TYPE_CHECKING:
     import networkx
 
@@ -62,7 +64,9 @@ class ScenarioOptions(TypedDict, total=False):
     trigger: float
     cluster: str
     stretch: float
-    filter: str | Choice
+    filter: FILTER
+    iterations: int
+    bandwidth: float
     steps: int
     seed: int
     run: int
@@ -108,7 +112,9 @@ class SweptOptions(TypedDict, total=False):
     trigger: Sequence[float] | np.ndarray | float
     cluster: Sequence[str] | np.ndarray | str
     stretch: Sequence[float] | np.ndarray | float
-    filter: Sequence[str | Choice] | np.ndarray | str | Choice
+    filter: Sequence[FILTER] | np.ndarray | FILTER
+    iterations: Sequence[int] | np.ndarray | int
+    bandwidth: Sequence[float] | np.ndarray | float
     steps: Sequence[int] | np.ndarray | int
     seed: Sequence[int] | np.ndarray | int
     run: Sequence[int] | np.ndarray | int

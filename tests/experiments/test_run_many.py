@@ -13,7 +13,7 @@ from concord.experiments.results.summary import Figures
 from concord.experiments.results.summary import summarise as summarise_one
 from concord.experiments.results.trace import read_trace
 from concord.runtime.drivers import in_memory
-from concord.scenarios.baselines import READINGS_AT_ONCE, centralised_of_runs
+from concord.scenarios.baselines import centralised_of_runs
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import setup_of_run
 from concord.scenarios.setup import Setup
@@ -70,8 +70,8 @@ def test_figures_are_means_of_those_of_the_runs(name: str):
 
 
 def test_a_large_network_has_a_centralised_filter_too():
-    """That takes readings batch by batch: of a linear plant the same as the filter of all."""
-    setup = small(nodes=READINGS_AT_ONCE + 7, steps=3, graph="ring", bus="ideal")
+    """That takes readings one by one: of a linear plant the same as the filter of all."""
+    setup = small(nodes=207, steps=3, graph="ring", bus="ideal")
     histories = simulate(setup, [0])
     figures = summarise(histories, RunCost(1.0, 1.0))
     assert 0 < figures.rmse_centralised.value < figures.rmse.value

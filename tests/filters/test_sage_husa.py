@@ -36,8 +36,21 @@ def test_it_is_an_average_with_weights_that_fade_geometrically(forgetting):
 def test_a_variance_stays_within_its_bounds(residual, spread, start):
     noise = sage_husa.begin(np.full(2, start))
     for _ in range(3):
-        noise = sage_husa.adapt(noise, np.array(residual), np.full(2, spread))
+        noise = sage_husa.adapt(
+            noise, np.array(residual), np.full(2, spread), bounds=Bounds(1e-8, 1e4)
+        )
     assert ((noise.variances >= 1e-8) & (noise.variances <= 1e4)).all()
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
+def test_what_is_learnt_does_not_depend_on_the_unit(unit: float):
+    """Readings of 1e-5 rad were taken for ten times as noisy, and those of 1e3 m cut to 100 m."""
+    generator = np.random.default_rng(4)
+    usual, other = sage_husa.begin(np.array([1.0])), sage_husa.begin(np.array([unit**2]))
+    for residual in 2 * generator.standard_normal((50, 1)):
+        usual = sage_husa.adapt(usual, residual, np.full(1, 0.1))
+        other = sage_husa.adapt(other, unit * residual, np.full(1, 0.1 * unit**2))
+    np.testing.assert_allclose(other.variances, unit**2 * usual.variances, rtol=1e-12)
 
 
 def test_bounds_may_differ_by_channel():

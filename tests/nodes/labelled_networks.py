@@ -79,7 +79,7 @@ def labelled(
             neighbours=neighbours,
             prior=PRIOR,
             own=own[config.index],
-            filter=WindowFilter(plain.model, plain.points, everybody, codecs),
+            filter=WindowFilter(plain.model, plain.filter, everybody, codecs),
             frames=frames,
             schedule=schedule,
             rounds=rounds,

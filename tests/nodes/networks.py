@@ -17,6 +17,7 @@ from concord.filters.fusion import hold
 from concord.filters.fusion.averaging import INFORMATION, MOMENTS, Averaged
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import unpack_upper
+from concord.filters.sigma_point_filter import SigmaPointFilter
 from concord.filters.sigma_points import scaled_unscented
 from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.environment_state import ControlStep, EnvironmentConfig
@@ -146,7 +147,7 @@ def network(
             model=plant,
             sensor=WholeState(0.5 * np.eye(n)) if i in seeing else None,
             prior=priors[i],
-            points=scaled_unscented(n),
+            filter=SigmaPointFilter(scaled_unscented(n)),
             codec=codec.vector,
         )
         nodes.append(NodeConfig(i, tuple(heard), rounds, steps, bus, estimator))

@@ -73,7 +73,7 @@ def ruled(
             model=plain.model,  # type: ignore[attr-defined]
             sensor=WholeState(noise_cov(config.index)) if config.index in seeing else None,
             prior=priors[config.index],
-            points=plain.points,  # type: ignore[attr-defined]
+            filter=plain.filter,  # type: ignore[attr-defined]
         )
         estimator = build_estimator(scenario, node_context)
         bus = TimelessBus(config.schedule, estimator.share_bytes)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_point_filter import SigmaPointFilter
 from concord.filters.sigma_points import scaled_unscented
 from concord.nodes.messages import Measured, to_wire
 from concord.nodes.rules.adaptive_noise import AdaptiveNoise, Learnt, declared_noise, learn
@@ -29,7 +30,7 @@ def node_context() -> tuple[Scenario, NodeContext]:
         model=MODEL,
         sensor=SENSOR,
         prior=PRIOR,
-        points=POINTS,
+        filter=SigmaPointFilter(POINTS),
         everybody=lambda: pytest.fail("these rules know nothing of all nodes"),
     )
 

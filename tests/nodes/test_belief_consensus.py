@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from concord.filters.fusion.averaging import INFORMATION
 from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_point_filter import SigmaPointFilter
 from concord.filters.sigma_points import scaled_unscented
 from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.bids import FIRST_BID
@@ -35,7 +36,7 @@ def estimator(hold: HoldPolicy = PREDICT, sees: bool = False, gate: float | None
         model=Linear(F, Q),
         sensor=WholeState(R, gate) if sees else None,
         prior=PRIOR,
-        points=scaled_unscented(2),
+        filter=SigmaPointFilter(scaled_unscented(2)),
         codec=BeliefCodec(2).vector,
     )
 

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_point_filter import SigmaPointFilter
 from concord.filters.sigma_points import scaled_unscented
 from concord.nodes.bids import FIRST_BID
 from concord.nodes.messages import Measured
@@ -120,7 +121,7 @@ def one_node(shape, **changes) -> SetAtNode:
         Still(),  # type: ignore[arg-type]
         First(),  # type: ignore[arg-type]
         prior,
-        scaled_unscented(2),
+        SigmaPointFilter(scaled_unscented(2)),
         VectorCodec(length),
     )
 

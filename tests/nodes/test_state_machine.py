@@ -189,7 +189,7 @@ def test_a_share_is_lost_with_any_of_its_frames_and_nobody_waits_for_the_rest():
     plain = with_slots(middle_node(), three_slots)
     for key in range(40):
         config = replace(plain, links=LinkState((key, 0), 0.3))
-        frames = to_frames(BeliefCodec(2).encode(PRIORS[0]), 0, *three_slots(0, 0))
+        frames = to_frames(BeliefCodec(2).encode(PRIORS[0]), 0, three_slots(0, 0)[0])
         assert len(frames) == 3
         arrive = [hears(config.links, 0, 0, 0, 1, number) for number in range(3)]
         outcomes = []

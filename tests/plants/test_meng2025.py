@@ -1,13 +1,11 @@
 """The example of Meng et al. (2025) and systems with stochastic nonlinearities in general."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from concord.plants import meng2025
 from concord.plants.sensed import SensedPlant, clusters, sensors_on_a_bus
-from concord.plants.stochastic import StochasticNonlinearity, StochasticSystem, Term, replicated
+from concord.plants.stochastic import StochasticNonlinearity, StochasticSystem, Term
 
 U_2 = 0.01 * np.array(
     [
@@ -127,25 +125,6 @@ def test_a_system_that_varies_with_time():
     noise = np.random.default_rng(3).standard_normal((100_000, 3))
     spread = np.cov((system.observe(x, noise, 3) - system.measure(x, 3)).T)
     np.testing.assert_allclose(spread, 4 * np.diag([1.0, 4.0, 9.0]), atol=0.5)
-
-
-def test_replicated_sensors_have_noise_of_their_own():
-    once = varying_system()
-    nonlinear = replace(once, measurement=lambda s: random_nonlinearity(s))
-    twice = replicated(nonlinear, 2)
-    x, zero = np.array([1.0, 2.0]), np.zeros((3, 3))
-    assert twice.sizes == (2, 1, 2, 1)
-    np.testing.assert_array_equal(twice.measure(x, 3), np.tile(once.measure(x, 3), 2))
-    noise_cov = once.measurement_noise_cov(3)
-    expected = np.block([[noise_cov, zero], [zero, noise_cov]])
-    np.testing.assert_array_equal(twice.measurement_noise_cov(3), expected)
-
-    def of(system):
-        moment = system.measurement_moment(3)
-        return sum(pi * (x @ gamma @ x) for pi, gamma in zip(*moment, strict=True))
-
-    expected = np.block([[of(nonlinear), zero], [zero, of(nonlinear)]])
-    np.testing.assert_allclose(of(twice), expected, rtol=1e-12, atol=1e-12)
 
 
 # --- as a plant ----------------------------------------------------------------------------------

@@ -9,10 +9,14 @@ import pytest
 
 from concord.experiments.agreement import agreement
 from concord.experiments.monte_carlo.simulate import simulate
+from concord.experiments.python_api import sweep
 from concord.experiments.results.user_files import from_copies, keep_copies
 from concord.experiments.scenario_options import scenario_of
+from concord.filters.conditioning import condition
 from concord.filters.fusion import averaging
 from concord.filters.gaussian import Gaussian
+from concord.filters.moments import Model, Residual
+from concord.filters.update import Update
 from concord.plants.oscillator import POSITION, VELOCITY, Oscillation
 from concord.plants.own_plant import OwnPlant, OwnSensor
 from concord.scenarios.definitions.own import own_scenario, portable
@@ -179,3 +183,74 @@ def test_a_run_folder_keeps_the_files(tmp_path: Path):
 )
 def test_other_names_are_not_taken_for_files(text: str):
     assert not is_source_name(text)
+
+
+# --- filters -------------------------------------------------------------------------------------
+
+
+class Kalman:
+    """The filter `kf` again, for the models of the oscillator alone."""
+
+    def predict(self, belief: Gaussian, transition: Model, noise_cov: np.ndarray, /) -> Gaussian:
+        F = transition(np.eye(2)).T - transition(np.zeros((2, 2))).T
+        return Gaussian(transition(belief.mean[None])[0], F @ belief.cov @ F.T + noise_cov)
+
+    def update(
+        self,
+        belief: Gaussian,
+        measurement: np.ndarray,
+        measure: Model,
+        noise_cov: np.ndarray,
+        /,
+        *,
+        residual: Residual = np.subtract,
+        gate: float | None = None,
+    ) -> Update:
+        lanes = belief.mean.shape[:-1]
+        basis = np.eye(2).reshape(2, *(1,) * len(lanes), 2) + np.zeros((*lanes, 2))
+        H = np.moveaxis(measure(basis), 0, -1)
+        cross_cov = belief.cov @ H.mT
+        cov = H @ cross_cov + noise_cov
+        return condition(
+            belief, measurement, measure(belief.mean[None])[0], cov, cross_cov, residual, gate
+        )
+
+
+KALMAN = Kalman()
+
+
+def test_an_own_filter_has_the_numbers_of_ours():
+    asked = {"steps": 20, "nodes": 6}
+    own, ours = (
+        simulate(prepare(scenario_of("oscillator", filter=one, **asked)), range(2))
+        for one in (KALMAN, "kf")
+    )
+    np.testing.assert_allclose(own.mean, ours.mean, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(own.cov_trace, ours.cov_trace, rtol=1e-9)
+
+
+@pytest.mark.zenoh
+@pytest.mark.parametrize("rule", ["ci", "labelled"])
+def test_own_plant_and_filter_agree_in_every_driver(rule: str):
+    asked = portable(OWN.with_(filter=KALMAN, rule=rule, steps=12, nodes=5))
+    assert asked.filter.name.endswith("test_user_values.py:KALMAN")
+    found = agreement(prepare(asked))
+    assert found.near and found.differences == ()
+
+
+def test_a_run_folder_keeps_the_filter(tmp_path: Path):
+    file = write(tmp_path, "from tests.scenarios.test_user_values import KALMAN")
+    scenario = scenario_of("oscillator", filter=f"{file}:KALMAN")
+    keep_copies(tmp_path, scenario)
+    write(tmp_path, "KALMAN = 'another'")
+    with pytest.raises(ValueError, match="digest"):
+        prepare(scenario)
+    prepare(from_copies(tmp_path, scenario))
+    with pytest.raises(ValueError, match="must be an object with the functions predict"):
+        prepare(scenario_of("oscillator", filter=f"{file}:KALMAN"))
+
+
+def test_a_sweep_takes_filters_by_name_and_as_objects():
+    found = sweep("oscillator", runs=2, steps=10, nodes=4, filter=["kf", KALMAN])
+    ours, own = found["rmse"].to_numpy()
+    np.testing.assert_allclose(own, ours, rtol=1e-9)

@@ -1,0 +1,75 @@
+"""The update of a sigma-point filter in square-root form, for readings much sharper than the prior.
+
+`conditioning` subtracts covariances, and loses as many digits as the variance of a predicted
+reading has more than the noise R: a ratio of 1e13 leaves three. Here the deviations of the points
+and a factor of R form one array, whose triangular factor holds those of the innovation covariance
+and of the posterior covariance. Nothing is subtracted:
+
+    [ sqrt(w) (Y - y)   sqrt(R) ]         [ F  0 ]
+    [ sqrt(w) (X - x)      0    ] Theta = [ G  L ],    S = F F', K = G F^-1, P+ = L L'
+
+Source: Kailath, Sayed and Hassibi (2000), Linear estimation, section 12.3; Arasaratnam and Haykin
+(2009), Cubature Kalman filters, appendix.
+"""
+
+import numpy as np
+
+from concord.filters.gaussian import Gaussian
+from concord.filters.linalg import cholesky, inverse_of_triangle, multiply
+from concord.filters.moments import Model, Residual, evaluate, moments, points_last
+from concord.filters.sigma_points import SigmaPointRule, sigma_points
+from concord.filters.update import Update, missing_entries, settle, without_rows
+
+LARGEST_RATIO = 1e10
+"""Of the variance of a predicted reading to that of its noise, for the other form."""
+
+
+def cancels(cov: np.ndarray, noise_cov: np.ndarray) -> np.ndarray | None:
+    """Lanes (...) in which the covariance (..., m, m) of a predicted reading is so large beside the
+    noise that `conditioning` loses digits; None for no lane."""
+    lost = cov.diagonal(0, -2, -1) > LARGEST_RATIO * noise_cov.diagonal(0, -2, -1)
+    # An array is seldom searched, and counted in a seventh of the time.
+    return np.asarray(lost.any(axis=-1)) if np.count_nonzero(lost) else None
+
+
+def update(
+    belief: Gaussian,
+    measurement: np.ndarray,
+    measure: Model,
+    noise_cov: np.ndarray,
+    rule: SigmaPointRule,
+    residual: Residual = np.subtract,
+    gate: float | None = None,
+) -> Update:
+    """The belief given a measurement; arguments and result as of `ukf.update`.
+
+    The weights of covariances of the rule must not be negative. A lane is NaN whose noise is
+    singular.
+    """
+    n, m = belief.mean.shape[-1], measurement.shape[-1]
+    points = sigma_points(belief, rule)
+    predicted, away = moments(evaluate(measure, points, m, "measure"), rule, residual)
+    roots = np.sqrt(rule.cov_weights)[:, None]
+    spread = roots * points_last(points - belief.mean)
+    away = roots * away
+    missing = missing_entries(measurement)
+    if missing is not None:
+        noise_cov = without_rows(noise_cov, missing)
+        away = np.where(missing[..., None, :], 0.0, away)
+        measurement = np.where(missing, predicted, measurement)
+    innovation = residual(measurement, predicted)
+    if missing is not None:
+        innovation = np.where(missing, 0.0, innovation)
+    noise_root = np.broadcast_to(cholesky(noise_cov).mT, (*away.shape[:-2], m, m))
+    none = np.zeros((*away.shape[:-2], m, n))
+    # Large rows come first, which keeps the small ones exact.
+    rows = np.concatenate(
+        [np.concatenate([away, spread], axis=-1), np.concatenate([noise_root, none], axis=-1)],
+        axis=-2,
+    )
+    factor: np.ndarray = np.swapaxes(np.linalg.qr(rows, mode="r"), -1, -2)
+    F, G, L = factor[..., :m, :m], factor[..., m:, :m], factor[..., m:, m:]
+    whitened = multiply(inverse_of_triangle(F), innovation)
+    after = Gaussian(belief.mean + multiply(G, whitened), L @ L.mT)
+    squared = np.vecdot(whitened, whitened)
+    return settle(belief, after, innovation, F @ F.mT, squared, missing, gate)

@@ -1,0 +1,165 @@
+"""Filters of the nodes by name, as the values that predict and update."""
+
+from collections.abc import Callable
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from concord.filters.adaptive.correntropy import CorrentropyFilter
+from concord.filters.extended import ExtendedFilter
+from concord.filters.filter import Filter
+from concord.filters.gaussian import Gaussian
+from concord.filters.iterated import IteratedFilter
+from concord.filters.linalg import cholesky
+from concord.filters.sigma_point_filter import SigmaPointFilter
+from concord.filters.sigma_points import SigmaPointRule, cubature, scaled_unscented
+from concord.nodes.rules.local_filter import Model, SensorGroup
+from concord.scenarios.types.filters import (
+    CubatureFilter,
+    FilterBase,
+    IteratedTangentFilter,
+    LinearFilter,
+    MaximumCorrentropy,
+    PosteriorLinearisation,
+    TangentFilter,
+    UnscentedFilter,
+    UserFilter,
+)
+from concord.scenarios.user_values import ValueSource, value_of
+
+# Affine functions pass through three points on a line to so many roundings of the values.
+_ROUNDINGS = 1e-9
+_EXACT_STEP = 1.0
+"""Step of the differences of an affine model, in standard deviations: the larger the more exact."""
+
+
+class FilterEntry(NamedTuple):
+    """A filter of the table.
+
+    Attributes:
+        build: (its value in the scenario, the scenario's sigma points) -> the filter.
+        linear: serves only plants and sensors that are linear.
+        singular: takes covariances without an inverse.
+        robust: departs from the Kalman filter on linear models, on purpose.
+    """
+
+    build: Callable[[Any, SigmaPointRule], Filter]
+    linear: bool = False
+    singular: bool = False
+    robust: bool = False
+
+
+_FILTERS: dict[type[FilterBase], FilterEntry] = {
+    UnscentedFilter: FilterEntry(lambda _, points: SigmaPointFilter(points)),
+    CubatureFilter: FilterEntry(
+        lambda _, points: SigmaPointFilter(cubature(points.unit_points.shape[1]))
+    ),
+    TangentFilter: FilterEntry(lambda _, points: ExtendedFilter(), singular=True),
+    LinearFilter: FilterEntry(
+        lambda _, points: ExtendedFilter(_EXACT_STEP), linear=True, singular=True
+    ),
+    PosteriorLinearisation: FilterEntry(
+        lambda choice, points: IteratedFilter(SigmaPointFilter(points), choice.iterations)
+    ),
+    IteratedTangentFilter: FilterEntry(
+        lambda choice, _: IteratedFilter(ExtendedFilter(), choice.iterations), singular=True
+    ),
+    MaximumCorrentropy: FilterEntry(
+        lambda choice, points: CorrentropyFilter(points, choice.bandwidth, choice.iterations),
+        robust=True,
+    ),
+    UserFilter: FilterEntry(lambda choice, _: _user_filter(choice.where), singular=True),
+}
+
+
+def entry_of(choice: FilterBase) -> FilterEntry:
+    """The entry of a filter in the table.
+
+    Raises:
+        ValueError: the filter belongs to the receiver of a measurement bus.
+    """
+    if type(choice) not in _FILTERS:
+        raise ValueError(f"--filter {choice.name}: it is for --scenario meng2025; leave it out")
+    return _FILTERS[type(choice)]
+
+
+def build_filter(choice: FilterBase, states: int, points: SigmaPointRule | None = None) -> Filter:
+    """The filter for so many states; `points` are the scenario's own sigma points, if it has any.
+
+    Raises:
+        ValueError: a file that has no such filter, or a filter of a measurement bus.
+    """
+    return entry_of(choice).build(choice, points or scaled_unscented(states))
+
+
+@lru_cache
+def _user_filter(source: ValueSource) -> Filter:
+    value = value_of(source)
+    if not isinstance(value, Filter) or isinstance(value, type):
+        raise ValueError(
+            f"{source.name}: it is a {type(value).__name__}; it must be an object with the "
+            "functions predict(belief, transition, noise_cov) and update(belief, measurement, "
+            "measure, noise_cov, residual=..., gate=...)"
+        )
+    return value
+
+
+def check_models(
+    choice: FilterBase,
+    prior: Gaussian,
+    model: Model,
+    groups: tuple[SensorGroup, ...],
+    delivered: np.ndarray,
+) -> None:
+    """Refuse a filter that is none, and plants and sensors with which it cannot compute.
+
+    `prior` is (n,); `delivered` (N, r, d) are readings of all nodes at step 0, NaN where a node
+    takes none.
+
+    Raises:
+        ValueError: naming the filter, what is not linear or singular, and the cure.
+    """
+    entry = entry_of(choice)
+    build_filter(choice, len(prior.mean))
+    if entry.linear:
+        _require_linear(choice, prior, model, groups)
+    if entry.singular:
+        return
+    if np.isnan(cholesky(prior.cov)).any():
+        raise ValueError(
+            f"--filter {choice.name}: the covariance of the prior is singular, and this filter "
+            "needs its Cholesky factor; give each state a variance above 0, or use --filter ekf"
+        )
+    for nodes, sensor in groups:
+        for reading in np.moveaxis(delivered[nodes], -2, 0):
+            value, noise_cov = sensor.interpret(reading)
+            taken = np.logical_not(np.isnan(value).any(axis=-1))
+            covs = np.broadcast_to(noise_cov, (*value.shape, value.shape[-1]))[taken]
+            if np.isnan(cholesky(covs)).any():
+                raise ValueError(
+                    f"--filter {choice.name}: the noise covariance R of a sensor is singular, so "
+                    "the covariance after its reading is too; give each entry of a reading a "
+                    "variance above 0, or use --filter ekf"
+                )
+
+
+def _require_linear(
+    choice: FilterBase, prior: Gaussian, model: Model, groups: tuple[SensorGroup, ...]
+) -> None:
+    deviation = np.sqrt(np.diagonal(prior.cov))
+    functions = [("the plant", partial(model.transition, control=None, step=0), np.subtract)]
+    functions += [
+        ("a sensor", partial(sensor.measure, step=0), sensor.residual) for _, sensor in groups
+    ]
+    # Each state by itself, and all of them at once.
+    away = np.concatenate([np.diag(deviation), deviation[None]])[:, None, None]
+    for what, function, residual in functions:
+        ahead, middle, behind = (function(prior.mean + by) for by in (away, 0 * away, -away))
+        rise, fall = residual(ahead, middle), residual(middle, behind)
+        scale = np.abs(rise).max() + np.abs(middle).max()
+        if np.abs(rise - fall).max() > _ROUNDINGS * scale:
+            raise ValueError(
+                f"--filter {choice.name}: {what} is not linear over one standard deviation of the "
+                "prior, and the Kalman filter is for linear models; use --filter ekf or ukf"
+            )

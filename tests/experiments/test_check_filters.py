@@ -1,0 +1,56 @@
+"""`concord check` of filters: ours hold every promise, and each planted mistake is found."""
+
+from pathlib import Path
+
+import pytest
+
+from concord.experiments.conformance.filter_promises import FILTER_PROMISES
+from concord.scenarios.types.filters import FILTER_SUMMARIES
+from tests.experiments.test_check_rules import checked
+
+WRONG = f"{Path(__file__).parent}/wrong_filters.py"
+ABOUT_MODELS = [one.name for one in FILTER_PROMISES if one.name != "agreement"]
+# Each mistake, and the promises about models that it must break.
+MISTAKES = {
+    "ungated": {"gate"},
+    "overconfident": {"linear"},
+    "mixed": {"lanes", "failed-lanes", "linear", "units"},
+    "absolute": {"linear", "units"},
+    "zero_for_missing": {"missing"},
+    "remembering": {"memory", "linear"},
+    "skewed": {"covariance"},
+    "right": set(),
+}
+
+
+@pytest.mark.parametrize("name", FILTER_SUMMARIES)
+def test_our_filters_keep_each_promise(name: str, capsys: pytest.CaptureFixture[str]):
+    for promise in ABOUT_MODELS:
+        code, rows = checked(capsys, name, "--promise", promise, "--cases", "30")
+        is_robust = (name, promise) == ("mcukf", "linear")
+        assert (code, rows[promise]["status"]) == (0, "note" if is_robust else "holds"), rows
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_planted_mistake_is_found(mistake: str, capsys: pytest.CaptureFixture[str]):
+    broken = set()
+    for promise in ABOUT_MODELS:
+        code, rows = checked(capsys, f"{WRONG}:{mistake}", "--promise", promise, "--cases", "20")
+        assert (code == 1) == (rows[promise]["status"] == "BROKEN")
+        broken |= {promise} if code else set()
+    assert broken >= MISTAKES[mistake]
+    assert bool(broken) == bool(MISTAKES[mistake])
+
+
+@pytest.mark.zenoh
+def test_a_filter_of_a_file_agrees_in_every_driver(capsys: pytest.CaptureFixture[str]):
+    code, rows = checked(capsys, f"{WRONG}:right", "--promise", "agreement")
+    assert (code, rows["agreement"]["status"]) == (0, "holds")
+
+
+def test_a_filter_that_claims_nothing_about_linear_models_gets_a_note(
+    capsys: pytest.CaptureFixture[str],
+):
+    asked = (f"{WRONG}:absolute", "--promise", "linear", "--no-linear")
+    code, rows = checked(capsys, *asked)
+    assert (code, rows["linear"]["status"]) == (0, "note")

@@ -1,0 +1,117 @@
+"""The option `--filter`: what it refuses before the start, and what the baselines make of it."""
+
+import numpy as np
+import pytest
+
+from concord.experiments.results.trace import read_trace
+from concord.experiments.scenario_options import scenario_of
+from concord.filters import ukf
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_points import scaled_unscented
+from concord.plants.own_plant import OwnPlant, OwnSensor
+from concord.runtime.drivers import in_memory
+from concord.scenarios.baselines import centralised, local_only
+from concord.scenarios.catalogue import definition_of
+from concord.scenarios.definitions.own import own_scenario
+from concord.scenarios.preparation import prepare
+from concord.scenarios.scenario import Scenario
+from concord.scenarios.types.filters import FILTER_SUMMARIES
+from concord.scenarios.warnings import warnings_of
+
+
+def known(cov: float = 1.0, R: float = 1.0) -> Scenario:
+    """Two states, the first of which may be known at the start or read exactly."""
+    plant = OwnPlant(f=lambda x: 0.9 * x, Q=[0.1, 0.1], mean=[0, 0], cov=[cov, 1.0])
+    return own_scenario(plant, [OwnSensor(h=lambda x: x[..., :1], R=R)], nodes=3, steps=30)
+
+
+@pytest.mark.parametrize("name", FILTER_SUMMARIES)
+def test_a_singular_prior_or_noise_runs_or_is_refused(name: str):
+    for options, says in (({"cov": 0.0}, "prior is singular"), ({"R": 0.0}, "R of a sensor is")):
+        asked = known(**options).with_(filter=name, rule="local")
+        if name in ("ekf", "kf", "iekf"):
+            trace = read_trace(prepare(asked), in_memory(prepare(asked)))
+            assert np.isfinite(trace.mean).all()
+            names = {word for counters in trace.counters for word in counters}
+            assert not names & {"predict-failed", "update-failed"}
+        else:
+            with pytest.raises(ValueError, match=f"{says}.*--filter ekf"):
+                prepare(asked)
+
+
+@pytest.mark.parametrize("name", ["target-tracking", "target-crossing", "vehicle-network"])
+def test_the_kalman_filter_refuses_what_is_not_linear(name: str):
+    with pytest.raises(ValueError, match=r"not linear .*; use --filter ekf or ukf"):
+        prepare(scenario_of(name, filter="kf"))
+
+
+@pytest.mark.parametrize("name", ["oscillator", "dc-motor-speed", "cruise-control", "suspension"])
+def test_the_kalman_filter_runs_on_linear_plants_as_the_unscented_one(name: str):
+    found = {
+        one: read_trace(prepared, in_memory(prepared))
+        for one in ("kf", "ukf", "iplf")
+        for prepared in [prepare(scenario_of(name, filter=one, steps=15))]
+    }
+    for one in ("ukf", "iplf"):
+        scale = np.sqrt(np.diagonal(found["kf"].cov, axis1=-2, axis2=-1)).max()
+        np.testing.assert_allclose(found[one].mean, found["kf"].mean, rtol=1e-6, atol=1e-6 * scale)
+
+
+def test_a_filter_of_a_measurement_bus_is_refused_elsewhere():
+    with pytest.raises(ValueError, match="--filter recommended: it is for --scenario meng2025"):
+        prepare(scenario_of("oscillator", filter="recommended"))
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "says"),
+    [
+        ("iterations", 1, "--iterations 1: must be at least 2"),
+        ("bandwidth", 0.0, "--bandwidth 0.0: must be above 0"),
+        ("bandwidth", float("inf"), "must be above 0, and finite"),
+    ],
+)
+def test_options_of_a_filter_are_checked(option: str, value: float, says: str):
+    with pytest.raises(ValueError, match=says):
+        prepare(scenario_of("oscillator", filter="mcukf", **{option: value}))
+    with pytest.raises(ValueError, match=f"--{option} .*: belongs to --filter"):
+        scenario_of("oscillator", filter="ukf", **{option: value})
+
+
+def test_the_centralised_filter_takes_readings_one_by_one_in_the_order_of_the_nodes():
+    setup = prepare(scenario_of("target-tracking", nodes=6, steps=25))
+    trace = read_trace(setup, in_memory(setup))
+    found = centralised(setup, trace.readings, None)
+    definition, rule = definition_of(setup.scenario), scaled_unscented(5)
+    model = definition.model(setup.scenario)
+    belief = Gaussian(np.array(setup.prior_mean), np.array(setup.prior_cov))
+    for step in range(25):
+        if step:
+            noise = model.process_noise_cov(step - 1)
+            belief = ukf.predict(belief, lambda x: model.transition(x, None, 0), noise, rule)
+        for node in range(6):
+            sensor = definition.sensor(setup.scenario, node)
+            assert sensor is not None
+            value, noise = sensor.interpret(trace.readings[step, node, 0])
+            belief = ukf.update(
+                belief, value, lambda x, h=sensor: h.measure(x, 0), noise, rule,
+                residual=sensor.residual,
+            ).belief  # fmt: skip
+        np.testing.assert_allclose(found.mean[step], belief.mean, rtol=1e-10)
+        np.testing.assert_allclose(found.cov[step], belief.cov, rtol=1e-9, atol=1e-12)
+
+
+def test_baselines_use_the_filter_of_the_scenario():
+    """Where a node hears nobody it is its own baseline, whatever its filter."""
+    for name in ("ukf", "ekf", "iplf", "mcukf"):
+        asked = scenario_of("target-tracking", nodes=4, steps=20, filter=name, rule="local")
+        setup = prepare(asked)
+        trace = read_trace(setup, in_memory(setup))
+        alone = local_only(setup, trace.readings, None)
+        np.testing.assert_allclose(alone.mean, trace.mean, rtol=1e-9, err_msg=name)
+
+
+def test_a_rule_of_sets_warns_of_a_filter_that_has_no_effect():
+    asked = scenario_of("liu2021-network", rule="ellipsoid", steps=5)
+    assert not any("--filter" in one for one in warnings_of(prepare(asked)))
+    found = warnings_of(prepare(asked.with_(filter="ekf")))
+    assert any("--filter ekf changes nothing here" in one for one in found)
