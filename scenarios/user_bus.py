@@ -87,7 +87,8 @@ def _broken(chosen: UserBus, bus: Bus, schedule: Schedule, share_bytes: int) -> 
             sum(bus.payloads(node, cycle, share_bytes)) if node in sending else 0
             for node in range(schedule.nodes)
         ]
-        if wrong := _wrong_times(bus, sending, bus.transmissions(cycle, payload_bytes)):
+        frames = bus.transmissions(cycle, payload_bytes, [0] * schedule.nodes)
+        if wrong := _wrong_times(bus, sending, frames):
             yield f"transmissions of cycle {cycle}: {wrong}"
         # Once: trying each byte of every frame would take seconds.
         if cycle == 0 and sending:

@@ -162,8 +162,11 @@ def _table(
 def _try(
     bench: Bench, variant: Variant, occupancy: float, rounds: int, schedule: str
 ) -> VariantCell:
-    limited = {} if occupancy == FULL else {"schedule": schedule, "occupancy": occupancy}
-    scenario = bench.study.scenario.with_(rule=variant.rule, rounds=rounds, **limited)
+    scenario = bench.study.scenario.with_(rule=variant.rule, rounds=rounds)
+    if occupancy != FULL:
+        scenario = scenario.with_(schedule=schedule, occupancy=occupancy)
+        # The study's arbiter knows all bids.
+        scenario, _ = scenario.with_known(arbiter="wtod")
     if hold_of(scenario.rule) is None:
         return attempt(bench, scenario, variant.hold)
     return attempt(bench, scenario.with_(hold=HOLDS[variant.hold]))

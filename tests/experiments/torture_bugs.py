@@ -97,7 +97,8 @@ BUGS = (
     ),
     Bug(
         "who lost the contest sends all the same",
-        "concord.nodes.node", "_take_grant", (("if config.index in winners", "if True"),),
+        "concord.nodes.node", "_take_grant",
+        (("if config.index not in grant.winners", "if False"),),
     ),
     Bug(
         "all nodes share the slots of node 0",

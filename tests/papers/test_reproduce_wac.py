@@ -44,7 +44,7 @@ def small(name: str, **changes) -> Scenario:
     return definition_named(name).defaults.with_(steps=15, seed=5, **sizes[name], **changes)
 
 
-HALF = {"schedule": "hybrid", "occupancy": 0.5}
+HALF = {"schedule": "hybrid", "occupancy": 0.5, "arbiter": "wtod"}
 
 
 @pytest.mark.parametrize(
@@ -53,7 +53,14 @@ HALF = {"schedule": "hybrid", "occupancy": 0.5}
         small("target-tracking", rule="ci", hold="decayed", **HALF),
         small("target-tracking", rule="wac", hold="raw", **HALF),
         small("dc-motor-position", rule="wac", hold="predict", **HALF),
-        small("dc-motor-position", rule="ci", hold="drop", schedule="dynamic", occupancy=0.25),
+        small(
+            "dc-motor-position",
+            rule="ci",
+            hold="drop",
+            schedule="dynamic",
+            occupancy=0.25,
+            arbiter="wtod",
+        ),
         small("dc-motor-position", rule="hcmci", **HALF),
         small("dc-motor-position", rule="icf"),
     ],
@@ -121,7 +128,7 @@ def test_the_interval_covers_as_often_as_it_says():
 
 def test_a_small_study_has_the_order_of_the_large_one():
     few = bench.bench_of(occupancy.track(seed=2, runs=4))
-    limited = few.study.scenario.with_(schedule="hybrid", occupancy=0.25)
+    limited = few.study.scenario.with_(schedule="hybrid", occupancy=0.25, arbiter="wtod")
     raw, held, sharp = (
         bench.attempt(few, limited.with_(hold=occupancy.HOLDS[name]))
         for name in ("raw", "predict", occupancy.SHARP)

@@ -134,8 +134,8 @@ def broken(**members: Any) -> type[Bus]:
     return type("Broken", (TimelessBus,), members)
 
 
-def late(bus: TimelessBus, cycle: int, payload_bytes: Any) -> Any:
-    return [frame._replace(end_us=9e9) for frame in own_times(bus, cycle, payload_bytes)]
+def late(bus: TimelessBus, *asked: Any) -> Any:
+    return [frame._replace(end_us=9e9) for frame in own_times(bus, *asked)]
 
 
 own_times = TimelessBus.transmissions
