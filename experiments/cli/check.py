@@ -1,5 +1,6 @@
-"""`concord check`: hold a rule, a filter or a scenario against the promises concord relies on."""
+"""`concord check`: hold a user's value against the promises that concord relies on."""
 
+import inspect
 import shlex
 import sys
 from collections.abc import Iterator, Sequence
@@ -10,6 +11,8 @@ import msgspec
 import numpy as np
 import tyro
 
+from concord.bus.arbitration import ARBITERS, Arbiter
+from concord.experiments.conformance.arbiter_promises import ARBITER_PROMISES, checked_arbiter
 from concord.experiments.conformance.filter_promises import FILTER_PROMISES, checked_filter
 from concord.experiments.conformance.promise import Promise, PromiseResult
 from concord.experiments.conformance.rule_promises import RULE_PROMISES, checked_rule
@@ -54,12 +57,13 @@ def check(
         tyro.conf.Positional,
         tyro.conf.arg(
             metavar="SUBJECT",
-            help="A rule, a filter or a scenario, by its name or as FILE.py:NAME.",
+            help="A rule, a filter, an arbiter or a scenario, by its name or as FILE.py:NAME.",
         ),
     ],
     output: Annotated[CheckOptions, tyro.conf.OmitArgPrefixes],
 ) -> None:
-    """Check the promises of a rule, a filter or a scenario in drawn cases; 1 if one is broken."""
+    """Check the promises of a rule, a filter, an arbiter or a scenario in drawn cases; the exit
+    code is 1 if one is broken."""
     with user_errors():
         if output.cases < 1:
             raise ValueError(f"--cases {output.cases}: must be at least 1")
@@ -99,17 +103,27 @@ def _subject(name: str, output: CheckOptions) -> tuple[Any, Sequence[Promise[Any
     if is_source_name(name):
         value = value_of(source_of(name))
         is_scenario = isinstance(value, Scenario | ScenarioDefinition)
-        is_filter = isinstance(value, Filter)
+        is_filter, is_arbiter = isinstance(value, Filter), _is_arbiter(value)
     else:
         is_scenario, is_filter = name in definitions(), name in FILTER_SUMMARIES
-        if not (is_scenario or is_filter or name in RULE_SUMMARIES):
-            known = [*RULE_SUMMARIES, *FILTER_SUMMARIES, *definitions()]
-            raise unknown_name("rule, filter or scenario", name, known)
+        is_arbiter = name in ARBITERS
+        if not (is_scenario or is_filter or is_arbiter or name in RULE_SUMMARIES):
+            known = [*RULE_SUMMARIES, *FILTER_SUMMARIES, *ARBITERS, *definitions()]
+            raise unknown_name("rule, filter, arbiter or scenario", name, known)
     if is_scenario:
         return checked_scenario(scenario_of(name)), SCENARIO_PROMISES
     if is_filter:
         return checked_filter(name, output.linear), FILTER_PROMISES
+    if is_arbiter:
+        return checked_arbiter(name), ARBITER_PROMISES
     return checked_rule(name, output.consistent, engine), RULE_PROMISES
+
+
+def _is_arbiter(value: object) -> bool:
+    """Whether it is an arbiter: its function takes a state, bids and frame IDs; a rule's two."""
+    if isinstance(value, Arbiter):
+        return True
+    return inspect.isfunction(value) and len(inspect.signature(value).parameters) == 3
 
 
 def _lines(subject: str, promise: Promise[Any], finding: PromiseResult) -> Iterator[str]:
