@@ -3,11 +3,12 @@
 import re
 import shlex
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
 from PIL import Image
+
+from concord.runtime.interpreter import fresh_command, fresh_variables
 
 DOCS = Path(__file__).parent
 PAGE = DOCS / "gallery.md"
@@ -36,7 +37,10 @@ def draw(out: Path) -> None:
             program, *words = shlex.split(command)
             assert program == "concord", f"{command}: the page has other commands indented"
             subprocess.run(
-                [sys.executable, "-m", "concord.experiments", *words], cwd=folder, check=True
+                fresh_command("concord.experiments", *words),
+                env=fresh_variables(),
+                cwd=folder,
+                check=True,
             )
         for name in pictures():
             target = out / name
