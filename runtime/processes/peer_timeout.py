@@ -3,8 +3,12 @@
 import math
 import os
 import sys
+import threading
 
 from concord.runtime.processes.departed_peers import DepartedPeers
+
+# How often a process says that it waits for a peer that it has never met.
+_TELL_S = 10.0
 
 
 class PeerTimeout:
@@ -16,11 +20,27 @@ class PeerTimeout:
     def __init__(self, name: str, seconds: float) -> None:
         self._name, self._seconds = name, seconds
         self._departed = DepartedPeers(seconds, self._leave)
+        self._met = threading.Event()
+
+    def expect(self) -> None:
+        """Count the time from now on, although the peer has not been there yet."""
+        if self._seconds < math.inf and not self._met.is_set():
+            self._departed.see(self._name, False)
+            threading.Thread(target=self._tell, daemon=True).start()
 
     def see(self, name: str, is_there: bool) -> None:
         """A process has come, or is gone. Runs on: a thread of zenoh's."""
         if name == self._name and self._seconds < math.inf:
+            self._met.set()
             self._departed.see(name, is_there)
+
+    def _tell(self) -> None:
+        waited_s = 0.0
+        while not self._met.wait(_TELL_S):
+            waited_s += _TELL_S
+            sys.stderr.write(
+                f"waits for the {self._name}: {waited_s:g} s of {self._seconds:g} are over\n"
+            )
 
     def _leave(self, _name: str) -> None:
         sys.stderr.write(f"the {self._name} has been out of reach for {self._seconds:g} s\n")

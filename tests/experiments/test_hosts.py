@@ -52,6 +52,18 @@ def await_network(endpoint: str, keys: str | None = None) -> Client:
 
 @needs_proc
 @pytest.mark.zenoh
+def test_nodes_that_never_meet_their_environment_end(tmp_path: Path):
+    setup = write_setup(tmp_path)
+    with hosts(tmp_path) as there:
+        a, _ = two_routers(there)
+        nodes = there.concord("node", setup, 0, 1, "--connect", a, "--peer-timeout", 2)
+        code, out, err = nodes.end(60)
+        assert (code, out) == (1, "")
+        assert "the world has been out of reach for 2 s" in err
+
+
+@needs_proc
+@pytest.mark.zenoh
 def test_commands_on_several_hosts_give_the_bits_of_one_process(tmp_path: Path):
     setup = write_setup(tmp_path)
     with hosts(tmp_path) as there:

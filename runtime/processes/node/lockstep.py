@@ -50,6 +50,7 @@ class LockstepNode:
         )
         self._republisher.begin()
         self.transport.watch(self._see)
+        self._timeout.expect()
 
     def say_hello(self) -> None:
         """Tell the environment process that this node is ready."""

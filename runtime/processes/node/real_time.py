@@ -60,7 +60,9 @@ class RealTimeNode:
         self._first_step = 0
         self._cycle_of = membership.config.bus.frame_format.cycle_of
         self.transport = Transport(membership.run, membership.links, [], 1)
-        self.transport.watch(PeerTimeout(ENVIRONMENT, membership.peer_timeout_s).see)
+        timeout = PeerTimeout(ENVIRONMENT, membership.peer_timeout_s)
+        self.transport.watch(timeout.see)
+        timeout.expect()
         self._start = StartTime(self.transport)
         own = ("measured", "gone", "welcome")
         shares = (f"share/{j}" for j in membership.config.neighbours)
