@@ -177,6 +177,7 @@ def _random_network(number: int) -> tuple[dict[str, Any], LinkState]:
         "relay": bool(draw.integers(2)),
         "window_steps": window,
         "digest_steps": window,
+        "payload_bytes": 254,
     }
     there = draw.random((STEPS, nodes, nodes)) < draw.choice([0.5, 1.0])
     return options, LinkState(
