@@ -4,11 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from concord.bus.information_age import greatest_ages_steps, worst_age_steps
 from concord.experiments.design.search import FRESH_RUN
 from concord.experiments.monte_carlo.run_figures import kept
 from concord.experiments.monte_carlo.simulate import simulate
 from concord.scenarios.build import build_bus
-from concord.scenarios.information_age import greatest_ages_steps, worst_age_steps
 from concord.scenarios.preparation import prepare
 from concord.scenarios.scenario import Scenario, lossy_links
 

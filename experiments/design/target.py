@@ -75,14 +75,14 @@ class BusLimits(NamedTuple):
 
     def excess(self, figures: dict[str, np.ndarray]) -> str | None:
         """Return the limit that a candidate breaks on the mean of its runs, in words."""
-        for limit, name, unit, scale in (
+        for limit, name, option, scale in (
             (self.latency_ms, "delay_us", "latency-ms", 1e-3),
             (self.load, "bus_load", "load", 1.0),
         ):
             value = float(figures[name].mean()) * scale
             if limit is not None and not value <= limit:
                 has = "a bus without time has none" if np.isnan(value) else f"it has {value:.3g}"
-                return f"--{unit} {limit:g}: {has}"
+                return f"--{option} {limit:g}: {has}"
         return None
 
 

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from concord.bus.information_age import greatest_ages_steps, worst_age_steps
 from concord.bus.schedule import Schedule, full_publish, hybrid, round_robin
-from concord.scenarios.information_age import greatest_ages_steps, worst_age_steps
 
 
 def heard_by(graph: nx.Graph) -> list[list[int]]:
