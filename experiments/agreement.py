@@ -9,6 +9,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from concord.experiments.results.folder import BATCHED
 from concord.experiments.results.near_agreement import departures
 from concord.experiments.results.trace import Trace, read_trace
 from concord.runtime.batched.build import without_array_form
@@ -16,7 +17,6 @@ from concord.runtime.drivers import DRIVERS
 from concord.runtime.recording import read_recording
 from concord.scenarios.setup import Setup
 
-BATCHED = "batched"
 _COMPARED = ("truth", "readings", "published", "classes", "mean", "cov", "ages")
 OnStep = Callable[[int], None]
 

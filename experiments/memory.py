@@ -1,5 +1,6 @@
 """The memory that runs need, estimated from their scenario before anything is drawn or started."""
 
+import resource
 from collections.abc import Iterable
 from functools import partial
 from heapq import nlargest
@@ -15,6 +16,7 @@ _SMALL = 100_000
 # Python objects of a step of a node that passes messages: measured at 2.5 kB.
 _MESSAGES_BYTES = 2500
 _FLOAT_BYTES = 8
+_ADDRESSES_BYTES = 1024**3
 
 
 def check_memory(scenario: Scenario, runs: int = 1, messages: bool = False) -> None:
@@ -75,6 +77,25 @@ def require_memory(needed: int, what: str, cure: str) -> None:
         raise ValueError(
             f"{what}: about {_size(needed / 1024**2)} of memory are needed and {_size(free_mb)} "
             f"are free; {cure}"
+        )
+
+
+def check_address_space(driver: str) -> None:
+    """Refuse a network of processes where the system limits the address space of each too much.
+
+    Threads reserve address space for their stacks that they never use, so a process of a small
+    network reserves about 800 MB and uses 60 MB.
+
+    Raises:
+        ValueError: naming the limit and the cure.
+    """
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit != resource.RLIM_INFINITY and limit < _ADDRESSES_BYTES:
+        raise ValueError(
+            f"--driver {driver}: the system limits the address space of a process to "
+            f"{_size(limit / 1024**2)}, and a process of the network reserves about "
+            f"{_size(_ADDRESSES_BYTES / 1024**2)}; raise the limit (ulimit -v), or use --driver "
+            "in-process"
         )
 
 

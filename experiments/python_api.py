@@ -21,7 +21,7 @@ from concord.experiments.design.space import placements_of, space_of
 from concord.experiments.design.target import BusLimits, parse_target
 from concord.experiments.launching import launched
 from concord.experiments.memory import check_memory
-from concord.experiments.monte_carlo.run_many import histories_dataset
+from concord.experiments.monte_carlo.histories_file import histories_dataset
 from concord.experiments.monte_carlo.simulate import AGES, COV, READINGS
 from concord.experiments.monte_carlo.simulate import simulate as simulate_setup
 from concord.experiments.results.folder import ARRAYS

@@ -20,8 +20,16 @@ _PLAIN = {
 _LINES = range(0x2500, 0x2580)  # the block of characters of which tables and boxes are drawn
 
 
-def replace_lacking_characters() -> None:
-    """Let standard output and error write a character that their encoding lacks by others."""
+def prepare_streams() -> None:
+    """Let standard output and error take everything.
+
+    A stream that was closed before the start writes to nowhere. A stream whose encoding lacks a
+    character writes it by others.
+    """
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            # The lowest free descriptor is the closed one, so no file of a run gets its number.
+            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="concord")

@@ -1,10 +1,12 @@
 """A user's mistake on the command line: one sentence on standard error and exit code 2."""
 
+import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 USER_ERROR = 2
+_LONG_WORD = re.compile(r"(\S{60})\S{240,}")
 
 
 @contextmanager
@@ -16,5 +18,6 @@ def user_errors() -> Iterator[None]:
     try:
         yield
     except ValueError as error:
-        sys.stderr.write(f"concord: {error}\n")
+        sentence = _LONG_WORD.sub(r"\1...", str(error))
+        sys.stderr.write(f"concord: {sentence}\n")
         sys.exit(USER_ERROR)

@@ -5,6 +5,8 @@ process anywhere builds the same node from it, and so that its digest tells whet
 agree.
 """
 
+from collections.abc import Sequence
+
 import msgspec
 
 from concord.scenarios.scenario import Scenario
@@ -32,3 +34,30 @@ class Setup(msgspec.Struct, frozen=True):
     time_step_s: float
     losses: list[list[float]] | None = None
     phases: list[list[list[int]]] | None = None
+
+    def __post_init__(self) -> None:
+        """Check that all parts are of one network, because a setup is also read from files.
+
+        Raises:
+            ValueError: a neighbour that is no other node, or parts of different sizes.
+        """
+        nodes, states = self.scenario.nodes, len(self.prior_mean)
+        for graph in (self.neighbours, *(self.phases or ())):
+            _check_neighbours(graph, nodes)
+        lengths = (len(self.weights), len(self.losses if self.losses is not None else self.weights))
+        if lengths != (nodes, nodes):
+            raise ValueError(f"weights or losses of {lengths} nodes, in a network of {nodes}")
+        if [len(row) for row in self.prior_cov] != [states] * states:
+            raise ValueError(f"prior_cov is no square matrix of the {states} states of prior_mean")
+
+
+def _check_neighbours(graph: Sequence[Sequence[int]], nodes: int) -> None:
+    if len(graph) != nodes:
+        raise ValueError(f"neighbours of {len(graph)} nodes, in a network of {nodes}")
+    for node, heard in enumerate(graph):
+        strange = [j for j in heard if not 0 <= j < nodes or j == node]
+        if strange or sorted(set(heard)) != list(heard):
+            raise ValueError(
+                f"neighbours of node {node}: {list(heard)[:9]}; each is another node from 0 to "
+                f"{nodes - 1}, named once, in ascending order"
+            )

@@ -21,7 +21,7 @@ def read_graphml(file: Path) -> tuple[csr_array, np.ndarray | None, tuple[str, .
     """
     try:
         graph = networkx.read_graphml(file)
-    except (ElementTree.ParseError, networkx.NetworkXError, ValueError, KeyError) as error:
+    except (ElementTree.ParseError, networkx.NetworkXError, ValueError, LookupError) as error:
         raise ValueError(f"{file}: not GraphML ({error}); export the graph again") from error
     names = list(graph)
     if set(names) == {str(number) for number in range(len(names))}:

@@ -11,7 +11,7 @@ from tyro.extras import SubcommandApp
 
 from concord._version import __version__
 from concord.experiments.repeated_options import refuse_repeated
-from concord.experiments.standard_output import replace_lacking_characters, standard_output
+from concord.experiments.standard_output import prepare_streams, standard_output
 from concord.experiments.user_errors import user_errors
 from concord.runtime.disk import NotWritten
 from concord.topology.names import unknown_name
@@ -59,7 +59,7 @@ def main(arguments: list[str] | None = None) -> None:
     arguments = sys.argv[1:] if arguments is None else arguments
     if arguments == ["--version"]:
         arguments = ["version"]
-    replace_lacking_characters()
+    prepare_streams()
     try:
         commands = _commands(arguments[:1])
         with user_errors():

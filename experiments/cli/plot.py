@@ -10,6 +10,7 @@ import tyro
 from rich.console import Console
 
 from concord.experiments.places import make_folder
+from concord.experiments.results.folder import ARRAYS, DESCRIPTION
 from concord.experiments.results.palette import save, use_house_style
 from concord.experiments.user_errors import user_errors
 
@@ -22,7 +23,7 @@ class PlotOptions:
     """Picture to draw, and its file."""
 
     result: tyro.conf.Positional[Path]
-    """Result of `concord sweep` or `concord design`, or folder of a run."""
+    """Result of `concord sweep` or `concord design`, or folder of a run or its run.nc."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """Folder for the pictures; beside the result, <name>-plots, when left out."""
     format: Literal["png", "svg", "pdf"] = "png"
@@ -35,8 +36,9 @@ def plot(options: Annotated[PlotOptions, tyro.conf.arg(name="")]) -> None:
     """Draw a result."""
     use_house_style()
     with user_errors():
-        figures = figures_of(options.result)
-        folder = options.out or plots_of(options.result)
+        result = result_of(options.result)
+        figures = figures_of(result)
+        folder = options.out or plots_of(result)
         make_folder(folder, "--out")
     written = []
     for name, figure in figures.items():
@@ -47,6 +49,12 @@ def plot(options: Annotated[PlotOptions, tyro.conf.arg(name="")]) -> None:
         sys.stdout.write(msgspec.json.encode({"pictures": written}).decode() + "\n")
         return
     Console().print("\n".join(written), highlight=False, soft_wrap=True)
+
+
+def result_of(named: Path) -> Path:
+    """Return the result that a user names: run.nc stands for the folder of its run."""
+    of_run = named.name == ARRAYS and (named.parent / DESCRIPTION).is_file()
+    return named.parent if of_run else named
 
 
 def plots_of(result: Path) -> Path:

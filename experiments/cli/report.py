@@ -12,7 +12,7 @@ import numpy as np
 import tyro
 from rich.console import Console
 
-from concord.experiments.cli.plot import figures_of
+from concord.experiments.cli.plot import figures_of, result_of
 from concord.experiments.monte_carlo.intervals import Interval
 from concord.experiments.results.palette import use_house_style
 from concord.experiments.results.report_page import (
@@ -31,13 +31,15 @@ from concord.experiments.user_errors import user_errors
 if TYPE_CHECKING:
     import xarray
 
+    from concord.experiments.results.folder import Description
+
 
 @dataclass(frozen=True)
 class ReportOptions:
     """Of what, and where to."""
 
     result: tyro.conf.Positional[Path]
-    """Result of `concord sweep` or `concord design`, or folder of a run."""
+    """Result of `concord sweep` or `concord design`, or folder of a run or its run.nc."""
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """The page: .html or .md; beside the result when left out. An older one is replaced."""
     json: bool = False
@@ -48,10 +50,11 @@ def report(options: Annotated[ReportOptions, tyro.conf.arg(name="")]) -> None:
     """Write a result as one self-contained page."""
     use_house_style()
     with user_errors():
-        out = options.out or _beside(options.result)
+        result = result_of(options.result)
+        out = options.out or _beside(result)
         if out.suffix not in (".html", ".md"):
             raise ValueError(f"--out {out}: must end in .html or .md")
-        title, parts = page_of(options.result)
+        title, parts = page_of(result)
         text = as_html(title, parts) if out.suffix == ".html" else as_markdown(parts)
         try:
             out.parent.mkdir(parents=True, exist_ok=True)
@@ -120,6 +123,7 @@ def _attributes(dataset: "xarray.Dataset") -> dict[str, str]:
 
 def _of_design(path: Path) -> tuple[str, list[PagePart]]:
     from concord.experiments.cli.design import lines
+    from concord.experiments.design.candidates import COSTS
     from concord.experiments.design.results import read_design
 
     design = read_design(path)
@@ -129,12 +133,15 @@ def _of_design(path: Path) -> tuple[str, list[PagePart]]:
     rows = [
         [
             *(shown(one.values[field]) for field in fields),
-            _interval(one.error), _interval(one.anees), f"{one.occupancy:.3g}",
-            f"{one.bytes_per_step:.0f}", f"{one.energy_per_step_mj:.3g}", str(one.runs),
+            _interval(one.error),
+            _interval(one.anees),
+            *(f"{one.costs[cost]:.4g}" for cost in COSTS),
+            str(one.runs),
         ]
         for one in line
-    ]  # fmt: skip
-    head = [*fields, f"RMSE {unit}", "ANEES", "published", "bytes/step", "mJ/step", "runs"]
+    ]
+    headings = [figure.heading for figure in COSTS.values()]
+    head = [*fields, f"RMSE {unit}", "ANEES", *headings, "runs"]
     names = ("scenario", "settled", "seed", "target", "minimise")
     wanted = {name: msgspec.to_builtins(getattr(design, name)) for name in names}
     return f"Design for {design.target.shown(design.unit)}", [
@@ -147,11 +154,13 @@ def _of_design(path: Path) -> tuple[str, list[PagePart]]:
 
 
 def _of_run(folder: Path) -> tuple[str, list[PagePart]]:
-    from concord.experiments.results.folder import read_description
+    from concord.experiments.results.folder import BATCHED, read_description
     from concord.experiments.results.run_results import completed
     from concord.experiments.results.summary import lines, summarise
 
     description = read_description(folder)
+    if description.driver == BATCHED:
+        return _of_runs(folder, description)
     figures = summarise(description.setup, completed(folder, description))
     rows = [
         [str(i), f"{n.rmse:.4g}", f"{n.rmse_local_only:.4g}", f"{n.anees:.4g}", str(n.sent),
@@ -161,12 +170,35 @@ def _of_run(folder: Path) -> tuple[str, list[PagePart]]:
     whole = (figures.rmse, figures.rmse_local_only, figures.anees)
     rows.append(["all", *(f"{x:.4g}" for x in whole), str(figures.shares_sent), "",
                  str(figures.shares_missed)])  # fmt: skip
-    unit = figures.unit
+    return f"Run {description.run}", _page_of_run(description, lines(figures), figures.unit, rows)
+
+
+def _of_runs(folder: Path, description: "Description") -> tuple[str, list[PagePart]]:
+    from concord.experiments.monte_carlo.histories_file import read_histories
+    from concord.experiments.monte_carlo.many_figures import lines, summarise
+    from concord.experiments.results.folder import ARRAYS
+
+    figures = summarise(*read_histories(folder / ARRAYS, description.setup))
+    rows = [
+        [str(i), *map(_interval, (n.rmse, n.rmse_local_only, n.anees)),
+         f"{n.sent:.4g}", f"{n.heard:.4g}", f"{n.missed:.4g}"]
+        for i, n in enumerate(figures.nodes)
+    ]  # fmt: skip
+    whole = (figures.rmse, figures.rmse_local_only, figures.anees)
+    rows.append(["all", *map(_interval, whole), f"{figures.shares_sent:.4g}", "",
+                 f"{figures.shares_missed:.4g}"])  # fmt: skip
+    title = f"{figures.runs} runs {description.run}"
+    return title, _page_of_run(description, lines(figures), figures.unit, rows)
+
+
+def _page_of_run(
+    description: "Description", lines: Sequence[str], unit: str, rows: list[list[str]]
+) -> list[PagePart]:
     head = ["node", f"RMSE [{unit}]", f"alone [{unit}]", "ANEES", "sent", "heard", "missed"]
     scenario = msgspec.json.encode(description.setup.scenario).decode()
-    return f"Run {description.run}", [
+    return [
         Paragraph(f"Driver {description.driver}, seed {description.seed}."),
-        *(Paragraph(text) for text in lines(figures)),
+        *(Paragraph(text) for text in lines),
         Grid(head, rows, 1),
         *_provenance({"commit": str(description.commit), **description.versions}, scenario),
     ]

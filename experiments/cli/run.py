@@ -11,12 +11,13 @@ import tyro
 from concord.experiments.cli.collect import FiguresForm, finish
 from concord.experiments.cli.scenario_flags import ScenarioFlags, resolved
 from concord.experiments.few_samples import few_runs, few_steps
-from concord.experiments.memory import check_memory
+from concord.experiments.memory import check_address_space, check_memory
 from concord.experiments.monte_carlo.run_many import run_many
 from concord.experiments.page_options import LOOPBACK, check_place
 from concord.experiments.page_process import PageProcess
 from concord.experiments.progress import progress
 from concord.experiments.results.folder import (
+    BATCHED,
     RECORDING,
     describe,
     make_folder,
@@ -36,7 +37,7 @@ from concord.scenarios.setup import Setup
 from concord.scenarios.tempo import tempo_of
 from concord.scenarios.warnings import warnings_of
 
-BATCHED, REALTIME = "batched", "realtime"
+REALTIME = "realtime"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,6 +138,8 @@ def _check(options: RunOptions) -> None:
         ValueError: naming the option, its value and the cure.
     """
     require(options.runs >= 1, "runs", options.runs, "at least 1")
+    if options.driver in ("processes", REALTIME):
+        check_address_space(options.driver)
     many = options.runs > 1 or options.covariances
     if many and options.driver != BATCHED:
         option = f"--runs {options.runs}" if options.runs > 1 else "--covariances"

@@ -5,12 +5,11 @@ import shutil
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import msgspec
-import numpy as np
 from rich.console import Console
 
+from concord.experiments.monte_carlo.histories_file import histories_dataset
 from concord.experiments.monte_carlo.many_figures import (
     ManyFigures,
     RunCost,
@@ -22,18 +21,13 @@ from concord.experiments.monte_carlo.simulate import (
     AGES,
     COV,
     READINGS,
-    Histories,
     Interrupted,
     simulate,
 )
 from concord.experiments.progress import progress
 from concord.experiments.results.folder import Description, write_whole
 from concord.runtime.batched.build import without_array_form
-from concord.scenarios.catalogue import definition_of
 from concord.scenarios.setup import Setup
-
-if TYPE_CHECKING:
-    import xarray
 
 
 def run_many(
@@ -69,60 +63,11 @@ def run_many(
     seconds = time.monotonic() - started
     peak_memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     # The file is written first, because a second Ctrl-C may end the program before the table.
-    write_whole(folder, histories_dataset(histories), description)
-    _show(summarise(histories, RunCost(seconds, peak_memory_mb)), setup, as_json)
+    cost = RunCost(seconds, peak_memory_mb)
+    write_whole(folder, histories_dataset(histories, cost), description)
+    _show(summarise(histories, cost), setup, as_json)
     if stopped is not None:
         raise stopped
-
-
-def histories_dataset(histories: Histories) -> "xarray.Dataset":
-    """Return the histories with named dimensions and units."""
-    # Loading xarray can take longer than a run, so it is loaded only to write a file.
-    import xarray
-
-    setup = histories.setup
-    definition = definition_of(setup.scenario)
-    plant = definition.plant(setup.scenario)
-    names = list(plant.state_names)
-    state = ("run", "step", "node", "state")
-    per_share = ("run", "step", "round", "node")
-    variables: dict[str, Any] = {
-        "truth": (("run", "step", "state"), histories.truth),
-        "mean": (state, histories.mean),
-        "cov_trace": (state[:-1], histories.cov_trace),
-        "nees": (
-            state[:-1],
-            histories.nees,
-            {"states": [names[i] for i in definition.score.nees_states]},
-        ),
-        "payload_bytes": (per_share, histories.payload_bytes, {"units": "B"}),
-        "asked": (per_share, histories.asked.astype(np.int8)),
-        **{
-            name.replace(" ", "_").replace("-", "_"): (("run", "node"), counts)
-            for name, counts in histories.counters.items()
-        },
-    }
-    if histories.control is not None:
-        variables["control"] = (("run", "step", "input"), histories.control)
-    if histories.readings is not None:
-        dimensions = ("run", "step", "node", "reading", "channel")
-        variables["readings"] = (dimensions, histories.readings)
-    if histories.ages is not None:
-        units = {"units": "communication cycles"}
-        variables["ages"] = (("run", "step", "link"), histories.ages, units)
-    if histories.cov is not None:
-        variables["cov"] = ((*state, "other_state"), histories.cov)
-    heard = setup.neighbours
-    coordinates = {
-        "run": histories.runs,
-        "step": np.arange(setup.scenario.steps),
-        "time": ("step", np.arange(setup.scenario.steps) * setup.time_step_s, {"units": "s"}),
-        "state": names,
-        "state_unit": ("state", list(plant.state_units)),
-        "receiver": ("link", np.repeat(np.arange(len(heard)), [len(some) for some in heard])),
-        "sender": ("link", np.array([j for some in heard for j in some], dtype=np.int64)),
-    }
-    return xarray.Dataset(variables, coordinates)
 
 
 def _show(figures: ManyFigures, setup: Setup, as_json: bool) -> None:

@@ -28,6 +28,8 @@ from concord.scenarios.setup import Setup
 if TYPE_CHECKING:
     import xarray
 
+BATCHED = "batched"
+"""The driver whose folder holds many runs and no recording."""
 RECORDING, ARRAYS, DESCRIPTION, CAPTURE = "run.mcap", "run.nc", "run.json", "bus.pcap"
 _VERSIONED = ("numpy", "scipy", "networkx", "eclipse-zenoh", "msgspec")
 

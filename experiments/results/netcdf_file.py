@@ -1,11 +1,13 @@
-"""A data set as a netCDF file, whole or not at all.
+"""A data set as a netCDF file, written whole or not at all, and read whole or refused.
 
 HDF5 crashes the process that closes a file of which a full disk has not taken all (h5py 3.16,
 HDF5 2.0). So it writes through a file that takes everything, and remembers what the disk did not.
 """
 
 import io
+from collections.abc import Iterable
 from pathlib import Path
+from textwrap import shorten
 from typing import TYPE_CHECKING, Any
 
 from concord.runtime.disk import writing
@@ -86,3 +88,34 @@ def write_dataset(
     finally:
         # Interrupted: no arrays are better than broken ones.
         part.unlink(missing_ok=True)
+
+
+def read_dataset(path: Path, names: Iterable[str], remedy: str) -> "xarray.Dataset":
+    """Return the data set of a file that has the variables of these names.
+
+    Raises:
+        ValueError: the file cannot be read, or lacks a variable; the message ends with `remedy`.
+    """
+    import h5py
+    import xarray
+
+    try:
+        # h5netcdf's file, when it cannot be opened, raises once more as Python collects it.
+        with h5py.File(path, "r") as file:
+            dict(file.attrs)
+        dataset = xarray.load_dataset(path, engine="h5netcdf")
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read ({_first_line(error)}); {remedy}") from None
+    except Exception as error:
+        # HDF5, h5py, h5netcdf and xarray each raise errors of their own at a damaged byte.
+        raise ValueError(
+            f"{path}: cannot be read as netCDF ({_first_line(error)}); {remedy}"
+        ) from None
+    lacking = [name for name in names if name not in dataset.variables]
+    if lacking:
+        raise ValueError(f"{path}: has no variable {', '.join(lacking)}; {remedy}")
+    return dataset
+
+
+def _first_line(error: Exception) -> str:
+    return shorten(str(error) or type(error).__name__, 200, placeholder=" ...")

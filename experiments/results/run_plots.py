@@ -1,4 +1,4 @@
-"""Pictures of one run: errors and consistency over time, errors by node, ages of shares."""
+"""Pictures of a run folder: errors and consistency over time, errors by node, ages of shares."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from concord.experiments.results.folder import ARRAYS, Description, read_description
+from concord.experiments.results.netcdf_file import read_dataset
 from concord.experiments.results.network_map import Mapped, network_maps
 from concord.experiments.results.palette import COLOURS, GREY
-from concord.filters.metrics import rmse
-from concord.scenarios.baselines import centralised
+from concord.filters.metrics import mean_of_known, rmse
+from concord.scenarios.baselines import centralised_of_runs
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.rules import is_set_valued
 from concord.scenarios.types.buses import occupancy_of
@@ -20,88 +21,105 @@ if TYPE_CHECKING:
 
 
 def run_figures(folder: Path) -> "dict[str, Figure]":
-    """The pictures of a run folder by name.
+    """The pictures of a run folder, of one run or of many, by name.
 
     Raises:
-        ValueError: it is no run folder, or its arrays are missing or no netCDF.
+        ValueError: it is no run folder, or its arrays are missing or damaged.
     """
-    import xarray
-
     description = read_description(folder)
-    path = folder / ARRAYS
-    if not path.is_file():
-        raise ValueError(f"{path}: there is none yet; `concord collect {folder}` makes it")
-    try:
-        data = xarray.load_dataset(path, engine="h5netcdf")
-    except (OSError, ValueError, KeyError) as error:
-        raise ValueError(
-            f"{path}: cannot be read as netCDF ({error}); `concord collect {folder}` makes it again"
-        ) from None
+    data = _arrays(folder, description)
     figures = {"error-over-time": _errors(description, data)}
     if not is_set_valued(description.setup.scenario):
         figures["consistency"] = _consistency(description, data)
     figures["network-map"] = _map(description, data)
-    if len(data["node"] if "node" in data.coords else data["mean"][0]) > 1:
+    if description.setup.scenario.nodes > 1:
         figures["share-ages"] = _ages(description, data)
     return figures
+
+
+def _arrays(folder: Path, description: Description) -> "xarray.Dataset":
+    """The arrays of R runs: mean (R, S, N, n), and so on; one run is one of one."""
+    path = folder / ARRAYS
+    if not path.is_file():
+        raise ValueError(f"{path}: there is none yet; `concord collect {folder}` makes it")
+    again = f"`concord collect {folder}` makes it again where the folder has a run.mcap"
+    data = read_dataset(path, ("time", "truth", "mean", "nees", "readings", "ages"), again)
+    if "run" not in data.dims:
+        data = data.expand_dims(run=[description.setup.scenario.run])
+    states = len(description.setup.prior_mean)
+    if data["mean"].shape[2:] != (description.setup.scenario.nodes, states):
+        raise ValueError(f"{path}: is of other nodes or states than run.json; {again}")
+    return data
 
 
 def _errors(description: Description, data: "xarray.Dataset") -> "Figure":
     setup = description.setup
     score = definition_of(setup.scenario).score
-    states = list(score.states)
-    errors = np.sqrt((data["error"].to_numpy()[..., states] ** 2).sum(-1))
+    errors = np.sqrt((_error(data)[..., list(score.states)] ** 2).sum(-1))
     control = data["control"].to_numpy() if "control" in data else None
-    central = centralised(setup, data["readings"].to_numpy(), control).mean
-    off = np.sqrt(((central - data["truth"].to_numpy())[:, states] ** 2).sum(-1))
+    runs = data["run"].to_numpy().tolist()
+    central = centralised_of_runs(setup, runs, data["readings"].to_numpy(), control).mean
+    off = central - data["truth"].to_numpy()
     figure, axes, time = _axes(data)
-    low, quarter, three, high = np.nanquantile(errors, (0, 0.25, 0.75, 1), axis=1)
+    low, quarter, three, high = np.nanquantile(errors, (0, 0.25, 0.75, 1), axis=(0, 2))
+    of_runs = " in all runs" if len(runs) > 1 else ""
     axes.fill_between(time, low, high, color=COLOURS[0], alpha=0.15, linewidth=0,
-                      label="all nodes")  # fmt: skip
+                      label=f"all nodes{of_runs}")  # fmt: skip
     axes.fill_between(time, quarter, three, color=COLOURS[0], alpha=0.3, linewidth=0,
                       label="half of the nodes")  # fmt: skip
-    axes.plot(time, rmse(errors[..., None], (1,)), color=COLOURS[0], label="network")
-    axes.plot(time, off, color=COLOURS[1], linestyle="--", label="one filter that hears everything")
+    axes.plot(time, rmse(errors[..., None], (0, 2)), color=COLOURS[0], label="network")
+    axes.plot(time, rmse(off[..., list(score.states)], (0,)), color=COLOURS[1], linestyle="--",
+              label="one filter that hears everything")  # fmt: skip
     axes.set(yscale="log", ylabel=f"error [{score.unit}]")
-    _finish(figure, axes, description)
+    _finish(figure, axes, description, data)
     return figure
+
+
+def _error(data: "xarray.Dataset") -> np.ndarray:
+    """Errors (R, S, N, n) of the nodes."""
+    return data["mean"].to_numpy() - data["truth"].to_numpy()[:, :, None]
 
 
 def _consistency(description: Description, data: "xarray.Dataset") -> "Figure":
     states = len(definition_of(description.setup.scenario).score.nees_states)
     values = data["nees"].to_numpy() / states
     figure, axes, time = _axes(data)
-    low, high = np.nanquantile(values, (0.05, 0.95), axis=1)
+    low, high = np.nanquantile(values, (0.05, 0.95), axis=(0, 2))
     axes.fill_between(time, low, high, color=COLOURS[2], alpha=0.2, linewidth=0,
                       label="9 nodes of 10")  # fmt: skip
-    axes.plot(time, np.nanmean(values, axis=1), color=COLOURS[2], label="mean of the nodes")
+    axes.plot(time, np.nanmean(values, axis=(0, 2)), color=COLOURS[2], label="mean of the nodes")
     axes.axhline(1, color=GREY, linestyle="--", linewidth=1, label="consistent")
     axes.set(yscale="log", ylabel="normalised squared error per state")
-    _finish(figure, axes, description)
+    _finish(figure, axes, description, data)
     return figure
 
 
 def _map(description: Description, data: "xarray.Dataset") -> "Figure":
     score = definition_of(description.setup.scenario).score
     first = min(score.first_step, data.sizes["step"] - 1)
-    error: np.ndarray = rmse(data["error"].to_numpy()[first:][..., list(score.states)], (0,))
-    return network_maps([Mapped(description.setup, error, _title(description))], score.unit)
+    error: np.ndarray = rmse(_error(data)[:, first:][..., list(score.states)], (0, 1))
+    title = _title(description, data)
+    return network_maps([Mapped(description.setup, error, title)], score.unit)
 
 
 def _ages(description: Description, data: "xarray.Dataset") -> "Figure":
     """Mean age of what each node holds of each neighbour."""
-    ages = data["ages"].to_numpy().astype(float)
-    ages[ages < 0] = np.nan
-    known = ~np.isnan(ages).all(axis=0)
-    mean = np.full(ages.shape[1:], np.nan)
-    mean[known] = np.nanmean(ages[:, known], axis=0)
+    found = data["ages"].to_numpy().astype(float)
+    found[found < 0] = np.nan
+    nodes = description.setup.scenario.nodes
+    mean = np.full((nodes, nodes), np.nan)
+    of_links = mean_of_known(found, (0, 1))
+    if "receiver" in data:
+        mean[data["receiver"].to_numpy(), data["sender"].to_numpy()] = of_links
+    else:
+        mean[:] = of_links
     np.fill_diagonal(mean, np.nan)
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(figsize=(5.2, 4.6), layout="constrained")
     image = axes.imshow(mean, cmap="cividis_r", interpolation="nearest", vmin=0)
     axes.set(xlabel="neighbour", ylabel="node")
-    axes.set_title(f"Mean age of held shares\n{_title(description)}", loc="left")
+    axes.set_title(f"Mean age of held shares\n{_title(description, data)}", loc="left")
     axes.grid(visible=False)
     figure.colorbar(image, label="communication cycles; dark is older; empty is no neighbour")
     return figure
@@ -114,15 +132,16 @@ def _axes(data: "xarray.Dataset") -> tuple[Any, Any, np.ndarray]:
     return figure, axes, data["time"].to_numpy()
 
 
-def _finish(figure: Any, axes: Any, description: Description) -> None:
+def _finish(figure: Any, axes: Any, description: Description, data: "xarray.Dataset") -> None:
     axes.set_xlabel("time [s]")
-    axes.set_title(_title(description), loc="left")
-    figure.legend(loc="outside lower center", ncols=4)
+    axes.set_title(_title(description, data), loc="left")
+    figure.legend(loc="outside lower center", ncols=4 if data.sizes["run"] == 1 else 2)
 
 
-def _title(description: Description) -> str:
+def _title(description: Description, data: "xarray.Dataset") -> str:
     scenario = description.setup.scenario
+    runs = f", {data.sizes['run']} runs" if data.sizes["run"] > 1 else ""
     return (
         f"{scenario.name}: {scenario.nodes} nodes, {scenario.network.graph}, {scenario.rule.name}, "
-        f"occupancy {occupancy_of(scenario.bus.schedule):g}, seed {scenario.seed}"
+        f"occupancy {occupancy_of(scenario.bus.schedule):g}, seed {scenario.seed}{runs}"
     )

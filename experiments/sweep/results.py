@@ -12,7 +12,7 @@ import numpy as np
 
 from concord.experiments.monte_carlo.run_figures import FIGURES
 from concord.experiments.results.folder import commit, versions
-from concord.experiments.results.netcdf_file import write_dataset
+from concord.experiments.results.netcdf_file import read_dataset, write_dataset
 from concord.experiments.sweep.specification import Cell, Specification, Value, cells_of
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.scenario_definition import ScenarioDefinition
@@ -88,19 +88,21 @@ def read_result(path: Path) -> "xarray.Dataset":
     Raises:
         ValueError: it cannot be read, or is none of ours.
     """
-    import xarray
-
     if not path.is_file():
         there = "is a folder" if path.is_dir() else "does not exist"
         raise ValueError(
             f"{path} {there}; name the file that `concord sweep` has made, or is to make"
         )
-    try:
-        dataset = xarray.load_dataset(path, engine="h5netcdf")
-    except (OSError, ValueError, KeyError) as error:
-        raise ValueError(f"{path}: cannot be read as netCDF ({error})") from None
+    remedy = "name the file that `concord sweep` has made"
+    dataset = read_dataset(path, (), remedy)
     if SPECIFICATION not in dataset.attrs:
         raise ValueError(f"{path}: not the result of `concord sweep`: it has no specification")
+    try:
+        specification = specification_of(dataset)
+        cells_of(specification)
+        dataset["rmse"].attrs["units"], dataset.attrs["seed"], dataset.attrs["versions"]
+    except (msgspec.MsgspecError, KeyError, ValueError) as error:
+        raise ValueError(f"{path}: is damaged ({error}); {remedy}") from None
     return dataset
 
 

@@ -1,12 +1,21 @@
 """Pictures and pages: all that a result has enough for, readable as text where they are text."""
 
+import json
 import re
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import h5py
+import numpy as np
 import pytest
+import xarray
 
 from concord.experiments.__main__ import main
+from concord.experiments.design.results import read_design
+from concord.experiments.results.netcdf_file import write_dataset
 from concord.experiments.results.palette import COLOURS
+from concord.experiments.results.run_plots import run_figures
 from concord.experiments.sweep.run import begin, finish
 from concord.experiments.sweep.specification import specify
 from concord.experiments.sweep.workers import in_this_process
@@ -76,6 +85,65 @@ def test_a_run_has_its_pictures_and_its_page(tmp_path: Path, capsys: pytest.Capt
     assert "<table>" in (folder / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize(
+    "asked",
+    [
+        "oscillator --nodes 4 --steps 24",
+        "target-tracking --nodes 4 --steps 22 --rule labelled --schedule dynamic --occupancy .5",
+        "liu2021-network --steps 4",
+        "dc-motor-speed --steps 12",
+    ],
+)
+def test_many_runs_have_pictures_and_the_page_of_what_was_printed(
+    asked: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    folder = tmp_path / "many"
+    words = ["--driver", "batched", "--runs", "3", "--out", str(folder)]
+    main(["run", "--scenario", *asked.split(), *words])
+    printed = " ".join(capsys.readouterr().out.split())
+    main(["plot", str(folder / "run.nc")])
+    names = {path.stem for path in (folder / "plots").iterdir()}
+    of_beliefs = set() if "liu" in asked else {"consistency"}
+    assert names == {"error-over-time", "network-map", "share-ages"} | of_beliefs
+    main(["report", str(folder), "-o", str(tmp_path / "page.md")])
+    _, _, *said = (tmp_path / "page.md").read_text(encoding="utf-8").split("\n\n| ")[0].splitlines()
+    said = [line for line in said if line and not line.startswith("Driver")]
+    assert len(said) >= 4 and all(line in printed for line in said), said
+
+
+def test_pictures_of_many_runs_are_of_all_of_them(tmp_path: Path):
+    """One run among many is drawn as it is alone, if the others have the same numbers."""
+    folder = tmp_path / "many"
+    asked = ["run", "--scenario", "oscillator", "--nodes", "3", "--steps", "22"]
+    main([*asked, "--driver", "batched", "--runs", "2", "--out", str(folder)])
+    main([*asked, "--out", str(tmp_path / "one")])
+    with xarray.load_dataset(folder / "run.nc") as data:
+        twice = data.isel(run=[0, 0]).assign_coords(run=data["run"])
+    write_dataset(twice, folder / "run.nc")
+    of_both, of_one = (run_figures(path) for path in (folder, tmp_path / "one"))
+    for name in ("error-over-time", "consistency"):
+        drawn, alone = (figures[name].axes[0].lines for figures in (of_both, of_one))
+        for line, expected in zip(drawn, alone, strict=True):
+            both, one = np.asarray(line.get_ydata()), np.asarray(expected.get_ydata())
+            np.testing.assert_allclose(both, one, rtol=1e-8)
+
+
+def test_a_design_has_its_pictures_and_its_page(tmp_path: Path):
+    out = tmp_path / "design.json"
+    asked = "--scenario oscillator --nodes 3 --steps 24 --graph ring --weights metropolis --rule ci"
+    limits = "--rounds 1 --schedule full --number float64,float32 --runs 4 --target-rmse 9"
+    main(["design", *asked.split(), *limits.split(), "-o", str(out)])
+    main(["plot", str(out)])
+    assert {path.stem for path in (tmp_path / "design-plots").iterdir()} == {"front"}
+    main(["report", str(out), "-o", str(tmp_path / "page.md")])
+    page = (tmp_path / "page.md").read_text(encoding="utf-8")
+    front = [one for one in read_design(out).tried if one.front]
+    assert front
+    for one in front:
+        costs = " | ".join(f"{cost:.4g}" for cost in one.costs.values())
+        assert f"| {costs} | {one.runs} |" in page
+
+
 def test_a_page_needs_no_other_file(result: Path, tmp_path: Path):
     main(["report", str(result), "-o", str(tmp_path / "s.html")])
     main(["report", str(result), "-o", str(tmp_path / "s.md")])
@@ -96,3 +164,99 @@ def test_what_is_no_result_is_refused(
     (tmp_path / "folder").mkdir()
     for name in ("missing.nc", "x.nc", "x.json", "folder"):
         assert name in refused(concord(capsys, command, tmp_path / name))
+
+
+def _lacking(name: str) -> Callable[[Path], None]:
+    def damage(path: Path) -> None:
+        with h5py.File(path, "a") as file:
+            del file[name]
+
+    return damage
+
+
+def _without(attribute: str) -> Callable[[Path], None]:
+    def damage(path: Path) -> None:
+        with h5py.File(path, "a") as file:
+            del file.attrs[attribute]
+
+    return damage
+
+
+def _cut(share: float) -> Callable[[Path], None]:
+    def damage(path: Path) -> None:
+        whole = path.read_bytes()
+        path.write_bytes(whole[: int(share * len(whole))])
+
+    return damage
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [_cut(0.0), _cut(0.001), _cut(0.5), _cut(0.99), _lacking("mean"), _lacking("nees"),
+     _lacking("time"), _lacking("readings")],
+)  # fmt: skip
+@pytest.mark.parametrize("command", ["plot", "report"])
+def test_damaged_arrays_are_refused_in_a_sentence(
+    command: str,
+    damage: Callable[[Path], None],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+):
+    asked = ["run", "--scenario", "oscillator", "--nodes", "3", "--steps", "4"]
+    for words in ([], ["--driver", "batched", "--runs", "2"]):
+        folder = tmp_path / f"run{len(words)}"
+        main([*asked, *words, "--out", str(folder)])
+        capsys.readouterr()
+        damage(folder / "run.nc")
+        assert "run.nc: " in refused(concord(capsys, command, folder))
+
+
+@pytest.mark.parametrize(
+    "damage", [_cut(0.5), _lacking("rmse"), _without("specification"), _without("seed")]
+)
+@pytest.mark.parametrize("command", ["plot", "report"])
+def test_a_damaged_sweep_is_refused_in_a_sentence(
+    command: str,
+    damage: Callable[[Path], None],
+    result: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+):
+    (tmp_path / "s.nc").write_bytes(result.read_bytes())
+    damage(tmp_path / "s.nc")
+    assert "s.nc: " in refused(concord(capsys, command, tmp_path / "s.nc"))
+
+
+@pytest.mark.parametrize(
+    ("part", "value"),
+    [
+        ("neighbours", [[1, 2], [0, 99], [0, 1]]),
+        ("neighbours", [[1, 2], [0, -1], [0, 1]]),
+        ("neighbours", [[1, 2], [0, 2]]),
+        ("neighbours", [[0, 2], [0, 2], [0, 1]]),
+        ("weights", [[1.0]]),
+        ("prior_cov", [[1.0, 0.0], []]),
+        ("prior_mean", [0.0]),
+    ],
+)
+@pytest.mark.parametrize("command", ["plot", "report"])
+def test_a_description_of_no_network_is_refused(
+    command: str, part: str, value: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    folder = tmp_path / "run"
+    main(["run", "--scenario", "oscillator", "--nodes", "3", "--steps", "4", "--out", str(folder)])
+    capsys.readouterr()
+    described = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    described["setup"][part] = value
+    (folder / "run.json").write_text(json.dumps(described), encoding="utf-8")
+    assert "run.json: not the description of a run" in refused(concord(capsys, command, folder))
+
+
+def test_a_word_without_end_is_not_quoted_whole(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    folder = tmp_path / "run"
+    main(["run", "--scenario", "oscillator", "--nodes", "3", "--steps", "4", "--out", str(folder)])
+    capsys.readouterr()
+    described = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    described["setup"]["scenario"]["filter"]["type"] = "x" * 100_000
+    (folder / "run.json").write_text(json.dumps(described), encoding="utf-8")
+    assert len(refused(concord(capsys, "plot", folder))) < 1000
