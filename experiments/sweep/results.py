@@ -94,15 +94,17 @@ def read_result(path: Path) -> "xarray.Dataset":
             f"{path} {there}; name the file that `concord sweep` has made, or is to make"
         )
     remedy = "name the file that `concord sweep` has made"
-    dataset = read_dataset(path, (), remedy)
+    dataset = read_dataset(path, ("rmse",), remedy)
     if SPECIFICATION not in dataset.attrs:
         raise ValueError(f"{path}: not the result of `concord sweep`: it has no specification")
     try:
         specification = specification_of(dataset)
         cells_of(specification)
-        dataset["rmse"].attrs["units"], dataset.attrs["seed"], dataset.attrs["versions"]
-    except (msgspec.MsgspecError, KeyError, ValueError) as error:
+    except ValueError as error:
         raise ValueError(f"{path}: is damaged ({error}); {remedy}") from None
+    lacking = {"seed", "versions", "commit"} - dataset.attrs.keys()
+    if lacking or "units" not in dataset["rmse"].attrs:
+        raise ValueError(f"{path}: is damaged (it lacks seed, versions or units); {remedy}")
     return dataset
 
 
