@@ -45,6 +45,24 @@ def in_words(state: NodeState) -> tuple:
     )
 
 
+def in_sum(state: NodeState) -> tuple:
+    """Return what a state believes and how many events it counted.
+
+    A repeat is counted as late or as repeated, whichever it is when its batch is taken.
+    """
+    phase, number, cycle, _, counters, shares, told, _ = in_words(state)
+    kinds = ("heard", "missed", "sent")
+    return (
+        phase,
+        number,
+        cycle,
+        shares,
+        told,
+        [counters.get(k) for k in kinds],
+        sum(counters.values()),
+    )
+
+
 def the_long_way(config: NodeConfig, events: Sequence[NodeEvent]) -> NodeState:
     with mock.patch.object(
         state_machine, "take_due", lambda config, state, events: (state, events)
@@ -118,3 +136,22 @@ def test_frames_that_come_together_mean_what_they_mean_one_after_the_other(data:
     np.testing.assert_array_equal(
         together.content.own.belief.mean, one_by_one.content.own.belief.mean
     )
+
+
+@pytest.mark.parametrize("name", SCHEDULES)
+@given(st.data())
+def test_events_that_come_together_mean_the_same_as_one_by_one(name: str, data: st.DataObject):
+    """Batches of frames, with repeats among them: a frame twice in a batch is used once."""
+    config = middle_node(SCHEDULES[name])
+    events = clean_events(config)
+    for _ in range(data.draw(st.integers(0, 4))):
+        place = data.draw(st.integers(0, len(events) - 1))
+        events.insert(place, events[place])
+    for frame in data.draw(st.lists(frames(config), max_size=3)):
+        events.insert(data.draw(st.integers(0, len(events))), frame)
+    state, left = initial_state(config), events
+    while left:
+        size = data.draw(st.integers(1, 5))
+        state, _ = step(config, state, *left[:size])
+        left = left[size:]
+    assert in_sum(state) == in_sum(feed(config, events)[0])
