@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from concord.bus.flexray.cluster_parameters import Segment
+from concord.bus.flexray.cluster_parameters import TRAILING_BITS, Segment
 from concord.bus.recordings.decoder import DecodedFrame, Decoding
 
 REPETITIONS = (1, 2, 4, 8, 16, 32, 64)
@@ -55,8 +55,8 @@ class Fit(NamedTuple):
 
 
 class _Pairs(NamedTuple):
-    """Consecutive dynamic frames: time between their starts, the first one's length, silent IDs,
-    and in which of the cycles."""
+    """Consecutive dynamic frames: time between their starts, the first one's length with the
+    shortest trailing sequence, silent IDs, and in which of the cycles."""
 
     gap_us: NDArray[np.float64]
     frame_us: NDArray[np.float64]
@@ -79,7 +79,7 @@ def fit(decoding: Decoding) -> Fit:
     dynamic = [[f for f in cycle if decoding.segment(f) == "dynamic"] for cycle in cycles]
     frames = [frame for cycle in cycles for frame in cycle]
     static_slot_us = _slot_pitch_us(static)
-    pairs = _dynamic_pairs(dynamic)
+    pairs = _dynamic_pairs(dynamic, TRAILING_BITS / decoding.bit_rate_mbps)
     minislot_us = _minislot_us(pairs)
     explained = 0 if minislot_us is None else int(pairs.explained(minislot_us).sum())
     return Fit(
@@ -139,11 +139,11 @@ def _start_jitter_us(
     return float(centred.min()), float(centred.max())
 
 
-def _dynamic_pairs(dynamic: Sequence[Sequence[DecodedFrame]]) -> _Pairs:
+def _dynamic_pairs(dynamic: Sequence[Sequence[DecodedFrame]], trailing_us: float) -> _Pairs:
     pairs = [(i, a, b) for i, cycle in enumerate(dynamic) for a, b in pairwise(cycle)]
     return _Pairs(
         gap_us=np.array([b.start_us - a.start_us for _, a, b in pairs], dtype=float),
-        frame_us=np.array([a.end_us - a.start_us for _, a, _ in pairs], dtype=float),
+        frame_us=np.array([a.end_us - a.start_us + trailing_us for _, a, _ in pairs], dtype=float),
         empty=np.array([b.frame.frame_id - a.frame.frame_id - 1 for _, a, b in pairs], dtype=float),
         cycle=np.array([i for i, _, _ in pairs], dtype=int),
     )

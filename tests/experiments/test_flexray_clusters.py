@@ -24,7 +24,9 @@ def test_presets_are_valid_and_their_segments_fill_the_cycle(name: str, capsys):
     assert answer["static_frame_us"] == pytest.approx(bits / 10)
     assert answer["static_frame_us"] < answer["static_slot_us"]
     text = concord(capsys, "flexray", "validate", name).out
-    assert f"cluster {name}: valid" in text and "static slot" in text
+    assert f"cluster {name}: valid; keeps levels 2.1, 3.0.1, physical" in text
+    assert answer["levels"] == {"2.1": [], "3.0.1": [], "physical": []}
+    assert "static slot" in text
 
 
 def test_the_audi_cluster_has_the_times_of_the_recording():
@@ -45,7 +47,7 @@ def test_every_broken_rule_is_named_with_its_numbers(tmp_path: Path, capsys):
     text = with_field("static_slots", 21)
     path.write_text(text.replace("microticks_per_cycle = 400000", "microticks_per_cycle = 400001"))
     sentence = refused(concord(capsys, "flexray", "validate", path))
-    assert "constraint 18" in sentence and "271 x 21" in sentence and "set " in sentence
+    assert "constraint 18" in sentence and "272 x 21" in sentence and "set " in sentence
     assert "constraint 19" in sentence and "400001" in sentence
     assert str(path) in sentence
 
