@@ -2,6 +2,7 @@
 
 import json
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
@@ -23,8 +24,9 @@ _OTHER_NAMES = {
 }
 
 
-def cluster_to_toml(cluster: Cluster) -> str:
-    """The TOML text of a cluster; parameters that it leaves open are left out."""
+def cluster_to_toml(cluster: Cluster, chosen: Sequence[str] = ()) -> str:
+    """The TOML text of a cluster; parameters that it leaves open are left out, and those that were
+    chosen are said to be."""
     lines: list[str] = []
     fields = msgspec.structs.asdict(cluster)
     clocks = ClockParameters.__struct_fields__
@@ -35,7 +37,7 @@ def cluster_to_toml(cluster: Cluster) -> str:
         # A JSON string without escapes of its own is a TOML string; names are printable text.
         plain = list(value) if isinstance(value, tuple) else value
         text = json.dumps(plain, ensure_ascii=False) if isinstance(plain, str) else repr(plain)
-        comment = _standard_name(field)
+        comment = ", ".join(filter(None, (_standard_name(field), "chosen" * (field in chosen))))
         lines.append(f"{field} = {text}" + (f"  # {comment}" if comment else ""))
     return "\n".join(lines) + "\n"
 

@@ -95,7 +95,7 @@ def convert(
             raise ValueError(f"{target}: cannot tell the format; call it *.toml or *.xml (FIBEX)")
         cluster = read_cluster(source, name)
         toml = target.suffix == ".toml"
-        _write_new(target, cluster_to_toml(cluster) if toml else cluster_to_fibex(cluster))
+        write_new(target, cluster_to_toml(cluster) if toml else cluster_to_fibex(cluster))
     stated = [field for field in WITHOUT_ELEMENT if getattr(cluster, field) is not None]
     left_out = [] if toml else stated
     if json:
@@ -170,7 +170,12 @@ def _table(cluster: Cluster, times: Derived) -> Table:
     return grid
 
 
-def _write_new(path: Path, text: str) -> None:
+def write_new(path: Path, text: str) -> None:
+    """Write a file that does not exist yet.
+
+    Raises:
+        ValueError: it exists, or cannot be written.
+    """
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
