@@ -13,6 +13,7 @@ from rich.table import Table
 
 from concord.bus.flexray.cluster_files import cluster_to_toml
 from concord.bus.flexray.constraints import BIT_RATES_MBPS
+from concord.bus.flexray.slot_file import slots_to_toml
 from concord.bus.recordings.csv_recording import Unit
 from concord.bus.recordings.decoder import DecodedFrame, Decoding, decode_waveform, reencodes
 from concord.bus.recordings.fit import Fit
@@ -20,6 +21,7 @@ from concord.bus.recordings.fit import fit as fit_cluster
 from concord.bus.recordings.multiplexing import Multiplex
 from concord.bus.recordings.pcap import Captured, CapturedSymbol, write_pcap
 from concord.bus.recordings.recorded_cluster import recorded_cluster
+from concord.bus.recordings.recorded_slots import recorded_slots
 from concord.bus.recordings.recording_files import read_recording
 from concord.bus.recordings.symbols import Symbol
 from concord.experiments.flexray.clusters import write_new
@@ -121,6 +123,7 @@ def fit(
     column: str | None = None,
     unit: Unit | None = None,
     out: Path | None = None,
+    slots: Path | None = None,
     cycle_us: float | None = None,
     json: bool = False,
 ) -> None:
@@ -132,6 +135,7 @@ def fit(
         column: Which signal of a file that has several.
         unit: Unit of the times of a CSV file. Otherwise its heading decides.
         out: Cluster file (.toml) to write. It says which parameters were chosen.
+        slots: Slot table (.toml) to write, for `concord flexray wcrt`.
         cycle_us: Length of a cycle for the cluster file. Otherwise the recording tells it.
         json: Print one JSON object.
     """
@@ -141,6 +145,8 @@ def fit(
         if out is not None:
             made = recorded_cluster(decoding, fitted, waveform.stem, cycle_us)
             write_new(out, cluster_to_toml(made.cluster, made.chosen))
+        if slots is not None:
+            write_new(slots, slots_to_toml(recorded_slots(decoding, fitted)))
     if json:
         ticks = fitted.macrotick
         result = {
