@@ -27,11 +27,15 @@ _CODING_ERROR = 0x02
 
 
 class Captured(NamedTuple):
-    """Bytes on the bus (a frame from header to frame CRC, right or wrong) and when they began."""
+    """Bytes on the bus (a frame from header to frame CRC, right or wrong) and when they began.
+
+    In a collision other bits were on the wire, so the frame has the coding error flag.
+    """
 
     time_us: float
     data: bytes
     channel: str = "A"
+    collision: bool = False
 
 
 class CapturedSymbol(NamedTuple):
@@ -65,6 +69,7 @@ def packet(captured: Captured | CapturedSymbol) -> bytes:
         errors = (0 if header_crc_ok else _HEADER_CRC_ERROR) | (
             0 if frame_crc_ok else _FRAME_CRC_ERROR
         )
+        errors |= _CODING_ERROR if captured.collision else 0
         body = bytes((measurement, errors)) + data[:-TRAILER_BYTES]
     return _timed(captured.time_us, body)
 
