@@ -2,10 +2,13 @@
 
 import json
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
 
+from concord.bus.flexray.clock_constraints import CLOCK_PARAMETERS
+from concord.bus.flexray.clock_parameters import ClockParameters
 from concord.bus.flexray.cluster import Cluster, ClusterError
 from concord.bus.flexray.constraints import PARAMETERS
 from concord.bus.flexray.fibex import cluster_from_fibex
@@ -16,17 +19,25 @@ _OTHER_NAMES = {
     "channels": "pChannels",
     "bit_rate_mbps": "1 / gdBit, Mbit/s",
     "microtick_us": "pdMicrotick",
+    "sync_slots": "pKeySlotId of nodes with pKeySlotUsedForSync",
+    "startup_slots": "pKeySlotId of nodes with pKeySlotUsedForStartup",
 }
 
 
-def cluster_to_toml(cluster: Cluster) -> str:
-    """The TOML text of a cluster."""
+def cluster_to_toml(cluster: Cluster, chosen: Sequence[str] = ()) -> str:
+    """The TOML text of a cluster; parameters that it leaves open are left out, and those that were
+    chosen are said to be."""
     lines: list[str] = []
-    for field, value in msgspec.structs.asdict(cluster).items():
+    fields = msgspec.structs.asdict(cluster)
+    clocks = ClockParameters.__struct_fields__
+    for field in sorted(fields, key=clocks.__contains__):
+        value = fields[field]
+        if value is None or value == ():
+            continue
         # A JSON string without escapes of its own is a TOML string; names are printable text.
-        text = json.dumps(value, ensure_ascii=False) if isinstance(value, str) else repr(value)
-        standard = PARAMETERS[field].standard_name if field in PARAMETERS else ""
-        comment = standard or _OTHER_NAMES.get(field, "")
+        plain = list(value) if isinstance(value, tuple) else value
+        text = json.dumps(plain, ensure_ascii=False) if isinstance(plain, str) else repr(plain)
+        comment = ", ".join(filter(None, (_standard_name(field), "chosen" * (field in chosen))))
         lines.append(f"{field} = {text}" + (f"  # {comment}" if comment else ""))
     return "\n".join(lines) + "\n"
 
@@ -41,7 +52,16 @@ def cluster_from_toml(text: str) -> Cluster:
     except tomllib.TOMLDecodeError as error:
         raise ClusterError(f"the cluster file is not TOML: {error}") from error
     except msgspec.ValidationError as error:
-        raise ClusterError(f"the cluster file is not valid: {error}") from error
+        field = str(error).rpartition("`$.")[2].rstrip("`")
+        standard = _standard_name(field)
+        cure = f"; {field} is {standard} of the standard, correct its value" if standard else ""
+        raise ClusterError(f"the cluster file is not valid: {error}{cure}") from error
+
+
+def _standard_name(field: str) -> str:
+    parameters = PARAMETERS | CLOCK_PARAMETERS
+    known = parameters[field].standard_name if field in parameters else ""
+    return known or _OTHER_NAMES.get(field, "")
 
 
 def read_cluster_file(path: Path, name: str | None = None) -> Cluster:

@@ -7,8 +7,7 @@ FlexRay protocol specification (2.1, 3.0.1), whose ranges and constraints a `Clu
 import math
 from typing import Literal
 
-import msgspec
-
+from concord.bus.flexray.clock_parameters import ClockParameters
 from concord.bus.flexray.frame import OVERHEAD_BYTES
 
 Channels = Literal["A", "B", "AB"]
@@ -18,9 +17,16 @@ Segment = Literal["static", "dynamic"]
 """The parts of a communication cycle in which frames are sent."""
 
 CHANNEL_IDLE_BITS = 11
+"""High bits by which a receiver sees the end of a frame (cChannelIdleDelimiter)."""
+COLLISION_AVOIDANCE_BITS = 30
+"""Low bits of the collision avoidance and media test symbols (cdCAS)."""
+TRAILING_BITS = 1
+"""Shortest low part of a dynamic trailing sequence."""
+CLOCK_DEVIATION = 0.0015
+"""Largest deviation of a node's clock (cClockDeviationMax)."""
 
 
-class ClusterParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ClusterParameters(ClockParameters, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The parameters of a FlexRay cluster, unchecked, and what follows from them.
 
     Times and counts of a cycle (microticks, macroticks, microseconds) are all stated, as in a
@@ -131,19 +137,52 @@ class ClusterParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
         return self.frame_bits(payload_bytes) * self.bit_us
 
     def static_frame_macroticks(self, payload_bytes: int) -> int:
-        """Macroticks that a static frame needs: its bits, the 11 idle bits by which receivers see
-        its end, and the action point offset on either side."""
-        wire_us = (self.frame_bits(payload_bytes) + CHANNEL_IDLE_BITS) * self.bit_us
-        return 2 * self.action_point_macroticks + _ceiling(wire_us / self.macrotick_us)
+        """Macroticks that a static frame needs where its sender's clock is slow and the receiver's
+        fast: its bits, the idle bits after it, and the action point offset on either side.
+
+        FlexRay 2.1, constraint 12.
+        """
+        bits = self.frame_bits(payload_bytes) + CHANNEL_IDLE_BITS
+        return 2 * self.action_point_macroticks + self._slow_macroticks(bits)
+
+    def symbol_window_least_macroticks(self) -> int:
+        """Macroticks that a media test symbol needs (FlexRay 2.1, constraint 16)."""
+        bits = self.transmission_start_bits + COLLISION_AVOIDANCE_BITS + CHANNEL_IDLE_BITS
+        return 2 * self.action_point_macroticks + self._slow_macroticks(bits)
 
     def dynamic_slot_minislots(self, payload_bytes: int) -> int:
-        """Minislots of a dynamic slot: the frame, one in which idle is seen, the idle phase.
+        """Minislots of a dynamic slot: the frame with a trailing sequence up to the next action
+        point, the rest of that minislot, and the idle phase.
 
         Right for every consecutive pair of dynamic frames in the recording of a car's bus. The
         `flexray-adapter` preset agrees: 163 minislots, 16-byte frames, pLatestTx 157 = 163 - 7 + 1.
         """
-        frame = _ceiling(self.frame_us(payload_bytes) / self.minislot_us)
+        bits = self.frame_bits(payload_bytes) + TRAILING_BITS
+        frame = _ceiling(bits * self.bit_us / self.minislot_us)
         return frame + 1 + self.dynamic_slot_idle_phase_minislots
+
+    def dynamic_slot_most_minislots(self, payload_bytes: int) -> int:
+        """Minislots of a dynamic slot where the sender's clock is slow and the receiver's fast.
+
+        FlexRay 2.1, constraint 15.
+        """
+        bits = self.frame_bits(payload_bytes) + TRAILING_BITS
+        frame = _ceiling(self._slow_us(bits) / (self.minislot_us * (1 - CLOCK_DEVIATION)))
+        return frame + 1 + self.dynamic_slot_idle_phase_minislots
+
+    @property
+    def latest_start_minislot(self) -> int:
+        """Last minislot in which the longest dynamic frame may begin; 0 where none may."""
+        longest = self.dynamic_slot_most_minislots(self.dynamic_payload_bytes)
+        return max(0, self.minislots - longest + 1)
+
+    def _slow_us(self, bits: int) -> float:
+        """Duration of bits by the slowest clock, and their way to the farthest node."""
+        return bits * self.bit_us * (1 + CLOCK_DEVIATION) + (self.propagation_delay_us or 0.0)
+
+    def _slow_macroticks(self, bits: int) -> int:
+        fast_us = self.macrotick_us * (1 - CLOCK_DEVIATION)
+        return _ceiling(self._slow_us(bits) / fast_us)
 
 
 def _ceiling(value: float) -> int:

@@ -5,18 +5,12 @@ constraints: 2.1). A violation is one sentence: the rule, both sides with their 
 """
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from decimal import Decimal
 
+from concord.bus.flexray.clock_constraints import clock_range_violations, clock_violations
 from concord.bus.flexray.cluster_parameters import ClusterParameters
-
-
-class Parameter(NamedTuple):
-    """A parameter's name in the specification, and its range (both ends belong to it)."""
-
-    standard_name: str
-    low: int
-    high: int
-
+from concord.bus.flexray.parameter import Parameter
+from concord.bus.flexray.segment_constraints import segment_violations
 
 PARAMETERS: dict[str, Parameter] = {
     "cycle_us": Parameter("gdCycle", 10, 16000),
@@ -41,12 +35,44 @@ PARAMETERS: dict[str, Parameter] = {
 TIMES = ("cycle_us", "macrotick_us")
 BIT_RATES_MBPS = (10.0, 5.0, 2.5)
 MICROTICKS_US = (0.0125, 0.025, 0.05)
+SAMPLES_PER_BIT = 8
+SAMPLES_PER_MICROTICK = (1, 2, 4)
+MICROTICKS_PER_MACROTICK = (40, 240)
+MOST_MISPRINT_US = 0.0005
+
+
+def range_violations(cluster: ClusterParameters) -> tuple[str, ...]:
+    """Every value that no FlexRay cluster has, whatever the others are."""
+    return (*_name_and_choices(cluster), *_ranges(cluster), *clock_range_violations(cluster))
+
+
+def macrotick_violations(cluster: ClusterParameters) -> tuple[str, ...]:
+    """Constraint 17, for the macrotick as it is printed.
+
+    gdCycle / gMacroPerCycle is the truth. A printed macrotick may differ from it by one in its last
+    digit, and by half a nanosecond at most: 1.375 us stands for 5 ms / 3636.
+    """
+    macrotick_us = cluster.cycle_us / cluster.macroticks_per_cycle
+    digits = -int(Decimal(repr(float(cluster.macrotick_us))).as_tuple().exponent)
+    tolerance_us = max(min(10.0**-digits, MOST_MISPRINT_US), 1e-9)
+    if abs(cluster.macrotick_us - macrotick_us) <= tolerance_us:
+        return ()
+    product_us = cluster.macrotick_us * cluster.macroticks_per_cycle
+    return (
+        "constraint 17 (gdCycle = gdMacrotick x gMacroPerCycle): "
+        f"cycle_us is {cluster.cycle_us:g}, but {cluster.macrotick_us:.9g} us x "
+        f"{cluster.macroticks_per_cycle} = {product_us:.9g} us; set cycle_us to "
+        f"{product_us:.9g} or macrotick_us to {macrotick_us!r}",
+    )
 
 
 def violations(cluster: ClusterParameters) -> tuple[str, ...]:
-    """Every rule that the cluster breaks. The sums are looked at when all ranges are kept."""
-    ranges = (*_name_and_choices(cluster), *_ranges(cluster))
-    return ranges or (*_tick_constraints(cluster), *_length_constraints(cluster))
+    """Every constraint between values that the cluster breaks; its ranges are kept."""
+    return (
+        *_tick_constraints(cluster),
+        *segment_violations(cluster),
+        *clock_violations(cluster),
+    )
 
 
 def _name_and_choices(cluster: ClusterParameters) -> Iterator[str]:
@@ -87,15 +113,24 @@ def _ranges(cluster: ClusterParameters) -> Iterator[str]:
 
 
 def _tick_constraints(cluster: ClusterParameters) -> Iterator[str]:
-    product_us = cluster.macrotick_us * cluster.macroticks_per_cycle
-    # Both sides are rounded decimals in a file; they agree when no microtick is gained or lost.
-    if abs(product_us - cluster.cycle_us) > 0.5 * cluster.microtick_us:
-        macrotick_us = cluster.cycle_us / cluster.macroticks_per_cycle
+    sample_us = cluster.bit_us / SAMPLES_PER_BIT
+    samples = round(cluster.microtick_us / sample_us, 6)
+    if samples not in SAMPLES_PER_MICROTICK:
+        fitting = [f"{n * sample_us:g}" for n in SAMPLES_PER_MICROTICK]
+        known = [time for time in fitting if float(time) in MICROTICKS_US]
         yield (
-            "constraint 17 (gdCycle = gdMacrotick x gMacroPerCycle): "
-            f"cycle_us is {cluster.cycle_us:g}, but {cluster.macrotick_us:.9g} us x "
-            f"{cluster.macroticks_per_cycle} = {product_us:.9g} us; set cycle_us to "
-            f"{product_us:.9g} or macrotick_us to {macrotick_us!r}"
+            "microtick (pdMicrotick = pSamplesPerMicrotick x gdBit / 8, 1, 2 or 4 samples): "
+            f"microtick_us is {cluster.microtick_us:g}, {samples:g} samples at "
+            f"{cluster.bit_rate_mbps:g} Mbit/s; set microtick_us to {' or '.join(known)}"
+        )
+    ratio = cluster.macrotick_us / cluster.microtick_us
+    fewest, most = MICROTICKS_PER_MACROTICK
+    if not fewest - 1e-6 <= ratio <= most + 1e-6:
+        yield (
+            "constraint 6 (40 x pdMicrotick <= gdMacrotick <= 240 x pdMicrotick): macrotick_us is "
+            f"{cluster.macrotick_us:.9g}, {ratio:.4g} x {cluster.microtick_us:g} us; set "
+            f"macrotick_us between {fewest * cluster.microtick_us:g} and "
+            f"{most * cluster.microtick_us:g}, or another microtick_us"
         )
     microticks = round(cluster.cycle_us / cluster.microtick_us)
     if cluster.microticks_per_cycle != microticks:
@@ -130,34 +165,3 @@ def _cycle_sum(cluster: ClusterParameters) -> Iterator[str]:
         f"{cluster.minislot_macroticks} x {cluster.minislots} + {cluster.symbol_window_macroticks} "
         f"+ {cluster.network_idle_time_macroticks} = {total}; " + " or ".join(cures)
     )
-
-
-def _length_constraints(cluster: ClusterParameters) -> Iterator[str]:
-    need = cluster.static_frame_macroticks(cluster.static_payload_bytes)
-    if need > cluster.static_slot_macroticks:
-        yield (
-            "static slot length (gdStaticSlot >= 2 x gdActionPointOffset + frame + 11 idle bits): "
-            f"static_slot_macroticks is {cluster.static_slot_macroticks}, but a frame of "
-            f"{cluster.static_payload_bytes} bytes needs {need} macroticks; set "
-            f"static_slot_macroticks to {need} or fewer static_payload_words"
-        )
-    if cluster.minislots == 0:
-        return
-    if cluster.minislot_action_point_macroticks >= cluster.minislot_macroticks:
-        yield (
-            "minislot action point (gdMinislotActionPointOffset < gdMinislot): "
-            f"minislot_action_point_macroticks is {cluster.minislot_action_point_macroticks}, but "
-            f"a minislot has {cluster.minislot_macroticks} macroticks; set a smaller offset"
-        )
-    if cluster.latest_transmission_minislot == 0:
-        return
-    longest = cluster.dynamic_slot_minislots(cluster.dynamic_payload_bytes)
-    latest = max(0, cluster.minislots - longest + 1)
-    if cluster.latest_transmission_minislot > latest:
-        yield (
-            "latest transmission (pLatestTx <= gNumberOfMinislots - longest dynamic slot + 1): "
-            f"latest_transmission_minislot is {cluster.latest_transmission_minislot}, but a "
-            f"dynamic frame of {cluster.dynamic_payload_bytes} bytes lasts {longest} of "
-            f"{cluster.minislots} minislots; set latest_transmission_minislot to {latest} or fewer "
-            "dynamic_payload_words"
-        )

@@ -1,7 +1,8 @@
 """Clusters in FIBEX, the exchange format of FlexRay tools (ASAM MCD-2 NET, versions 2 to 4).
 
-Reads a cluster, its channels and, where a file has them, its controllers (pLatestTx, microtick,
-longest dynamic payload). Frames, signals and wake-up are left alone, and are not written.
+Reads a cluster, its channels and, where a file has them, the controllers on these channels
+(pLatestTx, microtick, longest dynamic payload, corrections, key slots). Frames, signals and wake-up
+are left alone, and are not written.
 """
 
 from collections.abc import Iterable, Sequence
@@ -49,12 +50,32 @@ _CLUSTER_TAGS = (
     _Tag("PAYLOAD-LENGTH-STATIC", "static_payload_words"),
     _Tag("CYCLE", "cycle_us", float),
 )
+_CLOCK_TAGS = (
+    _Tag("COLD-START-ATTEMPTS", "cold_start_attempts"),
+    _Tag("LISTEN-NOISE", "listen_noise"),
+    _Tag("MAX-WITHOUT-CLOCK-CORRECTION-FATAL", "halt_after_cycle_pairs"),
+    _Tag("MAX-WITHOUT-CLOCK-CORRECTION-PASSIVE", "passive_after_cycle_pairs"),
+    _Tag("OFFSET-CORRECTION-START", "offset_correction_start_macroticks"),
+    _Tag("SYNC-NODE-MAX", "sync_nodes_most"),
+    _Tag("CLUSTER-DRIFT-DAMPING", "drift_damping_microticks"),
+    _Tag("OFFSET-CORRECTION-MAX", "offset_correction_us", float),
+)
 _CONTROLLER_TAGS = (
     _Tag("MAX-DYNAMIC-PAYLOAD-LENGTH", "dynamic_payload_words"),
     _Tag("LATEST-TX", "latest_transmission_minislot"),
     _Tag("MICRO-PER-CYCLE", "microticks_per_cycle"),
     _Tag("MICROTICK", "microtick_us", float),
 )
+_CORRECTION_TAGS = (
+    _Tag("ACCEPTED-STARTUP-RANGE", "startup_range_microticks"),
+    _Tag("LISTEN-TIMEOUT", "listen_timeout_microticks"),
+    _Tag("MAX-DRIFT", "drift_microticks"),
+    _Tag("OFFSET-CORRECTION-OUT", "offset_correction_microticks"),
+    _Tag("RATE-CORRECTION-OUT", "rate_correction_microticks"),
+)
+_ALL_TAGS = _CLUSTER_TAGS + _CLOCK_TAGS + _CONTROLLER_TAGS + _CORRECTION_TAGS
+WITHOUT_ELEMENT = ("precision_us", "propagation_delay_us")
+"""Fields of a cluster for which FIBEX has no element."""
 
 
 def cluster_from_fibex(text: str | bytes, name: str | None = None) -> Cluster:
@@ -76,19 +97,33 @@ def cluster_from_fibex(text: str | bytes, name: str | None = None) -> Cluster:
         "bit_rate_mbps": _bit_rate_mbps(element, where),
         "number_of_cycles": 1 + _number(element, _FLEXRAY, "CYCLE-COUNT-MAX", int, where, 63),
         **{tag.field: _required(element, tag, where) for tag in _CLUSTER_TAGS},
+        **{
+            tag.field: _number(element, _FLEXRAY, tag.name, tag.kind, where, None)
+            for tag in _CLOCK_TAGS
+        },
     }
-    controllers = root.findall(f".//{_FX}CONTROLLER")
-    fields |= _controller_fields(controllers)
+    period_us = _number(element, _FLEXRAY, "SAMPLE-CLOCK-PERIOD", float, where, 0.0)
+    fields |= _controller_fields(_controllers(root, element), period_us)
     try:
         return _with_usual_values(fields)
     except ClusterError as error:
-        tags = [tag.name for tag in _CLUSTER_TAGS + _CONTROLLER_TAGS if tag.field in str(error)]
+        tags = [tag.name for tag in _ALL_TAGS if tag.field in str(error)]
         raise FibexError(f"{error} (FIBEX elements: {', '.join(tags) or 'SHORT-NAME'})") from error
 
 
 def cluster_to_fibex(cluster: Cluster) -> str:
-    """The FIBEX document of a cluster, with one controller that has the nodes' parameters."""
+    """The FIBEX document of a cluster, with one controller that has the nodes' parameters and one
+    for each key slot. The fields in `WITHOUT_ELEMENT` are left out."""
     fields = msgspec.structs.asdict(cluster)
+    key_slots = "".join(
+        f"""
+      <fx:CONTROLLER ID="controller_{slot}" xsi:type="flexray:CONTROLLER-TYPE">
+        <ho:SHORT-NAME>controller_{slot}</ho:SHORT-NAME>
+        <flexray:KEY-SLOT-USAGE><flexray:{usage}>{slot}</flexray:{usage}></flexray:KEY-SLOT-USAGE>
+      </fx:CONTROLLER>"""
+        for slot in cluster.sync_slots
+        for usage in ("STARTUP-SYNC" if slot in cluster.startup_slots else "SYNC",)
+    )
     channel_refs = "".join(
         f'<fx:CHANNEL-REF ID-REF="channel_{letter}"/>' for letter in cluster.channels
     )
@@ -113,7 +148,7 @@ def cluster_to_fibex(cluster: Cluster) -> str:
         <fx:PROTOCOL xsi:type="flexray:PROTOCOL-TYPE">FlexRay</fx:PROTOCOL>
         <fx:CHANNEL-REFS>{channel_refs}</fx:CHANNEL-REFS>
         <flexray:CYCLE-COUNT-MAX>{cluster.number_of_cycles - 1}</flexray:CYCLE-COUNT-MAX>
-{_lines(fields, _CLUSTER_TAGS)}
+{_lines(fields, _CLUSTER_TAGS + _CLOCK_TAGS)}
         <flexray:BIT>{cluster.bit_us!r}</flexray:BIT>
       </fx:CLUSTER>
     </fx:CLUSTERS>
@@ -123,8 +158,8 @@ def cluster_to_fibex(cluster: Cluster) -> str:
     <fx:ECUS><fx:ECU ID="ecu"><ho:SHORT-NAME>node</ho:SHORT-NAME><fx:CONTROLLERS>
       <fx:CONTROLLER ID="controller" xsi:type="flexray:CONTROLLER-TYPE">
         <ho:SHORT-NAME>controller</ho:SHORT-NAME>
-{_lines(fields, _CONTROLLER_TAGS)}
-      </fx:CONTROLLER>
+{_lines(fields, _CONTROLLER_TAGS + _CORRECTION_TAGS)}
+      </fx:CONTROLLER>{key_slots}
     </fx:CONTROLLERS></fx:ECU></fx:ECUS>
   </fx:ELEMENTS>
 </fx:FIBEX>
@@ -133,7 +168,9 @@ def cluster_to_fibex(cluster: Cluster) -> str:
 
 def _lines(fields: dict[str, Any], tags: Iterable[_Tag]) -> str:
     return "\n".join(
-        f"        <flexray:{tag.name}>{fields[tag.field]!r}</flexray:{tag.name}>" for tag in tags
+        f"        <flexray:{tag.name}>{fields[tag.field]!r}</flexray:{tag.name}>"
+        for tag in tags
+        if fields[tag.field] is not None
     )
 
 
@@ -200,26 +237,63 @@ def _bit_rate_mbps(element: Element, where: str) -> float:
     return speed or round(1.0 / bit_us, 6)
 
 
-def _controller_fields(controllers: Sequence[Element]) -> dict[str, Any]:
-    """Return the controllers' values: the earliest pLatestTx and the longest payload of any.
+def _controllers(root: Element, element: Element) -> list[Element]:
+    """The controllers that connectors put on the cluster's channels; all where there are none."""
+    channels = {reference.get("ID-REF") for reference in element.iter(f"{_FX}CHANNEL-REF")}
+    connected: dict[str | None, bool] = {}
+    for connector in root.iter(f"{_FX}CONNECTOR"):
+        on = {reference.get("ID-REF") for reference in connector.iter(f"{_FX}CHANNEL-REF")}
+        for reference in connector.iter(f"{_FX}CONTROLLER-REF"):
+            name = reference.get("ID-REF")
+            connected[name] = connected.get(name, False) or bool(on & channels)
+    return [
+        controller
+        for controller in root.iter(f"{_FX}CONTROLLER")
+        if connected.get(controller.get("ID"), not connected)
+    ]
 
-    The microtick is that of the first controller that has one; controllers may differ in clocks.
+
+def _controller_fields(controllers: Sequence[Element], period_us: float) -> dict[str, Any]:
+    """Return the controllers' values: the earliest pLatestTx, the longest payload, the widest
+    correction of any, and all key slots.
+
+    The microtick is that of the first controller that has one, or so many sample clock periods;
+    controllers may differ in clocks.
     """
-    payload, latest, count, microtick = (
-        [
-            value
-            for controller in controllers
-            if (value := _number(controller, _FLEXRAY, tag.name, tag.kind, "controller", -1)) != -1
-        ]
-        for tag in _CONTROLLER_TAGS
+    payload, latest, count, microtick = (_stated(controllers, tag) for tag in _CONTROLLER_TAGS)
+    samples = _stated(controllers, _Tag("SAMPLES-PER-MICROTICK", "microtick_us"))
+    if samples and period_us and not microtick:
+        microtick = [round(samples[0] * period_us, 9)]
+    usages = [usage for one in controllers for usage in one.iter(f"{_FLEXRAY}KEY-SLOT-USAGE")]
+    sync, startup = (
+        sorted({_key_slot(slot) for usage in usages for slot in usage.findall(_FLEXRAY + name)})
+        for name in ("SYNC", "STARTUP-SYNC")
     )
     found = {
         "dynamic_payload_words": max(payload, default=None),
         "latest_transmission_minislot": min(latest, default=None),
         "microticks_per_cycle": count[0] if count else None,
         "microtick_us": microtick[0] if microtick else None,
+        "sync_slots": tuple(sorted({*sync, *startup})),
+        "startup_slots": tuple(startup),
+        **{tag.field: max(_stated(controllers, tag), default=None) for tag in _CORRECTION_TAGS},
     }
     return {field: value for field, value in found.items() if value is not None}
+
+
+def _stated(controllers: Sequence[Element], tag: _Tag) -> list[Any]:
+    values = [
+        _number(controller, _FLEXRAY, tag.name, tag.kind, "controller", None)
+        for controller in controllers
+    ]
+    return [value for value in values if value is not None]
+
+
+def _key_slot(element: Element) -> int:
+    text = (element.text or "").strip()
+    if not text.isdecimal():
+        raise FibexError(f"controller: <KEY-SLOT-USAGE> says {text[:40]!r}, but must be a slot")
+    return int(text)
 
 
 def _with_usual_values(fields: dict[str, Any]) -> Cluster:
@@ -232,9 +306,9 @@ def _with_usual_values(fields: dict[str, Any]) -> Cluster:
     }
     silent = {"dynamic_payload_words": 0, "latest_transmission_minislot": 0}
     probe = Cluster(**{**counts, **fields, **silent})
-    fitting = [n for n in range(128) if probe.dynamic_slot_minislots(2 * n) <= probe.minislots]
+    fitting = [n for n in range(128) if probe.dynamic_slot_most_minislots(2 * n) <= probe.minislots]
     words = fields.get("dynamic_payload_words", max(fitting, default=0))
-    latest = max(0, probe.minislots - probe.dynamic_slot_minislots(2 * words) + 1)
+    latest = max(0, probe.minislots - probe.dynamic_slot_most_minislots(2 * words) + 1)
     usual = {"dynamic_payload_words": words, "latest_transmission_minislot": latest}
     return Cluster(**{**counts, **usual, **fields})
 

@@ -33,8 +33,9 @@ def fitted_cluster(schedule: Schedule, payloads: Sequence[int], classes: int = 1
     lengths = [DEMO.dynamic_slot_minislots(size) for size in payloads]
     # The worst case: the winners have the last IDs, and every slot before them counts by empty.
     minislots = (contenders * classes - winners) * len(payloads) + winners * sum(lengths)
-    # A short last frame that begins where a long one could not any more begins too late.
-    minislots += (max(lengths) - lengths[-1]) if minislots else 0
+    # pLatestTx keeps room for the longest frame of a node with a slow clock, whatever is sent last.
+    longest = DEMO.dynamic_slot_most_minislots(max(payloads))
+    minislots += (longest - lengths[-1]) if minislots else 0
     macroticks = (
         static_slots * slot_macroticks + minislots * DEMO.minislot_macroticks + _IDLE_MACROTICKS
     )
@@ -53,6 +54,6 @@ def fitted_cluster(schedule: Schedule, payloads: Sequence[int], classes: int = 1
         minislot_macroticks=DEMO.minislot_macroticks,
         minislot_action_point_macroticks=DEMO.minislot_action_point_macroticks,
         dynamic_payload_words=max(payloads) // 2,
-        latest_transmission_minislot=max(0, minislots - max(lengths) + 1) if minislots else 0,
+        latest_transmission_minislot=max(0, minislots - longest + 1) if minislots else 0,
         network_idle_time_macroticks=_IDLE_MACROTICKS,
     )

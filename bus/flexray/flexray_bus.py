@@ -119,7 +119,8 @@ class FlexRayBus(SlottedBus):
         whatever class."""
         # The last IDs are the worst: every slot before them counts by empty.
         last = self.table.classes - 1
-        worst = [self.table.request(node, last) for node in self._contenders]
+        requests = self.table.requests(last)
+        worst = [requests[node] for node in self._contenders]
         for count in range(self._most_winners, 0, -1):
             if not walk(self.cluster, worst[-count:]).waiting:
                 return count
@@ -138,8 +139,8 @@ class FlexRayBus(SlottedBus):
     @cached_property
     def _owned(self) -> list[tuple[Transmission, ...]]:
         return [
-            static_transmissions(self.cluster, self.table.static_slots(row))
-            for row in range(len(self.schedule.static_table))
+            static_transmissions(self.cluster, slots)
+            for slots in self.table.static_rows(len(self.schedule.static_table))
         ]
 
     @cached_property

@@ -84,15 +84,15 @@ DEMO = Cluster(
     macrotick_us=1.0,
     microticks_per_cycle=400000,
     static_slots=20,
-    static_slot_macroticks=271,
+    static_slot_macroticks=272,
     action_point_macroticks=3,
     static_payload_words=127,
     minislots=550,
     minislot_macroticks=8,
     minislot_action_point_macroticks=3,
     dynamic_payload_words=127,
-    latest_transmission_minislot=517,
-    network_idle_time_macroticks=180,
+    latest_transmission_minislot=516,
+    network_idle_time_macroticks=160,
 )
 """Made for sensor networks: 20 static slots and room for 16 dynamic frames, each of 254 bytes.
 

@@ -31,7 +31,8 @@ def check_relay(
     if not (slots and contenders):
         return
     # The last IDs are the worst: every slot before them counts by empty.
-    worst = [table.request(node, table.classes - 1) for node in contenders[-slots:]]
+    requests = table.requests(table.classes - 1)
+    worst = [requests[node] for node in contenders[-slots:]]
     waiting = walk(cluster, worst).waiting
     if waiting:
         raise ValueError(

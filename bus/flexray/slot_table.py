@@ -48,17 +48,33 @@ class SlotTable(msgspec.Struct, frozen=True):
             if slot.frame_id < self.first_dynamic_id and slot.sends(cycle)
         )
 
+    def static_rows(self, period: int) -> list[list[SlotAssignment]]:
+        """Static slots in use in each of so many cycles, in order."""
+        rows: list[list[SlotAssignment]] = [[] for _ in range(period)]
+        for slot in self.assignments:
+            if slot.frame_id < self.first_dynamic_id:
+                for cycle in range(slot.base_cycle, period, slot.repetition):
+                    rows[cycle].append(slot)
+        return rows
+
     def request(self, node: int, urgency_class: int = 0) -> Request:
         """The request with which this node asks for the dynamic segment for one share."""
-        ids = sorted(
-            slot.frame_id
-            for slot in self.assignments
-            if slot.node == node and slot.frame_id >= self.first_dynamic_id
-        )
-        if not ids:
+        requests = self.requests(urgency_class)
+        if node not in requests:
             raise ValueError(f"node {node} owns no dynamic slot; it sends in static slots only")
-        frame_id = ids[urgency_class * len(self.dynamic_payloads)]
-        return Request(node, frame_id, sum(self.dynamic_payloads))
+        return requests[node]
+
+    def requests(self, urgency_class: int = 0) -> dict[int, Request]:
+        """The request of each node that owns dynamic slots, in one urgency class."""
+        ids: dict[int, list[int]] = {}
+        for slot in self.assignments:
+            if slot.frame_id >= self.first_dynamic_id:
+                ids.setdefault(slot.node, []).append(slot.frame_id)
+        first = urgency_class * len(self.dynamic_payloads)
+        return {
+            node: Request(node, sorted(owned)[first], sum(self.dynamic_payloads))
+            for node, owned in ids.items()
+        }
 
 
 def allocate(
@@ -81,8 +97,7 @@ def allocate(
         _check_payloads("static", static_payloads, cluster.static_payload_bytes, cluster)
     if contenders:
         _check_payloads("dynamic", dynamic_payloads, cluster.dynamic_payload_bytes, cluster)
-    slots = tuple(_static_assignments(schedule, cluster.channels, len(static_payloads)))
-    needed = max((slot.frame_id for slot in slots), default=0)
+    needed = max(map(len, schedule.static_table)) * len(static_payloads)
     if needed > cluster.static_slots:
         raise ValueError(
             f"the schedule needs {needed} static slots in a cycle, {len(static_payloads)} for each "
@@ -97,6 +112,7 @@ def allocate(
             f"but frame IDs end at {MAX_FRAME_ID}; use --urgency-classes "
             f"{max(1, (MAX_FRAME_ID - first + 1) // owned)}, or fewer contenders"
         )
+    slots = tuple(_static_assignments(schedule, cluster.channels, len(static_payloads)))
     in_class = [node for node in contenders for _ in dynamic_payloads]
     dynamic = tuple(
         SlotAssignment(first + rank, node, cluster.channels)
@@ -104,8 +120,8 @@ def allocate(
     )
     payloads = tuple(static_payloads), tuple(dynamic_payloads)
     table = SlotTable(slots + dynamic, first, *payloads, classes)
-    for node in contenders:
-        _check_reachable(table.request(node), cluster)
+    for request in table.requests().values():
+        _check_reachable(request, cluster)
     return table
 
 

@@ -22,6 +22,7 @@ from concord.bus.flexray.frame import (
     inspect,
 )
 from concord.bus.recordings.bitstream import BitError, Bits, byte_bits, decode_bits
+from concord.bus.recordings.symbols import LowPulse, Symbol, symbols
 from concord.bus.recordings.waveform import Waveform, WaveformError, without_spikes
 
 # In a frame the longest high run is 9 bits, a byte of ones and a BSS; between frames CID has 11.
@@ -47,18 +48,24 @@ class DecodedFrame(NamedTuple):
     frame_crc_ok: bool
     bits: Bits
 
+    @property
+    def data(self) -> bytes:
+        """The bytes from header to frame CRC, as they were recorded."""
+        return decode_bits(np.append(np.uint8(0), self.bits))
+
 
 class Decoding(NamedTuple):
     """All frames of a recording, in order, and what was no frame.
 
     `rejected` counts starts of frames that led to none, by reason (coding, truncated, too-long,
-    length); `glitches` are low pulses that are no start of a frame. Frame IDs up to `static_slots`
-    belong to the static segment.
+    length); `glitches` are low pulses that are neither start of a frame nor one of `symbols`. Frame
+    IDs up to `static_slots` belong to the static segment.
     """
 
     frames: tuple[DecodedFrame, ...]
     rejected: dict[str, int]
     glitches: int
+    symbols: tuple[Symbol, ...]
     bit_rate_mbps: float
     inverted: bool
     channel: Channel
@@ -91,45 +98,56 @@ class _Found(NamedTuple):
 
 
 class _Scan(NamedTuple):
+    """Frames and pulses that a receiver of one bit rate and polarity finds in a recording."""
+
+    bit_rate_mbps: float
+    inverted: bool
     found: list[_Found]
     rejected: Counter[str]
-    glitches: int
+    pulses: list[LowPulse]
+
+    @property
+    def good_headers(self) -> int:
+        return sum(inspect(found.data).header_crc_ok for found in self.found)
 
 
-def decode_waveform(waveform: Waveform) -> Decoding:
-    """Decode a recording; finds out bit rate, polarity and channel (by the frame CRC) by itself.
+def decode_waveform(waveform: Waveform, bit_rate_mbps: float | None = None) -> Decoding:
+    """Decode a recording; finds out bit rate (unless it is given), polarity and channel by itself.
 
-    Raises WaveformError if there is no frame, whatever the polarity.
+    The rate and the polarity are those with the most correct header CRCs, upright and the fastest
+    rate if they are equal; the channel is told by the frame CRCs. Raises WaveformError if there is
+    no frame.
     """
-    bit_rate_mbps = guess_bit_rate_mbps(waveform)
-    bit_ns = 1000.0 / bit_rate_mbps
-    clean = without_spikes(waveform, SPIKE_BITS * bit_ns)
-    scan = _scan(clean, bit_ns)
-    inverted = not _good_headers(scan)
-    if inverted:
-        turned = _scan(clean.inverted(), bit_ns)
-        inverted = _good_headers(turned) > 0
-        scan = turned if inverted else scan
-    if not scan.found:
+    if len(waveform.times_ns) < 2:
+        raise WaveformError("the recording has no level change; is the probe on the bus?")
+    rates = BIT_RATES_MBPS if bit_rate_mbps is None else (bit_rate_mbps,)
+    best = max((_scan(waveform, rate) for rate in rates), key=_merit)
+    if not best.good_headers:
+        best = max((best, *(_scan(waveform, rate, inverted=True) for rate in rates)), key=_merit)
+    if not best.found:
+        tried = " or ".join(f"{rate:g}" for rate in rates)
         raise WaveformError(
-            f"no FlexRay frame in {len(waveform.times_ns)} level changes at {bit_rate_mbps:g} "
-            f"Mbit/s, upright or inverted (rejected starts: {dict(scan.rejected) or 'none'}); "
+            f"no FlexRay frame in {len(waveform.times_ns)} level changes at {tried} "
+            f"Mbit/s, upright or inverted (rejected starts: {dict(best.rejected) or 'none'}); "
             "record one channel of a 10, 5 or 2.5 Mbit/s bus, from the idle bus on, and more than "
             "one frame of it"
         )
+    bit_ns = 1000.0 / best.bit_rate_mbps
     correct = {
-        channel: sum(inspect(found.data, channel).frame_crc_ok for found in scan.found)
+        channel: sum(inspect(found.data, channel).frame_crc_ok for found in best.found)
         for channel in ("A", "B")
     }
     channel: Channel = "B" if correct["B"] > correct["A"] else "A"
+    named = symbols(best.pulses, bit_ns)
     return Decoding(
-        frames=tuple(_decoded(found, channel) for found in scan.found),
-        rejected=dict(scan.rejected),
-        glitches=scan.glitches,
-        bit_rate_mbps=bit_rate_mbps,
-        inverted=inverted,
+        frames=tuple(_decoded(found, channel) for found in best.found),
+        rejected=dict(best.rejected),
+        glitches=len(best.pulses) - sum(symbol.pulses for symbol in named),
+        symbols=named,
+        bit_rate_mbps=best.bit_rate_mbps,
+        inverted=best.inverted,
         channel=channel,
-        static_slots=_static_slots(scan.found, bit_ns),
+        static_slots=_static_slots(best.found, bit_ns),
     )
 
 
@@ -142,31 +160,22 @@ def reencodes(decoded: DecodedFrame, channel: Channel) -> bool:
     return np.array_equal(byte_bits(data), decoded.bits)
 
 
-def guess_bit_rate_mbps(waveform: Waveform) -> float:
-    """The slowest FlexRay bit rate of whose bit the pulses are (nearly all) whole multiples."""
-    pulses_ns = np.diff(waveform.times_ns).astype(float)
-    if pulses_ns.size == 0:
-        raise WaveformError("the recording has no level change; is the probe on the bus?")
-
-    def whole_share(rate_mbps: float) -> float:
-        bits = pulses_ns * rate_mbps / 1000.0
-        return float(np.mean((bits > 0.5) & (np.abs(bits - np.round(bits)) < 0.25)))
-
-    shares = {rate: whole_share(rate) for rate in BIT_RATES_MBPS}
-    enough = 0.9 * max(shares.values())
-    return min(rate for rate, share in shares.items() if share >= enough)
+def _merit(scan: _Scan) -> tuple[int, int]:
+    return scan.good_headers, len(scan.found)
 
 
-def _scan(waveform: Waveform, bit_ns: float) -> _Scan:
+def _scan(waveform: Waveform, bit_rate_mbps: float, inverted: bool = False) -> _Scan:
     """Try every low pulse after an idle bus as the start of a frame."""
-    signal = _Signal(waveform.times_ns.tolist(), waveform.levels.tolist(), bit_ns)
+    bit_ns = 1000.0 / bit_rate_mbps
+    clean = without_spikes(waveform.inverted() if inverted else waveform, SPIKE_BITS * bit_ns)
+    signal = _Signal(clean.times_ns.tolist(), clean.levels.tolist(), bit_ns)
     found: list[_Found] = []
     rejected: Counter[str] = Counter()
-    glitches = 0
+    pulses: list[LowPulse] = []
     index = _after_idle(signal, 0)
     while index + 1 < len(signal.times_ns):
         if not _starts_frame(signal, index):
-            glitches += 1
+            pulses.append(LowPulse(signal.times_ns[index], signal.times_ns[index + 1]))
             index += 2
             continue
         try:
@@ -181,7 +190,7 @@ def _scan(waveform: Waveform, bit_ns: float) -> _Scan:
             rejected["length"] += 1
         index = bisect_right(signal.times_ns, candidate.end_ns + candidate.trailing_ns)
         index += signal.levels[index] if index < len(signal.times_ns) else 0
-    return _Scan(found, rejected, glitches)
+    return _Scan(bit_rate_mbps, inverted, found, rejected, pulses)
 
 
 def _after_idle(signal: _Signal, index: int) -> int:
@@ -235,10 +244,6 @@ def _sample(signal: _Signal, first_fall: int) -> tuple[list[int], float]:
             nearest += 1
         fall = times[nearest]
     raise BitError("too-long", f"more than {MAX_FRAME_BYTES} bytes without an end sequence")
-
-
-def _good_headers(scan: _Scan) -> int:
-    return sum(inspect(found.data).header_crc_ok for found in scan.found)
 
 
 def _decoded(found: _Found, channel: Channel) -> DecodedFrame:

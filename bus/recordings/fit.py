@@ -10,24 +10,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from concord.bus.flexray.cluster_parameters import Segment
+from concord.bus.flexray.cluster_parameters import TRAILING_BITS
 from concord.bus.recordings.decoder import DecodedFrame, Decoding
+from concord.bus.recordings.multiplexing import Multiplex, multiplexing
 
-REPETITIONS = (1, 2, 4, 8, 16, 32, 64)
 MACROTICK_RANGE_US = (1.0, 6.0)
 # Stations differ in delay and clock by up to half a microsecond on a real bus.
 START_TOLERANCE_US = 0.5
-
-
-class Multiplex(NamedTuple):
-    """When a frame ID carried data: the cycles seen, and base and smallest repetition for which
-    `cycle % repetition == base` says exactly these; None if none does (it is sent on events)."""
-
-    frame_id: int
-    segment: Segment
-    cycles: tuple[int, ...]
-    base_cycle: int | None
-    repetition: int | None
 
 
 class Macrotick(NamedTuple):
@@ -55,8 +44,8 @@ class Fit(NamedTuple):
 
 
 class _Pairs(NamedTuple):
-    """Consecutive dynamic frames: time between their starts, the first one's length, silent IDs,
-    and in which of the cycles."""
+    """Consecutive dynamic frames: time between their starts, the first one's length with the
+    shortest trailing sequence, silent IDs, and in which of the cycles."""
 
     gap_us: NDArray[np.float64]
     frame_us: NDArray[np.float64]
@@ -79,7 +68,7 @@ def fit(decoding: Decoding) -> Fit:
     dynamic = [[f for f in cycle if decoding.segment(f) == "dynamic"] for cycle in cycles]
     frames = [frame for cycle in cycles for frame in cycle]
     static_slot_us = _slot_pitch_us(static)
-    pairs = _dynamic_pairs(dynamic)
+    pairs = _dynamic_pairs(dynamic, TRAILING_BITS / decoding.bit_rate_mbps)
     minislot_us = _minislot_us(pairs)
     explained = 0 if minislot_us is None else int(pairs.explained(minislot_us).sum())
     return Fit(
@@ -91,7 +80,7 @@ def fit(decoding: Decoding) -> Fit:
         start_jitter_us=_start_jitter_us(static, static_slot_us),
         sync_ids=tuple(sorted({f.frame.frame_id for f in frames if f.frame.sync})),
         startup_ids=tuple(sorted({f.frame.frame_id for f in frames if f.frame.startup})),
-        multiplexing=_multiplexing(decoding, cycles),
+        multiplexing=multiplexing(cycles, decoding.static_slots),
         dynamic_pairs=len(pairs.gap_us),
         dynamic_pairs_explained=explained,
     )
@@ -139,11 +128,11 @@ def _start_jitter_us(
     return float(centred.min()), float(centred.max())
 
 
-def _dynamic_pairs(dynamic: Sequence[Sequence[DecodedFrame]]) -> _Pairs:
+def _dynamic_pairs(dynamic: Sequence[Sequence[DecodedFrame]], trailing_us: float) -> _Pairs:
     pairs = [(i, a, b) for i, cycle in enumerate(dynamic) for a, b in pairwise(cycle)]
     return _Pairs(
         gap_us=np.array([b.start_us - a.start_us for _, a, b in pairs], dtype=float),
-        frame_us=np.array([a.end_us - a.start_us for _, a, _ in pairs], dtype=float),
+        frame_us=np.array([a.end_us - a.start_us + trailing_us for _, a, _ in pairs], dtype=float),
         empty=np.array([b.frame.frame_id - a.frame.frame_id - 1 for _, a, b in pairs], dtype=float),
         cycle=np.array([i for i, _, _ in pairs], dtype=int),
     )
@@ -181,32 +170,3 @@ def _macrotick(static_slot_us: float | None, minislot_us: float | None) -> Macro
         return None
     best = int(np.argmax(misfit <= misfit.min() + 1e-3))
     return Macrotick(float(macroticks[best]), int(counts[best]), int(minislots[best]))
-
-
-def _multiplexing(
-    decoding: Decoding, cycles: Sequence[Sequence[DecodedFrame]]
-) -> tuple[Multiplex, ...]:
-    observed = {cycle[0].frame.cycle_count for cycle in cycles}
-    seen: dict[int, set[int]] = {}
-    for cycle in cycles:
-        for decoded in cycle:
-            counts = seen.setdefault(decoded.frame.frame_id, set())
-            if not decoded.frame.null:
-                counts.add(decoded.frame.cycle_count)
-    return tuple(
-        Multiplex(
-            frame_id,
-            "static" if frame_id <= decoding.static_slots else "dynamic",
-            tuple(sorted(counts)),
-            *_base_and_repetition(counts, observed),
-        )
-        for frame_id, counts in sorted(seen.items())
-    )
-
-
-def _base_and_repetition(seen: set[int], observed: set[int]) -> tuple[int, int] | tuple[None, None]:
-    for repetition in REPETITIONS:
-        for base in {cycle % repetition for cycle in seen}:
-            if seen == {cycle for cycle in observed if cycle % repetition == base}:
-                return base, repetition
-    return None, None

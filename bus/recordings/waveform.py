@@ -1,9 +1,6 @@
-"""A recorded or made bus signal: at which time it takes which level.
+"""A recorded or made bus signal: at which time it takes which level (high is idle)."""
 
-As text: CSV of `time_ns,level`, one line for each change of level (high is idle).
-"""
-
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -26,35 +23,28 @@ class Waveform(NamedTuple):
         return Waveform(self.times_ns, 1 - self.levels)
 
 
-class Reading(NamedTuple):
-    """A waveform and how many lines of its file said nothing (a cut last line, say)."""
+class RecordedSignals(NamedTuple):
+    """The signals of a file by name, and how many of its lines or changes said nothing."""
 
-    waveform: Waveform
-    unreadable_lines: int
+    signals: Mapping[str, Waveform]
+    unreadable: int
 
+    def signal(self, name: str | None = None) -> Waveform:
+        """Return one signal: by name, or the only one whose level changes.
 
-def parse_waveform(text: str) -> Reading:
-    """Read CSV text of `time_ns,level`; a heading is optional, unreadable lines are counted.
-
-    Raises WaveformError if most lines are unreadable or the time goes backwards.
-    """
-    times: list[int] = []
-    levels: list[int] = []
-    lines = [line for line in text.splitlines() if line.strip()]
-    if lines and "time" in lines[0].lower():
-        lines = lines[1:]
-    for line in lines:
-        sample = _sample(line)
-        if sample is not None:
-            times.append(sample[0])
-            levels.append(sample[1])
-    unreadable = len(lines) - len(times)
-    if unreadable >= max(1, len(times)):
-        raise WaveformError(
-            f"{unreadable} of {len(lines)} lines are no 'time_ns,level' with level 0 or 1; export "
-            "the digital signal as CSV of level changes in nanoseconds"
-        )
-    return Reading(from_samples(times, levels), unreadable)
+        Raises WaveformError that lists the names if the choice is open or wrong.
+        """
+        names = ", ".join(repr(one) for one in self.signals)
+        if name is not None:
+            if name not in self.signals:
+                raise WaveformError(f"no column {name!r}; the recording has {names}")
+            return self.signals[name]
+        moving = [one for one in self.signals.values() if len(one.times_ns) > 1]
+        if len(moving) > 1:
+            raise WaveformError(
+                f"the recording has several signals that change ({names}); choose one with --column"
+            )
+        return moving[0] if moving else next(iter(self.signals.values()))
 
 
 def from_samples(times_ns: Iterable[int], levels: Iterable[int]) -> Waveform:
@@ -90,15 +80,3 @@ def without_spikes(waveform: Waveform, shortest_ns: float) -> Waveform:
             times.append(time)
             levels.append(level)
     return Waveform(np.array(times, dtype=np.int64), np.array(levels, dtype=np.uint8))
-
-
-def _sample(line: str) -> tuple[int, int] | None:
-    """Time in ns and level of a line, or None if it does not say so."""
-    fields = line.split(",")
-    try:
-        time, level = round(float(fields[0])), float(fields[1])
-    except (ValueError, IndexError, OverflowError):
-        return None
-    if level not in (0.0, 1.0) or abs(time) > MAX_TIME_NS:
-        return None
-    return time, int(level)

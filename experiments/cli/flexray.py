@@ -5,6 +5,7 @@ from tyro.extras import SubcommandApp
 from concord.experiments.flexray.clusters import convert, validate
 from concord.experiments.flexray.plans import plan, show
 from concord.experiments.flexray.recordings import decode, fit
+from concord.experiments.flexray.response_times import wcrt
 
 SUMMARY = "Recordings, clusters and plans of a FlexRay bus."
 _COMMANDS = {
@@ -13,6 +14,7 @@ _COMMANDS = {
     "validate": validate,
     "plan": plan,
     "show": show,
+    "wcrt": wcrt,
     "convert": convert,
 }
 

@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 import tyro
@@ -11,10 +11,14 @@ from rich.table import Table
 
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.cluster_files import FILE_ENDINGS, cluster_to_toml, read_cluster_file
-from concord.bus.flexray.fibex import cluster_to_fibex
+from concord.bus.flexray.fibex import WITHOUT_ELEMENT, cluster_to_fibex
+from concord.bus.flexray.levels import broken_rules
 from concord.bus.flexray.presets import PRESETS, preset
 from concord.bus.flexray.timing import SegmentTime, segments
 from concord.experiments.user_errors import user_errors
+
+Level = Literal["2.1", "3.0.1", "physical"]
+"""The levels of `concord.bus.flexray.levels`."""
 
 
 class Derived(msgspec.Struct, frozen=True):
@@ -36,6 +40,7 @@ def validate(
     /,
     *,
     name: str | None = None,
+    level: Level | None = None,
     json: bool = False,
 ) -> None:
     """Check a cluster against every range and constraint of FlexRay, and print its times.
@@ -43,17 +48,29 @@ def validate(
     Args:
         cluster: A preset, a TOML file or a FIBEX (.xml) file.
         name: Which cluster of a FIBEX file that has several.
+        level: Refuse a cluster that breaks a rule of this edition of FlexRay, or of real clocks.
         json: Print one JSON object.
     """
     with user_errors():
         checked = read_cluster(cluster, name)
+        broken = broken_rules(checked)
+        if level is not None and broken[level]:
+            raise ValueError(f"cluster {checked.name!r}, level {level}: {'; '.join(broken[level])}")
     times = derived(checked)
     if json:
         parts = [part._asdict() for part in times.segments]
-        result = {"cluster": checked, **msgspec.structs.asdict(times), "segments": parts}
+        result = {
+            "cluster": checked,
+            **msgspec.structs.asdict(times),
+            "segments": parts,
+            "levels": broken,
+        }
         sys.stdout.write(msgspec.json.encode(result).decode() + "\n")
         return
-    sys.stdout.write(f"cluster {checked.name}: valid\n")
+    kept = [name for name, rules in broken.items() if not rules]
+    sys.stdout.write(f"cluster {checked.name}: valid; keeps levels {', '.join(kept) or 'none'}\n")
+    for one, rules in broken.items():
+        sys.stdout.writelines(f"level {one}: {rule}\n" for rule in rules)
     Console().print(_table(checked, times))
 
 
@@ -77,13 +94,17 @@ def convert(
         if target.suffix not in FILE_ENDINGS:
             raise ValueError(f"{target}: cannot tell the format; call it *.toml or *.xml (FIBEX)")
         cluster = read_cluster(source, name)
-        text = cluster_to_toml(cluster) if target.suffix == ".toml" else cluster_to_fibex(cluster)
-        _write_new(target, text)
+        toml = target.suffix == ".toml"
+        write_new(target, cluster_to_toml(cluster) if toml else cluster_to_fibex(cluster))
+    stated = [field for field in WITHOUT_ELEMENT if getattr(cluster, field) is not None]
+    left_out = [] if toml else stated
     if json:
-        result = {"cluster": cluster, "target": str(target)}
+        result = {"cluster": cluster, "target": str(target), "left_out": left_out}
         sys.stdout.write(msgspec.json.encode(result).decode() + "\n")
         return
     sys.stdout.write(f"cluster {cluster.name} of {source} is in {target}\n")
+    if left_out:
+        sys.stdout.write(f"left out, FIBEX has no element for it: {', '.join(left_out)}\n")
 
 
 def read_cluster(source: str, name: str | None = None) -> Cluster:
@@ -149,7 +170,12 @@ def _table(cluster: Cluster, times: Derived) -> Table:
     return grid
 
 
-def _write_new(path: Path, text: str) -> None:
+def write_new(path: Path, text: str) -> None:
+    """Write a file that does not exist yet.
+
+    Raises:
+        ValueError: it exists, or cannot be written.
+    """
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)

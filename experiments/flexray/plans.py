@@ -27,6 +27,7 @@ from concord.scenarios.preparation import prepare
 from concord.scenarios.types.buses import FlexRay, occupancy_of
 from concord.scenarios.types.rules import number_of
 
+MOST_PRINTED_ROWS = 1000
 REHEARSED = "every contender asks in every cycle, the longest silent most urgently"
 
 
@@ -108,7 +109,10 @@ def _print_answer(answer: PlanAnswer) -> None:
         out("fits; shown below: what was asked for\n")
     for line in _shown_lines(shown):
         out(f"{line}\n")
-    console.print(_slot_grid(shown.slots))
+    console.print(_slot_grid(shown.slots[:MOST_PRINTED_ROWS]))
+    more = len(shown.slots) - MOST_PRINTED_ROWS
+    if more > 0:
+        out(f"{more} more rows of the slot table; --json has them all\n")
     how = f" ({REHEARSED})" if shown.figures.contenders else ""
     out(f"rehearsed{how}: {100 * shown.published:.3g} % of the nodes publish in a cycle\n")
     for line in bus_report.lines(shown.figures):

@@ -1,7 +1,7 @@
 """`concord flexray decode` and `fit`: the frames of a recorded waveform, and their cluster."""
 
 import sys
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated
@@ -11,13 +11,24 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from concord.bus.flexray.cluster_files import cluster_to_toml
+from concord.bus.flexray.constraints import BIT_RATES_MBPS
+from concord.bus.flexray.slot_file import slots_to_toml
+from concord.bus.recordings.csv_recording import Unit
 from concord.bus.recordings.decoder import DecodedFrame, Decoding, decode_waveform, reencodes
-from concord.bus.recordings.fit import Fit, Multiplex
+from concord.bus.recordings.fit import Fit
 from concord.bus.recordings.fit import fit as fit_cluster
-from concord.bus.recordings.waveform import parse_waveform
+from concord.bus.recordings.multiplexing import Multiplex
+from concord.bus.recordings.pcap import Captured, CapturedSymbol, write_pcap
+from concord.bus.recordings.recorded_cluster import recorded_cluster
+from concord.bus.recordings.recorded_slots import recorded_slots
+from concord.bus.recordings.recording_files import read_recording
+from concord.bus.recordings.symbols import Symbol
+from concord.experiments.flexray.clusters import write_new
 from concord.experiments.user_errors import user_errors
 
-Waveform = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="WAVEFORM.csv")]
+Waveform = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="WAVEFORM")]
+BitRate = Annotated[float | None, tyro.conf.arg(metavar="MBPS")]
 
 _SHOWN_BYTES = 8
 _HEADING = (
@@ -59,6 +70,7 @@ class DecodeFigures(msgspec.Struct, frozen=True):
     reencoded: int
     rejected: dict[str, int]
     glitches: int
+    symbols: list[Symbol]
     unreadable_lines: int
     bit_rate_mbps: float
     channel: str
@@ -66,34 +78,75 @@ class DecodeFigures(msgspec.Struct, frozen=True):
     static_slots: int
 
 
-def decode(waveform: Waveform, /, *, json: bool = False) -> None:
+def decode(
+    waveform: Waveform,
+    /,
+    *,
+    bit_rate: BitRate = None,
+    column: str | None = None,
+    unit: Unit | None = None,
+    pcap: Path | None = None,
+    json: bool = False,
+) -> None:
     """List the frames of a recorded waveform and check every checksum.
 
     Args:
-        waveform: CSV of time_ns,level with a line for every change of level.
+        waveform: CSV with a line for every change of level (time_ns,level), or VCD.
+        bit_rate: Bit rate in Mbit/s: 10, 5 or 2.5. Otherwise that of the most correct frames.
+        column: Which signal of a file that has several.
+        unit: Unit of the times of a CSV file. Otherwise its heading decides.
+        pcap: Capture file to write for Wireshark.
         json: Print one JSON object.
     """
     with user_errors():
-        decoding, unreadable = read_recorded(waveform)
+        decoding, unreadable = read_recorded(waveform, bit_rate, column, unit)
+        if pcap is not None:
+            _write_capture(pcap, decoding)
     figures, rows = summarise(decoding, unreadable), frame_rows(decoding)
     if json:
-        result = {**msgspec.structs.asdict(figures), "frames": rows}
+        result = {
+            **msgspec.structs.asdict(figures),
+            "symbols": [symbol._asdict() for symbol in figures.symbols],
+            "frames": rows,
+        }
         sys.stdout.write(msgspec.json.encode(result).decode() + "\n")
         return
     for line in (_HEADING, *map(_frame_line, rows), *_decode_lines(figures)):
         sys.stdout.write(f"{line}\n")
 
 
-def fit(waveform: Waveform, /, *, json: bool = False) -> None:
+def fit(
+    waveform: Waveform,
+    /,
+    *,
+    bit_rate: BitRate = None,
+    column: str | None = None,
+    unit: Unit | None = None,
+    out: Path | None = None,
+    slots: Path | None = None,
+    cycle_us: float | None = None,
+    json: bool = False,
+) -> None:
     """Infer the cluster behind a recorded waveform: slots, minislots, multiplexing, sync nodes.
 
     Args:
-        waveform: CSV of time_ns,level with a line for every change of level.
+        waveform: CSV with a line for every change of level (time_ns,level), or VCD.
+        bit_rate: Bit rate in Mbit/s: 10, 5 or 2.5. Otherwise that of the most correct frames.
+        column: Which signal of a file that has several.
+        unit: Unit of the times of a CSV file. Otherwise its heading decides.
+        out: Cluster file (.toml) to write. It says which parameters were chosen.
+        slots: Slot table (.toml) to write, for `concord flexray wcrt`.
+        cycle_us: Length of a cycle for the cluster file. Otherwise the recording tells it.
         json: Print one JSON object.
     """
     with user_errors():
-        decoding, _ = read_recorded(waveform)
-    fitted = fit_cluster(decoding)
+        decoding, _ = read_recorded(waveform, bit_rate, column, unit)
+        fitted = fit_cluster(decoding)
+        if out is not None:
+            made = recorded_cluster(decoding, fitted, waveform.stem, cycle_us)
+            write_new(out, cluster_to_toml(made.cluster, made.chosen))
+        if slots is not None:
+            write_new(slots, slots_to_toml(recorded_slots(decoding, fitted)))
     if json:
         ticks = fitted.macrotick
         result = {
@@ -106,23 +159,44 @@ def fit(waveform: Waveform, /, *, json: bool = False) -> None:
     for line in _fit_lines(fitted):
         sys.stdout.write(f"{line}\n")
     Console().print(_multiplex_table(fitted.multiplexing))
+    if out is not None:
+        sys.stdout.write(f"the cluster is in {out}; it marks the parameters that were chosen\n")
 
 
-def read_recorded(path: Path) -> tuple[Decoding, int]:
+def read_recorded(
+    path: Path,
+    bit_rate_mbps: float | None = None,
+    column: str | None = None,
+    unit: Unit | None = None,
+) -> tuple[Decoding, int]:
     """Return the frames of a waveform file, and how many of its lines said nothing.
 
     Raises:
         ValueError: the file cannot be read, or holds no FlexRay frame.
     """
+    if bit_rate_mbps is not None and bit_rate_mbps not in BIT_RATES_MBPS:
+        raise ValueError(f"--bit-rate {bit_rate_mbps:g}: FlexRay has 10, 5 and 2.5 Mbit/s")
     try:
-        text = path.read_text(encoding="utf-8", errors="replace")
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be read ({error.strerror}); name a CSV file") from None
-    try:
-        waveform, unreadable = parse_waveform(text)
-        return decode_waveform(waveform), unreadable
+        recording = read_recording(path, unit)
+        return decode_waveform(recording.signal(column), bit_rate_mbps), recording.unreadable
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
+
+
+def _write_capture(path: Path, decoding: Decoding) -> None:
+    """Write frames and symbols in order, timed from the first of them."""
+    events: list[Captured | CapturedSymbol] = [
+        Captured(decoded.start_us, decoded.data, decoding.channel) for decoded in decoding.frames
+    ]
+    for symbol in decoding.symbols:
+        low_bits = round((symbol.end_us - symbol.start_us) * decoding.bit_rate_mbps)
+        events.append(CapturedSymbol(symbol.start_us, low_bits, decoding.channel))
+    events.sort(key=lambda event: event.time_us)
+    first_us = events[0].time_us
+    try:
+        write_pcap(path, (event._replace(time_us=event.time_us - first_us) for event in events))
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be written ({error.strerror})") from None
 
 
 def summarise(decoding: Decoding, unreadable_lines: int) -> DecodeFigures:
@@ -139,6 +213,7 @@ def summarise(decoding: Decoding, unreadable_lines: int) -> DecodeFigures:
         reencoded=sum(reencodes(frame, decoding.channel) for frame in decoding.frames),
         rejected=decoding.rejected,
         glitches=decoding.glitches,
+        symbols=list(decoding.symbols),
         unreadable_lines=unreadable_lines,
         bit_rate_mbps=decoding.bit_rate_mbps,
         channel=decoding.channel,
@@ -196,6 +271,9 @@ def _decode_lines(figures: DecodeFigures) -> list[str]:
         f"rejected: {rejected or 'none'}; low pulses that begin no frame: {figures.glitches}; "
         f"unreadable lines: {figures.unreadable_lines}",
     ]
+    named = Counter(symbol.name for symbol in figures.symbols)
+    if named:
+        text.append("symbols: " + ", ".join(f"{n} {name}" for name, n in sorted(named.items())))
     if figures.inverted:
         text.append("the recording is inverted (idle is low); it was decoded upside down")
     return text
@@ -228,20 +306,19 @@ def _multiplex_table(multiplexing: Iterable[Multiplex]) -> Table:
     groups: dict[tuple[str, str], list[int]] = defaultdict(list)
     for entry in multiplexing:
         groups[entry.segment, _pattern(entry)].append(entry.frame_id)
-    grid = Table("segment", "data in cycles", "frame IDs", show_edge=False)
+    grid = Table("segment", "data seen in", "frame IDs", show_edge=False)
     for (segment, pattern), ids in groups.items():
         grid.add_row(segment, pattern, _ranges(ids))
     return grid
 
 
 def _pattern(entry: Multiplex) -> str:
+    sightings = f"{len(entry.cycles)} of {entry.recorded_cycles} cycles"
     if not entry.cycles:
-        return "none (null frames)"
+        return f"none of {entry.recorded_cycles} cycles (null frames)"
     if entry.repetition is None:
-        return "now and then (on events)"
-    if entry.repetition == 1:
-        return "all"
-    return f"{entry.base_cycle} modulo {entry.repetition}"
+        return sightings
+    return f"{entry.base_cycle} modulo {entry.repetition} ({sightings})"
 
 
 def _us(time_us: float | None) -> str:

@@ -4,19 +4,16 @@ All values follow from the slot table and the publishers of each cycle, so plans
 same report.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
 from concord.bus.bus import Bus, Transmission
-from concord.bus.recordings.pcap import Captured
 from concord.experiments.results.trace import Trace
-from concord.runtime.recorded import SharedFrame, meaning
 from concord.scenarios.build import build_bus
 from concord.scenarios.setup import Setup
-from concord.scenarios.types.buses import stretch_of
 
 
 class BusFigures(msgspec.Struct, frozen=True):
@@ -201,42 +198,6 @@ def empty_minislots(cycle: Sequence[Transmission]) -> int:
         return 0
     (first_minislot, first_id), (_, last_id) = frames[0], frames[-1]
     return first_minislot - 1 + last_id - first_id - (len(frames) - 1)
-
-
-def capture(
-    setup: Setup, trace: Trace, messages: Iterable[tuple[str, bytes]]
-) -> list[Captured] | None:
-    """The frames of a recording in the order and at the time of the bus; None for one without time,
-    or for one that was replaced by another in the run.
-
-    Frames of steps that not every node completed are left out, and so are frames of shares of which
-    the recording has lost a part. A cluster with two channels carries each frame on both.
-    """
-    bus = build_bus(setup)
-    if not (bus.has_time and trace.history.one_bus):
-        return None
-    rounds, frames = setup.scenario.rounds, bus.frame_format
-    step_us = setup.time_step_s * stretch_of(setup.scenario.bus) * 1e6
-    placed = [
-        {(frame.node, frame.frame_id): frame for frame in cycle}
-        for cycle in timetable(bus, SentShares(trace.payload_bytes, trace.classes))
-    ]
-    captured: list[Captured] = []
-    for topic, data in messages:
-        sent = meaning(topic, data, setup.scenario.nodes, frames)
-        if not isinstance(sent, SharedFrame) or sent.fragment.cycle >= len(placed):
-            continue
-        fragment = sent.fragment
-        frame = placed[fragment.cycle].get((sent.node, fragment.frame_id))
-        if frame is None:
-            continue
-        step, number = divmod(fragment.cycle, rounds)
-        time_us = step * step_us + number * bus.cycle_us + frame.start_us
-        captured += [
-            Captured(time_us, frames.on_channel(data, channel), channel)
-            for channel in frame.channel
-        ]
-    return sorted(captured, key=lambda one: (one.time_us, one.channel))
 
 
 def lines(figures: BusFigures) -> list[str]:

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from concord.bus.recordings.pcap import write_pcap
-from concord.experiments.results.bus_report import capture
+from concord.experiments.results.bus_capture import capture
 from concord.experiments.results.folder import CAPTURE, RECORDING, Description, write_arrays
 from concord.experiments.results.trace import Trace, read_trace
 from concord.runtime.disk import writing

@@ -50,7 +50,7 @@ def arrival(faults: Faults, way: Passage, frame: bytes, bus: Bus) -> Arrival:
         faults.equipment.precision_us
     ):
         return _nothing("rejected slot-boundary")
-    if _collides(faults, way):
+    if collides(faults, way):
         return _nothing("rejected collision")
     if not _carried(faults, way):
         return _nothing("lost")
@@ -78,8 +78,8 @@ def _clock_us(faults: Faults, way: Passage, node: int) -> float:
     return drift[0] * 1e-6 * cycles * faults.equipment.cycle_us
 
 
-def _collides(faults: Faults, way: Passage) -> bool:
-    """Return whether a node babbles in this slot, and nothing blocks it."""
+def collides(faults: Faults, way: Passage) -> bool:
+    """Return whether a node babbles in this slot, and nothing blocks it; for every receiver."""
     if faults.at("guardian", way.step):
         return False
     babblers = [nodes[0] for kind, nodes in faults.standing if kind == "babble"]
@@ -94,12 +94,14 @@ def _collides(faults: Faults, way: Passage) -> bool:
 
 def _carried(faults: Faults, way: Passage) -> bool:
     """Whether one of the channels brings it: each loses frames for all who listen to it."""
-    for place, _ in enumerate(faults.equipment.channels):
-        fails = faults.at("channel", way.step, place)
-        draw = faults.draw("channel", way.cycle, way.sender, EVERYBODY + 1 + place, way.number)
-        if fails is None or draw >= fails[0]:
-            return True
-    return False
+    return any(carries(faults, way, place) for place, _ in enumerate(faults.equipment.channels))
+
+
+def carries(faults: Faults, way: Passage, place: int) -> bool:
+    """Return whether the channel of that place carries a frame; for every receiver."""
+    fails = faults.at("channel", way.step, place)
+    draw = faults.draw("channel", way.cycle, way.sender, EVERYBODY + 1 + place, way.number)
+    return fails is None or draw >= fails[0]
 
 
 def _corrupted(faults: Faults, way: Passage, frame: bytes) -> bytes:

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from concord.bus.recordings.csv_recording import parse_csv
 from concord.bus.recordings.decoder import Decoding, decode_waveform
-from concord.bus.recordings.waveform import Waveform, parse_waveform
+from concord.bus.recordings.waveform import Waveform
 
 
 def _file(shared_data: Path, name: str) -> Path:
@@ -19,7 +20,7 @@ def _file(shared_data: Path, name: str) -> Path:
 def capture(shared_data: Path) -> Waveform:
     """Eight cycles of a real car's bus."""
     file = _file(shared_data, "flexray_capture/audi_cycles_28_35.csv")
-    return parse_waveform(file.read_text()).waveform
+    return parse_csv(file.read_text()).signal()
 
 
 @pytest.fixture(scope="session")

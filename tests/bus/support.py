@@ -36,20 +36,23 @@ def binary(data: bytes) -> str:
 @st.composite
 def clusters(draw: st.DrawFn, min_minislots: int = 0) -> Cluster:
     """Clusters that meet every constraint, made from slots, so that constraint 18 gives the NIT."""
-    rate, macrotick_us = draw(st.sampled_from([(10.0, 1.0), (10.0, 1.25), (5.0, 2.0), (2.5, 3.5)]))
+    ticks = [(10.0, 1.0, 0.025), (10.0, 1.25, 0.0125), (5.0, 2.0, 0.025), (2.5, 3.5, 0.05)]
+    rate, macrotick_us, microtick_us = draw(st.sampled_from(ticks))
     action_point = draw(st.integers(1, 5))
     start_bits = draw(st.integers(1, 15))
     words = draw(st.integers(0, 10))
     bits = start_bits + 1 + 10 * (8 + 2 * words) + 2 + 11
-    slot = 2 * action_point + math.ceil(bits / rate / macrotick_us) + draw(st.integers(0, 5))
+    # Sender slow, receiver fast, each by 1500 ppm.
+    slow_us, fast = 1.0015 / rate, 0.9985 * macrotick_us
+    slot = 2 * action_point + math.ceil(bits * slow_us / fast) + draw(st.integers(0, 5))
     slots = draw(st.integers(2, 8))
     minislots = draw(st.integers(min_minislots, 90))
     minislot_action_point = draw(st.integers(1, 4))
     minislot = minislot_action_point + draw(st.integers(1, 6))
     idle_phase = draw(st.integers(0, 2))
     dynamic_words = draw(st.integers(0, 12))
-    dynamic_us = (start_bits + 1 + 10 * (8 + 2 * dynamic_words) + 2) / rate
-    longest = math.ceil(dynamic_us / (minislot * macrotick_us)) + 1 + idle_phase
+    dynamic_us = (start_bits + 1 + 10 * (8 + 2 * dynamic_words) + 2 + 1) * slow_us
+    longest = math.ceil(dynamic_us / (minislot * fast)) + 1 + idle_phase
     window, idle = draw(st.integers(0, 20)), draw(st.integers(2, 30))
     difference = max(0, action_point - minislot_action_point) if minislots else 0
     macroticks = slot * slots + difference + minislot * minislots + window + idle
@@ -60,7 +63,8 @@ def clusters(draw: st.DrawFn, min_minislots: int = 0) -> Cluster:
         cycle_us=macroticks * macrotick_us,
         macroticks_per_cycle=macroticks,
         macrotick_us=macrotick_us,
-        microticks_per_cycle=round(macroticks * macrotick_us / 0.025),
+        microtick_us=microtick_us,
+        microticks_per_cycle=round(macroticks * macrotick_us / microtick_us),
         number_of_cycles=2 * draw(st.integers(4, 32)),
         static_slots=slots,
         static_slot_macroticks=slot,

@@ -162,10 +162,10 @@ def test_nobody_wins_where_nobody_asks(arbiter: str):
 
 
 def test_wtod_passes_over_what_does_not_fit_beside_larger_bids():
-    # 16 frames of 34 minislots fill 544 of the demo's 550; after 15 of them and six silent slots
-    # a short one may just begin, in minislot 517 = pLatestTx.
+    # 16 frames of 34 minislots fill 544 of the demo's 550; after 15 of them and five silent slots
+    # a short one may just begin, in minislot 516 = pLatestTx.
     asked = asks(*range(30, 13, -1))
-    small = Asked(Request(99, 42, 0), 1)
+    small = Asked(Request(99, 41, 0), 1)
     state = begin_arbitration(NODES)
     assert serve_one("wtod", state, [*asked, small], DEMO, 20)[1] == list(range(10, 26))
     assert serve_one("wtod", state, [*asked[:15], small], DEMO, 20)[1] == [*range(10, 25), 99]

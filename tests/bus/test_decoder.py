@@ -235,3 +235,55 @@ def test_a_mangled_frame_is_decoded_or_refused(data: st.DataObject):
     except WaveformError:
         return
     assert decoding.frames
+
+
+def late(signal: Waveform, level: int, delay_ns: int) -> Waveform:
+    """A signal whose edges to one level come late, as unequal delays of a driver make them."""
+    times = signal.times_ns + delay_ns * (signal.levels == level)
+    return Waveform(times, signal.levels)
+
+
+@pytest.mark.parametrize("level", [0, 1])
+@pytest.mark.parametrize("bit_ns", [100, 200, 400])
+def test_late_edges_refuse_no_frame(level: int, bit_ns: int):
+    frames = [Frame(i, 9, bytes(range(7 * i, 7 * i + 20))) for i in range(1, 9)]
+    bits = [encode_bits(encode(frame), 9) for frame in frames]
+    starts = [20_000 + 700 * bit_ns * place for place in range(len(frames))]
+    signal = from_bits(zip(starts, bits, strict=True), bit_ns)
+    for delay_ns in (26, 40):
+        decoding = decode_waveform(late(signal, level, delay_ns))
+        assert decoding.bit_rate_mbps == 1000 / bit_ns
+        assert [decoded.frame for decoded in decoding.frames] == frames
+        assert all(decoded.frame_crc_ok for decoded in decoding.frames)
+
+
+def test_late_falling_edges_leave_every_frame_of_the_car(capture: Waveform):
+    decoding = decode_waveform(late(capture, 0, 26))
+    assert len(decoding.frames) == 314
+    assert all(decoded.frame_crc_ok for decoded in decoding.frames)
+
+
+def test_a_stated_bit_rate_is_the_only_one_tried(capture: Waveform):
+    with pytest.raises(WaveformError, match="at 5 Mbit/s, upright"):
+        decode_waveform(capture, 5.0)
+    assert len(decode_waveform(capture, 10.0).frames) == 314
+
+
+def test_symbols_are_named_and_are_no_glitches():
+    """Low pulses on an idle bus: a collision avoidance symbol, two wake-up patterns, a glitch."""
+    frame = encode_bits(encode(Frame(3, 0, b"ab")), 9)
+    pulses_us = [(50, 3.9), (100, 2.0)]
+    pulses_us += [(200 + 24 * place, 6.0) for place in range(5)]
+    pulses_us += [(600 + 24.5 * place, 5.9) for place in range(2)]
+    sent = [
+        (1e3 * start, np.zeros(round(10 * length), dtype=np.uint8)) for start, length in pulses_us
+    ]
+    decoding = decode_waveform(from_bits([*sent, (900e3, frame)], 100.0))
+    assert [symbol[0] for symbol in decoding.symbols] == ["CAS or MTS", *["wake-up pattern"] * 2]
+    assert [(s.start_us, s.end_us, s.pulses) for s in decoding.symbols] == [
+        (50, pytest.approx(53.9), 1),
+        (200, pytest.approx(302.0), 5),
+        (600, pytest.approx(630.4), 2),
+    ]
+    assert decoding.glitches == 1
+    assert [decoded.frame.frame_id for decoded in decoding.frames] == [3]

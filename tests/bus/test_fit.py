@@ -37,10 +37,26 @@ def test_the_recording_gives_the_known_grid(audi: Decoding):
 
 def test_the_recording_gives_the_known_multiplexing(audi: Decoding):
     found = {entry.frame_id: entry for entry in fit(audi).multiplexing}
-    for frame_id, base, repetition in ((67, 0, 2), (103, 1, 2), (83, 6, 8), (65, 0, 1)):
-        assert (found[frame_id].base_cycle, found[frame_id].repetition) == (base, repetition)
-    assert found[52].repetition is None
+    claims = {i: (e.base_cycle, e.repetition) for i, e in found.items() if e.repetition}
+    assert claims == {67: (0, 2), 103: (1, 2)}
+    assert found[65].cycles == tuple(range(28, 36))
+    # One sighting is none of eight turns.
+    assert (found[83].cycles, found[83].recorded_cycles) == ((30,), 8)
     assert found[52].cycles == (28, 30, 31, 32, 33)
+
+
+def test_no_part_of_the_recording_claims_what_the_whole_of_it_refutes(audi: Decoding):
+    """Every run of two to eight of its cycles; halves and quarters are among them."""
+    whole = {entry.frame_id: set(entry.cycles) for entry in fit(audi).multiplexing}
+    for first in range(28, 35):
+        for last in range(first + 1, 36):
+            kept = [f for f in audi.frames if first <= f.frame.cycle_count <= last]
+            for entry in fit(audi._replace(frames=tuple(kept))).multiplexing:
+                assert entry.recorded_cycles == last - first + 1
+                assert set(entry.cycles) == whole[entry.frame_id] & set(range(first, last + 1))
+                if entry.repetition is not None:
+                    turns = {c for c in range(28, 36) if c % entry.repetition == entry.base_cycle}
+                    assert whole[entry.frame_id] == turns
 
 
 def test_the_dynamic_slot_rule_holds_for_every_pair_of_the_recording(audi: Decoding):
@@ -110,7 +126,7 @@ def test_a_simulated_cluster_gives_itself_back(cluster: Cluster, seed: int):
     assert found.sync_ids == (1, 2)
     static = [entry for entry in found.multiplexing if entry.segment == "static"]
     assert [entry.frame_id for entry in static] == static_ids
-    assert all((entry.base_cycle, entry.repetition) == (0, 1) for entry in static)
+    assert all(len(entry.cycles) == entry.recorded_cycles == 6 for entry in static)
     if cluster.dynamic_slot_idle_phase_minislots == 0:
         assert found.minislot_us == pytest.approx(cluster.minislot_us, abs=1e-2)
         assert found.dynamic_pairs_explained == found.dynamic_pairs > 10
@@ -127,12 +143,32 @@ def test_null_frames_are_no_data_of_their_slot():
             2e4 + 5e6 * cycle + 6e4 * frame_id,
             encode_bits(encode(Frame(frame_id, cycle, bytes(4), null=cycle % frame_id > 0)), 9),
         )
-        for cycle in range(8)
+        for cycle in range(16)
         for frame_id in (1, 2, 4)
     ]
     found = fit(decode_waveform(from_bits(sent, 100.0))).multiplexing
-    assert [(entry.base_cycle, entry.repetition) for entry in found] == [(0, 1), (0, 2), (0, 4)]
-    assert found[2].cycles == (0, 4)
+    claims = [(entry.base_cycle, entry.repetition) for entry in found]
+    assert claims == [(None, None), (0, 2), (0, 4)]
+    assert found[0].cycles == tuple(range(16)) and found[2].cycles == (0, 4, 8, 12)
+
+
+def sightings(cycles: set[int], recorded: int):
+    """Return the entry of an ID that was sent in these of so many recorded cycles."""
+    sent = [
+        (2e4 + 5e6 * cycle + 6e4 * frame_id, encode_bits(encode(Frame(frame_id, cycle, b"ab")), 9))
+        for cycle in range(recorded)
+        for frame_id in ((1, 2) if cycle in cycles else (1,))
+    ]
+    return fit(decode_waveform(from_bits(sent, 100.0))).multiplexing[1]
+
+
+def test_two_full_periods_are_needed_and_chance_must_be_small():
+    assert sightings(set(range(1, 64, 8)), 64)[-2:] == (1, 8)
+    assert sightings({3, 11, 19}, 24)[-2:] == (3, 8)
+    # Four cycles fit a period of two by chance as often as once in eight.
+    assert sightings({0, 2}, 4)[-2:] == (None, None)
+    assert sightings({5}, 15)[-2:] == (None, None)
+    assert sightings({0, 2, 4, 5}, 8)[-2:] == (None, None)
 
 
 def test_a_recording_that_tells_little_is_not_overread():

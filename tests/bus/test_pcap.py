@@ -11,7 +11,13 @@ from hypothesis import strategies as st
 
 from concord.bus.flexray.frame import Channel, Frame, encode
 from concord.bus.recordings.decoder import Decoding
-from concord.bus.recordings.pcap import Captured, file_header, packet, write_pcap
+from concord.bus.recordings.pcap import (
+    Captured,
+    CapturedSymbol,
+    file_header,
+    packet,
+    write_pcap,
+)
 from tests.bus.support import frames, quick
 
 needs_tshark = pytest.mark.skipif(
@@ -48,6 +54,11 @@ def test_error_flags_tell_header_from_frame_crc():
     assert packet(Captured(0, flipped(good, 50)))[17] == 0x10
     assert packet(Captured(0, good, "B"))[17] == 0x10
     assert packet(Captured(0, good[:4]))[17:] == b"\x02" + good[:4]
+
+
+def test_a_symbol_is_its_kind_and_its_low_bits():
+    assert packet(CapturedSymbol(0, 39))[16:] == bytes((0x02, 39))
+    assert packet(CapturedSymbol(0, 600, "B"))[16:] == bytes((0x82, 127))
 
 
 def dissect(path: Path, *fields: str) -> list[list[str]]:
@@ -125,3 +136,10 @@ def test_wireshark_opens_the_recording_of_the_car_without_complaint(audi: Decodi
         (f.frame.frame_id, f.frame.cycle_count) for f in audi.frames
     ]
     assert all(int(row[2], 16) == 0 and row[3:] == ["", ""] for row in rows)
+
+
+@needs_tshark
+def test_wireshark_reads_a_symbol(tmp_path: Path):
+    path = tmp_path / "symbol.pcap"
+    write_pcap(path, [CapturedSymbol(0, 39)])
+    assert dissect(path, "flexray.sl", "_ws.malformed") == [["39", ""]]

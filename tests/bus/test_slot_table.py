@@ -61,6 +61,17 @@ def test_slots_and_schedule_agree_in_every_cycle(schedule: Schedule, frames: int
 
 
 @quick
+@given(schedules(), st.integers(1, 2))
+def test_rows_of_a_period_are_the_slots_of_its_cycles(schedule: Schedule, frames: int):
+    table = allocate(schedule, BIG, (10,) * frames, (254,) * frames)
+    period = len(schedule.static_table)
+    rows = table.static_rows(period)
+    assert [tuple(row) for row in rows] == [table.static_slots(cycle) for cycle in range(period)]
+    nodes = {node for row in schedule.contender_table for node in row}
+    assert table.requests() == {node: table.request(node) for node in nodes}
+
+
+@quick
 @given(schedules())
 def test_multiplexing_is_exact_when_the_counter_wraps(schedule: Schedule):
     """A controller knows the cycle only modulo 64: where nothing deviates, that is enough."""

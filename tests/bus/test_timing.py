@@ -79,12 +79,12 @@ def test_recorded_frames_are_where_the_model_puts_them(audi: Decoding):
 
 def test_a_known_cycle_by_hand():
     (static,) = static_transmissions(DEMO, [SlotAssignment(3, 7)])
-    assert (static.start_us, static.end_us) == pytest.approx((2 * 271 + 3, 545 + 263.2))
+    assert (static.start_us, static.end_us) == pytest.approx((2 * 272 + 3, 547 + 263.2))
     first, second = dynamic_transmissions(DEMO, [Request(1, 23, 0), Request(2, 25, 254)])
     # Two silent slots, then 9.2 us in 2 + 1 minislots, one silent slot, then minislot 7.
     assert (first.minislot, second.minislot) == (3, 7)
-    assert first.start_us == pytest.approx(20 * 271 + 2 * 8 + 3)
-    assert second.start_us == pytest.approx(20 * 271 + 6 * 8 + 3)
+    assert first.start_us == pytest.approx(20 * 272 + 2 * 8 + 3)
+    assert second.start_us == pytest.approx(20 * 272 + 6 * 8 + 3)
     assert second.end_us == pytest.approx(second.start_us + 263.2)
     assert bus_load(DEMO, [static, first, second]) == pytest.approx((263.2 * 2 + 9.2) / 10000)
     assert bus_load(DEMO, [static, first, second], "B") == 0

@@ -5,11 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from concord.bus.recordings.csv_recording import parse_csv
+from concord.bus.recordings.vcd_recording import parse_vcd
 from concord.bus.recordings.waveform import (
     Waveform,
     WaveformError,
     from_samples,
-    parse_waveform,
     without_spikes,
 )
 from tests.bus.signals import encode_bits, format_waveform, from_bits
@@ -23,9 +24,9 @@ def equal(one: Waveform, other: Waveform) -> bool:
 
 
 def test_text_and_file_survive_the_round_trip(tmp_path):
-    reading = parse_waveform(format_waveform(SIGNAL))
-    assert equal(reading.waveform, SIGNAL)
-    assert reading.unreadable_lines == 0
+    reading = parse_csv(format_waveform(SIGNAL))
+    assert equal(reading.signal(), SIGNAL)
+    assert reading.unreadable == 0
 
 
 def test_every_bit_is_where_it_was_put():
@@ -58,21 +59,21 @@ def test_spikes_are_taken_away_and_nothing_else(places: set[int], width: int):
 
 def test_a_cut_last_line_is_counted():
     text = format_waveform(SIGNAL)
-    reading = parse_waveform(text[:-2])
-    assert reading.unreadable_lines == 1
-    assert len(reading.waveform.times_ns) == len(SIGNAL.times_ns) - 1
+    reading = parse_csv(text[:-2])
+    assert reading.unreadable == 1
+    assert len(reading.signal().times_ns) == len(SIGNAL.times_ns) - 1
 
 
 def test_time_that_goes_backwards_is_refused():
     with pytest.raises(WaveformError, match="backwards, from 20 to 10 ns"):
-        parse_waveform("0,1\n20,0\n10,1\n")
+        parse_csv("0,1\n20,0\n10,1\n")
 
 
 @pytest.mark.parametrize(
     "line", ["inf,1", "1e999,0", "nan,1", "9223372036854775808,1", "1,inf", "1"]
 )
 def test_numbers_that_are_no_time_or_level_are_counted(line: str):
-    assert parse_waveform(f"0,1\n20,0\n{line}\n").unreadable_lines == 1
+    assert parse_csv(f"0,1\n20,0\n{line}\n").unreadable == 1
 
 
 @pytest.mark.parametrize(
@@ -80,15 +81,104 @@ def test_numbers_that_are_no_time_or_level_are_counted(line: str):
 )
 def test_other_files_are_refused(text: str):
     with pytest.raises(WaveformError, match="no 'time_ns,level'"):
-        parse_waveform(text)
+        parse_csv(text)
 
 
 @quick
 @given(st.text(alphabet="0123456789.,-+einfa\n \x00", max_size=120))
 def test_any_text_is_read_or_refused(text: str):
     try:
-        waveform, unreadable = parse_waveform(text)
+        recording = parse_csv(text)
     except WaveformError:
         return
-    assert unreadable <= len(text.splitlines())
-    assert np.all(np.diff(waveform.times_ns) > 0)
+    assert recording.unreadable <= len(text.splitlines())
+    for signal in recording.signals.values():
+        assert np.all(np.diff(signal.times_ns) > 0)
+
+
+@pytest.mark.parametrize(
+    ("heading", "scale"),
+    [
+        ("time_ns,level", 1),
+        ("time_us,level", 1e-3),
+        ("Time [s],Channel 0", 1e-9),
+        ("Time(ms);D0", 1e-6),
+        ("Time [\N{MICRO SIGN}s]\tD0", 1e-3),
+        ("level,Time_us", 1e-3),
+    ],
+)
+def test_the_heading_says_the_unit_and_the_columns(heading: str, scale: float):
+    separator = next(mark for mark in ",;\t" if mark in heading)
+    names = heading.split(separator)
+    place = next(i for i, name in enumerate(names) if "time" in name.lower())
+    rows = []
+    for time, level in zip(SIGNAL.times_ns.tolist(), SIGNAL.levels.tolist(), strict=True):
+        fields = [str(level)]
+        fields.insert(place, f"{time * scale:.12f}")
+        rows.append(separator.join(fields))
+    recording = parse_csv("; made by a test\n" + heading + "\n" + "\n".join(rows))
+    assert equal(recording.signal(), SIGNAL)
+    assert list(recording.signals) == [names[1 - place]]
+
+
+def test_fractions_without_a_unit_are_refused_and_the_unit_may_be_stated():
+    text = "".join(
+        f"{time / 1e3!r},{level}\n"
+        for time, level in zip(SIGNAL.times_ns.tolist(), SIGNAL.levels.tolist(), strict=True)
+    )
+    for heading in ("", "time,level\n"):
+        with pytest.raises(WaveformError, match="--unit"):
+            parse_csv(heading + text)
+        assert equal(parse_csv(heading + text, "us").signal(), SIGNAL)
+
+
+def test_of_several_columns_the_one_that_changes_or_the_one_asked_for():
+    rows = list(zip(SIGNAL.times_ns.tolist(), SIGNAL.levels.tolist(), strict=True))
+    still = "time_ns,A,B\n" + "".join(f"{time},1,{level}\n" for time, level in rows)
+    assert equal(parse_csv(still).signal(), SIGNAL)
+    both = "time_ns,A,B\n" + "".join(f"{time},{1 - level},{level}\n" for time, level in rows)
+    with pytest.raises(WaveformError, match=r"several signals that change .'A', 'B'.*--column"):
+        parse_csv(both).signal()
+    assert equal(parse_csv(both).signal("B"), SIGNAL)
+    assert equal(parse_csv(both).signal("A"), SIGNAL.inverted())
+    with pytest.raises(WaveformError, match="no column 'C'; the recording has 'A', 'B'"):
+        parse_csv(both).signal("C")
+
+
+def vcd(timescale: str, tick_ns: float) -> str:
+    """A dump of the signal beside one that stands still, a bus of four bits, and an x."""
+    head = (
+        f"$date today $end $timescale {timescale} $end $scope module top $end\n"
+        '$var wire 1 ! D0 $end $var wire 1 " D1 $end $var wire 4 # bus [3:0] $end\n'
+        '$upscope $end $enddefinitions $end\n#0 $dumpvars x! 1" b0101 # $end\n'
+    )
+    changes = zip(SIGNAL.times_ns.tolist(), SIGNAL.levels.tolist(), strict=True)
+    return head + "".join(f"#{round(time / tick_ns)} {level}!\n" for time, level in changes)
+
+
+@pytest.mark.parametrize(
+    ("timescale", "tick_ns"), [("1 ns", 1), ("100ns", 100), ("10 ps", 0.01), ("1 us", 1000)]
+)
+def test_a_value_change_dump_is_read_in_its_timescale(timescale: str, tick_ns: float):
+    recording = parse_vcd(vcd(timescale, tick_ns))
+    assert list(recording.signals) == ["D0", "D1"] and recording.unreadable == 1
+    if tick_ns <= 100:
+        assert equal(recording.signal(), SIGNAL)
+        assert equal(recording.signal("D0"), SIGNAL)
+
+
+@pytest.mark.parametrize("text", ["", "$timescale 1 ns $end", "$var wire 1 ! D0 $end", "#0 1!"])
+def test_a_dump_without_its_declarations_is_refused(text: str):
+    with pytest.raises(WaveformError, match=r"needs \$timescale"):
+        parse_vcd(text)
+    with pytest.raises(WaveformError, match="time '#-5'"):
+        parse_vcd(vcd("1 ns", 1) + "#-5 1!")
+
+
+@quick
+@given(st.text(alphabet="#$!01xz tend\n", max_size=80))
+def test_any_dump_is_read_or_refused(changes: str):
+    try:
+        parse_vcd(vcd("1 ns", 1) + changes)
+    except WaveformError:
+        return

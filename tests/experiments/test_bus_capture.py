@@ -1,6 +1,7 @@
 """Test the bus data of a run: the capture, the arrays, and Wireshark's decoding of them."""
 
 import struct
+from collections import Counter
 from pathlib import Path
 
 import msgspec
@@ -9,12 +10,12 @@ import pytest
 import xarray
 
 from concord.bus.flexray.cluster_files import cluster_to_toml
+from concord.bus.flexray.frame import decode as decode_frame
 from concord.bus.flexray.presets import AUDI, DEMO
 from concord.bus.flexray.share_frames import read_frame
-from concord.experiments.results.bus_report import (
-    capture,
-    figures_of,
-)
+from concord.bus.recordings.pcap import Captured, packet
+from concord.experiments.results.bus_capture import capture
+from concord.experiments.results.bus_report import figures_of
 from concord.experiments.results.trace import read_trace
 from concord.runtime.recording import read_recording
 from tests.experiments.bus_runs import run
@@ -152,3 +153,53 @@ def test_a_run_without_bus_time_leaves_no_capture(tmp_path: Path, capsys):
     assert said.json()["bus"] is None
     assert not (folder / "bus.pcap").exists()
     assert "bus_load" not in xarray.load_dataset(folder / "run.nc")
+
+
+# --- faults on the wire --------------------------------------------------------------------------
+
+
+def flags(one: Captured) -> int:
+    """The byte of error flags in a frame's packet."""
+    return packet(one)[17]
+
+
+def test_the_capture_counts_what_the_nodes_counted():
+    """Each frame of a ring has two listeners, who count what the wire shows once."""
+    changes = ("2 crc 1 0.5", "2 null 2 0.5", "2 missing 3 0.5", "3 babble 4 0.2", "5 calm")
+    struck = run(steps=8, changes=changes)
+    plain = run(steps=8)
+    captured = capture(struck.setup, struck.trace, struck.messages)
+    whole = capture(plain.setup, plain.trace, plain.messages)
+    assert captured is not None and whole is not None
+    counted = sum((Counter(one) for one in struck.trace.counters), Counter())
+    collided = [one for one in captured if flags(one) & 0x02]
+    alone = [one for one in captured if not flags(one) & 0x02]
+    wrong = [one for one in alone if flags(one) & 0x10]
+    null = [one for one in alone if not flags(one) and decode_frame(one.data).null]
+    assert min(map(len, (collided, wrong, null))) > 0
+    assert 2 * len(collided) == counted["rejected collision"]
+    assert 2 * len(wrong) == counted["rejected frame-crc"]
+    assert 2 * len(null) == counted["rejected null-frame"]
+    # The node is silent in whole cycles, in which the capture has gaps.
+    frames_per_share = len(whole) // (5 * 3 * 8)
+    assert len(whole) - len(captured) == counted["silent"] * frames_per_share > 0
+    # Before the first change and after the last one the wire is as it was without.
+    step_us = struck.setup.time_step_s * 1e6
+    for first, last in ((0, 2), (5, 8)):
+        part = [flags(one) for one in captured if first <= one.time_us / step_us < last]
+        assert part == [0] * (len(whole) // 8 * (last - first))
+
+
+def test_a_channel_that_fails_is_empty_and_the_other_is_not():
+    struck = run(steps=6, cluster="fitted-ab", changes=("2 channel A 1", "2 crc 1 1"))
+    captured = capture(struck.setup, struck.trace, struck.messages)
+    assert captured is not None
+    step_us = struck.setup.time_step_s * 1e6
+    on_a = [one for one in captured if one.channel == "A"]
+    on_b = [one for one in captured if one.channel == "B"]
+    assert len(on_b) == 3 * len(on_a)
+    assert all(one.time_us < 2 * step_us for one in on_a)
+    # A broken checksum is broken on the channel that is left; others are right there.
+    wrong = [one for one in on_b if flags(one)]
+    assert {flags(one) for one in wrong} == {0x10}
+    assert 5 * len(wrong) == len([one for one in on_b if one.time_us >= 2 * step_us])

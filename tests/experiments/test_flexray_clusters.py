@@ -2,13 +2,15 @@
 
 import re
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
 from concord.bus.flexray.cluster_files import cluster_to_toml
 from concord.bus.flexray.fibex import cluster_to_fibex
+from concord.bus.flexray.levels import LEVELS
 from concord.bus.flexray.presets import DEMO, PRESETS
-from concord.experiments.flexray.clusters import derived, read_cluster
+from concord.experiments.flexray.clusters import Level, derived, read_cluster
 from tests.experiments.flexray_support import concord, refused
 
 
@@ -24,7 +26,31 @@ def test_presets_are_valid_and_their_segments_fill_the_cycle(name: str, capsys):
     assert answer["static_frame_us"] == pytest.approx(bits / 10)
     assert answer["static_frame_us"] < answer["static_slot_us"]
     text = concord(capsys, "flexray", "validate", name).out
-    assert f"cluster {name}: valid" in text and "static slot" in text
+    assert f"cluster {name}: valid; keeps levels 2.1, 3.0.1, physical" in text
+    assert answer["levels"] == {"2.1": [], "3.0.1": [], "physical": []}
+    assert "static slot" in text
+
+
+def test_a_level_refuses_what_it_alone_demands(tmp_path: Path, capsys):
+    """A window of one macrotick holds no symbol, which only the level `physical` minds."""
+    path = tmp_path / "window.toml"
+    text = with_field("symbol_window_macroticks", 1)
+    path.write_text(text.replace("idle_time_macroticks = 160", "idle_time_macroticks = 159"))
+    validate = ("flexray", "validate", path)
+    said = concord(capsys, *validate).out
+    assert "keeps levels 2.1, 3.0.1\n" in said and "level physical: constraint 16" in said
+    sentence = refused(concord(capsys, *validate, "--level", "physical"))
+    assert "level physical" in sentence and "set 0 or 12" in sentence
+    for level in set(get_args(Level)) - {"physical"}:
+        assert concord(capsys, *validate, "--level", level).code == 0
+    assert set(get_args(Level)) == set(LEVELS)
+
+
+def test_fibex_tells_what_it_cannot_hold(tmp_path: Path, capsys):
+    source, target = tmp_path / "stated.toml", tmp_path / "stated.xml"
+    source.write_text(cluster_to_toml(DEMO) + "precision_us = 2.0\n")
+    said = concord(capsys, "flexray", "convert", source, target)
+    assert "FIBEX has no element for it: precision_us" in said.out
 
 
 def test_the_audi_cluster_has_the_times_of_the_recording():
@@ -45,7 +71,7 @@ def test_every_broken_rule_is_named_with_its_numbers(tmp_path: Path, capsys):
     text = with_field("static_slots", 21)
     path.write_text(text.replace("microticks_per_cycle = 400000", "microticks_per_cycle = 400001"))
     sentence = refused(concord(capsys, "flexray", "validate", path))
-    assert "constraint 18" in sentence and "271 x 21" in sentence and "set " in sentence
+    assert "constraint 18" in sentence and "272 x 21" in sentence and "set " in sentence
     assert "constraint 19" in sentence and "400001" in sentence
     assert str(path) in sentence
 

@@ -1,5 +1,6 @@
 """`concord flexray plan` and `show`: what fits is the most that fits, and rehearsals are true."""
 
+import re
 import shlex
 from itertools import combinations
 
@@ -55,6 +56,15 @@ def test_the_plan_reads_as_a_table(capsys):
     assert asked < wrong < shown
     assert "NOT what was asked for" in text and "concord run --scenario target-tracking" in text
     assert "frame IDs" in text and "measurement to estimate" in text
+
+
+def test_a_long_slot_table_is_cut_for_people_alone(capsys, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("concord.experiments.flexray.plans.MOST_PRINTED_ROWS", 4)
+    rows = concord(capsys, *ASKED, "--json").json()["shown"]["slots"]
+    assert len(rows) > 4
+    text = concord(capsys, *ASKED).out
+    assert f"{len(rows) - 4} more rows of the slot table; --json has them all" in text
+    assert len(re.findall(r"(?m)^ *\d+ │ (?:static|dynamic)", text)) == 4
 
 
 def test_what_fits_is_shown_as_asked(capsys):

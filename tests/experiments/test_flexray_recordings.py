@@ -8,7 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from concord.bus.flexray.frame import Frame, encode
+from concord.bus.flexray.levels import broken_rules
+from concord.bus.flexray.presets import PRESETS
 from concord.bus.recordings.waveform import Waveform
+from concord.experiments.flexray.clusters import read_cluster
 from concord.experiments.flexray.recordings import read_recorded
 from tests.bus.signals import encode_bits, format_waveform, from_bits
 from tests.experiments.flexray_support import concord, refused
@@ -67,9 +70,12 @@ def test_the_cluster_of_the_car_is_found(car: Path, capsys):
     assert answer["macrotick"]["static_slot_macroticks"] == 29
     assert answer["sync_ids"] == answer["startup_ids"] == [8, 24, 45]
     assert answer["dynamic_pairs"] == answer["dynamic_pairs_explained"] == 34
-    bases = {m["frame_id"]: (m["base_cycle"], m["repetition"]) for m in answer["multiplexing"]}
-    assert bases[67] == (0, 2) and bases[103] == (1, 2) and bases[83] == (6, 8)
+    found = {entry["frame_id"]: entry for entry in answer["multiplexing"]}
+    bases = {i: (e["base_cycle"], e["repetition"]) for i, e in found.items() if e["repetition"]}
+    assert bases == {67: (0, 2), 103: (1, 2)}
+    assert (found[83]["cycles"], found[83]["recorded_cycles"]) == ([30], 8)
     text = concord(capsys, "flexray", "fit", car).out
+    assert "0 modulo 2 (4 of 8 cycles)" in text and "1 of 8 cycles" in text
     assert "52.20 us" in text and "right for 34 of 34" in text and "8, 24, 45" in text
 
 
@@ -122,6 +128,85 @@ def test_what_is_no_recording_is_refused_in_one_sentence(command: str, tmp_path:
     ):
         sentence = refused(concord(capsys, "flexray", command, path))
         assert says in sentence and str(path) in sentence
+
+
+def test_a_recording_becomes_a_cluster_and_a_capture(tmp_path: Path, capsys):
+    """A made cluster of 2 ms comes back from its own signal, as a file that other commands take."""
+    cycle_us, slot_us = 2000.0, 60.0
+    sent = []
+    for cycle in range(10):
+        start_us = 10 + cycle * cycle_us
+        for slot in (1, 2, 5):
+            key = slot < 3
+            frame = Frame(slot, cycle, bytes(8), sync=key, startup=key)
+            sent.append((start_us + (slot - 1) * slot_us + 2, encode_bits(encode(frame), 9)))
+        # Minislots of 8 us, begun at the end of the static segment; frames of 17.2 + 2 us last 4.
+        for frame_id, minislot in ((7, 1), (9, 6), (10, 10)):
+            bits = encode_bits(encode(Frame(frame_id, cycle, bytes(8))), 9, 67)
+            sent.append((start_us + 5 * slot_us + 8 * minislot + 2, bits))
+    path = tmp_path / "made.csv"
+    path.write_text(format_waveform(from_bits([(1e3 * t, bits) for t, bits in sent], BIT_NS)))
+    cluster, capture = tmp_path / "made.toml", tmp_path / "made.pcap"
+    said = concord(capsys, "flexray", "fit", path, "--out", cluster)
+    assert str(cluster) in said.out
+    answer = concord(capsys, "flexray", "validate", cluster, "--json").json()["cluster"]
+    assert (answer["cycle_us"], answer["static_slots"]) == (cycle_us, 5)
+    assert answer["static_slot_macroticks"] * answer["macrotick_us"] == pytest.approx(slot_us)
+    assert answer["minislot_macroticks"] * answer["macrotick_us"] == pytest.approx(8.0)
+    assert answer["sync_slots"] == answer["startup_slots"] == [1, 2]
+    text = cluster.read_text()
+    assert "minislots = " in text and "gNumberOfMinislots, chosen" in text
+    assert "static_slots = 5  # gNumberOfStaticSlots\n" in text
+    assert "exists" in refused(concord(capsys, "flexray", "fit", path, "--out", cluster))
+    frames = concord(capsys, "flexray", "decode", path, "--pcap", capture, "--json").json()[
+        "frames"
+    ]
+    assert len(frames) == 60
+    record = 16 + 2 + 5 + 8
+    assert capture.stat().st_size == 24 + 60 * record
+
+
+def test_the_car_gives_a_cluster_once_its_cycle_is_stated(car: Path, tmp_path: Path, capsys):
+    """Its idle times between cycles are known not to be true."""
+    target = tmp_path / "car.toml"
+    fit = ("flexray", "fit", car, "--out", target)
+    sentence = refused(concord(capsys, *fit))
+    assert "3843.7 to 4698.7 us" in sentence and "--cycle-us" in sentence
+    assert concord(capsys, *fit, "--cycle-us", 5000).code == 0
+    made, preset = read_cluster(str(target)), PRESETS["audi"]
+    for field in (
+        "macroticks_per_cycle",
+        "macrotick_us",
+        "static_slots",
+        "static_slot_macroticks",
+        "static_payload_words",
+        "minislot_macroticks",
+        "action_point_macroticks",
+        "transmission_start_bits",
+    ):
+        assert getattr(made, field) == getattr(preset, field)
+    assert made.sync_slots == (8, 24, 45)
+    assert not any(broken_rules(made).values())
+
+
+def test_units_columns_and_rates_are_options(tmp_path: Path, capsys):
+    signal = waveform(MADE)
+    seconds = tmp_path / "saleae.csv"
+    rows = zip(signal.times_ns.tolist(), signal.levels.tolist(), strict=True)
+    lines = [f"{time / 1e9:.9f}, {level}, {1 - level}" for time, level in rows]
+    seconds.write_text("Time [s], Channel 0, Channel 1\n" + "\n".join(lines))
+    decode = ("flexray", "decode", seconds, "--json")
+    assert "'Channel 0', 'Channel 1'" in refused(concord(capsys, *decode))
+    first = concord(capsys, *decode, "--column", "Channel 0").json()
+    second = concord(capsys, *decode, "--column", "Channel 1", "--bit-rate", 10).json()
+    assert first["frame_count"] == second["frame_count"] == 3
+    assert second["inverted"] and not first["inverted"]
+    assert "10, 5 and 2.5" in refused(concord(capsys, *decode, "--bit-rate", 8))
+    slow = refused(concord(capsys, *decode, "--column", "Channel 0", "--bit-rate", 5))
+    assert "at 5 Mbit/s" in slow
+    packed = tmp_path / "session.sr"
+    packed.write_bytes(b"PK\x03\x04")
+    assert "export" in refused(concord(capsys, "flexray", "decode", packed))
 
 
 @settings(max_examples=60)

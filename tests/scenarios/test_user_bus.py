@@ -16,7 +16,7 @@ from concord.dashboard.panels.timeline import TimelineView
 from concord.dashboard.theme import DARK
 from concord.experiments.agreement import agreement
 from concord.experiments.monte_carlo.simulate import simulate
-from concord.experiments.results.bus_report import capture
+from concord.experiments.results.bus_capture import capture
 from concord.experiments.results.trace import read_trace
 from concord.experiments.results.user_files import from_copies, keep_copies
 from concord.experiments.scenario_options import scenario_of

@@ -1,0 +1,117 @@
+"""Slot tables as TOML files: which node sends how much in which slot, and how often.
+
+A table is a list of `[[slots]]`, each with a line per field of `MessageSlot`.
+"""
+
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+
+from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.cluster_parameters import Channels
+from concord.bus.flexray.frame import MAX_FRAME_ID
+from concord.bus.flexray.slot_table import REPETITIONS
+
+
+class SlotFileError(ValueError):
+    """A slot table that cannot be read, or does not fit its cluster."""
+
+
+class MessageSlot(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A frame that a node sends: its ID, its cycles, its payload, and how often it is requested.
+
+    It may be sent in the cycles with `cycle % repetition == base_cycle`. Requests come `period_us`
+    apart at least; without it, once in each of its cycles. `deadline_us` bounds the time from a
+    request to the end of the frame; without it, nothing does.
+    """
+
+    frame_id: int
+    payload_bytes: int
+    node: int = 0
+    channel: Channels = "A"
+    base_cycle: int = 0
+    repetition: int = 1
+    period_us: float | None = None
+    deadline_us: float | None = None
+
+
+class _Table(msgspec.Struct, forbid_unknown_fields=True):
+    slots: list[MessageSlot]
+
+
+def slots_to_toml(slots: Sequence[MessageSlot]) -> str:
+    """The TOML text of a slot table."""
+    parts: list[str] = []
+    for slot in slots:
+        parts.append("[[slots]]")
+        for field, value in msgspec.structs.asdict(slot).items():
+            if value is not None:
+                parts.append(f'{field} = "{value}"' if field == "channel" else f"{field} = {value}")
+        parts.append("")
+    return "\n".join(parts)
+
+
+def read_slot_file(path: Path, cluster: Cluster) -> tuple[MessageSlot, ...]:
+    """Read a slot table for a cluster, in order of frame IDs and base cycles.
+
+    Raises:
+        SlotFileError: the file cannot be read, or an entry breaks a rule of FlexRay.
+    """
+    try:
+        table = msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8")), _Table)
+    except OSError as error:
+        raise SlotFileError(
+            f"{path}: cannot be read ({error.strerror}); name a slot table"
+        ) from None
+    except (tomllib.TOMLDecodeError, UnicodeError, msgspec.ValidationError) as error:
+        raise SlotFileError(f"{path}: is no slot table: {error}") from None
+    for slot in table.slots:
+        problem = _problem(slot, cluster)
+        if problem:
+            raise SlotFileError(f"{path}: frame ID {slot.frame_id}: {problem}")
+    slots = sorted(table.slots, key=lambda slot: (slot.frame_id, slot.base_cycle))
+    for place, slot in enumerate(slots):
+        for other in slots[place + 1 :]:
+            if other.frame_id != slot.frame_id:
+                break
+            if _meet(slot, other):
+                raise SlotFileError(
+                    f"{path}: frame ID {slot.frame_id}: nodes {slot.node} and {other.node} send in "
+                    "the same cycle; give them base cycles that never meet"
+                )
+    return tuple(slots)
+
+
+def _problem(slot: MessageSlot, cluster: Cluster) -> str:
+    """Return the rule that an entry breaks; nothing if there is none."""
+    static = slot.frame_id <= cluster.static_slots
+    limit = cluster.static_payload_bytes if static else cluster.dynamic_payload_bytes
+    if not 1 <= slot.frame_id <= MAX_FRAME_ID:
+        return f"frame IDs are 1 to {MAX_FRAME_ID}"
+    if not static and not cluster.minislots:
+        return f"cluster {cluster.name!r} ends at slot {cluster.static_slots}"
+    if slot.payload_bytes % 2 or not 0 <= slot.payload_bytes <= limit:
+        segment = "static" if static else "dynamic"
+        return (
+            f"payload_bytes is {slot.payload_bytes}, but a {segment} frame of cluster "
+            f"{cluster.name!r} carries an even number from 0 to {limit}"
+        )
+    if slot.repetition not in REPETITIONS or cluster.number_of_cycles % slot.repetition:
+        return f"repetition is {slot.repetition}, but controllers repeat every 1, 2, 4, ..., 64"
+    if not 0 <= slot.base_cycle < slot.repetition:
+        return f"base_cycle is {slot.base_cycle}, but must be 0 to {slot.repetition - 1}"
+    for field in ("period_us", "deadline_us"):
+        value = getattr(slot, field)
+        if value is not None and not 0 < value < float("inf"):
+            return f"{field} is {value}, but must be a positive number"
+    return ""
+
+
+def _meet(one: MessageSlot, other: MessageSlot) -> bool:
+    """Whether both may send in one cycle, on one channel."""
+    if not set(one.channel) & set(other.channel):
+        return False
+    shorter = min(one.repetition, other.repetition)
+    return one.base_cycle % shorter == other.base_cycle % shorter

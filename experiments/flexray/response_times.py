@@ -1,0 +1,123 @@
+"""`concord flexray wcrt`: worst-case response times of the frames of a slot table."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.response_times import FrameResponse, ResponseTimes
+from concord.bus.flexray.slot_file import read_slot_file
+from concord.experiments.flexray.clusters import read_cluster
+from concord.experiments.user_errors import user_errors
+
+
+class ResponseRow(msgspec.Struct, frozen=True):
+    """The bound of one frame. `worst_us` is None if lower IDs may hold it up for ever; `spare_us`
+    is the deadline less the bound, None without either."""
+
+    frame_id: int
+    node: int
+    base_cycle: int
+    repetition: int
+    payload_bytes: int
+    worst_us: float | None
+    filled_cycles: int
+    exact: bool
+    deadline_us: float | None
+    spare_us: float | None
+
+
+def wcrt(
+    slots: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SLOTS.toml")],
+    /,
+    *,
+    cluster: str,
+    name: str | None = None,
+    json: bool = False,
+) -> None:
+    """Bound the time from a request to the end of its frame, for every frame of a slot table.
+
+    Args:
+        slots: Slot table (.toml), with frame_id and payload_bytes of each frame.
+        cluster: A preset, a TOML file or a FIBEX (.xml) file.
+        name: Which cluster of a FIBEX file that has several.
+        json: Print one JSON object.
+    """
+    with user_errors():
+        bus = read_cluster(cluster, name)
+        table = read_slot_file(slots, bus)
+    rows = [_row(response) for response in ResponseTimes(bus, table).responses]
+    if json:
+        result = {"cluster": bus.name, "cycle_us": bus.cycle_us, "frames": rows}
+        sys.stdout.write(msgspec.json.encode(result).decode() + "\n")
+        return
+    Console().print(_table(rows))
+    for line in _remarks(rows, bus):
+        sys.stdout.write(f"{line}\n")
+
+
+def _row(response: FrameResponse) -> ResponseRow:
+    slot, worst_us = response.slot, response.worst_us
+    spare_us = None
+    if worst_us is not None and slot.deadline_us is not None:
+        spare_us = slot.deadline_us - worst_us
+    return ResponseRow(
+        frame_id=slot.frame_id,
+        node=slot.node,
+        base_cycle=slot.base_cycle,
+        repetition=slot.repetition,
+        payload_bytes=slot.payload_bytes,
+        worst_us=worst_us,
+        filled_cycles=response.filled_cycles,
+        exact=response.exact,
+        deadline_us=slot.deadline_us,
+        spare_us=spare_us,
+    )
+
+
+def _table(rows: list[ResponseRow]) -> Table:
+    grid = Table("ID", "node", "cycles", "bytes", "worst us", "filled", "deadline us", "spare us")
+    grid.show_edge = False
+    for row in rows:
+        turns = "all" if row.repetition == 1 else f"{row.base_cycle} modulo {row.repetition}"
+        grid.add_row(
+            str(row.frame_id),
+            str(row.node),
+            turns,
+            str(row.payload_bytes),
+            "none" if row.worst_us is None else f"{row.worst_us:.1f}",
+            f"{row.filled_cycles}" + ("" if row.exact else " at most"),
+            "" if row.deadline_us is None else f"{row.deadline_us:g}",
+            "" if row.spare_us is None else f"{row.spare_us:.1f}",
+        )
+    return grid
+
+
+def _remarks(rows: list[ResponseRow], cluster: Cluster) -> list[str]:
+    """Deadlines that are missed and frames without a bound, each with a cure."""
+    said = [
+        f"frame ID {row.frame_id}: {row.worst_us:.1f} us exceed the deadline of "
+        f"{row.deadline_us:g} us by {-row.spare_us:.1f} us; give it a lower ID, a smaller "
+        "repetition, or lower IDs fewer bytes"
+        for row in rows
+        if row.spare_us is not None and row.spare_us < 0
+    ]
+    latest = cluster.latest_transmission_minislot
+    said += [
+        f"frame ID {row.frame_id}: lower IDs may keep it beyond minislot {latest} (pLatestTx) for "
+        "ever; give it a lower ID, or lower IDs longer periods or fewer bytes"
+        for row in rows
+        if row.worst_us is None
+    ]
+    bounded = [row.worst_us for row in rows if row.worst_us is not None]
+    if bounded:
+        said.append(
+            f"{len(bounded)} of {len(rows)} frames are bounded, the slowest by {max(bounded):.1f} "
+            f"us; a cycle lasts {cluster.cycle_us:g} us"
+        )
+    return said
