@@ -40,9 +40,9 @@ from concord.scenarios.user_bus import user_bus, user_frame_format
 from concord.scenarios.user_values import function_or, is_source_name, pinned, source_of
 from concord.topology.names import unknown_name
 
-# Nodes that pass records on ask nearly always. If each were old after a turn of all, slots would go
-# by age and not by need: with 30 % loss at a tenth of the bus the error is 2.3 instead of 1.6.
-_PATIENCE = 12
+# Nodes that pass records on ask in most cycles where links lose frames. If each were old after a turn
+# of all, slots would go by age and not by need.
+_TURNS_BEFORE_OLD = 12
 FITTED = "fitted"
 # The same with every frame on both channels.
 REDUNDANT = "fitted-ab"
@@ -133,7 +133,7 @@ def _classes(scenario: Scenario, schedule: Schedule) -> UrgencyClasses:
     old_after = len(contenders)
     if isinstance(scenario.rule, MeasurementFlooding):
         least, most = bids_for_records(scenario.nodes)
-        old_after *= _PATIENCE
+        old_after *= _TURNS_BEFORE_OLD
     return UrgencyClasses(count, least, most, old_after)
 
 

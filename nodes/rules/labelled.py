@@ -241,8 +241,8 @@ class LabelledFlooding:
         elif share.digest:
             width = content.held.shape[-1]
             digest = b"".join(some.to_bytes(width, "little") for some in share.digest[::-1])
-            said = np.frombuffer(digest, np.uint8).reshape(-1, width)
-            known[place], told = self.choice.reported(known[place], said)
+            reported = np.frombuffer(digest, np.uint8).reshape(-1, width)
+            known[place], told = self.choice.reported(known[place], reported)
             reports = reports + told
         step = content.windows.step
         strange = step - content.heard[place] > self.gap_steps

@@ -35,7 +35,7 @@ _LOSSY_LEVELS = 3
 
 @dataclass(frozen=True)
 class RecordChoice:
-    """What a node of a network repeats.
+    """How a node of a network chooses records, with or without digests.
 
     A record that was told to all neighbours and is not confirmed is repeated if the expected number
     of neighbours without it is `repeat_above` at least, 0 for always. Repetitions take

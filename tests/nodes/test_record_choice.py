@@ -20,7 +20,7 @@ from concord.nodes.rules.record_sets import (
 NODES, WINDOW, DIGEST = 10, 5, 3
 Labels = frozenset[tuple[int, int]]
 LABELS = st.frozensets(st.tuples(st.integers(0, WINDOW - 1), st.integers(0, NODES - 1)))
-# What is said of a record to a neighbour, or by it, one word after the other.
+# Tellings and confirmations of records to one neighbour, in order.
 EVENTS = st.lists(st.tuples(st.sampled_from(["told", "confirmed", "digest"]), LABELS), max_size=6)
 
 
