@@ -40,8 +40,8 @@ from concord.scenarios.user_bus import user_bus, user_frame_format
 from concord.scenarios.user_values import function_or, is_source_name, pinned, source_of
 from concord.topology.names import unknown_name
 
-# Nodes that pass records on ask in most cycles where links lose frames. If each were old after a turn
-# of all, slots would go by age and not by need.
+# Where links lose frames, nodes that pass records on ask in most cycles. If each were old after a
+# turn of all, slots would go by age and not by need.
 _TURNS_BEFORE_OLD = 12
 FITTED = "fitted"
 # The same with every frame on both channels.
