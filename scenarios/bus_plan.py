@@ -40,6 +40,9 @@ from concord.scenarios.user_bus import user_bus, user_frame_format
 from concord.scenarios.user_values import function_or, is_source_name, pinned, source_of
 from concord.topology.names import unknown_name
 
+# Where links lose frames, nodes that pass records on ask in most cycles. If each were old after a
+# turn of all, slots would go by age and not by need.
+_TURNS_BEFORE_OLD = 12
 FITTED = "fitted"
 # The same with every frame on both channels.
 REDUNDANT = "fitted-ab"
@@ -127,9 +130,11 @@ def _classes(scenario: Scenario, schedule: Schedule) -> UrgencyClasses:
     if count == 1 or not contenders:
         return ONE_CLASS
     least, most = BIDS_FOR_CHANGE
+    old_after = len(contenders)
     if isinstance(scenario.rule, MeasurementFlooding):
         least, most = bids_for_records(scenario.nodes)
-    return UrgencyClasses(count, least, most, old_after=len(contenders))
+        old_after *= _TURNS_BEFORE_OLD
+    return UrgencyClasses(count, least, most, old_after)
 
 
 def with_pinned_arbiter(scenario: Scenario) -> Scenario:

@@ -35,7 +35,7 @@ from concord.nodes.rules.novelty_rounds import NoveltyRounds
 from concord.nodes.rules.set_membership import SetAtNode
 from concord.nodes.rules.window_filter import WindowFilter
 from concord.nodes.vector_codec import VectorCodec
-from concord.scenarios.labelled import frame_codec, gates_of
+from concord.scenarios.labelled import choice_of, frame_codec, gates_of
 from concord.scenarios.node_context import BatchContext, Everybody, NodeContext, RuleContext
 from concord.scenarios.types.rules import TrimmedCovarianceIntersection
 
@@ -135,6 +135,7 @@ def flooding(context: NodeContext) -> AnyEstimator:
         own=() if context.sensor is None else (SensorGroup(slice(None), context.sensor),),
         filter=_window_filter(everybody, frames, context.model, context.filter),
         frames=frames,
+        choice=choice_of(everybody.scenario, frames),
         schedule=everybody.schedule,
         rounds=everybody.scenario.rounds,
         gates=gates_of(everybody.scenario, everybody.readings_shape[1]),
@@ -197,6 +198,7 @@ def flooding_in_batch(context: BatchContext) -> BatchedRule:
         own=everybody.groups,
         filter=_window_filter(everybody, frames, filters.model, filters.filter),
         frames=frames,
+        choice=choice_of(everybody.scenario, frames),
         links=context.links,
         schedule=everybody.schedule,
         rounds=context.rounds,

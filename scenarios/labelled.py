@@ -13,8 +13,10 @@ from concord.nodes.rules.labelled_frame import (
     MAX_WINDOW_STEPS,
     LabelledFrameCodec,
     check_limit,
+    labelled_bytes,
     least_limit,
 )
+from concord.nodes.rules.record_choice import RecordChoice
 from concord.nodes.rules.record_codec import record_codec
 from concord.scenarios.bus_plan import frame_format
 from concord.scenarios.node_context import Everybody
@@ -27,7 +29,7 @@ RECORD_NUMBERS = {"int16": "<i2", "float32": "<f4", "float64": "<f8"}
 _CHECKPOINT_NUMBER = "<f4"
 # A window costs neither bytes nor time of the bus, so it is longer than most networks need.
 _LEAST_WINDOW_STEPS = 32
-_LOSSY_DIGEST_STEPS = 8
+_LOSSY_DIGEST_STEPS = 6
 _NEGLIGIBLE_LOSS = 0.01
 # Range and bearing are two numbers. The record of most sensors takes fewer bytes than the content.
 _USUAL_NUMBERS = 2
@@ -59,6 +61,18 @@ def frame_codec(
     )
 
 
+def choice_of(scenario: Scenario, frames: LabelledFrameCodec) -> RecordChoice:
+    """How nodes choose the records of these shares."""
+    rule = flooding_of(scenario)
+    return RecordChoice(
+        len(frames.codecs),
+        frames.window_steps,
+        frames.digest_steps,
+        rule.repeat_above,
+        rule.repeat_bytes,
+    )
+
+
 def largest_share(scenario: Scenario, states: int) -> int:
     """Length in bytes of the longest share: what one frame holds beside its numbers.
 
@@ -82,7 +96,7 @@ def _expected_need(scenario: Scenario) -> int:
     Records that find no room wait; a contender bids for them.
     """
     number = RECORD_NUMBERS[flooding_of(scenario).record_number]
-    record_bytes = LabelledFrameCodec.cost(_USUAL_NUMBERS * np.dtype(number).itemsize)
+    record_bytes = labelled_bytes(_USUAL_NUMBERS * np.dtype(number).itemsize)
     shares = scenario.rounds * occupancy_of(scenario.bus.schedule)
     return ceil(record_bytes * scenario.nodes / 2 / shares)
 

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from concord.experiments.monte_carlo.simulate import simulate
 from concord.experiments.results.near_agreement import departures
+from concord.experiments.results.record_spread import figures_of
 from concord.experiments.results.trace import read_trace
 from concord.experiments.scenario_options import scenario_of
 from concord.runtime.batched.build import build_network, without_array_form
@@ -64,10 +65,12 @@ def scenarios(draw: st.DrawFn) -> Scenario:
         schedule=schedule,
         occupancy=1.0 if schedule == "full" else draw(st.sampled_from([0.1, 0.3, 0.6])),
         relay=draw(st.booleans()),
-        arbiter=draw(st.sampled_from(["wtod", "minislot", "round-robin"])),
+        arbiter=draw(st.sampled_from(["urgency", "wtod", "minislot", "round-robin"])),
         loss=loss,
         window_steps=window,
         digest_steps=draw(st.sampled_from([None, 0, 2])),
+        repeat_above=draw(st.sampled_from([0.0, 0.12, 0.5])),
+        repeat_bytes=draw(st.sampled_from([0, 10, 48, 254])),
         record_number=draw(st.sampled_from(["int16", "float32", "float64"])),
         gate_probability=draw(st.sampled_from([0.0, 0.2])),
         payload_bytes=draw(st.sampled_from([120, 254])),
@@ -122,6 +125,27 @@ def test_a_neighbour_that_was_long_unheard_is_sent_a_checkpoint():
     check(asked)
     counters = simulate(prepare(asked), RUNS, keep=()).counters
     assert sum(counters[name].sum() for name in counters if name.startswith("checkpoint")) > 0
+
+
+def test_loss_makes_frames_no_longer_than_their_cap_of_repetitions():
+    """At a tenth of the bus, where without a cap all frames grow full."""
+
+    def bytes_per_share(**options: Any) -> float:
+        asked = labelled(
+            nodes=20, steps=30, loss=0.3, relay=True, schedule="dynamic", occupancy=0.1, **options
+        )
+        spread = simulate(prepare(asked), range(3), keep=()).spreads
+        figures = [figures_of(one) for one in spread]
+        return float(np.mean([one.body_bytes_per_step for one in figures])) / 6
+
+    none, usual, everything = (
+        bytes_per_share(**options)
+        for options in (
+            {"repeat_bytes": 0}, {}, {"repeat_above": 0.0, "repeat_bytes": 254},
+        )
+    )  # fmt: skip
+    assert none < usual < none + 48
+    assert everything > none + 48
 
 
 @pytest.mark.parametrize("name", ["dc-motor-position", "cruise-control"])

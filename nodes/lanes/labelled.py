@@ -1,8 +1,8 @@
 """The rule `labelled` in arrays: `concord.nodes.rules.labelled` at all nodes of all runs at once.
 
-The sets of records are arrays here, and integers and dictionaries at a node. Both filter their
-windows by the same functions (`concord.nodes.rules.window_filter`). No record is late here, so
-windows have the same steps everywhere, and all copies of a record are alike.
+Both choose their records and filter their windows by the same functions
+(`concord.nodes.rules.record_choice`, `concord.nodes.rules.window_filter`). No record is late here,
+so windows have the same steps everywhere, and all copies of a record are alike.
 """
 
 from dataclasses import dataclass
@@ -19,21 +19,21 @@ from concord.nodes.bids import NO_BID
 from concord.nodes.lanes.filter import Counters, added, received, traffic
 from concord.nodes.lanes.links import Links, Padded, neighbourhoods, overhearing
 from concord.nodes.lanes.network import ShareContents
-from concord.nodes.lanes.records import (
+from concord.nodes.rules.labelled import GAP_STEPS
+from concord.nodes.rules.labelled_frame import LabelledFrameCodec
+from concord.nodes.rules.local_filter import SensorGroup, finite_lanes
+from concord.nodes.rules.record_choice import RecordChoice
+from concord.nodes.rules.record_sets import (
+    SILENCE,
+    URGENCY,
     RecordSets,
     first_places,
-    first_that_fit,
     flags_of,
     joined,
-    need,
     no_records,
     one_step_on,
     packed,
 )
-from concord.nodes.rules.labelled import GAP_STEPS
-from concord.nodes.rules.labelled_frame import LabelledFrameCodec
-from concord.nodes.rules.local_filter import SensorGroup, finite_lanes
-from concord.nodes.rules.record_sets import SILENCE, URGENCY, urgencies
 from concord.nodes.rules.source_gate import judged
 from concord.nodes.rules.window_filter import WindowFilter, Windows, one_place_on
 
@@ -41,17 +41,17 @@ from concord.nodes.rules.window_filter import WindowFilter, Windows, one_place_o
 class BatchedLabelledContent(NamedTuple):
     """Knowledge of all nodes; `concord.nodes.rules.labelled.LabelledContent` in arrays.
 
-    costs: bytes of each record in a share (R, W, N). held: (R, N, W, B). known, confirmed:
-    (R, E, W, B) of each link, what its receiver believes that its sender holds, and what that has
-    said of itself. owed: (R, N). heard: steps (R, E). share_cycles: (R, E). sent_cycle: (R, N).
-    carried: of the step, without what is held.
+    lengths: bytes of each record (R, W, N). held: (R, N, W, B). known: (R, E, K, W, B) of each
+    link, what its sender was told and has confirmed. reports: (R, N, 2). owed: (R, N). heard:
+    steps (R, E). share_cycles: (R, E). sent_cycle: (R, N). carried: of the step, without what is
+    held.
     """
 
     windows: Windows
-    costs: np.ndarray
+    lengths: np.ndarray
     held: RecordSets
     known: RecordSets
-    confirmed: RecordSets
+    reports: np.ndarray
     owed: np.ndarray
     heard: np.ndarray
     share_cycles: np.ndarray
@@ -92,6 +92,7 @@ class BatchedFlooding:
     own: tuple[SensorGroup, ...]
     filter: WindowFilter
     frames: LabelledFrameCodec
+    choice: RecordChoice
     links: Links
     schedule: Schedule
     rounds: int
@@ -105,13 +106,12 @@ class BatchedFlooding:
         runs, links = len(prior.mean), len(self.links.sender)
         nothing = partial(no_records, window_steps=self._window, nodes=self._nodes)
         # A node without neighbours has no link, and yet the arrays have a place.
-        known = nothing((runs, max(links, 1)))
         return BatchedLabelledContent(
             windows=self.filter.start(prior, self.first_step, self._window),
-            costs=np.zeros((runs, self._window, self._nodes), dtype=np.int64),
+            lengths=np.zeros((runs, self._window, self._nodes), dtype=np.int64),
             held=nothing((runs, self._nodes)),
-            known=known,
-            confirmed=known,
+            known=nothing((runs, max(links, 1), self.choice.levels)),
+            reports=np.zeros((runs, self._nodes, 2), dtype=np.int64),
             owed=np.zeros((runs, self._nodes), dtype=bool),
             heard=np.full((runs, links), self.first_step),
             share_cycles=np.full((runs, links), -1),
@@ -132,7 +132,7 @@ class BatchedFlooding:
         """Let the oldest step go into the base, and record the own readings."""
         owed = content.owed
         if content.held[:, :, 0].any():
-            lacking = self._absent(content, *self._everybody(len(owed)))[:, :, 0]
+            lacking = self._doubts(content, *self._everybody(len(owed)))[:, :, 0, 0]
             owed = owed | lacking.any(axis=(1, 2)).reshape(owed.shape)
         readings, failures = judged(
             self.filter, content.windows, readings, control, self.own, self.gates
@@ -145,16 +145,15 @@ class BatchedFlooding:
                 beyond[:, node] = codec.beyond(readings[:, node]) > 0
         windows = self.filter.opened(content.windows, control)
         newest = np.array([self._window - 1])
-        held, costs = one_step_on(content.held), one_place_on(content.costs, 1)
+        held, window_lengths = one_step_on(content.held), one_place_on(content.lengths, 1)
         held[:, :, -1] = packed(np.eye(self._nodes, dtype=bool) & (lengths > 0)[..., None])
-        costs[:, -1] = self.frames.cost(lengths)
+        window_lengths[:, -1] = lengths
         counters = added(content.counters, failures)
         return content._replace(
             windows=self.filter.with_readings(windows, newest, written[:, None]),
-            costs=costs,
+            lengths=window_lengths,
             held=held,
             known=one_step_on(content.known),
-            confirmed=one_step_on(content.confirmed),
             owed=owed,
             carried=np.zeros_like(content.carried),
             counters=added(counters, {"record-range": beyond}),
@@ -164,18 +163,16 @@ class BatchedFlooding:
         """How many records the neighbours of these nodes (C,) lack: `LabelledFlooding.bid`."""
         shape = (len(content.owed), len(nodes))
         runs, some = (one.ravel() for one in (np.indices(shape)[0], np.broadcast_to(nodes, shape)))
-        absent = self._absent(content, runs, some)
-        urgency = need(absent, self._urgencies).sum(axis=1) + URGENCY * content.owed[runs, some]
+        urgency = self.choice.need(self._doubts(content, runs, some))
+        urgency += URGENCY * content.owed[runs, some]
         silent = np.minimum(content.cycle - content.sent_cycle[runs, some], SILENCE - 1)
-        bids = urgency * SILENCE + silent
-        if self.frames.digest_steps == 0:
-            bids = np.where(urgency == 0, NO_BID, bids)
+        bids = np.where(urgency == 0, NO_BID, urgency * SILENCE + silent)
         return bids.reshape(shape)
 
     def body_bytes(self, content: BatchedLabelledContent, nodes: np.ndarray) -> np.ndarray:
         """Return the lengths (R, C) of the shares that these nodes (C,) would compose now."""
         runs, places = (one.ravel() for one in np.indices((len(content.owed), len(nodes))))
-        return self._chosen(content, runs, nodes[places])[2].reshape(-1, len(nodes))
+        return self._chosen(content, runs, nodes[places])[1].reshape(-1, len(nodes))
 
     def exchange(
         self, content: BatchedLabelledContent, sends: np.ndarray, lost: np.ndarray | None
@@ -198,7 +195,8 @@ class BatchedFlooding:
         self, content: BatchedLabelledContent, runs: np.ndarray, nodes: np.ndarray
     ) -> tuple[BatchedLabelledContent, _Shares, np.ndarray]:
         """The shares of these nodes, and which of them can be read."""
-        records, owed, body_bytes, count = self._chosen(content, runs, nodes)
+        records, body_bytes = self._chosen(content, runs, nodes)
+        owed, count = content.owed[runs, nodes], np.bitwise_count(records).sum(axis=(1, 2))
         base = Gaussian(*(values[runs, nodes] for values in content.windows.base))
         number = self.frames.belief.number
         checkpoint, sound = _as_sent(base, number) if owed.any() else (base, owed)
@@ -214,19 +212,17 @@ class BatchedFlooding:
 
     def _chosen(
         self, content: BatchedLabelledContent, runs: np.ndarray, nodes: np.ndarray
-    ) -> tuple[RecordSets, np.ndarray, np.ndarray, np.ndarray]:
-        """Return records, whether a checkpoint is owed, bytes and number of records of shares."""
-        missing = np.bitwise_or.reduce(self._absent(content, runs, nodes), axis=1)
-        wanted = (missing,)
-        if self.frames.digest_steps:
-            unsure = self._absent(content, runs, nodes, content.confirmed)
-            unsure = np.bitwise_or.reduce(unsure, axis=1) & ~missing
-            unsure[:, : -self.frames.digest_steps] = 0
-            wanted = (missing, unsure)
+    ) -> tuple[RecordSets, np.ndarray]:
+        """Return the records and the bytes of shares."""
         owed = content.owed[runs, nodes]
-        room = np.where(owed, self.frames.room(True), self.frames.room(False))
-        records, taken, count = first_that_fit(wanted, content.costs[runs], room)
-        return records, owed, self.frames.limit_bytes - room + taken, count
+        room = self.frames.room(content.held[runs, nodes], owed)
+        records, taken = self.choice.chosen(
+            self._doubts(content, runs, nodes),
+            content.reports[runs, nodes],
+            self.frames.costs(content.lengths[runs]),
+            room,
+        )
+        return records, self.frames.limit_bytes - room + taken
 
     def _came(self, shares: _Shares, arriving: np.ndarray) -> _Came:
         lanes = np.zeros((len(arriving), self._nodes), dtype=np.int64)
@@ -238,20 +234,21 @@ class BatchedFlooding:
         self, content: BatchedLabelledContent, shares: _Shares, came: _Came
     ) -> BatchedLabelledContent:
         """Note the neighbours' statements about themselves."""
-        runs, links, known, confirmed = came.runs, came.links, content.known, content.confirmed
+        runs, links, known, reports = came.runs, came.links, content.known, content.reports
         heard, share_cycles = content.heard.copy(), content.share_cycles.copy()
         strange = np.zeros(heard.shape, dtype=bool)
         strange[runs, links] = content.windows.step - heard[runs, links] > self.gap_steps
         heard[runs, links] = content.windows.step
         share_cycles[runs, links] = content.cycle
         if self.frames.digest_steps:
-            known, confirmed = known.copy(), confirmed.copy()
+            known, reports = known.copy(), reports.copy()
             last = slice(-self.frames.digest_steps, None)
             digest = content.held[runs, self.links.sender[links], last]
-            known[runs, links, last] = confirmed[runs, links, last] = digest
+            known[runs, links], told = self.choice.reported(known[runs, links], digest)
+            np.add.at(reports, (runs, self.links.receiver[links]), told)
         return content._replace(
             known=known,
-            confirmed=confirmed,
+            reports=reports,
             owed=content.owed | (self.links.per_receiver(strange) > 0),
             heard=heard,
             share_cycles=share_cycles,
@@ -269,16 +266,13 @@ class BatchedFlooding:
         own = shares.runs[lane] * count + self._near.links[shares.nodes][lane, place]
         share, place = np.nonzero(self._overheard.real[links])
         also = runs[share] * count + self._overheard.links[links][share, place]
-        known, _, _ = joined(
-            content.known.reshape(-1, *content.known.shape[2:]),
-            np.concatenate((own, also)),
-            np.concatenate((shares.records[lane], told[share])),
+        known = content.known.reshape(-1, *content.known.shape[2:])
+        none = np.zeros_like(known[:, 0])
+        more, _, _ = joined(
+            none, np.concatenate((own, also)), np.concatenate((shares.records[lane], told[share]))
         )
-        confirmed = content.confirmed
-        if self.frames.digest_steps:
-            confirmed, _, _ = joined(
-                confirmed.reshape(-1, *confirmed.shape[2:]), runs * count + links, told
-            )
+        shown, _, _ = joined(none, runs * count + links, told)
+        known = self.choice.confirmed(self.choice.told(known, more), shown)
         held, places, new = joined(
             content.held.reshape(-1, *content.held.shape[2:]),
             runs * self._nodes + self.links.receiver[links],
@@ -290,7 +284,6 @@ class BatchedFlooding:
             windows=content.windows._replace(right=right.reshape(content.owed.shape)),
             held=held.reshape(content.held.shape),
             known=known.reshape(content.known.shape),
-            confirmed=confirmed.reshape(content.confirmed.shape),
         )
 
     def _with_checkpoints(
@@ -352,21 +345,17 @@ class BatchedFlooding:
         sent, checkpoints, records = content.carried
         return ShareContents(sent, checkpoints, records, flags_of(content.held, self._nodes))
 
-    def _absent(
-        self,
-        content: BatchedLabelledContent,
-        runs: np.ndarray,
-        nodes: np.ndarray,
-        sets: RecordSets | None = None,
+    def _doubts(
+        self, content: BatchedLabelledContent, runs: np.ndarray, nodes: np.ndarray
     ) -> RecordSets:
-        """Return the records that these nodes (L,) hold and each neighbour lacks: (L, J, W, B).
+        """Return the records that these nodes (L,) hold and each neighbour may lack, by how often
+        it was told: (L, J, K, W, B).
 
-        Places without a neighbour are empty. With `sets` (R, E, W, B), compare with those sets
-        instead of the known ones.
+        Places without a neighbour are empty.
         """
-        theirs = (content.known if sets is None else sets)[runs[:, None], self._near.links[nodes]]
-        absent = content.held[runs, nodes][:, None] & ~theirs
-        return np.where(self._near.real[nodes][..., None, None], absent, np.uint8(0))
+        theirs = content.known[runs[:, None], self._near.links[nodes]]
+        doubts = self.choice.doubts(content.held[runs, nodes], theirs)
+        return np.where(self._near.real[nodes][..., None, None, None], doubts, np.uint8(0))
 
     def _everybody(self, runs: int) -> tuple[np.ndarray, np.ndarray]:
         run, node = np.indices((runs, self._nodes))
@@ -379,10 +368,6 @@ class BatchedFlooding:
     @property
     def _window(self) -> int:
         return self.frames.window_steps
-
-    @cached_property
-    def _urgencies(self) -> np.ndarray:
-        return np.array(urgencies(self._window))
 
     @cached_property
     def _near(self) -> Padded:

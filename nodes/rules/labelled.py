@@ -5,7 +5,7 @@ and runs one filter over a sliding window. A belief (checkpoint) of the window's
 when a neighbour needs it, and is fused only with the base: what the window holds is not in it.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -20,17 +20,16 @@ from concord.nodes.estimator import Rejected
 from concord.nodes.messages import Measured, from_wire
 from concord.nodes.rules.labelled_frame import Labelled, LabelledFrameCodec, LabelledShare
 from concord.nodes.rules.local_filter import SensorGroup, control_of, failure_names, finite
+from concord.nodes.rules.record_choice import RecordChoice
 from concord.nodes.rules.record_sets import (
     SILENCE,
     URGENCY,
-    RecordSet,
-    lacked,
-    need,
+    RecordSets,
     newest_first,
-    record_bit,
-    sources_at,
-    urgencies,
-    with_sources,
+    no_records,
+    one_step_on,
+    packed,
+    with_record,
 )
 from concord.nodes.rules.source_gate import judged
 from concord.nodes.rules.window_filter import WindowFilter, Windows, one_lane
@@ -44,10 +43,10 @@ class LabelledContent(NamedTuple):
 
     Attributes:
         windows: the window to filter. records: what was taken by which source, for each place of
-            the window. held: the same as a set.
+            the window. held: the same as a set (W, B).
         unread: (place, source) of the records that the window does not have yet.
-        known: the records that each neighbour is believed to hold.
-        confirmed: the records that each neighbour itself reported to hold.
+        known: (J, K, W, B), what each neighbour was told and has confirmed (`RecordChoice`).
+        reports: (2,), the records that digests told of, and those of them that were lacking.
         sent: the content of the share composed in the open group; None if there was none.
         owed: a neighbour needs a checkpoint. needs: the node itself needs one, and knows nothing.
         heard: step at which a share of each neighbour came last.
@@ -58,10 +57,10 @@ class LabelledContent(NamedTuple):
     windows: Windows
     records: tuple[Mapping[int, bytes], ...]
     unread: tuple[tuple[int, int], ...]
-    held: RecordSet
-    known: tuple[RecordSet, ...]
-    confirmed: tuple[RecordSet, ...]
-    sent: RecordSet | None
+    held: RecordSets
+    known: RecordSets
+    reports: np.ndarray
+    sent: RecordSets | None
     owed: bool
     needs: bool
     heard: tuple[int, ...]
@@ -89,6 +88,7 @@ class LabelledFlooding:
     own: tuple[SensorGroup, ...]
     filter: WindowFilter
     frames: LabelledFrameCodec
+    choice: RecordChoice
     schedule: Schedule
     rounds: int
     gap_steps: int = GAP_STEPS
@@ -117,14 +117,15 @@ class LabelledFlooding:
 
     def _empty(self, windows: Windows, step: int) -> LabelledContent:
         cycle = self.first_cycle + (step - self.first_step) * self.rounds
-        nothing: tuple[RecordSet, ...] = (0,) * len(self._near)
+        width = self.frames.window_steps
+        known = no_records((len(self._near), self.choice.levels), width, self._nodes)
         return LabelledContent(
             windows=windows,
-            records=({},) * self.frames.window_steps,
+            records=({},) * width,
             unread=(),
-            held=0,
-            known=nothing,
-            confirmed=nothing,
+            held=no_records((), width, self._nodes),
+            known=known,
+            reports=np.zeros(2, dtype=np.int64),
             sent=None,
             owed=False,
             needs=False,
@@ -159,66 +160,55 @@ class LabelledFlooding:
 
     def _moved_on(self, content: LabelledContent, control: np.ndarray | None) -> LabelledContent:
         """A step later; a neighbour that never got the records forgotten is owed a checkpoint."""
-        missing = sources_at(lacked(content.held, content.known), 0, self._nodes) > 0
+        missing = bool((content.held[0] & ~content.known[:, 0, 0]).any())
         return content._replace(
             windows=self.filter.opened(content.windows, control),
             records=(*content.records[1:], {}),
-            held=content.held >> self._nodes,
-            known=tuple(records >> self._nodes for records in content.known),
-            confirmed=tuple(records >> self._nodes for records in content.confirmed),
+            held=one_step_on(content.held),
+            known=one_step_on(content.known),
             owed=content.owed or missing,
         )
 
     def bid(self, content: LabelledContent) -> int | None:
         """How many records the neighbours lack, newer ones counting more; None for none at all.
 
-        An integer. A digest is worth a frame without records: its receivers learn what to resend.
+        An integer.
         """
-        urgency = need(content.held, content.known, self._urgencies, self._nodes)
-        urgency += URGENCY * (content.owed + content.needs)
-        if urgency == 0 and self.frames.digest_steps == 0:
+        doubts = self.choice.doubts(content.held, content.known)
+        urgency = int(self.choice.need(doubts)) + URGENCY * (content.owed + content.needs)
+        if urgency == 0:
             return None
         return urgency * SILENCE + min(content.cycle - content.sent_cycle, SILENCE - 1)
 
     def compose(self, content: LabelledContent) -> tuple[LabelledContent, bytes]:
-        """A checkpoint if one is owed, and what some neighbour lacks, newest first."""
+        """A checkpoint if one is owed, and the records that neighbours may lack."""
         base = content.windows.base
         checkpoint = None
         if content.owed and not content.needs:
             checkpoint = Gaussian(base.mean[0, 0], base.cov[0, 0])
-        records = self._chosen(content, self.frames.room(checkpoint is not None))
-        share = LabelledShare(content.needs, checkpoint, self._digest(content), records)
-        sent = sum(
-            record_bit(self._newest - age, source, self._nodes) for source, age, _ in records
+        doubts = self.choice.doubts(content.held, content.known)
+        room = self.frames.room(content.held, np.array(checkpoint is not None))
+        sent, _ = self.choice.chosen(doubts, content.reports, self._costs(content), room)
+        records = tuple(
+            Labelled(source, self._newest - place, content.records[place][source])
+            for place, source in newest_first(sent, self._nodes)
         )
+        share = LabelledShare(content.needs, checkpoint, self._digest(content), records)
         owed = content.owed and checkpoint is None
         content = content._replace(sent=sent, owed=owed, sent_cycle=content.cycle)
         return content, self.frames.encode(share)
 
-    def _chosen(self, content: LabelledContent, room: int) -> tuple[Labelled, ...]:
-        chosen: list[Labelled] = []
-        for place, source in self._wanted(content):
-            record = content.records[place][source]
-            room -= self.frames.cost(len(record))
-            if room < 0:
-                break
-            chosen.append(Labelled(source, self._newest - place, record))
-        return tuple(chosen)
-
-    def _wanted(self, content: LabelledContent) -> Iterator[tuple[int, int]]:
-        """Yield the records that neighbours are believed to lack, then the unconfirmed ones."""
-        missing = lacked(content.held, content.known)
-        yield from newest_first(missing, self._nodes)
-        if self.frames.digest_steps:
-            old = (self.frames.window_steps - self.frames.digest_steps) * self._nodes
-            unsure = lacked(content.held, content.confirmed) & ~missing
-            yield from newest_first(unsure >> old << old, self._nodes)
+    def _costs(self, content: LabelledContent) -> np.ndarray:
+        """Bytes of each record in a share, (W, N)."""
+        lengths = np.zeros((self.frames.window_steps, self._nodes), dtype=np.int64)
+        for place, some in enumerate(content.records):
+            for source, record in some.items():
+                lengths[place, source] = len(record)
+        return self.frames.costs(lengths)
 
     def _digest(self, content: LabelledContent) -> tuple[int, ...]:
-        return tuple(
-            sources_at(content.held, self._newest - age, self._nodes)
-            for age in range(self.frames.digest_steps)
-        )
+        last = content.held[self.frames.window_steps - self.frames.digest_steps :]
+        return tuple(int.from_bytes(sources.tobytes(), "little") for sources in last[::-1])
 
     def accept(self, body: bytes) -> LabelledShare:
         """The share that these bytes mean (`LabelledFrameCodec.decode`)."""
@@ -235,9 +225,7 @@ class LabelledFlooding:
         came = [(place, share) for place, share in enumerate(shares) if share is not None]
         for place, share in came:
             content = self._hear(content, place, share)
-        if content.sent is not None:
-            known = tuple(records | content.sent for records in content.known)
-            content = content._replace(known=known, sent=None)
+        content = self._told(content, came)
         failures: list[str] = []
         for place, share in came:
             content, late = self._with_records_of(content, place, share)
@@ -246,46 +234,60 @@ class LabelledFlooding:
 
     def _hear(self, content: LabelledContent, place: int, share: LabelledShare) -> LabelledContent:
         """Note a neighbour's statements about itself."""
-        theirs, sure = content.known[place], content.confirmed[place]
-        for age, sources in enumerate(share.digest):
-            theirs = with_sources(theirs, self._newest - age, sources, self._nodes)
-            sure = with_sources(sure, self._newest - age, sources, self._nodes)
+        known, reports = content.known.copy(), content.reports
         if share.needs:
             # It has lost whatever was sent to it.
-            theirs = sure = 0
+            known[place] = 0
+        elif share.digest:
+            width = content.held.shape[-1]
+            digest = b"".join(some.to_bytes(width, "little") for some in share.digest[::-1])
+            reported = np.frombuffer(digest, np.uint8).reshape(-1, width)
+            known[place], told = self.choice.reported(known[place], reported)
+            reports = reports + told
         step = content.windows.step
         strange = step - content.heard[place] > self.gap_steps
         return content._replace(
-            known=_replaced(content.known, place, theirs),
-            confirmed=_replaced(content.confirmed, place, sure),
+            known=known,
+            reports=reports,
             heard=_replaced(content.heard, place, step),
             share_cycles=_replaced(content.share_cycles, place, content.cycle),
             owed=content.owed or share.needs or strange,
         )
+
+    def _told(
+        self, content: LabelledContent, came: Sequence[tuple[int, LabelledShare]]
+    ) -> LabelledContent:
+        """Note which records neighbours were told of: by the node, by others, and by themselves."""
+        told = np.zeros_like(content.known[:, 0])
+        shown = np.zeros_like(told)
+        if content.sent is not None:
+            told |= content.sent
+        for place, share in came:
+            flags = np.zeros((self.frames.window_steps, self._nodes), dtype=bool)
+            for source, age, _ in share.records:
+                flags[self._newest - age, source] = self._newest - age >= content.windows.first
+            records = packed(flags)
+            told[list(self._overhearing[place])] |= records
+            shown[place] |= records
+        known = self.choice.confirmed(self.choice.told(content.known, told), shown)
+        return content._replace(known=known, sent=None)
 
     def _with_records_of(
         self, content: LabelledContent, place: int, share: LabelledShare
     ) -> tuple[LabelledContent, list[str]]:
         """Take over a neighbour's records, and a base of the same step as the own."""
         first = content.windows.first
-        told, late = 0, 0
+        late = 0
         new: dict[tuple[int, int], bytes] = {}
         for source, age, record in share.records:
             step_place = self._newest - age
             if step_place < first:
                 late += 1
                 continue
-            told |= record_bit(step_place, source, self._nodes)
             # The first copy stays: a label is counted once, whatever comes under it.
             if source not in content.records[step_place]:
                 new.setdefault((step_place, source), record)
-        witnesses = {place, *self._overhearing[place]}
-        known = tuple(
-            records | told if other in witnesses else records
-            for other, records in enumerate(content.known)
-        )
-        confirmed = _replaced(content.confirmed, place, content.confirmed[place] | told)
-        content = self._with_records(content._replace(known=known, confirmed=confirmed), new)
+        content = self._with_records(content, new)
         failures = ["record-late"] * late
         if share.checkpoint is not None:
             content, fused = self._fuse_base(content, share.checkpoint)
@@ -298,7 +300,7 @@ class LabelledFlooding:
         """With records by place and source that are not held yet."""
         held, records = content.held, list(content.records)
         for (place, source), record in new.items():
-            held |= record_bit(place, source, self._nodes)
+            held = with_record(held, place, source)
             records[place] = {**records[place], source: record}
         return content._replace(records=tuple(records), unread=(*content.unread, *new), held=held)
 
@@ -382,11 +384,6 @@ class LabelledFlooding:
             )
             for sender in self._near
         )
-
-    @cached_property
-    def _urgencies(self) -> tuple[int, ...]:
-        """Of one lacked record, by age: the oldest that a window can hold first."""
-        return urgencies(self.frames.window_steps)
 
 
 def _replaced(values: tuple, place: int, value: object) -> tuple:

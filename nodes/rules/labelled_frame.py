@@ -1,15 +1,18 @@
 """Share of the rule `labelled`: labelled records, at times a checkpoint, a digest.
 
-    flags u8 (1: I need a checkpoint, 2: here is one) | number of records u8
-    | digest | checkpoint: mean, upper covariance, float32 | records: source u8, age u8, readings
+    flags u8 (1: I need a checkpoint, 2: here is one) | number of labelled records u8
+    | digest | mask | checkpoint: mean, upper covariance, float32
+    | readings of masked records | labelled records: source u8, age u8, readings
 
 The step is not written: a share belongs to the cycle that its frame says, and so to its step. Bit
-a N + j of the digest means "I hold the record of source j of a steps ago".
+a N + j of the digest means "I hold the record of source j of a steps ago". The mask has one bit for
+each bit that is set in the digest: this record follows. So a record of the digest's steps needs no
+label, and takes a bit where a label takes two bytes.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,8 +20,7 @@ from concord.filters.gaussian import Gaussian
 from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.estimator import Rejected
 from concord.nodes.rules.record_codec import RecordCodec
-
-Size = TypeVar("Size", int, np.ndarray)
+from concord.nodes.rules.record_sets import RecordSets
 
 MAX_SOURCES = 256
 MAX_WINDOW_STEPS = 255
@@ -76,66 +78,101 @@ class LabelledFrameCodec:
         """Length of a digest."""
         return _digest_bytes(len(self.codecs), self.digest_steps)
 
-    def room(self, with_checkpoint: bool) -> int:
-        """Bytes left for records."""
-        taken = _HEAD_BYTES + self.digest_bytes + (self.belief.size if with_checkpoint else 0)
-        return self.limit_bytes - taken
+    def room(self, held: RecordSets, with_checkpoint: np.ndarray) -> np.ndarray:
+        """Bytes (...) left for records in shares of nodes that hold (..., W, B) of them."""
+        last = held[..., self.window_steps - self.digest_steps :, :]
+        mask_bytes = -(-np.bitwise_count(last).sum(axis=(-1, -2), dtype=np.int64) // 8)
+        taken = _HEAD_BYTES + self.digest_bytes + mask_bytes
+        return self.limit_bytes - taken - np.where(with_checkpoint, self.belief.size, 0)
 
-    @staticmethod
-    def cost(record_bytes: Size) -> Size:
-        """Bytes that a record of that length, or records of those (...), take in a frame."""
-        return _LABEL_BYTES + record_bytes
+    def costs(self, lengths: np.ndarray) -> np.ndarray:
+        """Bytes that records of those lengths (..., W, N) take in a share."""
+        costs = lengths.copy()
+        costs[..., : self.window_steps - self.digest_steps, :] += _LABEL_BYTES
+        return costs
 
     def encode(self, share: LabelledShare) -> bytes:
-        """The bytes of a share with at most 255 records."""
-        assert len(share.records) <= _MAX_RECORDS, "a record takes at least four bytes of 254"
+        """The bytes of a share with at most 255 labelled records."""
         flags = _NEED * share.needs + _CHECKPOINT * (share.checkpoint is not None)
         nodes = len(self.codecs)
         digest = sum(held << (age * nodes) for age, held in enumerate(share.digest))
-        parts = [bytes((flags, len(share.records))), digest.to_bytes(self.digest_bytes, "little")]
+        masked: dict[int, bytes] = {}
+        labelled: list[bytes] = []
+        for source, age, record in share.records:
+            bit = age * nodes + source
+            if digest >> bit & 1 and bit not in masked:
+                masked[bit] = record
+            else:
+                labelled.append(bytes((source, age)) + record)
+        assert len(labelled) <= _MAX_RECORDS, "a record takes at least four bytes of 254"
+        mask = sum((bit in masked) << place for place, bit in enumerate(_bits(digest)))
+        parts = [
+            bytes((flags, len(labelled))),
+            digest.to_bytes(self.digest_bytes, "little"),
+            mask.to_bytes(_mask_bytes(digest), "little"),
+        ]
         if share.checkpoint is not None:
             parts.append(self.belief.encode(share.checkpoint))
-        for source, age, record in share.records:
-            parts.append(bytes((source, age)) + record)
-        return b"".join(parts)
+        return b"".join((*parts, *(masked[bit] for bit in sorted(masked)), *labelled))
 
     def decode(self, body: bytes) -> LabelledShare:
         """The share that `encode` wrote.
 
         Raises:
-            Rejected: `labelled-length`, `labelled-label`, or what is wrong with a checkpoint.
+            Rejected: `labelled-length`, `labelled-label`, `labelled-mask`, or what is wrong with a
+                checkpoint.
         """
         start = _HEAD_BYTES + self.digest_bytes
         if len(body) < start:
             raise Rejected("labelled-length")
         flags, count = body[0], body[1]
         digest = int.from_bytes(body[_HEAD_BYTES:start], "little")
+        nodes = len(self.codecs)
+        if digest >> nodes * self.digest_steps:
+            raise Rejected("labelled-mask")
+        labels = self._masked(digest, body[start : start + _mask_bytes(digest)])
+        start += _mask_bytes(digest)
         checkpoint = None
         if flags & _CHECKPOINT:
             checkpoint = self.belief.decode(body[start : start + self.belief.size])
             start += self.belief.size
-        nodes = len(self.codecs)
         everybody = (1 << nodes) - 1
         return LabelledShare(
             bool(flags & _NEED),
             checkpoint,
             tuple(digest >> (age * nodes) & everybody for age in range(self.digest_steps)),
-            self._records(body[start:], count),
+            self._records(body[start:], labels, count),
         )
 
-    def _records(self, data: bytes, count: int) -> tuple[Labelled, ...]:
+    def _masked(self, digest: int, data: bytes) -> list[tuple[int, int]]:
+        """The (source, age) of the records that a mask says."""
+        if len(data) < _mask_bytes(digest):
+            raise Rejected("labelled-length")
+        mask, bits = int.from_bytes(data, "little"), _bits(digest)
+        if mask >> len(bits):
+            raise Rejected("labelled-mask")
+        chosen = (bit for place, bit in enumerate(bits) if mask >> place & 1)
+        return [(bit % len(self.codecs), bit // len(self.codecs)) for bit in chosen]
+
+    def _records(
+        self, data: bytes, labels: Sequence[tuple[int, int]], count: int
+    ) -> tuple[Labelled, ...]:
+        """The records of these labels, and so many that bring a label of their own."""
         records: list[Labelled] = []
-        for _ in range(count):
-            if len(data) < _LABEL_BYTES:
+        for place in range(len(labels) + count):
+            if place < len(labels):
+                source, age = labels[place]
+            elif len(data) < _LABEL_BYTES:
                 raise Rejected("labelled-length")
-            source, age = data[0], data[1]
+            else:
+                source, age, data = data[0], data[1], data[_LABEL_BYTES:]
             codec = self.codecs[source] if source < len(self.codecs) else None
             if codec is None or age >= self.window_steps:
                 raise Rejected("labelled-label")
-            end = _LABEL_BYTES + codec.length(data[_LABEL_BYTES:])
+            end = codec.length(data)
             if len(data) < end:
                 raise Rejected("labelled-length")
-            records.append(Labelled(source, age, data[_LABEL_BYTES:end]))
+            records.append(Labelled(source, age, data[:end]))
             data = data[end:]
         return tuple(records)
 
@@ -146,21 +183,35 @@ def check_limit(limit_bytes: int, nodes: int, digest_steps: int, content_bytes: 
     Raises:
         ValueError: saying by how much they are too short.
     """
-    head_bytes = _HEAD_BYTES + _digest_bytes(nodes, digest_steps)
+    head_bytes = least_limit(nodes, digest_steps, 0)
     missing = least_limit(nodes, digest_steps, content_bytes) - limit_bytes
     if missing > 0:
         raise ValueError(
             f"labelled shares of at most {limit_bytes} bytes must hold a checkpoint or a record of "
-            f"{content_bytes} bytes beside {head_bytes} bytes of head and digest; raise "
+            f"{content_bytes} bytes beside {head_bytes} bytes of head, digest and mask; raise "
             f"--payload-bytes by {missing + missing % 2} or more (254 at most), or lower "
             "--digest-steps"
         )
 
 
 def least_limit(nodes: int, digest_steps: int, content_bytes: int) -> int:
-    """Return the length of a share that holds a content of that length."""
-    return _HEAD_BYTES + _digest_bytes(nodes, digest_steps) + content_bytes
+    """Return the length of a share that holds a content of that length, whatever its mask."""
+    return _HEAD_BYTES + 2 * _digest_bytes(nodes, digest_steps) + content_bytes
+
+
+def labelled_bytes(record_bytes: int) -> int:
+    """Return the bytes that a record takes with its label."""
+    return _LABEL_BYTES + record_bytes
 
 
 def _digest_bytes(nodes: int, digest_steps: int) -> int:
     return -(-nodes * digest_steps // 8)
+
+
+def _bits(digest: int) -> list[int]:
+    """The places of the bits that are set, ascending."""
+    return [bit for bit in range(digest.bit_length()) if digest >> bit & 1]
+
+
+def _mask_bytes(digest: int) -> int:
+    return -(-digest.bit_count() // 8)

@@ -31,6 +31,8 @@ FULL_INFORMATION: tuple[dict[str, Any], ...] = (
     {"scenario": "dc-motor-position", "graph": "complete", "rounds": 1, "stretch": 2.0},
 )
 STEPS, SEED = 12, 1
+# Where frames are lost, only a rule that repeats all that is not confirmed is complete.
+EVERYTHING: dict[str, Any] = {"repeat_above": 0.0, "repeat_bytes": 254}
 
 
 class Audit(NamedTuple):
@@ -64,6 +66,8 @@ def deviation(belief: Gaussian, best: Gaussian) -> float:
     """How far beliefs (..., steps, n) are from the best (steps, n): means relative to the largest
     of each state, covariances to the standard deviations that they are made of."""
     scale = np.abs(best.mean).max(axis=0)
+    # A node that has heard nothing stays at a prior mean of zero.
+    scale = np.where(scale > 0, scale, 1.0)
     deviations = np.sqrt(np.einsum("...ii->...i", best.cov))
     means = np.abs(belief.mean - best.mean) / scale
     covs = np.abs(belief.cov - best.cov) / (deviations[..., None] * deviations[..., None, :])
@@ -178,6 +182,7 @@ def _random_network(number: int) -> tuple[dict[str, Any], LinkState]:
         "window_steps": window,
         "digest_steps": window,
         "payload_bytes": 254,
+        **EVERYTHING,
     }
     there = draw.random((STEPS, nodes, nodes)) < draw.choice([0.5, 1.0])
     return options, LinkState(

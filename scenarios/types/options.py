@@ -50,6 +50,8 @@ class ScenarioOptions(TypedDict, total=False):
     liars: int
     window_steps: int | None
     digest_steps: int | None
+    repeat_above: float
+    repeat_bytes: int
     gate_probability: float
     record_number: RECORD_NUMBER
     payload_bytes: int | None
@@ -98,6 +100,8 @@ class SweptOptions(TypedDict, total=False):
     liars: Sequence[int] | np.ndarray | int
     window_steps: Sequence[int | None] | np.ndarray | int | None
     digest_steps: Sequence[int | None] | np.ndarray | int | None
+    repeat_above: Sequence[float] | np.ndarray | float
+    repeat_bytes: Sequence[int] | np.ndarray | int
     gate_probability: Sequence[float] | np.ndarray | float
     record_number: Sequence[RECORD_NUMBER] | np.ndarray | RECORD_NUMBER
     payload_bytes: Sequence[int | None] | np.ndarray | int | None

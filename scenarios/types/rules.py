@@ -106,8 +106,18 @@ class MeasurementFlooding(FusionRule, frozen=True, kw_only=True, tag="labelled")
     digest_steps: Annotated[
         int | None,
         Option("Say in each share what is held of so many steps, so that what links lose is sent "
-               "again; 8 where links lose frames when left out.", unit="steps", at_least=0),
+               "again; 6 where links lose frames when left out.", unit="steps", at_least=0),
     ] = None  # fmt: skip
+    repeat_above: Annotated[
+        float,
+        Option("Repeat an unconfirmed record from this expected number of neighbours without it; 0 "
+               "repeats all.", at_least=0),
+    ] = 0.12  # fmt: skip
+    repeat_bytes: Annotated[
+        int,
+        Option("Most bytes of repeated records in a share.", unit="bytes", at_least=0,
+               at_most=254),
+    ] = 48  # fmt: skip
     gate_probability: Annotated[
         float,
         Option("Do not pass on own readings that are less likely than this; 0 passes all on.",

@@ -17,6 +17,7 @@ from concord.nodes.rules.all_sensors import AllSensors
 from concord.nodes.rules.labelled import LabelledContent, LabelledFlooding
 from concord.nodes.rules.labelled_frame import LabelledFrameCodec
 from concord.nodes.rules.local_filter import SensorGroup
+from concord.nodes.rules.record_choice import RecordChoice
 from concord.nodes.rules.record_codec import RecordCodec
 from concord.nodes.rules.window_filter import WindowFilter
 from concord.papers.labelled import record_search
@@ -41,9 +42,13 @@ def labelled(
     matrix: np.ndarray = F,
     process_noise_cov: np.ndarray = Q,
     limit_bytes: int = 246,
+    repeat_above: float = 0.0,
     seed: int = 0,
 ) -> Network:
-    """Nodes on this graph (N, N) that pass records of float64 on; each sees something else well."""
+    """Nodes on this graph (N, N) that pass records of float64 on; each sees something else well.
+
+    They repeat whatever is not confirmed, if `repeat_above` does not say more.
+    """
     count = len(adjacency)
     net = network(
         adjacency,
@@ -81,6 +86,9 @@ def labelled(
             own=own[config.index],
             filter=WindowFilter(plain.model, plain.filter, everybody, codecs),
             frames=frames,
+            choice=RecordChoice(
+                count, window_steps, digest_steps, repeat_above, repeat_bytes=limit_bytes
+            ),
             schedule=schedule,
             rounds=rounds,
         )

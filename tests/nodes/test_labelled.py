@@ -171,12 +171,13 @@ def test_on_a_graph_that_changes_a_node_holds_exactly_what_could_reach_it(net: N
     assert held_by(outcome.states) == expected[-1]
 
 
-def test_a_digest_brings_back_what_was_lost():
+@pytest.mark.parametrize("repeat_above", [0.0, 0.12, 10.0])
+def test_a_digest_brings_back_what_was_lost(repeat_above: float):
     """Every frame of the first step is lost; with a digest the records are there a step later."""
     nets = [
         labelled(
             ring(4), steps=4, rounds=2, seeing=range(4), schedule=full_publish(4),
-            digest_steps=digest, limit_bytes=600,
+            digest_steps=digest, limit_bytes=600, repeat_above=repeat_above,
         )
         for digest in (0, 4)
     ]  # fmt: skip

@@ -11,14 +11,7 @@ from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.estimator import Rejected
 from concord.nodes.rules.labelled_frame import Labelled, LabelledFrameCodec, LabelledShare
 from concord.nodes.rules.record_codec import RecordCodec, record_codec
-from concord.nodes.rules.record_sets import (
-    lacked,
-    need,
-    newest_first,
-    record_bit,
-    sources_at,
-    with_sources,
-)
+from concord.nodes.rules.record_sets import packed
 from concord.plants.range_bearing import RangeBearing
 from concord.plants.recorded.sighting import Sighting
 from tests.nodes.networks import random_cov
@@ -139,14 +132,27 @@ def test_a_share_comes_back(digest_steps: int, data: st.DataObject):
     share, codec = data.draw(shares(digest_steps)), frames(digest_steps)
     body = codec.encode(share)
     found = codec.decode(body)
-    assert found._replace(checkpoint=None) == share._replace(checkpoint=None)
+    # Records of the mask come before those with a label, and in the digest's order.
+    assert sorted(found.records) == sorted(share.records)
+    nothing: dict = {"checkpoint": None, "records": ()}
+    assert found._replace(**nothing) == share._replace(**nothing)
+    assert codec.encode(found) == body
     assert (found.checkpoint is None) == (share.checkpoint is None)
     if share.checkpoint is not None and found.checkpoint is not None:
         assert np.array_equal(found.checkpoint.mean, share.checkpoint.mean)
         assert np.array_equal(found.checkpoint.cov, share.checkpoint.cov)
-    cost = sum(codec.cost(len(record)) for _, _, record in share.records)
-    room = codec.room(share.checkpoint is not None)
-    assert len(body) == codec.limit_bytes - room + cost
+    if len(set(share.records)) < len(share.records):
+        return
+    # Bytes are those that the choice of records counts with.
+    held = np.zeros((10, 5), dtype=bool)
+    for age, sources in enumerate(share.digest):
+        held[9 - age] = [sources >> source & 1 for source in range(5)]
+    room = codec.room(packed(held), np.array(share.checkpoint is not None))
+    masked = [(s, a) for s, a, _ in share.records if a < digest_steps and held[9 - a, s]]
+    labels = len(share.records) - len(set(masked))
+    assert len(body) == codec.limit_bytes - room + 2 * labels + sum(
+        len(record) for _, _, record in share.records
+    )
 
 
 @given(st.data(), st.integers(0, 300))
@@ -178,37 +184,31 @@ def test_labels_that_nobody_writes_are_refused(source: int, age: int):
         frames(0).decode(body)
 
 
+@pytest.mark.parametrize(
+    ("digest", "mask", "reason"),
+    [
+        (0b100000, b"", "labelled-mask"),  # a sixth of five nodes
+        (0b00011, b"\x04", "labelled-mask"),  # a third record of two
+        (0b00011, b"", "labelled-length"),
+        (0b01000, b"\x01", "labelled-label"),  # of the blind node
+    ],
+)
+def test_masks_that_no_node_writes_are_refused(digest: int, mask: bytes, reason: str):
+    with pytest.raises(Rejected, match=reason):
+        frames(1).decode(bytes((0, 0, digest)) + mask)
+
+
+def test_a_record_of_the_digest_takes_a_bit_for_its_label():
+    codec = frames(1)
+    # Node 4 has two readings: its record begins with a byte that says which it took.
+    records = (Labelled(0, 0, bytes(4)), Labelled(4, 0, b"\x01" + bytes(4)))
+    share = LabelledShare(False, None, (0b10001,), records)
+    assert len(codec.encode(share)) == 2 + 1 + 1 + 4 + 5
+    apart = share._replace(digest=(0,))
+    assert len(codec.encode(apart)) == 2 + 1 + 0 + (2 + 4) + (2 + 5)
+    assert codec.decode(codec.encode(apart)).records == share.records
+
+
 def test_a_frame_that_cannot_hold_a_checkpoint_is_refused_before_the_start():
     with pytest.raises(ValueError, match="--payload-bytes by 4 or more"):
         frames(0, limit_bytes=19)
-
-
-# --- sets ----------------------------------------------------------------------------------------
-
-
-SETS = st.integers(0, 2**25 - 1)  # five places of five sources
-
-
-@given(SETS, st.lists(SETS, max_size=3))
-def test_needs_are_those_of_plain_sets(held: int, known: list[int]):
-    def plain(records: int) -> set[tuple[int, int]]:
-        return {divmod(bit, 5) for bit in range(25) if records >> bit & 1}
-
-    absent = [plain(held) - plain(theirs) for theirs in known]
-    assert plain(lacked(held, known)) == set().union(*absent)
-    urgencies = [10 + place for place in range(5)]
-    expected = sum(10 + place for some in absent for place, _ in some)
-    assert need(held, known, urgencies, 5) == expected
-    ordered = sorted(plain(held), key=lambda label: (-label[0], label[1]))
-    assert list(newest_first(held, 5)) == ordered
-    assert sum(record_bit(place, source, 5) for place, source in ordered) == held
-
-
-@given(SETS, st.integers(0, 4), st.integers(0, 31))
-def test_the_sources_of_a_place_are_replaced_alone(records: int, place: int, sources: int):
-    changed = with_sources(records, place, sources, 5)
-    for other in range(5):
-        expected = sources if other == place else sources_at(records, other, 5)
-        assert sources_at(changed, other, 5) == expected
-    # A window that moves on forgets its first place.
-    assert sources_at(changed >> 5, 0, 5) == sources_at(changed, 1, 5)

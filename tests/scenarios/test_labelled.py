@@ -13,9 +13,8 @@ from concord.experiments.results.bus_report import SentShares, wire_per_step
 from concord.experiments.results.trace import Trace, read_trace
 from concord.experiments.scenario_options import scenario_of
 from concord.nodes.rules.labelled import LabelledFlooding
-from concord.nodes.rules.record_sets import lacked, newest_first
 from concord.papers.labelled.cases import FaultCase, runs_of_case
-from concord.papers.labelled.exact import FULL_INFORMATION, audit, full_information
+from concord.papers.labelled.exact import EVERYTHING, FULL_INFORMATION, audit, full_information
 from concord.papers.labelled.exact_section import NETWORKS, exact_section
 from concord.runtime.drivers import in_memory
 from concord.scenarios.baselines import centralised
@@ -67,10 +66,7 @@ def test_records_in_use_are_those_that_a_search_finds_in_fifty_networks():
 def test_a_rule_that_forgets_to_repeat_what_was_lost_is_found(monkeypatch: pytest.MonkeyPatch):
     """Sharing only what neighbours are believed to lack: what is lost comes late, or never."""
 
-    def believed(self, content):
-        return newest_first(lacked(content.held, content.known), len(self.neighbours))
-
-    monkeypatch.setattr(LabelledFlooding, "_wanted", believed)
+    monkeypatch.setitem(EVERYTHING, "repeat_bytes", 0)
     assert sum(audit(number).missing for number in range(12)) > 0
 
 
@@ -212,7 +208,7 @@ def test_the_window_is_the_latency_and_32_steps_at_least():
 def test_digests_are_said_where_links_lose_frames():
     scenario = scenario_of("oscillator", nodes=5, rule="labelled")
     replaced = scenario.with_
-    assert [digest_of(replaced(loss=loss)) for loss in (0.0, 0.01, 0.02)] == [0, 0, 8]
+    assert [digest_of(replaced(loss=loss)) for loss in (0.0, 0.01, 0.02)] == [0, 0, 6]
     assert digest_of(replaced(loss=0.3, window_steps=5)) == 5
     assert digest_of(replaced(loss=0.3, digest_steps=0)) == 0
 
