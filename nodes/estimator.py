@@ -77,3 +77,13 @@ class KeepsZonotope(Protocol):
     def generators(self, content: Any) -> np.ndarray | None:
         """Its generators (n, q); None of another set."""
         ...
+
+
+@runtime_checkable
+class KeepsPast(Protocol):
+    """An estimator that also estimates the states of past steps."""
+
+    def smoothed(self, content: Any) -> Gaussian:
+        """States of 0, 1, ... steps ago given all that the node knows: mean (L, n), cov (L, n, n);
+        NaN where it knows none."""
+        ...

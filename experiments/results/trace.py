@@ -13,7 +13,18 @@ from concord.nodes.history import History, history_of, with_holes, without_lost_
 from concord.nodes.messages import Bid, Estimate, Grant, Measured, Timing, Truth, from_wire
 from concord.runtime.recorded import SharedFrame, meaning
 from concord.scenarios.bus_plan import frame_format
+from concord.scenarios.labelled import smoothing_lags
 from concord.scenarios.setup import Setup
+
+
+class Past(NamedTuple):
+    """Mean and standard deviation of smoothed states, (..., steps, L, N, n).
+
+    Entry (k, l) is the state of step k - l given what a node knew after step k; NaN for k < l.
+    """
+
+    mean: np.ndarray
+    std: np.ndarray
 
 
 class Trace(NamedTuple):
@@ -31,7 +42,7 @@ class Trace(NamedTuple):
         (steps, rounds, N), the urgency class in whose frame ID a node won; else 0. counters: per
         node, totals at its last estimate. history: who took part when, and in how many rounds; a
         step with fewer than the most leaves the last ones empty. spread: of labelled records; None
-        for rules without, and where the network changed.
+        for rules without, and where the network changed. past: for rules that estimate it.
     """
 
     truth: np.ndarray
@@ -46,6 +57,7 @@ class Trace(NamedTuple):
     counters: list[dict[str, int]]
     history: History
     spread: RecordSpread | None = None
+    past: Past | None = None
 
     @property
     def steps(self) -> int:
@@ -120,6 +132,7 @@ def _assemble(
     mean = np.full((steps, nodes, n), np.nan)
     packed = np.full((steps, nodes, n * (n + 1) // 2), np.nan)
     ages = np.full((steps, nodes, nodes), -1)
+    past = _nothing(setup, steps)
     delivered = [from_wire(measured[k, i].readings) for k, i in sorted(measured)[:1]]
     readings = np.full((steps, nodes, *(delivered[0].shape if delivered else (0, 0))), np.nan)
     counters: list[dict[str, int]] = [{} for _ in range(nodes)]
@@ -132,6 +145,9 @@ def _assemble(
         ages[k, i, i] = 0
         ages[k, i, setup.neighbours[i]] = estimate.ages
         counters[i] = estimate.counters
+        if past is not None and estimate.smoothed and estimate.smoothed_std:
+            past.mean[k, :, i] = from_wire(estimate.smoothed)
+            past.std[k, :, i] = from_wire(estimate.smoothed_std)
         readings[k, i] = from_wire(measured[k, i].readings)
         controls[k] = measured[k, i].control
     control = None
@@ -154,7 +170,17 @@ def _assemble(
         counters=counters,
         history=history,
         spread=record_spread(setup, fragments, readings) if steps and not history.changed else None,
+        past=past,
     )
+
+
+def _nothing(setup: Setup, steps: int) -> Past | None:
+    """Return the past of a network that has estimated none yet."""
+    lags = smoothing_lags(setup.scenario)
+    if not lags:
+        return None
+    shape = (steps, lags, setup.scenario.nodes, len(setup.prior_mean))
+    return Past(np.full(shape, np.nan), np.full(shape, np.nan))
 
 
 def _summed(

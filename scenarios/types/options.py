@@ -55,6 +55,7 @@ class ScenarioOptions(TypedDict, total=False):
     payload_bytes: int | None
     relay: bool
     latch_delay_us: float
+    smooth_steps: int
     rounds: int
     bus: FUNCTION
     schedule: str | Choice
@@ -103,6 +104,7 @@ class SweptOptions(TypedDict, total=False):
     payload_bytes: Sequence[int | None] | np.ndarray | int | None
     relay: Sequence[bool] | np.ndarray | bool
     latch_delay_us: Sequence[float] | np.ndarray | float
+    smooth_steps: Sequence[int] | np.ndarray | int
     rounds: Sequence[int] | np.ndarray | int
     bus: Sequence[FUNCTION] | np.ndarray | FUNCTION
     schedule: Sequence[str | Choice] | np.ndarray | str | Choice
