@@ -90,10 +90,11 @@ def first_difference(reference: Trace, trace: Trace, driver: str) -> DriverDiffe
 
 
 def _quantities(trace: Trace) -> dict[str, np.ndarray]:
+    suspect = {} if trace.suspect is None else {"suspect": trace.suspect}
     past = (
         {} if trace.past is None else {"smoothed": trace.past.mean, "smoothed std": trace.past.std}
     )
-    return {name: getattr(trace, name) for name in _COMPARED} | past
+    return {name: getattr(trace, name) for name in _COMPARED} | suspect | past
 
 
 def near_differences(setup: Setup, reference: Trace) -> list[DriverDifference]:

@@ -8,7 +8,7 @@ values Y_s = f(X_s):
     smooth    x + G (xs - x-),  P + G (Ps - P-) G'
 
 where (xs, Ps) is the smoothed belief of the step after. On linear models the points give the exact
-moments, and the smoother is that of Rauch, Tung and Striebel (1965).
+moments: the Rauch-Tung-Striebel smoother (1965).
 
 Histories have steps on the first axis; all axes between it and the last are lanes, and free. A lane
 that fails is NaN, and fails alone.

@@ -6,7 +6,7 @@ from typing import cast
 import numpy as np
 
 from concord.filters.linalg import pack_upper
-from concord.nodes.estimator import KeepsPast, KeepsZonotope
+from concord.nodes.estimator import ChecksItself, KeepsPast, KeepsZonotope
 from concord.nodes.messages import Estimate, to_wire
 from concord.nodes.node_state import NodeConfig, NodeState
 
@@ -21,6 +21,7 @@ def estimate_of(config: NodeConfig, state: NodeState) -> Estimate:
     if _has(type(estimator), KeepsPast):
         smoothed, cov = cast(KeepsPast, estimator).smoothed(content)
         smoothed_std = np.sqrt(np.diagonal(cov, axis1=-2, axis2=-1))
+    checks = _has(type(estimator), ChecksItself)
     return Estimate(
         config.index,
         state.step,
@@ -29,6 +30,7 @@ def estimate_of(config: NodeConfig, state: NodeState) -> Estimate:
         ages.tolist(),
         state.counters,
         *(None if one is None else to_wire(one) for one in (generators, smoothed, smoothed_std)),
+        suspect=checks and cast(ChecksItself, estimator).is_suspect(content),
     )
 
 

@@ -80,6 +80,15 @@ class KeepsZonotope(Protocol):
 
 
 @runtime_checkable
+class ChecksItself(Protocol):
+    """An estimator that tests whether what it has heard fits its belief."""
+
+    def is_suspect(self, content: Any) -> bool:
+        """Whether it does not fit."""
+        ...
+
+
+@runtime_checkable
 class KeepsPast(Protocol):
     """An estimator that also estimates the states of past steps."""
 

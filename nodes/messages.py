@@ -99,7 +99,8 @@ class Estimate(msgspec.Struct, frozen=True, omit_defaults=True):
     (-1: never heard); `counters` are totals since the start. `generators` (n, q) are those of a
     node that keeps a zonotope with the centre `mean`; then `cov` describes an ellipsoid around it.
     `smoothed` and `smoothed_std` (L, n) are means and standard deviations of the states of 0, 1,
-    ... steps ago, of a node that estimates them.
+    ... steps ago, of a node that estimates them. `suspect`: what the node has heard does not fit
+    its belief.
     """
 
     node: NodeIndex
@@ -111,6 +112,7 @@ class Estimate(msgspec.Struct, frozen=True, omit_defaults=True):
     generators: list[list[float]] | None = None
     smoothed: list[list[float | None]] | None = None
     smoothed_std: list[list[float | None]] | None = None
+    suspect: bool = False
 
 
 class Start(msgspec.Struct, frozen=True):

@@ -20,7 +20,7 @@ from concord.filters.gaussian import Gaussian
 from concord.nodes.estimator import AnyEstimator
 from concord.nodes.lanes.batch import AveragesInBatch, InBatch
 from concord.nodes.lanes.beliefs import BatchedBeliefs
-from concord.nodes.lanes.labelled import BatchedFlooding
+from concord.nodes.lanes.labelled_check import BatchedSelfChecked
 from concord.nodes.lanes.labelled_past import BatchedSmoothing
 from concord.nodes.lanes.network import BatchedRule
 from concord.nodes.rules.all_sensors import AllSensors
@@ -28,7 +28,7 @@ from concord.nodes.rules.at_node import AtNode
 from concord.nodes.rules.belief_consensus import BeliefConsensus, HoldPolicy
 from concord.nodes.rules.fresh_consensus import FreshConsensus
 from concord.nodes.rules.information_rounds import InformationRounds
-from concord.nodes.rules.labelled import LabelledFlooding
+from concord.nodes.rules.labelled_check import SelfCheckedFlooding
 from concord.nodes.rules.labelled_frame import LabelledFrameCodec
 from concord.nodes.rules.labelled_past import SmoothingFlooding
 from concord.nodes.rules.lane_rule import LaneRule, Place
@@ -146,7 +146,7 @@ def flooding(context: NodeContext) -> AnyEstimator:
     smooth_steps = flooding_of(everybody.scenario).smooth_steps
     if smooth_steps:
         return SmoothingFlooding(**usual, smooth_steps=smooth_steps)
-    return LabelledFlooding(**usual)
+    return SelfCheckedFlooding(**usual)
 
 
 def _window_filter(
@@ -213,4 +213,4 @@ def flooding_in_batch(context: BatchContext) -> BatchedRule:
     smooth_steps = flooding_of(everybody.scenario).smooth_steps
     if smooth_steps:
         return BatchedSmoothing(**usual, smooth_steps=smooth_steps)
-    return BatchedFlooding(**usual)
+    return BatchedSelfChecked(**usual)

@@ -63,6 +63,8 @@ def histories_dataset(histories: Histories, cost: RunCost | None = None) -> "xar
         variables["ages"] = (("run", "step", "link"), histories.ages, units)
     if histories.cov is not None:
         variables["cov"] = ((*state, "other_state"), histories.cov)
+    if histories.suspect is not None:
+        variables["suspect"] = (("run", "step", "node"), histories.suspect.astype(np.int8))
     if histories.past is not None:
         variables |= past_variables(histories.past, ("run", "step"))
     heard = setup.neighbours
@@ -106,6 +108,7 @@ def read_histories(path: Path, setup: Setup) -> tuple[Histories, RunCost]:
             if _COUNTER in one.attrs
         },
         past=_read_past(data),
+        suspect=data["suspect"].to_numpy() > 0 if "suspect" in data else None,
         spreads=(),
         **arrays,
     )

@@ -45,7 +45,8 @@ class ManyFigures(msgspec.Struct, frozen=True):
     """Figures of R runs; RMSE and disagreement in `unit`.
 
     Frames, and the events that nodes `noticed`, are means per run; the bus load is NaN on a bus
-    without time.
+    without time. `suspect` is the share of the estimates whose node said that its belief does not
+    fit what it had heard.
     """
 
     scenario: str
@@ -71,6 +72,7 @@ class ManyFigures(msgspec.Struct, frozen=True):
     node_updates_per_second: float
     peak_memory_mb: float
     smoothed: list[ManySmoothed] | None = None
+    suspect: float | None = None
 
 
 class RunCost(NamedTuple):
@@ -137,6 +139,7 @@ def summarise(histories: Histories, cost: RunCost) -> ManyFigures:
         seconds=cost.seconds,
         node_updates_per_second=histories.mean[..., 0].size / cost.seconds,
         peak_memory_mb=cost.peak_memory_mb,
+        suspect=None if histories.suspect is None else float(histories.suspect.mean()),
         smoothed=None if histories.past is None else _smoothed(histories, histories.past, counted),
     )
 
@@ -230,6 +233,11 @@ def lines(figures: ManyFigures) -> list[str]:
     return [
         f"{figures.runs} runs from run {figures.first_run} on; ± is the 95 % interval of the mean",
         f"{framed}disagreement {shown(figures.disagreement)} {figures.unit}",
+        *(
+            [f"{100 * figures.suspect:.3g} % of the estimates are suspect"]
+            if figures.suspect
+            else []
+        ),
         *([f"smoothed, x the centralised smoother of that lag in steps: {past}"] if past else []),
         *([f"nodes noticed per run: {counts}"] if counts else []),
         f"{shown(figures.bytes_per_step)} B per step on the wire{load}",

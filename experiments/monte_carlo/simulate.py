@@ -25,6 +25,7 @@ from concord.scenarios.catalogue import definition_of
 from concord.scenarios.labelled import smoothing_lags
 from concord.scenarios.preparation import setup_of_run
 from concord.scenarios.setup import Setup
+from concord.scenarios.types.rules import MeasurementFlooding
 
 # Runs are taken so many at a time that this many nodes are computed at once: enough that numpy is
 # worth its calls, little enough for caches and memory.
@@ -60,6 +61,8 @@ class Histories(NamedTuple):
             receiver and then sender, as in `setup.neighbours`. If kept.
         cov: (R, S, N, n, n). If kept.
         past: smoothed states, (R, S, L, N, n), of rules that estimate them (`Past`).
+        suspect: (R, S, N), which nodes say that their belief does not fit what they have heard;
+            None for rules that do not check.
         spreads: of labelled records, one of each run; empty for rules without.
     """
 
@@ -79,6 +82,7 @@ class Histories(NamedTuple):
     ages: np.ndarray | None
     cov: np.ndarray | None
     past: Past | None
+    suspect: np.ndarray | None
     spreads: tuple[RecordSpread, ...]
 
 
@@ -94,6 +98,7 @@ class _Recorded(NamedTuple):
     readings: np.ndarray
     ages: np.ndarray
     past: Past | None
+    suspect: np.ndarray | None
 
 
 def simulate(
@@ -182,7 +187,7 @@ class _Collected:
 
     def histories(self, count: int) -> Histories:
         """Of the first so many runs."""
-        missing = dict.fromkeys(OPTIONAL | {"control"})
+        missing = dict.fromkeys(OPTIONAL | {"control", "suspect"})
         arrays = {name: values[:count] for name, values in self._arrays.items()}
         past = Past(arrays.pop(_PAST_MEAN), arrays.pop(_PAST_STD)) if _PAST_MEAN in arrays else None
         fields: dict[str, Any] = {**missing, **arrays}
@@ -221,14 +226,14 @@ def _driven(setup: Setup, runs: Sequence[int]) -> _Part:
             if instant.spread is not None and not setup.scenario.changes:
                 spreads[:] = spreads or [SpreadHistory(setup, len(runs))]
                 spreads[0].add(instant)
-            yield _recorded(instant, most_rounds, smoothing_lags(setup.scenario))
+            yield _recorded(setup, instant, most_rounds)
 
     return _Part(
         steps(), counters, network.prior.mean[:, 0], lambda: spreads[0].of_runs() if spreads else ()
     )
 
 
-def _recorded(instant: Instant, rounds: int, lags: int) -> _Recorded:
+def _recorded(setup: Setup, instant: Instant, rounds: int) -> _Recorded:
     lacking = ((0, rounds - len(instant.payload_bytes)), (0, 0), (0, 0))
     payload, asked, classes = (
         np.pad(one, lacking).transpose(1, 0, 2)
@@ -243,8 +248,17 @@ def _recorded(instant: Instant, rounds: int, lags: int) -> _Recorded:
         classes,
         instant.readings,
         instant.ages,
-        _past(instant, lags),
+        _past(instant, smoothing_lags(setup.scenario)),
+        _suspect(setup, instant),
     )
+
+
+def _suspect(setup: Setup, instant: Instant) -> np.ndarray | None:
+    """Which nodes are suspect (R, N); none while another rule is set."""
+    if not isinstance(setup.scenario.rule, MeasurementFlooding):
+        return None
+    nobody = np.zeros(instant.belief.mean.shape[:2], dtype=bool)
+    return nobody if instant.suspect is None else instant.suspect
 
 
 def _past(instant: Instant, lags: int) -> Past | None:
@@ -282,6 +296,7 @@ def _replayed(setup: Setup, runs: Sequence[int]) -> _Part:
                 trace.readings[None, step],
                 trace.ages[None, step, receiver, sender],
                 None if trace.past is None else Past(*(one[None, step] for one in trace.past)),
+                None if trace.suspect is None else trace.suspect[None, step],
             )
 
     spreads = [] if trace.spread is None else [trace.spread]
@@ -312,6 +327,7 @@ def _write(
         READINGS: recorded.readings if READINGS in keep else None,
         AGES: recorded.ages.astype(np.int32) if AGES in keep else None,
         COV: belief.cov if COV in keep else None,
+        "suspect": recorded.suspect,
         _PAST_MEAN: None if recorded.past is None else recorded.past.mean,
         _PAST_STD: None if recorded.past is None else recorded.past.std,
     }

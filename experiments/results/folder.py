@@ -178,6 +178,8 @@ def write_arrays(folder: Path, description: Description, trace: Trace) -> None:
     if trace.spread is not None:
         ages = record_ages(trace.spread).swapaxes(0, 1)
         variables["record_age"] = (("step", "node", "source"), ages, {"units": "steps"})
+    if trace.suspect is not None:
+        variables["suspect"] = (("step", "node"), trace.suspect.astype(np.int8))
     if trace.past is not None:
         variables |= past_variables(trace.past, ("step",))
     variables |= _bus_variables(setup, trace)

@@ -119,7 +119,7 @@ def _lags(description: Description, data: "xarray.Dataset") -> "Figure":
               label="one smoother that hears everything")  # fmt: skip
     axes.axhline(best[0], color=GREY, linestyle=":", label="one filter that hears everything")
     axes.set(ylim=(0, None), xlabel="lag [steps]", ylabel=f"error [{score.unit}]")
-    axes.set_title(_title(description), loc="left")
+    axes.set_title(_title(description, data), loc="left")
     figure.legend(loc="outside lower center", ncols=3)
     return figure
 

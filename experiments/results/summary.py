@@ -58,7 +58,8 @@ class Figures(msgspec.Struct, frozen=True):
 
     `anees_interval` has the ends of the 95 % interval of `anees`; None for too few steps.
     `bus` is None on a bus without time; `timing` is None except in real time. `noticed` sums the
-    nodes' counters other than traffic: frames lost, late, repeated, rejected and why.
+    nodes' counters other than traffic: frames lost, late, repeated, rejected and why. `suspect` is
+    the number of steps in which each node said that its belief does not fit what it had heard.
     """
 
     scenario: str
@@ -86,6 +87,7 @@ class Figures(msgspec.Struct, frozen=True):
     spread: SpreadFigures | None = None
     timing: TimingFigures | None = None
     smoothed: list[SmoothedFigure] | None = None
+    suspect: list[int] | None = None
     anees_interval: tuple[float, float] | None = None
     steps_per_second: float | None = None
     ready_s: float | None = None
@@ -152,6 +154,7 @@ def summarise(setup: Setup, trace: Trace) -> Figures:
         containment_centralised=_contained(set_valued, central, trace.truth),
         anees_interval=None if set_valued or np.isnan(of_steps.low) else of_steps[1:],
         spread=None if trace.spread is None else record_spread.figures_of(trace.spread),
+        suspect=None if trace.suspect is None else trace.suspect.sum(axis=0).tolist(),
         smoothed=None
         if trace.past is None
         else _smoothed(setup, trace, trace.past, central, first),
@@ -291,6 +294,11 @@ def lines(figures: Figures) -> list[str]:
             f"sets: e' P^-1 e is at most {held.largest:.12g}, and 1 is the edge; half-width "
             f"√tr P in the mean {_short(held.half_width)}; nodes alone: RMSE "
             f"{_short(figures.rmse_local_only)} {unit}"
+        )
+    if figures.suspect is not None and any(figures.suspect):
+        doubted = ", ".join(f"{i} in {count}" for i, count in enumerate(figures.suspect) if count)
+        text.append(
+            f"warning: beliefs do not fit the records of these nodes, in so many steps: {doubted}"
         )
     if figures.smoothed is not None:
         chosen = [figures.smoothed[lag] for lag in shown_lags(len(figures.smoothed))]

@@ -15,6 +15,7 @@ from concord.runtime.recorded import SharedFrame, meaning
 from concord.scenarios.bus_plan import frame_format
 from concord.scenarios.labelled import smoothing_lags
 from concord.scenarios.setup import Setup
+from concord.scenarios.types.rules import MeasurementFlooding
 
 
 class Past(NamedTuple):
@@ -42,7 +43,8 @@ class Trace(NamedTuple):
         (steps, rounds, N), the urgency class in whose frame ID a node won; else 0. counters: per
         node, totals at its last estimate. history: who took part when, and in how many rounds; a
         step with fewer than the most leaves the last ones empty. spread: of labelled records; None
-        for rules without, and where the network changed. past: for rules that estimate it.
+        for rules without, and where the network changed. past: for rules that estimate it. suspect:
+        (steps, N), which nodes say that their belief does not fit what they have heard.
     """
 
     truth: np.ndarray
@@ -58,6 +60,7 @@ class Trace(NamedTuple):
     history: History
     spread: RecordSpread | None = None
     past: Past | None = None
+    suspect: np.ndarray | None = None
 
     @property
     def steps(self) -> int:
@@ -132,7 +135,7 @@ def _assemble(
     mean = np.full((steps, nodes, n), np.nan)
     packed = np.full((steps, nodes, n * (n + 1) // 2), np.nan)
     ages = np.full((steps, nodes, nodes), -1)
-    past = _nothing(setup, steps)
+    past, suspect = _nothing(setup, steps), np.zeros((steps, nodes), dtype=bool)
     delivered = [from_wire(measured[k, i].readings) for k, i in sorted(measured)[:1]]
     readings = np.full((steps, nodes, *(delivered[0].shape if delivered else (0, 0))), np.nan)
     counters: list[dict[str, int]] = [{} for _ in range(nodes)]
@@ -144,7 +147,7 @@ def _assemble(
         mean[k, i], packed[k, i] = from_wire(estimate.mean), from_wire(estimate.cov)
         ages[k, i, i] = 0
         ages[k, i, setup.neighbours[i]] = estimate.ages
-        counters[i] = estimate.counters
+        counters[i], suspect[k, i] = estimate.counters, estimate.suspect
         if past is not None and estimate.smoothed and estimate.smoothed_std:
             past.mean[k, :, i] = from_wire(estimate.smoothed)
             past.std[k, :, i] = from_wire(estimate.smoothed_std)
@@ -171,6 +174,7 @@ def _assemble(
         history=history,
         spread=record_spread(setup, fragments, readings) if steps and not history.changed else None,
         past=past,
+        suspect=suspect if isinstance(setup.scenario.rule, MeasurementFlooding) else None,
     )
 
 

@@ -3,13 +3,14 @@
 from dataclasses import dataclass
 
 from concord.filters.gaussian import Gaussian
-from concord.nodes.lanes.labelled import BatchedFlooding, BatchedLabelledContent
+from concord.nodes.lanes.labelled import BatchedLabelledContent
+from concord.nodes.lanes.labelled_check import BatchedSelfChecked
 from concord.nodes.rules.window_smoother import smoothed_past
 
 
 @dataclass(frozen=True)
-class BatchedSmoothing(BatchedFlooding):
-    """`BatchedFlooding` with the smoothed states of the last `smooth_steps` steps."""
+class BatchedSmoothing(BatchedSelfChecked):
+    """`BatchedSelfChecked` with the smoothed states of the last `smooth_steps` steps."""
 
     smooth_steps: int = 0
 

@@ -101,6 +101,15 @@ class RuleWithLengths(BatchedRule, Protocol):
 
 
 @runtime_checkable
+class RuleWithCheck(BatchedRule, Protocol):
+    """A rule whose nodes test whether what they have heard fits their beliefs."""
+
+    def suspect(self, content: Any) -> np.ndarray:
+        """Where it does not fit: (R, N)."""
+        ...
+
+
+@runtime_checkable
 class RuleWithPast(BatchedRule, Protocol):
     """A rule that also estimates the states of past steps."""
 

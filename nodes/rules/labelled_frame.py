@@ -1,6 +1,6 @@
 """Share of the rule `labelled`: labelled records, at times a checkpoint, a digest.
 
-    flags u8 (1: I need a checkpoint, 2: here is one) | number of records u8
+    flags u8 (1: I need a checkpoint, 2: here is one, 4: I am lost) | number of records u8
     | digest | checkpoint: mean, upper covariance, float32 | records: source u8, age u8, readings
 
 The step is not written: a share belongs to the cycle that its frame says, and so to its step. Bit
@@ -22,7 +22,7 @@ Size = TypeVar("Size", int, np.ndarray)
 
 MAX_SOURCES = 256
 MAX_WINDOW_STEPS = 255
-_NEED, _CHECKPOINT = 1, 2
+_NEED, _CHECKPOINT, _SUSPECT = 1, 2, 4
 _HEAD_BYTES = 2
 _LABEL_BYTES = 2
 _MAX_RECORDS = 255
@@ -40,13 +40,14 @@ class LabelledShare(NamedTuple):
     """Content of a node's share.
 
     `needs` a checkpoint; `digest` is one set of sources per age, as bits; `checkpoint` is its
-    belief at the base of the window.
+    belief at the base of the window; `suspect`: its records do not fit its belief.
     """
 
     needs: bool
     checkpoint: Gaussian | None
     digest: tuple[int, ...]
     records: tuple[Labelled, ...]
+    suspect: bool = False
 
 
 @dataclass(frozen=True)
@@ -90,6 +91,7 @@ class LabelledFrameCodec:
         """The bytes of a share with at most 255 records."""
         assert len(share.records) <= _MAX_RECORDS, "a record takes at least four bytes of 254"
         flags = _NEED * share.needs + _CHECKPOINT * (share.checkpoint is not None)
+        flags += _SUSPECT * share.suspect
         nodes = len(self.codecs)
         digest = sum(held << (age * nodes) for age, held in enumerate(share.digest))
         parts = [bytes((flags, len(share.records))), digest.to_bytes(self.digest_bytes, "little")]
@@ -121,6 +123,7 @@ class LabelledFrameCodec:
             checkpoint,
             tuple(digest >> (age * nodes) & everybody for age in range(self.digest_steps)),
             self._records(body[start:], count),
+            bool(flags & _SUSPECT),
         )
 
     def _records(self, data: bytes, count: int) -> tuple[Labelled, ...]:

@@ -5,13 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from concord.filters.gaussian import Gaussian
-from concord.nodes.rules.labelled import LabelledContent, LabelledFlooding
+from concord.nodes.rules.labelled import LabelledContent
+from concord.nodes.rules.labelled_check import SelfCheckedFlooding
 from concord.nodes.rules.window_smoother import smoothed_past
 
 
 @dataclass(frozen=True)
-class SmoothingFlooding(LabelledFlooding):
-    """`LabelledFlooding` with the smoothed states of the last `smooth_steps` steps."""
+class SmoothingFlooding(SelfCheckedFlooding):
+    """`SelfCheckedFlooding` with the smoothed states of the last `smooth_steps` steps."""
 
     smooth_steps: int = 0
 

@@ -20,6 +20,7 @@ from concord.nodes.lanes.links import places
 from concord.nodes.lanes.network import (
     BatchedNetwork,
     BatchedRule,
+    RuleWithCheck,
     RuleWithLengths,
     RuleWithPast,
     RuleWithReturns,
@@ -40,7 +41,7 @@ class Instant(NamedTuple):
     urgency class it won. counters: totals
     (R, N) by name, of a node that came back since then. spread: what shares carried, where they
     have no length of their own. past: (R, N, L, n), the states of 0, 1, ... steps ago, of a rule
-    that estimates them.
+    that estimates them. suspect: (R, N), of a rule whose nodes check themselves.
     """
 
     step: int
@@ -55,6 +56,7 @@ class Instant(NamedTuple):
     counters: Counters
     spread: ShareContents | None
     past: Gaussian | None
+    suspect: np.ndarray | None
 
 
 class _Said(NamedTuple):
@@ -104,6 +106,7 @@ def run(network: BatchedNetwork) -> Iterator[Instant]:
             tally.shown,
             spread,
             _past(rule, content, here),
+            rule.suspect(content) & here if isinstance(rule, RuleWithCheck) else None,
         )
 
 
