@@ -75,8 +75,8 @@ def _trace(
 def first_difference(reference: Trace, trace: Trace, driver: str) -> DriverDifference | None:
     """Return the first entry, step by step, whose bits are not those of the reference."""
     earliest: DriverDifference | None = None
-    for quantity in _COMPARED:
-        ours, theirs = getattr(reference, quantity), getattr(trace, quantity)
+    for quantity, ours in _quantities(reference).items():
+        theirs = _quantities(trace)[quantity]
         if ours.shape != theirs.shape:
             return DriverDifference(driver, f"{quantity} shape", [], ours.size, theirs.size)
         # Equal bits, not equal values: NaN equals itself, and 0.0 is not -0.0.
@@ -87,6 +87,14 @@ def first_difference(reference: Trace, trace: Trace, driver: str) -> DriverDiffe
                 driver, quantity, list(index), float(ours[index]), float(theirs[index])
             )
     return earliest
+
+
+def _quantities(trace: Trace) -> dict[str, np.ndarray]:
+    suspect = {} if trace.suspect is None else {"suspect": trace.suspect}
+    past = (
+        {} if trace.past is None else {"smoothed": trace.past.mean, "smoothed std": trace.past.std}
+    )
+    return {name: getattr(trace, name) for name in _COMPARED} | suspect | past
 
 
 def near_differences(setup: Setup, reference: Trace) -> list[DriverDifference]:

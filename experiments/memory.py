@@ -7,6 +7,7 @@ from heapq import nlargest
 
 from concord.experiments.doctor.machine import available_memory_mb
 from concord.scenarios.catalogue import definition_of
+from concord.scenarios.labelled import smoothing_lags
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.streams import generator
 from concord.scenarios.types.assignment import check_ranges
@@ -47,6 +48,8 @@ def needed_bytes(scenario: Scenario, runs: int = 1, messages: bool = False) -> i
     noise = plant.draw(partial(generator, scenario), 1)
     n, readings = len(plant.state_names), noise.measurement.size / scenario.nodes
     numbers = 2 * n**2 + 6 * n + 2 * readings + scenario.rounds + 8
+    # Means and deviations of smoothed states, and their errors.
+    numbers += 3 * n * smoothing_lags(scenario)
     per_node = numbers * _FLOAT_BYTES
     if messages:
         per_node += _MESSAGES_BYTES + scenario.nodes * _FLOAT_BYTES

@@ -77,3 +77,22 @@ class KeepsZonotope(Protocol):
     def generators(self, content: Any) -> np.ndarray | None:
         """Its generators (n, q); None of another set."""
         ...
+
+
+@runtime_checkable
+class ChecksItself(Protocol):
+    """An estimator that tests whether what it has heard fits its belief."""
+
+    def is_suspect(self, content: Any) -> bool:
+        """Whether it does not fit."""
+        ...
+
+
+@runtime_checkable
+class KeepsPast(Protocol):
+    """An estimator that also estimates the states of past steps."""
+
+    def smoothed(self, content: Any) -> Gaussian:
+        """States of 0, 1, ... steps ago given all that the node knows: mean (L, n), cov (L, n, n);
+        NaN where it knows none."""
+        ...

@@ -98,6 +98,9 @@ class Estimate(msgspec.Struct, frozen=True, omit_defaults=True):
     `mean` (n,), `cov` the upper triangle row by row; `ages` per neighbour in communication cycles
     (-1: never heard); `counters` are totals since the start. `generators` (n, q) are those of a
     node that keeps a zonotope with the centre `mean`; then `cov` describes an ellipsoid around it.
+    `smoothed` and `smoothed_std` (L, n) are means and standard deviations of the states of 0, 1,
+    ... steps ago, of a node that estimates them. `suspect`: what the node has heard does not fit
+    its belief.
     """
 
     node: NodeIndex
@@ -107,6 +110,9 @@ class Estimate(msgspec.Struct, frozen=True, omit_defaults=True):
     ages: list[int]
     counters: dict[str, int]
     generators: list[list[float]] | None = None
+    smoothed: list[list[float | None]] | None = None
+    smoothed_std: list[list[float | None]] | None = None
+    suspect: bool = False
 
 
 class Start(msgspec.Struct, frozen=True):

@@ -13,16 +13,14 @@ This file never does I/O, reads a clock or draws a number, and never raises for 
 share that is late, early, repeated, missing or malformed is dropped, kept or counted here.
 """
 
-from functools import lru_cache
-from typing import Any, cast
+from typing import Any
 
 from msgspec.structs import replace
 
 from concord.bus.schedule import Schedule
-from concord.filters.linalg import pack_upper
 from concord.nodes.changes import Gone
 from concord.nodes.due_frames import take_due
-from concord.nodes.estimator import KeepsZonotope
+from concord.nodes.estimates import estimate_of
 from concord.nodes.faults.active import hangs, is_silent
 from concord.nodes.faults.senders import spoken
 from concord.nodes.inbox import (
@@ -37,14 +35,12 @@ from concord.nodes.inbox import (
 from concord.nodes.messages import (
     Bid,
     CycleClosed,
-    Estimate,
     Grant,
     Measured,
     NodeEvent,
     NodeMessage,
     ShareHeard,
     ShareSent,
-    to_wire,
 )
 from concord.nodes.node_state import Inbox, NodeConfig, NodeState, Phase, count, counted
 from concord.nodes.transitions import Completion, Transition
@@ -273,32 +269,9 @@ def _close_cycle(config: NodeConfig, state: NodeState, outbox: list[NodeMessage]
     state = replace(state, cycle=following, group=0, won=(), inbox=inbox)
     if (following - config.first_cycle) % config.rounds:
         return _open_group(config, state, outbox)
-    outbox.append(_estimate(config, state))
+    outbox.append(estimate_of(config, state))
     finished = state.step + 1 == config.steps
     return replace(state, phase=Phase.FINISHED if finished else Phase.MEASUREMENT)
-
-
-def _estimate(config: NodeConfig, state: NodeState) -> Estimate:
-    belief = config.estimator.belief(state.content)
-    ages = config.estimator.ages(state.content)
-    generators = None
-    if _keeps_zonotope(type(config.estimator)):
-        generators = cast(KeepsZonotope, config.estimator).generators(state.content)
-    return Estimate(
-        config.index,
-        state.step,
-        to_wire(belief.mean),
-        to_wire(pack_upper(belief.cov)),
-        ages.tolist(),
-        state.counters,
-        None if generators is None else to_wire(generators),
-    )
-
-
-@lru_cache
-def _keeps_zonotope(kind: type) -> bool:
-    # Kept: to ask a protocol takes longer than to tell an estimate.
-    return issubclass(kind, KeepsZonotope)
 
 
 def _keep_measured(

@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from concord.filters.gaussian import Gaussian
+from concord.filters.smoother import smooth_with_lags
 from concord.nodes.rules.local_filter import (
     LocalFilters,
     SensorGroup,
@@ -21,6 +22,7 @@ from concord.nodes.rules.local_filter import (
     update_with_readings,
     where,
 )
+from concord.nodes.rules.window_smoother import way_back
 from concord.scenarios.build import filter_of
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.preparation import setup_of_run
@@ -50,6 +52,30 @@ def centralised_of_runs(
     if not filters_step_by_step(setup):
         return _one_by_one(setup, runs, nodes, readings, control)
     return _stepwise(setup, runs, baseline_step(setup, nodes), readings, control)
+
+
+def centralised_past(
+    setup: Setup, filtered: Gaussian, control: np.ndarray | None, most: int
+) -> Gaussian:
+    """States of 0 to `most` steps ago, smoothed by one filter that hears everything.
+
+    `filtered` is that of `centralised_of_runs`; control (R, steps, p). Returns mean (most + 1, R,
+    steps, n) and covariance, NaN before the run.
+    """
+    model, own_filter = definition_of(setup.scenario).model(setup.scenario), filter_of(setup)
+    ways = [
+        way_back(
+            Gaussian(filtered.mean[:, step - 1], filtered.cov[:, step - 1]),
+            _driven(control, step),
+            step,
+            model,
+            own_filter,
+        )
+        for step in range(1, filtered.mean.shape[1])
+    ]
+    history = Gaussian(*(np.moveaxis(values, 1, 0) for values in filtered))
+    past = smooth_with_lags(history, ways, most)
+    return Gaussian(*(np.moveaxis(values, 1, 2) for values in past))
 
 
 def local_only_of_runs(
@@ -156,14 +182,16 @@ def _through(
     """Beliefs (R, steps, ...) after each step, of those (R, ...) before the first."""
     means, covs = [], []
     for step in range(readings.shape[1]):
-        driven = None if control is None else control[:, step]
-        if driven is not None and np.isnan(driven).all():
-            # The node that closes the loop was not present yet.
-            driven = None
-        belief = advance(belief, step, readings[:, step], driven)
+        belief = advance(belief, step, readings[:, step], _driven(control, step))
         means.append(belief.mean)
         covs.append(belief.cov)
     return Gaussian(np.stack(means, axis=1), np.stack(covs, axis=1))
+
+
+def _driven(control: np.ndarray | None, step: int) -> np.ndarray | None:
+    """The control (R, p) into a step; None too where no node closed the loop yet."""
+    driven = None if control is None else control[:, step]
+    return None if driven is None or np.isnan(driven).all() else driven
 
 
 def filters_step_by_step(setup: Setup) -> bool:

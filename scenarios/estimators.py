@@ -20,22 +20,24 @@ from concord.filters.gaussian import Gaussian
 from concord.nodes.estimator import AnyEstimator
 from concord.nodes.lanes.batch import AveragesInBatch, InBatch
 from concord.nodes.lanes.beliefs import BatchedBeliefs
-from concord.nodes.lanes.labelled import BatchedFlooding
+from concord.nodes.lanes.labelled_check import BatchedSelfChecked
+from concord.nodes.lanes.labelled_past import BatchedSmoothing
 from concord.nodes.lanes.network import BatchedRule
 from concord.nodes.rules.all_sensors import AllSensors
 from concord.nodes.rules.at_node import AtNode
 from concord.nodes.rules.belief_consensus import BeliefConsensus, HoldPolicy
 from concord.nodes.rules.fresh_consensus import FreshConsensus
 from concord.nodes.rules.information_rounds import InformationRounds
-from concord.nodes.rules.labelled import LabelledFlooding
+from concord.nodes.rules.labelled_check import SelfCheckedFlooding
 from concord.nodes.rules.labelled_frame import LabelledFrameCodec
+from concord.nodes.rules.labelled_past import SmoothingFlooding
 from concord.nodes.rules.lane_rule import LaneRule, Place
 from concord.nodes.rules.local_filter import Model, SensorGroup
 from concord.nodes.rules.novelty_rounds import NoveltyRounds
 from concord.nodes.rules.set_membership import SetAtNode
 from concord.nodes.rules.window_filter import WindowFilter
 from concord.nodes.vector_codec import VectorCodec
-from concord.scenarios.labelled import choice_of, frame_codec, gates_of
+from concord.scenarios.labelled import choice_of, flooding_of, frame_codec, gates_of
 from concord.scenarios.node_context import BatchContext, Everybody, NodeContext, RuleContext
 from concord.scenarios.types.rules import TrimmedCovarianceIntersection
 
@@ -128,7 +130,7 @@ def flooding(context: NodeContext) -> AnyEstimator:
     assert context.everybody is not None, "a node of this rule is told of all nodes"
     everybody, neighbours = context.everybody(), context.rule.neighbours
     frames = frame_codec(everybody, neighbours, context.rule.states)
-    return LabelledFlooding(
+    usual: dict[str, Any] = dict(
         node=context.node,
         neighbours=neighbours,
         prior=context.prior,
@@ -142,6 +144,10 @@ def flooding(context: NodeContext) -> AnyEstimator:
         first_step=context.beginning.step,
         first_cycle=context.beginning.cycle,
     )
+    smooth_steps = flooding_of(everybody.scenario).smooth_steps
+    if smooth_steps:
+        return SmoothingFlooding(**usual, smooth_steps=smooth_steps)
+    return SelfCheckedFlooding(**usual)
 
 
 def _window_filter(
@@ -194,7 +200,7 @@ def flooding_in_batch(context: BatchContext) -> BatchedRule:
     nothing to name."""
     everybody, filters = context.everybody(), context.filters
     frames = frame_codec(everybody, context.rule.neighbours, context.rule.states)
-    return BatchedFlooding(
+    usual: dict[str, Any] = dict(
         own=everybody.groups,
         filter=_window_filter(everybody, frames, filters.model, filters.filter),
         frames=frames,
@@ -206,3 +212,7 @@ def flooding_in_batch(context: BatchContext) -> BatchedRule:
         first_step=context.beginning.step,
         first_cycle=context.beginning.cycle,
     )
+    smooth_steps = flooding_of(everybody.scenario).smooth_steps
+    if smooth_steps:
+        return BatchedSmoothing(**usual, smooth_steps=smooth_steps)
+    return BatchedSelfChecked(**usual)

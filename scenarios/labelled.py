@@ -120,6 +120,13 @@ def digest_of(scenario: Scenario) -> int:
     return min(_LOSSY_DIGEST_STEPS, rule.window_steps or _LOSSY_DIGEST_STEPS)
 
 
+def smoothing_lags(scenario: Scenario) -> int:
+    """Return how many states a node estimates, that of the step itself included; 0 for none."""
+    rule = scenario.rule
+    steps = rule.smooth_steps if isinstance(rule, MeasurementFlooding) else 0
+    return steps + 1 if steps else 0
+
+
 def without_arrays(scenario: Scenario) -> str | None:
     """Return the part of a scenario that has no array form under this rule; None if all has."""
     # Elsewhere a share may take several frames, of which a link loses each by itself.
@@ -176,6 +183,12 @@ def check_labelled(
         raise ValueError(
             f"--digest-steps {rule.digest_steps}: nothing older than the window of "
             f"{window_of(scenario, neighbours)} steps is held; lower it, or raise --window-steps"
+        )
+    if rule.smooth_steps >= window_of(scenario, neighbours):
+        raise ValueError(
+            f"--smooth-steps {rule.smooth_steps}: must be below {window_of(scenario, neighbours)}, "
+            "as a node can only estimate again the steps of its window; lower it, or raise "
+            "--window-steps"
         )
     if (trigger := trigger_of(scenario.bus.schedule)) > 0:
         raise ValueError(

@@ -7,7 +7,9 @@ import numpy as np
 
 from concord.experiments.monte_carlo.many_figures import RunCost
 from concord.experiments.monte_carlo.simulate import Histories
+from concord.experiments.results.folder import past_variables
 from concord.experiments.results.netcdf_file import read_dataset
+from concord.experiments.results.trace import Past
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.setup import Setup
 
@@ -61,6 +63,10 @@ def histories_dataset(histories: Histories, cost: RunCost | None = None) -> "xar
         variables["ages"] = (("run", "step", "link"), histories.ages, units)
     if histories.cov is not None:
         variables["cov"] = ((*state, "other_state"), histories.cov)
+    if histories.suspect is not None:
+        variables["suspect"] = (("run", "step", "node"), histories.suspect.astype(np.int8))
+    if histories.past is not None:
+        variables |= past_variables(histories.past, ("run", "step"))
     heard = setup.neighbours
     coordinates = {
         "run": histories.runs,
@@ -101,7 +107,15 @@ def read_histories(path: Path, setup: Setup) -> tuple[Histories, RunCost]:
             for one in data.data_vars.values()
             if _COUNTER in one.attrs
         },
+        past=_read_past(data),
+        suspect=data["suspect"].to_numpy() > 0 if "suspect" in data else None,
         spreads=(),
         **arrays,
     )
     return histories, RunCost(**{name: float(one) for name, one in spent.items()})
+
+
+def _read_past(data: "xarray.Dataset") -> Past | None:
+    if "smoothed_mean" not in data:
+        return None
+    return Past(data["smoothed_mean"].to_numpy(), data["smoothed_std"].to_numpy())

@@ -10,6 +10,8 @@ from rich.table import Table
 from concord.experiments.monte_carlo.intervals import Interval, positive_mean_t, ratio_t
 from concord.experiments.monte_carlo.run_figures import scored_steps, traffic_of
 from concord.experiments.monte_carlo.simulate import Histories
+from concord.experiments.monte_carlo.smoothed_errors import shown_lags, smoothed_errors
+from concord.experiments.results.trace import Past
 from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import largest_of_known, mean_of_known, nees, rmse
 from concord.scenarios.baselines import centralised_of_runs, local_only_of_runs
@@ -31,11 +33,20 @@ class ManyNode(msgspec.Struct, frozen=True):
     rejected: float
 
 
+class ManySmoothed(msgspec.Struct, frozen=True):
+    """RMSE of the states of `lag` steps ago, and as a multiple of the centralised smoother's."""
+
+    lag: int
+    rmse: Interval
+    to_centralised: Interval
+
+
 class ManyFigures(msgspec.Struct, frozen=True):
     """Figures of R runs; RMSE and disagreement in `unit`.
 
     Frames, and the events that nodes `noticed`, are means per run; the bus load is NaN on a bus
-    without time.
+    without time. `suspect` is the share of the estimates whose node said that its belief does not
+    fit what it had heard.
     """
 
     scenario: str
@@ -60,6 +71,8 @@ class ManyFigures(msgspec.Struct, frozen=True):
     seconds: float
     node_updates_per_second: float
     peak_memory_mb: float
+    smoothed: list[ManySmoothed] | None = None
+    suspect: float | None = None
 
 
 class RunCost(NamedTuple):
@@ -126,7 +139,25 @@ def summarise(histories: Histories, cost: RunCost) -> ManyFigures:
         seconds=cost.seconds,
         node_updates_per_second=histories.mean[..., 0].size / cost.seconds,
         peak_memory_mb=cost.peak_memory_mb,
+        suspect=None if histories.suspect is None else float(histories.suspect.mean()),
+        smoothed=None if histories.past is None else _smoothed(histories, histories.past, counted),
     )
+
+
+def _smoothed(histories: Histories, past: Past, counted: np.ndarray) -> list[ManySmoothed]:
+    known = histories.truth, histories.control, counted
+    network, central = smoothed_errors(histories.setup, past, _heard(histories), *known)
+    return [
+        ManySmoothed(lag, positive_mean_t(mine), ratio_t(mine**2, best**2))
+        for lag, (mine, best) in enumerate(zip(network.T, central.T, strict=True))
+    ]
+
+
+def _heard(histories: Histories) -> Gaussian:
+    """The filter that hears everything: mean (R, S, n), cov (R, S, n, n)."""
+    assert histories.readings is not None, "keep the readings"
+    runs = histories.runs.tolist()
+    return centralised_of_runs(histories.setup, runs, histories.readings, histories.control)
 
 
 _TRAFFIC = ("sent", "heard", "missed", "rejected")
@@ -143,9 +174,7 @@ def _centralised(histories: Histories, counted: np.ndarray) -> tuple[np.ndarray,
     setup = histories.setup
     score = definition_of(setup.scenario).score
     shape = histories.truth.shape
-    assert histories.readings is not None, "keep the readings"
-    runs = histories.runs.tolist()
-    belief = centralised_of_runs(setup, runs, histories.readings, histories.control)
+    belief = _heard(histories)
     errors = _where(counted, belief.mean - histories.truth)
     if is_set_valued(setup.scenario):
         return errors[..., list(score.states)], np.full(shape[0], np.nan)
@@ -195,9 +224,21 @@ def lines(figures: ManyFigures) -> list[str]:
         else f"network {shown(ratios[0])} x centralised, worst node {shown(ratios[1])} x; "
     )
     counts = ", ".join(f"{name} {count:.4g}" for name, count in figures.noticed.items())
+    smoothed = (
+        [figures.smoothed[lag] for lag in shown_lags(len(figures.smoothed))]
+        if figures.smoothed
+        else []
+    )
+    past = ", ".join(f"{shown(one.to_centralised)} at {one.lag}" for one in smoothed)
     return [
         f"{figures.runs} runs from run {figures.first_run} on; ± is the 95 % interval of the mean",
         f"{framed}disagreement {shown(figures.disagreement)} {figures.unit}",
+        *(
+            [f"{100 * figures.suspect:.3g} % of the estimates are suspect"]
+            if figures.suspect
+            else []
+        ),
+        *([f"smoothed, x the centralised smoother of that lag in steps: {past}"] if past else []),
         *([f"nodes noticed per run: {counts}"] if counts else []),
         f"{shown(figures.bytes_per_step)} B per step on the wire{load}",
         f"{figures.seconds:.2f} s, {figures.node_updates_per_second:,.0f} node updates per second, "

@@ -12,6 +12,8 @@ from scipy.special import chdtri
 from concord.experiments.monte_carlo.energy import energy_per_bit_nj
 from concord.experiments.monte_carlo.run_frame import RunFrame
 from concord.experiments.monte_carlo.simulate import Histories
+from concord.experiments.monte_carlo.smoothed_errors import smoothed_errors
+from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import symmetrise
 from concord.filters.metrics import largest_of_known, mean_of_known, nees, rmse
 from concord.runtime.batched.build import changes_of
@@ -39,6 +41,8 @@ FIGURES = {
     "rmse_centralised": Figure(_RUN, "score", "the same of one filter that hears everything"),
     "rmse_blind": Figure(_RUN, "score", "the same of nodes in steps in which they read nothing"),
     "rmse_worst_node": Figure(_RUN, "score", "the same of the worst node of the run"),
+    "rmse_smoothed": Figure(_RUN, "score", "error of the states of --smooth-steps steps ago"),
+    "rmse_smoothed_centralised": Figure(_RUN, "score", "of a smoother that hears everything"),
     "disagreement": Figure(_RUN, "score", "root mean square distance from the nodes' average"),
     "anees": Figure(_RUN, "1", "normalised squared error per state; above 1 is overconfident"),
     "anees_centralised": Figure(_RUN, "1", "the same of one filter that hears everything"),
@@ -93,9 +97,21 @@ def figures_of(setup: Setup, histories: Histories, frame: RunFrame) -> dict[str,
         "bound": np.sqrt(np.trace(_part(frame.bound, states), axis1=-2, axis2=-1)),
         "bound_state": np.sqrt(np.diagonal(frame.bound, axis1=-2, axis2=-1)),
     }
+    figures |= _smoothed(setup, histories, frame, counted)
     figures |= _consistency(setup, histories.nees, counted)
     figures["anees_centralised"] = _anees_central(setup, central, frame.cov, counted)
     return figures | traffic_of(setup, histories)
+
+
+def _smoothed(
+    setup: Setup, histories: Histories, frame: RunFrame, counted: np.ndarray
+) -> dict[str, np.ndarray]:
+    if histories.past is None:
+        nothing = np.full(len(histories.runs), np.nan)
+        return {"rmse_smoothed": nothing, "rmse_smoothed_centralised": nothing}
+    central, known = Gaussian(frame.mean, frame.cov), (histories.truth, histories.control)
+    network, best = smoothed_errors(setup, histories.past, central, *known, counted)
+    return {"rmse_smoothed": network[:, -1], "rmse_smoothed_centralised": best[:, -1]}
 
 
 def kept(histories: Histories) -> tuple[np.ndarray, np.ndarray]:

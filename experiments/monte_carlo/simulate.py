@@ -14,7 +14,7 @@ import numpy as np
 
 from concord.experiments.monte_carlo.spread_history import SpreadHistory
 from concord.experiments.results.record_spread import RecordSpread
-from concord.experiments.results.trace import read_trace
+from concord.experiments.results.trace import Past, read_trace
 from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import nees
 from concord.runtime.batched.build import build_network, without_array_form
@@ -22,8 +22,10 @@ from concord.runtime.batched.driver import Instant, run
 from concord.runtime.batched.memory import keep_freed_memory
 from concord.runtime.drivers import in_memory
 from concord.scenarios.catalogue import definition_of
+from concord.scenarios.labelled import smoothing_lags
 from concord.scenarios.preparation import setup_of_run
 from concord.scenarios.setup import Setup
+from concord.scenarios.types.rules import MeasurementFlooding
 
 # Runs are taken so many at a time that this many nodes are computed at once: enough that numpy is
 # worth its calls, little enough for caches and memory.
@@ -33,6 +35,7 @@ LANE_STEPS = 12_000_000
 
 READINGS, AGES, COV = "readings", "ages", "cov"
 OPTIONAL = frozenset((READINGS, AGES, COV))
+_PAST_MEAN, _PAST_STD = "past mean", "past std"
 
 
 class Histories(NamedTuple):
@@ -57,6 +60,9 @@ class Histories(NamedTuple):
         ages: (R, S, E), cycles since what came over a link was sent, -1 never; links in order of
             receiver and then sender, as in `setup.neighbours`. If kept.
         cov: (R, S, N, n, n). If kept.
+        past: smoothed states, (R, S, L, N, n), of rules that estimate them (`Past`).
+        suspect: (R, S, N), which nodes say that their belief does not fit what they have heard;
+            None for rules that do not check.
         spreads: of labelled records, one of each run; empty for rules without.
     """
 
@@ -75,6 +81,8 @@ class Histories(NamedTuple):
     readings: np.ndarray | None
     ages: np.ndarray | None
     cov: np.ndarray | None
+    past: Past | None
+    suspect: np.ndarray | None
     spreads: tuple[RecordSpread, ...]
 
 
@@ -89,6 +97,8 @@ class _Recorded(NamedTuple):
     classes: np.ndarray
     readings: np.ndarray
     ages: np.ndarray
+    past: Past | None
+    suspect: np.ndarray | None
 
 
 def simulate(
@@ -177,14 +187,16 @@ class _Collected:
 
     def histories(self, count: int) -> Histories:
         """Of the first so many runs."""
-        missing = dict.fromkeys(OPTIONAL | {"control"})
+        missing = dict.fromkeys(OPTIONAL | {"control", "suspect"})
         arrays = {name: values[:count] for name, values in self._arrays.items()}
+        past = Past(arrays.pop(_PAST_MEAN), arrays.pop(_PAST_STD)) if _PAST_MEAN in arrays else None
         fields: dict[str, Any] = {**missing, **arrays}
         return Histories(
             setup=self._setup,
             runs=np.array(self._runs[:count]),
             counters={name: counts[:count] for name, counts in self._counters.items()},
             prior_mean=self._prior_mean[:count],
+            past=past,
             spreads=tuple(self._spreads[:count]),
             **fields,
         )
@@ -214,14 +226,14 @@ def _driven(setup: Setup, runs: Sequence[int]) -> _Part:
             if instant.spread is not None and not setup.scenario.changes:
                 spreads[:] = spreads or [SpreadHistory(setup, len(runs))]
                 spreads[0].add(instant)
-            yield _recorded(instant, most_rounds)
+            yield _recorded(setup, instant, most_rounds)
 
     return _Part(
         steps(), counters, network.prior.mean[:, 0], lambda: spreads[0].of_runs() if spreads else ()
     )
 
 
-def _recorded(instant: Instant, rounds: int) -> _Recorded:
+def _recorded(setup: Setup, instant: Instant, rounds: int) -> _Recorded:
     lacking = ((0, rounds - len(instant.payload_bytes)), (0, 0), (0, 0))
     payload, asked, classes = (
         np.pad(one, lacking).transpose(1, 0, 2)
@@ -236,7 +248,29 @@ def _recorded(instant: Instant, rounds: int) -> _Recorded:
         classes,
         instant.readings,
         instant.ages,
+        _past(instant, smoothing_lags(setup.scenario)),
+        _suspect(setup, instant),
     )
+
+
+def _suspect(setup: Setup, instant: Instant) -> np.ndarray | None:
+    """Which nodes are suspect (R, N); none while another rule is set."""
+    if not isinstance(setup.scenario.rule, MeasurementFlooding):
+        return None
+    nobody = np.zeros(instant.belief.mean.shape[:2], dtype=bool)
+    return nobody if instant.suspect is None else instant.suspect
+
+
+def _past(instant: Instant, lags: int) -> Past | None:
+    """The smoothed states (R, L, N, n) of a step; NaN while another rule is set."""
+    if not lags:
+        return None
+    if instant.past is None:
+        runs, nodes, n = instant.belief.mean.shape
+        nothing = np.full((runs, lags, nodes, n), np.nan)
+        return Past(nothing, nothing)
+    std = np.sqrt(np.diagonal(instant.past.cov, axis1=-2, axis2=-1))
+    return Past(instant.past.mean.swapaxes(1, 2), std.swapaxes(1, 2))
 
 
 def _replayed(setup: Setup, runs: Sequence[int]) -> _Part:
@@ -261,6 +295,8 @@ def _replayed(setup: Setup, runs: Sequence[int]) -> _Part:
                 trace.classes[None, step],
                 trace.readings[None, step],
                 trace.ages[None, step, receiver, sender],
+                None if trace.past is None else Past(*(one[None, step] for one in trace.past)),
+                None if trace.suspect is None else trace.suspect[None, step],
             )
 
     spreads = [] if trace.spread is None else [trace.spread]
@@ -291,6 +327,9 @@ def _write(
         READINGS: recorded.readings if READINGS in keep else None,
         AGES: recorded.ages.astype(np.int32) if AGES in keep else None,
         COV: belief.cov if COV in keep else None,
+        "suspect": recorded.suspect,
+        _PAST_MEAN: None if recorded.past is None else recorded.past.mean,
+        _PAST_STD: None if recorded.past is None else recorded.past.std,
     }
     for name, value in values.items():
         if value is not None:

@@ -16,7 +16,7 @@ from concord._version import __version__
 from concord.experiments.results.bus_report import times_of
 from concord.experiments.results.netcdf_file import write_dataset
 from concord.experiments.results.record_spread import record_ages
-from concord.experiments.results.trace import Trace
+from concord.experiments.results.trace import Past, Trace
 from concord.experiments.results.user_files import from_copies, keep_copies
 from concord.filters.metrics import consensus, nees
 from concord.nodes.tempo import Tempo
@@ -178,6 +178,10 @@ def write_arrays(folder: Path, description: Description, trace: Trace) -> None:
     if trace.spread is not None:
         ages = record_ages(trace.spread).swapaxes(0, 1)
         variables["record_age"] = (("step", "node", "source"), ages, {"units": "steps"})
+    if trace.suspect is not None:
+        variables["suspect"] = (("step", "node"), trace.suspect.astype(np.int8))
+    if trace.past is not None:
+        variables |= past_variables(trace.past, ("step",))
     variables |= _bus_variables(setup, trace)
     coordinates = {
         "step": np.arange(trace.steps),
@@ -199,6 +203,16 @@ def write_whole(folder: Path, dataset: "xarray.Dataset", description: Descriptio
         commit=description.commit or "unknown",
     )
     write_dataset(dataset, folder / ARRAYS)
+
+
+def past_variables(past: Past, before: tuple[str, ...]) -> dict[str, Any]:
+    """Return smoothed states as variables, with the axes `before` that of the lags."""
+    axes = (*before, "lag", "node", "state")
+    return {
+        "smoothed_mean": (axes, past.mean),
+        "smoothed_std": (axes, past.std),
+        "lag": (("lag",), np.arange(past.mean.shape[-3]), {"units": "steps"}),
+    }
 
 
 def _meaning(setup: Setup) -> dict[str, str]:

@@ -38,6 +38,10 @@ def departures(setup: Setup, trace: Trace) -> dict[str, tuple[np.ndarray, np.nda
         "cov": (trace.cov, histories.cov[0], sd[..., :, None] * sd[..., None, :]),
         "ages": (trace.ages[:, receiver, sender], histories.ages[0], _exact),
     }
+    if trace.suspect is not None and histories.suspect is not None:
+        compared["suspect"] = (trace.suspect, histories.suspect[0], _exact)
+    if trace.past is not None and histories.past is not None:
+        compared["smoothed"] = (trace.past.mean, histories.past.mean[0], trace.past.std)
     found = {}
     for name, (expected, value, scale) in compared.items():
         departs = np.argwhere(_departs(expected, value, scale))

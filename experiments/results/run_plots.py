@@ -5,10 +5,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from concord.experiments.monte_carlo.run_figures import scored_steps
+from concord.experiments.monte_carlo.smoothed_errors import smoothed_errors
 from concord.experiments.results.folder import ARRAYS, Description, read_description
 from concord.experiments.results.netcdf_file import read_dataset
 from concord.experiments.results.network_map import Mapped, network_maps
 from concord.experiments.results.palette import COLOURS, GREY
+from concord.experiments.results.trace import Past
 from concord.filters.metrics import mean_of_known, rmse
 from concord.scenarios.baselines import centralised_of_runs
 from concord.scenarios.catalogue import definition_of
@@ -31,6 +34,8 @@ def run_figures(folder: Path) -> "dict[str, Figure]":
     figures = {"error-over-time": _errors(description, data)}
     if not is_set_valued(description.setup.scenario):
         figures["consistency"] = _consistency(description, data)
+    if "smoothed_mean" in data:
+        figures["error-against-lag"] = _lags(description, data)
     figures["network-map"] = _map(description, data)
     if description.setup.scenario.nodes > 1:
         figures["share-ages"] = _ages(description, data)
@@ -91,6 +96,31 @@ def _consistency(description: Description, data: "xarray.Dataset") -> "Figure":
     axes.axhline(1, color=GREY, linestyle="--", linewidth=1, label="consistent")
     axes.set(yscale="log", ylabel="normalised squared error per state")
     _finish(figure, axes, description, data)
+    return figure
+
+
+def _lags(description: Description, data: "xarray.Dataset") -> "Figure":
+    """Error of the states of some steps ago, known better from step to step."""
+    import matplotlib.pyplot as plt
+
+    setup = description.setup
+    score = definition_of(setup.scenario).score
+    readings, truth = data["readings"].to_numpy(), data["truth"].to_numpy()
+    control = data["control"].to_numpy() if "control" in data else None
+    central = centralised_of_runs(setup, data["run"].to_numpy().tolist(), readings, control)
+    past = Past(data["smoothed_mean"].to_numpy(), data["smoothed_std"].to_numpy())
+    counted = scored_steps(score, readings)
+    errors = smoothed_errors(setup, past, central, truth, control, counted)
+    network, best = (rmse(one[..., None], (0,)) for one in errors)
+    figure, axes = plt.subplots(figsize=(6.6, 3.8), layout="constrained")
+    lags = data["lag"].to_numpy()
+    axes.plot(lags, network, color=COLOURS[0], marker="o", markersize=3, label="network")
+    axes.plot(lags, best, color=COLOURS[1], linestyle="--",
+              label="one smoother that hears everything")  # fmt: skip
+    axes.axhline(best[0], color=GREY, linestyle=":", label="one filter that hears everything")
+    axes.set(ylim=(0, None), xlabel="lag [steps]", ylabel=f"error [{score.unit}]")
+    axes.set_title(_title(description, data), loc="left")
+    figure.legend(loc="outside lower center", ncols=3)
     return figure
 
 

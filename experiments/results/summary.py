@@ -10,13 +10,14 @@ from rich.markup import escape
 from rich.table import Table
 
 from concord.experiments.monte_carlo.intervals import Interval
+from concord.experiments.monte_carlo.smoothed_errors import shown_lags, smoothed_errors
 from concord.experiments.results import bus_report, record_spread, timing_figures
 from concord.experiments.results.bus_report import BusFigures
 from concord.experiments.results.containment import Containment, containment
 from concord.experiments.results.record_spread import SpreadFigures
 from concord.experiments.results.run_verdict import anees_interval, verdict
 from concord.experiments.results.timing_figures import TimingFigures
-from concord.experiments.results.trace import Trace
+from concord.experiments.results.trace import Past, Trace
 from concord.filters.gaussian import Gaussian
 from concord.filters.metrics import anees, disagreement, largest_of_known, rmse
 from concord.scenarios.baselines import centralised, local_only
@@ -26,6 +27,14 @@ from concord.scenarios.scenario_definition import Score
 from concord.scenarios.setup import Setup
 
 _TRAFFIC = ("sent", "heard", "missed")
+
+
+class SmoothedFigure(msgspec.Struct, frozen=True):
+    """RMSE of the states of `lag` steps ago, and of a smoother that hears everything."""
+
+    lag: int
+    rmse: float
+    rmse_centralised: float
 
 
 class NodeFigures(msgspec.Struct, frozen=True):
@@ -49,7 +58,8 @@ class Figures(msgspec.Struct, frozen=True):
 
     `anees_interval` has the ends of the 95 % interval of `anees`; None for too few steps.
     `bus` is None on a bus without time; `timing` is None except in real time. `noticed` sums the
-    nodes' counters other than traffic: frames lost, late, repeated, rejected and why.
+    nodes' counters other than traffic: frames lost, late, repeated, rejected and why. `suspect` is
+    the number of steps in which each node said that its belief does not fit what it had heard.
     """
 
     scenario: str
@@ -76,6 +86,8 @@ class Figures(msgspec.Struct, frozen=True):
     containment_centralised: Containment | None = None
     spread: SpreadFigures | None = None
     timing: TimingFigures | None = None
+    smoothed: list[SmoothedFigure] | None = None
+    suspect: list[int] | None = None
     anees_interval: tuple[float, float] | None = None
     steps_per_second: float | None = None
     ready_s: float | None = None
@@ -142,7 +154,26 @@ def summarise(setup: Setup, trace: Trace) -> Figures:
         containment_centralised=_contained(set_valued, central, trace.truth),
         anees_interval=None if set_valued or np.isnan(of_steps.low) else of_steps[1:],
         spread=None if trace.spread is None else record_spread.figures_of(trace.spread),
+        suspect=None if trace.suspect is None else trace.suspect.sum(axis=0).tolist(),
+        smoothed=None
+        if trace.past is None
+        else _smoothed(setup, trace, trace.past, central, first),
     )
+
+
+def _smoothed(
+    setup: Setup, trace: Trace, past: Past, central: Gaussian, first: int
+) -> list[SmoothedFigure]:
+    errors = smoothed_errors(
+        setup,
+        Past(past.mean[None], past.std[None]),
+        Gaussian(central.mean[None], central.cov[None]),
+        trace.truth[None],
+        None if trace.control is None else trace.control[None],
+        np.arange(trace.steps)[None] >= first,
+    )
+    pairs = zip(errors.network[0].tolist(), errors.centralised[0].tolist(), strict=True)
+    return [SmoothedFigure(lag, *pair) for lag, pair in enumerate(pairs)]
 
 
 def noticed(counters: Iterable[Mapping[str, int]]) -> dict[str, int]:
@@ -264,6 +295,17 @@ def lines(figures: Figures) -> list[str]:
             f"√tr P in the mean {_short(held.half_width)}; nodes alone: RMSE "
             f"{_short(figures.rmse_local_only)} {unit}"
         )
+    if figures.suspect is not None and any(figures.suspect):
+        doubted = ", ".join(f"{i} in {count}" for i, count in enumerate(figures.suspect) if count)
+        text.append(
+            f"warning: beliefs do not fit the records of these nodes, in so many steps: {doubted}"
+        )
+    if figures.smoothed is not None:
+        chosen = [figures.smoothed[lag] for lag in shown_lags(len(figures.smoothed))]
+        ratios = ", ".join(
+            f"{_short(one.rmse / one.rmse_centralised)} at {one.lag}" for one in chosen
+        )
+        text.append(f"smoothed, x the centralised smoother of that lag in steps: {ratios}")
     if figures.noticed:
         counts = ", ".join(f"{name} {count}" for name, count in figures.noticed.items())
         text.append(f"nodes noticed: {counts}")

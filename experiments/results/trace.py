@@ -13,7 +13,19 @@ from concord.nodes.history import History, history_of, with_holes, without_lost_
 from concord.nodes.messages import Bid, Estimate, Grant, Measured, Timing, Truth, from_wire
 from concord.runtime.recorded import SharedFrame, meaning
 from concord.scenarios.bus_plan import frame_format
+from concord.scenarios.labelled import smoothing_lags
 from concord.scenarios.setup import Setup
+from concord.scenarios.types.rules import MeasurementFlooding
+
+
+class Past(NamedTuple):
+    """Mean and standard deviation of smoothed states, (..., steps, L, N, n).
+
+    Entry (k, l) is the state of step k - l given what a node knew after step k; NaN for k < l.
+    """
+
+    mean: np.ndarray
+    std: np.ndarray
 
 
 class Trace(NamedTuple):
@@ -31,7 +43,8 @@ class Trace(NamedTuple):
         (steps, rounds, N), the urgency class in whose frame ID a node won; else 0. counters: per
         node, totals at its last estimate. history: who took part when, and in how many rounds; a
         step with fewer than the most leaves the last ones empty. spread: of labelled records; None
-        for rules without, and where the network changed.
+        for rules without, and where the network changed. past: for rules that estimate it. suspect:
+        (steps, N), which nodes say that their belief does not fit what they have heard.
     """
 
     truth: np.ndarray
@@ -46,6 +59,8 @@ class Trace(NamedTuple):
     counters: list[dict[str, int]]
     history: History
     spread: RecordSpread | None = None
+    past: Past | None = None
+    suspect: np.ndarray | None = None
 
     @property
     def steps(self) -> int:
@@ -120,6 +135,7 @@ def _assemble(
     mean = np.full((steps, nodes, n), np.nan)
     packed = np.full((steps, nodes, n * (n + 1) // 2), np.nan)
     ages = np.full((steps, nodes, nodes), -1)
+    past, suspect = _nothing(setup, steps), np.zeros((steps, nodes), dtype=bool)
     delivered = [from_wire(measured[k, i].readings) for k, i in sorted(measured)[:1]]
     readings = np.full((steps, nodes, *(delivered[0].shape if delivered else (0, 0))), np.nan)
     counters: list[dict[str, int]] = [{} for _ in range(nodes)]
@@ -131,7 +147,10 @@ def _assemble(
         mean[k, i], packed[k, i] = from_wire(estimate.mean), from_wire(estimate.cov)
         ages[k, i, i] = 0
         ages[k, i, setup.neighbours[i]] = estimate.ages
-        counters[i] = estimate.counters
+        counters[i], suspect[k, i] = estimate.counters, estimate.suspect
+        if past is not None and estimate.smoothed and estimate.smoothed_std:
+            past.mean[k, :, i] = from_wire(estimate.smoothed)
+            past.std[k, :, i] = from_wire(estimate.smoothed_std)
         readings[k, i] = from_wire(measured[k, i].readings)
         controls[k] = measured[k, i].control
     control = None
@@ -154,7 +173,18 @@ def _assemble(
         counters=counters,
         history=history,
         spread=record_spread(setup, fragments, readings) if steps and not history.changed else None,
+        past=past,
+        suspect=suspect if isinstance(setup.scenario.rule, MeasurementFlooding) else None,
     )
+
+
+def _nothing(setup: Setup, steps: int) -> Past | None:
+    """Return the past of a network that has estimated none yet."""
+    lags = smoothing_lags(setup.scenario)
+    if not lags:
+        return None
+    shape = (steps, lags, setup.scenario.nodes, len(setup.prior_mean))
+    return Past(np.full(shape, np.nan), np.full(shape, np.nan))
 
 
 def _summed(

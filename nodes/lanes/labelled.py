@@ -62,7 +62,7 @@ class BatchedLabelledContent(NamedTuple):
     counters: Counters
 
 
-class _Shares(NamedTuple):
+class Shared(NamedTuple):
     """Shares of lanes (L,): node `nodes` of run `runs` each.
 
     Their content: records (L, W, B), whether there is a checkpoint (L,), and which it is (L, ...).
@@ -75,7 +75,7 @@ class _Shares(NamedTuple):
     checkpoint: Gaussian
 
 
-class _Came(NamedTuple):
+class Came(NamedTuple):
     """Shares (P,) that came: over link `links` in run `runs`, of lane `lanes`; in order of run,
     receiver and sender."""
 
@@ -193,7 +193,7 @@ class BatchedFlooding:
 
     def _composed(
         self, content: BatchedLabelledContent, runs: np.ndarray, nodes: np.ndarray
-    ) -> tuple[BatchedLabelledContent, _Shares, np.ndarray]:
+    ) -> tuple[BatchedLabelledContent, Shared, np.ndarray]:
         """The shares of these nodes, and which of them can be read."""
         records, body_bytes = self._chosen(content, runs, nodes)
         owed, count = content.owed[runs, nodes], np.bitwise_count(records).sum(axis=(1, 2))
@@ -208,7 +208,7 @@ class BatchedFlooding:
         left = content.owed.copy()
         left[runs, nodes] = False
         content = content._replace(owed=left, carried=carried, sent_cycle=sent_cycle)
-        return content, _Shares(runs, nodes, records, owed, checkpoint), sound | ~owed
+        return content, Shared(runs, nodes, records, owed, checkpoint), sound | ~owed
 
     def _chosen(
         self, content: BatchedLabelledContent, runs: np.ndarray, nodes: np.ndarray
@@ -224,14 +224,14 @@ class BatchedFlooding:
         )
         return records, self.frames.limit_bytes - room + taken
 
-    def _came(self, shares: _Shares, arriving: np.ndarray) -> _Came:
+    def _came(self, shares: Shared, arriving: np.ndarray) -> Came:
         lanes = np.zeros((len(arriving), self._nodes), dtype=np.int64)
         lanes[shares.runs, shares.nodes] = np.arange(len(shares.runs))
         runs, links = np.nonzero(arriving)
-        return _Came(runs, links, lanes[runs, self.links.sender[links]])
+        return Came(runs, links, lanes[runs, self.links.sender[links]])
 
     def _heard(
-        self, content: BatchedLabelledContent, shares: _Shares, came: _Came
+        self, content: BatchedLabelledContent, shares: Shared, came: Came
     ) -> BatchedLabelledContent:
         """Note the neighbours' statements about themselves."""
         runs, links, known, reports = came.runs, came.links, content.known, content.reports
@@ -255,7 +255,7 @@ class BatchedFlooding:
         )
 
     def _told(
-        self, content: BatchedLabelledContent, shares: _Shares, came: _Came
+        self, content: BatchedLabelledContent, shares: Shared, came: Came
     ) -> BatchedLabelledContent:
         """Pass records to the nodes that hear them; each hearer knows that the others hear too."""
         runs, links = came.runs, came.links
@@ -287,7 +287,7 @@ class BatchedFlooding:
         )
 
     def _with_checkpoints(
-        self, content: BatchedLabelledContent, shares: _Shares, came: _Came
+        self, content: BatchedLabelledContent, shares: Shared, came: Came
     ) -> BatchedLabelledContent:
         """Bases fused with those that came, sender by sender."""
         own = content.windows.base

@@ -100,6 +100,24 @@ class RuleWithLengths(BatchedRule, Protocol):
         ...
 
 
+@runtime_checkable
+class RuleWithCheck(BatchedRule, Protocol):
+    """A rule whose nodes test whether what they have heard fits their beliefs."""
+
+    def suspect(self, content: Any) -> np.ndarray:
+        """Where it does not fit: (R, N)."""
+        ...
+
+
+@runtime_checkable
+class RuleWithPast(BatchedRule, Protocol):
+    """A rule that also estimates the states of past steps."""
+
+    def smoothed(self, content: Any) -> Gaussian:
+        """States of 0, 1, ... steps ago: mean (R, N, L, n), cov (R, N, L, n, n); NaN for none."""
+        ...
+
+
 class RunSettings(NamedTuple):
     """Rule and bus, until the settings change: communication cycles of step k, `rounds` of
     them, begin at `first_cycle + (k - first_step) * rounds`."""

@@ -1,6 +1,6 @@
 """Share of the rule `labelled`: labelled records, at times a checkpoint, a digest.
 
-    flags u8 (1: I need a checkpoint, 2: here is one) | number of labelled records u8
+    flags u8 (1: I need a checkpoint, 2: here is one, 4: I am lost) | number of labelled records u8
     | digest | mask | checkpoint: mean, upper covariance, float32
     | readings of masked records | labelled records: source u8, age u8, readings
 
@@ -24,7 +24,7 @@ from concord.nodes.rules.record_sets import RecordSets
 
 MAX_SOURCES = 256
 MAX_WINDOW_STEPS = 255
-_NEED, _CHECKPOINT = 1, 2
+_NEED, _CHECKPOINT, _SUSPECT = 1, 2, 4
 _HEAD_BYTES = 2
 _LABEL_BYTES = 2
 _MAX_RECORDS = 255
@@ -42,13 +42,14 @@ class LabelledShare(NamedTuple):
     """Content of a node's share.
 
     `needs` a checkpoint; `digest` is one set of sources per age, as bits; `checkpoint` is its
-    belief at the base of the window.
+    belief at the base of the window; `suspect`: its records do not fit its belief.
     """
 
     needs: bool
     checkpoint: Gaussian | None
     digest: tuple[int, ...]
     records: tuple[Labelled, ...]
+    suspect: bool = False
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,7 @@ class LabelledFrameCodec:
     def encode(self, share: LabelledShare) -> bytes:
         """The bytes of a share with at most 255 labelled records."""
         flags = _NEED * share.needs + _CHECKPOINT * (share.checkpoint is not None)
+        flags += _SUSPECT * share.suspect
         nodes = len(self.codecs)
         digest = sum(held << (age * nodes) for age, held in enumerate(share.digest))
         masked: dict[int, bytes] = {}
@@ -142,6 +144,7 @@ class LabelledFrameCodec:
             checkpoint,
             tuple(digest >> (age * nodes) & everybody for age in range(self.digest_steps)),
             self._records(body[start:], labels, count),
+            bool(flags & _SUSPECT),
         )
 
     def _masked(self, digest: int, data: bytes) -> list[tuple[int, int]]:

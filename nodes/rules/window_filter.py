@@ -13,6 +13,7 @@ import numpy as np
 
 from concord.filters.filter import Filter
 from concord.filters.gaussian import Gaussian
+from concord.filters.update import Update
 from concord.nodes.rules.all_sensors import AllSensors, SourceSensors
 from concord.nodes.rules.lane_rule import Failures
 from concord.nodes.rules.local_filter import Carried, Model, finite_lanes, predict_to_step, where
@@ -26,6 +27,9 @@ class Windows(NamedTuple):
         base: (R, M, ...), that everything older went into; at first the priors.
         posteriors: (R, M, W, ...) of the steps in the window; those before place `right` (R, M) are
             right.
+        surprise, entries: (R, M, W), of all records of a step: normalised innovation squared, added
+            up, and how many numbers they have. With a matched filter the first is chi-square with
+            as many degrees of freedom as the second says.
         values, noise_covs: (R, W, N, r, m), (R, W, N, r, m, m) of what the records of a run say; of
             each place, by source.
         controls: what drove into each place, (R, p); None where nothing did.
@@ -36,6 +40,8 @@ class Windows(NamedTuple):
     base: Gaussian
     posteriors: Gaussian
     right: np.ndarray
+    surprise: np.ndarray
+    entries: np.ndarray
     values: np.ndarray
     noise_covs: np.ndarray
     controls: tuple[np.ndarray | None, ...]
@@ -80,6 +86,8 @@ class WindowFilter:
             prior,
             Gaussian(np.zeros((runs, lanes, width, n)), np.zeros((runs, lanes, width, n, n))),
             np.full((runs, lanes), width),
+            np.zeros((runs, lanes, width)),
+            np.zeros((runs, lanes, width), dtype=np.int64),
             np.full(shape, np.nan),
             np.zeros((*shape, numbers)),
             (None,) * width,
@@ -103,6 +111,8 @@ class WindowFilter:
                 one_place_on(mean, 2, belief.mean), one_place_on(cov, 2, belief.cov)
             ),
             right=windows.right - 1,
+            surprise=one_place_on(windows.surprise, 2),
+            entries=one_place_on(windows.entries, 2),
             values=one_place_on(windows.values, 1, np.nan),
             noise_covs=one_place_on(windows.noise_covs, 1),
             controls=(*windows.controls[1:], control),
@@ -138,6 +148,7 @@ class WindowFilter:
         if held is None:
             held = np.ones((*windows.right.shape, *windows.values.shape[1:3]), dtype=bool)
         posteriors = Gaussian(*(values.copy() for values in windows.posteriors))
+        surprise, entries = windows.surprise.copy(), windows.entries.copy()
         begin = np.maximum(windows.right, windows.first)
         failures = {
             name: np.zeros(begin.shape, dtype=np.int64)
@@ -146,14 +157,20 @@ class WindowFilter:
         for place in range(int(begin.min()), len(windows.controls)):
             runs, lanes = np.nonzero(begin <= place)
             belief, moved = self._carried(windows, posteriors, place, runs, lanes)
-            belief, updated = self._updated(windows, place, runs, belief, held[runs, lanes, place])
+            belief, updated, *told = self._updated(
+                windows, place, runs, belief, held[runs, lanes, place]
+            )
+            surprise[runs, lanes, place], entries[runs, lanes, place] = told
             for values, found in zip(posteriors, belief, strict=True):
                 values[runs, lanes, place] = found
             for name, sound in zip(failures, (moved, updated), strict=True):
                 if not sound.all():
                     failures[name][runs, lanes] += ~sound
         right = np.full_like(windows.right, len(windows.controls))
-        return windows._replace(posteriors=posteriors, right=right), failures
+        filtered = windows._replace(
+            posteriors=posteriors, right=right, surprise=surprise, entries=entries
+        )
+        return filtered, failures
 
     def _carried(
         self,
@@ -178,9 +195,10 @@ class WindowFilter:
 
     def _updated(
         self, windows: Windows, place: int, runs: np.ndarray, belief: Gaussian, held: np.ndarray
-    ) -> tuple[Gaussian, np.ndarray]:
+    ) -> tuple[Gaussian, np.ndarray, np.ndarray, np.ndarray]:
         """Beliefs (L, n) after the records of a place that lanes hold (L, N), one by one.
 
+        Returns also which went well, their surprise and the number of their entries, (L,) each.
         Sources ascend, as in the centralised filter (`concord.scenarios.baselines`).
         """
         step, numbers = windows.step_at(place), self.sensors.size
@@ -192,13 +210,16 @@ class WindowFilter:
         # Those that are held come first; the rest is filled up with NaN.
         chosen = np.argsort(~there, axis=1, kind="stable")
         lanes, sound = np.arange(len(runs)), np.ones(len(runs), dtype=bool)
+        surprise, entries = np.zeros(len(runs)), np.zeros(len(runs), dtype=np.int64)
         for turn in range(int(there.sum(axis=1).max(initial=0))):
             which = chosen[:, turn]
             values = np.where(there[lanes, which, None], flat[runs, which], np.nan)
-            after = self._taken(belief, values, noise_covs[runs, which], which // several, step)
-            is_finite = finite_lanes(after)
-            belief, sound = where(is_finite, after, belief), sound & is_finite
-        return belief, sound
+            update = self._taken(belief, values, noise_covs[runs, which], which // several, step)
+            is_finite = finite_lanes(update.belief)
+            belief, sound = where(is_finite, update.belief, belief), sound & is_finite
+            surprise += np.where(is_finite, update.normalised_innovation_squared, 0)
+            entries += is_finite * np.count_nonzero(~np.isnan(values), axis=-1)
+        return belief, sound, surprise, entries
 
     def _taken(
         self,
@@ -207,8 +228,8 @@ class WindowFilter:
         noise_covs: np.ndarray,
         sources: np.ndarray,
         step: int,
-    ) -> Gaussian:
-        """Beliefs (L, n) after one reading each (L, m) of these sources (L,)."""
+    ) -> Update:
+        """Beliefs (L, n) after one reading each (L, m) of these sources (L,), and what it said."""
         sensors = self.sensors.of(sources[:, None])
         if (state_noise := sensors.state_noise(belief, step)) is not None:
             noise_covs = noise_covs + state_noise[:, 0]
@@ -218,7 +239,7 @@ class WindowFilter:
             lambda states: sensors.measure(states, step)[..., 0, :],
             noise_covs,
             residual=partial(_residual, sensors),
-        ).belief
+        )
 
     @cached_property
     def _rounding_covs(self) -> np.ndarray:

@@ -20,7 +20,9 @@ from concord.nodes.lanes.links import places
 from concord.nodes.lanes.network import (
     BatchedNetwork,
     BatchedRule,
+    RuleWithCheck,
     RuleWithLengths,
+    RuleWithPast,
     RuleWithReturns,
     RunSegment,
     RunSettings,
@@ -38,7 +40,8 @@ class Instant(NamedTuple):
     R, N), of what a node sent in a cycle, whether it asked for the dynamic segment, and in which
     urgency class it won. counters: totals
     (R, N) by name, of a node that came back since then. spread: what shares carried, where they
-    have no length of their own.
+    have no length of their own. past: (R, N, L, n), the states of 0, 1, ... steps ago, of a rule
+    that estimates them. suspect: (R, N), of a rule whose nodes check themselves.
     """
 
     step: int
@@ -52,6 +55,8 @@ class Instant(NamedTuple):
     classes: np.ndarray
     counters: Counters
     spread: ShareContents | None
+    past: Gaussian | None
+    suspect: np.ndarray | None
 
 
 class _Said(NamedTuple):
@@ -100,7 +105,16 @@ def run(network: BatchedNetwork) -> Iterator[Instant]:
             sent.classes,
             tally.shown,
             spread,
+            _past(rule, content, here),
+            rule.suspect(content) & here if isinstance(rule, RuleWithCheck) else None,
         )
+
+
+def _past(rule: BatchedRule, content: Any, here: np.ndarray) -> Gaussian | None:
+    """Smoothed states of the nodes that take part (N,)."""
+    if not isinstance(rule, RuleWithPast):
+        return None
+    return Gaussian(*(masked(here, values) for values in rule.smoothed(content)))
 
 
 def _turned(

@@ -57,6 +57,7 @@ class ScenarioOptions(TypedDict, total=False):
     payload_bytes: int | None
     relay: bool
     latch_delay_us: float
+    smooth_steps: int
     rounds: int
     bus: FUNCTION
     schedule: str | Choice
@@ -107,6 +108,7 @@ class SweptOptions(TypedDict, total=False):
     payload_bytes: Sequence[int | None] | np.ndarray | int | None
     relay: Sequence[bool] | np.ndarray | bool
     latch_delay_us: Sequence[float] | np.ndarray | float
+    smooth_steps: Sequence[int] | np.ndarray | int
     rounds: Sequence[int] | np.ndarray | int
     bus: Sequence[FUNCTION] | np.ndarray | FUNCTION
     schedule: Sequence[str | Choice] | np.ndarray | str | Choice

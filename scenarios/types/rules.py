@@ -140,6 +140,11 @@ class MeasurementFlooding(FusionRule, frozen=True, kw_only=True, tag="labelled")
         Option("Time of a host to relay, from the last bit of a frame to the first of its own.",
                unit="us", at_least=0, needs="relay"),
     ] = 5.0  # fmt: skip
+    smooth_steps: Annotated[
+        int,
+        Option("Also estimate the states of up to so many steps ago, with all records since.",
+               unit="steps", at_least=0),
+    ] = 0  # fmt: skip
 
 
 class Reception(NumberRule, frozen=True, kw_only=True, tag="reception"):

@@ -144,6 +144,32 @@ def test_a_design_has_its_pictures_and_its_page(tmp_path: Path):
         assert f"| {costs} | {one.runs} |" in page
 
 
+def test_a_smoothed_run_has_its_errors_by_lag(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    """In the figures, in the file, in many runs and in a picture; all say the same."""
+    folder, many = tmp_path / "run", tmp_path / "many"
+    asked = ["run", "--scenario", "oscillator", "--nodes", "4", "--rule", "labelled",
+             "--occupancy", "0.25", "--steps", "40", "--smooth-steps", "6"]  # fmt: skip
+    main([*asked, "--json", "--out", str(folder)])
+    figures = json.loads(capsys.readouterr().out)["smoothed"]
+    assert [one["lag"] for one in figures] == list(range(7))
+    # The past is known better than the present, and to the smoother that hears everything best.
+    assert figures[6]["rmse"] < figures[0]["rmse"]
+    file = xarray.load_dataset(folder / "run.nc", engine="h5netcdf")
+    # States are scored from step 20 on, and six steps later they are six steps old.
+    off = file.smoothed_mean.isel(lag=6)[26:].to_numpy() - file.truth[20:34].to_numpy()[:, None]
+    assert figures[6]["rmse"] == pytest.approx(np.sqrt((off[..., 0] ** 2).mean()))
+    main([*asked, "--driver", "batched", "--runs", "2", "--out", str(many)])
+    assert "smoothed, x the centralised smoother" in capsys.readouterr().out
+    both = xarray.load_dataset(many / "run.nc", engine="h5netcdf")
+    np.testing.assert_allclose(both.smoothed_std[0], file.smoothed_std, rtol=1e-9)
+    for one in (folder, many):
+        main(["plot", str(one)])
+        assert (one / "plots" / "error-against-lag.png").exists()
+    capsys.readouterr()
+    main(["report", str(many), "-o", str(tmp_path / "page.md")])
+    assert "smoothed, x the" in (tmp_path / "page.md").read_text(encoding="utf-8")
+
+
 def test_a_page_needs_no_other_file(result: Path, tmp_path: Path):
     main(["report", str(result), "-o", str(tmp_path / "s.html")])
     main(["report", str(result), "-o", str(tmp_path / "s.md")])

@@ -1,0 +1,55 @@
+"""The smoothed past of a window: beliefs of its steps given all records that a lane holds."""
+
+from functools import partial
+
+import numpy as np
+
+from concord.filters.filter import Filter
+from concord.filters.gaussian import Gaussian
+from concord.filters.sigma_point_filter import SigmaPointFilter
+from concord.filters.sigma_points import SigmaPointRule, scaled_unscented
+from concord.filters.smoother import Backward, backward, smooth
+from concord.nodes.rules.local_filter import Model, with_state_noise
+from concord.nodes.rules.window_filter import WindowFilter, Windows
+
+
+def way_back(
+    beliefs: Gaussian, control: np.ndarray | None, step: int, model: Model, filter: Filter
+) -> Backward:
+    """The way from `step`, into which `control` drove, back to beliefs (..., n) of the step before.
+
+    The sigma points are those of the filter; the usual ones for a filter without.
+    """
+    noise_cov = with_state_noise(model.process_noise_cov(step - 1), model, beliefs, step - 1)
+    transition = partial(model.transition, control=control, step=step - 1)
+    return backward(beliefs, transition, noise_cov, _points(filter, beliefs.mean.shape[-1]))
+
+
+def _points(filter: Filter, states: int) -> SigmaPointRule:
+    return filter.rule if isinstance(filter, SigmaPointFilter) else scaled_unscented(states)
+
+
+def smoothed_past(filter: WindowFilter, windows: Windows, most: int) -> Gaussian:
+    """The states of the last steps given all records: mean (R, M, most + 1, n) and covariance.
+
+    Entry l is the state of l steps ago, and entry 0 the newest posterior; NaN before the window's
+    first step. The windows are filtered.
+    """
+    newest = len(windows.controls) - 1
+    oldest = max(newest - most, windows.first)
+    history = Gaussian(*(np.moveaxis(one[:, :, oldest:], 2, 0) for one in windows.posteriors))
+    ways = []
+    for place in range(oldest, newest):
+        control, step = windows.controls[place + 1], windows.step_at(place + 1)
+        driven = None if control is None else control[:, None]
+        before = Gaussian(*(one[:, :, place] for one in windows.posteriors))
+        ways.append(way_back(before, driven, step, filter.model, filter.filter))
+    found = [np.moveaxis(one[::-1], 0, 2) for one in smooth(history, ways)]
+    lacking = most - len(ways)
+    return Gaussian(*(_padded(one, lacking) for one in found))
+
+
+def _padded(values: np.ndarray, lacking: int) -> np.ndarray:
+    """Values (R, M, L, ...) with so many more that are NaN."""
+    shape = (*values.shape[:2], lacking, *values.shape[3:])
+    return np.concatenate((values, np.full(shape, np.nan)), axis=2)

@@ -1,0 +1,170 @@
+"""A node that is lost says so, asks for help and is healed; a sound node does none of this."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.special import chdtri
+from scipy.stats import binom
+
+from concord.experiments.monte_carlo.simulate import Histories, simulate
+from concord.experiments.results.near_agreement import departures
+from concord.experiments.results.trace import Trace, read_trace
+from concord.experiments.scenario_options import scenario_of
+from concord.filters.gaussian import Gaussian
+from concord.nodes.lanes.labelled import BatchedFlooding
+from concord.nodes.lanes.labelled_check import BatchedSelfChecked
+from concord.nodes.rules.labelled import LabelledFlooding
+from concord.nodes.rules.labelled_check import SelfCheckedFlooding
+from concord.nodes.rules.record_sets import SILENCE, URGENCY
+from concord.nodes.rules.self_check import SUSPECT, chi_square_bound
+from concord.nodes.rules.window_filter import Windows
+from concord.runtime.drivers import in_memory
+from concord.scenarios import estimators
+from concord.scenarios.build import build_node
+from concord.scenarios.preparation import prepare
+from concord.scenarios.setup import Setup
+
+STEPS, LOST_STEP, LOST_NODE = 24, 12, 2
+# Beyond this a state of two numbers is wrong, whatever the noise.
+IMPOSSIBLE = float(chdtri(2, 1e-9))
+
+
+def ring(**options: Any) -> Setup:
+    asked = {
+        "nodes": 5, "graph": "ring", "rule": "labelled", "record_number": "float64",
+        "window_steps": 10, "steps": STEPS, "loss": 0.2, "stretch": 100.0, **options,
+    }  # fmt: skip
+    return prepare(scenario_of("oscillator", **asked))
+
+
+@pytest.mark.parametrize("probability", [1e-2, 1e-3, 1e-6])
+def test_the_bound_is_that_of_chi_square(probability: float):
+    freedom = np.array([1, 2, 3, 5, 8, 20, 100, 1000])
+    exact = chdtri(freedom, probability)
+    found = chi_square_bound(freedom, probability)
+    assert (found > 0.99 * exact).all() and (found < 1.16 * exact).all()
+    assert (found[3:] < 1.05 * exact[3:]).all()
+
+
+def test_sound_nodes_are_suspect_as_rarely_as_they_promise():
+    """On a linear plant the surprise is chi-square, and runs are independent."""
+    runs = 2000
+    setup = ring(nodes=2, graph="path", loss=0.0, steps=8)
+    suspect = simulate(setup, range(runs), keep=()).suspect
+    assert suspect is not None
+    count = int(suspect[:, -1, 0].sum())
+    assert binom.ppf(1e-6, runs, SUSPECT) <= count <= binom.isf(1e-6, runs, SUSPECT)
+
+
+def wrong_and_sure(windows: Windows, node: int, step: int) -> Windows:
+    """Windows of nodes from `node` on, of which the lost one's base is far off at that step."""
+    lane = LOST_NODE - node
+    if step != LOST_STEP or not 0 <= lane < windows.right.shape[1]:
+        return windows
+    mean, cov, right = windows.base.mean.copy(), windows.base.cov.copy(), windows.right.copy()
+    mean[:, lane] += 50.0
+    cov[:, lane] *= 1e-3
+    right[:, lane] = 0
+    return windows._replace(base=Gaussian(mean, cov), right=right)
+
+
+def losing(one: type, many: type) -> dict[str, type]:
+    """The rule at a node and in arrays, with a node that gets lost."""
+
+    @dataclass(frozen=True)
+    class Losing(one):
+        def begin_step(self, content: Any, measured: Any) -> Any:
+            content, failures = super().begin_step(content, measured)
+            windows = wrong_and_sure(content.windows, self.node, measured.step)
+            return content._replace(windows=windows), failures
+
+    @dataclass(frozen=True)
+    class LosingInArrays(many):
+        def begin_step(self, content: Any, readings: Any, control: Any, step: int) -> Any:
+            content = super().begin_step(content, readings, control, step)
+            return content._replace(windows=wrong_and_sure(content.windows, 0, step))
+
+    return {"SelfCheckedFlooding": Losing, "BatchedSelfChecked": LosingInArrays}
+
+
+@pytest.fixture
+def ran(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[Setup, Histories, Trace]]:
+    """Run the ring with a node that gets lost, in arrays and message by message."""
+
+    def run(one: type, many: type, **options: Any) -> tuple[Setup, Histories, Trace]:
+        for name, kind in losing(one, many).items():
+            monkeypatch.setattr(estimators, name, kind)
+        setup = ring(**options)
+        return setup, simulate(setup, [0]), read_trace(setup, in_memory(setup))
+
+    return run
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"loss": 0.0, "schedule": "full"},
+        {"schedule": "dynamic", "occupancy": 0.4, "digest_steps": 3},
+        {"relay": True, "occupancy": 0.6},
+        {"rounds": 1},
+    ],
+)
+def test_a_lost_node_says_so_and_is_healed(ran: Callable[..., Any], options: dict[str, Any]):
+    kinds = SelfCheckedFlooding, BatchedSelfChecked
+    setup, histories, trace = ran(*kinds, **options)
+    assert not departures(setup, trace)
+    nees, suspect = histories.nees[0, :, LOST_NODE], histories.suspect[0]
+    wrong = np.flatnonzero(nees > IMPOSSIBLE)
+    assert len(wrong) and wrong[0] == LOST_STEP
+    assert suspect[wrong, LOST_NODE].all(), "a belief that is surely wrong is suspect"
+    assert trace.counters[LOST_NODE]["checkpoint-adopted"] >= 1
+    assert not suspect[-5:].any() and (nees[-5:] < IMPOSSIBLE).all()
+    others = np.delete(histories.nees[0], LOST_NODE, axis=1)
+    assert (others < IMPOSSIBLE).all(), "a lost node draws no other along"
+    _, _, unhelped = ran(LabelledFlooding, BatchedFlooding, **options)
+    off = [np.abs(one.mean[:, LOST_NODE] - one.truth).sum() for one in (trace, unhelped)]
+    assert off[0] < off[1]
+
+
+def test_a_lost_node_sends_no_checkpoint_and_bids_with_urgency():
+    rule = estimator()
+    content = rule.start()._replace(owed=True, cycle=3)
+    after, body = rule.compose(content)
+    share = rule.accept(body)
+    assert share.checkpoint is not None and not share.suspect and not after.owed
+    after, body = rule.compose(lost(content))
+    share = rule.accept(body)
+    assert share.checkpoint is None and share.suspect and after.owed
+    calm, urgent = rule.bid(content), rule.bid(lost(content))
+    assert calm is not None and urgent is not None and urgent - calm == URGENCY * SILENCE
+
+
+def test_a_node_helps_a_lost_neighbour_unless_it_is_lost_itself():
+    rule = estimator()
+    # Records of a step that is older than a digest.
+    old = 0b11111 << 5
+    everything = rule.start()._replace(held=old, known=(old, old))
+    _, body = rule.compose(lost(rule.start()))
+    share = rule.accept(body)
+    helped, _ = rule.fuse(everything, (share, None))
+    assert helped.owed and helped.known == (0, old)
+    ignored, _ = rule.fuse(lost(everything), (share, None))
+    assert not ignored.owed and ignored.known == everything.known
+
+
+def estimator() -> SelfCheckedFlooding:
+    found = build_node(ring(), 0).estimator
+    assert isinstance(found, SelfCheckedFlooding)
+    return found
+
+
+def lost(content: Any) -> Any:
+    """A node whose records of the newest step are far from its belief."""
+    windows = content.windows
+    surprise, entries = windows.surprise.copy(), windows.entries.copy()
+    surprise[..., -1], entries[..., -1] = 500.0, 4
+    return content._replace(windows=windows._replace(surprise=surprise, entries=entries))
