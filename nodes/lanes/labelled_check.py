@@ -12,7 +12,7 @@ from concord.nodes.lanes.labelled import (
     Came,
     Shared,
 )
-from concord.nodes.lanes.records import RecordSets
+from concord.nodes.rules.record_sets import RecordSets
 from concord.nodes.rules.self_check import ASKING, is_suspect, trusting
 
 
