@@ -6,7 +6,8 @@ export OPENBLAS_NUM_THREADS ?= 1
 .PHONY: browser extras screenshots demo test test-slow test-all check format bench bench-compare kills fuzz stories docs pictures lock clean
 
 demo: .venv/run.stamp
-	$(BIN)/concord run --scenario target-tracking --nodes 12 --graph geometric --seed 7 --driver processes
+	$(BIN)/concord run --scenario target-tracking --nodes 12 --graph geometric --seed 7 \
+		--schedule dynamic --occupancy 0.25 --number float16 --driver processes
 
 # A worker for each processor; the tests of a file stay together.
 test: .venv/dev.stamp browser

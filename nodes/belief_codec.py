@@ -7,6 +7,7 @@ import numpy as np
 
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import pack_upper, unpack_upper
+from concord.nodes.share_forms import ShareForm
 from concord.nodes.vector_codec import VectorCodec
 
 
@@ -22,16 +23,17 @@ def belief_of(numbers: np.ndarray, states: int) -> Gaussian:
 
 @dataclass(frozen=True)
 class BeliefCodec:
-    """How a belief of `states` dimensions is written; `number` is "<f8" or "<f4"."""
+    """How a belief of `states` dimensions is written: numbers and form as of `VectorCodec`."""
 
     states: int
     number: str = "<f8"
+    form: ShareForm | None = None
 
     @cached_property
     def vector(self) -> VectorCodec:
         """The codec of its numbers."""
         n = self.states
-        return VectorCodec(n + n * (n + 1) // 2, self.number, "belief")
+        return VectorCodec(n + n * (n + 1) // 2, self.number, "belief", self.form)
 
     @property
     def size(self) -> int:

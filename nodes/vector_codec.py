@@ -8,23 +8,32 @@ from functools import cached_property
 import numpy as np
 
 from concord.nodes.estimator import Rejected
+from concord.nodes.share_forms import UNREADABLE, ShareForm
 
 
 @dataclass(frozen=True)
 class VectorCodec:
-    """How a vector of `length` numbers is written; `number` is "<f8" or "<f4".
+    """How a vector of `length` numbers is written, each as `number`: "<f8", "<f4" or "<u2".
 
-    A body that is no such vector is refused as `{what}-length` or `{what}-not-finite`.
+    With a form, the codes of that are written in place of the numbers; "<u2" needs one. A body that
+    is no such vector is refused as `{what}-length` or `{what}-not-finite`.
     """
 
     length: int
     number: str = "<f8"
     what: str = "share"
+    form: ShareForm | None = None
+
+    @property
+    def exact(self) -> bool:
+        """Whether a receiver reads the very numbers that were sent."""
+        return self.number == "<f8"
 
     @cached_property
     def size(self) -> int:
         """Length in bytes of an encoded vector."""
-        return self.length * self._dtype.itemsize
+        codes = self.length if self.form is None else self.form.length
+        return codes * self._dtype.itemsize
 
     @cached_property
     def _dtype(self) -> np.dtype:
@@ -36,7 +45,21 @@ class VectorCodec:
 
     def encode(self, vector: np.ndarray) -> bytes:
         """The bytes of a vector (length,)."""
-        return vector.astype(self._dtype, copy=False).tobytes()
+        return self._written(vector).tobytes()
+
+    def received(self, vectors: np.ndarray) -> np.ndarray:
+        """Vectors (..., length) as a receiver reads them."""
+        return vectors if self.exact else self._read(self._written(vectors))
+
+    def _written(self, vectors: np.ndarray) -> np.ndarray:
+        if self.form is not None:
+            return self.form.codes(vectors)
+        return vectors.astype(self._dtype, copy=False)
+
+    def _read(self, codes: np.ndarray) -> np.ndarray:
+        if self.form is not None:
+            return self.form.numbers(codes)
+        return codes.astype(np.float64, copy=False)
 
     def check(self, body: bytes) -> bytes:
         """A body without its padding, of which a vector can be read.
@@ -49,16 +72,20 @@ class VectorCodec:
         if len(body) < size:
             raise Rejected(f"{self.what}-length")
         body = body[:size]
-        # Finite numbers may have an infinite sum, but no sum of others is finite.
-        numbers = self._numbers.unpack(body)
-        if not (math.isfinite(sum(numbers)) or all(map(math.isfinite, numbers))):
+        if self._dtype.kind != "f":
+            finite = bool(np.isfinite(self.unpack(body)).all())
+        else:
+            # Finite numbers may have an infinite sum, but no sum of others is finite.
+            numbers = self._numbers.unpack(body)
+            finite = math.isfinite(sum(numbers)) or all(map(math.isfinite, numbers))
+        if not finite:
             raise Rejected(f"{self.what}-not-finite")
         return body
 
     def unpack(self, *bodies: bytes) -> np.ndarray:
         """The vectors (K, length) in K bodies that were checked."""
-        numbers = np.frombuffer(b"".join(bodies), self._dtype).astype(np.float64, copy=False)
-        return numbers.reshape(len(bodies), self.length)
+        codes = np.frombuffer(b"".join(bodies), self._dtype)
+        return self._read(codes.reshape(len(bodies), self.size // self._dtype.itemsize))
 
     def decode(self, body: bytes) -> np.ndarray:
         """The vector (length,) that `encode` wrote.
@@ -67,3 +94,10 @@ class VectorCodec:
             Rejected: as `check`.
         """
         return self.unpack(self.check(body))[0]
+
+
+def not_numbers(count: int, number: str) -> bytes:
+    """So many codes that no receiver can read."""
+    if np.dtype(number).kind == "f":
+        return np.full(count, np.nan, number).tobytes()
+    return np.full(count, UNREADABLE, number).tobytes()

@@ -40,8 +40,11 @@ def equipment_of(setup: Setup, bus: Bus) -> Equipment:
     scenario, number, codec = setup.scenario, "", None
     if definition_of(scenario).wiring is None:
         rule = rule_of(scenario)
-        number = "" if rule.share_numbers is None else wire_number(scenario)
-        codec = BeliefCodec(len(setup.prior_mean), number) if rule.shares_beliefs else None
+        number = "" if rule.share is None else wire_number(scenario)
+        if rule.share is not None and rule.shares_beliefs:
+            states = len(setup.prior_mean)
+            form = rule.share.codec(number, states, scenario.nodes).form
+            codec = BeliefCodec(states, number, form)
     noticed_bits = bus.frame_format.noticed_bits
     return Equipment(
         bus.channels, bus.cycle_us, bus.clock_precision_us, number, codec, noticed_bits

@@ -39,6 +39,7 @@ from concord.nodes.rules.window_filter import WindowFilter
 from concord.nodes.vector_codec import VectorCodec
 from concord.scenarios.labelled import choice_of, flooding_of, frame_codec, gates_of
 from concord.scenarios.node_context import BatchContext, Everybody, NodeContext, RuleContext
+from concord.scenarios.share_kinds import BELIEFS, ShareKind
 from concord.scenarios.types.rules import TrimmedCovarianceIntersection
 
 AnyRule = LaneRule[Any, Any, Any]
@@ -104,24 +105,29 @@ def pulled(context: RuleContext) -> AnyRule:
     return FreshConsensus(rule, context.trigger, context.contends)
 
 
+def _codec(share: ShareKind, context: RuleContext) -> VectorCodec:
+    return share.codec(context.number, context.states, len(context.neighbours))
+
+
 # --- at one node ---------------------------------------------------------------------------------
 
 
-def at_node(build: BuildRule, what: str, context: NodeContext) -> AtNode[Any, Any, Any]:
-    """The estimator of a rule whose shares are vectors of numbers, and `what` they are."""
-    return _at_node(AtNode, build, what, context)
+def at_node(build: BuildRule, share: ShareKind, context: NodeContext) -> AtNode[Any, Any, Any]:
+    """The estimator of a rule whose shares are vectors of numbers."""
+    return _at_node(AtNode, build, share, context)
 
 
-def set_at_node(build: BuildRule, what: str, context: NodeContext) -> SetAtNode[Any]:
+def set_at_node(build: BuildRule, share: ShareKind, context: NodeContext) -> SetAtNode[Any]:
     """The same of a set-membership rule."""
-    return _at_node(SetAtNode, build, what, context)
+    return _at_node(SetAtNode, build, share, context)
 
 
-def _at_node(kind: type[NodeRule], build: BuildRule, what: str, context: NodeContext) -> NodeRule:
+def _at_node(
+    kind: type[NodeRule], build: BuildRule, share: ShareKind, context: NodeContext
+) -> NodeRule:
     rule = build(context.rule)
     place = Place(np.array(context.node), context.weights)
-    length = rule.say(rule.start(place.node, context.prior, context.prior)).shape[-1]
-    codec = VectorCodec(length, context.rule.number, what)
+    codec = _codec(share, context.rule)
     return kind(rule, place, context.model, context.sensor, context.prior, context.filter, codec)
 
 
@@ -160,18 +166,18 @@ def _window_filter(
 # --- at all nodes of many runs -------------------------------------------------------------------
 
 
-def in_batch(build: BuildRule, what: str, context: BatchContext) -> BatchedRule:
+def in_batch(build: BuildRule, share: ShareKind, context: BatchContext) -> BatchedRule:
     """A rule whose shares are vectors of numbers."""
     rule = build(context.rule)
-    return InBatch(rule, context.filters, context.links, context.base, context.rule.number, what)
+    codec = _codec(share, context.rule)
+    return InBatch(rule, context.filters, context.links, context.base, codec)
 
 
-def averages_in_batch(build: BuildRule, what: str, context: BatchContext) -> BatchedRule:
+def averages_in_batch(build: BuildRule, share: ShareKind, context: BatchContext) -> BatchedRule:
     """The matrix form of a rule whose rounds are averages."""
     rule = build(context.rule)
-    return AveragesInBatch(
-        rule, context.filters, context.links, context.base, context.rule.number, what
-    )
+    codec = _codec(share, context.rule)
+    return AveragesInBatch(rule, context.filters, context.links, context.base, codec)
 
 
 def alone_in_batch(context: BatchContext) -> BatchedRule:
@@ -190,7 +196,7 @@ def beliefs_in_batch(rule: Averaging, context: BatchContext) -> BatchedRule:
         base=context.base,
         rounds=context.rounds,
         contenders=context.contenders,
-        number=context.rule.number,
+        codec=_codec(BELIEFS, context.rule),
         trigger=context.rule.trigger,
     )
 

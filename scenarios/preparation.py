@@ -13,6 +13,7 @@ from concord.nodes.bounds import MAX_ROUNDS
 from concord.nodes.changes import Settings
 from concord.nodes.faults.active import Equipment
 from concord.nodes.messages import from_wire, to_wire
+from concord.nodes.share_forms import MEAN_REACH
 from concord.scenarios.bus_plan import build_schedule, plan_bus, with_pinned_arbiter
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.equipment import equipment_of
@@ -25,6 +26,7 @@ from concord.scenarios.setup import Setup
 from concord.scenarios.streams import generator
 from concord.scenarios.types.assignment import check_ranges, refuse_left
 from concord.scenarios.types.buses import UserBus, stretch_of
+from concord.scenarios.types.rules import number_of
 from concord.scenarios.user_bus import check_user_bus
 from concord.scenarios.user_values import is_source_name, source_of, value_of
 from concord.topology.names import unknown_name
@@ -115,11 +117,30 @@ def check_network(setup: Setup) -> None:
     definition.check(scenario)
     if definition.wiring is None:
         check_rule(scenario, setup.neighbours, from_per_node(setup.weights, setup.neighbours))
+        _check_reach(setup)
     bus = plan_bus(scenario, share_bytes(setup), setup.neighbours)
     if isinstance(scenario.bus, UserBus):
         schedule = build_schedule(scenario, setup.neighbours)
         check_user_bus(scenario.bus, bus, schedule, share_bytes(setup))
     bus.check_pace(scenario.rounds, setup.time_step_s, stretch_of(scenario.bus))
+
+
+def _check_reach(setup: Setup) -> None:
+    """Refuse two bytes a number where the mean of the beginning is too far from zero for them.
+
+    Raises:
+        ValueError: naming the state, its mean, and the cure.
+    """
+    if number_of(setup.scenario.rule) != "float16":
+        return
+    deviations = np.sqrt(np.diagonal(setup.prior_cov))
+    for state, (mean, deviation) in enumerate(zip(setup.prior_mean, deviations, strict=True)):
+        if abs(mean) > MEAN_REACH * deviation:
+            raise ValueError(
+                f"--number float16: state {state} begins at {mean:g} with a standard deviation of "
+                f"{deviation:g}, and two bytes reach {int(MEAN_REACH)} deviations from zero; use "
+                "--number float32, or coordinates with their origin nearer to the plant"
+            )
 
 
 def _check_filter(setup: Setup) -> None:

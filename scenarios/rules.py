@@ -10,7 +10,6 @@ from concord.filters.fusion import hold
 from concord.filters.fusion.averaging import INFORMATION, MOMENTS, Directly
 from concord.filters.fusion.hybrid_consensus import classical_gain, safe_gain
 from concord.filters.fusion.local import keep_own
-from concord.filters.fusion.packed import packed_length
 from concord.filters.gaussian import Gaussian
 from concord.nodes.estimator import AnyEstimator
 from concord.nodes.lanes.network import BatchedRule
@@ -38,6 +37,16 @@ from concord.scenarios.labelled import check_labelled, largest_share, without_ar
 from concord.scenarios.node_context import BatchContext, NodeContext
 from concord.scenarios.scenario import Scenario, lossy_links
 from concord.scenarios.setup import Setup
+from concord.scenarios.share_kinds import (
+    BELIEFS,
+    ELLIPSOIDS,
+    HYBRID,
+    INFORMATION_PAIRS,
+    NOVELTIES,
+    NOVELTIES_AND_MEANS,
+    ZONOTOPES,
+    ShareKind,
+)
 from concord.scenarios.types.buses import FullSchedule
 from concord.scenarios.types.holds import Decayed, Dropped, Fading, InStep, Predicted, Raw
 from concord.scenarios.types.rules import (
@@ -46,6 +55,7 @@ from concord.scenarios.types.rules import (
     TrimmedCovarianceIntersection,
     UserRule,
     hold_of,
+    number_of,
 )
 from concord.scenarios.user_values import ValueSource, function_or
 from concord.topology.names import unknown_name
@@ -55,15 +65,14 @@ if TYPE_CHECKING:
 
 Average = Callable[[Gaussian, np.ndarray], Gaussian]
 """The beliefs (..., J, n) of a neighbourhood, the own first, and weights (..., J) -> belief."""
-_NUMBERS = {"float64": "<f8", "float32": "<f4"}
+_NUMBERS = {"float64": "<f8", "float32": "<f4", "float16": "<u2"}
 
 
 class Rule(NamedTuple):
     """A fusion rule of the network.
 
     Attributes:
-        share_numbers: how many numbers are in a share, for so many states and nodes; None for
-            shares of any length up to `scenario.payload_bytes`.
+        share: what its shares are; None for shares of any length up to `scenario.payload_bytes`.
         estimator: builds that of one node.
         batched: builds the rule at all nodes of many runs.
         check: refuses scenario, neighbours of each node and weights (N, N) that it cannot do with.
@@ -72,11 +81,10 @@ class Rule(NamedTuple):
             beliefs (steps,) of one filter that takes the readings of these nodes; None for the
             Gaussian filter of the scenario.
         lacking: what of a scenario the batched rule does not have; None if it has all.
-        shares_beliefs: a share is a mean and a covariance.
         weighted: the network's consensus weights are used.
     """
 
-    share_numbers: Callable[[int, int], int] | None
+    share: ShareKind | None
     estimator: Callable[[NodeContext], AnyEstimator]
     batched: Callable[[BatchContext], BatchedRule]
     check: "Callable[[Scenario, Sequence[Sequence[int]], Weights], None] | None" = None
@@ -85,8 +93,12 @@ class Rule(NamedTuple):
         Callable[[Setup, Sequence[int], np.ndarray, np.ndarray | None], Gaussian] | None
     ) = None
     lacking: Callable[[Scenario], str | None] = lambda _: None
-    shares_beliefs: bool = False
     weighted: bool = True
+
+    @property
+    def shares_beliefs(self) -> bool:
+        """Whether a share is a mean and a covariance."""
+        return self.share is BELIEFS
 
 
 def rule_of(scenario: Scenario) -> Rule:
@@ -127,6 +139,7 @@ def check_rule(scenario: Scenario, neighbours: Sequence[Sequence[int]], weights:
         ValueError: naming the rule, what is in its way, and the cure.
     """
     rule = rule_of(scenario)
+    _require_form(scenario, rule)
     if rule.check is not None:
         rule.check(scenario, neighbours, weights)
 
@@ -142,11 +155,10 @@ def build_estimator(scenario: Scenario, context: NodeContext) -> AnyEstimator:
 
 def share_size(scenario: Scenario, states: int) -> int:
     """Length in bytes of the longest share in a network whose plant has so many states."""
-    share_numbers = rule_of(scenario).share_numbers
-    if share_numbers is None:
+    share = rule_of(scenario).share
+    if share is None:
         return largest_share(scenario, states)
-    numbers = share_numbers(states, scenario.nodes)
-    return numbers * np.dtype(wire_number(scenario)).itemsize
+    return share.codec(wire_number(scenario), states, scenario.nodes).size
 
 
 def hold_policy(scenario: Scenario) -> HoldPolicy:
@@ -204,6 +216,16 @@ def _in_step(
 
 
 # --- the rules -----------------------------------------------------------------------------------
+
+
+def _require_form(scenario: Scenario, rule: Rule) -> None:
+    if rule.share is None or rule.share.has(wire_number(scenario)):
+        return
+    raise ValueError(
+        f"rule {scenario.rule.name} --number {number_of(scenario.rule)}: its shares carry no "
+        "covariance that could be enlarged by what two bytes a number lose; use --number float32, "
+        "or a rule that shares beliefs such as ci or hcmci"
+    )
 
 
 def _require_the_average(
@@ -267,85 +289,60 @@ def _require_all_at_once(
 
 
 def _once(
-    share_numbers: Callable[[int, int], int],
+    share: ShareKind,
     build: BuildRule,
-    what: str,
     batched: Callable[[BatchContext], BatchedRule] | None = None,
     **properties: Any,
 ) -> Rule:
     """A rule that is written once: `build` serves one node and all nodes of many runs.
 
-    `what` its shares are appears in reports of those that cannot be used. `batched` is a faster
-    form for many runs.
+    `batched` is a faster form for many runs.
     """
-    at_one = partial(at_node, build, what)
-    at_all = batched or partial(in_batch, build, what)
-    return Rule(share_numbers, at_one, at_all, **properties)
+    at_one = partial(at_node, build, share)
+    at_all = batched or partial(in_batch, build, share)
+    return Rule(share, at_one, at_all, **properties)
 
 
 def _averaged(average: Average) -> Rule:
     """A rule that is a function of the beliefs (..., J, n) of a neighbourhood and of weights."""
-    return _once(
-        lambda n, _: packed_length(n),
-        partial(averaging, Directly(average)),
-        "belief",
-        shares_beliefs=True,
-    )
+    return _once(BELIEFS, partial(averaging, Directly(average)))
 
 
 _RULES: dict[str, Rule] = {
     "ci": _once(
-        lambda n, _: packed_length(n),
+        BELIEFS,
         partial(averaging, INFORMATION),
-        "belief",
         partial(beliefs_in_batch, INFORMATION),
-        shares_beliefs=True,
     ),
     "trimmed-ci": _once(
-        lambda n, _: packed_length(n),
+        BELIEFS,
         trimmed,
-        "belief",
         check=_require_honest_majorities,
-        shares_beliefs=True,
     ),
     "wac": _once(
-        lambda n, _: packed_length(n),
+        BELIEFS,
         partial(averaging, MOMENTS),
-        "belief",
         partial(beliefs_in_batch, MOMENTS),
-        shares_beliefs=True,
     ),
     "hcmci": _once(
-        lambda n, nodes: 2 * packed_length(n) + nodes,
+        HYBRID,
         partial(hybrid, safe_gain),
-        "share",
-        partial(averages_in_batch, partial(hybrid, safe_gain), "share"),
+        partial(averages_in_batch, partial(hybrid, safe_gain), HYBRID),
     ),
     "hcmci-classical": _once(
-        lambda n, nodes: 2 * packed_length(n) + nodes,
+        HYBRID,
         partial(hybrid, classical_gain),
-        "share",
-        partial(averages_in_batch, partial(hybrid, classical_gain), "share"),
+        partial(averages_in_batch, partial(hybrid, classical_gain), HYBRID),
         check=_require_the_average,
     ),
     "icf": _once(
-        lambda n, _: packed_length(n),
+        INFORMATION_PAIRS,
         weighted_information,
-        "share",
-        partial(averages_in_batch, weighted_information, "share"),
+        partial(averages_in_batch, weighted_information, INFORMATION_PAIRS),
         check=_require_the_average,
     ),
-    "diffusion": _once(
-        lambda n, _: packed_length(n),
-        diffused,
-        "share",
-    ),
-    "kcf": _once(
-        lambda n, _: packed_length(n) + n,
-        pulled,
-        "share",
-        weighted=False,
-    ),
+    "diffusion": _once(NOVELTIES, diffused),
+    "kcf": _once(NOVELTIES_AND_MEANS, pulled, weighted=False),
     "labelled": Rule(
         None,
         flooding,
@@ -355,33 +352,30 @@ _RULES: dict[str, Rule] = {
         weighted=False,
     ),
     "local": _once(
-        lambda n, _: packed_length(n),
+        BELIEFS,
         partial(averaging, Directly(keep_own)),
-        "belief",
         alone_in_batch,
-        shares_beliefs=True,
         weighted=False,
     ),
     "centralised": _once(
-        lambda n, _: packed_length(n),
+        NOVELTIES,
         diffused,
-        "share",
         check=_require_all_at_once,
         weighted=False,
     ),
     "ellipsoid": Rule(
-        lambda n, _: packed_length(n),
-        partial(set_at_node, partial(set_rules.set_membership, Ellipsoids), "belief"),
-        partial(in_batch, partial(set_rules.set_membership, Ellipsoids), "belief"),
+        ELLIPSOIDS,
+        partial(set_at_node, partial(set_rules.set_membership, Ellipsoids), ELLIPSOIDS),
+        partial(in_batch, partial(set_rules.set_membership, Ellipsoids), ELLIPSOIDS),
         check=set_rules.check_bounded,
         set_valued=True,
         baseline_filter=partial(set_rules.baseline_filter, Ellipsoids),
         weighted=False,
     ),
     "zonotope": Rule(
-        lambda n, _: n + n**2,
-        partial(set_at_node, partial(set_rules.set_membership, Zonotopes), "share"),
-        partial(in_batch, partial(set_rules.set_membership, Zonotopes), "share"),
+        ZONOTOPES,
+        partial(set_at_node, partial(set_rules.set_membership, Zonotopes), ZONOTOPES),
+        partial(in_batch, partial(set_rules.set_membership, Zonotopes), ZONOTOPES),
         check=set_rules.check_bounded,
         set_valued=True,
         baseline_filter=partial(set_rules.baseline_filter, Zonotopes),

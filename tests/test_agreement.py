@@ -28,6 +28,8 @@ SMALL = {
     "with a dynamic segment": {"schedule": "hybrid", "occupancy": 0.5, "nodes": 6},
     "contention alone": {"schedule": "dynamic", "occupancy": 0.5, "nodes": 5, "graph": "path"},
     "float32 on the wire": {"number": "float32", "graph": "path"},
+    "two bytes a number": {"number": "float16", "graph": "path"},
+    "two bytes a number, prior and novelty": {"number": "float16", "rule": "hcmci", "loss": 0.3},
     "the papers' average": {"rule": "wac", "hold": "drop"},
     "more rounds than a cycle counter": {"rounds": 70, "steps": 2, "graph": "path"},
     "links that lose frames": {"loss": 0.3},

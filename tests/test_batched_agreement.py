@@ -25,10 +25,15 @@ from concord.scenarios.types.rules import NumberRule
 from tests.changing_networks import changing
 from tests.experiments.support import scenario
 
-TOLERANCES = {"float64": 1e-10, "float32": 8 * float(np.finfo(np.float32).eps)}
+TOLERANCES = {
+    "float64": 1e-10,
+    "float32": 8 * float(np.finfo(np.float32).eps),
+    "float16": 2.0**-4,
+}
 RUNS = (0, 3)
 PLANTS = ("oscillator", "target-crossing", "dc-motor-position", "cruise-control")
 FRESH = ("hcmci", "hcmci-classical", "icf", "diffusion", "kcf")
+NOVELTIES = ("diffusion", "kcf")
 RULES = ("ci", "wac", "local", "trimmed-ci", *FRESH)
 HOLDS = ("decayed", "predict", "raw", "drop", "renormalise", "in-step")
 WEIGHTS = ("metropolis", "maximum-degree", "equal-neighbour")  # the last leads to no average
@@ -107,7 +112,9 @@ def scenarios(draw: st.DrawFn) -> Scenario:
         "occupancy": 1.0 if schedule == "full" else draw(st.sampled_from([0.2, 0.5, 0.9])),
         "arbiter": draw(st.sampled_from(ARBITERS)),
         "trigger": draw(st.sampled_from([0.0, 0.5])),
-        "number": draw(st.sampled_from(["float64", "float32"])),
+        "number": draw(
+            st.sampled_from(["float64", "float32", "float16"][: 2 if rule in NOVELTIES else 3])
+        ),
         "loss": draw(st.sampled_from([0.0, 0.0, 0.3])),
         # The time of the bus is not what is compared here.
         "stretch": 100.0,

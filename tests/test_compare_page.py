@@ -6,6 +6,7 @@ import pytest
 
 from concord.experiments.compare.suite import SUITE
 from concord.scenarios.types.rules import RULE_SUMMARIES
+from tests.experiments.flexray_support import concord
 from tests.pages import ROOT, blocks, commands, run_as_reader
 
 PAGE = (ROOT / "docs" / "which_rule_when.md").read_text(encoding="utf-8")
@@ -32,6 +33,50 @@ def test_each_table_of_figures_has_every_built_in_rule_and_every_case(number: in
 def test_the_table_of_cases_is_that_of_the_suite():
     (cases,) = [table for table in tables() if table[0][0] == "case"]
     assert [row[:2] for row in cases[2:]] == [[case.name, case.purpose] for case in SUITE]
+
+
+SWEEPS = [line.strip() for line in PAGE.splitlines() if line.startswith("    concord sweep ")]
+
+
+def rows_of_numbers() -> dict[tuple[str, str, str, str], int]:
+    """Bytes in a step of the table of numbers, by rule, schedule, rounds and number."""
+    (table,) = [table for table in tables() if table[0][0] == "rule and schedule"]
+    found = {}
+    for way, number, _, _, wire_bytes in table[2:]:
+        rule, schedule, *rounds = way.replace("`", "").split(", ")
+        key = rule, schedule, rounds[0].removesuffix(" rounds") if rounds else "3", number
+        found[key] = int(wire_bytes)
+    return found
+
+
+def test_the_commands_of_the_table_of_numbers_send_its_bytes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    """Bytes of rules that share beliefs are those of every step, so two short runs will do."""
+    # Only here, as the other tests need no figures.
+    import xarray
+
+    monkeypatch.chdir(tmp_path)
+    rows, printed = rows_of_numbers(), set()
+    for count, command in enumerate(SWEEPS):
+        words = command.replace("--runs 50", "--runs 2").split()[1:]
+        assert concord(capsys, *words, "--steps", 24, "-o", f"{count}.nc").code == 0
+        options = dict(zip(words[1::2], words[2::2], strict=True))
+        with xarray.open_dataset(f"{count}.nc", engine="h5netcdf") as data:
+            sent = data.bytes_per_step.mean("run")
+            for row, shown in rows.items():
+                asked = dict(zip(("rule", "schedule", "rounds", "number"), row, strict=True))
+                usual = {"rounds": "3", "number": "int16" if row[0] == "labelled" else "float64"}
+                said = {name: options.get(f"--{name}", usual.get(name, "")) for name in asked}
+                if not all(asked[name] in said[name].split(",") for name in asked):
+                    continue
+                place = {name: asked[name] for name in asked if name in sent.dims}
+                if "rounds" in place:
+                    place["rounds"] = int(place["rounds"])
+                printed.add(row)
+                if row[0] != "labelled":
+                    assert float(sent.sel(place)) == shown, row
+    assert printed == set(rows)
 
 
 @pytest.mark.slow

@@ -13,6 +13,7 @@ import msgspec
 import tyro
 from rich.console import Console
 
+from concord.experiments.results.alternative import labelled_beside
 from concord.experiments.results.folder import RECORDING, Description, read_description
 from concord.experiments.results.run_results import completed, write_results
 from concord.experiments.results.run_verdict import LEGEND
@@ -69,11 +70,13 @@ def finish(
 ) -> None:
     """Write run.nc and bus.pcap, print the figures."""
     write_results(folder, description, trace)
+    found = summarise(description.setup, trace)
     figures = msgspec.structs.replace(
-        summarise(description.setup, trace),
+        found,
         timing=_timing(folder, description, trace),
         steps_per_second=pace.steps_per_second,
         ready_s=pace.ready_s,
+        labelled=labelled_beside(description.setup, trace, found.first_step),
     )
     _show(figures, description, shown)
 

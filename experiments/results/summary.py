@@ -12,6 +12,7 @@ from rich.table import Table
 from concord.experiments.monte_carlo.intervals import Interval
 from concord.experiments.monte_carlo.smoothed_errors import shown_lags, smoothed_errors
 from concord.experiments.results import bus_report, record_spread, timing_figures
+from concord.experiments.results.alternative import LabelledFigures, in_words
 from concord.experiments.results.bus_report import BusFigures
 from concord.experiments.results.containment import Containment, containment
 from concord.experiments.results.record_spread import SpreadFigures
@@ -60,6 +61,7 @@ class Figures(msgspec.Struct, frozen=True):
     `bus` is None on a bus without time; `timing` is None except in real time. `noticed` sums the
     nodes' counters other than traffic: frames lost, late, repeated, rejected and why. `suspect` is
     the number of steps in which each node said that its belief does not fit what it had heard.
+    `labelled` are the figures under that rule, where they are known.
     """
 
     scenario: str
@@ -91,6 +93,7 @@ class Figures(msgspec.Struct, frozen=True):
     anees_interval: tuple[float, float] | None = None
     steps_per_second: float | None = None
     ready_s: float | None = None
+    labelled: LabelledFigures | None = None
 
 
 def summarise(setup: Setup, trace: Trace) -> Figures:
@@ -265,7 +268,11 @@ def opening(figures: Figures) -> list[str]:
     if figures.containment is None:
         anees_ = Interval(figures.anees, *(figures.anees_interval or (np.nan, np.nan)))
         compared = figures.rmse, figures.rmse_centralised, figures.rmse_local_only
-        return [verdict(*compared, anees_)]
+        said = [verdict(*compared, anees_)]
+        if figures.labelled is not None and not np.isnan(figures.rmse_centralised):
+            wire_bytes = None if figures.bus is None else figures.bus.wire_bytes_per_step
+            said.append(in_words(figures.labelled, figures.rmse_centralised, wire_bytes))
+        return said
     held = figures.containment
     number = figures.steps * len(figures.nodes)
     return [f"sets: {held.violations} of {number} do not hold the truth"]

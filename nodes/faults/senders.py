@@ -6,6 +6,7 @@ from concord.bus.bus import Bus
 from concord.filters.gaussian import Gaussian
 from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.faults.active import EVERYBODY, Faults
+from concord.nodes.vector_codec import not_numbers
 
 # A bit of the checksum that a broken controller turns over.
 _LAST_BIT = 1
@@ -21,8 +22,8 @@ def spoken(faults: Faults, step: int, cycle: int, node: int, body: bytes) -> byt
         belief = codec.decode(body)
         body = codec.encode(Gaussian(belief.mean, -belief.cov))
     if equipment.number and _strikes(faults, "nan", step, cycle, node):
-        numbers = np.full(len(body) // np.dtype(equipment.number).itemsize, np.nan)
-        body = numbers.astype(equipment.number).tobytes()
+        count = len(body) // np.dtype(equipment.number).itemsize
+        body = not_numbers(count, equipment.number)
     return body
 
 

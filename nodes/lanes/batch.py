@@ -13,7 +13,7 @@ import numpy as np
 
 from concord.filters.fusion.hold import renormalise
 from concord.filters.gaussian import Gaussian
-from concord.nodes.lanes.filter import Counters, added, received, traffic, with_lanes
+from concord.nodes.lanes.filter import Counters, added, traffic, with_lanes
 from concord.nodes.lanes.links import DegreeClass, Links, Shares
 from concord.nodes.lanes.mixing import mixed, weighed
 from concord.nodes.rules.fresh_consensus import FreshConsensus, FreshOwn, LastUsed
@@ -29,6 +29,7 @@ from concord.nodes.rules.lane_rule import (
     mapped,
 )
 from concord.nodes.rules.local_filter import LocalFilters
+from concord.nodes.vector_codec import VectorCodec
 
 
 class BatchContent(NamedTuple, Generic[Own, Held]):
@@ -42,16 +43,14 @@ class BatchContent(NamedTuple, Generic[Own, Held]):
 class InBatch(Generic[Own, Held, Share]):
     """A rule at all nodes of a network (`concord.nodes.lanes.network.BatchedRule`).
 
-    `base` are the weights of one run; a share of numbers written as `number` that are not finite is
-    refused as `{what}-not-finite`.
+    `base` are the weights of one run; `codec` is that of a node.
     """
 
     rule: LaneRule[Own, Held, Share]
     filters: LocalFilters
     links: Links
     base: Shares
-    number: str
-    what: str = "share"
+    codec: VectorCodec
 
     @property
     def _nodes(self) -> np.ndarray:
@@ -96,12 +95,12 @@ class InBatch(Generic[Own, Held, Share]):
     ) -> BatchContent[Own, Held]:
         """A round: nodes `sends` (R, N) share, and all fuse what they hear."""
         rule, links, known = self.rule, self.links, content.known
-        numbers = received(rule.say(known), self.number)
+        numbers = self.codec.received(rule.say(known))
         readable = np.isfinite(numbers).all(axis=-1)
         sent = sends & readable
         # A node that says nothing is not read: its numbers may be anything.
         shares, sound, reason = rule.read(np.where(sent[..., None], numbers, 0.0))
-        counted = traffic(links, sent, sends & ~readable, lost, f"{self.what}-not-finite")
+        counted = traffic(links, sent, sends & ~readable, lost, f"{self.codec.what}-not-finite")
         if sound is not None:
             refused = links.arriving(sent & ~sound, lost)
             counted = {**counted, f"rejected {reason}": links.per_receiver(refused)}

@@ -14,13 +14,13 @@ import numpy as np
 
 from concord.filters.fusion.averaging import INFORMATION, Averaging
 from concord.filters.gaussian import Gaussian
+from concord.nodes.belief_codec import belief_numbers, belief_of
 from concord.nodes.lanes.filter import (
     Counters,
     LastPublished,
     LocalFilters,
     added,
     nothing_published,
-    received,
     traffic,
     with_lanes,
 )
@@ -28,6 +28,7 @@ from concord.nodes.lanes.links import Links, Shares, unheard
 from concord.nodes.lanes.mixing import Mixing, MixingWeights, mixed, summed
 from concord.nodes.rules.belief_consensus import HoldPolicy
 from concord.nodes.rules.local_filter import finite_lanes, predict_to_step, where
+from concord.nodes.vector_codec import VectorCodec
 
 
 class Numbers(NamedTuple):
@@ -88,8 +89,7 @@ class BatchedContent(NamedTuple):
 class BatchedBeliefs:
     """All nodes of a network under a rule that averages beliefs, in so many rounds a step.
 
-    `base` are the weights of one run; `contenders` (C,) the nodes that may ask
-    for the dynamic segment.
+    `base` are the weights of one run; `contenders` (C,) the nodes that may ask for slots.
     """
 
     filters: LocalFilters
@@ -99,14 +99,14 @@ class BatchedBeliefs:
     base: Shares
     rounds: int
     contenders: np.ndarray
-    number: str
+    codec: VectorCodec
     trigger: float
 
     @property
     def eager(self) -> bool:
         """Whether beliefs must be known after every round: for bids, for the wire, or because the
         rule's numbers do not tell whether an average went well."""
-        lazy = self.averaging is INFORMATION and self.number == "<f8"
+        lazy = self.averaging is INFORMATION and self.codec.exact
         return len(self.contenders) > 0 or not lazy
 
     def start(self, prior: Gaussian) -> BatchedContent:
@@ -226,9 +226,10 @@ class BatchedBeliefs:
 
     def _shared(self, content: BatchedContent) -> tuple[Numbers, np.ndarray]:
         """Return the contents of the frames of all nodes, and which (R, N) can be read."""
-        if self.number == "<f8":
+        if self.codec.exact:
             return content.own, np.ones(content.own.inverse_volume.shape, dtype=bool)
-        belief = Gaussian(*(received(values, self.number) for values in content.belief))
+        numbers = self.codec.received(belief_numbers(content.belief))
+        belief = belief_of(numbers, content.belief.mean.shape[-1])
         return self._expressed(belief, content.origin), finite_lanes(belief)
 
     def _expressed(self, belief: Gaussian, origin: np.ndarray) -> Numbers:

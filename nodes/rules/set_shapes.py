@@ -17,9 +17,10 @@ from concord.filters.sets.ellipsoid_intersection import intersection, strip_inte
 from concord.filters.sets.zonotope import Zonotope
 from concord.nodes.belief_codec import belief_numbers, belief_of
 from concord.nodes.rules.lane_rule import mapped
+from concord.nodes.share_forms import MEAN_ERROR, TwoByteBelief
 
 HeldSet = TypeVar("HeldSet")
-_UNITS = {"<f8": 0.0, "<f4": 2.0**-24}
+_UNITS = {"<f8": 0.0, "<f4": 2.0**-24, "<u2": 0.0}
 
 
 class Shape(Protocol[HeldSet]):
@@ -86,7 +87,7 @@ def chosen_sets(chosen: np.ndarray, one: HeldSet, other: HeldSet) -> HeldSet:
 
 @dataclass(frozen=True)
 class Ellipsoids:
-    """Sets of `states` dimensions as centre and shape matrix; `number` is "<f8" or "<f4"."""
+    """Sets of `states` dimensions as centre and shape matrix, on a wire of `number`."""
 
     states: int
     number: str = "<f8"
@@ -131,7 +132,10 @@ class Ellipsoids:
         unit = _UNITS[self.number]
         if unit > 0.0:
             own = ellipsoid.grow(own, unit * np.abs(own.centre))
-        return belief_numbers(Gaussian(own.centre, _rounded_up(ellipsoid.shape_matrix(own), unit)))
+        shape = _rounded_up(ellipsoid.shape_matrix(own), unit)
+        if self.number == "<u2":
+            shape = (1.0 + _growth(self.states)) * shape
+        return belief_numbers(Gaussian(own.centre, shape))
 
     def read(self, numbers: np.ndarray) -> tuple[Ellipsoid, np.ndarray]:
         """False where the shape is not positive definite."""
@@ -214,6 +218,20 @@ class Zonotopes:
             lost = 2.0 * unit * (np.abs(came.centre) + zonotope.half_widths(came))
             came = zonotope.grown(came, lost)
         return self._reduced(came), np.ones(numbers.shape[:-1], dtype=bool)
+
+
+def set_form(states: int) -> TwoByteBelief:
+    """The form of ellipsoids in two bytes a number.
+
+    With `_growth` a, the shape (1 + a) P + (1 + 1 / a) d d' contains the ellipsoid of shape P
+    wherever its centre goes by d, and d d' is at most n MEAN_ERROR^2 diag P.
+    """
+    return TwoByteBelief(states, slack=states * MEAN_ERROR**2 / _growth(states))
+
+
+def _growth(states: int) -> float:
+    """By which part of itself a shape grows, so that the two terms cost about the same."""
+    return MEAN_ERROR * states**0.5
 
 
 def _found(sets: Ellipsoid) -> tuple[Ellipsoid, np.ndarray]:

@@ -98,7 +98,7 @@ def network_of(
         used = replace(fresh, exchange=Dropping(*fresh.exchange))
     else:
         used = HoldingConsensus(fresh.exchange, fresh.trigger, fresh.contends)
-    rule = InBatch(used, rule.filters, rule.links, rule.base, rule.number, rule.what)
+    rule = InBatch(used, rule.filters, rule.links, rule.base, rule.codec)
     return replace(
         network, segments=(segment._replace(settings=segment.settings._replace(rule=rule)),)
     )

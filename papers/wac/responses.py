@@ -15,6 +15,7 @@ from concord.filters.fusion.averaging import MOMENTS
 from concord.filters.gaussian import Gaussian
 from concord.filters.sigma_point_filter import SigmaPointFilter
 from concord.filters.sigma_points import scaled_unscented
+from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.lanes.beliefs import BatchedBeliefs
 from concord.nodes.lanes.links import Shares, links_of
 from concord.nodes.rules.belief_consensus import HoldPolicy
@@ -205,7 +206,7 @@ def _network_means(
         base=Shares(np.array([own]), np.array([others])),
         rounds=ROUNDS,
         contenders=np.empty(0, dtype=np.int64),
-        number="<f8",
+        codec=BeliefCodec(len(plant.state_names)).vector,
         trigger=0.0,
     )
     everybody = np.ones(readings.shape[1:3], dtype=bool)

@@ -147,6 +147,8 @@ def _check(scenario: Scenario) -> None:
     for option, known in _NAMES.items():
         if chosen[option] not in known:
             raise unknown_name(f"{option} for a measurement bus", chosen[option], known)
+    number = _reception(scenario).number
+    require(number in _NUMBERS, "number", number, f"{' or '.join(_NUMBERS)}: shares are readings")
     trigger = trigger_of(scenario.bus.schedule)
     require(trigger == 0, "trigger", trigger, "0: sensors ask in every slot")
 

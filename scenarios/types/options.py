@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 else:
     GRAPH = object
 NOISE = Literal["matched", "paper", "growing", "small", "outliers", "biased"]
-NUMBER = Literal["float64", "float32"]
+NUMBER = Literal["float64", "float32", "float16"]
 RECORD_NUMBER = Literal["int16", "float32", "float64"]
 
 

@@ -16,7 +16,7 @@ from concord.scenarios.types.holds import (
 from concord.scenarios.types.option import USER, Choice, Option, name_of
 from concord.scenarios.user_values import FromFile, builder_source
 
-Number = Literal["float64", "float32"]
+Number = Literal["float64", "float32", "float16"]
 HOLD = Option("Use of the last share of a silent neighbour.", group="rule", is_setting=True)
 
 
@@ -27,7 +27,11 @@ class FusionRule(Choice, frozen=True, kw_only=True):
 class NumberRule(FusionRule, frozen=True, kw_only=True):
     """A rule whose shares are numbers of one format."""
 
-    number: Annotated[Number, Option("Format of numbers on the wire.")] = "float64"
+    number: Annotated[
+        Number,
+        Option("Format of numbers on the wire; float16 is two bytes each, for shares of beliefs, "
+               "whose covariance is enlarged by what is lost."),
+    ] = "float64"  # fmt: skip
 
 
 class AverageRule(NumberRule, frozen=True, kw_only=True):

@@ -2,6 +2,7 @@
 
 import io
 import os
+import runpy
 import shutil
 import subprocess
 import sys
@@ -139,6 +140,27 @@ def test_the_local_launcher_takes_another_driver():
     )
     assert done.returncode == 2
     assert done.stderr == "concord: --runs 0: must be at least 1\n"
+
+
+@pytest.mark.parametrize(
+    ("asked", "limited", "short"),
+    [
+        ([], True, True),
+        (["--nodes", "8", "--scenario", "target-tracking"], True, True),
+        (["--rule", "hcmci"], True, False),
+        (["--number=float64"], True, False),
+        (["--schedule", "full"], False, False),
+        (["--occupancy=0.5"], False, False),
+        (["--scenario=vehicle-network"], False, False),
+    ],
+)
+def test_the_local_launcher_limits_the_bus(asked: list[str], limited: bool, short: bool):
+    launcher = runpy.run_path(str(LAUNCHER))
+    words = launcher["with_defaults"](asked)
+    assert words[:2] == ["--driver", "processes"]
+    assert (words.count("--occupancy") == 1) == limited
+    assert ("float16" in words) == short
+    assert words[len(words) - len(asked) :] == asked
 
 
 def test_what_there_is_to_choose_from_is_told_without_what_computes():
