@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 USER_ERROR = 2
-_LONG_WORD = re.compile(r"(\S{60})\S{240,}")
+_LONG_WORD = re.compile(r"(\S{60})\S{940,}")
 
 
 @contextmanager

@@ -15,14 +15,13 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.optimize import Bounds, LinearConstraint, milp
 
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.slot_file import MessageSlot
 
 MOST_FILLED_CYCLES = 256
 MOST_EXACT_VARIABLES = 200
-_EXACT_SECONDS = 2.0
+_EXACT_NODES = 2000
 
 
 class FrameResponse(NamedTuple):
@@ -182,6 +181,9 @@ def _coverable(
     if open_to.size > MOST_EXACT_VARIABLES:
         return True, False
     most: Any = times
+    # scipy takes longer to load than commands that compute no bounds take to run.
+    from scipy.optimize import Bounds, LinearConstraint, milp
+
     budget = LinearConstraint(np.kron(np.eye(frames), np.ones(cycles)), ub=most)
     cover = LinearConstraint(np.kron(extra, np.eye(cycles)), lb=need)
     allowed: Any = open_to.ravel().astype(float)
@@ -190,7 +192,7 @@ def _coverable(
         integrality=np.ones(frames * cycles),
         bounds=Bounds(0, allowed),
         constraints=[budget, cover],
-        options={"time_limit": _EXACT_SECONDS},
+        options={"node_limit": _EXACT_NODES},
     )
     if solved.status == 2:
         return False, True

@@ -104,8 +104,6 @@ def read_dataset(path: Path, names: Iterable[str], remedy: str) -> "xarray.Datas
         with h5py.File(path, "r") as file:
             dict(file.attrs)
         dataset = xarray.load_dataset(path, engine="h5netcdf")
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be read ({_first_line(error)}); {remedy}") from None
     except Exception as error:
         # HDF5, h5py, h5netcdf and xarray each raise errors of their own at a damaged byte.
         raise ValueError(

@@ -160,13 +160,13 @@ BUGS = (
     Bug(
         "a guardian blocks nobody",
         "concord.nodes.faults.links",
-        "_collides",
+        "collides",
         (('if faults.at("guardian", way.step):', "if False:"),),
     ),
     Bug(
         "a channel that loses some frames loses all",
-        "concord.nodes.faults.links", "_carried",
-        (("if fails is None or draw >= fails[0]:", "if fails is None:"),),
+        "concord.nodes.faults.links", "carries",
+        (("fails is None or draw >= fails[0]", "fails is None"),),
     ),
     Bug(
         "a clock has run away since the run began",
