@@ -67,12 +67,12 @@ def test_the_python_of_the_readme_runs(tmp_path: Path, monkeypatch: pytest.Monke
 def test_the_verdict_that_the_readme_shows_is_that_of_the_demo(tmp_path: Path):
     (demo,) = re.findall(
         r"^\t\$\(BIN\)/concord (run .*) --driver processes$",
-        (ROOT / "Makefile").read_text(encoding="utf-8"),
+        (ROOT / "Makefile").read_text(encoding="utf-8").replace("\\\n", " "),
         re.MULTILINE,
     )
     command = [sys.executable, "-m", "concord.experiments", *demo.split(), "--out", "run"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     verdict = " ".join(done.stdout.split())
     page = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
-    shown = re.findall(r"network: \S+ x the error .*? to \S+\)", page)
+    shown = re.findall(r"network: \S+ x the error .*? --rule labelled \([^)]*\)", page)
     assert len(shown) == 1 and shown[0] in verdict

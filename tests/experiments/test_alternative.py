@@ -13,7 +13,6 @@ from concord.runtime.drivers import in_memory
 from concord.scenarios.catalogue import definition_named
 from concord.scenarios.preparation import prepare
 from concord.scenarios.setup import Setup
-from tests.pages import ROOT
 
 SMALL: dict[str, Any] = {"nodes": 5, "steps": 45, "graph": "ring", "seed": 3}
 
@@ -78,16 +77,3 @@ def test_a_bus_without_time_has_no_bytes():
     assert in_words(found.labelled, found.labelled.rmse, None).startswith(
         "labelled measurements would give 1 x: --rule labelled"
     )
-
-
-def test_the_readme_shows_the_verdict_of_the_demo():
-    """The Makefile's command in one process, which has the bits of its processes."""
-    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
-    (command,) = re.findall(r"concord run (.*?)--driver processes", makefile, re.DOTALL)
-    options: dict[str, Any] = dict(re.findall(r"--(\w+) ([\w.-]+)", command))
-    options |= {name: int(options[name]) for name in ("nodes", "seed")}
-    options["occupancy"] = float(options["occupancy"])
-    setup = prepare(definition_named(options.pop("scenario")).defaults.with_(**options))
-    shown = " ".join(opening(figures(setup, read_trace(setup, in_memory(setup)))))
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert shown in " ".join(readme.split())
