@@ -111,7 +111,7 @@ def window_of(scenario: Scenario, neighbours: Sequence[Sequence[int]]) -> int:
 
 
 def digest_of(scenario: Scenario) -> int:
-    """Steps in a digest: what was asked for, else eight where links lose frames or change."""
+    """Steps in a digest: what was asked for, else six where links lose frames or change."""
     rule, network = flooding_of(scenario), scenario.network
     if rule.digest_steps is not None:
         return rule.digest_steps

@@ -272,3 +272,22 @@ def wire_bytes(**options) -> float:
     histories = simulate(setup, [0])
     sent = SentShares(histories.payload_bytes[0], histories.classes[0])
     return wire_per_step(build_bus(setup), sent)[0]
+
+
+@pytest.mark.parametrize("urgency_classes", [2, 8])
+def test_no_contender_asks_in_vain_for_longer_than_two_turns_of_all(urgency_classes: int):
+    """With two classes all needs are in one, where the lowest nodes win until others are old."""
+    nodes = 8
+    setup = setup_of(nodes=nodes, steps=60, graph="complete", schedule="dynamic",
+                     occupancy=0.13, urgency_classes=urgency_classes)  # fmt: skip
+    trace = trace_of(setup)
+    asked = trace.asked.reshape(-1, nodes)
+    sent = trace.published.reshape(-1, nodes)
+    assert (sent.sum(axis=1) == 1).any() and sent.sum(axis=1).max() == 1
+    longest = 0
+    for node in range(nodes):
+        waits = 0
+        for wants, sends in zip(asked[:, node], sent[:, node], strict=True):
+            waits = waits + 1 if wants and not sends else 0
+            longest = max(longest, waits)
+    assert nodes // 2 < longest <= 2 * nodes - 1
