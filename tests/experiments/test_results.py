@@ -73,7 +73,8 @@ def test_every_documented_variable_is_there(dataset):
     rows = [line.split("|")[1] for line in section.splitlines() if line.startswith("| `")]
     named = {name.strip(" `") for row in rows for name in row.split(",")}
     assert {"truth", "mean", "cov", "ages"} <= named
-    elsewhere = {"control", "record_age"}  # a plant that is not controlled, a rule without records
+    # The plant is not controlled, and the rule has no records.
+    elsewhere = {"control", "record_age", "suspect", "smoothed_mean", "smoothed_std"}
     assert named - set(dataset.variables) <= elsewhere
     unnamed = set(dataset.data_vars) - named
     assert all("bus" in name or dataset[name].attrs or name == "asked" for name in unnamed)
