@@ -6,7 +6,7 @@ from pathlib import Path
 
 from concord.experiments.results.folder import Description, read_description_file
 from concord.experiments.user_errors import user_errors
-from concord.runtime.network.links import checked_endpoints, checked_run
+from concord.runtime.network.links import checked_endpoints, checked_run, key_file
 from concord.runtime.processes.job import Happened, HostPlace, Job
 from concord.runtime.processes.launcher import NetworkFailed, run_job
 
@@ -15,18 +15,17 @@ def key_files(folder: Path | None, names: Sequence[str]) -> dict[str, str]:
     """Return the file of `concord keys` of each process, by name; none where there is no folder.
 
     Raises:
-        ValueError: a file is missing.
+        ValueError: a file is missing, or other users have access to it.
     """
     if folder is None:
         return {}
-    files = {name: folder / f"{_certificate(name)}.json" for name in names}
-    for name, file in files.items():
-        if not file.is_file():
-            raise ValueError(
-                f"--keys {folder}: there is no {file.name}, which {_in_words(name)} needs; copy it "
-                "from the folder that `concord keys` made"
-            )
-    return {name: str(file) for name, file in files.items()}
+    return {
+        name: key_file(
+            folder / f"{_certificate(name)}.json",
+            f"{_in_words(name)} needs it; copy it from the folder that `concord keys` made",
+        )
+        for name in names
+    }
 
 
 def _certificate(name: str) -> str:

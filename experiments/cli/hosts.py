@@ -27,7 +27,13 @@ from concord.experiments.results.run_results import completed
 from concord.experiments.user_errors import user_errors
 from concord.nodes.commands import Kill, Restart
 from concord.runtime.drivers import RunPace
-from concord.runtime.network.links import ENVIRONMENT, RECORDER, checked_endpoints, checked_run
+from concord.runtime.network.links import (
+    ENVIRONMENT,
+    RECORDER,
+    checked_endpoints,
+    checked_run,
+    key_file,
+)
 from concord.runtime.processes.job import Happened, Job
 from concord.scenarios.preparation import prepare
 from concord.scenarios.script import script_of
@@ -109,12 +115,8 @@ def router(options: Annotated[RouterOptions, tyro.conf.arg(name="")]) -> None:
         checked_endpoints("--listen", [options.listen], has_keys)
         if options.connect:
             checked_endpoints("--connect", options.connect, has_keys)
-        if options.keys is not None and not options.keys.is_file():
-            raise ValueError(
-                f"--keys {options.keys}: no such file; a router needs its own file of `concord "
-                "keys`, router.json or router-HOST.json"
-            )
-        keys = None if options.keys is None else str(options.keys)
+        own = "a router needs its own file of `concord keys`, router.json or router-HOST.json"
+        keys = None if options.keys is None else key_file(options.keys, own)
         try:
             session = start_router(options.listen, keys, options.connect)
         except LinkError as error:

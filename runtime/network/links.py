@@ -2,6 +2,7 @@
 
 import re
 import socket
+import stat
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -112,12 +113,33 @@ def watcher_keys(file: Path | None, connect: Sequence[str]) -> str | None:
     checked_endpoints("--connect", connect, file is not None)
     if file is None:
         return None
+    return key_file(file, "name the monitor.json or operator.json that `concord keys` made")
+
+
+def key_file(file: Path, cure: str) -> str:
+    """The path of a file of `concord keys`, which other users of this machine cannot read or write.
+
+    Raises:
+        ValueError: there is none, which `cure` mends, or other users have access to it.
+    """
     if not file.is_file():
-        raise ValueError(
-            f"--keys {file}: no such file; name the monitor.json or operator.json that `concord "
-            "keys` made"
-        )
+        raise ValueError(f"--keys {file}: no such file; {cure}")
+    check_private(file)
     return str(file)
+
+
+def check_private(file: Path) -> None:
+    """Refuse a secret file that users outside its group can read or write.
+
+    Raises:
+        ValueError: naming the file, its mode and the cure.
+    """
+    mode = stat.S_IMODE(file.stat().st_mode)
+    if mode & stat.S_IRWXO:
+        raise ValueError(
+            f"{file}: a key that every user of this machine can read or write (mode {mode:04o}); "
+            f"run chmod 600 {file}, and make new keys if others may have seen it"
+        )
 
 
 def checked_run(run: str) -> str:

@@ -1,10 +1,12 @@
 import socket
+from pathlib import Path
 
 import networkx
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from concord.experiments.host_place import key_files
 from concord.runtime.network.links import (
     ENVIRONMENT,
     RECORDER,
@@ -16,6 +18,7 @@ from concord.runtime.network.links import (
     plan_links,
     ports_from,
     wants_router,
+    watcher_keys,
 )
 from tests.nodes.networks import Adjacency, graphs
 
@@ -106,3 +109,24 @@ def test_a_port_in_use_is_refused_by_number():
             ports_from(port, ["a"])
         with pytest.raises(ValueError, match=rf"--port {port - 1}: port {port} is in use"):
             ports_from(port - 1, ["a", "b"])
+
+
+@pytest.mark.parametrize("mode", [0o604, 0o602, 0o666, 0o777])
+def test_a_key_that_all_users_can_reach_is_refused(mode: int, tmp_path: Path):
+    file = tmp_path / "monitor.json"
+    file.write_text("{}", encoding="utf-8")
+    file.chmod(mode)
+    with pytest.raises(ValueError, match=rf"mode {mode:04o}\); run chmod 600 .*monitor.json"):
+        watcher_keys(file, ["tls/10.0.0.1:7447"])
+    with pytest.raises(ValueError, match=f"mode {mode:04o}"):
+        key_files(tmp_path, ["monitor"])
+
+
+@pytest.mark.parametrize("mode", [0o600, 0o400, 0o440, 0o640])
+def test_a_key_of_a_user_or_a_group_is_taken(mode: int, tmp_path: Path):
+    """Kubernetes gives secrets to a group (deploy/kubernetes.yaml: 0440)."""
+    file = tmp_path / "monitor.json"
+    file.write_text("{}", encoding="utf-8")
+    file.chmod(mode)
+    assert watcher_keys(file, ["tls/10.0.0.1:7447"]) == str(file)
+    assert key_files(tmp_path, ["monitor"]) == {"monitor": str(file)}
