@@ -14,7 +14,7 @@ from typing import Protocol
 
 import msgspec
 from mcap.exceptions import EndOfFile, McapError
-from mcap.records import Channel
+from mcap.records import Channel, McapRecord
 from mcap.records import Message as McapMessage
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC, Writer
@@ -175,6 +175,20 @@ def read_recording(path: Path) -> Iterator[tuple[str, bytes]]:
     Raises:
         ValueError: the file is not an MCAP recording.
     """
+    topics: dict[int, str] = {}
+    for record in whole_records(path):
+        if isinstance(record, Channel):
+            topics[record.id] = record.topic
+        elif isinstance(record, McapMessage):
+            yield topics[record.channel_id], record.data
+
+
+def whole_records(path: Path) -> Iterator[McapRecord]:
+    """The records of an MCAP file in file order; a torn last one is left out.
+
+    Raises:
+        ValueError: the file is not an MCAP recording.
+    """
     with path.open("rb") as file:
         start = file.read(len(MCAP0_MAGIC))
         if not MCAP0_MAGIC.startswith(start):
@@ -184,13 +198,8 @@ def read_recording(path: Path) -> Iterator[tuple[str, bytes]]:
         whole = BytesIO(file.read(_whole_bytes(file)))
     if len(start) < len(MCAP0_MAGIC):
         return
-    topics: dict[int, str] = {}
     try:
-        for record in StreamReader(whole).records:
-            if isinstance(record, Channel):
-                topics[record.id] = record.topic
-            elif isinstance(record, McapMessage):
-                yield topics[record.channel_id], record.data
+        yield from StreamReader(whole).records
     except EndOfFile:
         # The writer died before its closing words; everything before them has been read.
         pass

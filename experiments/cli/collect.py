@@ -30,6 +30,7 @@ from concord.experiments.results.trace import Trace
 from concord.experiments.user_errors import user_errors
 from concord.runtime.drivers import RunPace
 from concord.runtime.recording import read_recording
+from concord.runtime.recording_repair import finish_recording
 
 
 class FiguresForm(NamedTuple):
@@ -52,9 +53,10 @@ class CollectOptions:
 
 
 def collect(options: Annotated[CollectOptions, tyro.conf.arg(name="")]) -> None:
-    """Make arrays, bus capture and figures of a run that was interrupted."""
+    """Finish the recording of a run that was interrupted; make its arrays, capture and figures."""
     with user_errors():
         description = read_description(options.folder)
+        finish_recording(options.folder / RECORDING)
         trace = completed(options.folder, description)
     finish(
         options.folder,

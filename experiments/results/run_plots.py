@@ -118,6 +118,7 @@ def _lags(description: Description, data: "xarray.Dataset") -> "Figure":
     axes.plot(lags, best, color=COLOURS[1], linestyle="--",
               label="one smoother that hears everything")  # fmt: skip
     axes.axhline(best[0], color=GREY, linestyle=":", label="one filter that hears everything")
+    axes.xaxis.get_major_locator().set_params(integer=True)
     axes.set(ylim=(0, None), xlabel="lag [steps]", ylabel=f"error [{score.unit}]")
     axes.set_title(_title(description, data), loc="left")
     figure.legend(loc="outside lower center", ncols=3)

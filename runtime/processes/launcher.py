@@ -7,14 +7,17 @@ closes.
 
 import subprocess
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import msgspec
 
 from concord.nodes.tempo import Tempo
+from concord.runtime.disk import NotWritten
 from concord.runtime.interpreter import fresh_command, fresh_variables
 from concord.runtime.network.network_file import NetworkAddresses, write_network
 from concord.runtime.processes.job import Happened, Job
+from concord.runtime.recording_repair import finish_recording
 from concord.scenarios.setup import Setup
 
 _STOP_TIMEOUT_S = 3.0
@@ -89,6 +92,9 @@ def run_job(job: Job, folder: Path | None, on_event: Callable[[Happened], None])
         except subprocess.TimeoutExpired:
             child.kill()
             child.wait()
+        # A disk that is full has said so already; `concord collect` tries again.
+        with suppress(NotWritten, ValueError):
+            finish_recording(Path(job.recording))
 
 
 def _note(

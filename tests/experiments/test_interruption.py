@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray
+from mcap.reader import make_reader
 
 from concord.experiments.monte_carlo.simulate import simulate
 from concord.experiments.results.folder import ARRAYS, DESCRIPTION, RECORDING, read_description
@@ -88,6 +89,10 @@ def test_an_interrupted_network_ends_at_once_and_leaves_its_folder(
                 len(run.descendants()) == 1 + 2 + 4
             )  # launcher process, world and recorder, nodes
         interrupted(run, how)
+    if moment != "before ready":
+        with (tmp_path / "run" / RECORDING).open("rb") as file:
+            summary = make_reader(file).get_summary()
+        assert summary is not None, "other readers of MCAP want a footer"
     done = check_folder(tmp_path / "run")
     if moment == "in the middle":
         assert 0 < done < steps
