@@ -21,13 +21,13 @@ def finish_recording(path: Path) -> bool:
     """
     if not path.is_file() or _is_finished(path):
         return False
-    part = path.with_name(f"{path.name}.part")
+    finished = path.with_name(f"{path.name}.part")
     try:
-        with writing(part):
-            _copy(path, part)
-            part.replace(path)
+        with writing(finished):
+            _copy(path, finished)
+            finished.replace(path)
     finally:
-        part.unlink(missing_ok=True)
+        finished.unlink(missing_ok=True)
     return True
 
 
@@ -39,11 +39,11 @@ def _is_finished(path: Path) -> bool:
         return file.read() == MCAP0_MAGIC
 
 
-def _copy(path: Path, part: Path) -> None:
+def _copy(path: Path, finished: Path) -> None:
     """Copy all whole messages."""
     schemas: dict[int, int] = {0: 0}
     channels: dict[int, int] = {}
-    with part.open("wb") as copy:
+    with finished.open("wb") as copy:
         writer = Writer(copy, use_chunking=False)
         writer.start(profile="", library="concord")
         for record in whole_records(path):
