@@ -37,4 +37,6 @@ def credentials(unit: str, keys: Path, folder: Path, instance: str = "") -> Path
         if line.startswith("LoadCredential="):
             name, source = line.removeprefix("LoadCredential=").replace("%i", instance).split(":")
             (folder / name).write_bytes((keys / Path(source).name).read_bytes())
+            # Only the user of the service may read a credential (systemd.exec, "Credentials").
+            (folder / name).chmod(0o400)
     return folder
