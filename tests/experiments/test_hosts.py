@@ -218,7 +218,10 @@ def test_a_node_with_another_setup_ends_the_run_and_is_named(tmp_path: Path):
         (["node", "{setup}", "1", "--connect", "here:1"], "--connect here:1: not an endpoint"),
         (["node", "{setup}", "1", "--connect", "tls/a:1"], "give --keys"),
         (["node", "{setup}.no", "1", "--connect", "tcp/a:1"], "cannot be read"),
-        (["node", "{setup}", "1", "--connect", "tls/a:1", "--keys", "."], "--keys node-1.json: no such file; node 1 needs it"),
+        (
+            ["node", "{setup}", "1", "--connect", "tls/a:1", "--keys", "."],
+            "--keys node-1.json: no such file; node 1 needs it",
+        ),
         (["node", "{setup}", "1", "--connect", "tcp/a:1", "--keys", "."], "over TLS"),
         (
             ["node", "{setup}", "1", "--connect", "tcp/a:1", "--peer-timeout", "0"],
