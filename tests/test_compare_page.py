@@ -70,9 +70,11 @@ def test_the_commands_of_the_table_of_numbers_send_its_bytes(
                 said = {name: options.get(f"--{name}", usual.get(name, "")) for name in asked}
                 if not all(asked[name] in said[name].split(",") for name in asked):
                     continue
-                place = {name: asked[name] for name in asked if name in sent.dims}
-                if "rounds" in place:
-                    place["rounds"] = int(place["rounds"])
+                place = {
+                    name: int(value) if name == "rounds" else value
+                    for name, value in asked.items()
+                    if name in sent.dims
+                }
                 printed.add(row)
                 if row[0] != "labelled":
                     assert float(sent.sel(place)) == shown, row

@@ -102,6 +102,7 @@ def _consistency(description: Description, data: "xarray.Dataset") -> "Figure":
 def _lags(description: Description, data: "xarray.Dataset") -> "Figure":
     """Error of the states of some steps ago, known better from step to step."""
     import matplotlib.pyplot as plt
+    from matplotlib.ticker import MaxNLocator
 
     setup = description.setup
     score = definition_of(setup.scenario).score
@@ -118,7 +119,7 @@ def _lags(description: Description, data: "xarray.Dataset") -> "Figure":
     axes.plot(lags, best, color=COLOURS[1], linestyle="--",
               label="one smoother that hears everything")  # fmt: skip
     axes.axhline(best[0], color=GREY, linestyle=":", label="one filter that hears everything")
-    axes.xaxis.get_major_locator().set_params(integer=True)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set(ylim=(0, None), xlabel="lag [steps]", ylabel=f"error [{score.unit}]")
     axes.set_title(_title(description, data), loc="left")
     figure.legend(loc="outside lower center", ncols=3)
