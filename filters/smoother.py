@@ -24,15 +24,9 @@ import numpy as np
 
 from concord.filters.gaussian import Gaussian
 from concord.filters.linalg import multiply, solve_spd, symmetrise
-from concord.filters.moments import (
-    Model,
-    check_noise,
-    evaluate,
-    sum_of_products,
-    weigh,
-    weighted_mean,
-)
-from concord.filters.sigma_points import SigmaPointRule, sigma_points
+from concord.filters.moments import Model, sum_of_products
+from concord.filters.sigma_points import SigmaPointRule
+from concord.filters.ukf import propagated
 
 
 class Backward(NamedTuple):
@@ -54,16 +48,9 @@ def backward(
     Raises:
         ValueError: the rule, the noise or the model's values do not fit the state.
     """
-    n = belief.mean.shape[-1]
-    check_noise(noise_cov, n, "process noise covariance")
-    points = sigma_points(belief, rule)
-    values = evaluate(transition, points, n, "transition")
-    mean = weighted_mean(values, rule, np.subtract)
-    away = values - mean
-    weighted = weigh(away, rule)
-    cov = symmetrise(sum_of_products(weighted, away)) + noise_cov
+    points, weighted, predicted = propagated(belief, transition, noise_cov, rule)
     cross_cov = sum_of_products(points - belief.mean, weighted)
-    return Backward(Gaussian(mean, cov), solve_spd(cov, cross_cov.mT).mT)
+    return Backward(predicted, solve_spd(predicted.cov, cross_cov.mT).mT)
 
 
 def smoothed(belief: Gaussian, back: Backward, following: Gaussian) -> Gaussian:

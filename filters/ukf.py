@@ -16,6 +16,8 @@ and neural networks, chapter 7, the form for additive noise. The points are redr
 predicted belief before the update, so that they spread with the process noise as well.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from concord.filters import square_root
@@ -33,6 +35,15 @@ from concord.filters.moments import (
 )
 from concord.filters.sigma_points import SigmaPointRule, sigma_points
 from concord.filters.update import Update, chosen
+
+
+class Propagated(NamedTuple):
+    """Sigma points (S, ..., n) of a belief, the weighted deviations (S, ..., n) of their values
+    from the predicted mean, and the predicted belief."""
+
+    points: np.ndarray
+    weighted: np.ndarray
+    predicted: Gaussian
 
 
 def predict(
@@ -57,13 +68,26 @@ def predict(
     Raises:
         ValueError: the rule, the noise or the model's values do not fit the state.
     """
+    return propagated(belief, transition, noise_cov, rule, residual).predicted
+
+
+def propagated(
+    belief: Gaussian,
+    transition: Model,
+    noise_cov: np.ndarray,
+    rule: SigmaPointRule,
+    residual: Residual = np.subtract,
+) -> Propagated:
+    """The sigma points of a belief through the model; arguments as in `predict`."""
     n = belief.mean.shape[-1]
     check_noise(noise_cov, n, "process noise covariance")
     points = sigma_points(belief, rule)
     values = evaluate(transition, points, n, "transition")
     mean = weighted_mean(values, rule, residual)
     away = residual(values, mean)
-    return Gaussian(mean, symmetrise(sum_of_products(weigh(away, rule), away)) + noise_cov)
+    weighted = weigh(away, rule)
+    cov = symmetrise(sum_of_products(weighted, away)) + noise_cov
+    return Propagated(points, weighted, Gaussian(mean, cov))
 
 
 def update(

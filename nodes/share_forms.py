@@ -207,7 +207,7 @@ class TwoByteHybrid:
 
     @_QUIET
     def codes(self, numbers: np.ndarray) -> np.ndarray:
-        """Codes, uint16; those of numbers that are not of a node in its senses say so."""
+        """Codes, uint16; those of numbers that are not finite say so."""
         n, length = self.states, packed_length(self.states)
         mean, cov = to_gaussian(unpack(numbers[..., :length]))
         prior = self._prior.codes(np.concatenate((mean, pack_upper(cov)), axis=-1))
