@@ -169,6 +169,11 @@ class RunController:
         """A process that was ready to take part is gone again."""
         self._ready.discard(node)
 
+    def not_started(self, node: int) -> list[EnvironmentMessage]:
+        """The process of a node that a script restarts has ended before it was ready."""
+        self._awaited.discard(node)
+        return self._settle()
+
     def tick(self) -> list[EnvironmentMessage]:
         """At a limited speed: the time has come for one more step."""
         if self._paced_to is None:

@@ -1,4 +1,4 @@
-"""The messages between a launcher and its launcher process, one JSON object a line."""
+"""The messages of launcher, launcher process and environment process, one JSON object a line."""
 
 import msgspec
 
@@ -52,7 +52,21 @@ class Happened(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class Order(msgspec.Struct, frozen=True):
-    """The environment process asks the launcher process: tolerate ends of nodes, kill, or start."""
+    """The environment process asks the launcher process: tolerate ends of nodes, kill, or start.
+
+    `life` counts how often the environment process has started this node.
+    """
 
     what: str
     node: int = 0
+    life: int = 0
+
+
+class NodeEnded(msgspec.Struct, frozen=True):
+    """The launcher process tells the environment process that a node's process was killed.
+
+    `life` is that of the order that started it, 0 for the first.
+    """
+
+    node: int
+    life: int

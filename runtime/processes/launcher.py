@@ -5,8 +5,11 @@ whatever this one has imported. Its standard input is its lifeline: it ends ever
 closes.
 """
 
+import os
+import select
+import signal
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
@@ -21,6 +24,8 @@ from concord.runtime.recording_repair import finish_recording
 from concord.scenarios.setup import Setup
 
 _STOP_TIMEOUT_S = 3.0
+# How often the launcher looks whether a silent launcher process is there and runs.
+_LOOK_S = 1.0
 
 
 class NetworkFailed(Exception):
@@ -79,7 +84,7 @@ def run_job(job: Job, folder: Path | None, on_event: Callable[[Happened], None])
     try:
         child.stdin.write(msgspec.json.encode(job) + b"\n")
         child.stdin.flush()
-        _follow(child.stdout, hear)
+        _follow(_reports(child), hear)
     finally:
         if not is_loaded:
             # While the process loads its modules it does not read its lifeline. Children that it
@@ -106,7 +111,29 @@ def _note(
     on_event(happened)
 
 
-def _follow(lines, on_event: Callable[[Happened], None]) -> None:
+def _reports(child: subprocess.Popen[bytes]) -> Iterator[bytes]:
+    """Yield the lines of the launcher process until it closes its output or ends.
+
+    Its children hold its output open, so its end alone does not close it.
+    """
+    assert child.stdout is not None
+    pending = b""
+    while True:
+        readable, _, _ = select.select([child.stdout], [], [], _LOOK_S)
+        if readable:
+            read = os.read(child.stdout.fileno(), 65_536)
+            if not read:
+                return
+            *lines, pending = (pending + read).split(b"\n")
+            yield from lines
+        elif child.poll() is not None:
+            return
+        else:
+            # A process that is stopped sees no other process end.
+            child.send_signal(signal.SIGCONT)
+
+
+def _follow(lines: Iterator[bytes], on_event: Callable[[Happened], None]) -> None:
     decoder = msgspec.json.Decoder(Happened)
     for line in lines:
         happened = decoder.decode(line)

@@ -8,6 +8,7 @@ ends everything.
 import contextlib
 import gc
 import os
+import signal
 import sys
 import time
 from collections.abc import Iterator
@@ -30,9 +31,14 @@ from concord.runtime.network.links import (
     ports_from,
     subscribers_endpoints,
 )
-from concord.runtime.processes.job import Happened, HostPlace, Job, Order
+from concord.runtime.processes.job import Happened, HostPlace, Job, NodeEnded, Order
 from concord.runtime.processes.roles import be_environment, be_node, be_recorder, be_router
-from concord.runtime.processes.supervisor import TRY_AGAIN, Ended, Supervisor
+from concord.runtime.processes.supervisor import (
+    TRY_AGAIN,
+    Ended,
+    Supervisor,
+    signal_at_parents_end,
+)
 from concord.scenarios.build import build_node
 
 _LAUNCH_TRIES = 3
@@ -49,6 +55,8 @@ def tell(happened: Happened) -> None:
 
 def main() -> None:
     """Serve one job."""
+    # A process that is stopped goes on, and finds its standard input closed.
+    signal_at_parents_end(signal.SIGCONT)
     line = sys.stdin.buffer.readline()
     if not line.endswith(b"\n"):
         # The launcher is gone before it said what to do.
@@ -114,6 +122,7 @@ def _serve(job: Job, plan: _Plan) -> End:
     gc.freeze()
     supervisor = Supervisor()
     orders, give_orders = os.pipe()
+    ends, tell_ends = os.pipe()
     end = End.BROKEN
     try:
         if plan.router is not None:
@@ -123,19 +132,20 @@ def _serve(job: Job, plan: _Plan) -> End:
                 supervisor.start(name, partial(be_recorder, job, plan.links, tell))
             elif name == ENVIRONMENT:
                 link = plan.links[name]
-                supervisor.start(name, partial(be_environment, job, link, tell, give_orders))
+                work = partial(be_environment, job, link, tell, give_orders, ends)
+                supervisor.start(name, work)
             else:
                 # On another host the network may run already.
                 late = job.place is not None
                 work = partial(be_node, job, plan.links[name], nodes[name], late)
                 supervisor.start(name, work)
         tell(Happened("started", pids=supervisor.pids, connect=plan.connect))
-        end = _Watch(supervisor, orders, job, plan, nodes).keep()
+        end = _Watch(supervisor, orders, tell_ends, job, plan, nodes).keep()
         return end
     finally:
         supervisor.stop(_LEAVE_S if end is End.DONE else 0.0)
-        os.close(orders)
-        os.close(give_orders)
+        for descriptor in (orders, give_orders, ends, tell_ends):
+            os.close(descriptor)
 
 
 class _Watch:
@@ -145,12 +155,15 @@ class _Watch:
         self,
         supervisor: Supervisor,
         orders: int,
+        ends: int,
         job: Job,
         plan: _Plan,
         nodes: dict[str, NodeConfig],
     ) -> None:
-        self._supervisor, self._orders = supervisor, orders
+        self._supervisor, self._orders, self._ends = supervisor, orders, ends
         self._job, self._plan, self._nodes = job, plan, nodes
+        # How often the environment has asked for each node's start.
+        self._lives: dict[int, int] = {}
         # Until the network is ready it needs every node; on one of several hosts that is unknown.
         self._tolerant = ENVIRONMENT not in plan.cast
 
@@ -184,6 +197,7 @@ class _Watch:
             # A node that was killed is a loss; one that has failed is a mistake of ours.
             if is_node and self._tolerant and ended.code < 0 and not nobody_left:
                 self._tell("ended", detail)
+                self._report(int(ended.name))
                 return None
             tell(Happened("failed", detail=detail))
             return End.BROKEN
@@ -191,6 +205,12 @@ class _Watch:
             tell(Happened("done"))
             return End.DONE
         return None
+
+    def _report(self, node: int) -> None:
+        """Tell the environment process of a node's end, unless its next process is there."""
+        if str(node) not in self._supervisor.pids:
+            life = self._lives.get(node, 0)
+            os.write(self._ends, msgspec.json.encode(NodeEnded(node, life)) + b"\n")
 
     def _obey(self) -> None:
         for line in os.read(self._orders, 4096).splitlines():
@@ -201,6 +221,7 @@ class _Watch:
                 case "kill":
                     self._supervisor.kill(str(order.node))
                 case "start":
+                    self._lives[order.node] = order.life
                     self._start(order.node)
 
     def _tell(self, what: str, detail: str = "") -> None:

@@ -63,9 +63,12 @@ def be_recorder(
 
 
 def be_environment(
-    job: Job, links: ZenohEndpoints, tell: Callable[[Happened], None], orders: int
+    job: Job, links: ZenohEndpoints, tell: Callable[[Happened], None], orders: int, ends: int
 ) -> None:
-    """Run the environment; orders to the launcher process go to the pipe `orders`."""
+    """Run the environment.
+
+    Orders to the launcher process go to the pipe `orders`; it reports ends of nodes by `ends`.
+    """
     started, told = time.monotonic(), 0.0
 
     def give(order: Order) -> None:
@@ -85,7 +88,8 @@ def be_environment(
     config = build_environment(job.setup)
     management = Management(
         kill=lambda node: give(Order("kill", node)),
-        start=lambda node: give(Order("start", node)),
+        start=lambda node, life: give(Order("start", node, life)),
+        ends=ends,
         keeps_nodes=job.place is None,
         check=partial(complete_settings, job.setup),
         on_step=on_step,

@@ -2,9 +2,11 @@
 
 The parent must be clean: it has imported what the children need, with one BLAS thread, and has
 opened no zenoh session (its threads would not survive a fork). Children live as long as the parent:
-each watches a pipe whose other end only the parent holds.
+each watches a pipe whose other end only the parent holds, and Linux kills each with its parent. A
+child that is stopped watches nothing.
 """
 
+import ctypes
 import os
 import select
 import signal
@@ -18,6 +20,9 @@ from typing import NamedTuple
 
 TRY_AGAIN = 75
 _GRACE_S = 1.0
+_SET_PARENT_DEATH_SIGNAL = 1
+# Loaded before a fork, after which loading could wait for a lock that nobody holds.
+_LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None
 
 
 class Ended(NamedTuple):
@@ -46,6 +51,7 @@ class Supervisor:
 
     def start(self, name: str, work: Callable[[], None]) -> None:
         """Fork a child that does `work` and exits: 0, TRY_AGAIN if it says so, 1 on an error."""
+        parent = os.getpid()
         pid = os.fork()
         if pid:
             self._children[pid] = name
@@ -58,6 +64,10 @@ class Supervisor:
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
             # Ctrl-C is for the launcher, which ends all children in order.
             signal.signal(signal.SIGINT, signal.SIG_IGN)
+            signal_at_parents_end(signal.SIGKILL)
+            if os.getppid() != parent:
+                # It ended before the kernel was asked.
+                os._exit(1)
             threading.Thread(target=_die_with, args=(self._lifeline_read,), daemon=True).start()
             work()
             code = 0
@@ -114,6 +124,15 @@ class Supervisor:
                 return
             select.select([self._wake_read], [], [], left)
             _drain(self._wake_read)
+
+
+def signal_at_parents_end(number: signal.Signals) -> None:
+    """Have the kernel send this process a signal when its parent ends; on Linux alone.
+
+    The signal reaches a process that is stopped, which reads no pipe (prctl(2), PR_SET_PDEATHSIG).
+    """
+    if _LIBC is not None:
+        _LIBC.prctl(_SET_PARENT_DEATH_SIGNAL, int(number))
 
 
 def _ignore(_signal: int, _frame: FrameType | None) -> None:

@@ -66,7 +66,7 @@ def be(i):
     membership = Membership("broken", links[str(i)], build_node(setup, i), peers, mark)
     run_node(membership, LockstepNode(membership))
 supervisor.start(RECORDER, record)
-management = Management(None, None, None, tell, b"{{}}")
+management = Management(None, None, None, tell, b"{{}}", os.pipe()[0])
 config = build_environment(setup)
 world = partial(
     run_environment, "broken", links[ENVIRONMENT], config, mark, management, Lockstep()

@@ -6,6 +6,7 @@ where no step goes on.
 
 import threading
 from collections import deque
+from collections.abc import Sequence
 
 import pytest
 
@@ -13,6 +14,7 @@ from concord.nodes.changes import Gone
 from concord.nodes.commands import Kill, Restart, Speed
 from concord.nodes.environment_state import EnvironmentConfig
 from concord.nodes.messages import Bid, BidsClosed, Grant, decode, encode, topic
+from concord.nodes.run_controller import Scripted
 from concord.nodes.tempo import Tempo
 from concord.runtime.network.links import ZenohEndpoints
 from concord.runtime.processes import republisher as said
@@ -23,6 +25,7 @@ from concord.runtime.processes.environment.notices import Hello, Presence, Recor
 from concord.runtime.processes.environment.pacing import EnvironmentPacing, Lockstep, RealTime
 from concord.runtime.processes.environment.process import EnvironmentProcess
 from concord.runtime.processes.environment.timetable import Beat
+from concord.runtime.processes.job import NodeEnded
 from concord.scenarios.build import build_environment
 from tests.experiments.support import small
 
@@ -70,16 +73,24 @@ class Aside:
 
 
 def process_of(
-    monkeypatch: pytest.MonkeyPatch, config: EnvironmentConfig, pacing: EnvironmentPacing
+    monkeypatch: pytest.MonkeyPatch,
+    config: EnvironmentConfig,
+    pacing: EnvironmentPacing,
+    script: Sequence[Scripted] = (),
 ) -> tuple[EnvironmentProcess, Wire]:
     """An environment process that no node has joined, and its transport."""
     monkeypatch.setattr(environment_process, "Transport", Wire)
     monkeypatch.setattr(inbox, "Overflow", Aside)
     nobody = Management(
-        lambda node: None, lambda node: None, lambda _, given: given, lambda step: None, b"{}"
+        kill=lambda node: None,
+        start=lambda node, life: None,
+        check=lambda _, given: given,
+        on_step=lambda step: None,
+        setup=b"{}",
+        ends=-1,
     )
     links = ZenohEndpoints("peer", (), (), 1.0)
-    process = EnvironmentProcess("run", links, config, "a" * 64, nobody, pacing, ())
+    process = EnvironmentProcess("run", links, config, "a" * 64, nobody, pacing, script)
     wire = process.transport
     assert isinstance(wire, Wire)
     return process, wire
@@ -138,3 +149,17 @@ def test_a_killed_node_is_not_let_in_before_it_is_restarted(monkeypatch: pytest.
     controller.command(Restart(2))
     process.attend(hello)
     assert controller._ready == {2}
+
+
+def test_a_restart_that_dies_while_it_starts_holds_up_no_step(monkeypatch: pytest.MonkeyPatch):
+    """The end of the process before it, told late, does not count."""
+    config = build_environment(small(steps=9))
+    script = [Scripted(0, Kill(2)), Scripted(0, Restart(2))]
+    process, _ = process_of(monkeypatch, config, Lockstep(), script)
+    controller = process.controller
+    controller.begin()
+    assert controller.state.released == 0
+    process.attend(NodeEnded(2, 0))
+    assert controller.state.released == 0
+    process.attend(NodeEnded(2, 1))
+    assert controller.state.released > 0

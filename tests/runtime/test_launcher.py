@@ -19,7 +19,7 @@ from concord.runtime.processes.job import Happened, Job
 from concord.runtime.processes.launcher import NetworkFailed, run_processes
 from concord.scenarios.setup import Setup
 from tests.experiments.support import small, trace_of
-from tests.processes import PATIENCE_S, PROC, family, holds_within, lives
+from tests.processes import CONCORD, PATIENCE_S, PROC, family, holds_within, lives
 
 pytestmark = [
     pytest.mark.zenoh,
@@ -85,19 +85,72 @@ def test_a_killed_process_ends_the_run_and_is_named(tmp_path: Path, victim: str,
     assert 15 <= trace.steps < LONG
 
 
-def test_a_killed_launcher_process_takes_all_with_it(tmp_path: Path):
+def parent_of(pid: int) -> int:
+    status = (PROC / str(pid) / "status").read_text()
+    parent = next(line for line in status.splitlines() if line.startswith("PPid"))
+    return int(parent.split()[1])
+
+
+@pytest.mark.parametrize("stopped", [None, "0", "recorder", "world"])
+def test_a_killed_launcher_process_takes_all_with_it(tmp_path: Path, stopped: str | None):
+    """Also a child that is stopped, which hears of no end."""
     setup = small(steps=LONG)
 
     def kill_parent(pids: dict[str, int]) -> None:
-        status = (PROC / str(pids["0"]) / "status").read_text()
-        parent = next(line for line in status.splitlines() if line.startswith("PPid"))
-        os.kill(int(parent.split()[1]), signal.SIGKILL)
+        parent = parent_of(pids["0"])
+        if stopped is not None:
+            os.kill(pids[stopped], signal.SIGSTOP)
+        os.kill(parent, signal.SIGKILL)
 
     watcher = Watcher(kill_parent, 20)
     with pytest.raises(NetworkFailed, match="parent"):
         run_processes(setup, "killed", tmp_path / "run.mcap", None, watcher)
     assert holds_within(PATIENCE_S, lambda: nobody(watcher.pids))
     assert trace_of(setup, tmp_path / "run.mcap").steps >= 15
+
+
+@pytest.mark.parametrize("victim", ["world", "recorder"])
+def test_a_stopped_launcher_process_still_sees_the_end_of_a_child(tmp_path: Path, victim: str):
+    def strike(pids: dict[str, int]) -> None:
+        os.kill(parent_of(pids["0"]), signal.SIGSTOP)
+        os.kill(pids[victim], signal.SIGKILL)
+
+    watcher = Watcher(strike, 20)
+    with pytest.raises(NetworkFailed, match=f"the {victim} ended with signal 9"):
+        run_processes(small(steps=LONG), "stopped", tmp_path / "run.mcap", None, watcher)
+    assert holds_within(PATIENCE_S, lambda: nobody(watcher.pids))
+
+
+def test_a_killed_launcher_leaves_no_stopped_launcher_process(tmp_path: Path):
+    command = [*CONCORD, "run", "--scenario", "oscillator", "--steps", str(LONG)]
+    command += ["--driver", "processes", "--out", str(tmp_path / "run")]
+    with family(command, tmp_path) as run:
+        network = tmp_path / "run" / "network.json"
+        assert holds_within(PATIENCE_S, network.exists)
+        pids = msgspec.json.decode(network.read_bytes())["pids"]
+        os.kill(parent_of(pids["0"]), signal.SIGSTOP)
+        run.send(signal.SIGKILL)
+        run.process.wait()
+        assert run.gone_within(PATIENCE_S)
+
+
+def test_the_others_go_on_when_a_scripted_restart_dies_while_it_starts(tmp_path: Path):
+    setup = small(steps=120, changes=("10 kill 3", "30 restart 3"))
+    watcher = Watcher(lambda pids: None, 0)
+    lives: list[int] = []
+
+    def hear(happened: Happened) -> None:
+        watcher(happened)
+        pid = happened.pids.get("3")
+        if happened.what == "started" and pid is not None:
+            lives.append(pid)
+            if len(lives) == 2:
+                os.kill(pid, signal.SIGKILL)
+
+    run_processes(setup, "boot", tmp_path / "run.mcap", None, hear)
+    assert len(lives) == 2
+    trace = trace_of(setup, tmp_path / "run.mcap")
+    assert trace.steps == 120
 
 
 def test_an_error_of_the_launcher_takes_all_with_it(tmp_path: Path):

@@ -123,7 +123,7 @@ def node(i, mark):
 supervisor.start(RECORDER, record)
 supervisor.start("0", partial(node, 0, 64 * "a"))
 supervisor.start("1", partial(node, 1, 64 * "b"))
-management = Management(None, None, None, lambda step: None, b"{}")
+management = Management(None, None, None, lambda step: None, b"{}", os.pipe()[0])
 config = build_environment(setup)
 link = links[ENVIRONMENT]
 environment = partial(run_environment, "refuse", link, config, 64 * "a", management, Lockstep())

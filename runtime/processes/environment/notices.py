@@ -9,6 +9,7 @@ from concord.nodes.changes import Standing
 from concord.nodes.commands import Answer
 from concord.nodes.messages import Bid, BidsClosed, Estimate, StepClosed, Unreachable
 from concord.runtime.processes.environment.timetable import Beat
+from concord.runtime.processes.job import NodeEnded
 
 
 class Presence(NamedTuple):
@@ -54,6 +55,7 @@ Notice = (
     | Hello
     | Repeated
     | RecorderCaughtUp
+    | NodeEnded
     | Asked
     | Beat
     | Unreachable

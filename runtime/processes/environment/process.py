@@ -25,6 +25,7 @@ from concord.runtime.processes.environment.desertion import Desertion
 from concord.runtime.processes.environment.gathering import await_hellos, await_processes
 from concord.runtime.processes.environment.inbox import ENVIRONMENT_QUEUE, TOPICS, EnvironmentInbox
 from concord.runtime.processes.environment.management import Management
+from concord.runtime.processes.environment.node_ends import follow_ends
 from concord.runtime.processes.environment.notices import (
     Alone,
     Asked,
@@ -37,6 +38,7 @@ from concord.runtime.processes.environment.notices import (
 from concord.runtime.processes.environment.pacing import EnvironmentPacing, Lines
 from concord.runtime.processes.environment.reports import clock, last_words, standing
 from concord.runtime.processes.environment.timetable import Beat
+from concord.runtime.processes.job import NodeEnded
 from concord.runtime.processes.peer_timeout import PeerTimeout
 from concord.runtime.processes.republisher import Republisher
 
@@ -84,6 +86,8 @@ class EnvironmentProcess:
         # Nodes that leave on command, until the recorder has kept what they said; then nodes whose
         # processes are being killed.
         self._leaving, self._dying = set[int](), set[int]()
+        # How often each node was started on command.
+        self._lives = [0] * config.nodes
         stage = ProcessStarter(self._leaving.add, self._start_node, management.check)
         config = pacing.configured(config)
         self.controller = RunController(config, script, stage, pacing.timed)
@@ -105,6 +109,7 @@ class EnvironmentProcess:
         self._gather()
         self.republisher.begin()
         self.inbox.begin()
+        follow_ends(self._management.ends, self.inbox.notify)
         self._management.on_step(0)
         self._send(self._pacing.begin(self.controller, self._lines))
         while not self.controller.finished:
@@ -167,6 +172,8 @@ class EnvironmentProcess:
                 self._let_in(notice)
             case RecorderCaughtUp(node):
                 self._end(node)
+            case NodeEnded(node, life):
+                self._send(self._not_started(node, life))
             case Asked(payload, answer):
                 answer.put(self._obey(payload))
             case Alone():
@@ -175,16 +182,19 @@ class EnvironmentProcess:
                 self._send(self.controller.tick())
                 self._pacing.remind(self.controller.state.standing.absent, self._lines)
             case BidsClosed() | StepClosed():
-                # A message that is there already has come in time, however late the loop looks.
-                source = "bid/*" if isinstance(notice, BidsClosed) else "estimate/*"
-                for message in self.inbox.waiting(source):
-                    self._take_message(*message)
-                self._take(notice)
+                self._close(notice)
             case Unreachable(node, neighbour):
                 # Frames between the two are lost: one is out until there is a link again.
                 absent = self.controller.state.standing.absent
                 if node not in absent and neighbour not in absent:
                     self._give_up(neighbour)
+
+    def _close(self, notice: BidsClosed | StepClosed) -> None:
+        # A message that is there already has come in time, however late the loop looks.
+        source = "bid/*" if isinstance(notice, BidsClosed) else "estimate/*"
+        for message in self.inbox.waiting(source):
+            self._take_message(*message)
+        self._take(notice)
 
     def _see(self, node: int, is_there: bool) -> None:
         if not is_there:
@@ -215,6 +225,10 @@ class EnvironmentProcess:
         else:
             self.inbox.refuse(f"node {node} was not to leave")
 
+    def _not_started(self, node: int, life: int) -> list[EnvironmentMessage]:
+        # The end of an earlier process may be told after the next was ordered.
+        return self.controller.not_started(node) if life == self._lives[node] else []
+
     def _give_up(self, node: int) -> None:
         self._take(Gone(node))
         if not self.controller.deserted:
@@ -241,7 +255,8 @@ class EnvironmentProcess:
     def _start_node(self, node: int) -> bool:
         self._leaving.discard(node)
         self._dying.discard(node)
-        self._management.start(node)
+        self._lives[node] += 1
+        self._management.start(node, self._lives[node])
         return False
 
     def _send(self, messages: Sequence[EnvironmentMessage]) -> None:
