@@ -155,8 +155,7 @@ class RunController:
             case _:
                 self._pending.append(command)
                 return self._settle()
-        told = Event(self.state.released, PaceChange(self.paused, self._rate))
-        return [told, *self._settle()]
+        return [Event(self.state.released, PaceChange(self.paused, self._rate)), *self._settle()]
 
     def ready(self, node: int) -> list[EnvironmentMessage]:
         """A fresh process of a node waits to take part."""
@@ -195,9 +194,8 @@ class RunController:
         return outbox + messages
 
     def _check(self, command: Command) -> None:
-        config = self.config
-        equipment = config.faults.equipment
-        check_command(command, config.neighbours, self.state.standing, self.paused, equipment)
+        neighbours, equipment = self.config.neighbours, self.config.faults.equipment
+        check_command(command, neighbours, self.state.standing, self.paused, equipment)
 
     def _due(self) -> list[ChangeCommand]:
         """Take the commands that wait for a step that no node has begun."""
@@ -254,23 +252,18 @@ class RunController:
             case _:
                 return link_changes(command, self.config.neighbours, self.state.standing)
 
-    def _has_company(self, node: int) -> bool:
-        return any(j not in self.state.standing.absent for j in self.config.neighbours[node])
-
     def _limit(self) -> int:
         """The step before which the environment stops."""
         limits = [self.config.steps]
         if self._pending or self._awaited or self._stands_still or self._able():
             limits.append(self.state.released)
-        if any(self._has_company(node) for node in self._ready):
+        absent = set(self.state.standing.absent)
+        if any(set(self.config.neighbours[node]) - absent for node in self._ready):
             # A neighbour that has come back with it can say what to believe one step later.
             limits.append(self.state.released + 1)
         if self._script:
             limits.append(self._script[0].step)
-        if self._pause_at is not None:
-            limits.append(self._pause_at)
-        if self._paced_to is not None:
-            limits.append(self._paced_to)
+        limits += [step for step in (self._pause_at, self._paced_to) if step is not None]
         return min(limits)
 
 

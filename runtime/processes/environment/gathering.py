@@ -1,9 +1,10 @@
 """Before the first step: the environment process waits until all others are ready."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from concord.nodes.commands import Answer
+from concord.runtime.network.links import ENVIRONMENT, RECORDER
 from concord.runtime.network.zenoh_transport import Transport
 from concord.runtime.processes.environment.failures import compare
 from concord.runtime.processes.environment.inbox import EnvironmentInbox
@@ -12,6 +13,29 @@ from concord.runtime.processes.environment.reports import in_words
 
 # How often the process says which others it waits for.
 _TELL_S = 10.0
+
+
+def gather(
+    transport: Transport,
+    inbox: EnvironmentInbox,
+    nodes: int,
+    fingerprint: str,
+    hear_of_presence: Callable[[str, bool], None],
+) -> None:
+    """Join the network, and wait for all other processes; from then on hear who comes and goes.
+
+    Raises:
+        LinkError: the network cannot be joined.
+        Disagreement: a node's setup is another.
+    """
+    names = [RECORDER, *map(str, range(nodes))]
+    transport.join(ENVIRONMENT, ())
+    await_processes(transport, names)
+    transport.watch(hear_of_presence)
+    for name in transport.missing(names):
+        # It was gone again before the watch began.
+        hear_of_presence(name, False)
+    await_hellos(inbox, nodes, fingerprint)
 
 
 def await_processes(transport: Transport, names: Sequence[str]) -> None:

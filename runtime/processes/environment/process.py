@@ -19,13 +19,13 @@ from concord.nodes.messages import (
     encode,
 )
 from concord.nodes.run_controller import ProcessStarter, RunController, Scripted
-from concord.runtime.network.links import ENVIRONMENT, RECORDER, ZenohEndpoints
+from concord.runtime.network.links import RECORDER, ZenohEndpoints
 from concord.runtime.network.zenoh_transport import Transport
 from concord.runtime.processes.environment.desertion import Desertion
-from concord.runtime.processes.environment.gathering import await_hellos, await_processes
+from concord.runtime.processes.environment.gathering import gather
 from concord.runtime.processes.environment.inbox import ENVIRONMENT_QUEUE, TOPICS, EnvironmentInbox
 from concord.runtime.processes.environment.management import Management
-from concord.runtime.processes.environment.node_ends import follow_ends
+from concord.runtime.processes.environment.node_lives import NodeLives, follow_ends
 from concord.runtime.processes.environment.notices import (
     Alone,
     Asked,
@@ -86,8 +86,7 @@ class EnvironmentProcess:
         # Nodes that leave on command, until the recorder has kept what they said; then nodes whose
         # processes are being killed.
         self._leaving, self._dying = set[int](), set[int]()
-        # How often each node was started on command.
-        self._lives = [0] * config.nodes
+        self._lives = NodeLives(config.nodes, management.start)
         stage = ProcessStarter(self._leaving.add, self._start_node, management.check)
         config = pacing.configured(config)
         self.controller = RunController(config, script, stage, pacing.timed)
@@ -106,7 +105,8 @@ class EnvironmentProcess:
 
     def work(self) -> None:
         """Run from the first hello to the end."""
-        self._gather()
+        known = (self._nodes, self._fingerprint)
+        gather(self.transport, self.inbox, *known, self._hear_of_presence)
         self.republisher.begin()
         self.inbox.begin()
         follow_ends(self._management.ends, self.inbox.notify)
@@ -123,17 +123,6 @@ class EnvironmentProcess:
         self.inbox.await_end()
         self.republisher.close()
         self.transport.close()
-
-    def _gather(self) -> None:
-        """Join, and wait for all others."""
-        names = [RECORDER, *map(str, range(self._nodes))]
-        self.transport.join(ENVIRONMENT, ())
-        await_processes(self.transport, names)
-        self.transport.watch(self._hear_of_presence)
-        for name in self.transport.missing(names):
-            # It was gone again before the watch began.
-            self._hear_of_presence(name, False)
-        await_hellos(self.inbox, self._nodes, self._fingerprint)
 
     def _go_on(self) -> None:
         """Take the next messages of nodes, or the next notice."""
@@ -172,8 +161,8 @@ class EnvironmentProcess:
                 self._let_in(notice)
             case RecorderCaughtUp(node):
                 self._end(node)
-            case NodeEnded(node, life):
-                self._send(self._not_started(node, life))
+            case NodeEnded(node, life) if life == self._lives.newest[node]:
+                self._send(self.controller.not_started(node))
             case Asked(payload, answer):
                 answer.put(self._obey(payload))
             case Alone():
@@ -225,10 +214,6 @@ class EnvironmentProcess:
         else:
             self.inbox.refuse(f"node {node} was not to leave")
 
-    def _not_started(self, node: int, life: int) -> list[EnvironmentMessage]:
-        # The end of an earlier process may be told after the next was ordered.
-        return self.controller.not_started(node) if life == self._lives[node] else []
-
     def _give_up(self, node: int) -> None:
         self._take(Gone(node))
         if not self.controller.deserted:
@@ -255,8 +240,7 @@ class EnvironmentProcess:
     def _start_node(self, node: int) -> bool:
         self._leaving.discard(node)
         self._dying.discard(node)
-        self._lives[node] += 1
-        self._management.start(node, self._lives[node])
+        self._lives.start(node)
         return False
 
     def _send(self, messages: Sequence[EnvironmentMessage]) -> None:
