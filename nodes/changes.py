@@ -27,13 +27,19 @@ class Gone(msgspec.Struct, frozen=True, tag="gone", tag_field="what"):
     node: NodeIndex
 
 
-class Joined(msgspec.Struct, frozen=True, tag="joined", tag_field="what"):
+class Joined(msgspec.Struct, frozen=True, tag="joined", tag_field="what", omit_defaults=True):
     """A node is back, and begins the step with this belief: mean (n,), upper triangle of the
-    covariance; None for the scenario's own prior."""
+    covariance; None for the scenario's own prior.
+
+    The belief is that of the step before, or of an earlier `step`, from which the node predicts
+    it; `control` (p,) drove the plant last.
+    """
 
     node: NodeIndex
     mean: list[float | None] | None = None
     cov: list[float | None] | None = None
+    step: int | None = None
+    control: list[float] | None = None
 
 
 class Cut(msgspec.Struct, frozen=True, tag="cut", tag_field="what"):

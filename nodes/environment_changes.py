@@ -50,7 +50,7 @@ def setting(config: EnvironmentConfig, state: EnvironmentState, settings: Settin
 
 
 def joining(config: EnvironmentConfig, state: EnvironmentState, node: int) -> Joined | None:
-    """How a node comes back: with the belief of the first of its neighbours that has one.
+    """How a node comes back: with the newest belief of its neighbours, of the first that has it.
 
     None while no neighbour can say anything. Before the first step, and where neighbours are
     sensors that believe nothing, the scenario's prior does. When no node is left, a node goes on
@@ -60,14 +60,27 @@ def joining(config: EnvironmentConfig, state: EnvironmentState, node: int) -> Jo
         return Joined(node)
     absent = state.standing.absent
     there = [j for j in config.neighbours[node] if j not in absent]
-    latest = [state.latest[j] for j in there if j in state.latest]
-    if len(absent) == config.nodes:
-        latest = [state.latest[node]] if node in state.latest else []
-    for estimate in latest:
-        if _whole(estimate):
-            return Joined(node, estimate.mean, estimate.cov)
+    asked = [node] if len(absent) == config.nodes else there
+    latest = [estimate for j in asked if (estimate := _newest(state, j)) is not None]
+    whole = [estimate for estimate in latest if _whole(estimate)]
+    if whole:
+        newest = max(whole, key=lambda estimate: estimate.step)
+        return _joined(state, node, newest)
     believes_nothing = there and len(latest) == len(there)
     return Joined(node) if believes_nothing or len(absent) == config.nodes else None
+
+
+def _newest(state: EnvironmentState, node: int) -> Estimate | None:
+    """A node's last estimate, also of a step that others have not estimated yet."""
+    steps = [step for step, heard in state.estimates.items() if node in heard]
+    return state.estimates[max(steps)][node] if steps else state.latest.get(node)
+
+
+def _joined(state: EnvironmentState, node: int, newest: Estimate) -> Joined:
+    if newest.step == state.released - 1:
+        return Joined(node, newest.mean, newest.cov)
+    control = None if state.control is None else state.control.tolist()
+    return Joined(node, newest.mean, newest.cov, newest.step, control)
 
 
 def _whole(estimate: Estimate) -> bool:

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import numpy as np
 from msgspec.structs import replace
 
 from concord.filters.gaussian import Gaussian
@@ -11,6 +12,7 @@ from concord.nodes.changes import Joined, Set, Standing, Welcome, after
 from concord.nodes.faults.losses import LinkState
 from concord.nodes.messages import NodeMessage, from_wire
 from concord.nodes.node_state import NodeConfig, NodeState, Phase, count
+from concord.nodes.rules.earlier_belief import EarlierBelief
 
 
 def apply(config: NodeConfig, state: NodeState) -> tuple[NodeConfig, NodeState, list[NodeMessage]]:
@@ -30,7 +32,7 @@ def apply(config: NodeConfig, state: NodeState) -> tuple[NodeConfig, NodeState, 
     if any(isinstance(change, Set) for change in measured.changes):
         belief = config.estimator.belief(state.content)
         try:
-            config = _rebuilt(config, standing, step, belief)
+            config = _rebuilt(config, standing, step, EarlierBelief(belief, step - 1))
         except ValueError:
             # The environment checks its changes; this one came from another process.
             standing = config.standing
@@ -58,7 +60,7 @@ def restore(config: NodeConfig, state: NodeState, welcome: Welcome) -> tuple[Nod
 def begin_late(config: NodeConfig, welcome: Welcome) -> tuple[NodeConfig, NodeState]:
     """A node that joins a network that runs: `config` is that of the beginning."""
     standing, step = welcome.standing, welcome.step
-    config = _rebuilt(config, standing, step, _belief(welcome.joined))
+    config = _rebuilt(config, standing, step, _belief(welcome.joined, step))
     config = _with_standing(config, standing)
     cycle = config.first_cycle + (step - config.first_step) * config.rounds
     return config, replace(state_machine.initial_state(config), step=step - 1, cycle=cycle)
@@ -86,13 +88,15 @@ def with_standing(links: LinkState, standing: Standing) -> LinkState:
 
 
 def _rebuilt(
-    config: NodeConfig, standing: Standing, step: int, belief: Gaussian | None
+    config: NodeConfig, standing: Standing, step: int, belief: EarlierBelief | None
 ) -> NodeConfig:
     assert config.rebuild is not None, "whoever changes settings can rebuild"
     return config.rebuild(standing, step, belief)
 
 
-def _belief(joined: Joined) -> Gaussian | None:
+def _belief(joined: Joined, step: int) -> EarlierBelief | None:
     if joined.mean is None or joined.cov is None:
         return None
-    return Gaussian(from_wire(joined.mean), unpack_upper(from_wire(joined.cov)))
+    belief = Gaussian(from_wire(joined.mean), unpack_upper(from_wire(joined.cov)))
+    control = None if joined.control is None else np.array(joined.control)
+    return EarlierBelief(belief, step - 1 if joined.step is None else joined.step, control)

@@ -11,12 +11,12 @@ from msgspec.structs import replace
 
 from concord.bus.bus import Bus, Fragment
 from concord.bus.schedule import Schedule
-from concord.filters.gaussian import Gaussian
 from concord.nodes.changes import UNCHANGED, Standing
 from concord.nodes.estimator import AnyEstimator
 from concord.nodes.faults.active import HEALTHY, Faults
 from concord.nodes.faults.losses import PERFECT, LinkState
 from concord.nodes.messages import Grant, Measured
+from concord.nodes.rules.earlier_belief import EarlierBelief
 
 
 class Phase(Enum):
@@ -53,7 +53,7 @@ class NodeConfig:
     first_step: int = 0
     first_cycle: int = 0
     standing: Standing = UNCHANGED
-    rebuild: "Callable[[Standing, int, Gaussian | None], NodeConfig] | None" = None
+    rebuild: "Callable[[Standing, int, EarlierBelief | None], NodeConfig] | None" = None
     timed: bool = False
     faults: Faults = HEALTHY
     scenario_links: LinkState = PERFECT

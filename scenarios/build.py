@@ -15,6 +15,7 @@ from concord.nodes.environment_state import ControlStep, EnvironmentConfig
 from concord.nodes.estimator import AnyEstimator
 from concord.nodes.messages import from_wire
 from concord.nodes.node_state import NodeConfig
+from concord.nodes.rules.earlier_belief import EarlierBelief
 from concord.scenarios.bus_plan import plan_bus
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.definitions.control import control_node
@@ -66,7 +67,7 @@ def _node(setup: Setup, node: int, standing: Standing, step: int) -> NodeConfig:
 
 
 def _rebuilt(
-    setup: Setup, node: int, standing: Standing, step: int, belief: Gaussian | None
+    setup: Setup, node: int, standing: Standing, step: int, earlier: EarlierBelief | None
 ) -> NodeConfig:
     """The configuration of a node that begins anew, of a setup whose fields were not set yet.
 
@@ -76,7 +77,9 @@ def _rebuilt(
     if standing.settings:
         complete_settings(setup, {}, standing.settings)
     changed = with_settings(setup, standing.settings)
-    if belief is not None:
+    if earlier is not None:
+        model = definition_of(changed.scenario).model(changed.scenario)
+        belief = earlier.at_step(step - 1, model, filter_of(changed))
         changed = msgspec.structs.replace(
             changed, prior_mean=belief.mean.tolist(), prior_cov=belief.cov.tolist()
         )

@@ -26,6 +26,7 @@ from concord.nodes.changes import (
 from concord.nodes.history import AbsentSteps, Epoch, history_of
 from concord.nodes.messages import CycleClosed, Estimate, Measured, ShareHeard, to_wire
 from concord.nodes.node import initial_state
+from concord.nodes.rules.earlier_belief import EarlierBelief
 from concord.scenarios.build import build_node
 from concord.scenarios.preparation import prepare
 from concord.scenarios.setup import Setup
@@ -122,7 +123,7 @@ def test_who_comes_back_begins_with_its_neighbours_belief():
     config = build_node(setup, 2)
     assert config.rebuild is not None
     belief = Gaussian(trace.mean[10, 1], trace.cov[10, 1])
-    alone = config.rebuild(UNCHANGED, 11, belief).estimator
+    alone = config.rebuild(UNCHANGED, 11, EarlierBelief(belief, 10)).estimator
     content = alone.start()
     for step in range(11, STEPS):
         measured = Measured(2, step, to_wire(trace.readings[step, 2]))
