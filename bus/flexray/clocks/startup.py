@@ -1,0 +1,214 @@
+"""Start-up of a cluster, cycle by cycle (FlexRay 2.1, 7.2)."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from concord.bus.flexray.clocks.controller_states import State, controllers, sent_frames
+from concord.bus.flexray.clocks.correction import Corrections, Timing, arrivals
+from concord.bus.flexray.clocks.network import Network, Passed, run_cycle
+from concord.bus.flexray.clocks.settings import TICK, ClockSettings, Flags, Numbers
+
+# Bits of a collision avoidance symbol after which a node knows that another one sends it
+# (cdCASRxLowMin), of eight samples each; four microticks of two samples.
+_CAS_MICROTICKS = 29 * 4
+_RESOLUTION_CYCLES = 4
+_JOIN_CYCLES = 3
+_CHECKED_PAIRS = 2
+
+
+@dataclass
+class ColdStart:
+    """A cluster between power-on and normal operation.
+
+    Attributes:
+        settings: of the cluster. power_on: (N,), in units, from the first power-on.
+        network: clocks and controllers; its cycle counts from the last collision avoidance symbol.
+        cycles: of all attempts together. leader: the leading cold-start node.
+        collided: nodes that sent the first symbol at the same time.
+        attempts: of the leader. active_from: (N,), cycles from the first symbol until a node was
+            normal active, -1 before. refused: (N,), the rate was beyond pRateCorrectionOut.
+    """
+
+    settings: ClockSettings
+    power_on: Numbers
+    network: Network
+    leader: int
+    collided: tuple[int, ...]
+    attempts: int = 1
+    cycles: int = 0
+    active_from: Numbers = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    refused: Flags = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+
+    def __post_init__(self) -> None:
+        nodes = len(self.power_on)
+        self.active_from = np.full(nodes, -1)
+        self.refused = np.zeros(nodes, dtype=np.bool_)
+        self._followed = np.full(nodes, -1)
+        self._first_arrival = np.zeros(nodes, dtype=np.int64)
+        self._steps = np.zeros(nodes, dtype=np.int64)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether no node starts or integrates any more, nor can."""
+        waiting = self.network.controllers.state < State.ACTIVE
+        return not (waiting & ~self.refused).any() or self.has_failed
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether no node leads the start, and no node is active."""
+        state = self.network.controllers.state
+        return bool((state == State.LISTEN).all())
+
+    def step(self, delays: Numbers) -> Passed:
+        """Run one cycle with the delays (N, S) of its sync frames, in units."""
+        before, settings = self.network, self.settings
+        sent = sent_frames(settings, before.controllers.state)
+        arrived = arrivals(settings, before.timing, delays)
+        network, passed = run_cycle(settings, before, delays)
+        self.cycles += 1
+        state = network.controllers.state.copy()
+        timing = Timing(*(array.copy() for array in network.timing))
+        heard = passed.measured.known & settings.starters & ~self._own
+        for node in np.flatnonzero(before.controllers.state < State.ACTIVE).tolist():
+            state[node] = self._after(node, before, sent, arrived, timing, heard[node], passed)
+        restarts = bool((before.controllers.state == State.GAP).any())
+        if restarts:
+            self.attempts += 1
+            network = network._replace(cycle=0, even=None)
+        self.active_from[(state == State.ACTIVE) & (self.active_from < 0)] = self.cycles
+        self.network = network._replace(
+            timing=timing, controllers=network.controllers._replace(state=state)
+        )
+        return passed
+
+    @property
+    def _own(self) -> Flags:
+        return np.arange(len(self.power_on))[:, None] == self.settings.senders
+
+    def _after(
+        self,
+        node: int,
+        before: Network,
+        sent: Flags,
+        arrived: Numbers,
+        timing: Timing,
+        heard: Flags,
+        passed: Passed,
+    ) -> State:
+        """Return the state of a starting node after a cycle; set its clock where it integrates."""
+        state, is_odd = State(before.controllers.state[node]), before.even is not None
+        match state:
+            case State.LISTEN:
+                return self._listen(node, before, sent, arrived)
+            case State.INITIALIZE_SCHEDULE:
+                return self._initialize(node, before, sent, arrived, timing)
+            case State.COLLISION_RESOLUTION:
+                if node != self.leader:
+                    return State.LISTEN
+                over = before.cycle == _RESOLUTION_CYCLES - 1
+                return State.CONSISTENCY_CHECK if over else state
+            case State.GAP:
+                return State.COLLISION_RESOLUTION
+        pairs = heard & before.even.known[node] if before.even is not None else heard
+        fails = passed.corrections is not None and _fails(passed.corrections, node)
+        if state == State.CONSISTENCY_CHECK:
+            if fails or not pairs.any():
+                return State.GAP if self.attempts < self.settings.attempts else State.LISTEN
+            return State.ACTIVE if is_odd else state
+        if fails or not self._sees_enough(node, state, pairs):
+            return State.LISTEN
+        return self._follow(node, state, pairs, is_odd)
+
+    def _listen(self, node: int, before: Network, sent: Flags, arrived: Numbers) -> State:
+        """Take the first startup frame of an even cycle as the one to integrate on."""
+        begun = self.cycles - 1
+        awake = self.power_on[node] <= begun * self.settings.microticks * TICK
+        startup = np.flatnonzero(sent & self.settings.starters & ~self._own[node])
+        # A node whose symbol collided has missed the frame that it stopped for.
+        lost = begun == 0 and node in self.collided
+        if before.even is not None or not awake or not len(startup) or lost:
+            return State.LISTEN
+        self._followed[node] = startup[0]
+        self._first_arrival[node] = arrived[node, startup[0]]
+        return State.INITIALIZE_SCHEDULE
+
+    def _initialize(
+        self, node: int, before: Network, sent: Flags, arrived: Numbers, timing: Timing
+    ) -> State:
+        """Set clock and rate by two startup frames of one node (FlexRay 2.1, 7.2.4.7)."""
+        settings, followed = self.settings, self._followed[node]
+        if not sent[followed]:
+            return State.LISTEN
+        nominal = settings.microticks * TICK
+        period = int(timing.period[node])
+        second = int(arrived[node, followed])
+        between = nominal + second - int(self._first_arrival[node])
+        rate = between // period - settings.microticks
+        self.refused[node] = abs(rate) > settings.rate_limit
+        if self.refused[node]:
+            return State.LISTEN
+        length = settings.microticks + rate
+        elapsed = int(settings.action_points[followed]) * length // settings.macroticks
+        timing.rate[node] = rate
+        timing.start[node] = second + (length - elapsed) * period - nominal
+        self._steps[node] = 0
+        is_starter = any(one.starts for one in settings.sync if one.node == node)
+        return State.COLDSTART_CHECK if is_starter else State.INTEGRATION_CHECK
+
+    def _sees_enough(self, node: int, state: State, pairs: Flags) -> bool:
+        """Whether the startup frames that a node hears let it go on."""
+        follows = bool(pairs[self._followed[node]])
+        if state == State.COLDSTART_CHECK:
+            return follows
+        if state == State.JOIN:
+            return bool(pairs.any())
+        return pairs.sum() >= 2 or (follows and self._steps[node] == 0)
+
+    def _follow(self, node: int, state: State, pairs: Flags, is_odd: bool) -> State:
+        """Return the next state of a node whose cycle was sound."""
+        if state == State.COLDSTART_CHECK:
+            return State.JOIN if is_odd else state
+        if state == State.JOIN:
+            self._steps[node] += 1
+            return State.ACTIVE if self._steps[node] == _JOIN_CYCLES else state
+        if is_odd:
+            # The first pair of cycles counts only if two nodes have sent startup frames in it.
+            self._steps[node] = self._steps[node] + 1 if pairs.sum() >= 2 else 0
+        return State.ACTIVE if self._steps[node] == _CHECKED_PAIRS else state
+
+
+def cold_start(settings: ClockSettings, period: Numbers, power_on: Numbers) -> ColdStart:
+    """Return a cluster at the collision avoidance symbol of its first cold-start node.
+
+    Each cold-start node listens for pdListenTimeout of its own clock. Those that send the symbol
+    before they can detect another one collide; the lowest key slot among them wins.
+
+    Args:
+        period: (N,), length of each node's microtick in units (`correction.periods`).
+        power_on: (N,), in units.
+
+    Raises:
+        ValueError: fewer than two nodes start the cluster.
+    """
+    starters = [one for one in settings.sync if one.starts]
+    if len(starters) < 2:
+        raise ValueError(
+            f"{len(starters)} node starts the cluster, but a cold start takes two; name the key "
+            "slots of two or three nodes in startup_slots"
+        )
+    ready = {one.node: int(power_on[one.node] + settings.listen * period[one.node])
+             for one in starters}  # fmt: skip
+    first = min(ready.values())
+    deaf = _CAS_MICROTICKS * TICK + round(settings.delay_us / settings.microtick_us * TICK)
+    collided = tuple(node for node, instant in ready.items() if instant < first + deaf)
+    none = np.zeros(len(period), dtype=np.int64)
+    begun = controllers(len(period), State.LISTEN)
+    state = begun.state.copy()
+    state[list(collided)] = State.COLLISION_RESOLUTION
+    network = Network(0, Timing(none, none, period), begun._replace(state=state))
+    return ColdStart(settings, power_on - first, network, collided[0], collided)
+
+
+def _fails(done: Corrections, node: int) -> bool:
+    return bool(done.exceeded[node] or done.missing[node])
