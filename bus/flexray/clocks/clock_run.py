@@ -9,7 +9,7 @@ from concord.bus.flexray.clocks.controller_states import State
 from concord.bus.flexray.clocks.correction import periods
 from concord.bus.flexray.clocks.network import Network, Passed, run_cycle, spread_us
 from concord.bus.flexray.clocks.settings import TICK, ClockSettings, Flags, Numbers
-from concord.bus.flexray.clocks.startup import ColdStart, cold_start
+from concord.bus.flexray.clocks.startup import ColdStart
 
 Reals = NDArray[np.float64]
 
@@ -61,7 +61,7 @@ def draw_conditions(
     places = generator.random(nodes)
     power_on = generator.random(nodes) * power_on_cycles
     drawn = generator.uniform(-1, 1, nodes)
-    rates = ppm * drawn if isinstance(ppm, float) else ppm
+    rates = ppm if isinstance(ppm, np.ndarray) else ppm * drawn + 0.0
     return Conditions(rates, power_on, places, tuple(range(-liars, 0)))
 
 
@@ -71,7 +71,7 @@ def run_clocks(settings: ClockSettings, conditions: Conditions, cycles: int, see
     The start ends early if it fails. `seed` draws the frames of liars alone.
     """
     per_cycle = settings.microticks * TICK
-    start = cold_start(
+    start = ColdStart(
         settings,
         periods(conditions.ppm),
         np.rint(conditions.power_on * per_cycle).astype(np.int64),

@@ -1,4 +1,4 @@
-"""The clocks and controllers of all nodes of a cluster, from one communication cycle to the next."""
+"""Clocks and controllers of all nodes of a cluster, from one communication cycle to the next."""
 
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Start-up of a cluster, cycle by cycle (FlexRay 2.1, 7.2)."""
 
-from dataclasses import dataclass, field
-
 import numpy as np
 
 from concord.bus.flexray.clocks.controller_states import State, controllers, sent_frames
@@ -17,36 +15,78 @@ _JOIN_CYCLES = 3
 _CHECKED_PAIRS = 2
 
 
-@dataclass
 class ColdStart:
     """A cluster between power-on and normal operation.
 
     Attributes:
-        settings: of the cluster. power_on: (N,), in units, from the first power-on.
-        network: clocks and controllers; its cycle counts from the last collision avoidance symbol.
-        cycles: of all attempts together. leader: the leading cold-start node.
-        collided: nodes that sent the first symbol at the same time.
-        attempts: of the leader. active_from: (N,), cycles from the first symbol until a node was
-            normal active, -1 before. refused: (N,), the rate was beyond pRateCorrectionOut.
+        settings: of the cluster. network: clocks and controllers; its cycle counts from the last
+            collision avoidance symbol.
+        cycles: since the first such symbol. attempts: how often a leading node has begun.
+        leader: the leading cold-start node. collided: nodes that sent the symbol at one time.
+        active_from: (N,), cycles since the first symbol until a node was normal active, -1 before.
+        refused: (N,), the rate would exceed pRateCorrectionOut.
     """
 
-    settings: ClockSettings
-    power_on: Numbers
-    network: Network
-    leader: int
-    collided: tuple[int, ...]
-    attempts: int = 1
-    cycles: int = 0
-    active_from: Numbers = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    refused: Flags = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    def __init__(self, settings: ClockSettings, period: Numbers, power_on: Numbers) -> None:
+        """Bring the cluster to the first collision avoidance symbol.
 
-    def __post_init__(self) -> None:
-        nodes = len(self.power_on)
+        Args:
+            period: (N,), length of each node's microtick in units (`correction.periods`).
+            power_on: (N,), in units.
+
+        Raises:
+            ValueError: fewer than two nodes start the cluster.
+        """
+        starters = [one.node for one in settings.sync if one.starts]
+        if len(starters) < 2:
+            raise ValueError(
+                f"{len(starters)} node starts the cluster, but a cold start takes two; name the "
+                "key slots of two or three nodes in startup_slots"
+            )
+        nodes = len(period)
+        self.settings = settings
+        self.cycles, self.attempts = 0, 0
         self.active_from = np.full(nodes, -1)
         self.refused = np.zeros(nodes, dtype=np.bool_)
+        self._period = period
+        self._starters = starters
         self._followed = np.full(nodes, -1)
         self._first_arrival = np.zeros(nodes, dtype=np.int64)
         self._steps = np.zeros(nodes, dtype=np.int64)
+        first = self._lead(power_on)
+        self._power_on = power_on - first
+
+    def _lead(self, idle_since: Numbers) -> int:
+        """Let the first cold-start nodes send the symbol; return when they do so.
+
+        Each listens for pdListenTimeout of its own clock, from the instant `idle_since` (N,). Those
+        that send the symbol before they can detect another one collide. Frames decide between
+        them, and the lowest key slot is the first to send one.
+        """
+        settings = self.settings
+        ready = {
+            node: int(idle_since[node] + settings.listen * self._period[node])
+            for node in self._starters
+        }
+        first = min(ready.values())
+        deaf = _CAS_MICROTICKS * TICK + round(settings.delay_us / settings.microtick_us * TICK)
+        self.collided = tuple(node for node, instant in ready.items() if instant < first + deaf)
+        self.leader = self.collided[0]
+        self.refused[:] = False
+        self._left = settings.attempts
+        self._count_attempt()
+        self._symbol_cycle = self.cycles
+        begun = controllers(len(self._period), State.LISTEN)
+        state = begun.state.copy()
+        state[list(self.collided)] = State.COLLISION_RESOLUTION
+        none = np.zeros(len(state), dtype=np.int64)
+        timing = Timing(none, none, self._period)
+        self.network = Network(0, timing, begun._replace(state=state))
+        return first
+
+    def _count_attempt(self) -> None:
+        self.attempts += 1
+        self._left -= 1
 
     @property
     def is_over(self) -> bool:
@@ -72,19 +112,35 @@ class ColdStart:
         heard = passed.measured.known & settings.starters & ~self._own
         for node in np.flatnonzero(before.controllers.state < State.ACTIVE).tolist():
             state[node] = self._after(node, before, sent, arrived, timing, heard[node], passed)
-        restarts = bool((before.controllers.state == State.GAP).any())
-        if restarts:
-            self.attempts += 1
+        if (before.controllers.state == State.GAP).any():
+            self._count_attempt()
             network = network._replace(cycle=0, even=None)
         self.active_from[(state == State.ACTIVE) & (self.active_from < 0)] = self.cycles
         self.network = network._replace(
             timing=timing, controllers=network.controllers._replace(state=state)
         )
+        if state[self.leader] == State.LISTEN:
+            self._change_leader()
         return passed
+
+    def _change_leader(self) -> None:
+        """Let the other cold-start nodes lead when one has used its attempts."""
+        self._starters.remove(self.leader)
+        if not self._starters:
+            listens = np.full(len(self._period), State.LISTEN)
+            silent = self.network.controllers._replace(state=listens)
+            self.network = self.network._replace(controllers=silent)
+            return
+        per_cycle = self.settings.microticks * TICK
+        now = self.cycles * per_cycle
+        first = self._lead(np.maximum(self._power_on, now))
+        # Cycles are counted on through the silence.
+        self.cycles += -(-(first - now) // per_cycle)
+        self._symbol_cycle = self.cycles
 
     @property
     def _own(self) -> Flags:
-        return np.arange(len(self.power_on))[:, None] == self.settings.senders
+        return np.arange(len(self._period))[:, None] == self.settings.senders
 
     def _after(
         self,
@@ -114,7 +170,7 @@ class ColdStart:
         fails = passed.corrections is not None and _fails(passed.corrections, node)
         if state == State.CONSISTENCY_CHECK:
             if fails or not pairs.any():
-                return State.GAP if self.attempts < self.settings.attempts else State.LISTEN
+                return State.GAP if self._left else State.LISTEN
             return State.ACTIVE if is_odd else state
         if fails or not self._sees_enough(node, state, pairs):
             return State.LISTEN
@@ -123,10 +179,10 @@ class ColdStart:
     def _listen(self, node: int, before: Network, sent: Flags, arrived: Numbers) -> State:
         """Take the first startup frame of an even cycle as the one to integrate on."""
         begun = self.cycles - 1
-        awake = self.power_on[node] <= begun * self.settings.microticks * TICK
+        awake = self._power_on[node] <= begun * self.settings.microticks * TICK
         startup = np.flatnonzero(sent & self.settings.starters & ~self._own[node])
         # A node whose symbol collided has missed the frame that it stopped for.
-        lost = begun == 0 and node in self.collided
+        lost = begun == self._symbol_cycle and node in self.collided
         if before.even is not None or not awake or not len(startup) or lost:
             return State.LISTEN
         self._followed[node] = startup[0]
@@ -153,8 +209,8 @@ class ColdStart:
         timing.rate[node] = rate
         timing.start[node] = second + (length - elapsed) * period - nominal
         self._steps[node] = 0
-        is_starter = any(one.starts for one in settings.sync if one.node == node)
-        return State.COLDSTART_CHECK if is_starter else State.INTEGRATION_CHECK
+        # A node without attempts left integrates as those that never had one.
+        return State.COLDSTART_CHECK if node in self._starters else State.INTEGRATION_CHECK
 
     def _sees_enough(self, node: int, state: State, pairs: Flags) -> bool:
         """Whether the startup frames that a node hears let it go on."""
@@ -176,38 +232,6 @@ class ColdStart:
             # The first pair of cycles counts only if two nodes have sent startup frames in it.
             self._steps[node] = self._steps[node] + 1 if pairs.sum() >= 2 else 0
         return State.ACTIVE if self._steps[node] == _CHECKED_PAIRS else state
-
-
-def cold_start(settings: ClockSettings, period: Numbers, power_on: Numbers) -> ColdStart:
-    """Return a cluster at the collision avoidance symbol of its first cold-start node.
-
-    Each cold-start node listens for pdListenTimeout of its own clock. Those that send the symbol
-    before they can detect another one collide; the lowest key slot among them wins.
-
-    Args:
-        period: (N,), length of each node's microtick in units (`correction.periods`).
-        power_on: (N,), in units.
-
-    Raises:
-        ValueError: fewer than two nodes start the cluster.
-    """
-    starters = [one for one in settings.sync if one.starts]
-    if len(starters) < 2:
-        raise ValueError(
-            f"{len(starters)} node starts the cluster, but a cold start takes two; name the key "
-            "slots of two or three nodes in startup_slots"
-        )
-    ready = {one.node: int(power_on[one.node] + settings.listen * period[one.node])
-             for one in starters}  # fmt: skip
-    first = min(ready.values())
-    deaf = _CAS_MICROTICKS * TICK + round(settings.delay_us / settings.microtick_us * TICK)
-    collided = tuple(node for node, instant in ready.items() if instant < first + deaf)
-    none = np.zeros(len(period), dtype=np.int64)
-    begun = controllers(len(period), State.LISTEN)
-    state = begun.state.copy()
-    state[list(collided)] = State.COLLISION_RESOLUTION
-    network = Network(0, Timing(none, none, period), begun._replace(state=state))
-    return ColdStart(settings, power_on - first, network, collided[0], collided)
 
 
 def _fails(done: Corrections, node: int) -> bool:
