@@ -3,7 +3,7 @@
 from typing import NamedTuple, Protocol, runtime_checkable
 
 
-class Drift(NamedTuple):
+class ClockDrift(NamedTuple):
     """The oscillator of a node leaves its rate for another one, `ppm` millionths faster."""
 
     node: int
@@ -29,6 +29,6 @@ class ClockErrors(NamedTuple):
 class KeepsClocks(Protocol):
     """A bus whose nodes synchronise their clocks. Without it clocks drift uncorrected."""
 
-    def clock_errors(self, nodes: int, drifts: tuple[Drift, ...], cycle: int) -> ClockErrors:
+    def clock_errors(self, nodes: int, drifts: tuple[ClockDrift, ...], cycle: int) -> ClockErrors:
         """Return the clocks of so many nodes in a cycle where some oscillators drift."""
         ...

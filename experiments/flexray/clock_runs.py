@@ -16,14 +16,18 @@ from concord.bus.flexray.clocks.clock_run import (
     draw_conditions,
     run_clocks,
 )
-from concord.bus.flexray.clocks.controller_states import State
+from concord.bus.flexray.clocks.controller_states import PocState
 from concord.bus.flexray.clocks.settings import ClockSettings, clock_settings
 from concord.experiments.flexray.clusters import read_cluster
 from concord.experiments.user_errors import user_errors
 
 _PICTURES = (".png", ".svg", ".pdf")
 _MOST_NODES, _MOST_CYCLES, _MOST_PPM = 2047, 10_000_000, 10_000.0
-_STATES = {State.ACTIVE: "normal active", State.PASSIVE: "normal passive", State.HALT: "halt"}
+_STATES = {
+    PocState.ACTIVE: "normal active",
+    PocState.PASSIVE: "normal passive",
+    PocState.HALT: "halt",
+}
 
 
 class NodeClock(msgspec.Struct, frozen=True):
@@ -91,6 +95,8 @@ def clocks(
     with user_errors():
         read = read_cluster(cluster, name)
         _check(nodes, cycles, power_on_cycles, out)
+        if seed < 0:
+            raise ValueError(f"--seed is {seed}, but must be 0 or more")
         settings = clock_settings(read, nodes)
         if not 0 <= liars < len(settings.sync):
             raise ValueError(

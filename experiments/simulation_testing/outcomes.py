@@ -8,7 +8,7 @@ Their consequences are computed here anew from docs/faults.md, not by `nodes/fau
 from collections.abc import Callable
 from typing import NamedTuple
 
-from concord.bus.clocks import ClockErrors, Drift
+from concord.bus.clocks import ClockDrift, ClockErrors
 from concord.nodes.faults.active import EVERYBODY, Faults
 from concord.nodes.faults.links import Passage
 from concord.nodes.faults.vocabulary import PASSING
@@ -132,7 +132,7 @@ def _clocks(faults: Faults, cycle: int) -> ClockErrors | None:
     """Return the synchronised clocks of a network in which some drift."""
     drifting = {nodes: fault for (word, nodes), fault in faults.standing.items() if word == "drift"}
     drifts = tuple(
-        Drift(node, drifting[node,].numbers[0], drifting[node,].first_cycle)
+        ClockDrift(node, drifting[node,].numbers[0], drifting[node,].first_cycle)
         for (node,) in sorted(drifting)
         if drifting[node,].numbers[0] != 0
     )

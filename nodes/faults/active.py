@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import NamedTuple
 
-from concord.bus.clocks import ClockErrors, Drift
+from concord.bus.clocks import ClockDrift, ClockErrors
 from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.changes import Fault, Standing
 from concord.nodes.faults.losses import fraction
@@ -38,7 +38,7 @@ class Equipment(NamedTuple):
     number: str = ""
     codec: BeliefCodec | None = None
     noticed_bits: int = 1
-    clocks: Callable[[tuple[Drift, ...], int], ClockErrors] | None = None
+    clocks: Callable[[tuple[ClockDrift, ...], int], ClockErrors] | None = None
 
 
 PLAIN = Equipment()
@@ -82,7 +82,7 @@ class Faults(NamedTuple):
         if self.equipment.clocks is None:
             return None
         drifts = [
-            Drift(nodes[0], fault.numbers[0], fault.first_cycle)
+            ClockDrift(nodes[0], fault.numbers[0], fault.first_cycle)
             for (kind, nodes), fault in self.standing.items()
             if kind == "drift" and fault.numbers[0]
         ]

@@ -5,17 +5,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from concord.bus.flexray.clocks.controller_states import State
+from concord.bus.arbitration import Numbers
+from concord.bus.flexray.clocks.controller_states import PocState
 from concord.bus.flexray.clocks.correction import periods
-from concord.bus.flexray.clocks.network import Network, Passed, run_cycle, spread_us
-from concord.bus.flexray.clocks.settings import TICK, ClockSettings, Flags, Numbers
+from concord.bus.flexray.clocks.network import ClusterClocks, Passed, run_cycle, spread_us
+from concord.bus.flexray.clocks.settings import TICK, ClockSettings, Mask
 from concord.bus.flexray.clocks.startup import ColdStart
 
 Reals = NDArray[np.float64]
 
 
 class Conditions(NamedTuple):
-    """What nature does to the clocks of N nodes.
+    """Conditions under which the clocks of N nodes run.
 
     Attributes:
         ppm: (N,), how fast each clock is. power_on: (N,), in cycles from the first power-on.
@@ -39,7 +40,7 @@ class ClockRun(NamedTuple):
     """
 
     start: ColdStart
-    network: Network
+    network: ClusterClocks
     spreads_us: Reals
     largest_rate: int
     largest_offset: int
@@ -95,9 +96,9 @@ def run_clocks(settings: ClockSettings, conditions: Conditions, cycles: int, see
 
 
 def _largest(
-    passed: Passed, network: Network, honest: Flags, before: tuple[int, int]
+    passed: Passed, network: ClusterClocks, honest: Mask, before: tuple[int, int]
 ) -> tuple[int, int]:
-    active = honest & (network.controllers.state == State.ACTIVE)
+    active = honest & (network.controllers.state == PocState.ACTIVE)
     if passed.corrections is None or not active.any():
         return before
     done = passed.corrections

@@ -5,14 +5,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from concord.bus.arbitration import Numbers
 from concord.bus.flexray.clocks.correction import Corrections
-from concord.bus.flexray.clocks.settings import ClockSettings, Flags, Numbers
+from concord.bus.flexray.clocks.settings import ClockSettings, Mask
 
 # pAllowPassiveToActive, chosen: no cluster states it.
 PASSIVE_TO_ACTIVE_PAIRS = 2
 
 
-class State(IntEnum):
+class PocState(IntEnum):
     """State of a node's controller. Values from `ACTIVE` on are those of a cluster that runs."""
 
     LISTEN = 0
@@ -28,10 +29,15 @@ class State(IntEnum):
     HALT = 10
 
 
-STARTUP_SENDERS = (State.COLLISION_RESOLUTION, State.CONSISTENCY_CHECK, State.JOIN, State.ACTIVE)
+STARTUP_SENDERS = (
+    PocState.COLLISION_RESOLUTION,
+    PocState.CONSISTENCY_CHECK,
+    PocState.JOIN,
+    PocState.ACTIVE,
+)
 CORRECTED = (
-    State.CONSISTENCY_CHECK, State.COLDSTART_CHECK, State.JOIN, State.INTEGRATION_CHECK,
-    State.ACTIVE, State.PASSIVE,
+    PocState.CONSISTENCY_CHECK, PocState.COLDSTART_CHECK, PocState.JOIN, PocState.INTEGRATION_CHECK,
+    PocState.ACTIVE, PocState.PASSIVE,
 )  # fmt: skip
 
 
@@ -47,17 +53,17 @@ class Controllers(NamedTuple):
     sound: Numbers
 
 
-def controllers(nodes: int, state: State) -> Controllers:
+def controllers(nodes: int, state: PocState) -> Controllers:
     """Return controllers that are all in one state."""
     none = np.zeros(nodes, dtype=np.int64)
     return Controllers(np.full(nodes, state, dtype=np.int64), none, none)
 
 
-def sent_frames(settings: ClockSettings, state: Numbers) -> Flags:
+def sent_frames(settings: ClockSettings, state: Numbers) -> Mask:
     """Return which sync nodes send their sync frame, (S,)."""
     of_sender = state[settings.senders]
     startup = settings.starters & np.isin(of_sender, STARTUP_SENDERS)
-    return startup | (of_sender == State.ACTIVE)
+    return startup | (of_sender == PocState.ACTIVE)
 
 
 def after_pair(settings: ClockSettings, before: Controllers, done: Corrections) -> Controllers:
@@ -66,15 +72,19 @@ def after_pair(settings: ClockSettings, before: Controllers, done: Corrections) 
     A correction beyond its limit halts a node at once (pAllowHaltDueToClock is set). Pairs without
     a correction make it passive and then halt it. A passive node with corrections is active again.
     """
-    running = (before.state == State.ACTIVE) | (before.state == State.PASSIVE)
+    running = (before.state == PocState.ACTIVE) | (before.state == PocState.PASSIVE)
     failed = np.where(done.missing, before.failed + 1, 0)
     halts = done.exceeded | (failed >= settings.halt_pairs)
     passive = failed >= settings.passive_pairs
-    was_passive = before.state == State.PASSIVE
+    was_passive = before.state == PocState.PASSIVE
     sound = np.where(was_passive & ~done.missing, before.sound + 1, 0)
-    state = np.where(was_passive & (sound < PASSIVE_TO_ACTIVE_PAIRS), State.PASSIVE, State.ACTIVE)
-    state = np.where(passive, State.PASSIVE, state)
-    state = np.where(halts, State.HALT, state)
+    state = np.where(
+        was_passive & (sound < PASSIVE_TO_ACTIVE_PAIRS),
+        PocState.PASSIVE,
+        PocState.ACTIVE,
+    )
+    state = np.where(passive, PocState.PASSIVE, state)
+    state = np.where(halts, PocState.HALT, state)
     return Controllers(
         np.where(running, state, before.state),
         np.where(running, failed, before.failed),

@@ -4,11 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from concord.bus.arbitration import Numbers
 from concord.bus.flexray.clocks.midpoint import midpoint
-from concord.bus.flexray.clocks.settings import TICK, ClockSettings, Flags, Numbers
+from concord.bus.flexray.clocks.settings import TICK, ClockSettings, Mask
 
 
-class Timing(NamedTuple):
+class CycleTiming(NamedTuple):
     """When the cycle of each node began, and how long it is; arrays (N,).
 
     Attributes:
@@ -22,11 +23,11 @@ class Timing(NamedTuple):
     period: Numbers
 
 
-class Measured(NamedTuple):
+class Deviations(NamedTuple):
     """Deviations in microticks of the sync frames that each node has heard, (N, S)."""
 
     deviation: Numbers
-    known: Flags
+    known: Mask
 
 
 class Corrections(NamedTuple):
@@ -38,8 +39,8 @@ class Corrections(NamedTuple):
 
     rate: Numbers
     offset: Numbers
-    exceeded: Flags
-    missing: Flags
+    exceeded: Mask
+    missing: Mask
 
 
 def periods(ppm: Numbers | np.ndarray) -> Numbers:
@@ -47,13 +48,13 @@ def periods(ppm: Numbers | np.ndarray) -> Numbers:
     return TICK - np.rint(np.asarray(ppm, dtype=float) * (TICK // 10**6)).astype(np.int64)
 
 
-def instant(settings: ClockSettings, timing: Timing, macrotick: int) -> Numbers:
+def instant(settings: ClockSettings, timing: CycleTiming, macrotick: int) -> Numbers:
     """Return when the clock of each node reaches a macrotick before the idle time, (N,)."""
     elapsed = macrotick * (settings.microticks + timing.rate) // settings.macroticks
     return timing.start + elapsed * timing.period
 
 
-def arrivals(settings: ClockSettings, timing: Timing, delays: Numbers) -> Numbers:
+def arrivals(settings: ClockSettings, timing: CycleTiming, delays: Numbers) -> Numbers:
     """Return when each sync frame reaches each node, (N, S).
 
     Args:
@@ -65,7 +66,9 @@ def arrivals(settings: ClockSettings, timing: Timing, delays: Numbers) -> Number
     return (timing.start[senders] + ticks * timing.period[senders])[None, :] + delays
 
 
-def measure(settings: ClockSettings, timing: Timing, delays: Numbers, sent: Flags) -> Measured:
+def measure(
+    settings: ClockSettings, timing: CycleTiming, delays: Numbers, sent: Mask
+) -> Deviations:
     """Measure each sync frame that was sent against the node's own schedule.
 
     A frame that is early or late by more than the action point offset crosses the border of its
@@ -79,11 +82,11 @@ def measure(settings: ClockSettings, timing: Timing, delays: Numbers, sent: Flag
     deviation = ahead // timing.period[:, None] - expected // settings.macroticks
     own = np.arange(len(timing.start))[:, None] == settings.senders
     deviation = np.where(own, 0, deviation)
-    return Measured(deviation, sent & (np.abs(deviation) <= settings.window))
+    return Deviations(deviation, sent & (np.abs(deviation) <= settings.window))
 
 
 def corrections(
-    settings: ClockSettings, rate: Numbers, even: Measured, odd: Measured
+    settings: ClockSettings, rate: Numbers, even: Deviations, odd: Deviations
 ) -> Corrections:
     """Return the corrections from the measurements of an even and an odd cycle.
 
@@ -105,7 +108,9 @@ def corrections(
     )
 
 
-def next_cycle(settings: ClockSettings, timing: Timing, rate: Numbers, offset: Numbers) -> Timing:
+def next_cycle(
+    settings: ClockSettings, timing: CycleTiming, rate: Numbers, offset: Numbers
+) -> CycleTiming:
     """Return the timing of the next cycle with its rate correction; `offset` lengthens the idle
     time of this one."""
     length = settings.microticks + timing.rate + offset

@@ -4,11 +4,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from concord.bus.clocks import ClockErrors, Drift
-from concord.bus.flexray.clocks.controller_states import State
+from concord.bus.arbitration import Numbers
+from concord.bus.clocks import ClockDrift, ClockErrors
+from concord.bus.flexray.clocks.controller_states import PocState
 from concord.bus.flexray.clocks.correction import instant, periods
-from concord.bus.flexray.clocks.network import Network, run_cycle, synchronised
-from concord.bus.flexray.clocks.settings import TICK, ClockSettings, Numbers, clock_settings
+from concord.bus.flexray.clocks.network import ClusterClocks, run_cycle, synchronised
+from concord.bus.flexray.clocks.settings import TICK, ClockSettings, clock_settings
 from concord.bus.flexray.cluster import Cluster
 
 _SLEW = 12
@@ -20,7 +21,7 @@ _KEPT = 32
 
 
 def clock_errors(
-    cluster: Cluster, nodes: int, drifts: tuple[Drift, ...], cycle: int
+    cluster: Cluster, nodes: int, drifts: tuple[ClockDrift, ...], cycle: int
 ) -> ClockErrors:
     """Return how far the clock of each node is off at the end of a cycle, and what it still does.
 
@@ -39,7 +40,7 @@ def slew_ppm(settings: ClockSettings) -> float:
 class _DriftingNodes:
     """The cycles of a cluster since its first drift, computed as far as somebody has asked."""
 
-    def __init__(self, settings: ClockSettings, nodes: int, drifts: tuple[Drift, ...]) -> None:
+    def __init__(self, settings: ClockSettings, nodes: int, drifts: tuple[ClockDrift, ...]) -> None:
         self._settings = settings
         self._nodes = nodes
         self._drifts = drifts
@@ -79,19 +80,19 @@ class _DriftingNodes:
             ppm[drift.node] = np.clip(drift.ppm, -reached, reached)
         return periods(ppm)
 
-    def _error(self, network: Network) -> ClockErrors:
+    def _error(self, network: ClusterClocks) -> ClockErrors:
         settings, state = self._settings, network.controllers.state
         reached = instant(settings, network.timing, settings.correction_start)
         nominal = settings.correction_start * settings.microticks // settings.macroticks * TICK
         ahead_us = (nominal - reached) / TICK * settings.microtick_us
         return ClockErrors(
             tuple(ahead_us.tolist()),
-            tuple((state == State.ACTIVE).tolist()),
-            tuple((state != State.HALT).tolist()),
+            tuple((state == PocState.ACTIVE).tolist()),
+            tuple((state != PocState.HALT).tolist()),
         )
 
 
 @lru_cache(maxsize=16)
-def _drifting(cluster: Cluster, nodes: int, drifts: tuple[Drift, ...]) -> _DriftingNodes:
+def _drifting(cluster: Cluster, nodes: int, drifts: tuple[ClockDrift, ...]) -> _DriftingNodes:
     everybody = max(2, nodes, len(cluster.sync_slots))
     return _DriftingNodes(clock_settings(cluster, everybody), everybody, drifts)

@@ -2,14 +2,15 @@
 
 import numpy as np
 
-from concord.bus.flexray.clocks.settings import Flags, Numbers
+from concord.bus.arbitration import Numbers
+from concord.bus.flexray.clocks.settings import Mask
 
 _BEYOND = np.iinfo(np.int64).max
 # Fewer values than these leave out none, one and two at either end.
 _FEW, _MANY = 3, 8
 
 
-def midpoint(values: Numbers, known: Flags) -> Numbers:
+def midpoint(values: Numbers, known: Mask) -> Numbers:
     """Return the mean of the smallest and the largest value after the extremes are left out.
 
     The extremes are 0, 1 or 2 at either end, for up to 2, up to 7, and more values. An odd sum is

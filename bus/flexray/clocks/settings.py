@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from concord.bus.arbitration import Numbers
 from concord.bus.flexray.clock_constraints import (
     MOST_SYNC_NODES,
     SHORTEST_MACROTICK_MICROTICKS,
@@ -24,8 +25,7 @@ _ATTEMPTS = 8
 TICK = 10**9
 """Units of time in a microtick of a clock without deviation, so a clock's rate is an integer."""
 
-Numbers = NDArray[np.int64]
-Flags = NDArray[np.bool_]
+Mask = NDArray[np.bool_]
 
 
 class SyncNode(NamedTuple):
@@ -37,7 +37,7 @@ class SyncNode(NamedTuple):
 
 
 class ClockSettings(NamedTuple):
-    """What each node knows of its cluster; names of FlexRay 2.1 beside each value.
+    """Parameters that each node knows of its cluster; names of FlexRay 2.1 beside each value.
 
     Attributes:
         microticks: pMicroPerCycle. macroticks: gMacroPerCycle. microtick_us: pdMicrotick.
@@ -76,7 +76,7 @@ class ClockSettings(NamedTuple):
         return np.array([one.node for one in self.sync], dtype=np.int64)
 
     @property
-    def starters(self) -> Flags:
+    def starters(self) -> Mask:
         """Whether each sync frame is a startup frame, (S,)."""
         return np.array([one.starts for one in self.sync])
 

@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from concord.bus.flexray.clocks.controller_states import State, controllers, sent_frames
-from concord.bus.flexray.clocks.correction import Corrections, Timing, arrivals
-from concord.bus.flexray.clocks.network import Network, Passed, run_cycle
-from concord.bus.flexray.clocks.settings import TICK, ClockSettings, Flags, Numbers
+from concord.bus.arbitration import Numbers
+from concord.bus.flexray.clocks.controller_states import PocState, controllers, sent_frames
+from concord.bus.flexray.clocks.correction import Corrections, CycleTiming, arrivals
+from concord.bus.flexray.clocks.network import ClusterClocks, Passed, run_cycle
+from concord.bus.flexray.clocks.settings import TICK, ClockSettings, Mask
 
 # Bits of a collision avoidance symbol after which a node knows that another one sends it
 # (cdCASRxLowMin), of eight samples each; four microticks of two samples.
@@ -76,12 +77,12 @@ class ColdStart:
         self._left = settings.attempts
         self._count_attempt()
         self._symbol_cycle = self.cycles
-        begun = controllers(len(self._period), State.LISTEN)
+        begun = controllers(len(self._period), PocState.LISTEN)
         state = begun.state.copy()
-        state[list(self.collided)] = State.COLLISION_RESOLUTION
+        state[list(self.collided)] = PocState.COLLISION_RESOLUTION
         none = np.zeros(len(state), dtype=np.int64)
-        timing = Timing(none, none, self._period)
-        self.network = Network(0, timing, begun._replace(state=state))
+        timing = CycleTiming(none, none, self._period)
+        self.network = ClusterClocks(0, timing, begun._replace(state=state))
         return first
 
     def _count_attempt(self) -> None:
@@ -91,14 +92,14 @@ class ColdStart:
     @property
     def is_over(self) -> bool:
         """Whether no node starts or integrates any more, nor can."""
-        waiting = self.network.controllers.state < State.ACTIVE
+        waiting = self.network.controllers.state < PocState.ACTIVE
         return not (waiting & ~self.refused).any() or self.has_failed
 
     @property
     def has_failed(self) -> bool:
         """Whether no node leads the start, and no node is active."""
         state = self.network.controllers.state
-        return bool((state == State.LISTEN).all())
+        return bool((state == PocState.LISTEN).all())
 
     def step(self, delays: Numbers) -> Passed:
         """Run one cycle with the delays (N, S) of its sync frames, in units."""
@@ -108,18 +109,18 @@ class ColdStart:
         network, passed = run_cycle(settings, before, delays)
         self.cycles += 1
         state = network.controllers.state.copy()
-        timing = Timing(*(array.copy() for array in network.timing))
+        timing = CycleTiming(*(array.copy() for array in network.timing))
         heard = passed.measured.known & settings.starters & ~self._own
-        for node in np.flatnonzero(before.controllers.state < State.ACTIVE).tolist():
+        for node in np.flatnonzero(before.controllers.state < PocState.ACTIVE).tolist():
             state[node] = self._after(node, before, sent, arrived, timing, heard[node], passed)
-        if (before.controllers.state == State.GAP).any():
+        if (before.controllers.state == PocState.GAP).any():
             self._count_attempt()
             network = network._replace(cycle=0, even=None)
-        self.active_from[(state == State.ACTIVE) & (self.active_from < 0)] = self.cycles
+        self.active_from[(state == PocState.ACTIVE) & (self.active_from < 0)] = self.cycles
         self.network = network._replace(
             timing=timing, controllers=network.controllers._replace(state=state)
         )
-        if state[self.leader] == State.LISTEN:
+        if state[self.leader] == PocState.LISTEN:
             self._change_leader()
         return passed
 
@@ -127,7 +128,7 @@ class ColdStart:
         """Let the other cold-start nodes lead when one has used its attempts."""
         self._starters.remove(self.leader)
         if not self._starters:
-            listens = np.full(len(self._period), State.LISTEN)
+            listens = np.full(len(self._period), PocState.LISTEN)
             silent = self.network.controllers._replace(state=listens)
             self.network = self.network._replace(controllers=silent)
             return
@@ -139,44 +140,44 @@ class ColdStart:
         self._symbol_cycle = self.cycles
 
     @property
-    def _own(self) -> Flags:
+    def _own(self) -> Mask:
         return np.arange(len(self._period))[:, None] == self.settings.senders
 
     def _after(
         self,
         node: int,
-        before: Network,
-        sent: Flags,
+        before: ClusterClocks,
+        sent: Mask,
         arrived: Numbers,
-        timing: Timing,
-        heard: Flags,
+        timing: CycleTiming,
+        heard: Mask,
         passed: Passed,
-    ) -> State:
+    ) -> PocState:
         """Return the state of a starting node after a cycle; set its clock where it integrates."""
-        state, is_odd = State(before.controllers.state[node]), before.even is not None
+        state, is_odd = PocState(before.controllers.state[node]), before.even is not None
         match state:
-            case State.LISTEN:
+            case PocState.LISTEN:
                 return self._listen(node, before, sent, arrived)
-            case State.INITIALIZE_SCHEDULE:
+            case PocState.INITIALIZE_SCHEDULE:
                 return self._initialize(node, before, sent, arrived, timing)
-            case State.COLLISION_RESOLUTION:
+            case PocState.COLLISION_RESOLUTION:
                 if node != self.leader:
-                    return State.LISTEN
+                    return PocState.LISTEN
                 over = before.cycle == _RESOLUTION_CYCLES - 1
-                return State.CONSISTENCY_CHECK if over else state
-            case State.GAP:
-                return State.COLLISION_RESOLUTION
+                return PocState.CONSISTENCY_CHECK if over else state
+            case PocState.GAP:
+                return PocState.COLLISION_RESOLUTION
         pairs = heard & before.even.known[node] if before.even is not None else heard
         fails = passed.corrections is not None and _fails(passed.corrections, node)
-        if state == State.CONSISTENCY_CHECK:
+        if state == PocState.CONSISTENCY_CHECK:
             if fails or not pairs.any():
-                return State.GAP if self._left else State.LISTEN
-            return State.ACTIVE if is_odd else state
+                return PocState.GAP if self._left else PocState.LISTEN
+            return PocState.ACTIVE if is_odd else state
         if fails or not self._sees_enough(node, state, pairs):
-            return State.LISTEN
+            return PocState.LISTEN
         return self._follow(node, state, pairs, is_odd)
 
-    def _listen(self, node: int, before: Network, sent: Flags, arrived: Numbers) -> State:
+    def _listen(self, node: int, before: ClusterClocks, sent: Mask, arrived: Numbers) -> PocState:
         """Take the first startup frame of an even cycle as the one to integrate on."""
         begun = self.cycles - 1
         awake = self._power_on[node] <= begun * self.settings.microticks * TICK
@@ -184,18 +185,18 @@ class ColdStart:
         # A node whose symbol collided has missed the frame that it stopped for.
         lost = begun == self._symbol_cycle and node in self.collided
         if before.even is not None or not awake or not len(startup) or lost:
-            return State.LISTEN
+            return PocState.LISTEN
         self._followed[node] = startup[0]
         self._first_arrival[node] = arrived[node, startup[0]]
-        return State.INITIALIZE_SCHEDULE
+        return PocState.INITIALIZE_SCHEDULE
 
     def _initialize(
-        self, node: int, before: Network, sent: Flags, arrived: Numbers, timing: Timing
-    ) -> State:
+        self, node: int, before: ClusterClocks, sent: Mask, arrived: Numbers, timing: CycleTiming
+    ) -> PocState:
         """Set clock and rate by two startup frames of one node (FlexRay 2.1, 7.2.4.7)."""
         settings, followed = self.settings, self._followed[node]
         if not sent[followed]:
-            return State.LISTEN
+            return PocState.LISTEN
         nominal = settings.microticks * TICK
         period = int(timing.period[node])
         second = int(arrived[node, followed])
@@ -203,35 +204,35 @@ class ColdStart:
         rate = between // period - settings.microticks
         self.refused[node] = abs(rate) > settings.rate_limit
         if self.refused[node]:
-            return State.LISTEN
+            return PocState.LISTEN
         length = settings.microticks + rate
         elapsed = int(settings.action_points[followed]) * length // settings.macroticks
         timing.rate[node] = rate
         timing.start[node] = second + (length - elapsed) * period - nominal
         self._steps[node] = 0
         # A node without attempts left integrates as those that never had one.
-        return State.COLDSTART_CHECK if node in self._starters else State.INTEGRATION_CHECK
+        return PocState.COLDSTART_CHECK if node in self._starters else PocState.INTEGRATION_CHECK
 
-    def _sees_enough(self, node: int, state: State, pairs: Flags) -> bool:
+    def _sees_enough(self, node: int, state: PocState, pairs: Mask) -> bool:
         """Whether the startup frames that a node hears let it go on."""
         follows = bool(pairs[self._followed[node]])
-        if state == State.COLDSTART_CHECK:
+        if state == PocState.COLDSTART_CHECK:
             return follows
-        if state == State.JOIN:
+        if state == PocState.JOIN:
             return bool(pairs.any())
         return pairs.sum() >= 2 or (follows and self._steps[node] == 0)
 
-    def _follow(self, node: int, state: State, pairs: Flags, is_odd: bool) -> State:
+    def _follow(self, node: int, state: PocState, pairs: Mask, is_odd: bool) -> PocState:
         """Return the next state of a node whose cycle was sound."""
-        if state == State.COLDSTART_CHECK:
-            return State.JOIN if is_odd else state
-        if state == State.JOIN:
+        if state == PocState.COLDSTART_CHECK:
+            return PocState.JOIN if is_odd else state
+        if state == PocState.JOIN:
             self._steps[node] += 1
-            return State.ACTIVE if self._steps[node] == _JOIN_CYCLES else state
+            return PocState.ACTIVE if self._steps[node] == _JOIN_CYCLES else state
         if is_odd:
             # The first pair of cycles counts only if two nodes have sent startup frames in it.
             self._steps[node] = self._steps[node] + 1 if pairs.sum() >= 2 else 0
-        return State.ACTIVE if self._steps[node] == _CHECKED_PAIRS else state
+        return PocState.ACTIVE if self._steps[node] == _CHECKED_PAIRS else state
 
 
 def _fails(done: Corrections, node: int) -> bool:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from concord.bus.flexray.clocks.controller_states import State
+from concord.bus.flexray.clocks.controller_states import PocState
 from concord.bus.flexray.clocks.correction import periods
 from concord.bus.flexray.clocks.settings import TICK, ClockSettings, clock_settings
 from concord.bus.flexray.clocks.startup import ColdStart
@@ -54,7 +54,7 @@ def test_states_follow_one_another_as_in_the_standard():
     seen: list[list[str]] = [[], [], [], []]
     for _ in range(9):
         for states, state in zip(seen, start.network.controllers.state.tolist(), strict=True):
-            states.append(State(state).name)
+            states.append(PocState(state).name)
         start.step(delays)
     leading = ["COLLISION_RESOLUTION"] * 4 + ["CONSISTENCY_CHECK"] * 2 + ["ACTIVE"] * 3
     following = ["LISTEN", "INITIALIZE_SCHEDULE", *["COLDSTART_CHECK"] * 2, *["JOIN"] * 3]

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from concord.bus.flexray.clocks.clock_run import Conditions, draw_conditions, run_clocks
 from concord.bus.flexray.clocks.controller_states import (
     PASSIVE_TO_ACTIVE_PAIRS,
-    State,
+    PocState,
     after_pair,
     controllers,
 )
-from concord.bus.flexray.clocks.correction import Corrections, Measured, corrections, periods
+from concord.bus.flexray.clocks.correction import Corrections, Deviations, corrections, periods
 from concord.bus.flexray.clocks.midpoint import midpoint
-from concord.bus.flexray.clocks.network import Network, run_cycle, spread_us, synchronised
+from concord.bus.flexray.clocks.network import ClusterClocks, run_cycle, spread_us, synchronised
 from concord.bus.flexray.clocks.settings import TICK, ClockSettings, clock_settings
 from concord.bus.flexray.presets import AUDI, DEMO, PRESETS
 from tests.bus.clocks.scalar_clocks import scalar_starts, sorted_and_dropped
@@ -64,7 +64,7 @@ def test_cycles_begin_when_a_scalar_model_says(rates: list[int], damping: int):
         starts = [nominal + Fraction(int(one), TICK) for one in network.timing.start]
         assert starts == expected
         network, _ = run_cycle(known, network, undelayed(known, len(rates)))
-    assert (network.controllers.state == State.ACTIVE).all()
+    assert (network.controllers.state == PocState.ACTIVE).all()
 
 
 @pytest.mark.parametrize("damping", [0, 1, 3])
@@ -80,11 +80,11 @@ def test_damping_draws_rates_towards_zero_and_not_across(damping: int):
             network, _ = run_cycle(known, network, undelayed(known, 3))
 
 
-def sound(changes: list[int], offsets: list[int]) -> tuple[Measured, Measured]:
+def sound(changes: list[int], offsets: list[int]) -> tuple[Deviations, Deviations]:
     """Measurements of one node that sends nothing."""
     odd = np.array([offsets])
     heard = np.ones_like(odd, dtype=bool)
-    return Measured(odd - np.array([changes]), heard), Measured(odd, heard)
+    return Deviations(odd - np.array([changes]), heard), Deviations(odd, heard)
 
 
 def of_three(**limits: int) -> ClockSettings:
@@ -115,7 +115,7 @@ def test_without_frames_of_others_the_correction_is_missing_and_the_rate_stays()
     known = clock_settings(AUDI, 3)
     network = synchronised(known, periods(np.zeros(3)))
     # Nodes 1 and 2 are halted, so node 0 hears its own frame alone.
-    alone = np.array([State.ACTIVE, State.HALT, State.HALT])
+    alone = np.array([PocState.ACTIVE, PocState.HALT, PocState.HALT])
     network = network._replace(
         timing=network.timing._replace(rate=np.array([7, 7, 7])),
         controllers=network.controllers._replace(state=alone),
@@ -129,27 +129,27 @@ def test_without_frames_of_others_the_correction_is_missing_and_the_rate_stays()
         assert network.timing.rate[0] == 7
     passive, halt = known.passive_pairs, known.halt_pairs
     assert 1 < passive < halt
-    expected = [State.ACTIVE] * passive + [State.PASSIVE] * (halt - passive) + [State.HALT]
+    expected = [PocState.ACTIVE] * passive + [PocState.PASSIVE] * (halt - passive) + [PocState.HALT]
     assert states == expected
 
 
 # --- states --------------------------------------------------------------------------------------
 
 
-def after(known: ClockSettings, pairs: str) -> list[State]:
+def after(known: ClockSettings, pairs: str) -> list[PocState]:
     """States of one node after pairs: "." sound, "m" missing, "x" exceeded."""
-    node, found = controllers(1, State.ACTIVE), []
+    node, found = controllers(1, PocState.ACTIVE), []
     none = np.zeros(1, dtype=np.int64)
     for pair in pairs:
         missing, exceeded = np.array([pair == "m"]), np.array([pair == "x"])
         node = after_pair(known, node, Corrections(none, none, exceeded, missing))
-        found.append(State(node.state[0]))
+        found.append(PocState(node.state[0]))
     return found
 
 
 def test_pairs_without_correction_make_a_node_passive_and_then_halt_it():
     known = clock_settings(AUDI, 3)._replace(passive_pairs=2, halt_pairs=5)
-    a, p, h = State.ACTIVE, State.PASSIVE, State.HALT
+    a, p, h = PocState.ACTIVE, PocState.PASSIVE, PocState.HALT
     assert PASSIVE_TO_ACTIVE_PAIRS == 2
     assert after(known, "m.m.") == [a] * 4
     assert after(known, "mmmmm.") == [a, p, p, p, h, h]
@@ -164,13 +164,13 @@ def test_pairs_without_correction_make_a_node_passive_and_then_halt_it():
 def test_a_passive_node_sends_no_frame_and_still_follows_the_others():
     known = clock_settings(AUDI, 4)
     network = synchronised(known, periods(np.array([0, 0, 0, 100])))
-    passive = np.array([State.ACTIVE] * 3 + [State.PASSIVE])
+    passive = np.array([PocState.ACTIVE] * 3 + [PocState.PASSIVE])
     network = network._replace(controllers=network.controllers._replace(state=passive))
     _, passed = run_cycle(known, network, undelayed(known, 4))
     assert passed.measured.known.tolist() == [[True, True, True, False]] * 4
     for _ in range(60):
         network, _ = run_cycle(known, network, undelayed(known, 4))
-    assert (network.controllers.state == State.ACTIVE).all()
+    assert (network.controllers.state == PocState.ACTIVE).all()
     assert network.timing.rate[3] > 10
 
 
@@ -201,7 +201,7 @@ def test_precision_stays_within_the_worst_case_of_the_specification(
     run = run_clocks(known, conditions, 300, seed)
     assert run.spreads_us[-1] > 0 or len(set(rates)) == 1
     assert run.precision_us <= bound
-    assert (run.network.controllers.state == State.ACTIVE).all()
+    assert (run.network.controllers.state == PocState.ACTIVE).all()
 
 
 @settings(max_examples=40)
@@ -217,7 +217,7 @@ def test_one_two_faced_sync_node_does_not_break_precision(
     """The liar is early at some nodes and late at others, the more so in odd cycles."""
     known = clock_settings(DEMO, nodes)
     generator = np.random.default_rng(seed)
-    network: Network = synchronised(known, periods(generator.uniform(-20, 20, nodes)))
+    network: ClusterClocks = synchronised(known, periods(generator.uniform(-20, 20, nodes)))
     honest = np.arange(nodes) != liar
     for cycle in range(300):
         delays = undelayed(known, nodes)
@@ -225,7 +225,7 @@ def test_one_two_faced_sync_node_does_not_break_precision(
         delays[:, liar] = sides * reach * TICK * (1 + cycle % 2) // 2
         assert spread_us(known, network, honest) <= worst_case_us(known.damping, 0.0)
         network, _ = run_cycle(known, network, delays)
-    assert (network.controllers.state[honest] == State.ACTIVE).all()
+    assert (network.controllers.state[honest] == PocState.ACTIVE).all()
 
 
 def test_two_liars_among_five_sync_nodes_do_break_it():
@@ -238,7 +238,7 @@ def test_two_liars_among_five_sync_nodes_do_break_it():
 def test_without_correction_clocks_part():
     known = clock_settings(DEMO, 3)
     network = synchronised(known, periods(np.array([0.0, 0.0, 100.0])))
-    halted = np.array([State.HALT] * 3)
+    halted = np.array([PocState.HALT] * 3)
     network = network._replace(controllers=network.controllers._replace(state=halted))
     for _ in range(10):
         network, _ = run_cycle(known, network, undelayed(known, 3))
@@ -254,4 +254,4 @@ def test_twenty_nodes_at_1500_ppm_keep_the_precision_over_a_hundred_thousand_cyc
     conditions = Conditions(rates, np.linspace(0, 1, 20), none)
     run = run_clocks(known, conditions, 100_000, 1)
     assert 0.1 < run.precision_us <= known.precision_us
-    assert (run.network.controllers.state == State.ACTIVE).all()
+    assert (run.network.controllers.state == PocState.ACTIVE).all()
