@@ -5,12 +5,10 @@ import numpy as np
 from concord.bus.arbitration import Numbers
 from concord.bus.flexray.clocks.controller_states import PocState, controllers, sent_frames
 from concord.bus.flexray.clocks.correction import Corrections, CycleTiming, arrivals
+from concord.bus.flexray.clocks.integration import first_symbols, schedule_from
 from concord.bus.flexray.clocks.network import ClusterClocks, Passed, run_cycle
 from concord.bus.flexray.clocks.settings import TICK, ClockSettings, Mask
 
-# Bits of a collision avoidance symbol after which a node knows that another one sends it
-# (cdCASRxLowMin), of eight samples each; four microticks of two samples.
-_CAS_MICROTICKS = 29 * 4
 _RESOLUTION_CYCLES = 4
 _JOIN_CYCLES = 3
 _CHECKED_PAIRS = 2
@@ -60,18 +58,10 @@ class ColdStart:
     def _lead(self, idle_since: Numbers) -> int:
         """Let the first cold-start nodes send the symbol; return when they do so.
 
-        Each listens for pdListenTimeout of its own clock, from the instant `idle_since` (N,). Those
-        that send the symbol before they can detect another one collide. Frames decide between
-        them, and the lowest key slot is the first to send one.
+        Frames decide between those that collide: the lowest key slot is the first to send one.
         """
         settings = self.settings
-        ready = {
-            node: int(idle_since[node] + settings.listen * self._period[node])
-            for node in self._starters
-        }
-        first = min(ready.values())
-        deaf = _CAS_MICROTICKS * TICK + round(settings.delay_us / settings.microtick_us * TICK)
-        self.collided = tuple(node for node, instant in ready.items() if instant < first + deaf)
+        first, self.collided = first_symbols(settings, self._starters, self._period, idle_since)
         self.leader = self.collided[0]
         self.refused[:] = False
         self._left = settings.attempts
@@ -173,7 +163,9 @@ class ColdStart:
             if fails or not pairs.any():
                 return PocState.GAP if self._left else PocState.LISTEN
             return PocState.ACTIVE if is_odd else state
-        if fails or not self._sees_enough(node, state, pairs):
+        if fails or not _sees_enough(
+            state, pairs, bool(pairs[self._followed[node]]), not self._steps[node]
+        ):
             return PocState.LISTEN
         return self._follow(node, state, pairs, is_odd)
 
@@ -193,34 +185,19 @@ class ColdStart:
     def _initialize(
         self, node: int, before: ClusterClocks, sent: Mask, arrived: Numbers, timing: CycleTiming
     ) -> PocState:
-        """Set clock and rate by two startup frames of one node (FlexRay 2.1, 7.2.4.7)."""
-        settings, followed = self.settings, self._followed[node]
+        """Set clock and rate by two startup frames of one node."""
+        settings, followed = self.settings, int(self._followed[node])
         if not sent[followed]:
             return PocState.LISTEN
-        nominal = settings.microticks * TICK
-        period = int(timing.period[node])
-        second = int(arrived[node, followed])
-        between = nominal + second - int(self._first_arrival[node])
-        rate = between // period - settings.microticks
+        both = int(self._first_arrival[node]), int(arrived[node, followed])
+        rate, start = schedule_from(settings, followed, both, int(timing.period[node]))
         self.refused[node] = abs(rate) > settings.rate_limit
         if self.refused[node]:
             return PocState.LISTEN
-        length = settings.microticks + rate
-        elapsed = int(settings.action_points[followed]) * length // settings.macroticks
-        timing.rate[node] = rate
-        timing.start[node] = second + (length - elapsed) * period - nominal
+        timing.rate[node], timing.start[node] = rate, start
         self._steps[node] = 0
         # A node without attempts left integrates as those that never had one.
         return PocState.COLDSTART_CHECK if node in self._starters else PocState.INTEGRATION_CHECK
-
-    def _sees_enough(self, node: int, state: PocState, pairs: Mask) -> bool:
-        """Whether the startup frames that a node hears let it go on."""
-        follows = bool(pairs[self._followed[node]])
-        if state == PocState.COLDSTART_CHECK:
-            return follows
-        if state == PocState.JOIN:
-            return bool(pairs.any())
-        return pairs.sum() >= 2 or (follows and self._steps[node] == 0)
 
     def _follow(self, node: int, state: PocState, pairs: Mask, is_odd: bool) -> PocState:
         """Return the next state of a node whose cycle was sound."""
@@ -237,3 +214,17 @@ class ColdStart:
 
 def _fails(done: Corrections, node: int) -> bool:
     return bool(done.exceeded[node] or done.missing[node])
+
+
+def _sees_enough(state: PocState, pairs: Mask, follows: bool, is_first: bool) -> bool:
+    """Whether the startup frames that a node hears let it go on.
+
+    Args:
+        pairs: (S,), frames that it heard. follows: that of the node it integrated on is among them.
+        is_first: no pair of cycles was sound so far.
+    """
+    if state == PocState.COLDSTART_CHECK:
+        return follows
+    if state == PocState.JOIN:
+        return bool(pairs.any())
+    return pairs.sum() >= 2 or (follows and is_first)
