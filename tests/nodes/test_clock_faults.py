@@ -1,5 +1,6 @@
 """The fault word `drift`: corrected clocks, halted nodes, and a bus that keeps no clocks."""
 
+import numpy as np
 import pytest
 
 from concord.bus.flexray.clocks.drifting import slew_ppm
@@ -61,6 +62,16 @@ def test_a_clock_beyond_its_rate_correction_halts_its_node(node: int, ppm: int):
     assert same_bits(drifting, cut)
     # Nothing but the silent node's own reception is lost.
     assert total(drifting)["lost"] == 2 * silent == total(cut)["lost"] / 2
+
+
+def test_a_halted_contender_asks_for_no_slot():
+    setup = ring(nodes=6, schedule="hybrid", occupancy=0.5, steps=30)
+    plain = run(setup)
+    drifting = run(setup, *from_first("drift 5 9000"))
+    halted = int(np.flatnonzero(drifting.asked[:, :, 5].any(axis=1))[-1]) + 1
+    assert FIRST < halted < 20
+    assert plain.asked[halted:, :, 5].any()
+    assert not drifting.published[halted:, :, 5].any()
 
 
 def test_the_last_sync_node_is_passive_and_halts_as_well():

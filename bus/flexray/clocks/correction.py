@@ -33,8 +33,8 @@ class Deviations(NamedTuple):
 class Corrections(NamedTuple):
     """Corrections at the end of an odd cycle, (N,), in microticks.
 
-    `exceeded`: a limit was passed, so the value is that limit. `missing`: no sync frame of another
-    node gave a value.
+    `exceeded`: a limit was passed, so the value is that limit. `missing`: of no other
+    node both sync frames were heard.
     """
 
     rate: Numbers
@@ -95,7 +95,7 @@ def corrections(
     """
     own = np.arange(len(rate))[:, None] == settings.senders
     pairs = even.known & odd.known
-    missing = ~((odd.known & ~own).any(axis=-1) & (pairs & ~own).any(axis=-1))
+    missing = ~(pairs & ~own).any(axis=-1)
     offset = midpoint(odd.deviation, odd.known)
     wanted = rate + midpoint(odd.deviation - even.deviation, pairs)
     damped = np.sign(wanted) * np.maximum(0, np.abs(wanted) - settings.damping)

@@ -66,7 +66,6 @@ class ColdStart:
         self.refused[:] = False
         self._left = settings.attempts
         self._count_attempt()
-        self._symbol_cycle = self.cycles
         begun = controllers(len(self._period), PocState.LISTEN)
         state = begun.state.copy()
         state[list(self.collided)] = PocState.COLLISION_RESOLUTION
@@ -127,7 +126,6 @@ class ColdStart:
         first = self._lead(np.maximum(self._power_on, now))
         # Cycles are counted on through the silence.
         self.cycles += -(-(first - now) // per_cycle)
-        self._symbol_cycle = self.cycles
 
     @property
     def _own(self) -> Mask:
@@ -174,9 +172,7 @@ class ColdStart:
         begun = self.cycles - 1
         awake = self._power_on[node] <= begun * self.settings.microticks * TICK
         startup = np.flatnonzero(sent & self.settings.starters & ~self._own[node])
-        # A node whose symbol collided has missed the frame that it stopped for.
-        lost = begun == self._symbol_cycle and node in self.collided
-        if before.even is not None or not awake or not len(startup) or lost:
+        if before.even is not None or not awake or not len(startup):
             return PocState.LISTEN
         self._followed[node] = startup[0]
         self._first_arrival[node] = arrived[node, startup[0]]

@@ -14,7 +14,14 @@ from concord.bus.flexray.clocks.controller_states import (
     after_pair,
     controllers,
 )
-from concord.bus.flexray.clocks.correction import Corrections, Deviations, corrections, periods
+from concord.bus.flexray.clocks.correction import (
+    Corrections,
+    CycleTiming,
+    Deviations,
+    corrections,
+    measure,
+    periods,
+)
 from concord.bus.flexray.clocks.midpoint import midpoint
 from concord.bus.flexray.clocks.network import ClusterClocks, run_cycle, spread_us, synchronised
 from concord.bus.flexray.clocks.settings import TICK, ClockSettings, clock_settings
@@ -109,6 +116,19 @@ def test_an_offset_beyond_its_limit_is_exceeded_and_clipped(offset: int):
     done = corrections(known, np.array([0]), *sound([0] * 3, [offset] * 3))
     assert done.exceeded.tolist() == [abs(offset) > 40]
     assert done.offset.tolist() == [40 * np.sign(offset)]
+
+
+def test_a_frame_counts_up_to_the_action_point_offset_and_the_own_one_as_zero():
+    known = clock_settings(AUDI, 3)
+    none = np.zeros(3, dtype=np.int64)
+    timing = CycleTiming(none, none, periods(np.zeros(3)))
+    # Node 1 is as late as a node may be, node 2 a microtick later; each hears itself at once.
+    delays = np.array([0, known.window, known.window + 1]) * TICK
+    found = measure(known, timing, np.tile(delays, (3, 1)), np.ones(3, dtype=bool))
+    assert found.deviation[0].tolist() == [0, known.window, known.window + 1]
+    assert found.known.tolist() == [[True, True, False], [True, True, False], [True, True, True]]
+    assert found.deviation[1, 1] == found.deviation[2, 2] == 0
+    assert known.window == int(AUDI.action_point_us / 0.025)
 
 
 def test_without_frames_of_others_the_correction_is_missing_and_the_rate_stays():
