@@ -7,6 +7,7 @@ import pytest
 from concord.bus.flexray.cluster_files import cluster_to_toml
 from concord.bus.flexray.presets import AUDI
 from tests.experiments.flexray_support import concord, refused
+from tests.pages import ROOT, commands
 
 CLOCKS = ("flexray", "clocks")
 
@@ -26,6 +27,15 @@ def test_a_cluster_starts_and_keeps_its_precision(capsys):
     assert "at the end: 20 normal active" in text
     assert concord(capsys, *CLOCKS, "audi", "--cycles", "400", "--json").out == said.out
     assert concord(capsys, *CLOCKS, "audi", "--cycles", "400", "--json", "--seed", "2") != said
+
+
+def test_the_commands_of_the_page_run(capsys):
+    """And the precision of the second is within the bound, as the page says of one in four."""
+    page = (ROOT / "docs" / "bus.md").read_text(encoding="utf-8")
+    found = [one for one in commands(page) if one.startswith("concord flexray clocks")]
+    assert len(found) == 2
+    for command in found:
+        assert " within the assumed " in concord(capsys, *command.split()[1:]).out
 
 
 def test_liars_beyond_the_midpoint_break_the_precision_and_the_page_says_so(capsys):

@@ -42,6 +42,15 @@ def test_clock_correction_bears_what_an_oscillator_may_deviate(node: int, ppm: i
     assert total(drifting) == total(plain)
 
 
+@pytest.mark.parametrize("ppm", [100, 1500])
+def test_an_ordinary_crystal_costs_no_frame_on_a_cars_bus(ppm: int):
+    """67 cycles bring the clock to 1500 ppm there."""
+    setup = ring(cluster="audi", steps=30)
+    plain, drifting = run(setup), run(setup, f"1 drift 2 {ppm}")
+    assert same_bits(drifting, plain)
+    assert total(drifting) == total(plain)
+
+
 @pytest.mark.parametrize("ppm", [4000, -9000])
 @pytest.mark.parametrize("node", [0, 2])
 def test_a_clock_beyond_its_rate_correction_halts_its_node(node: int, ppm: int):
