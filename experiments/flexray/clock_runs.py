@@ -22,7 +22,7 @@ from concord.experiments.flexray.clusters import read_cluster
 from concord.experiments.user_errors import user_errors
 
 _PICTURES = (".png", ".svg", ".pdf")
-_MOST_NODES, _MOST_CYCLES, _MOST_PPM = 2047, 10_000_000, 10_000.0
+_MOST_NODES, _MOST_CYCLES, _MOST_PPM = 2047, 1_000_000, 10_000.0
 _STATES = {
     PocState.ACTIVE: "normal active",
     PocState.PASSIVE: "normal passive",

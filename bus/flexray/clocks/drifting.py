@@ -38,7 +38,7 @@ def slew_ppm(settings: ClockSettings) -> float:
 
 
 class _DriftingNodes:
-    """The cycles of a cluster since its first drift, computed as far as somebody has asked."""
+    """The cycles of a cluster since its first drift, computed up to the latest one asked for."""
 
     def __init__(self, settings: ClockSettings, nodes: int, drifts: tuple[ClockDrift, ...]) -> None:
         self._settings = settings
