@@ -21,7 +21,7 @@ from concord.bus.schedule import Schedule
 from concord.nodes.changes import Gone
 from concord.nodes.due_frames import take_due
 from concord.nodes.estimates import estimate_of
-from concord.nodes.faults.active import hangs, is_silent
+from concord.nodes.faults.active import hangs, has_lost_clock, is_silent
 from concord.nodes.faults.senders import spoken
 from concord.nodes.inbox import (
     EARLY_CYCLES,
@@ -210,8 +210,10 @@ def contenders_left(schedule: Schedule, cycle: int, won: tuple[int, ...]) -> tup
 def _bid(config: NodeConfig, state: NodeState) -> Bid:
     # Composing changes nothing here: it says how long the share would be.
     _, body = config.estimator.compose(state.content)
-    hung = hangs(config.faults, state.step, config.index)
-    bid = None if hung else config.estimator.bid(state.content)
+    faults = config.faults
+    mute = hangs(faults, state.step, config.index)
+    mute = mute or has_lost_clock(faults, state.cycle, config.index)
+    bid = None if mute else config.estimator.bid(state.content)
     payloads = config.bus.payloads(config.index, state.cycle, len(body))
     return Bid(config.index, state.cycle, bid, sum(payloads), state.group)
 

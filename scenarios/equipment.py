@@ -1,10 +1,12 @@
 """Equipment: the properties of a scenario's network that its faults need."""
 
+from functools import partial
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from concord.bus.bus import Bus
+from concord.bus.clocks import KeepsClocks
 from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.faults.active import Equipment, Faults
 from concord.scenarios.catalogue import definition_of
@@ -45,9 +47,15 @@ def equipment_of(setup: Setup, bus: Bus) -> Equipment:
             states = len(setup.prior_mean)
             form = rule.share.codec(number, states, scenario.nodes).form
             codec = BeliefCodec(states, number, form)
-    noticed_bits = bus.frame_format.noticed_bits
+    clocks = partial(bus.clock_errors, scenario.nodes) if isinstance(bus, KeepsClocks) else None
     return Equipment(
-        bus.channels, bus.cycle_us, bus.clock_precision_us, number, codec, noticed_bits
+        bus.channels,
+        bus.cycle_us,
+        bus.clock_precision_us,
+        number,
+        codec,
+        bus.frame_format.noticed_bits,
+        clocks,
     )
 
 

@@ -75,6 +75,14 @@ SMALL = {
             "3 duplicate 0.5", "4 spoof 0 5 1", "5 replay 1 0.5 3", "6 calm",
         ),
     },
+    "clocks that drift, two that halt, and one that is mended": {
+        "nodes": 6,
+        "steps": 20,
+        "rounds": 2,
+        "schedule": "hybrid",
+        "occupancy": 0.5,
+        "changes": ("1 drift 2 1500", "2 drift 0 9000", "2 drift 5 -9000", "14 drift 0 0"),
+    },
     "another run of the same seed": {"seed": 9, "run": 3},
 }
 # fmt: on

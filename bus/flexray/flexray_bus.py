@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from concord.bus.arbitration import Arbiter, Fits
 from concord.bus.bus import SegmentTime, Transmission
+from concord.bus.clocks import ClockDrift, ClockErrors
+from concord.bus.flexray.clocks.drifting import clock_errors
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.dynamic_segment import Request, walk
 from concord.bus.flexray.publication import Publications
@@ -69,6 +71,10 @@ class FlexRayBus(SlottedBus):
         if self.cluster.minislots:
             offsets.append(self.cluster.minislot_action_point_us)
         return min(offsets)
+
+    def clock_errors(self, nodes: int, drifts: tuple[ClockDrift, ...], cycle: int) -> ClockErrors:
+        """Return the clocks of so many nodes in a cycle where some oscillators drift."""
+        return clock_errors(self.cluster, nodes, drifts, cycle)
 
     def segments(self) -> tuple[SegmentTime, ...]:
         """Return the segments of a cycle, in order."""

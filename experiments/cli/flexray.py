@@ -2,6 +2,7 @@
 
 from tyro.extras import SubcommandApp
 
+from concord.experiments.flexray.clock_runs import clocks
 from concord.experiments.flexray.clusters import convert, validate
 from concord.experiments.flexray.plans import plan, show
 from concord.experiments.flexray.recordings import decode, fit
@@ -15,6 +16,7 @@ _COMMANDS = {
     "plan": plan,
     "show": show,
     "wcrt": wcrt,
+    "clocks": clocks,
     "convert": convert,
 }
 

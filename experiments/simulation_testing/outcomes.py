@@ -8,6 +8,7 @@ Their consequences are computed here anew from docs/faults.md, not by `nodes/fau
 from collections.abc import Callable
 from typing import NamedTuple
 
+from concord.bus.clocks import ClockDrift, ClockErrors
 from concord.nodes.faults.active import EVERYBODY, Faults
 from concord.nodes.faults.links import Passage
 from concord.nodes.faults.vocabulary import PASSING
@@ -63,6 +64,8 @@ def must_be_silent(faults: Faults, step: int, cycle: int, node: int) -> str:
     """Return the word that keeps a node from saying anything in its turn; "" for none."""
     if _stands_still(faults, step, node):
         return "hang"
+    if (clocks := _clocks(faults, cycle)) is not None and not clocks.sends[node]:
+        return "drift"
     missing = _at(faults, "missing", step, node)
     strikes = missing is not None and faults.draw("missing", cycle, node, EVERYBODY) < missing[0]
     return "missing" if strikes else ""
@@ -90,6 +93,8 @@ def _obstacles(faults: Faults, way: Passage) -> list[tuple[str, str]]:
     found = []
     if _stands_still(faults, way.step, way.receiver):
         found.append(("hang", "lost"))
+    if (clocks := _clocks(faults, way.cycle)) is not None and not clocks.hears[way.receiver]:
+        found.append(("drift", "lost"))
     apart_us = abs(_ahead_us(faults, way, way.sender) - _ahead_us(faults, way, way.receiver))
     if apart_us > faults.equipment.precision_us:
         found.append(("drift", "rejected"))
@@ -114,11 +119,25 @@ def _channels(faults: Faults) -> str:
 
 def _ahead_us(faults: Faults, way: Passage, node: int) -> float:
     """Return the lead of a node's clock at the end of the frame's cycle."""
+    if (clocks := _clocks(faults, way.cycle)) is not None:
+        return clocks.ahead_us[node]
     drift = _at(faults, "drift", way.step, node)
     if drift is None:
         return 0.0
     cycles = way.cycle - faults.first_cycle("drift", node) + 1
     return cycles * faults.equipment.cycle_us * drift[0] / 1e6
+
+
+def _clocks(faults: Faults, cycle: int) -> ClockErrors | None:
+    """Return the synchronised clocks of a network in which some drift."""
+    drifting = {nodes: fault for (word, nodes), fault in faults.standing.items() if word == "drift"}
+    drifts = tuple(
+        ClockDrift(node, drifting[node,].numbers[0], drifting[node,].first_cycle)
+        for (node,) in sorted(drifting)
+        if drifting[node,].numbers[0] != 0
+    )
+    keep = faults.equipment.clocks
+    return None if keep is None or not drifts else keep(drifts, cycle)
 
 
 def _makes_noise(faults: Faults, way: Passage, node: int) -> bool:

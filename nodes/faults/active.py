@@ -6,10 +6,11 @@ and a receiver knows of a slot that stays empty without waiting for it.
 """
 
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import NamedTuple
 
+from concord.bus.clocks import ClockDrift, ClockErrors
 from concord.nodes.belief_codec import BeliefCodec
 from concord.nodes.changes import Fault, Standing
 from concord.nodes.faults.losses import fraction
@@ -28,6 +29,7 @@ class Equipment(NamedTuple):
         number: the numpy type code of the numbers in a share; "" for shares of something else.
         codec: of shares that are beliefs.
         noticed_bits: a receiver finds any this many wrong bits in a frame.
+        clocks: of the nodes in a cycle, on a bus that keeps them together; None on others.
     """
 
     channels: str = "A"
@@ -36,6 +38,7 @@ class Equipment(NamedTuple):
     number: str = ""
     codec: BeliefCodec | None = None
     noticed_bits: int = 1
+    clocks: Callable[[tuple[ClockDrift, ...], int], ClockErrors] | None = None
 
 
 PLAIN = Equipment()
@@ -73,6 +76,18 @@ class Faults(NamedTuple):
         """The cycle with which a fault that stands has begun."""
         return self.standing[kind, nodes].first_cycle
 
+    def clocks(self, cycle: int) -> ClockErrors | None:
+        """Return the clocks of the nodes in a cycle; None where none drifts, or on a bus that does
+        not keep clocks together."""
+        if self.equipment.clocks is None:
+            return None
+        drifts = [
+            ClockDrift(nodes[0], fault.numbers[0], fault.first_cycle)
+            for (kind, nodes), fault in self.standing.items()
+            if kind == "drift" and fault.numbers[0]
+        ]
+        return self.equipment.clocks(tuple(sorted(drifts)), cycle) if drifts else None
+
     def draw(self, kind: str, cycle: int, sender: int, receiver: int, number: int = 0) -> float:
         """In [0, 1); of 16 bits each are sender, receiver and number."""
         return fraction(_salted(self.key, kind), cycle, sender, receiver, number)
@@ -85,7 +100,7 @@ def is_silent(faults: Faults, step: int, cycle: int, node: int) -> bool:
     """Whether a node that may send in a cycle leaves its slots empty."""
     if not faults.standing:
         return False
-    if hangs(faults, step, node):
+    if hangs(faults, step, node) or has_lost_clock(faults, cycle, node):
         return True
     missing = faults.at("missing", step, node)
     return missing is not None and faults.draw("missing", cycle, node, EVERYBODY) < missing[0]
@@ -94,6 +109,12 @@ def is_silent(faults: Faults, step: int, cycle: int, node: int) -> bool:
 def hangs(faults: Faults, step: int, node: int) -> bool:
     """Whether a node stands still."""
     return faults.at("hang", step, node) is not None
+
+
+def has_lost_clock(faults: Faults, cycle: int, node: int) -> bool:
+    """Whether a node must not send, as its clock is no longer synchronised."""
+    clocks = faults.clocks(cycle)
+    return clocks is not None and not clocks.sends[node]
 
 
 @lru_cache

@@ -44,11 +44,12 @@ class Arrival(NamedTuple):
 
 def arrival(faults: Faults, way: Passage, frame: bytes, bus: Bus) -> Arrival:
     """Return the arrival of a frame, given the frame that its sender meant to send."""
-    if hangs(faults, way.step, way.receiver):
+    clocks = faults.clocks(way.cycle)
+    halted = clocks is not None and not clocks.hears[way.receiver]
+    if halted or hangs(faults, way.step, way.receiver):
         return _nothing("lost")
-    if abs(_clock_us(faults, way, way.sender) - _clock_us(faults, way, way.receiver)) > (
-        faults.equipment.precision_us
-    ):
+    apart_us = _ahead_us(faults, way, way.sender) - _ahead_us(faults, way, way.receiver)
+    if abs(apart_us) > faults.equipment.precision_us:
         return _nothing("rejected slot-boundary")
     if collides(faults, way):
         return _nothing("rejected collision")
@@ -69,8 +70,11 @@ def _nothing(why: str) -> Arrival:
     return Arrival(b"", False, (why,))
 
 
-def _clock_us(faults: Faults, way: Passage, node: int) -> float:
-    """How far a node's clock is ahead of the cluster's, without correction."""
+def _ahead_us(faults: Faults, way: Passage, node: int) -> float:
+    """How far a node's clock is ahead of the nominal time."""
+    clocks = faults.clocks(way.cycle)
+    if clocks is not None:
+        return clocks.ahead_us[node]
     drift = faults.at("drift", way.step, node)
     if drift is None:
         return 0.0

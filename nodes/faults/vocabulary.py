@@ -91,8 +91,8 @@ FAULTS: dict[str, FaultWord] = {
         "nodes", "node", (_CYCLES,), "slow 3 2", "slow 3 0", "all that a node says comes late"
     ),
     "drift": FaultWord(
-        "nodes", "node", (Number("PPM", -1500, 1500),), "drift 3 200", "drift 3 0",
-        "a node's clock runs away from the cluster's", "a cluster",
+        "nodes", "node", (Number("PPM", -10_000, 10_000),), "drift 3 200", "drift 3 0",
+        "a node's oscillator leaves its rate; clock correction follows up to a limit", "a cluster",
     ),
     "outlier": FaultWord(
         "sensors", "node", (_P, _SIZE), "outlier 1 0.1 20", "outlier 1 0 20",

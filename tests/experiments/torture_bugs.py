@@ -170,8 +170,8 @@ BUGS = (
     ),
     Bug(
         "a clock has run away since the run began",
-        "concord.nodes.faults.links", "_clock_us",
-        (('- faults.first_cycle("drift", node)', ""),),
+        "concord.nodes.faults.active", "Faults.clocks",
+        (("fault.numbers[0], fault.first_cycle)", "fault.numbers[0], 0)"),),
     ),
     Bug(
         "what a slow node says comes at once",

@@ -82,7 +82,7 @@ def test_a_word_that_is_near_to_none_gets_all_and_no_offer():
         ("corrupt 1.5", "corrupt 1.5: P must be from 0 to 1"),
         ("corrupt nan", "P must be from 0 to 1"),
         ("delay 0.5 2.5", "CYCLES must be a whole number from 0 to 64"),
-        ("drift 1 2000", "PPM must be from -1500 to 1500"),
+        ("drift 1 20000", "PPM must be from -10000 to 10000"),
         ("corrupt 0.1 0 2", "corrupt 0 2: node 2 does not hear node 0"),
         ("hang 9 3", "hang 9: there are nodes 0 to 3"),
         ("spoof 1 1 0.5", "a node cannot be its own victim"),

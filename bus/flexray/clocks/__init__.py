@@ -1,0 +1,1 @@
+"""Clocks of the nodes of a FlexRay cluster: synchronisation and start-up."""
