@@ -8,7 +8,7 @@ import msgspec
 from concord.bus.arbitration import ARBITERS, Arbiter
 from concord.bus.bus import Bus, FrameFormat
 from concord.bus.flexray.cluster import Cluster
-from concord.bus.flexray.cluster_files import FILE_ENDINGS, read_cluster_file
+from concord.bus.flexray.files.cluster_files import FILE_ENDINGS, read_cluster_file
 from concord.bus.flexray.fitted import fitted_cluster
 from concord.bus.flexray.flexray_bus import FlexRayBus, flexray_bus
 from concord.bus.flexray.presets import PRESETS, preset

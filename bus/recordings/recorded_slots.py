@@ -1,6 +1,6 @@
 """The slot table of a recording: each frame ID with its longest payload."""
 
-from concord.bus.flexray.slot_file import MessageSlot
+from concord.bus.flexray.message_slot import MessageSlot
 from concord.bus.recordings.decoder import Decoding
 from concord.bus.recordings.fit import Fit
 

@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.table import Table
 
 from concord.bus.flexray.cluster import Cluster
-from concord.bus.flexray.cluster_files import FILE_ENDINGS, cluster_to_toml, read_cluster_file
-from concord.bus.flexray.fibex import WITHOUT_ELEMENT, cluster_to_fibex
+from concord.bus.flexray.files.cluster_files import FILE_ENDINGS, cluster_to_toml, read_cluster_file
+from concord.bus.flexray.files.fibex import WITHOUT_ELEMENT, cluster_to_fibex
 from concord.bus.flexray.levels import broken_rules
 from concord.bus.flexray.presets import PRESETS, preset
 from concord.bus.flexray.timing import SegmentTime, segments

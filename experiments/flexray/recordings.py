@@ -11,9 +11,9 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from concord.bus.flexray.cluster_files import cluster_to_toml
 from concord.bus.flexray.constraints import BIT_RATES_MBPS
-from concord.bus.flexray.slot_file import slots_to_toml
+from concord.bus.flexray.files.cluster_files import cluster_to_toml
+from concord.bus.flexray.files.slot_file import slots_to_toml
 from concord.bus.recordings.csv_recording import Unit
 from concord.bus.recordings.decoder import DecodedFrame, Decoding, decode_waveform, reencodes
 from concord.bus.recordings.fit import Fit

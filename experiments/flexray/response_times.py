@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.table import Table
 
 from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.files.slot_file import read_slot_file
 from concord.bus.flexray.response_times import FrameResponse, ResponseTimes
-from concord.bus.flexray.slot_file import read_slot_file
 from concord.experiments.flexray.clusters import read_cluster
 from concord.experiments.user_errors import user_errors
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from concord.bus.flexray.cluster import Cluster
-from concord.bus.flexray.fibex import FibexError, cluster_from_fibex, cluster_to_fibex
+from concord.bus.flexray.files.fibex import FibexError, cluster_from_fibex, cluster_to_fibex
 from concord.bus.flexray.presets import AUDI, DEMO, PRESETS
 from tests.bus.support import clusters, quick
 

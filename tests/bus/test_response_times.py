@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.message_slot import MessageSlot
 from concord.bus.flexray.presets import AUDI, DEMO
 from concord.bus.flexray.response_times import ResponseTimes
-from concord.bus.flexray.slot_file import MessageSlot
 
 SHORT = msgspec.structs.replace(
     DEMO,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray
 
-from concord.bus.flexray.cluster_files import cluster_to_toml
+from concord.bus.flexray.files.cluster_files import cluster_to_toml
 from concord.bus.flexray.frame import decode as decode_frame
 from concord.bus.flexray.presets import AUDI, DEMO
 from concord.bus.flexray.share_frames import read_frame

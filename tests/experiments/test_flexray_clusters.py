@@ -6,8 +6,8 @@ from typing import get_args
 
 import pytest
 
-from concord.bus.flexray.cluster_files import cluster_to_toml
-from concord.bus.flexray.fibex import cluster_to_fibex
+from concord.bus.flexray.files.cluster_files import cluster_to_toml
+from concord.bus.flexray.files.fibex import cluster_to_fibex
 from concord.bus.flexray.levels import LEVELS
 from concord.bus.flexray.presets import DEMO, PRESETS
 from concord.experiments.flexray.clusters import Level, derived, read_cluster

@@ -10,8 +10,8 @@ import tyro
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from concord.bus.flexray.cluster_files import cluster_to_toml
 from concord.bus.flexray.dynamic_segment import walk
+from concord.bus.flexray.files.cluster_files import cluster_to_toml
 from concord.bus.flexray.flexray_bus import FlexRayBus
 from concord.experiments.cli.scenario_flags import ScenarioFlags, resolved
 from concord.experiments.flexray.plan_report import run_command, slot_rows

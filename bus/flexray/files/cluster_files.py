@@ -11,7 +11,7 @@ from concord.bus.flexray.clock_constraints import CLOCK_PARAMETERS
 from concord.bus.flexray.clock_parameters import ClockParameters
 from concord.bus.flexray.cluster import Cluster, ClusterError
 from concord.bus.flexray.constraints import PARAMETERS
-from concord.bus.flexray.fibex import cluster_from_fibex
+from concord.bus.flexray.files.fibex import cluster_from_fibex
 
 FILE_ENDINGS = (".toml", ".xml")
 

@@ -10,31 +10,13 @@ from pathlib import Path
 import msgspec
 
 from concord.bus.flexray.cluster import Cluster
-from concord.bus.flexray.cluster_parameters import Channels
 from concord.bus.flexray.frame import MAX_FRAME_ID
+from concord.bus.flexray.message_slot import MessageSlot
 from concord.bus.flexray.slot_table import REPETITIONS
 
 
 class SlotFileError(ValueError):
     """A slot table that cannot be read, or does not fit its cluster."""
-
-
-class MessageSlot(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A frame that a node sends: its ID, its cycles, its payload, and how often it is requested.
-
-    It may be sent in the cycles with `cycle % repetition == base_cycle`. Requests come `period_us`
-    apart at least; without it, once in each of its cycles. `deadline_us` bounds the time from a
-    request to the end of the frame; without it, nothing does.
-    """
-
-    frame_id: int
-    payload_bytes: int
-    node: int = 0
-    channel: Channels = "A"
-    base_cycle: int = 0
-    repetition: int = 1
-    period_us: float | None = None
-    deadline_us: float | None = None
 
 
 class _Table(msgspec.Struct, forbid_unknown_fields=True):

@@ -1,0 +1,1 @@
+"""Clusters and slot tables in files: TOML, FIBEX and AUTOSAR."""
