@@ -1,6 +1,7 @@
 """The bus of a scenario: schedule, cluster and arbiter, checked against each other."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import msgspec
@@ -9,10 +10,13 @@ from concord.bus.arbitration import ARBITERS, Arbiter
 from concord.bus.bus import Bus, FrameFormat
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.files.cluster_files import FILE_ENDINGS, read_cluster_file
+from concord.bus.flexray.files.slot_file import read_slot_file
 from concord.bus.flexray.fitted import fitted_cluster
-from concord.bus.flexray.flexray_bus import FlexRayBus, flexray_bus
+from concord.bus.flexray.flexray_bus import FlexRayBus, flexray_bus, written_bus
+from concord.bus.flexray.message_slot import MessageSlot
 from concord.bus.flexray.presets import PRESETS, preset
 from concord.bus.flexray.share_frames import SHARE_FRAMES, payload_lengths
+from concord.bus.flexray.written_slots import written_schedule
 from concord.bus.ideal import TimelessBus
 from concord.bus.schedule import (
     Schedule,
@@ -28,9 +32,11 @@ from concord.nodes.rules.record_sets import bids_for_records
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.scenario import Scenario, lossy_links
 from concord.scenarios.types.buses import (
+    FlexRay,
     Ideal,
     SharedBus,
     UserBus,
+    WrittenSchedule,
     arbiter_of,
     occupancy_of,
     urgency_classes_of,
@@ -95,11 +101,49 @@ def build_schedule(scenario: Scenario, neighbours: Neighbours = ()) -> Schedule:
     if wiring is not None:
         return wiring.schedule(scenario)
     chosen = scenario.bus.schedule
+    if isinstance(chosen, WrittenSchedule):
+        cluster, slots = _written(scenario)
+        with _naming(chosen.slots):
+            schedule = written_schedule(slots, cluster, scenario.nodes)
+        return _relayed(scenario, schedule)
     if chosen.name not in _SCHEDULES:
         raise unknown_name("schedule", chosen.name, _SCHEDULES)
     arbiter_named(arbiter_of(chosen))
     schedule = _SCHEDULES[chosen.name](scenario.nodes, occupancy_of(chosen), neighbours)
+    return _relayed(scenario, schedule)
+
+
+def _relayed(scenario: Scenario, schedule: Schedule) -> Schedule:
     return msgspec.structs.replace(schedule, relay=latch_delay_of(scenario.rule) is not None)
+
+
+@contextmanager
+def _naming(slots: str) -> Iterator[None]:
+    """Say which slot table is wrong."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"--slots {slots}: {error}") from None
+
+
+def _written(scenario: Scenario) -> tuple[Cluster, tuple[MessageSlot, ...]]:
+    """Return the cluster and the slots of a scenario with a written table.
+
+    Raises:
+        ValueError: there is no such table, or no cluster that it could be of.
+    """
+    bus = scenario.bus
+    assert isinstance(bus, FlexRay) and isinstance(bus.schedule, WrittenSchedule)
+    if not bus.schedule.slots:
+        raise ValueError("--schedule written: name its slot table with --slots FILE.toml")
+    if bus.cluster in (FITTED, REDUNDANT):
+        raise ValueError(
+            f"--cluster {bus.cluster}: a slot table belongs to one cluster; name it, as a preset "
+            f"({', '.join(PRESETS)}) or a file"
+        )
+    cluster = _named_cluster(bus.cluster)
+    with _naming(bus.schedule.slots):
+        return cluster, read_slot_file(Path(bus.schedule.slots), cluster)
 
 
 def plan_bus(scenario: Scenario, share_bytes: int, neighbours: Neighbours = ()) -> Bus:
@@ -118,6 +162,11 @@ def plan_bus(scenario: Scenario, share_bytes: int, neighbours: Neighbours = ()) 
         # Its nodes have no frame IDs by class, so the most urgent bid wins.
         arbiter = ARBITERS["wtod"] if arbiter.by_class else arbiter
         return user_bus(chosen, schedule, share_bytes, arbiter)
+    if isinstance(chosen.schedule, WrittenSchedule):
+        cluster, slots = _written(scenario)
+        _check_no_written_relay(schedule)
+        with _naming(chosen.schedule.slots):
+            return written_bus(slots, cluster, schedule, share_bytes, arbiter)
     classes = _classes(scenario, schedule)
     cluster = _cluster(chosen.cluster, schedule, share_bytes, classes.count)
     latch_us = latch_delay_of(scenario.rule) or 0.0
@@ -195,11 +244,24 @@ def _check_no_relay(schedule: Schedule, bus: SharedBus) -> None:
         )
 
 
+def _check_no_written_relay(schedule: Schedule) -> None:
+    if schedule.relay:
+        raise ValueError(
+            "--relay --schedule written: a host latches its frame in the slot order that "
+            "concord gives; use another --schedule, or leave --relay out"
+        )
+
+
 def _cluster(name: str, schedule: Schedule, share_bytes: int, classes: int) -> Cluster:
     if name == FITTED:
         return _fitted(schedule, share_bytes, classes)
     if name == REDUNDANT:
         return msgspec.structs.replace(_fitted(schedule, share_bytes, classes), channels="AB")
+    return _named_cluster(name)
+
+
+def _named_cluster(name: str) -> Cluster:
+    """Return the cluster of a preset or a file."""
     if name in PRESETS:
         return preset(name)
     path = Path(name)

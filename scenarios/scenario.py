@@ -128,7 +128,10 @@ def _is_drawing_or_sites(placement: object) -> bool:
 
 
 def _with_schedule(scenario: Scenario, options: dict[str, object]) -> dict[str, object]:
-    """Choose a schedule for an occupancy that the schedule of the scenario does not have."""
+    """Choose a schedule for a slot table, or an occupancy, that the schedule of the scenario does
+    not have."""
+    if "slots" in options and "schedule" not in options:
+        return {**options, "schedule": "written"}
     asked = options.get("occupancy")
     if asked is None or isinstance(options.get("bus"), msgspec.Struct):
         return options

@@ -13,10 +13,11 @@ from concord.bus.clocks import ClockDrift, ClockErrors
 from concord.bus.flexray.clocks.drifting import clock_errors
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.dynamic_segment import Request, walk
+from concord.bus.flexray.message_slot import MessageSlot
 from concord.bus.flexray.publication import Publications
 from concord.bus.flexray.relay import check_relay
 from concord.bus.flexray.share_frames import payload_lengths
-from concord.bus.flexray.slot_table import SlotTable, allocate
+from concord.bus.flexray.slot_table import SlotTable, allocate, check_reachable
 from concord.bus.flexray.slotted_bus import SlottedBus
 from concord.bus.flexray.timing import (
     bus_load,
@@ -26,12 +27,17 @@ from concord.bus.flexray.timing import (
     segments,
     static_transmissions,
 )
+from concord.bus.flexray.written_slots import other_stations, requests_of, written_table
 from concord.bus.schedule import Schedule
 from concord.bus.urgency_classes import ONE_CLASS, UrgencyClasses
 
 
 class FlexRayBus(SlottedBus):
-    """A schedule on a cluster (`concord.bus.bus.Bus`)."""
+    """A schedule on a cluster (`concord.bus.bus.Bus`).
+
+    Stations that are no nodes send in each of their cycles, in the slots `others`. Their dynamic
+    frames delay those of the nodes; no figure of the network counts them.
+    """
 
     has_time = True
 
@@ -42,11 +48,13 @@ class FlexRayBus(SlottedBus):
         table: SlotTable,
         arbiter: Arbiter,
         classes: UrgencyClasses,
+        others: Sequence[MessageSlot] = (),
     ) -> None:
         slots = Publications(table, cluster).slots
         super().__init__(schedule, slots, arbiter, cluster.number_of_cycles, classes)
         self.cluster = cluster
         self.table = table
+        self.others = tuple(others)
 
     @property
     def name(self) -> str:
@@ -106,11 +114,38 @@ class FlexRayBus(SlottedBus):
             )
             if size and node not in own
         ]
-        return (*static, *dynamic_transmissions(self.cluster, winners))
+        if not self.others:
+            return (*static, *dynamic_transmissions(self.cluster, winners))
+        due = [slot for slot in self.others if slot.sends(cycle)]
+        requests = [*winners, *requests_of(due, self.cluster)]
+        # Frames of other stations that find no room wait; the arbiter has let no node in so far.
+        waiting = walk(self.cluster, requests).waiting
+        sent = [request for request in requests if request not in waiting]
+        frames = dynamic_transmissions(self.cluster, sent)
+        return (*static, *(frame for frame in frames if frame.node < self.schedule.nodes))
 
     def load(self, transmissions: Sequence[Transmission]) -> float:
         """Return the fraction of a cycle in which the busier channel carries frames."""
         return max(bus_load(self.cluster, transmissions, channel) for channel in self.channels)
+
+    @property
+    def other_load(self) -> float:
+        """Part of the time in which frames of other stations occupy the busier channel."""
+        cluster = self.cluster
+        loads = [
+            sum(
+                cluster.frame_us(
+                    cluster.static_payload_bytes
+                    if slot.frame_id < cluster.first_dynamic_id
+                    else slot.payload_bytes
+                )
+                / slot.repetition
+                for slot in self.others
+                if channel in slot.channel
+            )
+            for channel in self.channels
+        ]
+        return max(loads) / cluster.cycle_us
 
     def fusion_delay_us(self, rounds: int, last_cycle: Sequence[Transmission]) -> float:
         """Return the time from a measurement to the end of the last share."""
@@ -128,7 +163,7 @@ class FlexRayBus(SlottedBus):
         requests = self.table.requests(last)
         worst = [requests[node] for node in self._contenders]
         for count in range(self._most_winners, 0, -1):
-            if not walk(self.cluster, worst[-count:]).waiting:
+            if self._all_sent(worst[-count:]):
                 return count
         return 0
 
@@ -166,9 +201,15 @@ class FlexRayBus(SlottedBus):
         def fits(run: tuple[int, ...], places: Sequence[int]) -> bool:
             ids, lengths = frame_ids[run], sizes[run]
             requests = [Request(owners[i], int(ids[i]), int(lengths[i])) for i in places]
-            return not walk(self.cluster, requests).waiting
+            return self._all_sent(requests)
 
         return fits
+
+    def _all_sent(self, requests: Sequence[Request]) -> bool:
+        """Whether these requests of nodes are sent while every other station sends."""
+        beside = requests_of(self.others, self.cluster)
+        waiting = walk(self.cluster, [*requests, *beside]).waiting
+        return all(request.node >= self.schedule.nodes for request in waiting)
 
 
 def flexray_bus(
@@ -193,6 +234,32 @@ def flexray_bus(
     if schedule.relay:
         check_relay(schedule, cluster, table, latch_delay_us)
     return FlexRayBus(schedule, cluster, table, arbiter, classes)
+
+
+def written_bus(
+    slots: Sequence[MessageSlot],
+    cluster: Cluster,
+    schedule: Schedule,
+    share_bytes: int,
+    arbiter: Arbiter,
+) -> FlexRayBus:
+    """Return the bus of a written slot table, whose schedule is that of `written_schedule`.
+
+    Raises:
+        ValueError: the table does not hold the shares, or gives a node to a station.
+    """
+    nodes = schedule.nodes
+    static: tuple[int, ...] = ()
+    dynamic: tuple[int, ...] = ()
+    if any(schedule.static_table):
+        static = payload_lengths(share_bytes, cluster.static_payload_bytes)
+    if any(schedule.contender_table):
+        dynamic = payload_lengths(share_bytes, cluster.dynamic_payload_bytes)
+    table = written_table(slots, cluster, nodes, static, dynamic)
+    for request in table.requests().values():
+        check_reachable(request, cluster)
+    others = other_stations(slots, cluster, nodes)
+    return FlexRayBus(schedule, cluster, table, arbiter, ONE_CLASS, others)
 
 
 def _filled(owned: Sequence[Transmission], sizes: Sequence[int]) -> list[Transmission]:

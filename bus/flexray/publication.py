@@ -25,20 +25,20 @@ class Publications:
 
     def __init__(self, table: SlotTable, cluster: Cluster) -> None:
         self._static: dict[int, list[SlotAssignment]] = defaultdict(list)
-        dynamic: dict[int, list[int]] = defaultdict(list)
+        dynamic: dict[int, list[SlotAssignment]] = defaultdict(list)
         for slot in table.assignments:
-            if slot.frame_id < table.first_dynamic_id:
-                self._static[slot.node].append(slot)
-            else:
-                dynamic[slot.node].append(slot.frame_id)
+            segment = self._static if slot.frame_id < table.first_dynamic_id else dynamic
+            segment[slot.node].append(slot)
         self._static_payload_bytes = cluster.static_payload_bytes
         self._period = lcm(*(slot.repetition for slot in table.assignments))
         # Cache of lookups; a table repeats within few cycles.
         self._known: dict[tuple[int, int], tuple[tuple[Slot, ...], ...]] = {}
         lengths = table.dynamic_payloads * table.classes
         self._dynamic: dict[int, tuple[tuple[Slot, ...], ...]] = {}
-        for node, ids in dynamic.items():
-            slots = [Slot(*one, fixed=False) for one in zip(sorted(ids), lengths, strict=True)]
+        self._turns = {node: owned[0] for node, owned in dynamic.items()}
+        for node, owned in dynamic.items():
+            ids = sorted(slot.frame_id for slot in owned)
+            slots = [Slot(*one, fixed=False) for one in zip(ids, lengths, strict=True)]
             size = len(table.dynamic_payloads)
             self._dynamic[node] = tuple(
                 tuple(slots[first : first + size]) for first in range(0, len(slots), size)
@@ -62,4 +62,8 @@ class Publications:
             for slot in self._static.get(node, ())
             if slot.sends(cycle)
         )
-        return (static,) if static else self._dynamic.get(node, ())
+        if static:
+            return (static,)
+        # All dynamic slots of a node are in the same cycles.
+        contends = node in self._turns and self._turns[node].sends(cycle)
+        return self._dynamic[node] if contends else ()

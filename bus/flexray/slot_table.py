@@ -121,7 +121,7 @@ def allocate(
     payloads = tuple(static_payloads), tuple(dynamic_payloads)
     table = SlotTable(slots + dynamic, first, *payloads, classes)
     for request in table.requests().values():
-        _check_reachable(request, cluster)
+        check_reachable(request, cluster)
     return table
 
 
@@ -172,8 +172,12 @@ def _static_assignments(
                 yield SlotAssignment(frame_id, node, channel, base, repetition)
 
 
-def _check_reachable(request: Request, cluster: Cluster) -> None:
-    """Check that a contender can send when no other node does."""
+def check_reachable(request: Request, cluster: Cluster) -> None:
+    """Check that a contender can send when no other node does.
+
+    Raises:
+        ValueError: it cannot.
+    """
     if walk(cluster, [request]).waiting:
         raise ValueError(
             f"node {request.node} could never send in dynamic slot {request.frame_id}: "

@@ -7,9 +7,11 @@ import msgspec
 
 from concord.bus.bus import Bus
 from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.files.slot_file import slots_to_toml
 from concord.bus.flexray.flexray_bus import FlexRayBus
 from concord.bus.flexray.slot_table import SlotTable, deviations
 from concord.bus.flexray.timing import TimingError
+from concord.bus.flexray.written_slots import message_slots
 from concord.experiments.flexray.rehearsal import (
     Alternative,
     alternatives,
@@ -48,7 +50,8 @@ class PlanReport(msgspec.Struct, frozen=True):
 
     `published` is the part of the nodes that publishes in a rehearsed cycle, on average.
     `dynamic_slots` is how many contenders the schedule lets into a cycle, and `dynamic_room` how
-    many of them fit whoever wins. Each contender has frame IDs in `urgency_classes` classes. `time`
+    many of them fit whoever wins. `other_load` is the part of the time in which other stations of a
+    written slot table send. Each contender has frame IDs in `urgency_classes` classes. `time`
     and `remarks` are for people: whether the cycles of a step fit into it, and what a FlexRay
     controller alone cannot do.
     """
@@ -65,6 +68,7 @@ class PlanReport(msgspec.Struct, frozen=True):
     dynamic_slots: int
     dynamic_room: int
     urgency_classes: int
+    other_load: float
     time: str
     fits_time: bool
     remarks: list[str]
@@ -106,6 +110,16 @@ def answer_plan(scenario: Scenario) -> PlanAnswer:
         return PlanAnswer(scenario, str(error), _fitted_cycle_us(setup), others[0], others)
     timed = with_cluster(bus, scenario)
     return PlanAnswer(scenario, None, None, _report(Alternative(setup, timed)), [])
+
+
+def slots_to_write(scenario: Scenario) -> str:
+    """Return the slot table of a scenario's bus as the text of a file.
+
+    Raises:
+        ValueError: the bus is impossible, has no cluster, or its slots have no such form.
+    """
+    bus = with_cluster(build_bus(prepare_without_bus(scenario)), scenario)
+    return slots_to_toml(message_slots(bus.table, bus.cluster))
 
 
 def with_cluster(bus: Bus, scenario: Scenario) -> FlexRayBus:
@@ -158,6 +172,7 @@ def _report(alternative: Alternative) -> PlanReport:
         dynamic_slots=max(bus.schedule.dynamic_slot_table),
         dynamic_room=bus.dynamic_room(),
         urgency_classes=table.classes,
+        other_load=bus.other_load,
         time=time,
         fits_time=fits_time,
         remarks=list(deviations(table.assignments, cluster)),

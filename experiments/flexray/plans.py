@@ -1,6 +1,7 @@
 """`concord flexray plan` and `show`: the slots of a scenario, and one of its cycles drawn."""
 
 import sys
+from pathlib import Path
 from typing import Annotated
 
 import msgspec
@@ -10,11 +11,13 @@ from rich.table import Table
 
 from concord.bus.flexray.timeline import timeline
 from concord.experiments.cli.scenario_flags import ScenarioFlags, resolved
+from concord.experiments.flexray.clusters import write_new
 from concord.experiments.flexray.plan_report import (
     PlanAnswer,
     PlanReport,
     SlotRow,
     answer_plan,
+    slots_to_write,
     with_cluster,
 )
 from concord.experiments.flexray.rehearsal import rehearse
@@ -31,17 +34,28 @@ MOST_PRINTED_ROWS = 1000
 REHEARSED = "every contender asks in every cycle, the longest silent most urgently"
 
 
-def plan(scenario: Annotated[ScenarioFlags, tyro.conf.arg(name="")], *, json: bool = False) -> None:
+def plan(
+    scenario: Annotated[ScenarioFlags, tyro.conf.arg(name="")],
+    *,
+    out: Path | None = None,
+    json: bool = False,
+) -> None:
     """Plan the bus of a scenario: slot table, occupancy, load, delays, what would starve.
 
     If the bus does not fit the cluster, the report gives the numbers and shows the largest
     occupancy that fits.
 
     Args:
+        out: Slot table (.toml) to write, for --slots and `concord flexray wcrt`.
         json: Print one JSON object.
     """
     with user_errors():
-        answer = answer_plan(resolved(scenario))
+        asked = resolved(scenario)
+        answer = answer_plan(asked)
+        if out is not None:
+            if answer.problem is not None:
+                raise ValueError(f"--out {out}: what was asked for does not fit: {answer.problem}")
+            write_new(out, slots_to_write(asked))
     if json:
         sys.stdout.write(msgspec.json.encode(answer).decode() + "\n")
         return
@@ -144,6 +158,11 @@ def _shown_lines(shown: PlanReport) -> list[str]:
         )
         if shown.urgency_classes > 1:
             text.append(_price_of_classes(shown))
+    if shown.other_load:
+        text.append(
+            f"other stations of the slot table occupy {100 * shown.other_load:.1f} % of the bus, "
+            "and go before shares in dynamic slots with higher IDs"
+        )
     if shown.remarks:
         others = f" (and {len(shown.remarks) - 1} more slots)" if len(shown.remarks) > 1 else ""
         text.append(f"beyond cycle multiplexing: {shown.remarks[0]}{others}")

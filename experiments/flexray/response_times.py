@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 import msgspec
+import numpy as np
 import tyro
 from rich.console import Console
 from rich.table import Table
@@ -12,13 +13,15 @@ from rich.table import Table
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.files.slot_file import read_slot_file
 from concord.bus.flexray.response_times import FrameResponse, ResponseTimes
+from concord.bus.flexray.traffic import worst_responses
 from concord.experiments.flexray.clusters import read_cluster
 from concord.experiments.user_errors import user_errors
 
 
 class ResponseRow(msgspec.Struct, frozen=True):
     """The bound of one frame. `worst_us` is None if lower IDs may hold it up for ever; `spare_us`
-    is the deadline less the bound, None without either."""
+    is the deadline less the bound, None without either. `seen_us` is the worst response in random
+    traffic, and `margin_us` the bound less that; None without traffic."""
 
     frame_id: int
     node: int
@@ -30,6 +33,8 @@ class ResponseRow(msgspec.Struct, frozen=True):
     exact: bool
     deadline_us: float | None
     spare_us: float | None
+    seen_us: float | None = None
+    margin_us: float | None = None
 
 
 def wcrt(
@@ -38,6 +43,8 @@ def wcrt(
     *,
     cluster: str,
     name: str | None = None,
+    simulate: int = 0,
+    seed: int = 1,
     json: bool = False,
 ) -> None:
     """Bound the time from a request to the end of its frame, for every frame of a slot table.
@@ -46,12 +53,21 @@ def wcrt(
         slots: Slot table (.toml), with frame_id and payload_bytes of each frame.
         cluster: A preset, a TOML file or a FIBEX (.xml) file.
         name: Which cluster of a FIBEX file that has several.
+        simulate: Cycles of random traffic whose worst responses are shown beside the bounds.
+        seed: Seed of the traffic.
         json: Print one JSON object.
     """
     with user_errors():
         bus = read_cluster(cluster, name)
         table = read_slot_file(slots, bus)
-    rows = [_row(response) for response in ResponseTimes(bus, table).responses]
+        if simulate < 0 or seed < 0:
+            raise ValueError(
+                f"--simulate {simulate} --seed {seed}: both are numbers from 0 on; correct them"
+            )
+    random = np.random.default_rng(seed)
+    seen = worst_responses(bus, table, simulate, random)
+    responses = ResponseTimes(bus, table).responses
+    rows = [_row(*one) for one in zip(responses, seen, strict=True)]
     if json:
         result = {"cluster": bus.name, "cycle_us": bus.cycle_us, "frames": rows}
         sys.stdout.write(msgspec.json.encode(result).decode() + "\n")
@@ -61,7 +77,7 @@ def wcrt(
         sys.stdout.write(f"{line}\n")
 
 
-def _row(response: FrameResponse) -> ResponseRow:
+def _row(response: FrameResponse, seen_us: float | None) -> ResponseRow:
     slot, worst_us = response.slot, response.worst_us
     spare_us = None
     if worst_us is not None and slot.deadline_us is not None:
@@ -77,12 +93,18 @@ def _row(response: FrameResponse) -> ResponseRow:
         exact=response.exact,
         deadline_us=slot.deadline_us,
         spare_us=spare_us,
+        seen_us=seen_us,
+        margin_us=None if worst_us is None or seen_us is None else worst_us - seen_us,
     )
 
 
 def _table(rows: list[ResponseRow]) -> Table:
-    grid = Table("ID", "node", "cycles", "bytes", "worst us", "filled", "deadline us", "spare us")
-    grid.show_edge = False
+    """The rows with the columns that have an entry."""
+    grid = Table("ID", "node", "cycles", "bytes", "worst us", "filled", show_edge=False)
+    optional = ("deadline_us", "spare_us", "seen_us", "margin_us")
+    known = [field for field in optional if any(getattr(row, field) is not None for row in rows)]
+    for field in known:
+        grid.add_column(field.replace("_", " "))
     for row in rows:
         turns = "all" if row.repetition == 1 else f"{row.base_cycle} modulo {row.repetition}"
         grid.add_row(
@@ -90,12 +112,15 @@ def _table(rows: list[ResponseRow]) -> Table:
             str(row.node),
             turns,
             str(row.payload_bytes),
-            "none" if row.worst_us is None else f"{row.worst_us:.1f}",
+            _number(row.worst_us) or "none",
             f"{row.filled_cycles}" + ("" if row.exact else " at most"),
-            "" if row.deadline_us is None else f"{row.deadline_us:g}",
-            "" if row.spare_us is None else f"{row.spare_us:.1f}",
+            *(_number(getattr(row, field)) for field in known),
         )
     return grid
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.1f}"
 
 
 def _remarks(rows: list[ResponseRow], cluster: Cluster) -> list[str]:

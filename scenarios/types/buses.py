@@ -67,6 +67,16 @@ class DynamicSchedule(ContendedSchedule, frozen=True, kw_only=True, tag="dynamic
     """All nodes contend for all slots."""
 
 
+class WrittenSchedule(BusSchedule, frozen=True, kw_only=True, tag="written"):
+    """The slots of a file on a cluster that is named; dynamic slots go by their frame IDs."""
+
+    slots: Annotated[
+        str,
+        Option("Slot table (.toml) of the cluster, as fit and plan write it: which node sends in "
+               "which slot and cycle."),
+    ] = ""  # fmt: skip
+
+
 class SensorSlots(BusSchedule, frozen=True, kw_only=True, tag="flexray"):
     """Some sensors of a measurement bus own a slot each, the others contend for one (meng2025)."""
 
@@ -84,6 +94,7 @@ ScheduleChoice = (
     | SensorSlots
     | SilentSchedule
 )
+ClusterSchedule = ScheduleChoice | WrittenSchedule
 TimelessSchedule = FullSchedule | RoundRobinSchedule
 STRETCH = Option(
     "Stretch the plant's sampling time by this factor to hold the bus cycles.", at_least=1
@@ -98,7 +109,7 @@ class SharedBus(Choice, frozen=True, kw_only=True):
 class FlexRay(SharedBus, frozen=True, kw_only=True, tag="flexray"):
     """FlexRay: static and dynamic slots of a cluster, with times."""
 
-    schedule: Annotated[ScheduleChoice, SCHEDULE] = FullSchedule()
+    schedule: Annotated[ClusterSchedule, SCHEDULE] = FullSchedule()
     cluster: Annotated[
         str,
         Option("FlexRay cluster: fitted (the shortest cycle that holds the schedule), fitted-ab "
@@ -137,7 +148,10 @@ def occupancy_of(schedule: BusSchedule) -> float:
 
 
 def arbiter_of(schedule: BusSchedule) -> str:
-    """The arbiter of the dynamic segment; that of the paper where its sensors contend."""
+    """The arbiter of the dynamic segment: a written table has one frame ID a node, and the sensors
+    of the paper have its own."""
+    if isinstance(schedule, WrittenSchedule):
+        return "minislot"
     return schedule.arbiter if isinstance(schedule, ContendedSchedule) else "wtod"
 
 

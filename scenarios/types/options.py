@@ -65,6 +65,7 @@ class ScenarioOptions(TypedDict, total=False):
     arbiter: str
     urgency_classes: int
     trigger: float
+    slots: str
     cluster: str
     stretch: float
     filter: FILTER
@@ -116,6 +117,7 @@ class SweptOptions(TypedDict, total=False):
     arbiter: Sequence[str] | np.ndarray | str
     urgency_classes: Sequence[int] | np.ndarray | int
     trigger: Sequence[float] | np.ndarray | float
+    slots: Sequence[str] | np.ndarray | str
     cluster: Sequence[str] | np.ndarray | str
     stretch: Sequence[float] | np.ndarray | float
     filter: Sequence[FILTER] | np.ndarray | FILTER

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -53,6 +54,8 @@ GOOD = "[[slots]]\nframe_id = 60\npayload_bytes = 88\n"
         (GOOD.replace("60", "3"), "static frame of cluster 'audi' carries an even number from 0"),
         (GOOD + "repetition = 3\n", "1, 2, 4, ..., 64"),
         (GOOD + "repetition = 2\nbase_cycle = 2\n", "must be 0 to 1"),
+        (GOOD + "node = -1\n", "nodes are numbered from 0"),
+        (GOOD + 'channel = "B"\n', "channel is B, but cluster 'audi' has A"),
         (GOOD + "period_us = nan\n", "period_us is nan"),
         (GOOD + "deadline_us = -1\n", "deadline_us is -1"),
         (GOOD + GOOD + "repetition = 4\nnode = 2\n", "nodes 0 and 2 send in the same cycle"),
@@ -75,4 +78,5 @@ def test_one_frame_id_may_change_its_sender_from_cycle_to_cycle(tmp_path: Path):
     assert [slot.node for slot in read_slot_file(path, AUDI)] == [0, 1]
     other_channel = '\nchannel = "B"\n'
     path.write_text(GOOD + GOOD + other_channel)
-    assert len(read_slot_file(path, AUDI)) == 2
+    redundant = msgspec.structs.replace(AUDI, channels="AB")
+    assert len(read_slot_file(path, redundant)) == 2

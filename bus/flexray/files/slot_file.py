@@ -5,6 +5,7 @@ A table is a list of `[[slots]]`, each with a line per field of `MessageSlot`.
 
 import tomllib
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 
 import msgspec
@@ -42,25 +43,49 @@ def read_slot_file(path: Path, cluster: Cluster) -> tuple[MessageSlot, ...]:
         SlotFileError: the file cannot be read, or an entry breaks a rule of FlexRay.
     """
     try:
-        table = msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8")), _Table)
+        text = path.read_text(encoding="utf-8")
+        return slots_from_toml(text, cluster)
     except OSError as error:
         raise SlotFileError(
             f"{path}: cannot be read ({error.strerror}); name a slot table"
         ) from None
-    except (tomllib.TOMLDecodeError, UnicodeError, msgspec.ValidationError) as error:
-        raise SlotFileError(f"{path}: is no slot table: {error}") from None
-    for slot in table.slots:
+    except ValueError as error:
+        raise SlotFileError(f"{path}: {error}") from None
+
+
+# Kept: every node of a network reads the same table.
+@lru_cache(8)
+def slots_from_toml(text: str, cluster: Cluster) -> tuple[MessageSlot, ...]:
+    """Return the slots of a TOML text, in order of frame IDs and base cycles.
+
+    Raises:
+        SlotFileError: the text is no slot table, or an entry breaks a rule of FlexRay.
+    """
+    try:
+        table = msgspec.convert(tomllib.loads(text), _Table)
+    except (tomllib.TOMLDecodeError, msgspec.ValidationError) as error:
+        raise SlotFileError(f"is no slot table: {error}") from None
+    return checked_slots(table.slots, cluster)
+
+
+def checked_slots(table: Sequence[MessageSlot], cluster: Cluster) -> tuple[MessageSlot, ...]:
+    """Return slots in order of frame IDs and base cycles.
+
+    Raises:
+        SlotFileError: an entry breaks a rule of FlexRay, or two meet in a cycle.
+    """
+    for slot in table:
         problem = _problem(slot, cluster)
         if problem:
-            raise SlotFileError(f"{path}: frame ID {slot.frame_id}: {problem}")
-    slots = sorted(table.slots, key=lambda slot: (slot.frame_id, slot.base_cycle))
+            raise SlotFileError(f"frame ID {slot.frame_id}: {problem}")
+    slots = sorted(table, key=lambda slot: (slot.frame_id, slot.base_cycle))
     for place, slot in enumerate(slots):
         for other in slots[place + 1 :]:
             if other.frame_id != slot.frame_id:
                 break
             if _meet(slot, other):
                 raise SlotFileError(
-                    f"{path}: frame ID {slot.frame_id}: nodes {slot.node} and {other.node} send in "
+                    f"frame ID {slot.frame_id}: nodes {slot.node} and {other.node} send in "
                     "the same cycle; give them base cycles that never meet"
                 )
     return tuple(slots)
@@ -84,6 +109,10 @@ def _problem(slot: MessageSlot, cluster: Cluster) -> str:
         return f"repetition is {slot.repetition}, but controllers repeat every 1, 2, 4, ..., 64"
     if not 0 <= slot.base_cycle < slot.repetition:
         return f"base_cycle is {slot.base_cycle}, but must be 0 to {slot.repetition - 1}"
+    if slot.node < 0:
+        return f"node is {slot.node}, but nodes are numbered from 0"
+    if not set(slot.channel) <= set(cluster.channels):
+        return f"channel is {slot.channel}, but cluster {cluster.name!r} has {cluster.channels}"
     for field in ("period_us", "deadline_us"):
         value = getattr(slot, field)
         if value is not None and not 0 < value < float("inf"):

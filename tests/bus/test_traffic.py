@@ -1,0 +1,61 @@
+"""Random traffic: never later than the bounds, alike for alike seeds, and channels on their own."""
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from concord.bus.flexray.message_slot import MessageSlot
+from concord.bus.flexray.traffic import worst_responses
+from tests.bus.test_response_times import CROWDED, SHORT, bounds, simulated, tables
+
+BOTH = msgspec.structs.replace(SHORT, channels="AB")
+
+
+def worst(slots: list[MessageSlot], cycles: int, seed: int, cluster=SHORT):
+    return worst_responses(cluster, slots, cycles, np.random.default_rng(seed))
+
+
+@settings(max_examples=25)
+@given(tables(), st.integers(0, 2**32 - 1), st.data())
+def test_no_response_is_later_than_its_bound_on_two_channels(slots, seed: int, data):
+    channels = [data.draw(st.sampled_from(["A", "B", "AB"])) for _ in slots]
+    mixed = [
+        msgspec.structs.replace(slot, channel=one)
+        for slot, one in zip(slots, channels, strict=True)
+    ]
+    for bound, seen in zip(bounds(BOTH, mixed), worst(mixed, 800, seed, BOTH), strict=True):
+        assert seen is None or seen <= bound + 1e-6
+
+
+def test_traffic_is_as_bad_as_that_of_an_independent_count():
+    other = simulated(SHORT, CROWDED, 50_000, 1)
+    for seen, beside in zip(worst(CROWDED, 50_000, 1), other, strict=True):
+        assert seen == pytest.approx(beside, rel=0.08)
+
+
+def test_channels_count_their_slots_apart():
+    long = MessageSlot(frame_id=3, payload_bytes=120)
+    short = MessageSlot(frame_id=4, payload_bytes=2)
+    alone = worst([short], 3000, 2, BOTH)[0]
+    apart = worst([msgspec.structs.replace(long, channel="B"), short], 3000, 2, BOTH)[1]
+    behind = worst([long, short], 3000, 2, BOTH)[1]
+    assert alone is not None and apart is not None and behind is not None
+    minislots = BOTH.dynamic_slot_minislots(120) - 1
+    # Requests differ between the first two, so their worst differ by their luck: a few us.
+    assert apart == pytest.approx(alone, abs=15)
+    assert behind > alone + 0.9 * minislots * BOTH.minislot_us - 15
+
+
+def test_equal_seeds_give_equal_traffic_and_no_cycles_give_none():
+    assert worst(CROWDED, 500, 3) == worst(CROWDED, 500, 3) != worst(CROWDED, 500, 4)
+    assert worst(CROWDED, 0, 3) == (None,) * len(CROWDED)
+
+
+def test_a_static_frame_waits_for_a_whole_turn_at_most_and_nearly():
+    slot = MessageSlot(frame_id=2, payload_bytes=20, repetition=4, base_cycle=3)
+    (seen,) = worst([slot], 20_000, 1)
+    assert seen is not None
+    bound = 4 * 1030 + 3 + 263.2
+    assert 0.98 * bound < seen <= bound
