@@ -266,7 +266,9 @@ def _named_cluster(name: str) -> Cluster:
         return preset(name)
     path = Path(name)
     if path.suffix not in FILE_ENDINGS:
-        raise unknown_name("cluster", name, (*cluster_names(), "FILE.toml", "FILE.xml"))
+        raise unknown_name(
+            "cluster", name, (*cluster_names(), "FILE.toml", "FILE.xml", "FILE.arxml")
+        )
     return read_cluster_file(path)
 
 

@@ -3,7 +3,8 @@
 from tyro.extras import SubcommandApp
 
 from concord.experiments.flexray.clock_runs import clocks
-from concord.experiments.flexray.clusters import convert, validate
+from concord.experiments.flexray.clusters import validate
+from concord.experiments.flexray.conversion import convert
 from concord.experiments.flexray.plans import plan, show
 from concord.experiments.flexray.recordings import decode, fit
 from concord.experiments.flexray.response_times import wcrt

@@ -1,8 +1,8 @@
-"""`concord flexray validate` and `convert`: the configuration of a cluster, from wherever it is."""
+"""`concord flexray validate`: the configuration of a cluster, from wherever it is."""
 
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import msgspec
 import tyro
@@ -10,8 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from concord.bus.flexray.cluster import Cluster
-from concord.bus.flexray.files.cluster_files import FILE_ENDINGS, cluster_to_toml, read_cluster_file
-from concord.bus.flexray.files.fibex import WITHOUT_ELEMENT, cluster_to_fibex
+from concord.bus.flexray.files.cluster_files import FILE_ENDINGS, read_cluster_file
 from concord.bus.flexray.levels import broken_rules
 from concord.bus.flexray.presets import PRESETS, preset
 from concord.bus.flexray.timing import SegmentTime, segments
@@ -46,8 +45,8 @@ def validate(
     """Check a cluster against every range and constraint of FlexRay, and print its times.
 
     Args:
-        cluster: A preset, a TOML file or a FIBEX (.xml) file.
-        name: Which cluster of a FIBEX file that has several.
+        cluster: A preset, or a file: TOML, FIBEX (.xml) or AUTOSAR (.arxml).
+        name: Which cluster of a FIBEX or AUTOSAR file that has several.
         level: Refuse a cluster that breaks a rule of this edition of FlexRay, or of real clocks.
         json: Print one JSON object.
     """
@@ -69,46 +68,18 @@ def validate(
         return
     kept = [name for name, rules in broken.items() if not rules]
     sys.stdout.write(f"cluster {checked.name}: valid; keeps levels {', '.join(kept) or 'none'}\n")
+    if not checked.sync_slots:
+        sys.stdout.write(
+            "no sync nodes are stated (sync_slots); nodes on a wire need 2 to 15, so state them "
+            "before you build\n"
+        )
     for one, rules in broken.items():
         sys.stdout.writelines(f"level {one}: {rule}\n" for rule in rules)
     Console().print(_table(checked, times))
 
 
-def convert(
-    source: tyro.conf.Positional[str],
-    target: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="TARGET")],
-    /,
-    *,
-    name: str | None = None,
-    json: bool = False,
-) -> None:
-    """Write a cluster as TOML (.toml) or FIBEX (.xml); what TARGET is called decides.
-
-    Args:
-        source: A preset, a TOML file or a FIBEX (.xml) file.
-        target: The file to write. It must not exist.
-        name: Which cluster of a FIBEX file that has several.
-        json: Print one JSON object.
-    """
-    with user_errors():
-        if target.suffix not in FILE_ENDINGS:
-            raise ValueError(f"{target}: cannot tell the format; call it *.toml or *.xml (FIBEX)")
-        cluster = read_cluster(source, name)
-        toml = target.suffix == ".toml"
-        write_new(target, cluster_to_toml(cluster) if toml else cluster_to_fibex(cluster))
-    stated = [field for field in WITHOUT_ELEMENT if getattr(cluster, field) is not None]
-    left_out = [] if toml else stated
-    if json:
-        result = {"cluster": cluster, "target": str(target), "left_out": left_out}
-        sys.stdout.write(msgspec.json.encode(result).decode() + "\n")
-        return
-    sys.stdout.write(f"cluster {cluster.name} of {source} is in {target}\n")
-    if left_out:
-        sys.stdout.write(f"left out, FIBEX has no element for it: {', '.join(left_out)}\n")
-
-
 def read_cluster(source: str, name: str | None = None) -> Cluster:
-    """A preset by its name, or the cluster in a TOML or FIBEX file (there, the one called `name`).
+    """Return a preset by its name, or the cluster in a file; `name` chooses one of several.
 
     Raises:
         ValueError: there is no such preset, or the file is unreadable, or breaks a rule of FlexRay.
@@ -118,8 +89,8 @@ def read_cluster(source: str, name: str | None = None) -> Cluster:
         return preset(source)
     if path.suffix not in FILE_ENDINGS:
         raise ValueError(
-            f"no cluster preset {source!r}; there are {', '.join(PRESETS)}, or give a file *.toml "
-            "or *.xml (FIBEX)"
+            f"no cluster preset {source!r}; there are {', '.join(PRESETS)}, or give a file *.toml, "
+            "*.xml (FIBEX) or *.arxml (AUTOSAR)"
         )
     return read_cluster_file(path, name)
 

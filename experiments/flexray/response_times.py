@@ -38,7 +38,7 @@ class ResponseRow(msgspec.Struct, frozen=True):
 
 
 def wcrt(
-    slots: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SLOTS.toml")],
+    slots: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SLOTS")],
     /,
     *,
     cluster: str,
@@ -50,9 +50,9 @@ def wcrt(
     """Bound the time from a request to the end of its frame, for every frame of a slot table.
 
     Args:
-        slots: Slot table (.toml), with frame_id and payload_bytes of each frame.
-        cluster: A preset, a TOML file or a FIBEX (.xml) file.
-        name: Which cluster of a FIBEX file that has several.
+        slots: Slot table: TOML, FIBEX (.xml) or AUTOSAR (.arxml).
+        cluster: A preset, or a file: TOML, FIBEX (.xml) or AUTOSAR (.arxml).
+        name: Which cluster of a FIBEX or AUTOSAR file that has several.
         simulate: Cycles of random traffic whose worst responses are shown beside the bounds.
         seed: Seed of the traffic.
         json: Print one JSON object.

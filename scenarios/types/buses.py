@@ -72,8 +72,8 @@ class WrittenSchedule(BusSchedule, frozen=True, kw_only=True, tag="written"):
 
     slots: Annotated[
         str,
-        Option("Slot table (.toml) of the cluster, as fit and plan write it: which node sends in "
-               "which slot and cycle."),
+        Option("Slot table of the cluster, as fit and plan write it, or in a FIBEX or AUTOSAR "
+               "file: which node sends in which slot and cycle."),
     ] = ""  # fmt: skip
 
 
@@ -113,7 +113,7 @@ class FlexRay(SharedBus, frozen=True, kw_only=True, tag="flexray"):
     cluster: Annotated[
         str,
         Option("FlexRay cluster: fitted (the shortest cycle that holds the schedule), fitted-ab "
-               "(on both channels), a preset (audi, bosch, ...), a TOML or a FIBEX file."),
+               "(on both channels), a preset (audi, bosch, ...), a TOML, FIBEX or ARXML file."),
     ] = "fitted"  # fmt: skip
     stretch: Annotated[float, STRETCH] = 1.0
 

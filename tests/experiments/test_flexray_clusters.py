@@ -7,7 +7,7 @@ from typing import get_args
 import pytest
 
 from concord.bus.flexray.files.cluster_files import cluster_to_toml
-from concord.bus.flexray.files.fibex import cluster_to_fibex
+from concord.bus.flexray.files.fibex_writing import cluster_to_fibex
 from concord.bus.flexray.levels import LEVELS
 from concord.bus.flexray.presets import DEMO, PRESETS
 from concord.experiments.flexray.clusters import Level, derived, read_cluster
@@ -106,9 +106,10 @@ def test_what_is_no_cluster_is_refused(tmp_path: Path, capsys):
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_a_cluster_survives_both_formats(name: str, tmp_path: Path, capsys):
+def test_a_cluster_survives_all_formats(name: str, tmp_path: Path, capsys):
     toml, fibex, again = tmp_path / "a.toml", tmp_path / "a.xml", tmp_path / "b.toml"
-    for source, target in ((name, toml), (toml, fibex), (fibex, again)):
+    autosar = tmp_path / "a.arxml"
+    for source, target in ((name, toml), (toml, fibex), (fibex, autosar), (autosar, again)):
         assert concord(capsys, "flexray", "convert", source, target).code == 0
         assert read_cluster(str(target)) == PRESETS[name]
     assert toml.read_bytes() == again.read_bytes()
@@ -149,3 +150,64 @@ def test_one_of_several_clusters_is_chosen_by_name(tmp_path: Path, capsys):
     assert "'demo', 'spare'" in refused(concord(capsys, "flexray", "validate", path))
     said = concord(capsys, "flexray", "validate", path, "--name", "spare", "--json")
     assert said.json()["cluster"]["name"] == "spare"
+
+
+TABLE = """[[slots]]
+frame_id = 3
+payload_bytes = 34
+node = 1
+channel = "A"
+base_cycle = 1
+repetition = 4
+
+[[slots]]
+frame_id = 60
+payload_bytes = 88
+node = 2
+channel = "A"
+base_cycle = 0
+repetition = 1
+"""
+
+
+def test_a_slot_table_travels_through_every_format(tmp_path: Path, capsys):
+    table, back = tmp_path / "slots.toml", tmp_path / "back.toml"
+    table.write_text(TABLE)
+    fibex, autosar, toml = (tmp_path / f"a{ending}" for ending in (".xml", ".arxml", ".toml"))
+    said = concord(capsys, "flexray", "convert", "audi", fibex, "--slots", table)
+    assert f"cluster audi of audi is in {fibex} with 2 slots" in said.out
+    assert concord(capsys, "flexray", "convert", fibex, autosar, "--json").json()["slots"] == 2
+    done = concord(capsys, "flexray", "convert", autosar, toml, "--slots-out", back)
+    assert done.code == 0 and "left out" not in done.out
+    assert back.read_text() == TABLE
+    # Bounds and networks take the exchange formats as they are.
+    for file in (fibex, autosar):
+        wcrt = concord(capsys, "flexray", "wcrt", file, "--cluster", file, "--json").json()
+        assert [frame["frame_id"] for frame in wcrt["frames"]] == [3, 60]
+
+
+def test_what_a_format_cannot_hold_is_one_line(tmp_path: Path, capsys):
+    table = tmp_path / "slots.toml"
+    table.write_text(TABLE + "period_us = 5000.0\n")
+    target = tmp_path / "a.xml"
+    said = concord(capsys, "flexray", "convert", "audi", target, "--slots", table)
+    assert "left out, FIBEX has no element for it: period_us\n" in said.out
+    plain = concord(capsys, "flexray", "convert", target, tmp_path / "b.toml").out
+    assert "left out, a cluster file has no element for it: 2 slots (--slots-out" in plain
+    precise = tmp_path / "c.toml"
+    precise.write_text(cluster_to_toml(DEMO) + "precision_us = 2.0\ndrift_microticks = 601\n")
+    lost = concord(capsys, "flexray", "convert", precise, tmp_path / "c.arxml").out
+    assert "left out, AUTOSAR has no element for it: precision_us, drift_microticks\n" in lost
+
+
+def test_conversions_that_cannot_be_are_one_sentence(tmp_path: Path, capsys):
+    table = tmp_path / "slots.toml"
+    table.write_text(TABLE.replace("repetition = 4", "repetition = 3"))
+    target = tmp_path / "a.arxml"
+    for words, says in (
+        (("audi", target, "--slots", table), "frame ID 3: repetition is 3"),
+        (("audi", target, "--slots", tmp_path / "none.toml"), "No such file"),
+        (("audi", tmp_path / "a.toml", "--slots-out", tmp_path / "b.toml"), "has no slot table"),
+    ):
+        assert says in refused(concord(capsys, "flexray", "convert", *words))
+    assert not target.exists()

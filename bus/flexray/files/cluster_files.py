@@ -1,4 +1,5 @@
-"""Cluster files: FIBEX, or TOML for people, a line per parameter with its name in the standard."""
+"""Cluster files: FIBEX, AUTOSAR, or TOML for people, a line per parameter with its name in the
+standard."""
 
 import json
 import tomllib
@@ -11,9 +12,10 @@ from concord.bus.flexray.clock_constraints import CLOCK_PARAMETERS
 from concord.bus.flexray.clock_parameters import ClockParameters
 from concord.bus.flexray.cluster import Cluster, ClusterError
 from concord.bus.flexray.constraints import PARAMETERS
+from concord.bus.flexray.files.arxml import cluster_from_arxml
 from concord.bus.flexray.files.fibex import cluster_from_fibex
 
-FILE_ENDINGS = (".toml", ".xml")
+FILE_ENDINGS = (".toml", ".xml", ".arxml")
 
 _OTHER_NAMES = {
     "channels": "pChannels",
@@ -65,7 +67,8 @@ def _standard_name(field: str) -> str:
 
 
 def read_cluster_file(path: Path, name: str | None = None) -> Cluster:
-    """The cluster in a file whose ending is one of `FILE_ENDINGS`; in FIBEX the one called `name`.
+    """The cluster in a file whose ending is one of `FILE_ENDINGS`; in FIBEX
+    and AUTOSAR files the one called `name`.
 
     Raises:
         ValueError: the file cannot be read, or is no cluster, with its path.
@@ -79,6 +82,8 @@ def read_cluster_file(path: Path, name: str | None = None) -> Cluster:
     try:
         if path.suffix == ".xml":
             return cluster_from_fibex(data, name)
+        if path.suffix == ".arxml":
+            return cluster_from_arxml(data, name)
         return cluster_from_toml(data.decode(errors="replace"))
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None

@@ -1,16 +1,20 @@
-"""Slot tables as TOML files: which node sends how much in which slot, and how often.
+"""Slot tables as files: which node sends how much in which slot, and how often.
 
-A table is a list of `[[slots]]`, each with a line per field of `MessageSlot`.
+A TOML table is a list of `[[slots]]`, each with a line per field of `MessageSlot`. FIBEX and
+AUTOSAR files have a table in their frame triggerings.
 """
 
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
 
 import msgspec
 
 from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.files.arxml_slots import slots_from_arxml
+from concord.bus.flexray.files.fibex_slots import slots_from_fibex
+from concord.bus.flexray.files.xml_document import ClusterFileError
 from concord.bus.flexray.frame import MAX_FRAME_ID
 from concord.bus.flexray.message_slot import MessageSlot
 from concord.bus.flexray.slot_table import REPETITIONS
@@ -18,6 +22,13 @@ from concord.bus.flexray.slot_table import REPETITIONS
 
 class SlotFileError(ValueError):
     """A slot table that cannot be read, or does not fit its cluster."""
+
+
+READERS: dict[str, Callable[[bytes, str | None], tuple[MessageSlot, ...]]] = {
+    ".xml": slots_from_fibex,
+    ".arxml": slots_from_arxml,
+}
+"""The readers of slot tables in exchange formats, by the ending of the file."""
 
 
 class _Table(msgspec.Struct, forbid_unknown_fields=True):
@@ -39,12 +50,16 @@ def slots_to_toml(slots: Sequence[MessageSlot]) -> str:
 def read_slot_file(path: Path, cluster: Cluster) -> tuple[MessageSlot, ...]:
     """Read a slot table for a cluster, in order of frame IDs and base cycles.
 
+    Of the FlexRay clusters of a FIBEX or AUTOSAR file the only one counts, or that with the name
+    of the cluster.
+
     Raises:
         SlotFileError: the file cannot be read, or an entry breaks a rule of FlexRay.
     """
     try:
-        text = path.read_text(encoding="utf-8")
-        return slots_from_toml(text, cluster)
+        if path.suffix in READERS:
+            return _from_xml(path.read_bytes(), path.suffix, cluster)
+        return slots_from_toml(path.read_text(encoding="utf-8"), cluster)
     except OSError as error:
         raise SlotFileError(
             f"{path}: cannot be read ({error.strerror}); name a slot table"
@@ -54,6 +69,16 @@ def read_slot_file(path: Path, cluster: Cluster) -> tuple[MessageSlot, ...]:
 
 
 # Kept: every node of a network reads the same table.
+@lru_cache(8)
+def _from_xml(data: bytes, ending: str, cluster: Cluster) -> tuple[MessageSlot, ...]:
+    read = READERS[ending]
+    try:
+        slots = read(data, None)
+    except ClusterFileError:
+        slots = read(data, cluster.name)
+    return checked_slots(slots, cluster)
+
+
 @lru_cache(8)
 def slots_from_toml(text: str, cluster: Cluster) -> tuple[MessageSlot, ...]:
     """Return the slots of a TOML text, in order of frame IDs and base cycles.
