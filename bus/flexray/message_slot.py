@@ -9,8 +9,9 @@ class MessageSlot(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """A frame that a node sends: its ID, its cycles, its payload, and how often it is requested.
 
     It may be sent in the cycles with `cycle % repetition == base_cycle`. Requests come `period_us`
-    apart at least; without it, once in each of its cycles. `deadline_us` bounds the time from a
-    request to the end of the frame; without it, nothing does.
+    apart at least; without it, once in each of its cycles. With `offset_us` they come at that time
+    of the bus and exactly every `period_us` after it. `deadline_us` bounds the time from a request
+    to the end of the frame; without it, nothing does.
     """
 
     frame_id: int
@@ -20,6 +21,7 @@ class MessageSlot(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     base_cycle: int = 0
     repetition: int = 1
     period_us: float | None = None
+    offset_us: float | None = None
     deadline_us: float | None = None
 
     def sends(self, cycle: int) -> bool:

@@ -10,6 +10,7 @@ A message buffer holds the newest value: a request that meets a waiting one is s
 response is that of the oldest request of a transmission.
 """
 
+import math
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -22,6 +23,7 @@ from concord.bus.flexray.message_slot import MessageSlot
 MOST_FILLED_CYCLES = 256
 MOST_EXACT_VARIABLES = 200
 _EXACT_NODES = 2000
+_ROUNDING = 1e-9
 
 
 class FrameResponse(NamedTuple):
@@ -80,11 +82,33 @@ class ResponseTimes:
         return tuple(found)
 
     def _static(self, slot: MessageSlot) -> FrameResponse:
-        """A request that has just missed its slot waits for the next of its cycles."""
+        """A request that has just missed its slot waits for the next of its cycles.
+
+        Requests with an offset come at known times, whose responses repeat with the cycle counter
+        where a period is a whole number of cycles.
+        """
         cluster = self._cluster
+        cycles = (slot.period_us or 0.0) / cluster.cycle_us
+        if slot.offset_us is not None and abs(cycles - round(cycles)) < _ROUNDING:
+            period_us = round(cycles) * cluster.cycle_us
+            requests_us = [
+                slot.offset_us + turn * period_us for turn in range(cluster.number_of_cycles)
+            ]
+            known_us = max(self._static_response_us(slot, one) for one in requests_us)
+            return FrameResponse(slot, known_us, 0, True)
         wait_us = slot.repetition * cluster.cycle_us + cluster.action_point_us
         frame_us = cluster.frame_us(cluster.static_payload_bytes)
         return FrameResponse(slot, wait_us + frame_us, 0, True)
+
+    def _static_response_us(self, slot: MessageSlot, request_us: float) -> float:
+        """Return the time from a request to the end of the next static slot."""
+        cluster = self._cluster
+        slot_us = cluster.slot_start_us(slot.frame_id)
+        cycles = (request_us - slot_us) / cluster.cycle_us - slot.base_cycle - _ROUNDING
+        turns = max(0, math.ceil(cycles / slot.repetition))
+        begin_us = (slot.base_cycle + turns * slot.repetition) * cluster.cycle_us + slot_us
+        frame_us = cluster.action_point_us + cluster.frame_us(cluster.static_payload_bytes)
+        return begin_us + frame_us - request_us
 
     def _dynamic(self, slot: MessageSlot) -> _Dynamic:
         cluster = self._cluster

@@ -1,6 +1,7 @@
 """Random traffic of a slot table, counted slot by slot as controllers do.
 
-Requests come at random, at least a period apart and mostly as close as that. A message buffer holds
+Requests come at random, at least a period apart and mostly as close as that; those with an offset
+come at their times. A message buffer holds
 the newest value, so the response is that of the oldest request of a transmission.
 """
 
@@ -39,6 +40,8 @@ def _requests(
     """Times of requests over so many cycles, and one beyond them."""
     period_us = slot.period_us or slot.repetition * cluster.cycle_us
     count = ceil(cycles * cluster.cycle_us / period_us) + 1
+    if slot.offset_us is not None:
+        return np.append(slot.offset_us + period_us * np.arange(count), inf)
     late = random.exponential(_LATE_PERIODS, count) * (random.random(count) < _LATE_CHANCE)
     return np.append(np.cumsum(period_us * (1 + late)) - random.uniform(0, period_us), inf)
 

@@ -8,6 +8,7 @@ from concord.experiments.flexray.conversion import convert
 from concord.experiments.flexray.plans import plan, show
 from concord.experiments.flexray.recordings import decode, fit
 from concord.experiments.flexray.response_times import wcrt
+from concord.experiments.flexray.slot_designs import design_slots_command
 
 SUMMARY = "Recordings, clusters and plans of a FlexRay bus."
 _COMMANDS = {
@@ -18,6 +19,7 @@ _COMMANDS = {
     "show": show,
     "wcrt": wcrt,
     "clocks": clocks,
+    "design-slots": design_slots_command,
     "convert": convert,
 }
 

@@ -19,13 +19,15 @@ def slots(draw: st.DrawFn) -> list[MessageSlot]:
     for frame_id in sorted(draw(st.sets(st.integers(1, 2047), min_size=1, max_size=6))):
         repetition = draw(st.sampled_from([1, 2, 4, 8, 16, 32, 64]))
         most = 34 if frame_id <= 51 else 254
+        period_us = draw(st.none() | st.floats(1, 1e6))
         slot = MessageSlot(
             frame_id=frame_id,
             payload_bytes=2 * draw(st.integers(0, most // 2)),
             node=draw(st.integers(0, 9)),
             base_cycle=draw(st.integers(0, repetition - 1)),
             repetition=repetition,
-            period_us=draw(st.none() | st.floats(1, 1e6)),
+            period_us=period_us,
+            offset_us=None if period_us is None else draw(st.none() | st.floats(0, 1e6)),
             deadline_us=draw(st.none() | st.floats(1, 1e6)),
         )
         made.append(slot)
@@ -57,6 +59,7 @@ GOOD = "[[slots]]\nframe_id = 60\npayload_bytes = 88\n"
         (GOOD + "node = -1\n", "nodes are numbered from 0"),
         (GOOD + 'channel = "B"\n', "channel is B, but cluster 'audi' has A"),
         (GOOD + "period_us = nan\n", "period_us is nan"),
+        (GOOD + "offset_us = 5.0\n", "offset_us is 5.0; it needs a period_us"),
         (GOOD + "deadline_us = -1\n", "deadline_us is -1"),
         (GOOD + GOOD + "repetition = 4\nnode = 2\n", "nodes 0 and 2 send in the same cycle"),
     ],

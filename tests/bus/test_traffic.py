@@ -59,3 +59,10 @@ def test_a_static_frame_waits_for_a_whole_turn_at_most_and_nearly():
     assert seen is not None
     bound = 4 * 1030 + 3 + 263.2
     assert 0.98 * bound < seen <= bound
+
+
+def test_requests_with_an_offset_come_at_their_times():
+    """A request 20 us after slot 1 begins waits for the next cycle, each time."""
+    slot = MessageSlot(frame_id=1, payload_bytes=20, period_us=2060.0, offset_us=20.0)
+    (seen,) = worst([slot], 100, 1)
+    assert seen == pytest.approx(1030 - 20 + 3 + 263.2)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, cast
 from concord.bus.flexray.cluster_parameters import Channels
 from concord.bus.flexray.message_slot import MessageSlot
 
-WITHOUT_ELEMENT = ("period_us", "deadline_us")
+WITHOUT_ELEMENT = ("period_us", "offset_us", "deadline_us")
 """Fields of a slot for which a frame triggering has no element."""
 _NODE = re.compile(r"node_(\d+)")
 

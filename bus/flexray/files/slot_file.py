@@ -7,6 +7,7 @@ AUTOSAR files have a table in their frame triggerings.
 import tomllib
 from collections.abc import Callable, Sequence
 from functools import lru_cache
+from math import inf
 from pathlib import Path
 
 import msgspec
@@ -140,8 +141,10 @@ def _problem(slot: MessageSlot, cluster: Cluster) -> str:
         return f"channel is {slot.channel}, but cluster {cluster.name!r} has {cluster.channels}"
     for field in ("period_us", "deadline_us"):
         value = getattr(slot, field)
-        if value is not None and not 0 < value < float("inf"):
+        if value is not None and not 0 < value < inf:
             return f"{field} is {value}, but must be a positive number"
+    if slot.offset_us is not None and (slot.period_us is None or not 0 <= slot.offset_us < inf):
+        return f"offset_us is {slot.offset_us}; it needs a period_us, and must be 0 or more"
     return ""
 
 

@@ -1,0 +1,1 @@
+"""Static slots for frames with periods and deadlines, and for shares with an age to keep."""

@@ -1,0 +1,97 @@
+"""A slot table for frames and shares on a cluster, with every deadline met."""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from typing import NamedTuple, cast
+
+from concord.bus.flexray.cluster import Cluster
+from concord.bus.flexray.cluster_parameters import Channels
+from concord.bus.flexray.files.slot_file import checked_slots
+from concord.bus.flexray.message_slot import MessageSlot
+from concord.bus.flexray.slot_design.demand import Demand, Item, items_of
+from concord.bus.flexray.slot_design.programme import Chosen, Goal, error_of, solve
+from concord.bus.flexray.slot_design.zones import Zone
+
+
+class SlotDesign(NamedTuple):
+    """A slot table, the number of static slots in use, and the error that ages of shares add.
+
+    `exact` says that no table has fewer slots, or less error; otherwise the time was over.
+    """
+
+    slots: tuple[MessageSlot, ...]
+    used_slots: int
+    error: float
+    exact: bool
+
+
+def design_slots(demand: Demand, cluster: Cluster, goal: Goal = "slots") -> SlotDesign:
+    """Return a slot table in which every frame and share is in time.
+
+    With the goal "slots" no table has fewer static slots; where frames go on both channels, none
+    that gives these slots of their own. With "error" the sum of growth times largest age of all
+    shares is least.
+
+    Raises:
+        DemandError: a demand is wrong, or the cluster has no room.
+    """
+    items = items_of(demand, cluster)
+    zones, chosen, exact = solve(items, cluster, goal)
+    slots = checked_slots(_numbered(items, zones, chosen), cluster)
+    repetitions = {one.item: one.place.repetition for one in chosen}
+    error = sum(error_of(items[item], each, cluster) for item, each in repetitions.items())
+    return SlotDesign(slots, len({slot.frame_id for slot in slots}), error, exact)
+
+
+def _numbered(
+    items: Sequence[Item], zones: Sequence[Zone], chosen: Sequence[Chosen]
+) -> list[MessageSlot]:
+    """Give each frame the first slot of its zone that is free in its cycles."""
+    slots: list[MessageSlot] = []
+    sent: dict[int, int] = defaultdict(int)
+    both = _slots_on_both(zones, chosen)
+    # Frames that are sent more often go first: of two that meet, the other's cycles are among its.
+    for one in sorted(chosen, key=lambda c: (c.channel != "AB", c.place.repetition, c.item)):
+        item, zone = items[one.item], zones[one.place.zone]
+        first = zone.first + (0 if one.channel == "AB" else both[one.place.zone])
+        frame_id = next(
+            number
+            for number in range(first, zone.last + 1)
+            if not any(_meet(one, other) for other in slots if other.frame_id == number)
+        )
+        slots.append(
+            MessageSlot(
+                frame_id=frame_id,
+                payload_bytes=-(-item.payloads[sent[one.item]] // 2) * 2,
+                node=item.node,
+                channel=cast(Channels, one.channel),
+                base_cycle=one.place.base_cycle,
+                repetition=one.place.repetition,
+                period_us=item.period_us,
+                offset_us=item.offset_us,
+                deadline_us=item.deadline_us,
+            )
+        )
+        sent[one.item] += 1
+    return slots
+
+
+def _slots_on_both(zones: Sequence[Zone], chosen: Sequence[Chosen]) -> list[int]:
+    """Return how many slots of each zone hold the frames that go on both channels."""
+    found: list[int] = []
+    for number in range(len(zones)):
+        places = [c.place for c in chosen if c.channel == "AB" and c.place.zone == number]
+        period = max((place.repetition for place in places), default=1)
+        found.append(
+            max(
+                sum(cycle % place.repetition == place.base_cycle for place in places)
+                for cycle in range(period)
+            )
+        )
+    return found
+
+
+def _meet(one: Chosen, slot: MessageSlot) -> bool:
+    shorter = min(one.place.repetition, slot.repetition)
+    same_cycle = one.place.base_cycle % shorter == slot.base_cycle % shorter
+    return same_cycle and bool(set(one.channel) & set(slot.channel))
