@@ -15,8 +15,8 @@ from concord._version import __version__ as __version__
 
 if TYPE_CHECKING:
     from concord import filters as filters
+    from concord import flexray as flexray
     from concord import topology as topology
-    from concord.bus import flexray as flexray
     from concord.experiments.python_api import agree as agree
     from concord.experiments.python_api import compare as compare
     from concord.experiments.python_api import design as design
@@ -46,8 +46,7 @@ _HOMES = {
     "own_scenario": "concord.scenarios.definitions.own",
     "Scenario": "concord.scenarios.scenario",
     **dict.fromkeys(("buses", "holds", "rules"), _TYPES),
-    "flexray": "concord.bus",
-    **dict.fromkeys(("filters", "topology"), "concord"),
+    **dict.fromkeys(("filters", "flexray", "topology"), "concord"),
 }
 
 
