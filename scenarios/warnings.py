@@ -18,6 +18,7 @@ from concord.scenarios.streams import generator
 from concord.scenarios.types.buses import (
     URGENCY,
     ContendedSchedule,
+    WrittenSchedule,
     arbiter_of,
     occupancy_of,
     trigger_of,
@@ -41,6 +42,8 @@ from concord.topology.weights import Weights, from_per_node
 # Numerical derivatives put an eigenvalue of 1 a little beside it.
 _MARGIN = 1e-6
 _DISAGREEMENT = 0.01
+# Written slots repeat within the cycle counter.
+_CYCLES = 64
 
 
 def warnings_of(setup: Setup) -> tuple[str, ...]:
@@ -252,7 +255,15 @@ def _starving_order(setup: Setup) -> Iterator[str]:
     if arbiter_of(setup.scenario.bus.schedule) != "minislot":
         return
     contenders, room = contenders_and_room(build_bus(setup))
-    if contenders > room:
+    schedule = setup.scenario.bus.schedule
+    if contenders > room and isinstance(schedule, WrittenSchedule):
+        yield (
+            f"--slots {schedule.slots}: {contenders} nodes contend in dynamic slots, and the "
+            f"segment holds {room} of their longest shares in a cycle beside other stations; the "
+            "nodes with the last frame IDs may never send; give them static slots, or the frames "
+            "before them base cycles that never meet"
+        )
+    elif contenders > room:
         yield (
             f"--arbiter minislot: {contenders} nodes contend with one frame ID each, and the "
             f"dynamic segment holds {room} of their longest shares in a cycle; while nodes with "
@@ -267,6 +278,10 @@ def _who_is_silent(setup: Setup) -> str:
     schedule = scenario.bus.schedule
     if (occupancy := occupancy_of(schedule)) < 1:
         return f"--occupancy {occupancy:g}"
+    if isinstance(schedule, WrittenSchedule):
+        senders = map(build_bus(setup).schedule.static_senders, range(_CYCLES))
+        if any(len(row) < scenario.nodes for row in senders):
+            return f"--slots {schedule.slots}"
     if lossy := lossy_links(scenario):
         return lossy
     if (trigger := trigger_of(schedule)) > 0:

@@ -14,7 +14,9 @@ from concord.experiments.scenario_options import offered_options
 from concord.nodes.faults.vocabulary import EVERY_FAULT, usage
 from concord.scenarios.bus_plan import arbiter_names, cluster_names, schedule_names
 from concord.scenarios.catalogue import definitions
+from concord.scenarios.types.buses import WrittenSchedule
 from concord.scenarios.types.filters import FILTER_SUMMARIES
+from concord.scenarios.types.option import name_of
 from concord.scenarios.types.rules import RULE_SUMMARIES
 from concord.topology.choices import GRAPHS, WEIGHTS
 from concord.topology.link_names import NAMES as LINK_NAMES
@@ -34,7 +36,7 @@ def list_all(options: Annotated[ListOptions, tyro.conf.arg(name="")]) -> None:
         "graphs": list(GRAPHS),
         "weights": list(WEIGHTS),
         "links": list(LINK_NAMES),
-        "schedules": list(schedule_names()),
+        "schedules": [*schedule_names(), name_of(WrittenSchedule)],
         "clusters": list(cluster_names()),
         "arbiters": list(arbiter_names()),
         "holds": list(offered_options()["hold"].names),

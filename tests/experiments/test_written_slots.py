@@ -9,6 +9,7 @@ from concord.experiments.results.near_agreement import departures
 from concord.experiments.results.trace import read_trace
 from concord.runtime.drivers import in_memory
 from concord.scenarios.preparation import prepare
+from concord.scenarios.warnings import warnings_of
 from tests.experiments.flexray_support import concord, refused
 from tests.experiments.support import scenario
 
@@ -87,3 +88,27 @@ def test_a_bus_that_does_not_fit_hands_no_table_back(tmp_path: Path, capsys):
     asked = ("--scenario", "target-tracking", "--nodes", 20, "--cluster", "audi")
     assert "does not fit" in refused(concord(capsys, "flexray", "plan", *asked, "--out", path))
     assert not path.exists()
+
+
+def test_what_a_table_leaves_unheard_is_warned_of(tmp_path: Path):
+    turns, crowd = tmp_path / "turns.toml", tmp_path / "crowd.toml"
+    turns.write_text(
+        "".join(
+            f"[[slots]]\nframe_id = {1 + i // 2}\npayload_bytes = 64\nnode = {i}\n"
+            f"base_cycle = {i % 2}\nrepetition = 2\n"
+            for i in range(4)
+        )
+    )
+    network = {"nodes": 4, "graph": "ring", "cluster": "bosch", "hold": "raw", "rule": "ci"}
+    said = " ".join(warnings_of(prepare(scenario("oscillator", **network, slots=str(turns)))))
+    assert f"--hold raw with --slots {turns}" in said
+    frames = [*range(39, 47), *range(60, 64)]
+    crowd.write_text(
+        "".join(
+            f"[[slots]]\nframe_id = {frame_id}\nnode = {(frame_id - 60) % 99}\n"
+            f"payload_bytes = {254 if frame_id < 60 else 90}\n"
+            for frame_id in frames
+        )
+    )
+    said = " ".join(warnings_of(prepare(scenario("oscillator", **network, slots=str(crowd)))))
+    assert f"--slots {crowd}: 4 nodes contend in dynamic slots, and the segment holds" in said
