@@ -13,7 +13,7 @@ from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.files.slot_file import slots_to_toml
 from concord.bus.flexray.slot_design.demand import read_demand
 from concord.bus.flexray.slot_design.design import SlotDesign, design_slots
-from concord.bus.flexray.slot_design.programme import Goal
+from concord.bus.flexray.slot_design.programme import Edition, Goal
 from concord.experiments.flexray.clusters import read_cluster, write_new
 from concord.experiments.user_errors import user_errors
 
@@ -25,6 +25,7 @@ def design_slots_command(
     cluster: str,
     name: str | None = None,
     minimise: Goal = "slots",
+    edition: Edition = "3.0.1",
     out: Path | None = None,
     json: bool = False,
 ) -> None:
@@ -36,6 +37,7 @@ def design_slots_command(
         cluster: A preset, or a file: TOML, FIBEX (.xml) or AUTOSAR (.arxml).
         name: Which cluster of a FIBEX or AUTOSAR file that has several.
         minimise: The static slots in use, or the error that the largest ages of shares add.
+        edition: FlexRay 2.1 gives a static slot to one node; 3.0.1 lets nodes take turns in it.
         out: Slot table (.toml) to write, for --slots and `concord flexray wcrt`.
         json: Print one JSON object.
     """
@@ -43,7 +45,7 @@ def design_slots_command(
         bus = read_cluster(cluster, name)
         wanted = read_demand(demand)
         try:
-            designed = design_slots(wanted, bus, minimise)
+            designed = design_slots(wanted, bus, minimise, edition)
         except ValueError as error:
             raise ValueError(f"{demand}: {error}") from None
         if out is not None:

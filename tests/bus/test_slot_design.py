@@ -24,7 +24,7 @@ from concord.bus.flexray.slot_design.demand import (
     read_demand,
 )
 from concord.bus.flexray.slot_design.design import SlotDesign, design_slots
-from concord.bus.flexray.slot_design.programme import Goal
+from concord.bus.flexray.slot_design.programme import Edition, Goal
 
 SMALL = msgspec.structs.replace(
     DEMO,
@@ -92,7 +92,7 @@ def check(cluster: Cluster, demand: Demand, designed: SlotDesign) -> None:
     assert designed.used_slots == len({slot.frame_id for slot in designed.slots})
 
 
-def fewest(cluster: Cluster, demand: Demand) -> float:
+def fewest(cluster: Cluster, demand: Demand, edition: Edition) -> float:
     """Return the fewest slots over every slot, base and repetition of every frame; inf for none."""
     options: list[list[MessageSlot]] = []
     for frame in demand.frames:
@@ -115,16 +115,24 @@ def fewest(cluster: Cluster, demand: Demand) -> float:
                     if not late:
                         found.append(slot)
         options.append(found)
+    nodes = [frame.node for frame in demand.frames]
     best = math.inf
     for ways in itertools.product(*options):
         clash = any(
-            one.frame_id == other.frame_id
-            and not (one.base_cycle - other.base_cycle) % math.gcd(one.repetition, other.repetition)
-            for one, other in itertools.combinations(ways, 2)
+            one.frame_id == other.frame_id and (apart or _in_one_cycle(one, other))
+            for (one, first), (other, second) in itertools.combinations(
+                zip(ways, nodes, strict=True), 2
+            )
+            for apart in (edition == "2.1" and first != second,)
         )
         if not clash:
             best = min(best, len({slot.frame_id for slot in ways}))
     return best
+
+
+def _in_one_cycle(one: MessageSlot, other: MessageSlot) -> bool:
+    shorter = math.gcd(one.repetition, other.repetition)
+    return (one.base_cycle - other.base_cycle) % shorter == 0
 
 
 @st.composite
@@ -146,17 +154,30 @@ def demands(draw: st.DrawFn, most: int = 3) -> Demand:
 
 
 @settings(max_examples=60, deadline=None)
-@given(demands())
-def test_no_table_has_fewer_slots_and_each_frame_is_in_time(demand: Demand):
-    best = fewest(SMALL, demand)
+@given(demands(), st.sampled_from(["2.1", "3.0.1"]), st.booleans())
+def test_no_table_has_fewer_slots_and_each_frame_is_in_time(
+    demand: Demand, edition: Edition, paired: bool
+):
+    best = fewest(SMALL, _paired(demand) if paired else demand, edition)
     try:
-        designed = design_slots(demand, SMALL)
+        wanted = _paired(demand) if paired else demand
+        designed = design_slots(wanted, SMALL, "slots", edition)
     except DemandError as refused:
         assert best == math.inf, refused
         assert "\n" not in str(refused)
         return
-    check(SMALL, demand, designed)
+    if not paired:
+        check(SMALL, demand, designed)
     assert designed.exact and designed.used_slots == best
+    if edition == "2.1":
+        owners = {(slot.frame_id, slot.node) for slot in designed.slots}
+        assert len(owners) == designed.used_slots
+
+
+def _paired(demand: Demand) -> Demand:
+    """Let two frames belong to one node, so that they may share a slot in FlexRay 2.1."""
+    frames = (msgspec.structs.replace(one, node=one.node // 2) for one in demand.frames)
+    return Demand(tuple(frames))
 
 
 def test_turns_fill_slots_exactly():
@@ -192,9 +213,13 @@ def test_a_large_bus_is_full_to_its_load(seed: int):
     assert designed.used_slots == math.ceil(load - 1e-9)
 
 
-@settings(max_examples=12, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.sampled_from(["slots", "error"]))
-def test_a_mixed_bus_on_two_channels_is_in_time(seed: int, goal: Goal):
+@settings(max_examples=8, deadline=None)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from(["slots", "error"]),
+    st.sampled_from(["2.1", "3.0.1"]),
+)
+def test_a_mixed_bus_on_two_channels_is_in_time(seed: int, goal: Goal, edition: Edition):
     random = np.random.default_rng(seed)
     car = msgspec.structs.replace(AUDI, channels="AB")
     channels: list[Any] = ["A", "B", "AB", "any"]
@@ -216,7 +241,7 @@ def test_a_mixed_bus_on_two_channels_is_in_time(seed: int, goal: Goal):
         for k in range(8)
     ]  # fmt: skip
     demand = Demand(tuple(frames), tuple(shares))
-    designed = design_slots(demand, car, goal)
+    designed = design_slots(demand, car, goal, edition)
     check(car, demand, designed)
 
 

@@ -4,6 +4,7 @@ Cycles that a frame takes, base + k repetition with repetitions of powers of two
 disjoint. So frames in one zone need as many slots as meet in the busiest cycle, and first-fit by
 growing repetition finds them. The program therefore counts frames by zone, base and repetition
 (scipy's milp, HiGHS) and never numbers slots. Frames on both channels get slots of their own.
+FlexRay 2.1 gives a static slot of a channel to one node; 3.0 lets nodes take turns in it.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,9 +18,15 @@ from concord.bus.flexray.slot_design.zones import SlotTurn, Zone, places_of, zon
 
 Goal = Literal["slots", "error"]
 """The goal of a design: the number of slots, or the error that ages of shares add."""
+Edition = Literal["2.1", "3.0.1"]
+"""The edition of FlexRay that says whether nodes may share a static slot; 3.0.1: they may."""
 _LANES = ("A", "B", "AB")
 _TIME_LIMIT_S = 120.0
 _INFEASIBLE = 2
+
+
+_Row = tuple[dict[int, float], float, float]
+"""Factors of variables, and the least and the largest sum."""
 
 
 class Chosen(NamedTuple):
@@ -31,11 +38,12 @@ class Chosen(NamedTuple):
 
 
 class _Column(NamedTuple):
-    """How many frames of an item go this way."""
+    """How many frames of an item go this way; slots belong to one owner."""
 
     item: int
     place: SlotTurn
     lane: str
+    owner: int
 
 
 class SolvedSlots(NamedTuple):
@@ -46,14 +54,14 @@ class SolvedSlots(NamedTuple):
     exact: bool
 
 
-def solve(items: Sequence[Item], cluster: Cluster, goal: Goal) -> SolvedSlots:
+def solve(items: Sequence[Item], cluster: Cluster, goal: Goal, edition: Edition) -> SolvedSlots:
     """Return the slots of every item.
 
     Raises:
         DemandError: the cluster has too few slots, or none were found in time.
     """
     zones = zones_of(items, cluster)
-    columns = list(_columns(items, zones, cluster, goal))
+    columns = list(_columns(items, zones, cluster, goal, edition))
     found = _solved(items, cluster, zones, columns, goal, limited=True)
     if found.x is None:
         raise DemandError(_no_room(items, cluster, zones, columns, found.status))
@@ -93,7 +101,11 @@ def _no_room(
 
 
 def _columns(
-    items: Sequence[Item], zones: Sequence[Zone], cluster: Cluster, goal: Goal
+    items: Sequence[Item],
+    zones: Sequence[Zone],
+    cluster: Cluster,
+    goal: Goal,
+    edition: Edition,
 ) -> Iterator[_Column]:
     for number, item in enumerate(items):
         for place in places_of(item, zones, cluster):
@@ -101,7 +113,7 @@ def _columns(
             if goal == "slots" and place.repetition != max(item.repetitions):
                 continue
             for lane in item.channels:
-                yield _Column(number, place, lane)
+                yield _Column(number, place, lane, owner_of(item, edition))
 
 
 def _solved(
@@ -114,18 +126,17 @@ def _solved(
 ) -> Any:
     """Return scipy's result: frames of each column, then slots of each zone.
 
-    Variables: a count for each column, slots of each zone, slots of it for both channels, and a
-    choice for each (item, base, repetition, lane) that holds an item of several frames together.
+    The variables are a count for each column, then slots of each zone, then those of them for both
+    channels. A choice of each (item, base, repetition, lane) follows, which holds an item of
+    several frames together. The last are the slots of each owner in each zone and lane.
     """
-    # scipy takes longer to load than commands that design nothing take to run.
-    from scipy.optimize import Bounds, LinearConstraint, milp
-    from scipy.sparse import csr_array
-
     turns = list(dict.fromkeys((c.item, c.place[1:], c.lane) for c in columns))
     first_zone, first_both = len(columns), len(columns) + len(zones)
     first_turn = first_both + len(zones)
-    size = first_turn + len(turns)
-    rows: list[tuple[dict[int, float], float, float]] = []
+    groups = list(dict.fromkeys((c.place.zone, c.lane, c.owner) for c in columns))
+    first_group = first_turn + len(turns)
+    size = first_group + len(groups)
+    rows: list[_Row] = []
     for number in range(len(items)):
         chosen = [first_turn + k for k, turn in enumerate(turns) if turn[0] == number]
         rows.append((dict.fromkeys(chosen, 1.0), 1.0, 1.0))
@@ -135,7 +146,15 @@ def _solved(
     for k, turn in enumerate(turns):
         together = dict.fromkeys(of_turn[turn], 1.0)
         rows.append(({**together, first_turn + k: -float(items[turn[0]].copies)}, 0.0, 0.0))
-    rows += _overlaps(columns, len(zones), first_zone, first_both)
+    for k, (zone, lane, owner) in enumerate(groups):
+        rows += _meetings(columns, (zone, lane, owner), first_group + k)
+    for zone in range(len(zones)):
+        both = {first_both + zone: -1.0}
+        rest = {first_zone + zone: -1.0, first_both + zone: 1.0}
+        for lane in _LANES:
+            owned = [first_group + k for k, one in enumerate(groups) if one[:2] == (zone, lane)]
+            room = both if lane == "AB" else rest
+            rows.append(({**dict.fromkeys(owned, 1.0), **room}, -np.inf, 0.0))
     cost = np.zeros(size)
     if goal == "slots":
         cost[first_zone:first_both] = 1.0
@@ -146,47 +165,51 @@ def _solved(
         step = min((one for one in cost if one > 0), default=1.0)
         cost[first_zone:first_both] = 1e-3 * step / (1 + cluster.static_slots)
     upper: Any = np.full(size, np.inf)
-    upper[first_turn:] = 1.0
+    upper[first_turn:first_group] = 1.0
     if limited:
         upper[first_zone:first_both] = [zone.last - zone.first + 1 for zone in zones]
-    place, column_of, value = [], [], []
-    for number, (entries, _, _) in enumerate(rows):
-        place += [number] * len(entries)
-        column_of += list(entries)
-        value += list(entries.values())
-    matrix: Any = csr_array((value, (place, column_of)), shape=(len(rows), size))
-    lower_bounds: Any = np.array([row[1] for row in rows])
-    upper_bounds: Any = np.array([row[2] for row in rows])
-    solved: Any = milp(
+    return _milp(cost, upper, rows)
+
+
+def _milp(cost: np.ndarray, upper: Any, rows: Sequence[_Row]) -> Any:
+    """Return scipy's result for whole numbers from 0 to `upper` that keep all rows."""
+    # scipy takes longer to load than commands that design nothing take to run.
+    from scipy.optimize import Bounds, LinearConstraint, milp
+    from scipy.sparse import csr_array
+
+    place = [number for number, (entries, _, _) in enumerate(rows) for _ in entries]
+    column_of = [column for entries, _, _ in rows for column in entries]
+    value = [factor for entries, _, _ in rows for factor in entries.values()]
+    matrix: Any = csr_array((value, (place, column_of)), shape=(len(rows), len(cost)))
+    lowest: Any = np.array([row[1] for row in rows])
+    highest: Any = np.array([row[2] for row in rows])
+    return milp(
         cost,
-        integrality=np.ones(size),
+        integrality=np.ones(len(cost)),
         bounds=Bounds(0, upper),
-        constraints=[LinearConstraint(matrix, lower_bounds, upper_bounds)],
-        options={"time_limit": _TIME_LIMIT_S},
+        constraints=[LinearConstraint(matrix, lowest, highest)],
+        options={"time_limit": _TIME_LIMIT_S, "mip_rel_gap": 0.0},
     )
-    return solved
 
 
-def _overlaps(
-    columns: Sequence[_Column], zones: int, first_zone: int, first_both: int
-) -> Iterator[tuple[dict[int, float], float, float]]:
-    """Yield for each cycle that a zone has slots for all frames that meet in it."""
-    period = max(column.place.repetition for column in columns)
-    for zone in range(zones):
-        of_zone = [(k, c) for k, c in enumerate(columns) if c.place.zone == zone]
-        for cycle in range(period):
-            meeting = [
-                (k, c) for k, c in of_zone if cycle % c.place.repetition == c.place.base_cycle
-            ]
-            for lane in _LANES:
-                here = {k: 1.0 for k, c in meeting if c.lane == lane}
-                if not here:
-                    continue
-                slots = {first_both + zone: -1.0}
-                if lane != "AB":
-                    slots = {first_zone + zone: -1.0, first_both + zone: 1.0}
-                yield {**here, **slots}, -np.inf, 0.0
-        yield {first_both + zone: 1.0, first_zone + zone: -1.0}, -np.inf, 0.0
+def _meetings(
+    columns: Sequence[_Column], group: tuple[int, str, int], slots: int
+) -> Iterator[_Row]:
+    """Yield for each cycle that the slots of a group hold all its frames that meet in it."""
+    own = [
+        (k, column.place)
+        for k, column in enumerate(columns)
+        if (column.place.zone, column.lane, column.owner) == group
+    ]
+    for cycle in range(max(place.repetition for _, place in own)):
+        here = {k: 1.0 for k, place in own if cycle % place.repetition == place.base_cycle}
+        if here:
+            yield {**here, slots: -1.0}, -np.inf, 0.0
+
+
+def owner_of(item: Item, edition: Edition) -> int:
+    """Return which items may share a slot: those of one node, or all."""
+    return item.node if edition == "2.1" else 0
 
 
 def error_of(item: Item, repetition: int, cluster: Cluster) -> float:
