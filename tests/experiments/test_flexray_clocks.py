@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from concord.bus.flexray.cluster_files import cluster_to_toml
+from concord.bus.flexray.files.cluster_files import cluster_to_toml
 from concord.bus.flexray.presets import AUDI
 from tests.experiments.flexray_support import concord, refused
 from tests.pages import ROOT, commands
