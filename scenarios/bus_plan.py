@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import msgspec
 
@@ -14,6 +15,9 @@ from concord.bus.flexray.flexray_bus import FlexRayBus, flexray_bus
 from concord.bus.flexray.presets import PRESETS, preset
 from concord.bus.flexray.share_frames import SHARE_FRAMES, payload_lengths
 from concord.bus.ideal import TimelessBus
+from concord.bus.plca.cycle import Timing
+from concord.bus.plca.ethernet import FRAMING as ETHERNET
+from concord.bus.plca.plca_bus import PlcaBus
 from concord.bus.schedule import (
     Schedule,
     dynamic_only,
@@ -28,7 +32,9 @@ from concord.nodes.rules.record_sets import bids_for_records
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.scenario import Scenario, lossy_links
 from concord.scenarios.types.buses import (
+    FlexRay,
     Ideal,
+    Plca,
     SharedBus,
     UserBus,
     arbiter_of,
@@ -109,19 +115,71 @@ def plan_bus(scenario: Scenario, share_bytes: int, neighbours: Neighbours = ()) 
         ValueError: unknown names, unreadable files, or a cluster that does not hold the schedule.
     """
     schedule, chosen = build_schedule(scenario, neighbours), scenario.bus
-    if isinstance(chosen, Ideal):
-        _check_timeless(schedule)
-        return TimelessBus(schedule, share_bytes)
-    arbiter = arbiter_named(arbiter_of(chosen.schedule))
-    if isinstance(chosen, UserBus):
-        _check_no_relay(schedule, chosen)
-        # Its nodes have no frame IDs by class, so the most urgent bid wins.
-        arbiter = ARBITERS["wtod"] if arbiter.by_class else arbiter
-        return user_bus(chosen, schedule, share_bytes, arbiter)
-    classes = _classes(scenario, schedule)
-    cluster = _cluster(chosen.cluster, schedule, share_bytes, classes.count)
-    latch_us = latch_delay_of(scenario.rule) or 0.0
-    return flexray_bus(schedule, cluster, share_bytes, arbiter, latch_us, classes)
+    _check_relay(schedule, chosen)
+    request = BusRequest(
+        schedule,
+        share_bytes,
+        arbiter_named(arbiter_of(chosen.schedule)),
+        _classes(scenario, schedule),
+        latch_delay_of(scenario.rule) or 0.0,
+    )
+    return _BUSES[type(chosen)].build(chosen, request)
+
+
+class BusRequest(NamedTuple):
+    """What a bus is built for: shares of at most that many bytes, and how nodes contend."""
+
+    schedule: Schedule
+    share_bytes: int
+    arbiter: Arbiter
+    classes: UrgencyClasses
+    latch_delay_us: float
+
+    @property
+    def arbiter_without_classes(self) -> Arbiter:
+        """The arbiter of a bus on which a node has one identifier: the most urgent bid wins."""
+        return ARBITERS["wtod"] if self.arbiter.by_class else self.arbiter
+
+
+def _flexray(chosen: FlexRay, asked: BusRequest) -> Bus:
+    cluster = _cluster(chosen.cluster, asked.schedule, asked.share_bytes, asked.classes.count)
+    return flexray_bus(
+        asked.schedule,
+        cluster,
+        asked.share_bytes,
+        asked.arbiter,
+        asked.latch_delay_us,
+        asked.classes,
+    )
+
+
+def _plca(chosen: Plca, asked: BusRequest) -> Bus:
+    timing = Timing(chosen.opportunity_bits, chosen.burst_frames)
+    return PlcaBus(asked.schedule, asked.share_bytes, asked.arbiter_without_classes, timing)
+
+
+def _ideal(chosen: Ideal, asked: BusRequest) -> Bus:
+    _check_timeless(asked.schedule)
+    return TimelessBus(asked.schedule, asked.share_bytes)
+
+
+def _user(chosen: UserBus, asked: BusRequest) -> Bus:
+    return user_bus(chosen, asked.schedule, asked.share_bytes, asked.arbiter_without_classes)
+
+
+class _BusKind(NamedTuple):
+    """How the buses of a class are built, and how their frames carry shares."""
+
+    build: Callable[[Any, BusRequest], Bus]
+    frames: Callable[[Any], FrameFormat]
+
+
+_BUSES: dict[type[SharedBus], _BusKind] = {
+    FlexRay: _BusKind(_flexray, lambda _: SHARE_FRAMES),
+    Plca: _BusKind(_plca, lambda _: ETHERNET.frame_format()),
+    Ideal: _BusKind(_ideal, lambda _: SHARE_FRAMES),
+    UserBus: _BusKind(_user, user_frame_format),
+}
 
 
 def _classes(scenario: Scenario, schedule: Schedule) -> UrgencyClasses:
@@ -169,8 +227,7 @@ def contenders_and_room(bus: Bus) -> tuple[int, int]:
 
 def frame_format(scenario: Scenario) -> FrameFormat:
     """Return how the frames of a scenario's bus carry shares."""
-    chosen = scenario.bus
-    return user_frame_format(chosen) if isinstance(chosen, UserBus) else SHARE_FRAMES
+    return _BUSES[type(scenario.bus)].frames(scenario.bus)
 
 
 def _check_timeless(schedule: Schedule) -> None:
@@ -179,7 +236,6 @@ def _check_timeless(schedule: Schedule) -> None:
     Raises:
         ValueError: naming the options and the cure.
     """
-    _check_no_relay(schedule, Ideal())
     if any(schedule.dynamic_slot_table):
         raise ValueError(
             "--bus ideal: the arbiter of a dynamic segment needs minislots; use --bus flexray, "
@@ -187,8 +243,8 @@ def _check_timeless(schedule: Schedule) -> None:
         )
 
 
-def _check_no_relay(schedule: Schedule, bus: SharedBus) -> None:
-    if schedule.relay:
+def _check_relay(schedule: Schedule, bus: SharedBus) -> None:
+    if schedule.relay and not isinstance(bus, FlexRay):
         raise ValueError(
             f"--relay --bus {bus.name}: whether a host can latch a frame at its slot depends "
             "on the time between frames; use --bus flexray, or leave --relay out"

@@ -65,8 +65,10 @@ class ScenarioOptions(TypedDict, total=False):
     arbiter: str
     urgency_classes: int
     trigger: float
-    cluster: str
     stretch: float
+    cluster: str
+    opportunity_bits: int
+    burst_frames: int
     filter: FILTER
     iterations: int
     bandwidth: float
@@ -116,8 +118,10 @@ class SweptOptions(TypedDict, total=False):
     arbiter: Sequence[str] | np.ndarray | str
     urgency_classes: Sequence[int] | np.ndarray | int
     trigger: Sequence[float] | np.ndarray | float
-    cluster: Sequence[str] | np.ndarray | str
     stretch: Sequence[float] | np.ndarray | float
+    cluster: Sequence[str] | np.ndarray | str
+    opportunity_bits: Sequence[int] | np.ndarray | int
+    burst_frames: Sequence[int] | np.ndarray | int
     filter: Sequence[FILTER] | np.ndarray | FILTER
     iterations: Sequence[int] | np.ndarray | int
     bandwidth: Sequence[float] | np.ndarray | float
