@@ -8,6 +8,9 @@ import msgspec
 
 from concord.bus.arbitration import ARBITERS, Arbiter
 from concord.bus.bus import Bus, FrameFormat
+from concord.bus.can_fd.bits import IDENTIFIER_BITS, Rates
+from concord.bus.can_fd.can_fd_bus import can_fd_bus
+from concord.bus.can_fd.frame import FRAMINGS as CAN_FRAMINGS
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.cluster_files import FILE_ENDINGS, read_cluster_file
 from concord.bus.flexray.fitted import fitted_cluster
@@ -32,6 +35,7 @@ from concord.nodes.rules.record_sets import bids_for_records
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.scenario import Scenario, lossy_links
 from concord.scenarios.types.buses import (
+    CanFd,
     FlexRay,
     Ideal,
     Plca,
@@ -158,6 +162,16 @@ def _plca(chosen: Plca, asked: BusRequest) -> Bus:
     return PlcaBus(asked.schedule, asked.share_bytes, asked.arbiter_without_classes, timing)
 
 
+def _can_fd(chosen: CanFd, asked: BusRequest) -> Bus:
+    bits = IDENTIFIER_BITS[chosen.identifiers]
+    rates = Rates(bits, chosen.nominal_kbit_s, chosen.data_kbit_s)
+    return can_fd_bus(asked.schedule, asked.share_bytes, asked.arbiter, asked.classes, rates)
+
+
+def _can_fd_frames(chosen: CanFd) -> FrameFormat:
+    return CAN_FRAMINGS[IDENTIFIER_BITS[chosen.identifiers]].frame_format()
+
+
 def _ideal(chosen: Ideal, asked: BusRequest) -> Bus:
     _check_timeless(asked.schedule)
     return TimelessBus(asked.schedule, asked.share_bytes)
@@ -177,6 +191,7 @@ class _BusKind(NamedTuple):
 _BUSES: dict[type[SharedBus], _BusKind] = {
     FlexRay: _BusKind(_flexray, lambda _: SHARE_FRAMES),
     Plca: _BusKind(_plca, lambda _: ETHERNET.frame_format()),
+    CanFd: _BusKind(_can_fd, _can_fd_frames),
     Ideal: _BusKind(_ideal, lambda _: SHARE_FRAMES),
     UserBus: _BusKind(_user, user_frame_format),
 }

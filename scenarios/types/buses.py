@@ -1,6 +1,6 @@
 """Buses as values: which nodes may publish in which cycle, and on what kind of bus."""
 
-from typing import Annotated, ClassVar, get_args
+from typing import Annotated, ClassVar, Literal, get_args
 
 from concord.scenarios.types.option import USER, Choice, Option, name_of
 from concord.scenarios.user_values import FromFile, builder_source
@@ -137,6 +137,21 @@ class Plca(TimedBus, frozen=True, kw_only=True, tag="plca"):
     ] = 0  # fmt: skip
 
 
+class CanFd(TimedBus, frozen=True, kw_only=True, tag="can-fd"):
+    """CAN FD: frames arbitrate by identifiers, which bids choose; the lowest identifier wins."""
+
+    serves_urgency: ClassVar[bool] = True
+    identifiers: Annotated[
+        Literal["base", "extended"], Option("Identifiers of 11 bits (base) or of 29 (extended).")
+    ] = "extended"
+    nominal_kbit_s: Annotated[
+        int, Option("Bit rate of the arbitration.", unit="kbit/s", at_least=10, at_most=1000)
+    ] = 500
+    data_kbit_s: Annotated[
+        int, Option("Bit rate of the data.", unit="kbit/s", at_least=10, at_most=8000)
+    ] = 2000
+
+
 class Ideal(SharedBus, frozen=True, kw_only=True, tag="ideal"):
     """Slots without time: whatever the schedule allows is transmitted."""
 
@@ -157,7 +172,7 @@ class UserBus(FromFile, TimedBus, frozen=True, kw_only=True, tag=USER):
         return found and cls(source=found.name, digest=found.digest)
 
 
-BusChoice = FlexRay | Plca | Ideal | UserBus
+BusChoice = FlexRay | Plca | CanFd | Ideal | UserBus
 
 
 def bus_type(name: str) -> type[SharedBus]:

@@ -23,6 +23,7 @@ else:
 NOISE = Literal["matched", "paper", "growing", "small", "outliers", "biased"]
 NUMBER = Literal["float64", "float32", "float16"]
 RECORD_NUMBER = Literal["int16", "float32", "float64"]
+IDENTIFIERS = Literal["base", "extended"]
 
 
 class ScenarioOptions(TypedDict, total=False):
@@ -69,6 +70,9 @@ class ScenarioOptions(TypedDict, total=False):
     cluster: str
     opportunity_bits: int
     burst_frames: int
+    identifiers: IDENTIFIERS
+    nominal_kbit_s: int
+    data_kbit_s: int
     filter: FILTER
     iterations: int
     bandwidth: float
@@ -122,6 +126,9 @@ class SweptOptions(TypedDict, total=False):
     cluster: Sequence[str] | np.ndarray | str
     opportunity_bits: Sequence[int] | np.ndarray | int
     burst_frames: Sequence[int] | np.ndarray | int
+    identifiers: Sequence[IDENTIFIERS] | np.ndarray | IDENTIFIERS
+    nominal_kbit_s: Sequence[int] | np.ndarray | int
+    data_kbit_s: Sequence[int] | np.ndarray | int
     filter: Sequence[FILTER] | np.ndarray | FILTER
     iterations: Sequence[int] | np.ndarray | int
     bandwidth: Sequence[float] | np.ndarray | float
