@@ -18,7 +18,7 @@ from concord.bus.flexray.flexray_bus import FlexRayBus, flexray_bus
 from concord.bus.flexray.presets import PRESETS, preset
 from concord.bus.flexray.share_frames import SHARE_FRAMES, payload_lengths
 from concord.bus.ideal import TimelessBus
-from concord.bus.plca.cycle import Timing
+from concord.bus.plca.cycle import PlcaSettings
 from concord.bus.plca.ethernet import FRAMING as ETHERNET
 from concord.bus.plca.plca_bus import PlcaBus
 from concord.bus.schedule import (
@@ -131,7 +131,7 @@ def plan_bus(scenario: Scenario, share_bytes: int, neighbours: Neighbours = ()) 
 
 
 class BusRequest(NamedTuple):
-    """What a bus is built for: shares of at most that many bytes, and how nodes contend."""
+    """The schedule of a bus, the longest share in bytes, and how nodes contend."""
 
     schedule: Schedule
     share_bytes: int
@@ -158,7 +158,7 @@ def _flexray(chosen: FlexRay, asked: BusRequest) -> Bus:
 
 
 def _plca(chosen: Plca, asked: BusRequest) -> Bus:
-    timing = Timing(chosen.opportunity_bits, chosen.burst_frames)
+    timing = PlcaSettings(chosen.opportunity_bits, chosen.burst_frames)
     return PlcaBus(asked.schedule, asked.share_bytes, asked.arbiter_without_classes, timing)
 
 

@@ -46,9 +46,16 @@ class FrameBits(NamedTuple):
     data: int
 
 
-class Wire(NamedTuple):
-    """What follows from the bits of a frame: those up to the CRC field with stuff bits, how many of
-    these are arbitration, the dynamic stuff bits, the stuff count with parity, and the CRC."""
+class FrameOnWire(NamedTuple):
+    """A frame bit by bit.
+
+    Attributes:
+        stuffed: the bits up to the CRC field, with stuff bits.
+        arbitration_bits: how many of these are sent at the nominal rate.
+        stuff_bits: how many of these are stuff bits.
+        stuff_count: of the CRC field, with its parity.
+        crc: the checksum.
+    """
 
     stuffed: str
     arbitration_bits: int
@@ -76,7 +83,7 @@ def head_bits(identifier: int, identifier_bits: int) -> str:
 
 
 @lru_cache(4096)
-def wire(identifier: int, identifier_bits: int, data: bytes) -> Wire:
+def wire(identifier: int, identifier_bits: int, data: bytes) -> FrameOnWire:
     """Return the bits of an error-active frame and its checksum. `data` has a length of CAN FD."""
     head = head_bits(identifier, identifier_bits)
     body = f"0{DATA_BYTES.index(len(data)):04b}" + "".join(f"{byte:08b}" for byte in data)
@@ -85,7 +92,7 @@ def wire(identifier: int, identifier_bits: int, data: bytes) -> Wire:
     count = stuff_count(stuff_bits)
     width, generator = crc_of(len(data))
     crc = checksum(f"{stuffed}{count:04b}", width, generator, 1 << width - 1)
-    return Wire(stuffed, arbitration_bits, stuff_bits, count, crc)
+    return FrameOnWire(stuffed, arbitration_bits, stuff_bits, count, crc)
 
 
 def stuff(bits: str, head: int) -> tuple[str, int]:
@@ -127,13 +134,6 @@ def checksum(bits: str, width: int, generator: int, initial: int) -> int:
         if feedback:
             register ^= generator
     return register
-
-
-def exact_bits(identifier: int, identifier_bits: int, data: bytes) -> FrameBits:
-    """Return the bits that a frame has with its own stuff bits."""
-    made = wire(identifier, identifier_bits, data)
-    behind = len(made.stuffed) - made.arbitration_bits
-    return FrameBits(made.arbitration_bits + _END_BITS, behind + _crc_field_bits(len(data)))
 
 
 def longest_bits(identifier_bits: int, size: int) -> FrameBits:

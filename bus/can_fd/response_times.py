@@ -10,8 +10,6 @@ from fractions import Fraction
 from math import ceil
 from typing import NamedTuple
 
-Number = Fraction | float
-
 
 class Message(NamedTuple):
     """A message of a node.
@@ -21,17 +19,15 @@ class Message(NamedTuple):
         time_us: longest frame with the intermission behind it.
         period_us: shortest time between requests.
         jitter_us: longest time from the event of a request to the queue.
-        deadline_us: of the response; None for none.
     """
 
     identifier: int
-    time_us: Number
-    period_us: Number
-    jitter_us: Number = 0
-    deadline_us: Number | None = None
+    time_us: Fraction | float
+    period_us: Fraction | float
+    jitter_us: Fraction | float = 0
 
 
-class Response(NamedTuple):
+class MessageResponse(NamedTuple):
     """The bound of a message.
 
     `worst_us` counts from the event of a request to the end of the intermission; None where frames
@@ -43,14 +39,8 @@ class Response(NamedTuple):
     blocking_us: Fraction
     instances: int
 
-    def meets(self, message: Message) -> bool:
-        """Whether the message always keeps its deadline."""
-        if self.worst_us is None:
-            return False
-        return message.deadline_us is None or self.worst_us <= message.deadline_us
 
-
-def response_times(messages: Sequence[Message], bit_us: Number) -> list[Response]:
+def response_times(messages: Sequence[Message], bit_us: Fraction | float) -> list[MessageResponse]:
     """Return the bound of each message, by identifier. `bit_us` is a bit of the arbitration.
 
     Raises:
@@ -77,13 +67,13 @@ def _exact(one: Message) -> Message:
     )
 
 
-def _response(ordered: Sequence[Message], place: int, bit_us: Fraction) -> Response:
+def _response(ordered: Sequence[Message], place: int, bit_us: Fraction) -> MessageResponse:
     own, level = ordered[place], ordered[: place + 1]
     blocking = Fraction(max((one.time_us for one in ordered[place + 1 :]), default=0))
     use = sum(Fraction(one.time_us) / Fraction(one.period_us) for one in level)
     waits = blocking or any(one.jitter_us for one in level)
     if use > 1 or (use == 1 and waits):
-        return Response(own.identifier, None, blocking, 0)
+        return MessageResponse(own.identifier, None, blocking, 0)
     busy = _fixed_point(blocking, level, Fraction(0), Fraction(own.time_us))
     instances = ceil((busy + Fraction(own.jitter_us)) / Fraction(own.period_us))
     worst, wait = Fraction(0), blocking
@@ -92,7 +82,7 @@ def _response(ordered: Sequence[Message], place: int, bit_us: Fraction) -> Respo
         wait = _fixed_point(ready, ordered[:place], bit_us, max(wait, ready))
         end = wait - instance * Fraction(own.period_us) + Fraction(own.time_us)
         worst = max(worst, Fraction(own.jitter_us) + end)
-    return Response(own.identifier, worst, blocking, instances)
+    return MessageResponse(own.identifier, worst, blocking, instances)
 
 
 def _fixed_point(

@@ -13,7 +13,7 @@ BIT_US = 0.1
 BEACON_BITS = 20
 
 
-class Timing(NamedTuple):
+class PlcaSettings(NamedTuple):
     """Settings of all nodes of a PLCA network.
 
     Attributes:
@@ -26,7 +26,7 @@ class Timing(NamedTuple):
     burst_frames: int = 0
 
 
-class Sent(NamedTuple):
+class PlcaTransmission(NamedTuple):
     """Frame `number` of a node, in bit times from the first beacon: preamble to check sequence."""
 
     node: int
@@ -35,13 +35,15 @@ class Sent(NamedTuple):
     end_bits: int
 
 
-def walk(timing: Timing, payloads: Sequence[Sequence[int]]) -> tuple[list[Sent], int]:
+def walk(
+    timing: PlcaSettings, payloads: Sequence[Sequence[int]]
+) -> tuple[list[PlcaTransmission], int]:
     """Return the frames of all nodes with their times, and the end of the last PLCA cycle.
 
     `payloads` has the payload bytes of each frame of each node, ready at the first beacon. PLCA
     cycles follow each other until all are sent.
     """
-    sent: list[Sent] = []
+    sent: list[PlcaTransmission] = []
     done, now = [0] * len(payloads), 0
     while any(count < len(sizes) for count, sizes in zip(done, payloads, strict=True)):
         now += BEACON_BITS
@@ -51,13 +53,13 @@ def walk(timing: Timing, payloads: Sequence[Sequence[int]]) -> tuple[list[Sent],
             for number, size in enumerate(turn, first):
                 start = now + GAP_BITS
                 now = start + frame_bits(size)
-                sent.append(Sent(node, number, start, now))
+                sent.append(PlcaTransmission(node, number, start, now))
             done[node] += len(turn)
             now += 0 if turn else timing.opportunity_bits
     return sent, now
 
 
-def cycles_of(timing: Timing, frames: int) -> int:
+def cycles_of(timing: PlcaSettings, frames: int) -> int:
     """Return the PLCA cycles that a share of so many frames takes."""
     return -(-frames // (1 + timing.burst_frames))
 
@@ -67,14 +69,16 @@ def share_bits(payloads: Sequence[int]) -> int:
     return sum(GAP_BITS + frame_bits(size) for size in payloads)
 
 
-def longest_walk_bits(timing: Timing, nodes: int, senders: int, payloads: Sequence[int]) -> int:
+def longest_walk_bits(
+    timing: PlcaSettings, nodes: int, senders: int, payloads: Sequence[int]
+) -> int:
     """Return the time in which `senders` of the nodes send a share of these frames each."""
     cycles = cycles_of(timing, len(payloads))
     idle = cycles * (BEACON_BITS + (nodes - senders) * timing.opportunity_bits)
     return idle + senders * share_bits(payloads)
 
 
-def worst_access_bits(timing: Timing, nodes: int, payloads: Sequence[int]) -> int:
+def worst_access_bits(timing: PlcaSettings, nodes: int, payloads: Sequence[int]) -> int:
     """Return the longest time from the request of a share to its last bit.
 
     The request comes as the opportunity of its node has begun, and all other nodes send as many of

@@ -6,7 +6,7 @@ from concord.bus.arbitration import Arbiter
 from concord.bus.bus import Transmission
 from concord.bus.identified_bus import IdentifiedBus
 from concord.bus.identified_frames import frame_id_of
-from concord.bus.plca.cycle import BIT_US, Timing, longest_walk_bits, walk, worst_access_bits
+from concord.bus.plca.cycle import BIT_US, PlcaSettings, longest_walk_bits, walk, worst_access_bits
 from concord.bus.plca.ethernet import FRAMING, MAX_NODES
 from concord.bus.schedule import Schedule
 from concord.bus.urgency_classes import ONE_CLASS
@@ -25,7 +25,7 @@ class PlcaBus(IdentifiedBus):
     name = "plca"
 
     def __init__(
-        self, schedule: Schedule, share_bytes: int, arbiter: Arbiter, timing: Timing
+        self, schedule: Schedule, share_bytes: int, arbiter: Arbiter, timing: PlcaSettings
     ) -> None:
         if schedule.nodes > MAX_NODES:
             raise ValueError(

@@ -31,8 +31,10 @@ _LAST_BIT = 1
 def capture(
     setup: Setup, trace: Trace, messages: Iterable[tuple[str, bytes]]
 ) -> list[Captured] | None:
-    """The frames of a recording in the order and at the time of the bus; None for one without time,
-    for one whose frames no capture file has, or for one that was replaced by another in the run.
+    """The frames of a recording in the order and at the time of the bus.
+
+    None for a bus without time, for one whose frames no capture file has, or for one that was
+    replaced by another in the run.
 
     Frames of steps that not every node completed are left out, and so are frames of shares of which
     the recording has lost a part. A cluster with two channels carries each frame on both.

@@ -11,9 +11,9 @@ from concord.bus.arbitration import ARBITERS, award, begin_arbitration
 from concord.bus.bus import Rejected
 from concord.bus.can_fd.bits import (
     DATA_BYTES,
+    FrameBits,
     Rates,
     checksum,
-    exact_bits,
     head_bits,
     longest_bits,
     padded,
@@ -37,6 +37,15 @@ contents = sizes.flatmap(
     ).map(bytes)
 )
 formats = st.sampled_from((11, 29))
+
+
+def exact_bits(identifier: int, identifier_bits: int, data: bytes) -> FrameBits:
+    """Bits with the stuff bits that a frame has: the CRC field is 4 + 17 bits with 6 fixed stuff
+    bits, or 4 + 21 with 7; the end is 10."""
+    made = wire(identifier, identifier_bits, data)
+    behind = len(made.stuffed) - made.arbitration_bits
+    return FrameBits(made.arbitration_bits + 10, behind + (27 if len(data) <= 16 else 32))
+
 
 # --- bits ----------------------------------------------------------------------------------------
 

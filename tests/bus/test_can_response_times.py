@@ -50,8 +50,6 @@ def test_the_third_message_of_the_published_example_is_worst_in_its_second_insta
     found = response_times(times, 8)
     assert [float(one.worst_us or 0) for one in found] == [2000, 3000, 3500]
     assert found[2].instances == 2
-    assert found[2].meets(times[2]._replace(deadline_us=3500))
-    assert not found[2].meets(times[2]._replace(deadline_us=3250))
 
 
 sets = st.lists(
@@ -74,9 +72,10 @@ def test_no_simulated_response_exceeds_its_bound(drawn: list[tuple[int, int, int
 def test_the_bound_is_reached_where_all_ask_as_a_lower_frame_begins():
     messages = [Message(1, 100, 900), Message(2, 80, 1000), Message(3, 120, 5000)]
     bounds = response_times(messages, 1)
+    worst = [one.worst_us or 0 for one in bounds]
     # Message 3 begins at 0, the others ask one unit of time later.
     seen = simulated(messages, [1, 1, 0], 900, 1)
-    assert seen[0] == bounds[0].worst_us - 1 and seen[1] == bounds[1].worst_us - 1
+    assert seen[0] == worst[0] - 1 and seen[1] == worst[1] - 1
     assert bounds[2].worst_us == 300 and bounds[2].blocking_us == 0
 
 

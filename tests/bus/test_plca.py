@@ -13,7 +13,7 @@ from concord.bus.arbitration import ARBITERS
 from concord.bus.bus import Rejected
 from concord.bus.captured import Captured
 from concord.bus.plca.cycle import (
-    Timing,
+    PlcaSettings,
     longest_walk_bits,
     share_bits,
     walk,
@@ -25,7 +25,7 @@ from concord.bus.schedule import full_publish, round_robin
 from concord.scenarios.user_bus import broken_promises
 from tests.bus.support import long_division, quick
 
-timings = st.builds(Timing, st.integers(1, 255), st.integers(0, 3))
+timings = st.builds(PlcaSettings, st.integers(1, 255), st.integers(0, 3))
 payloads = st.binary(min_size=46, max_size=400)
 
 # --- frames --------------------------------------------------------------------------------------
@@ -93,7 +93,7 @@ def test_a_collision_is_captured_with_a_wrong_check_sequence():
 # --- PLCA cycles ---------------------------------------------------------------------------------
 
 
-def by_tokens(timing: Timing, queues: Sequence[Sequence[int]]) -> list[tuple[int, int, int]]:
+def by_tokens(timing: PlcaSettings, queues: Sequence[Sequence[int]]) -> list[tuple[int, int, int]]:
     """Node, start and end of each frame, as nodes see it that count opportunities themselves."""
     waiting, now, found = [deque(queue) for queue in queues], 0, []
     while any(waiting):
@@ -112,14 +112,16 @@ def by_tokens(timing: Timing, queues: Sequence[Sequence[int]]) -> list[tuple[int
 
 @quick
 @given(timings, st.lists(st.lists(st.integers(1, 1500), max_size=4), min_size=1, max_size=6))
-def test_frames_follow_the_beacon_and_the_opportunities(timing: Timing, queues: list[list[int]]):
+def test_frames_follow_the_beacon_and_the_opportunities(
+    timing: PlcaSettings, queues: list[list[int]]
+):
     sent, _ = walk(timing, queues)
     assert [(one.node, one.start_bits, one.end_bits) for one in sent] == by_tokens(timing, queues)
 
 
 @quick
 @given(timings, st.integers(1, 9), st.data())
-def test_the_longest_walk_is_a_closed_form(timing: Timing, nodes: int, data):
+def test_the_longest_walk_is_a_closed_form(timing: PlcaSettings, nodes: int, data):
     senders = data.draw(st.sets(st.integers(0, nodes - 1), min_size=1))
     share = data.draw(st.lists(st.integers(1, 1500), min_size=1, max_size=5))
     queues = [share if node in senders else [] for node in range(nodes)]
@@ -127,7 +129,7 @@ def test_the_longest_walk_is_a_closed_form(timing: Timing, nodes: int, data):
     assert end == longest_walk_bits(timing, nodes, len(senders), share)
 
 
-def worst_seen(timing: Timing, nodes: int, share: Sequence[int], seed: int) -> int:
+def worst_seen(timing: PlcaSettings, nodes: int, share: Sequence[int], seed: int) -> int:
     """The longest wait of node 0 while all others always have frames, over random requests."""
     drawn = random.Random(seed)
     longest, most = max(share), 1 + timing.burst_frames
@@ -163,7 +165,7 @@ def worst_seen(timing: Timing, nodes: int, share: Sequence[int], seed: int) -> i
 @pytest.mark.parametrize("burst", [0, 1])
 @pytest.mark.parametrize("share", [(168,), (1500, 1500, 500)])
 def test_no_request_waits_longer_than_the_bound(burst: int, share: tuple[int, ...]):
-    timing = Timing(burst_frames=burst)
+    timing = PlcaSettings(burst_frames=burst)
     bound = worst_access_bits(timing, 6, share)
     seen = max(worst_seen(timing, 6, share, seed) for seed in range(30))
     assert 0.9 * bound < seen <= bound
@@ -173,7 +175,7 @@ def test_no_request_waits_longer_than_the_bound(burst: int, share: tuple[int, ..
 
 
 def bus_of(share_bytes: int = 160, nodes: int = 5, **timing: int) -> PlcaBus:
-    return PlcaBus(full_publish(nodes), share_bytes, ARBITERS["wtod"], Timing(**timing))
+    return PlcaBus(full_publish(nodes), share_bytes, ARBITERS["wtod"], PlcaSettings(**timing))
 
 
 @pytest.mark.parametrize("share_bytes", [1, 160, 1492, 4000])
@@ -186,7 +188,7 @@ def test_the_bus_keeps_the_promises_of_the_interface(share_bytes: int, burst_fra
 def test_the_cycle_is_the_longest_round_of_the_schedule():
     # By hand: beacon 2 us, gap 9.6 us and 8 + 14 + 168 + 4 bytes at 0.8 us for each node.
     assert bus_of().cycle_us == pytest.approx(2 + 5 * (9.6 + 0.8 * 194))
-    turns = PlcaBus(round_robin(5, 2), 160, ARBITERS["wtod"], Timing())
+    turns = PlcaBus(round_robin(5, 2), 160, ARBITERS["wtod"], PlcaSettings())
     assert turns.cycle_us == pytest.approx(2 + 3 * 3.2 + 2 * (9.6 + 0.8 * 194))
     full = bus_of().transmissions(0, [168] * 5)
     assert full[-1].end_us == pytest.approx(bus_of().cycle_us)
@@ -212,7 +214,7 @@ def test_a_frame_counts_for_its_own_sender_alone():
         bus.place(3, fragment)
     moved = bus.in_slot_of(frame, 3, 7)
     assert moved is not None and bus.place(3, bus.receive(moved)).number == 0
-    turns = PlcaBus(round_robin(5, 2), 160, ARBITERS["wtod"], Timing())
+    turns = PlcaBus(round_robin(5, 2), 160, ARBITERS["wtod"], PlcaSettings())
     with pytest.raises(Rejected, match="unscheduled"):
         turns.place(2, fragment)
     with pytest.raises(Rejected, match="null-frame"):
