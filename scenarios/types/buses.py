@@ -37,8 +37,8 @@ class ContendedSchedule(PartialSchedule, frozen=True, kw_only=True):
     arbiter: Annotated[
         str,
         Option(
-            "Arbiter of the dynamic segment: urgency and minislot (FlexRay's own), wtod and "
-            "round-robin (ideal: no controller does that), FILE.py:NAME.",
+            "Arbiter of the dynamic segment: urgency and minislot (FlexRay's own), wtod (ideal, "
+            "but real on CAN FD), round-robin (ideal: no controller does that), FILE.py:NAME.",
             is_setting=True,
         ),
     ] = URGENCY

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from concord.bus.can_fd.response_times import Message, response_times
 from tests.bus.support import quick
+from tests.pages import ROOT, blocks
 
 
 def simulated(
@@ -92,3 +93,9 @@ def test_absurd_messages_are_refused():
         response_times([Message(1, 10, 100), Message(1, 20, 100)], 1)
     with pytest.raises(ValueError, match="message 4 lasts 0 us"):
         response_times([Message(4, 0, 100)], 1)
+
+
+def test_the_code_of_the_page_runs():
+    page = (ROOT / "docs" / "buses.md").read_text(encoding="utf-8")
+    (code,) = blocks(page, "python")
+    exec(code, {})
