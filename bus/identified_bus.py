@@ -36,6 +36,7 @@ class IdentifiedBus(ABC):
     """
 
     name: str
+    segment_name: str
     has_time = True
     channels = "A"
     # No slot has an edge that a clock could miss.
@@ -175,7 +176,7 @@ class IdentifiedBus(ABC):
 
     def segments(self) -> tuple[SegmentTime, ...]:
         """Return one segment, the whole cycle."""
-        return (SegmentTime("static", 0.0, self.cycle_us),)
+        return (SegmentTime(self.segment_name, 0.0, self.cycle_us),)
 
     def marks_us(self) -> tuple[Sequence[float], Sequence[float]]:
         """Return no marks: a frame begins when the one before it has ended."""

@@ -27,6 +27,7 @@ class CanFdBus(IdentifiedBus):
     """
 
     name = "can-fd"
+    segment_name = "arbitration"
 
     def __init__(
         self,

@@ -23,6 +23,7 @@ class PlcaBus(IdentifiedBus):
     """
 
     name = "plca"
+    segment_name = "transmit opportunities"
 
     def __init__(
         self, schedule: Schedule, share_bytes: int, arbiter: Arbiter, timing: PlcaSettings

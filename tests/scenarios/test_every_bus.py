@@ -1,5 +1,6 @@
 """Every bus of the table: its promises, every driver, its faults, its capture, sweep and design."""
 
+import re
 import struct
 from pathlib import Path
 from typing import get_args
@@ -8,6 +9,10 @@ import numpy as np
 import pytest
 
 from concord.bus.bus import Rejected
+from concord.bus.recordings.pcap import write_pcap
+from concord.dashboard.frames.stage import set_stage
+from concord.dashboard.panels.timeline import TimelineView
+from concord.dashboard.theme import DARK
 from concord.experiments.agreement import agreement
 from concord.experiments.results.bus_capture import capture
 from concord.experiments.results.bus_report import figures_of, lines
@@ -20,7 +25,8 @@ from concord.scenarios.setup import Setup
 from concord.scenarios.types.buses import BusChoice, TimedBus, UserBus
 from concord.scenarios.types.option import name_of
 from concord.scenarios.user_bus import broken_promises
-from tests.experiments.flexray_support import concord, refused
+from tests.dashboard.runs import frames_of
+from tests.experiments.flexray_support import concord, dissect, needs_tshark, refused
 from tests.experiments.support import scenario
 from tests.experiments.test_bus_capture import packets
 
@@ -145,6 +151,55 @@ def test_a_run_reports_its_bus(bus: str, tmp_path: Path, capsys: pytest.CaptureF
     assert 0 < figures["load_max"] <= 1 and 0 < figures["delay_us_max"] <= 3 * figures["cycle_us"]
     (kept,) = struct.unpack_from("<I", (tmp_path / "run" / "bus.pcap").read_bytes(), 20)
     assert kept == build_bus(network(bus)).frame_format.link.number  # pyright: ignore
+
+
+@needs_tshark
+@pytest.mark.parametrize(
+    ("bus", "field"), [("plca", "eth.type"), ("can-fd", "can.id"), ("flexray", "flexray.fid")]
+)
+def test_wireshark_reads_the_capture(bus: str, field: str, tmp_path: Path):
+    setup = network(bus)
+    messages = list(in_memory(setup))
+    found = capture(setup, read_trace(setup, messages), messages)
+    assert found is not None
+    link = build_bus(setup).frame_format.link
+    assert link is not None
+    write_pcap(tmp_path / "bus.pcap", found, link)
+    rows = dissect(tmp_path / "bus.pcap", field, "_ws.malformed")
+    assert len(rows) == len(found) and all(read and not malformed for read, malformed in rows)
+    if bus == "plca":
+        assert {int(read, 0) for read, _ in rows} == {0x88B5}
+
+
+@pytest.mark.parametrize("bus", [name for name in TIMED if name != "flexray"])
+def test_the_dashboard_draws_a_cycle_to_scale(bus: str):
+    setup = network(bus, **CONTENDED)
+    stage = set_stage(setup)
+    frame = frames_of(stage, in_memory(setup))[-1]
+    cycle = frame.cycles[-1]
+    drawn = TimelineView(stage).draw(DARK, frame, [cycle], cycle, 0.0, None)
+    boxes = re.findall(r'data-node="(\d+)".*?<rect x="([\d.]+)" y="[\d.]+" width="([\d.]+)"', drawn)
+    assert {int(node) for node, *_ in boxes} == {one.node for one in cycle.frames}
+    assert stage.bus.segments()[0].name in drawn and "STATIC" not in drawn
+
+
+@pytest.mark.parametrize("bus", TIMED)
+def test_a_running_network_takes_another_occupancy(bus: str):
+    setup = network(bus, changes=("4 set occupancy=0.4",), steps=12)
+    trace = read_trace(setup, in_memory(setup))
+    sent = (trace.payload_bytes > 0).sum(axis=-1)
+    assert (sent[:4] == 5).all() and (sent[6:] == 2).all()
+    assert not departures(setup, trace)
+
+
+@pytest.mark.zenoh
+@pytest.mark.parametrize("bus", [name for name in TIMED if name != "flexray"])
+def test_it_sets_the_pace_of_real_time(bus: str, capsys: pytest.CaptureFixture[str]):
+    said = concord(
+        capsys, "run", "--scenario", "oscillator", "--nodes", 3, "--steps", 4, "--bus", bus,
+        "--driver", "realtime", "--json",
+    )  # fmt: skip
+    assert said.code == 0, said
 
 
 @pytest.mark.parametrize("bus", TIMED)
