@@ -1,1 +1,1 @@
-"""FlexRay: what may be said, when, and in which bytes; imports nothing of ours."""
+"""Buses: which node sends when, and in which bytes; imports nothing of ours."""

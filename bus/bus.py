@@ -1,7 +1,8 @@
 """The interface of a bus: which node sends when, in which bytes, and how long that takes.
 
 Nodes, environment, drivers and reports know a bus by this face alone.
-`concord.bus.flexray.flexray_bus` and `concord.bus.ideal` implement it.
+`concord.bus.flexray.flexray_bus`, `concord.bus.plca.plca_bus`, `concord.bus.can_fd.can_fd_bus` and
+`concord.bus.ideal` implement it.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from concord.bus.arbitration import ArbiterState
+from concord.bus.captured import Link
 from concord.bus.schedule import Schedule
 
 
@@ -81,6 +83,7 @@ class FrameFormat(NamedTuple):
         emptied: the frame with nothing in it, as a controller sends it that its host left alone.
         miscounted: the frame whose header is so many cycles ahead of its payload.
         on_channel: a frame of a share as it is on the channel of that name.
+        link: how capture files keep the frames; None for frames that no capture file has.
     """
 
     name: str
@@ -95,6 +98,7 @@ class FrameFormat(NamedTuple):
     emptied: Callable[[bytes], bytes]
     miscounted: Callable[[bytes, int], bytes]
     on_channel: Callable[[bytes, str], bytes]
+    link: Link | None = None
 
 
 class Awards(NamedTuple):
@@ -223,6 +227,12 @@ class Bus(Protocol):
     @property
     def clock_precision_us(self) -> float:
         """How far two clocks may be apart before a frame leaves its slot; 0 without time."""
+        ...
+
+    @property
+    def worst_access_us(self) -> float:
+        """The longest time from the request of a share, at any moment, to its last bit; NaN for a
+        bus that states none."""
         ...
 
     def segments(self) -> tuple[SegmentTime, ...]:

@@ -27,6 +27,7 @@ class TimelessBus(SlottedBus):
     cycle_us = 0.0
     channels = "A"
     clock_precision_us = 0.0
+    worst_access_us = nan
 
     def __init__(
         self, schedule: Schedule, share_bytes: int, arbiter: Arbiter = ARBITERS["wtod"]

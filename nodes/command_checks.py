@@ -1,6 +1,7 @@
 """Checks of commands: refuse each one that the network cannot obey now, and say why."""
 
 from collections.abc import Sequence
+from math import isfinite
 
 from concord.nodes.changes import Standing
 from concord.nodes.commands import (
@@ -158,6 +159,9 @@ def _check_need(command: Inject, equipment: Equipment) -> None:
         case "a cluster":
             timed = equipment.cycle_us > 0
             _require(timed, kind, "a bus without time has no slots to miss; choose a --cluster")
+            edged = isfinite(equipment.precision_us)
+            why = "frames of this bus have identifiers and no slots to miss; choose --bus flexray"
+            _require(edged, kind, why)
         case "two channels":
             channels = equipment.channels
             both = len(channels) == len(CHANNELS)

@@ -3,11 +3,15 @@
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import msgspec
 
 from concord.bus.arbitration import ARBITERS, Arbiter
 from concord.bus.bus import Bus, FrameFormat
+from concord.bus.can_fd.bits import IDENTIFIER_BITS, Rates
+from concord.bus.can_fd.can_fd_bus import can_fd_bus
+from concord.bus.can_fd.frame import FRAMINGS as CAN_FRAMINGS
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.files.cluster_files import FILE_ENDINGS, read_cluster_file
 from concord.bus.flexray.files.slot_file import read_slot_file
@@ -18,6 +22,9 @@ from concord.bus.flexray.presets import PRESETS, preset
 from concord.bus.flexray.share_frames import SHARE_FRAMES, payload_lengths
 from concord.bus.flexray.written_slots import written_schedule
 from concord.bus.ideal import TimelessBus
+from concord.bus.plca.cycle import PlcaSettings
+from concord.bus.plca.ethernet import FRAMING as ETHERNET
+from concord.bus.plca.plca_bus import PlcaBus
 from concord.bus.schedule import (
     Schedule,
     dynamic_only,
@@ -32,8 +39,10 @@ from concord.nodes.rules.record_sets import bids_for_records
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.scenario import Scenario, lossy_links
 from concord.scenarios.types.buses import (
+    CanFd,
     FlexRay,
     Ideal,
+    Plca,
     SharedBus,
     UserBus,
     WrittenSchedule,
@@ -102,7 +111,8 @@ def build_schedule(scenario: Scenario, neighbours: Neighbours = ()) -> Schedule:
         return wiring.schedule(scenario)
     chosen = scenario.bus.schedule
     if isinstance(chosen, WrittenSchedule):
-        cluster, slots = _written(scenario)
+        assert isinstance(scenario.bus, FlexRay)
+        cluster, slots = _written(scenario.bus, chosen)
         with _naming(chosen.slots):
             schedule = written_schedule(slots, cluster, scenario.nodes)
         return _relayed(scenario, schedule)
@@ -126,15 +136,13 @@ def _naming(slots: str) -> Iterator[None]:
         raise ValueError(f"--slots {slots}: {error}") from None
 
 
-def _written(scenario: Scenario) -> tuple[Cluster, tuple[MessageSlot, ...]]:
-    """Return the cluster and the slots of a scenario with a written table.
+def _written(bus: FlexRay, schedule: WrittenSchedule) -> tuple[Cluster, tuple[MessageSlot, ...]]:
+    """Return the cluster and the slots of a bus with a written table.
 
     Raises:
         ValueError: there is no such table, or no cluster that it could be of.
     """
-    bus = scenario.bus
-    assert isinstance(bus, FlexRay) and isinstance(bus.schedule, WrittenSchedule)
-    if not bus.schedule.slots:
+    if not schedule.slots:
         raise ValueError("--schedule written: name its slot table with --slots FILE.toml")
     if bus.cluster in (FITTED, REDUNDANT):
         raise ValueError(
@@ -142,8 +150,8 @@ def _written(scenario: Scenario) -> tuple[Cluster, tuple[MessageSlot, ...]]:
             f"({', '.join(PRESETS)}) or a file"
         )
     cluster = _named_cluster(bus.cluster)
-    with _naming(bus.schedule.slots):
-        return cluster, read_slot_file(Path(bus.schedule.slots), cluster)
+    with _naming(schedule.slots):
+        return cluster, read_slot_file(Path(schedule.slots), cluster)
 
 
 def plan_bus(scenario: Scenario, share_bytes: int, neighbours: Neighbours = ()) -> Bus:
@@ -153,24 +161,87 @@ def plan_bus(scenario: Scenario, share_bytes: int, neighbours: Neighbours = ()) 
         ValueError: unknown names, unreadable files, or a cluster that does not hold the schedule.
     """
     schedule, chosen = build_schedule(scenario, neighbours), scenario.bus
-    if isinstance(chosen, Ideal):
-        _check_timeless(schedule)
-        return TimelessBus(schedule, share_bytes)
-    arbiter = arbiter_named(arbiter_of(chosen.schedule))
-    if isinstance(chosen, UserBus):
-        _check_no_relay(schedule, chosen)
-        # Its nodes have no frame IDs by class, so the most urgent bid wins.
-        arbiter = ARBITERS["wtod"] if arbiter.by_class else arbiter
-        return user_bus(chosen, schedule, share_bytes, arbiter)
+    _check_relay(schedule, chosen)
+    request = BusRequest(
+        schedule,
+        share_bytes,
+        arbiter_named(arbiter_of(chosen.schedule)),
+        _classes(scenario, schedule),
+        latch_delay_of(scenario.rule) or 0.0,
+    )
+    return _BUSES[type(chosen)].build(chosen, request)
+
+
+class BusRequest(NamedTuple):
+    """The schedule of a bus, the longest share in bytes, and how nodes contend."""
+
+    schedule: Schedule
+    share_bytes: int
+    arbiter: Arbiter
+    classes: UrgencyClasses
+    latch_delay_us: float
+
+    @property
+    def arbiter_without_classes(self) -> Arbiter:
+        """The arbiter of a bus on which a node has one identifier: the most urgent bid wins."""
+        return ARBITERS["wtod"] if self.arbiter.by_class else self.arbiter
+
+
+def _flexray(chosen: FlexRay, asked: BusRequest) -> Bus:
     if isinstance(chosen.schedule, WrittenSchedule):
-        cluster, slots = _written(scenario)
-        _check_no_written_relay(schedule)
+        cluster, slots = _written(chosen, chosen.schedule)
+        _check_no_written_relay(asked.schedule)
         with _naming(chosen.schedule.slots):
-            return written_bus(slots, cluster, schedule, share_bytes, arbiter)
-    classes = _classes(scenario, schedule)
-    cluster = _cluster(chosen.cluster, schedule, share_bytes, classes.count)
-    latch_us = latch_delay_of(scenario.rule) or 0.0
-    return flexray_bus(schedule, cluster, share_bytes, arbiter, latch_us, classes)
+            return written_bus(slots, cluster, asked.schedule, asked.share_bytes, asked.arbiter)
+    cluster = _cluster(chosen.cluster, asked.schedule, asked.share_bytes, asked.classes.count)
+    return flexray_bus(
+        asked.schedule,
+        cluster,
+        asked.share_bytes,
+        asked.arbiter,
+        asked.latch_delay_us,
+        asked.classes,
+    )
+
+
+def _plca(chosen: Plca, asked: BusRequest) -> Bus:
+    timing = PlcaSettings(chosen.opportunity_bits, chosen.burst_frames)
+    return PlcaBus(asked.schedule, asked.share_bytes, asked.arbiter_without_classes, timing)
+
+
+def _can_fd(chosen: CanFd, asked: BusRequest) -> Bus:
+    bits = IDENTIFIER_BITS[chosen.identifiers]
+    rates = Rates(bits, chosen.nominal_kbit_s, chosen.data_kbit_s)
+    return can_fd_bus(asked.schedule, asked.share_bytes, asked.arbiter, asked.classes, rates)
+
+
+def _can_fd_frames(chosen: CanFd) -> FrameFormat:
+    return CAN_FRAMINGS[IDENTIFIER_BITS[chosen.identifiers]].frame_format()
+
+
+def _ideal(chosen: Ideal, asked: BusRequest) -> Bus:
+    _check_timeless(asked.schedule)
+    return TimelessBus(asked.schedule, asked.share_bytes)
+
+
+def _user(chosen: UserBus, asked: BusRequest) -> Bus:
+    return user_bus(chosen, asked.schedule, asked.share_bytes, asked.arbiter_without_classes)
+
+
+class _BusKind(NamedTuple):
+    """How the buses of a class are built, and how their frames carry shares."""
+
+    build: Callable[[Any, BusRequest], Bus]
+    frames: Callable[[Any], FrameFormat]
+
+
+_BUSES: dict[type[SharedBus], _BusKind] = {
+    FlexRay: _BusKind(_flexray, lambda _: SHARE_FRAMES),
+    Plca: _BusKind(_plca, lambda _: ETHERNET.frame_format()),
+    CanFd: _BusKind(_can_fd, _can_fd_frames),
+    Ideal: _BusKind(_ideal, lambda _: SHARE_FRAMES),
+    UserBus: _BusKind(_user, user_frame_format),
+}
 
 
 def _classes(scenario: Scenario, schedule: Schedule) -> UrgencyClasses:
@@ -218,8 +289,7 @@ def contenders_and_room(bus: Bus) -> tuple[int, int]:
 
 def frame_format(scenario: Scenario) -> FrameFormat:
     """Return how the frames of a scenario's bus carry shares."""
-    chosen = scenario.bus
-    return user_frame_format(chosen) if isinstance(chosen, UserBus) else SHARE_FRAMES
+    return _BUSES[type(scenario.bus)].frames(scenario.bus)
 
 
 def _check_timeless(schedule: Schedule) -> None:
@@ -228,7 +298,6 @@ def _check_timeless(schedule: Schedule) -> None:
     Raises:
         ValueError: naming the options and the cure.
     """
-    _check_no_relay(schedule, Ideal())
     if any(schedule.dynamic_slot_table):
         raise ValueError(
             "--bus ideal: the arbiter of a dynamic segment needs minislots; use --bus flexray, "
@@ -236,8 +305,8 @@ def _check_timeless(schedule: Schedule) -> None:
         )
 
 
-def _check_no_relay(schedule: Schedule, bus: SharedBus) -> None:
-    if schedule.relay:
+def _check_relay(schedule: Schedule, bus: SharedBus) -> None:
+    if schedule.relay and not isinstance(bus, FlexRay):
         raise ValueError(
             f"--relay --bus {bus.name}: whether a host can latch a frame at its slot depends "
             "on the time between frames; use --bus flexray, or leave --relay out"

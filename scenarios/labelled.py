@@ -34,6 +34,9 @@ _NEGLIGIBLE_LOSS = 0.01
 # Range and bearing are two numbers. The record of most sensors takes fewer bytes than the content.
 _USUAL_NUMBERS = 2
 _LEAST_CONTENT_BYTES = 96
+# The longest of FlexRay. Longer frames of other buses would lengthen their cycles unasked, and
+# shorter ones hold no share.
+_USUAL_PAYLOAD_BYTES = 254
 
 
 def flooding_of(scenario: Scenario) -> MeasurementFlooding:
@@ -81,7 +84,7 @@ def largest_share(scenario: Scenario, states: int) -> int:
     """
     form, checkpoint = frame_format(scenario), BeliefCodec(states, _CHECKPOINT_NUMBER).size
     asked = flooding_of(scenario).payload_bytes
-    most = form.payload_limit_bytes if asked is None else asked
+    most = _USUAL_PAYLOAD_BYTES if asked is None else asked
     limit = most - form.numbering_bytes
     check_limit(limit, scenario.nodes, digest_of(scenario), checkpoint)
     if asked is not None or isinstance(scenario.bus.schedule, DynamicSchedule):
@@ -131,6 +134,9 @@ def without_arrays(scenario: Scenario) -> str | None:
     """Return the part of a scenario that has no array form under this rule; None if all has."""
     # Elsewhere a share may take several frames, of which a link loses each by itself.
     bus, lossy = scenario.bus, lossy_links(scenario) or bool(scenario.changes) * "--changes"
+    limit = frame_format(scenario).payload_limit_bytes
+    if lossy and (flooding_of(scenario).payload_bytes or _USUAL_PAYLOAD_BYTES) > limit:
+        return f"rule labelled on --bus {bus.name} with frames of {limit} bytes and {lossy}"
     if lossy and isinstance(bus, FlexRay) and bus.cluster not in ("fitted", "fitted-ab"):
         return f"rule labelled on --cluster {bus.cluster} with {lossy}"
     if any(isinstance(one.command, Restart) for one in script_of(scenario)):

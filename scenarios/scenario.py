@@ -7,7 +7,7 @@ import numpy as np
 
 from concord.scenarios.python_words import python_words
 from concord.scenarios.types.assignment import assigned, refuse_left
-from concord.scenarios.types.buses import BusChoice, FlexRay, FullSchedule
+from concord.scenarios.types.buses import BusChoice, FlexRay, FullSchedule, bus_type
 from concord.scenarios.types.declarations import every_option
 from concord.scenarios.types.filters import FilterChoice, UnscentedFilter
 from concord.scenarios.types.network import SensorNetwork
@@ -144,12 +144,14 @@ def _with_schedule(scenario: Scenario, options: dict[str, object]) -> dict[str, 
     if "schedule" in options:
         return options
     # A part of the bus is a wish for a schedule that can give it.
-    if options.get("bus", scenario.bus.name) == "ideal":
-        return {**options, "schedule": "round-robin"}
+    asked_bus = options.get("bus", scenario.bus.name)
+    usual = bus_type(asked_bus if isinstance(asked_bus, str) else "").partial_schedule
+    if usual != "hybrid":
+        return {**options, "schedule": usual}
     # Shares of records differ in length, and static slots are all as long as the longest.
     rule = options.get("rule", scenario.rule)
     is_flooding = rule == "labelled" or isinstance(rule, MeasurementFlooding)
-    return {**options, "schedule": "dynamic" if is_flooding else "hybrid"}
+    return {**options, "schedule": "dynamic" if is_flooding else usual}
 
 
 def lossy_links(scenario: Scenario) -> str:

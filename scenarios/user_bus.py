@@ -58,7 +58,17 @@ def check_user_bus(chosen: UserBus, bus: Bus, schedule: Schedule, share_bytes: i
     Raises:
         ValueError: naming the promise of `concord.bus.bus.Bus` that the bus breaks.
     """
-    for broken in _broken(chosen, bus, schedule, share_bytes):
+    if bus.schedule != schedule:
+        raise ValueError(
+            f"--bus {chosen.name}: its schedule is another one than that of the scenario; keep the "
+            "one that it gets"
+        )
+    if bus.frame_format is not user_frame_format(chosen):
+        raise ValueError(
+            f"--bus {chosen.name}: its frame_format must be an attribute of what builds it, as of "
+            "a class"
+        )
+    for broken in broken_promises(bus, share_bytes):
         raise ValueError(f"--bus {chosen.name}: {broken}")
 
 
@@ -69,11 +79,9 @@ def _builder(chosen: UserBus) -> Callable[[Schedule, int, Arbiter], Any]:
     return value
 
 
-def _broken(chosen: UserBus, bus: Bus, schedule: Schedule, share_bytes: int) -> Iterator[str]:
-    if bus.schedule != schedule:
-        yield "its schedule is another one than that of the scenario; keep the one that it gets"
-    if bus.frame_format is not user_frame_format(chosen):
-        yield "its frame_format must be an attribute of what builds it, as of a class"
+def broken_promises(bus: Bus, share_bytes: int) -> Iterator[str]:
+    """Yield the promises of `concord.bus.bus.Bus` that a bus breaks with its longest shares."""
+    schedule = bus.schedule
     if bus.has_time and not bus.cycle_us > 0:
         yield f"has_time with cycle_us {bus.cycle_us:g}; a cycle must take time"
     body = bytes(place * 37 % 256 for place in range(share_bytes))

@@ -8,7 +8,7 @@ import numpy as np
 from concord.nodes.messages import from_wire
 from concord.nodes.rules.labelled_frame import MAX_WINDOW_STEPS
 from concord.scenarios.build import build_bus
-from concord.scenarios.bus_plan import arbiter_named, contenders_and_room
+from concord.scenarios.bus_plan import contenders_and_room
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.labelled import digest_of, latency_steps, window_of
 from concord.scenarios.rules import rule_of
@@ -242,11 +242,12 @@ def _ideal_arbiter(setup: Setup) -> Iterator[str]:
     """Arbiters that know the bids of all nodes."""
     bus = setup.scenario.bus
     name = arbiter_of(bus.schedule)
-    if isinstance(bus.schedule, ContendedSchedule) and arbiter_named(name).is_ideal:
+    if isinstance(bus.schedule, ContendedSchedule) and build_bus(setup).has_ideal_arbiter:
+        real = f"--arbiter {URGENCY}, by which the bus itself arbitrates"
+        cure = real if bus.serves_urgency else f"--schedule {bus.partial_schedule}, or another bus"
         yield (
-            f"--arbiter {name} is ideal: it compares the bids of all nodes and awards slots in any "
-            f"order, which no FlexRay controller does; use --arbiter {URGENCY}, which FlexRay "
-            "itself arbitrates"
+            f"--arbiter {name} is ideal on --bus {bus.name}: it compares the bids of all nodes and "
+            f"awards slots in any order, which no controller of that bus does; use {cure}"
         )
 
 

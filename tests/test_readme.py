@@ -15,6 +15,7 @@ README = ROOT / "README.md"
 _NAMES = (
     "topology",
     "bus",
+    "buses",
     "measurement_bus",
     "labelled",
     "control",

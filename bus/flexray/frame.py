@@ -63,7 +63,7 @@ def encode(frame: Frame, channel: Channel = "A") -> bytes:
     if size > MAX_PAYLOAD_BYTES or size & 1:
         raise ValueError(
             f"a payload of {size} bytes in frame {frame.frame_id}, but FlexRay carries an even "
-            f"number of bytes up to {MAX_PAYLOAD_BYTES}; pad or split it (bus.flexray.fragments)"
+            f"number of bytes up to {MAX_PAYLOAD_BYTES}; pad or split it (bus.fragments)"
         )
     if not 1 <= frame.frame_id <= MAX_FRAME_ID:
         raise ValueError(f"frame ID {frame.frame_id} is outside of 1..{MAX_FRAME_ID}")

@@ -2,7 +2,7 @@
 
 The payload of each frame begins with the number of its communication cycle since the start. That
 number gives the step, as a step has a fixed number of cycles. The frame's own header repeats its
-last six bits. Then comes the frame's fragment of the body (`bus/flexray/fragments.py`). Two
+last six bits. Then comes the frame's fragment of the body (`bus/fragments.py`). Two
 checksums guard the whole.
 """
 
@@ -13,8 +13,6 @@ from functools import lru_cache
 import msgspec
 
 from concord.bus.bus import Fragment, FrameFormat, Rejected, SharePlace
-from concord.bus.flexray.fragments import PREFIX_BYTES as NUMBERING_BYTES
-from concord.bus.flexray.fragments import FragmentError, fragment_count, join, payload_sizes, split
 from concord.bus.flexray.frame import (
     HEADER_BYTES,
     MAX_FRAME_ID,
@@ -27,6 +25,9 @@ from concord.bus.flexray.frame import (
 from concord.bus.flexray.frame import decode as decode_frame
 from concord.bus.flexray.frame import encode as encode_frame
 from concord.bus.flexray.publication import Slot
+from concord.bus.fragments import PREFIX_BYTES as NUMBERING_BYTES
+from concord.bus.fragments import FragmentError, fragment_count, join, payload_sizes, split
+from concord.bus.recordings.pcap import FLEXRAY_LINK
 
 CYCLE_COUNTS = 64
 _CYCLE = struct.Struct("<I")
@@ -221,6 +222,7 @@ def frame_id_of(frame: bytes) -> int:
 
 SHARE_FRAMES = FrameFormat(
     name="flexray",
+    link=FLEXRAY_LINK,
     payload_limit_bytes=MAX_PAYLOAD_BYTES,
     overhead_bytes=OVERHEAD_BYTES,
     numbering_bytes=PREFIX_BYTES + NUMBERING_BYTES,

@@ -5,18 +5,14 @@ and payload; the frame CRC is not stored, but the flags say whether it was right
 measurement header and the number of its low bits.
 """
 
-import struct
 from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
+from concord.bus.captured import Captured, Link, file_header, timed
 from concord.bus.flexray.frame import OVERHEAD_BYTES, TRAILER_BYTES, inspect
 
 LINK_TYPE_FLEXRAY = 210
-_MAGIC_NANOSECONDS = 0xA1B23C4D
-_FILE_HEADER = struct.Struct("<IHHiIII")
-_PACKET_HEADER = struct.Struct("<IIII")
-_MAX_PACKET_BYTES = 65535
 _TYPE_FRAME = 0x01
 _TYPE_SYMBOL = 0x02
 _MOST_SYMBOL_BITS = 127
@@ -24,18 +20,6 @@ _CHANNEL_B = 0x80
 _FRAME_CRC_ERROR = 0x10
 _HEADER_CRC_ERROR = 0x08
 _CODING_ERROR = 0x02
-
-
-class Captured(NamedTuple):
-    """Bytes on the bus (a frame from header to frame CRC, right or wrong) and when they began.
-
-    In a collision other bits were on the wire, so the frame has the coding error flag.
-    """
-
-    time_us: float
-    data: bytes
-    channel: str = "A"
-    collision: bool = False
 
 
 class CapturedSymbol(NamedTuple):
@@ -46,45 +30,49 @@ class CapturedSymbol(NamedTuple):
     channel: str = "A"
 
 
-def file_header() -> bytes:
-    """The beginning of a capture file; packets are appended to it."""
-    return _FILE_HEADER.pack(_MAGIC_NANOSECONDS, 2, 4, 0, 0, _MAX_PACKET_BYTES, LINK_TYPE_FLEXRAY)
-
-
 def packet(captured: Captured | CapturedSymbol) -> bytes:
-    """One frame or symbol as a packet of a capture file. Times count from 0, as in a simulation.
+    """One frame or symbol as a packet of a capture file of FlexRay."""
+    if isinstance(captured, Captured):
+        return timed(captured.time_us, _frame_body(captured))
+    channel = _CHANNEL_B if captured.channel == "B" else 0
+    body = bytes((_TYPE_SYMBOL | channel, min(captured.low_bits, _MOST_SYMBOL_BITS)))
+    return timed(captured.time_us, body)
+
+
+def _frame_body(captured: Captured) -> bytes:
+    """Return a measurement header, error flags and a frame; those of a collision have the coding
+    error flag.
 
     Fewer bytes than any frame has are stored as they are, with the coding error flag.
     """
-    channel = _CHANNEL_B if captured.channel == "B" else 0
-    if isinstance(captured, CapturedSymbol):
-        body = bytes((_TYPE_SYMBOL | channel, min(captured.low_bits, _MOST_SYMBOL_BITS)))
-        return _timed(captured.time_us, body)
     data = captured.data
-    measurement = _TYPE_FRAME | channel
+    measurement = _TYPE_FRAME | (_CHANNEL_B if captured.channel == "B" else 0)
     if len(data) < OVERHEAD_BYTES:
-        body = bytes((measurement, _CODING_ERROR)) + data
-    else:
-        _, header_crc_ok, frame_crc_ok = inspect(data, "B" if captured.channel == "B" else "A")
-        errors = (0 if header_crc_ok else _HEADER_CRC_ERROR) | (
-            0 if frame_crc_ok else _FRAME_CRC_ERROR
-        )
-        errors |= _CODING_ERROR if captured.collision else 0
-        body = bytes((measurement, errors)) + data[:-TRAILER_BYTES]
-    return _timed(captured.time_us, body)
+        return bytes((measurement, _CODING_ERROR)) + data
+    _, header_crc_ok, frame_crc_ok = inspect(data, "B" if captured.channel == "B" else "A")
+    errors = (0 if header_crc_ok else _HEADER_CRC_ERROR) | (0 if frame_crc_ok else _FRAME_CRC_ERROR)
+    errors |= _CODING_ERROR if captured.collision else 0
+    return bytes((measurement, errors)) + data[:-TRAILER_BYTES]
 
 
-def _timed(time_us: float, body: bytes) -> bytes:
-    seconds, nanoseconds = divmod(round(time_us * 1e3), 1_000_000_000)
-    return _PACKET_HEADER.pack(seconds, nanoseconds, len(body), len(body)) + body
+FLEXRAY_LINK = Link(LINK_TYPE_FLEXRAY, _frame_body)
+"""How capture files keep FlexRay frames."""
 
 
-def write_pcap(path: Path, capture: Iterable[Captured | CapturedSymbol]) -> int:
-    """Write a capture file; returns the number of packets. Raises OSError."""
+def write_pcap(
+    path: Path, capture: Iterable[Captured | CapturedSymbol], link: Link = FLEXRAY_LINK
+) -> int:
+    """Write a capture file; returns the number of packets. Raises OSError.
+
+    Symbols are of FlexRay alone.
+    """
     count = 0
     with path.open("wb") as file:
-        file.write(file_header())
+        file.write(file_header(link.number))
         for captured in capture:
-            file.write(packet(captured))
+            if isinstance(captured, Captured):
+                file.write(timed(captured.time_us, link.body(captured)))
+            else:
+                file.write(packet(captured))
             count += 1
     return count

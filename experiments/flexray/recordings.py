@@ -11,6 +11,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from concord.bus.captured import Captured
 from concord.bus.flexray.constraints import BIT_RATES_MBPS
 from concord.bus.flexray.files.cluster_files import cluster_to_toml
 from concord.bus.flexray.files.slot_file import slots_to_toml
@@ -19,7 +20,7 @@ from concord.bus.recordings.decoder import DecodedFrame, Decoding, decode_wavefo
 from concord.bus.recordings.fit import Fit
 from concord.bus.recordings.fit import fit as fit_cluster
 from concord.bus.recordings.multiplexing import Multiplex
-from concord.bus.recordings.pcap import Captured, CapturedSymbol, write_pcap
+from concord.bus.recordings.pcap import CapturedSymbol, write_pcap
 from concord.bus.recordings.recorded_cluster import recorded_cluster
 from concord.bus.recordings.recorded_slots import recorded_slots
 from concord.bus.recordings.recording_files import read_recording

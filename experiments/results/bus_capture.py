@@ -9,8 +9,8 @@ is, and so do frames of a clock that has drifted out of its slot.
 from collections.abc import Iterable, Iterator, Sequence
 
 from concord.bus.bus import Bus, FrameFormat, Rejected, Transmission
+from concord.bus.captured import Captured
 from concord.bus.flexray.frame import FrameError
-from concord.bus.recordings.pcap import Captured
 from concord.experiments.results.bus_report import SentShares, timetable
 from concord.experiments.results.trace import Trace
 from concord.nodes.changes import UNCHANGED, Event, after
@@ -31,14 +31,16 @@ _LAST_BIT = 1
 def capture(
     setup: Setup, trace: Trace, messages: Iterable[tuple[str, bytes]]
 ) -> list[Captured] | None:
-    """The frames of a recording in the order and at the time of the bus; None for one without time,
-    or for one that was replaced by another in the run.
+    """The frames of a recording in the order and at the time of the bus.
+
+    None for a bus without time, for one whose frames no capture file has, or for one that was
+    replaced by another in the run.
 
     Frames of steps that not every node completed are left out, and so are frames of shares of which
     the recording has lost a part. A cluster with two channels carries each frame on both.
     """
     bus = build_bus(setup)
-    if not (bus.has_time and trace.history.one_bus):
+    if not (bus.has_time and trace.history.one_bus) or bus.frame_format.link is None:
         return None
     rounds, frames = setup.scenario.rounds, bus.frame_format
     step_us = setup.time_step_s * stretch_of(setup.scenario.bus) * 1e6

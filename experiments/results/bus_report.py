@@ -5,6 +5,7 @@ same report.
 """
 
 from collections.abc import Sequence
+from math import isnan
 from typing import NamedTuple
 
 import msgspec
@@ -24,8 +25,11 @@ class BusFigures(msgspec.Struct, frozen=True):
         wire_bytes_per_step, wire_us_per_step: of all frames with their headers, checksums and
             padding, and how long they keep the bus busy.
         delay_us_mean, delay_us_max: from a measurement to the last share of its step.
+        worst_access_us: bound from the request of a share at any moment to its last bit, whatever
+            the other nodes send; None for a bus that states none.
         contenders: nodes that asked for the dynamic segment; `starved` of them never got it.
         ideal_arbiter: no controller awards slots in the order in which they got it.
+        has_minislots: the bus counts minislots.
         empty_minislots_mean, empty_minislots_max: minislots of a cycle in which no node sent, up to
             the last frame: the price of frame IDs that are not used.
         longest_wait_cycles: most contended cycles in a row in which `longest_wait_node` asked in
@@ -45,9 +49,11 @@ class BusFigures(msgspec.Struct, frozen=True):
     wire_us_per_step: float
     delay_us_mean: float
     delay_us_max: float
+    worst_access_us: float | None
     contenders: int
     ideal_arbiter: bool
     starved: list[int]
+    has_minislots: bool
     empty_minislots_mean: float
     empty_minislots_max: int
     longest_wait_cycles: int
@@ -135,9 +141,11 @@ def bus_figures(bus: Bus, shares: SentShares, asked: np.ndarray, ages: np.ndarra
         wire_us_per_step=wire_us_per_step,
         delay_us_mean=float(np.mean(delay_us)),
         delay_us_max=max(delay_us),
+        worst_access_us=None if isnan(bus.worst_access_us) else bus.worst_access_us,
         contenders=int(asked.any(axis=0).sum()),
         ideal_arbiter=bus.has_ideal_arbiter,
         starved=starved.tolist(),
+        has_minislots=bool(bus.marks_us()[1]),
         empty_minislots_mean=float(np.mean(empty)),
         empty_minislots_max=max(empty),
         longest_wait_cycles=int(waits.max()),
@@ -211,6 +219,11 @@ def lines(figures: BusFigures) -> list[str]:
         f"on the wire {figures.wire_bytes_per_step:.0f} bytes and {figures.wire_us_per_step:.0f} "
         "us per step",
     ]
+    if figures.worst_access_us is not None:
+        text.append(
+            f"worst access {figures.worst_access_us / 1e3:.4g} ms: from the request of a share at "
+            "any moment to its last bit, with all other nodes sending"
+        )
     if len(ages):
         known = len(ages) + figures.never_heard
         unheard = f", {100 * figures.never_heard / known:.1f} % never heard"
@@ -219,11 +232,14 @@ def lines(figures: BusFigures) -> list[str]:
             f"{np.median(ages):g} cycles, oldest {ages[-1]}{unheard if figures.never_heard else ''}"
         )
     if figures.contenders:
+        empty = (
+            f"; {figures.empty_minislots_mean:.0f} empty minislots before the last frame of a "
+            f"cycle (most {figures.empty_minislots_max})"
+        )
         text.append(
             f"dynamic segment: {figures.contenders} contenders"
-            f"{' (ideal arbiter)' if figures.ideal_arbiter else ''}, {starvation(figures)}; "
-            f"{figures.empty_minislots_mean:.0f} empty minislots before the last frame of a cycle "
-            f"(most {figures.empty_minislots_max})"
+            f"{' (ideal arbiter)' if figures.ideal_arbiter else ''}, {starvation(figures)}"
+            f"{empty if figures.has_minislots else ''}"
         )
     return text
 

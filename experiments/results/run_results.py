@@ -2,12 +2,13 @@
 
 from pathlib import Path
 
-from concord.bus.recordings.pcap import write_pcap
+from concord.bus.recordings.pcap import FLEXRAY_LINK, write_pcap
 from concord.experiments.results.bus_capture import capture
 from concord.experiments.results.folder import CAPTURE, RECORDING, Description, write_arrays
 from concord.experiments.results.trace import Trace, read_trace
 from concord.runtime.disk import writing
 from concord.runtime.recording import read_recording
+from concord.scenarios.bus_plan import frame_format
 
 
 def completed(folder: Path, description: Description) -> Trace:
@@ -31,4 +32,5 @@ def write_results(folder: Path, description: Description, trace: Trace) -> None:
     frames = capture(description.setup, trace, read_recording(folder / RECORDING))
     if frames is not None:
         with writing(folder / CAPTURE):
-            write_pcap(folder / CAPTURE, frames)
+            link = frame_format(description.setup.scenario).link or FLEXRAY_LINK
+            write_pcap(folder / CAPTURE, frames, link)

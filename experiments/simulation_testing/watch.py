@@ -44,7 +44,7 @@ def watched(config: NodeConfig, ledger: OracleLedger, scenario: Scenario) -> Nod
     """Return the same node, and every node that it becomes, with an eye on its estimator."""
     rebuild = config.rebuild
 
-    def rebuilt(standing: Standing, step: int, belief: Gaussian | None) -> NodeConfig:
+    def rebuilt(standing: Standing, step: int, belief: EarlierBelief | None) -> NodeConfig:
         assert rebuild is not None, "a node of a scenario can be rebuilt"
         changed, _ = scenario.with_known(**standing.settings)
         return watched(rebuild(standing, step, belief), ledger, changed)

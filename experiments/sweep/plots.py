@@ -23,8 +23,12 @@ from concord.experiments.sweep.specification import named, shown
 from concord.scenarios.preparation import prepare
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import xarray
     from matplotlib.figure import Figure
+
+    from concord.experiments.sweep.cells import Cell
 
 PANEL_WIDTH, PANEL_HEIGHT = 3.1, 2.7
 MOST_PANELS = 4
@@ -117,10 +121,26 @@ def heat_map(dataset: "xarray.Dataset") -> "Figure | None":
     return figure if image is not None else None
 
 
+def _cost(
+    dataset: "xarray.Dataset", parts: "Sequence[tuple[Cell, xarray.Dataset]]"
+) -> tuple[np.ndarray, str]:
+    """Return the cost of each cell, and what it is."""
+    if "bus" in dataset.dims and bool(dataset["bus_time_us"].notnull().all()):
+        spent = [float(data["bus_time_us"].mean()) for _, data in parts]
+        # Sums of decimals differ in the last bits: equal to the nanosecond is equal.
+        return np.round(spent, 3), "microseconds of the bus per step, all nodes"
+    spent = [float(data["bytes_per_step"].mean()) for _, data in parts]
+    return np.array(spent), "bytes on the bus per step, all nodes"
+
+
 def pareto(dataset: "xarray.Dataset") -> "Figure | None":
-    """Error against bytes on the bus: each cell a mark, the front a line."""
+    """Error against cost: each cell a mark, the front a line.
+
+    The cost is bytes on the bus, or microseconds where the cells have several buses with time: a
+    byte lasts longer on a slower bus.
+    """
     parts = flattened(dataset)
-    cost = np.array([float(data["bytes_per_step"].mean()) for _, data in parts])
+    cost, label = _cost(dataset, parts)
     ratio = np.array([_ratio(data).value for _, data in parts])
     known = ~np.isnan(cost) & ~np.isnan(ratio)
     if known.sum() < 2:
@@ -143,7 +163,7 @@ def pareto(dataset: "xarray.Dataset") -> "Figure | None":
         axes.annotate(name, (cost[place], ratio[place]), fontsize=6.5,
                       xytext=(-6 if right else 6, -10 if right else 5),
                       textcoords="offset points", ha="right" if right else "left")  # fmt: skip
-    axes.set(xlabel="bytes on the bus per step, all nodes", ylabel=TO_CENTRALISED, xscale="log")
+    axes.set(xlabel=label, ylabel=TO_CENTRALISED, xscale="log")
     plain_numbers(axes.xaxis)
     _log_if_wide(grid, ratio)
     for names, pick in ((colours, "colour"), (shapes, "marker")):

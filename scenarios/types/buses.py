@@ -1,8 +1,8 @@
 """Buses as values: which nodes may publish in which cycle, and on what kind of bus."""
 
-from typing import Annotated
+from typing import Annotated, ClassVar, Literal, get_args
 
-from concord.scenarios.types.option import USER, Choice, Option
+from concord.scenarios.types.option import USER, Choice, Option, name_of
 from concord.scenarios.user_values import FromFile, builder_source
 
 
@@ -37,8 +37,8 @@ class ContendedSchedule(PartialSchedule, frozen=True, kw_only=True):
     arbiter: Annotated[
         str,
         Option(
-            "Arbiter of the dynamic segment: urgency and minislot (FlexRay's own), wtod and "
-            "round-robin (ideal: no controller does that), FILE.py:NAME.",
+            "Arbiter of the dynamic segment: urgency and minislot (FlexRay's own), wtod (ideal, "
+            "but real on CAN FD), round-robin (ideal: no controller does that), FILE.py:NAME.",
             is_setting=True,
         ),
     ] = URGENCY
@@ -103,34 +103,81 @@ SCHEDULE = Option("Schedule: which nodes may publish in a cycle.", group="bus", 
 
 
 class SharedBus(Choice, frozen=True, kw_only=True):
-    """A bus that all nodes share."""
+    """A bus that all nodes share.
+
+    Attributes:
+        partial_schedule: the usual schedule where a part of the nodes publishes in a cycle.
+        serves_urgency: the bus itself arbitrates by urgency.
+    """
+
+    partial_schedule: ClassVar[str] = "hybrid"
+    serves_urgency: ClassVar[bool] = False
 
 
-class FlexRay(SharedBus, frozen=True, kw_only=True, tag="flexray"):
+class TimedBus(SharedBus, frozen=True, kw_only=True):
+    """A bus whose cycles take time."""
+
+    stretch: Annotated[float, STRETCH] = 1.0
+
+
+class FlexRay(TimedBus, frozen=True, kw_only=True, tag="flexray"):
     """FlexRay: static and dynamic slots of a cluster, with times."""
 
+    serves_urgency: ClassVar[bool] = True
     schedule: Annotated[ClusterSchedule, SCHEDULE] = FullSchedule()
     cluster: Annotated[
         str,
         Option("FlexRay cluster: fitted (the shortest cycle that holds the schedule), fitted-ab "
                "(on both channels), a preset (audi, bosch, ...), a TOML, FIBEX or ARXML file."),
     ] = "fitted"  # fmt: skip
-    stretch: Annotated[float, STRETCH] = 1.0
+
+
+class Plca(TimedBus, frozen=True, kw_only=True, tag="plca"):
+    """10BASE-T1S with PLCA: Ethernet at 10 Mbit/s on one pair, transmit opportunities in order."""
+
+    partial_schedule: ClassVar[str] = "round-robin"
+    schedule: Annotated[ScheduleChoice, SCHEDULE] = FullSchedule()
+    opportunity_bits: Annotated[
+        int,
+        Option("Transmit opportunity that a node leaves unused, in bit times.", at_least=1,
+               at_most=255),
+    ] = 32  # fmt: skip
+    burst_frames: Annotated[
+        int,
+        Option("Frames that a node may send after the first in one transmit opportunity.",
+               at_least=0, at_most=255),
+    ] = 0  # fmt: skip
+
+
+class CanFd(TimedBus, frozen=True, kw_only=True, tag="can-fd"):
+    """CAN FD: frames arbitrate by identifiers, which bids choose; the lowest identifier wins."""
+
+    serves_urgency: ClassVar[bool] = True
+    schedule: Annotated[ScheduleChoice, SCHEDULE] = FullSchedule()
+    identifiers: Annotated[
+        Literal["base", "extended"], Option("Identifiers of 11 bits (base) or of 29 (extended).")
+    ] = "extended"
+    nominal_kbit_s: Annotated[
+        int, Option("Bit rate of the arbitration.", unit="kbit/s", at_least=10, at_most=1000)
+    ] = 500
+    data_kbit_s: Annotated[
+        int, Option("Bit rate of the data.", unit="kbit/s", at_least=10, at_most=8000)
+    ] = 2000
 
 
 class Ideal(SharedBus, frozen=True, kw_only=True, tag="ideal"):
     """Slots without time: whatever the schedule allows is transmitted."""
 
+    partial_schedule: ClassVar[str] = "round-robin"
     schedule: Annotated[TimelessSchedule, SCHEDULE] = FullSchedule()
 
 
-class UserBus(FromFile, SharedBus, frozen=True, kw_only=True, tag=USER):
+class UserBus(FromFile, TimedBus, frozen=True, kw_only=True, tag=USER):
     """A bus of your own, from a Python file: `build(schedule, share_bytes, arbiter) -> Bus`."""
 
     source: str = ""
     digest: str = ""
     schedule: Annotated[ScheduleChoice, SCHEDULE] = FullSchedule()
-    stretch: Annotated[float, STRETCH] = 1.0
 
     @classmethod
     def made_of(cls, asked: object) -> "UserBus | None":
@@ -139,7 +186,12 @@ class UserBus(FromFile, SharedBus, frozen=True, kw_only=True, tag=USER):
         return found and cls(source=found.name, digest=found.digest)
 
 
-BusChoice = FlexRay | Ideal | UserBus
+BusChoice = FlexRay | Plca | CanFd | Ideal | UserBus
+
+
+def bus_type(name: str) -> type[SharedBus]:
+    """The class of a bus by its name; that of a user's bus for all other names."""
+    return {name_of(one): one for one in get_args(BusChoice)}.get(name, UserBus)
 
 
 def occupancy_of(schedule: BusSchedule) -> float:
@@ -164,7 +216,7 @@ def urgency_classes_of(schedule: BusSchedule) -> int:
 
 def stretch_of(bus: SharedBus) -> float:
     """The factor by which the plant's sampling time is stretched; 1 on a bus without time."""
-    return bus.stretch if isinstance(bus, FlexRay | UserBus) else 1.0
+    return bus.stretch if isinstance(bus, TimedBus) else 1.0
 
 
 def trigger_of(schedule: BusSchedule) -> float:

@@ -23,6 +23,7 @@ else:
 NOISE = Literal["matched", "paper", "growing", "small", "outliers", "biased"]
 NUMBER = Literal["float64", "float32", "float16"]
 RECORD_NUMBER = Literal["int16", "float32", "float64"]
+IDENTIFIERS = Literal["base", "extended"]
 
 
 class ScenarioOptions(TypedDict, total=False):
@@ -60,6 +61,7 @@ class ScenarioOptions(TypedDict, total=False):
     smooth_steps: int
     rounds: int
     bus: FUNCTION
+    stretch: float
     schedule: str | Choice
     occupancy: float
     arbiter: str
@@ -67,7 +69,11 @@ class ScenarioOptions(TypedDict, total=False):
     trigger: float
     slots: str
     cluster: str
-    stretch: float
+    opportunity_bits: int
+    burst_frames: int
+    identifiers: IDENTIFIERS
+    nominal_kbit_s: int
+    data_kbit_s: int
     filter: FILTER
     iterations: int
     bandwidth: float
@@ -112,6 +118,7 @@ class SweptOptions(TypedDict, total=False):
     smooth_steps: Sequence[int] | np.ndarray | int
     rounds: Sequence[int] | np.ndarray | int
     bus: Sequence[FUNCTION] | np.ndarray | FUNCTION
+    stretch: Sequence[float] | np.ndarray | float
     schedule: Sequence[str | Choice] | np.ndarray | str | Choice
     occupancy: Sequence[float] | np.ndarray | float
     arbiter: Sequence[str] | np.ndarray | str
@@ -119,7 +126,11 @@ class SweptOptions(TypedDict, total=False):
     trigger: Sequence[float] | np.ndarray | float
     slots: Sequence[str] | np.ndarray | str
     cluster: Sequence[str] | np.ndarray | str
-    stretch: Sequence[float] | np.ndarray | float
+    opportunity_bits: Sequence[int] | np.ndarray | int
+    burst_frames: Sequence[int] | np.ndarray | int
+    identifiers: Sequence[IDENTIFIERS] | np.ndarray | IDENTIFIERS
+    nominal_kbit_s: Sequence[int] | np.ndarray | int
+    data_kbit_s: Sequence[int] | np.ndarray | int
     filter: Sequence[FILTER] | np.ndarray | FILTER
     iterations: Sequence[int] | np.ndarray | int
     bandwidth: Sequence[float] | np.ndarray | float

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from concord.bus.flexray.fragments import FragmentError, fragment_count, join, payload_sizes, split
+from concord.bus.fragments import FragmentError, fragment_count, join, payload_sizes, split
 from tests.bus.support import quick
 
 
@@ -31,11 +31,11 @@ def test_data_survives_in_any_order_and_padded(data: bytes, limit: int, random, 
 def test_limits_of_one_frame_are_those_of_the_design(states, bytes_per_number, frames):
     # Step number, mean and upper triangle: n <= 6 in float64 and n <= 9 in float32 in one frame.
     share = 4 + bytes_per_number * (states + states * (states + 1) // 2)
-    assert len(payload_sizes(share)) == frames
+    assert len(payload_sizes(share, 254)) == frames
 
 
 def test_each_lost_repeated_or_foreign_fragment_is_noticed():
-    payloads = split(bytes(700))
+    payloads = split(bytes(700), 254)
     assert len(payloads) == 3
     for kept in itertools.chain(
         itertools.combinations(payloads, 1), itertools.combinations(payloads, 2)
@@ -46,8 +46,8 @@ def test_each_lost_repeated_or_foreign_fragment_is_noticed():
     for wrong, reason in (
         ([], "empty"),
         ([*payloads, payloads[0]], "repeated"),
-        ([*payloads[:2], split(bytes(701))[2]], "mixed"),
-        ([*payloads[:2], split(bytes(100))[0]], "mixed"),
+        ([*payloads[:2], split(bytes(701), 254)[2]], "mixed"),
+        ([*payloads[:2], split(bytes(100), 254)[0]], "mixed"),
         ([*payloads[:2], payloads[2][:50]], "length"),
         ([b"abc"], "too-short"),
     ):

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from concord.bus.captured import Captured, file_header
 from concord.bus.flexray.frame import Channel, Frame, encode
 from concord.bus.recordings.decoder import Decoding
 from concord.bus.recordings.pcap import (
-    Captured,
+    LINK_TYPE_FLEXRAY,
     CapturedSymbol,
-    file_header,
     packet,
     write_pcap,
 )
@@ -40,7 +40,7 @@ def test_a_packet_is_headers_and_the_frame_without_its_crc(frame: Frame, channel
 
 
 def test_file_header_has_the_link_type_of_flexray():
-    magic, major, minor, *_, link_type = struct.unpack("<IHHiIII", file_header())
+    magic, major, minor, *_, link_type = struct.unpack("<IHHiIII", file_header(LINK_TYPE_FLEXRAY))
     assert (magic, major, minor, link_type) == (0xA1B23C4D, 2, 4, 210)
 
 

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 import xarray
 
+from concord.bus.captured import Captured
 from concord.bus.flexray.files.cluster_files import cluster_to_toml
 from concord.bus.flexray.frame import decode as decode_frame
 from concord.bus.flexray.presets import AUDI, DEMO
 from concord.bus.flexray.share_frames import read_frame
-from concord.bus.recordings.pcap import Captured, packet
+from concord.bus.recordings.pcap import packet
 from concord.experiments.results.bus_capture import capture
 from concord.experiments.results.bus_report import figures_of
 from concord.experiments.results.trace import read_trace

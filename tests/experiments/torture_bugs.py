@@ -116,7 +116,7 @@ BUGS = (
     Bug(
         "who comes back in vain is not asked again",
         "concord.nodes.run_controller", "RunController._limit",
-        (("if any(self._has_company(node) for node in self._ready):", "if False:"),),
+        (("if any(set(self.config.neighbours[node]) - absent for", "if any(set() for"),),
     ),
     Bug(
         "weights are not renormalised when one is missing",

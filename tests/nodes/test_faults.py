@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from concord.bus.flexray.fragments import join
 from concord.bus.flexray.share_frames import read_frame
+from concord.bus.fragments import join
 from concord.experiments.results.trace import Trace
 from concord.nodes import node as state_machine
 from concord.nodes.changes import Fault, Standing

@@ -5,10 +5,8 @@ whole (little-endian), so that a receiver needs no other knowledge, and padding 
 """
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
-
-from concord.bus.flexray.frame import MAX_PAYLOAD_BYTES
 
 _PREFIX = struct.Struct("<BBH")
 PREFIX_BYTES = _PREFIX.size
@@ -26,14 +24,27 @@ class FragmentError(ValueError):
         self.reason = reason
 
 
+Padded = Callable[[int], int]
+"""Bytes -> the shortest payload that a bus has for so many."""
+
+
+def to_even(size: int) -> int:
+    """Return the shortest payload of FlexRay for so many bytes: it counts words of two."""
+    return size + size % 2
+
+
 # Kept: the shares of a network have few lengths.
 @lru_cache
-def payload_sizes(data_bytes: int, payload_limit_bytes: int = MAX_PAYLOAD_BYTES) -> tuple[int, ...]:
-    """Payload lengths in which `data_bytes` travel, each even and at most the limit.
+def payload_sizes(
+    data_bytes: int, payload_limit_bytes: int, padded: Padded = to_even
+) -> tuple[int, ...]:
+    """Payload lengths in which `data_bytes` travel, each as `padded` allows and at most the limit.
 
     Raises ValueError if the limit leaves no room for data, or too many frames would be needed.
     """
-    limit = min(payload_limit_bytes, MAX_PAYLOAD_BYTES) // 2 * 2
+    limit = payload_limit_bytes
+    while limit > 0 and padded(limit) > payload_limit_bytes:
+        limit -= 1
     room = limit - PREFIX_BYTES
     if room <= 0:
         raise ValueError(
@@ -47,12 +58,12 @@ def payload_sizes(data_bytes: int, payload_limit_bytes: int = MAX_PAYLOAD_BYTES)
             "can be numbered; use float32, fewer states or a cluster with longer payloads"
         )
     last = PREFIX_BYTES + data_bytes - (count - 1) * room
-    return (limit,) * (count - 1) + (last + last % 2,)
+    return (limit,) * (count - 1) + (padded(last),)
 
 
-def split(data: bytes, payload_limit_bytes: int = MAX_PAYLOAD_BYTES) -> tuple[bytes, ...]:
+def split(data: bytes, payload_limit_bytes: int, padded: Padded = to_even) -> tuple[bytes, ...]:
     """Payloads that carry `data`, in order. Raises ValueError as `payload_sizes` does."""
-    sizes = payload_sizes(len(data), payload_limit_bytes)
+    sizes = payload_sizes(len(data), payload_limit_bytes, padded)
     room = sizes[0] - PREFIX_BYTES
     return tuple(
         (

@@ -1,0 +1,1 @@
+"""CAN FD: frames whose identifiers arbitrate for the bus."""

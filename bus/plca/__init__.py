@@ -1,0 +1,1 @@
+"""10BASE-T1S with PLCA: Ethernet on one pair, whose nodes send in turn."""
