@@ -44,7 +44,8 @@ def judged(
         return readings, {}
     belief, sound = window_filter.predicted(windows, control)
     kept = readings.copy()
-    gated, withheld = np.zeros((2, *sound.shape), dtype=np.int64)
+    gated = np.zeros(sound.shape, dtype=np.int64)
+    withheld = np.zeros_like(gated)
     step, filter = windows.step + 1, window_filter.filter
     for nodes, sensor in judges:
         before = Gaussian(belief.mean[:, nodes], belief.cov[:, nodes])
