@@ -147,6 +147,7 @@ def flooding(context: NodeContext) -> AnyEstimator:
         schedule=everybody.schedule,
         rounds=everybody.scenario.rounds,
         gates=gates_of(everybody.scenario, everybody.readings_shape[1]),
+        withhold_below=flooding_of(everybody.scenario).withhold_below,
         first_step=context.beginning.step,
         first_cycle=context.beginning.cycle,
     )
@@ -160,7 +161,8 @@ def _window_filter(
     everybody: Everybody, frames: LabelledFrameCodec, model: Model, filter: Filter
 ) -> WindowFilter:
     sensors = AllSensors(everybody.groups, len(everybody.sensors), everybody.readings_shape)
-    return WindowFilter(model, filter, sensors, frames.codecs)
+    withholds = flooding_of(everybody.scenario).withhold_below > 0
+    return WindowFilter(model, filter, sensors, frames.codecs, withholds)
 
 
 # --- at all nodes of many runs -------------------------------------------------------------------
@@ -215,6 +217,7 @@ def flooding_in_batch(context: BatchContext) -> BatchedRule:
         schedule=everybody.schedule,
         rounds=context.rounds,
         gates=gates_of(everybody.scenario, everybody.readings_shape[1]),
+        withhold_below=flooding_of(everybody.scenario).withhold_below,
         first_step=context.beginning.step,
         first_cycle=context.beginning.cycle,
     )

@@ -199,7 +199,7 @@ def check_labelled(
     if (trigger := trigger_of(scenario.bus.schedule)) > 0:
         raise ValueError(
             f"--trigger {trigger:g}: rule labelled asks for a slot when a neighbour lacks "
-            "a record, and not when its estimate has changed; leave --trigger out"
+            "a record, and not when its estimate has changed; use --withhold-below instead"
         )
     for node, heard in enumerate(neighbours):
         for other in heard:

@@ -21,6 +21,7 @@ from concord.nodes.node_state import NodeConfig
 from concord.nodes.rules import information_rounds
 from concord.nodes.rules.at_node import AtNode
 from concord.nodes.rules.belief_consensus import BeliefConsensus
+from concord.nodes.rules.earlier_belief import EarlierBelief
 from concord.nodes.rules.fresh_consensus import FreshConsensus
 from concord.nodes.rules.information_rounds import InformationRounds
 from concord.nodes.rules.novelty_rounds import NoveltyRounds

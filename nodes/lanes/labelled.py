@@ -97,6 +97,7 @@ class BatchedFlooding:
     schedule: Schedule
     rounds: int
     gates: tuple[float, ...] = ()
+    withhold_below: float = 0.0
     first_step: int = 0
     first_cycle: int = 0
     gap_steps: int = GAP_STEPS
@@ -135,8 +136,9 @@ class BatchedFlooding:
             lacking = self._doubts(content, *self._everybody(len(owed)))[:, :, 0, 0]
             owed = owed | lacking.any(axis=(1, 2)).reshape(owed.shape)
         readings, failures = judged(
-            self.filter, content.windows, readings, control, self.own, self.gates
-        )
+            self.filter, content.windows, readings, control, self.own, self.gates,
+            self.withhold_below,
+        )  # fmt: skip
         written, beyond = np.full(readings.shape, np.nan), np.zeros(owed.shape, dtype=bool)
         lengths = np.zeros(owed.shape, dtype=np.int64)
         for node, codec in enumerate(self.filter.codecs):

@@ -76,8 +76,8 @@ class LabelledFlooding:
 
     `neighbours` are those of every node, ascending; `prior` is common to all; a neighbour that was
     not heard for more than `gap_steps` is owed a checkpoint. An own reading of 1, 2, ... entries
-    beyond the chi-square threshold in `gates` is not recorded; none for no such gate. `own` is the
-    node's sensor; none for a blind node.
+    beyond the chi-square threshold in `gates` is not recorded; none for no such gate. Nor is a
+    reading worth less than `withhold_below` nats. `own` is the node's sensor; none if blind.
 
     Source: the project's study of fusion under bus limits (labelled-measurement flooding).
     """
@@ -93,6 +93,7 @@ class LabelledFlooding:
     rounds: int
     gap_steps: int = GAP_STEPS
     gates: tuple[float, ...] = ()
+    withhold_below: float = 0.0
     first_step: int = 0
     first_cycle: int = 0
 
@@ -146,8 +147,9 @@ class LabelledFlooding:
         # A node that needs a checkpoint has no belief by which to refuse a reading.
         if not content.needs:
             kept, counted = judged(
-                self.filter, content.windows, delivered[None, None], driven, self.own, self.gates
-            )
+                self.filter, content.windows, delivered[None, None], driven, self.own, self.gates,
+                self.withhold_below,
+            )  # fmt: skip
             delivered, failures = kept[0, 0], failure_names(counted)
         codec = self.filter.codecs[self.node]
         record = None if codec is None else codec.encode(delivered)

@@ -1,13 +1,15 @@
 """Outliers are judged once, by the node that took them, before any other node hears of them.
 
 Were each receiver to judge by its own belief, some would take a record and some refuse it. A record
-that its source refused does not exist: it is refused alike everywhere.
+that its source refused does not exist: it is refused alike everywhere. The same is true of a record
+that the source withholds, since the other nodes can nearly predict it.
 """
 
 from collections.abc import Sequence
 
 import numpy as np
 
+from concord.filters.divergence import kullback_leibler
 from concord.filters.filter import Filter
 from concord.filters.gaussian import Gaussian
 from concord.nodes.rules.lane_rule import Failures
@@ -28,23 +30,35 @@ def judged(
     control: np.ndarray | None,
     own: Sequence[SensorGroup],
     gates: Sequence[float],
+    withhold_below: float = 0.0,
 ) -> tuple[np.ndarray, Failures]:
     """Readings (R, M, r, d) of lanes in the step after that of the windows, without outliers.
 
-    `own` are the sensors of the lanes. Returns also how often what went wrong.
+    `own` are the sensors of the lanes. A lane has no readings if the Kullback-Leibler divergence of
+    its belief with them from its prediction is below `withhold_below` nats. Returns also how often
+    what went wrong, and how many readings were withheld.
     """
-    judges = [group for group in own if group.sensor.gate is not None or gates]
+    asked = bool(gates) or withhold_below > 0
+    judges = [group for group in own if group.sensor.gate is not None or asked]
     if not judges:
         return readings, {}
     belief, sound = window_filter.predicted(windows, control)
-    kept, gated = readings.copy(), np.zeros(sound.shape, dtype=np.int64)
+    kept = readings.copy()
+    gated = np.zeros(sound.shape, dtype=np.int64)
+    withheld = np.zeros_like(gated)
     step, filter = windows.step + 1, window_filter.filter
     for nodes, sensor in judges:
         before = Gaussian(belief.mean[:, nodes], belief.cov[:, nodes])
-        kept[:, nodes], gated[:, nodes] = without_outliers(
+        passed, gated[:, nodes], after = without_outliers(
             before, readings[:, nodes], sensor, step, filter, gates
         )
-    return kept, {"predict-failed": ~sound, "gated": gated}
+        if withhold_below > 0:
+            there = (~np.isnan(passed)).any(axis=-1)
+            little = kullback_leibler(after, before) < withhold_below
+            passed[little] = np.nan
+            withheld[:, nodes] = there.sum(axis=-1) * little
+        kept[:, nodes] = passed
+    return kept, {"predict-failed": ~sound, "gated": gated, "withheld": withheld}
 
 
 def without_outliers(
@@ -54,12 +68,12 @@ def without_outliers(
     step: int,
     filter: Filter,
     gates: Sequence[float] = (),
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, Gaussian]:
     """Readings (..., r, d) with NaN for those beyond the gate, and how many (...) those are.
 
-    The gate is the sensor's own, else that of `gates` for as many entries as were taken.
-    `belief` (..., n) is that before the readings; each is judged given the ones before it that
-    passed.
+    Returns also the beliefs (..., n) after the readings that passed. The gate is the sensor's own,
+    else that of `gates` for as many entries as were taken. `belief` (..., n) is that before the
+    readings; each is judged given the ones before it that passed.
     """
     kept = delivered.copy()
     gated = np.zeros(delivered.shape[:-2], dtype=np.int64)
@@ -73,7 +87,7 @@ def without_outliers(
         kept[..., place, :] = np.where(refused[..., None], np.nan, reading)
         gated += refused
         belief = where(~refused & finite_lanes(result.belief), result.belief, belief)
-    return kept, gated
+    return kept, gated, belief
 
 
 def _gates(value: np.ndarray, sensor: Sensor, gates: Sequence[float]) -> np.ndarray:

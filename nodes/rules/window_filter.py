@@ -29,7 +29,8 @@ class Windows(NamedTuple):
             right.
         surprise, entries: (R, M, W), of all records of a step: normalised innovation squared, added
             up, and how many numbers they have. With a matched filter the first is chi-square with
-            as many degrees of freedom as the second says.
+            as many degrees of freedom as the second says. With `WindowFilter.silence_fits` the
+            second also counts the numbers that sources may have withheld.
         values, noise_covs: (R, W, N, r, m), (R, W, N, r, m, m) of what the records of a run say; of
             each place, by source.
         controls: what drove into each place, (R, p); None where nothing did.
@@ -69,13 +70,16 @@ class Windows(NamedTuple):
 class WindowFilter:
     """Knowledge common to all nodes: the plant, and the sensor and records of each node.
 
-    A record that cannot be used is counted; its step keeps the prediction.
+    A record that cannot be used is counted; its step keeps the prediction. `silence_fits`: sources
+    withhold records that fit the prediction, so that a record which is not there counts as one of
+    no surprise.
     """
 
     model: Model
     filter: Filter
     sensors: AllSensors
     codecs: Sequence[RecordCodec | None]
+    silence_fits: bool = False
 
     def start(self, prior: Gaussian, first_step: int, width: int) -> Windows:
         """Windows of no steps on priors (R, M, n), for at most `width` steps."""
@@ -219,6 +223,8 @@ class WindowFilter:
             belief, sound = where(is_finite, update.belief, belief), sound & is_finite
             surprise += np.where(is_finite, update.normalised_innovation_squared, 0)
             entries += is_finite * np.count_nonzero(~np.isnan(values), axis=-1)
+        if self.silence_fits:
+            entries = np.maximum(entries, self._numbers_per_step)
         return belief, sound, surprise, entries
 
     def _taken(
@@ -240,6 +246,11 @@ class WindowFilter:
             noise_covs,
             residual=partial(_residual, sensors),
         )
+
+    @cached_property
+    def _numbers_per_step(self) -> int:
+        """How many numbers the records of all sources have at most."""
+        return sum(codec.readings * codec.channels for codec in self.codecs if codec is not None)
 
     @cached_property
     def _rounding_covs(self) -> np.ndarray:

@@ -54,6 +54,7 @@ class ScenarioOptions(TypedDict, total=False):
     repeat_above: float
     repeat_bytes: int
     gate_probability: float
+    withhold_below: float
     record_number: RECORD_NUMBER
     payload_bytes: int | None
     relay: bool
@@ -111,6 +112,7 @@ class SweptOptions(TypedDict, total=False):
     repeat_above: Sequence[float] | np.ndarray | float
     repeat_bytes: Sequence[int] | np.ndarray | int
     gate_probability: Sequence[float] | np.ndarray | float
+    withhold_below: Sequence[float] | np.ndarray | float
     record_number: Sequence[RECORD_NUMBER] | np.ndarray | RECORD_NUMBER
     payload_bytes: Sequence[int | None] | np.ndarray | int | None
     relay: Sequence[bool] | np.ndarray | bool

@@ -127,6 +127,12 @@ class MeasurementFlooding(FusionRule, frozen=True, kw_only=True, tag="labelled")
         Option("Do not pass on own readings that are less likely than this; 0 passes all on.",
                at_least=0, below=1),
     ] = 0.0  # fmt: skip
+    withhold_below: Annotated[
+        float,
+        Option("Do not pass on own readings of a step that change the node's prediction by a "
+               "Kullback-Leibler divergence below this; 0 passes all on.", unit="nats",
+               at_least=0),
+    ] = 0.0  # fmt: skip
     record_number: Annotated[
         Literal["int16", "float32", "float64"], Option("Format of readings on the wire.")
     ] = "int16"

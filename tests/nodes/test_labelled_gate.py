@@ -54,11 +54,11 @@ def test_a_gate_counts_the_noise_that_grows_with_the_state():
     far = np.array([[PRIOR.mean[0] + 20.0, PRIOR.mean[1]]])
     cases = [(WholeState(np.eye(2), 9.0), 1), (Louder(np.eye(2), 9.0), 0)]
     for sensor, expected in cases:
-        _, gated = without_outliers(PRIOR, far, sensor, 0, own_filter)
+        _, gated, _ = without_outliers(PRIOR, far, sensor, 0, own_filter)
         assert gated == expected
     # A sensor without a gate is judged by the thresholds for as many entries as were taken.
     for gates, expected in (((1e3, 9.0), 1), ((9.0, 1e3), 0), ((), 0)):
-        _, gated = without_outliers(PRIOR, far, WholeState(np.eye(2)), 0, own_filter, gates)
+        _, gated, _ = without_outliers(PRIOR, far, WholeState(np.eye(2)), 0, own_filter, gates)
         assert gated == expected
 
 

@@ -59,6 +59,28 @@ def test_sound_nodes_are_suspect_as_rarely_as_they_promise():
     assert binom.ppf(1e-6, runs, SUSPECT) <= count <= binom.isf(1e-6, runs, SUSPECT)
 
 
+def test_silence_alone_makes_no_node_suspect():
+    """Only surprising records are sent: a check that leaves silence out doubts every node."""
+    runs = 400
+    setup = ring(nodes=2, graph="path", loss=0.0, steps=20, withhold_below=0.4)
+    found = simulate(setup, range(runs), keep=())
+    assert found.suspect is not None
+    assert int(found.suspect[:, -1, 0].sum()) <= binom.isf(1e-6, runs, SUSPECT)
+    # The innovations that pass are larger than those of a matched filter.
+    loud = _without_silence(setup, runs)
+    assert loud > binom.isf(1e-6, runs, SUSPECT)
+
+
+def _without_silence(setup: Setup, runs: int) -> int:
+    """How many runs end with a suspect node 0 if records that are not there do not count."""
+    usual = estimators.WindowFilter
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(estimators, "WindowFilter", lambda *given: usual(*given[:4]))
+        suspect = simulate(setup, range(runs), keep=()).suspect
+    assert suspect is not None
+    return int(suspect[:, -1, 0].sum())
+
+
 def wrong_and_sure(windows: Windows, node: int, step: int) -> Windows:
     """Windows of nodes from `node` on, of which the lost one's base is far off at that step."""
     lane = LOST_NODE - node

@@ -169,7 +169,7 @@ REFUSED = [
     ({"window_steps": 4, "digest_steps": 5}, "--digest-steps 5"),
     ({"digest_steps": -1}, "0 or more"),
     ({"gate_probability": 1.0}, "at least 0 and below 1"),
-    ({"trigger": 0.5, "schedule": "dynamic"}, "leave --trigger out"),
+    ({"trigger": 0.5, "schedule": "dynamic"}, "use --withhold-below"),
     ({"record_number": "int61"}, "'int16'"),
     ({"payload_bytes": 15}, "even, 16 to 254"),
     ({"payload_bytes": 256}, "even, 16 to 254"),
