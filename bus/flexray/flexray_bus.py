@@ -53,6 +53,7 @@ class FlexRayBus(SlottedBus):
         slots = Publications(table, cluster).slots
         super().__init__(schedule, slots, arbiter, cluster.number_of_cycles, classes)
         self.cluster = cluster
+        self.cycle_us = cluster.cycle_us
         self.table = table
         self.others = tuple(others)
 
@@ -60,11 +61,6 @@ class FlexRayBus(SlottedBus):
     def name(self) -> str:
         """The name of the cluster."""
         return self.cluster.name
-
-    @property
-    def cycle_us(self) -> float:
-        """Duration of a communication cycle."""
-        return self.cluster.cycle_us
 
     @property
     def channels(self) -> str:

@@ -21,7 +21,6 @@ from concord.runtime.recorded import SharedFrame, meaning
 from concord.scenarios.build import build_bus
 from concord.scenarios.equipment import build_faults
 from concord.scenarios.setup import Setup
-from concord.scenarios.types.buses import stretch_of
 
 # A receiver has no place on the wire.
 _NOBODY = 0
@@ -41,7 +40,6 @@ def capture(
     if not (bus.has_time and trace.history.one_bus):
         return None
     rounds, frames = setup.scenario.rounds, bus.frame_format
-    step_us = setup.time_step_s * stretch_of(setup.scenario.bus) * 1e6
     placed = [
         {(frame.node, frame.frame_id): frame for frame in cycle}
         for cycle in timetable(bus, SentShares(trace.payload_bytes, trace.classes))
@@ -61,8 +59,8 @@ def capture(
         frame = placed[cycle].get((share.node, share.fragment.frame_id))
         if frame is None:
             continue
-        step, number = divmod(cycle, rounds)
-        time_us = step * step_us + number * bus.cycle_us + frame.start_us
+        step = cycle // rounds
+        time_us = bus.timebase.begins_us(cycle) + frame.start_us
         captured += _on_the_wire(bus, faults[step], step, share, frame, data, time_us)
     return sorted(captured, key=lambda one: (one.time_us, one.channel))
 

@@ -231,6 +231,11 @@ def _bus_variables(setup: Setup, trace: Trace) -> dict[str, Any]:
     in_cycle = {"units": "us", "origin": "beginning of the communication cycle"}
     return {
         "asked": (per_share, trace.asked.astype(np.int8)),
+        "bus_cycle": (
+            ("step", "round"),
+            times.bus_cycle,
+            {"units": "1", "origin": "beginning of the run"},
+        ),
         "bus_load": (("step", "round"), times.load, {"units": "1"}),
         "delay_us": (("step",), times.delay_us, {"units": "us"}),
         "share_start_us": (per_share, times.share_start_us, in_cycle),

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from concord.bus.bus import Rejected
 from concord.experiments.simulation_testing.broken import Broken
 from concord.experiments.simulation_testing.node_ledger import Key, NodeLedger, Sent
 from concord.experiments.simulation_testing.outcomes import Fate, fate_of, must_be_silent
@@ -104,7 +105,7 @@ class OracleLedger:
         """One frame that has arrived."""
         sent = self.record.genuine.get(frame)
         if sent is None:
-            ledger.counts["rejected"] += 1
+            self._book_forgery(config, ledger, sender, frame)
             return
         key = (sender, sent.cycle, sent.frame_id)
         if sent.cycle < ledger.cycle:
@@ -120,9 +121,28 @@ class OracleLedger:
             else:
                 self._file(config, ledger, sender, sent)
 
+    def _book_forgery(
+        self, config: NodeConfig, ledger: NodeLedger, sender: int, frame: bytes
+    ) -> None:
+        """Enter a frame that no sender sent: broken, or with the cycle counter of another cycle."""
+        try:
+            fragment = config.bus.frame_format.read(frame)
+        except Rejected:
+            ledger.counts["rejected"] += 1
+            return
+        key = (sender, fragment.cycle, fragment.frame_id, fragment.count or 0)
+        if fragment.cycle < ledger.cycle:
+            ledger.counts["late"] += 1
+        else:
+            self._book_untold(ledger, sender, fragment.cycle, key)
+
     def _book_spoof(self, ledger: NodeLedger, sender: int, sent: Sent, key: Key) -> None:
         """Enter a valid frame that another node sent in its own slot."""
-        if sent.cycle < ledger.end_cycle or ledger.phase is not Phase.MEASUREMENT:
+        self._book_untold(ledger, sender, sent.cycle, key)
+
+    def _book_untold(self, ledger: NodeLedger, sender: int, cycle: int, key: Key) -> None:
+        """Enter a frame that is wrong in a way that no node knows before the step begins."""
+        if cycle < ledger.end_cycle or ledger.phase is not Phase.MEASUREMENT:
             ledger.counts["rejected"] += 1
         elif any(key == other for *_, other in ledger.early):
             ledger.counts["repeated"] += 1

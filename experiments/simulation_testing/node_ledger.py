@@ -6,7 +6,8 @@ from typing import NamedTuple
 from concord.experiments.simulation_testing.outcomes import Fate
 from concord.nodes.node_state import Phase
 
-Key = tuple[int, int, int]
+Key = tuple[int, ...]
+"""Sender, cycle and frame ID, and the cycle counter of a frame that has a wrong one."""
 
 
 class Sent(NamedTuple):

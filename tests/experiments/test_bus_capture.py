@@ -48,6 +48,13 @@ def tracking(tmp_path: Path, capsys) -> Path:
     return folder
 
 
+def on_the_bus(cycle: int) -> int:
+    """Number on the bus of the cycle that nodes count, with turns of four: a step of 1 s begins in
+    cycle 200, 400, ... and waits until its turn is due."""
+    step, number = divmod(cycle, 3)
+    return next(b for b in range(200 * step, 200 * step + 4) if b % 4 == 3 * step % 4) + number
+
+
 def recorded_shares(folder: Path) -> list[bytes]:
     messages = read_recording(folder / "run.mcap")
     return [data for topic, data in messages if topic.startswith("share/")]
@@ -62,9 +69,10 @@ def test_the_capture_has_every_recorded_frame_in_the_order_of_the_bus(tracking: 
     times_ns = np.array([time_ns for time_ns, _ in found])
     assert (np.diff(times_ns) > 0).all()
     for (fragment, _), time_ns in zip(frames, times_ns, strict=True):
-        step, number = divmod(fragment.cycle, 3)
-        in_cycle_us = time_ns / 1e3 - step * 1e6 - number * AUDI.cycle_us
+        in_cycle_us = time_ns / 1e3 - on_the_bus(fragment.cycle) * AUDI.cycle_us
         assert 0 < in_cycle_us < AUDI.cycle_us
+        # The counter in the header is the time on the bus.
+        assert fragment.count == time_ns // round(1e3 * AUDI.cycle_us) % 64
         if fragment.frame_id <= AUDI.static_slots:
             slot_us = AUDI.slot_start_us(fragment.frame_id) + AUDI.action_point_us
             assert in_cycle_us == pytest.approx(slot_us, abs=0.01)
@@ -80,7 +88,9 @@ def test_wireshark_opens_the_capture_of_a_run(tracking: Path):
         (fragment.cycle, fragment.frame_id)
         for fragment in map(read_frame, recorded_shares(tracking))
     )
-    assert [(int(row[1]), int(row[0])) for row in rows] == [(c % 64, i) for c, i in sent]
+    assert [(int(row[1]), int(row[0])) for row in rows] == [
+        (on_the_bus(c) % 64, i) for c, i in sent
+    ]
     assert all(int(row[2], 16) == 0 and row[3:] == ["", ""] for row in rows)
 
 
@@ -97,7 +107,10 @@ def test_the_arrays_tell_the_times_of_the_bus(tracking: Path):
     for nodes, length_us in ((slice(0, 10), seven_us), (slice(10, 20), AUDI.frame_us(168))):
         found = span[..., nodes].values
         np.testing.assert_allclose(found[np.isfinite(found)], length_us)
-    np.testing.assert_allclose(data["delay_us"], 2 * AUDI.cycle_us + end[:, 2].max("node"))
+    cycles = np.array([on_the_bus(cycle) for cycle in range(12)]).reshape(4, 3)
+    np.testing.assert_array_equal(data["bus_cycle"], cycles)
+    waited_us = AUDI.cycle_us * cycles[:, 2] - 1e6 * data["time"]
+    np.testing.assert_allclose(data["delay_us"], waited_us + end[:, 2].max("node"))
     assert not np.logical_and(data["asked"] == 1, data["published"].node < 10).any()
 
 
@@ -153,6 +166,28 @@ def test_a_run_without_bus_time_leaves_no_capture(tmp_path: Path, capsys):
     assert said.json()["bus"] is None
     assert not (folder / "bus.pcap").exists()
     assert "bus_load" not in xarray.load_dataset(folder / "run.nc")
+
+
+def test_the_counter_goes_on_with_time_where_the_settings_change():
+    """Steps of 100 ms on cycles of 5 ms: turns of five with one share of five, then no turns."""
+    changes = ("4 set rounds=2", "4 set occupancy=1")
+    changed = run(
+        cluster="audi", schedule="round-robin", occupancy=0.2, steps=8, rounds=3, changes=changes
+    )
+    shares = [data for topic, data in changed.messages if topic.startswith("share/")]
+    counts: dict[int, set[int | None]] = {}
+    for data in shares:
+        fragment = read_frame(data)
+        counts.setdefault(fragment.cycle, set()).add(fragment.count)
+    expected = {}
+    for step in range(8):
+        first, rounds = (3 * step, 3) if step < 4 else (12 + 2 * (step - 4), 2)
+        turn = (b for b in range(20 * step, 20 * step + 5) if b % 5 == first % 5 or step >= 4)
+        begins = next(turn)
+        expected |= {first + number: {(begins + number) % 64} for number in range(rounds)}
+    assert counts == expected
+    rejected = [name for one in changed.trace.counters for name in one if "reject" in name]
+    assert not rejected
 
 
 # --- faults on the wire --------------------------------------------------------------------------
