@@ -42,6 +42,15 @@ class NodeLedger:
         self._overtaken: set[tuple[int, int]] = set()
         self._later: list[tuple[int, str]] = []
 
+    def book_untold(self, sender: int, cycle: int, key: Key) -> None:
+        """Enter a frame that is wrong in a way that no node knows before the step begins."""
+        if cycle < self.end_cycle or self.phase is not Phase.MEASUREMENT:
+            self.counts["rejected"] += 1
+        elif any(key == other for *_, other in self.early):
+            self.counts["repeated"] += 1
+        else:
+            self.early.append((sender, None, key))
+
     def arrive(self, sender: int, sent: Sent, is_usable: bool) -> None:
         """Enter a frame that has come in its slot, usable or not."""
         key = (sent.cycle, sender)
