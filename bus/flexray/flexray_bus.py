@@ -1,6 +1,6 @@
 """The FlexRay bus of a network: a schedule with its slots on a cluster."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from functools import cached_property
 from itertools import zip_longest
 
@@ -16,7 +16,7 @@ from concord.bus.flexray.dynamic_segment import Request, walk
 from concord.bus.flexray.message_slot import MessageSlot
 from concord.bus.flexray.publication import Publications
 from concord.bus.flexray.relay import check_relay
-from concord.bus.flexray.share_frames import payload_lengths
+from concord.bus.flexray.share_frames import null_frame, payload_lengths
 from concord.bus.flexray.slot_table import SlotTable, allocate, check_reachable
 from concord.bus.flexray.slotted_bus import SlottedBus
 from concord.bus.flexray.timing import (
@@ -119,6 +119,19 @@ class FlexRayBus(SlottedBus):
         sent = [request for request in requests if request not in waiting]
         frames = dynamic_transmissions(self.cluster, sent)
         return (*static, *(frame for frame in frames if frame.node < self.schedule.nodes))
+
+    def null_frames(
+        self, turn: int, bus_cycle: int, sent: Container[int] = ()
+    ) -> Iterator[tuple[Transmission, bytes]]:
+        """Yield the null frames of cycle `bus_cycle` of the bus, in which static slots have their
+        owners of cycle `turn`: one in each slot without a frame whose ID is in `sent`."""
+        count = bus_cycle % self.cluster.number_of_cycles
+        for frame in self._owned[turn % len(self._owned)]:
+            if frame.frame_id in sent:
+                continue
+            slots = self.slots(frame.node, turn)[0]
+            slot = next(slot for slot in slots if slot.frame_id == frame.frame_id)
+            yield frame, null_frame(slot, count)
 
     def load(self, transmissions: Sequence[Transmission]) -> float:
         """Return the fraction of a cycle in which the busier channel carries frames."""

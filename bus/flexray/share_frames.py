@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import msgspec
+from msgspec.structs import replace
 
 from concord.bus.bus import Fragment, FrameFormat, Rejected, SharePlace
 from concord.bus.flexray.fragments import PREFIX_BYTES as NUMBERING_BYTES
@@ -62,6 +63,8 @@ def to_frames(
                 slot.frame_id,
                 count,
                 (prefix + fragment).ljust(slot.payload_bytes if slot.fixed else 0, b"\0"),
+                sync=slot.sync,
+                startup=slot.startup,
             )
         )
         for slot, fragment in zip(slots, fragments, strict=False)
@@ -139,7 +142,7 @@ def renumbered(frame: bytes, cycle: int, cycle_count: int) -> bytes:
     """
     told = decode_frame(frame)
     payload = _CYCLE.pack(cycle) + told.payload[PREFIX_BYTES:]
-    return encode_frame(Frame(told.frame_id, cycle_count, payload))
+    return encode_frame(replace(told, cycle_count=cycle_count, payload=payload))
 
 
 def in_slot(frame: bytes, frame_id: int) -> bytes:
@@ -160,7 +163,15 @@ def emptied(frame: bytes) -> bytes:
     """
     told = decode_frame(frame)
     payload = bytes(len(told.payload))
-    return encode_frame(Frame(told.frame_id, told.cycle_count, payload, null=True))
+    return encode_frame(replace(told, payload=payload, null=True))
+
+
+def null_frame(slot: Slot, cycle_count: int) -> bytes:
+    """The frame in a static slot whose owner has nothing to send."""
+    payload = bytes(slot.payload_bytes)
+    return encode_frame(
+        Frame(slot.frame_id, cycle_count, payload, null=True, sync=slot.sync, startup=slot.startup)
+    )
 
 
 def on_channel(frame: bytes, channel: str) -> bytes:
@@ -180,7 +191,7 @@ def miscounted(frame: bytes, cycles: int) -> bytes:
     """
     told = decode_frame(frame)
     count = (told.cycle_count + cycles) % CYCLE_COUNTS
-    return encode_frame(Frame(told.frame_id, count, told.payload))
+    return encode_frame(replace(told, cycle_count=count))
 
 
 def numbered(data: bytes) -> SharePlace:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 BATCHED = "batched"
 """The driver whose folder holds many runs and no recording."""
 RECORDING, ARRAYS, DESCRIPTION, CAPTURE = "run.mcap", "run.nc", "run.json", "bus.pcap"
+NODE_CAPTURE = "bus_node_{}.pcap"
 _VERSIONED = ("numpy", "scipy", "networkx", "eclipse-zenoh", "msgspec")
 
 
