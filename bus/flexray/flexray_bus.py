@@ -112,7 +112,8 @@ class FlexRayBus(SlottedBus):
         ]
         if not self.others:
             return (*static, *dynamic_transmissions(self.cluster, winners))
-        due = [slot for slot in self.others if slot.sends(cycle)]
+        number = self.timebase.bus_cycle(cycle)
+        due = [slot for slot in self.others if slot.sends(number)]
         requests = [*winners, *requests_of(due, self.cluster)]
         # Frames of other stations that find no room wait; the arbiter has let no node in so far.
         waiting = walk(self.cluster, requests).waiting
