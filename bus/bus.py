@@ -6,7 +6,7 @@ Nodes, environment, drivers and reports know a bus by this face alone.
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, Self
 
 import msgspec
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from concord.bus.arbitration import ArbiterState
 from concord.bus.captured import Link
 from concord.bus.schedule import Schedule
+from concord.bus.timebase import Pace, Timebase
 
 
 class Rejected(Exception):
@@ -26,11 +27,13 @@ class Rejected(Exception):
 
 
 class Fragment(msgspec.Struct, frozen=True):
-    """Fragment of a share in one frame: in which slot, and in which cycle since the start."""
+    """Fragment of a share in one frame: in which slot, and in which of the cycles that carry
+    rounds. `count` is the bus's own cycle counter in the frame; None on a bus without one."""
 
     frame_id: int
     cycle: int
     data: bytes
+    count: int | None = None
 
 
 class SharePlace(msgspec.Struct, frozen=True):
@@ -161,7 +164,7 @@ class Bus(Protocol):
         """Return where a fragment of this sender belongs in its share.
 
         Raises:
-            Rejected: nowhere.
+            Rejected: nowhere, or its cycle counter is not that of its cycle.
         """
         ...
 
@@ -207,6 +210,15 @@ class Bus(Protocol):
         ...
 
     # --- time -------------------------------------------------------------------------------------
+
+    @property
+    def timebase(self) -> Timebase:
+        """Return which cycles of the bus carry the rounds of the run; `cycle` counts those."""
+        ...
+
+    def paced(self, pace: Pace) -> Self:
+        """Return the bus in a run of this pace."""
+        ...
 
     @property
     def has_time(self) -> bool:
@@ -263,7 +275,8 @@ class Bus(Protocol):
         ...
 
     def fusion_delay_us(self, rounds: int, last_cycle: Sequence[Transmission]) -> float:
-        """Return the time from a measurement to the end of the last share; NaN without time."""
+        """Return the time from the first cycle of a step to the end of its last share; NaN without
+        time. The step may wait for its first cycle (`Timebase.wait_us`)."""
         ...
 
     def check_pace(self, rounds: int, time_step_s: float, stretch: float) -> None:

@@ -24,7 +24,7 @@ class TimelessBus(SlottedBus):
 
     name = "none"
     has_time = False
-    cycle_us = 0.0
+    cycle_us: float = 0.0
     channels = "A"
     clock_precision_us = 0.0
     worst_access_us = nan

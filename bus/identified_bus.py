@@ -1,10 +1,11 @@
 """A bus whose frames carry identifiers of their senders, with a fixed time for each cycle."""
 
+import copy
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from math import inf
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from concord.bus.arbitration import Arbiter, ArbiterState, Numbers, award
 from concord.bus.bus import Awards, Fragment, Rejected, SegmentTime, SharePlace, Transmission
 from concord.bus.identified_frames import Framing, identifier_of, numbered
 from concord.bus.schedule import Schedule
+from concord.bus.timebase import EVERY_CYCLE, Pace, Timebase
 
 
 class BidClasses(Protocol):
@@ -37,6 +39,7 @@ class IdentifiedBus(ABC):
 
     name: str
     segment_name: str
+    timebase: Timebase = EVERY_CYCLE
     has_time = True
     channels = "A"
     # No slot has an edge that a clock could miss.
@@ -163,6 +166,12 @@ class IdentifiedBus(ABC):
         return len(self.schedule.static_senders(cycle)) + contenders
 
     # --- time -------------------------------------------------------------------------------------
+
+    def paced(self, pace: Pace) -> Self:
+        """Return the bus in a run of this pace: which of its cycles carry rounds."""
+        other = copy.copy(self)
+        other.timebase = Timebase(self.cycle_us, self.schedule.period, pace)
+        return other
 
     @property
     def cycle_us(self) -> float:

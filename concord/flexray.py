@@ -7,6 +7,7 @@
 docs/flexray_toolbox.md has a how-to for each task.
 """
 
+from concord.bus.captured import Captured
 from concord.bus.flexray.cluster import Cluster, ClusterError
 from concord.bus.flexray.dynamic_segment import Request, Walk, walk
 from concord.bus.flexray.files.arxml import cluster_from_arxml
@@ -36,7 +37,7 @@ from concord.bus.flexray.traffic import worst_responses
 from concord.bus.recordings.decoder import DecodedFrame, Decoding, decode_waveform
 from concord.bus.recordings.fit import Fit
 from concord.bus.recordings.fit import fit as fit_recording
-from concord.bus.recordings.pcap import Captured, write_pcap
+from concord.bus.recordings.pcap import write_pcap
 from concord.bus.recordings.recorded_cluster import RecordedCluster, recorded_cluster
 from concord.bus.recordings.recorded_slots import recorded_slots
 from concord.bus.recordings.recording_files import read_recording

@@ -52,7 +52,8 @@ def _keep_early(
             config.bus.place(event.sender, fragment)
         except Rejected as rejected:
             return count(state, _counter(rejected))
-    key = (event.sender, cycle, fragment.frame_id)
+    # Whether the counter is that of the cycle is not settled either: one frame with each is kept.
+    key = (event.sender, cycle, fragment.frame_id, fragment.count)
     if key in state.inbox.early:
         return count(state, "repeated")
     early = {**state.inbox.early, key: (fragment, event.frame)}
@@ -70,7 +71,7 @@ def file_early(config: NodeConfig, state: NodeState) -> NodeState:
     early = state.inbox.early
     due = [(key[0], *kept) for key, kept in early.items() if key[1] < end]
     state = replace(state, inbox=replace(state.inbox, early={}))
-    for (sender, cycle, _), (fragment, frame) in early.items():
+    for (sender, cycle, *_), (fragment, frame) in early.items():
         if cycle >= end:
             # It may have come between two steps, when that was open.
             state = _keep_early(config, state, ShareHeard(sender, frame), fragment, True)

@@ -106,9 +106,9 @@ class Inbox(msgspec.Struct, frozen=True):
     Heartbeats are kept by step, grants by (cycle, group), shares and their parts by (cycle,
     sender). A frame that the link has lost is None: the node does not wait for it.
 
-    Frames of later steps wait in `early` by (sender, cycle, frame ID): changes may come before
-    them, and say what they are. `overtaken` shares by (cycle, sender) come after all others of
-    their cycle: their fragments when these have all come, () before. `late` frames are under way
+    Frames of later steps wait in `early` by (sender, cycle, frame ID, count): changes may come
+    before them, and say what they are. `overtaken` shares by (cycle, sender) come after all others
+    of their cycle: their fragments when these have all come, () before. `late` frames are under way
     with the cycle in which they come.
     """
 
@@ -116,7 +116,7 @@ class Inbox(msgspec.Struct, frozen=True):
     grants: dict[tuple[int, int], Grant]
     parts: dict[tuple[int, int], dict[int, bytes | None]]
     shares: dict[tuple[int, int], Any]
-    early: dict[tuple[int, int, int], tuple[Fragment, bytes]]
+    early: dict[tuple[int, int, int, int | None], tuple[Fragment, bytes]]
     overtaken: dict[tuple[int, int], tuple[bytes | None, ...]]
     late: tuple[tuple[int, bytes], ...] = ()
 

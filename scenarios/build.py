@@ -8,6 +8,7 @@ import numpy as np
 
 from concord.bus.bus import Bus
 from concord.bus.schedule import Schedule
+from concord.bus.timebase import Pace
 from concord.filters.filter import Filter
 from concord.filters.gaussian import Gaussian
 from concord.nodes.changes import UNCHANGED, Standing
@@ -28,15 +29,18 @@ from concord.scenarios.rules import build_estimator, hold_policy, wire_number
 from concord.scenarios.scenario import Scenario
 from concord.scenarios.setup import Setup
 from concord.scenarios.streams import generator
-from concord.scenarios.types.buses import trigger_of
+from concord.scenarios.types.buses import stretch_of, trigger_of
 
 # Steps by which an undriven environment may run ahead of the slowest estimate.
 OPEN_LOOP_LEAD = 4
 
 
-def build_bus(setup: Setup) -> Bus:
-    """The bus of a setup."""
-    return plan_bus(setup.scenario, share_bytes(setup), setup.neighbours)
+def build_bus(setup: Setup, first_step: int = 0, first_cycle: int = 0) -> Bus:
+    """The bus of a setup whose settings hold from a step on, which begins with this cycle."""
+    scenario = setup.scenario
+    step_us = setup.time_step_s * stretch_of(scenario.bus) * 1e6
+    pace = Pace(step_us, scenario.rounds, first_step, first_cycle)
+    return plan_bus(scenario, share_bytes(setup), setup.neighbours).paced(pace)
 
 
 def build_node(setup: Setup, node: int) -> NodeConfig:
@@ -47,7 +51,7 @@ def build_node(setup: Setup, node: int) -> NodeConfig:
 def _node(setup: Setup, node: int, standing: Standing, step: int) -> NodeConfig:
     """That of a node which begins at a step, where `setup` holds by what has been set since."""
     scenario = setup.scenario
-    bus = build_bus(setup)
+    bus = build_bus(setup, standing.first_step, standing.first_cycle)
     cycle = standing.first_cycle + (step - standing.first_step) * scenario.rounds
     return NodeConfig(
         node,
@@ -146,10 +150,11 @@ def everybody_of(setup: Setup, schedule: Schedule) -> Everybody:
     return Everybody(scenario, schedule, sensors, groups, (readings, channels))
 
 
-def build_environment(setup: Setup) -> EnvironmentConfig:
-    """Return the configuration of the environment, with all its randomness drawn."""
+def build_environment(setup: Setup, standing: Standing = UNCHANGED) -> EnvironmentConfig:
+    """Return the configuration of the environment, with all its randomness drawn, where the
+    settings hold since when they stand."""
     scenario = setup.scenario
-    bus = build_bus(setup)
+    bus = build_bus(setup, standing.first_step, standing.first_cycle)
     definition = definition_of(scenario)
     plant = definition.plant(scenario)
     controller = build_controller(scenario)
@@ -173,7 +178,7 @@ def build_environment(setup: Setup) -> EnvironmentConfig:
 
 
 def _environment_rebuilt(setup: Setup, standing: Standing) -> EnvironmentConfig:
-    changed = build_environment(with_settings(setup, standing.settings))
+    changed = build_environment(with_settings(setup, standing.settings), standing)
     return dataclasses.replace(
         changed,
         first_step=standing.first_step,

@@ -1,6 +1,6 @@
 """The FlexRay bus of a network: a schedule with its slots on a cluster."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from functools import cached_property
 from itertools import zip_longest
 from math import nan
@@ -17,7 +17,7 @@ from concord.bus.flexray.dynamic_segment import Request, walk
 from concord.bus.flexray.message_slot import MessageSlot
 from concord.bus.flexray.publication import Publications
 from concord.bus.flexray.relay import check_relay
-from concord.bus.flexray.share_frames import payload_lengths
+from concord.bus.flexray.share_frames import null_frame, payload_lengths
 from concord.bus.flexray.slot_table import SlotTable, allocate, check_reachable
 from concord.bus.flexray.slotted_bus import SlottedBus
 from concord.bus.flexray.timing import (
@@ -56,6 +56,7 @@ class FlexRayBus(SlottedBus):
         slots = Publications(table, cluster).slots
         super().__init__(schedule, slots, arbiter, cluster.number_of_cycles, classes)
         self.cluster = cluster
+        self.cycle_us = cluster.cycle_us
         self.table = table
         self.others = tuple(others)
 
@@ -63,11 +64,6 @@ class FlexRayBus(SlottedBus):
     def name(self) -> str:
         """The name of the cluster."""
         return self.cluster.name
-
-    @property
-    def cycle_us(self) -> float:
-        """Duration of a communication cycle."""
-        return self.cluster.cycle_us
 
     @property
     def channels(self) -> str:
@@ -84,8 +80,13 @@ class FlexRayBus(SlottedBus):
         return min(offsets)
 
     def clock_errors(self, nodes: int, drifts: tuple[ClockDrift, ...], cycle: int) -> ClockErrors:
-        """Return the clocks of so many nodes in a cycle where some oscillators drift."""
-        return clock_errors(self.cluster, nodes, drifts, cycle)
+        """Return the clocks of so many nodes in a cycle where some oscillators drift.
+
+        Oscillators drift and clocks are corrected in all cycles, also in those between the steps.
+        """
+        number = self.timebase.bus_cycle
+        begun = tuple(one._replace(first_cycle=number(one.first_cycle)) for one in drifts)
+        return clock_errors(self.cluster, nodes, begun, number(cycle))
 
     def segments(self) -> tuple[SegmentTime, ...]:
         """Return the segments of a cycle, in order."""
@@ -119,13 +120,27 @@ class FlexRayBus(SlottedBus):
         ]
         if not self.others:
             return (*static, *dynamic_transmissions(self.cluster, winners))
-        due = [slot for slot in self.others if slot.sends(cycle)]
+        number = self.timebase.bus_cycle(cycle)
+        due = [slot for slot in self.others if slot.sends(number)]
         requests = [*winners, *requests_of(due, self.cluster)]
         # Frames of other stations that find no room wait; the arbiter has let no node in so far.
         waiting = walk(self.cluster, requests).waiting
         sent = [request for request in requests if request not in waiting]
         frames = dynamic_transmissions(self.cluster, sent)
         return (*static, *(frame for frame in frames if frame.node < self.schedule.nodes))
+
+    def null_frames(
+        self, turn: int, bus_cycle: int, sent: Container[int] = ()
+    ) -> Iterator[tuple[Transmission, bytes]]:
+        """Yield the null frames of cycle `bus_cycle` of the bus, in which static slots have their
+        owners of cycle `turn`: one in each slot without a frame whose ID is in `sent`."""
+        count = bus_cycle % self.cluster.number_of_cycles
+        for frame in self._owned[turn % len(self._owned)]:
+            if frame.frame_id in sent:
+                continue
+            slots = self.slots(frame.node, turn)[0]
+            slot = next(slot for slot in slots if slot.frame_id == frame.frame_id)
+            yield frame, null_frame(slot, count)
 
     def load(self, transmissions: Sequence[Transmission]) -> float:
         """Return the fraction of a cycle in which the busier channel carries frames."""

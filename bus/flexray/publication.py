@@ -4,20 +4,47 @@ from collections import defaultdict
 from math import lcm
 from typing import NamedTuple
 
+from concord.bus.flexray.clock_constraints import MOST_SYNC_NODES
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.slot_table import SlotAssignment, SlotTable
+
+_LEAST_SYNC_NODES, _STARTUP_NODES = 2, 3
 
 
 class Slot(NamedTuple):
     """One frame: its ID and payload length in bytes.
 
     A `fixed` one is padded to that length, as every static frame of a cluster is; another is as
-    short as what it carries.
+    short as what it carries. A key slot carries a sync frame, which may be a startup frame too.
     """
 
     frame_id: int
     payload_bytes: int
     fixed: bool = True
+    sync: bool = False
+    startup: bool = False
+
+
+def key_slots(table: SlotTable, cluster: Cluster) -> tuple[frozenset[int], frozenset[int]]:
+    """Return the key slots of sync nodes, and of those that start the cluster.
+
+    A node sends in its key slot in every cycle, so only slots without cycle multiplexing can be
+    key slots: the first of each node. A cluster that states its key slots has these among them;
+    otherwise the first nodes are sync nodes, 15 at most, and three of them start the cluster. One
+    node alone keeps no time with others, and a bus of turns has no key slots at all.
+    """
+    owners: dict[int, int] = {}
+    for slot in table.assignments:
+        if slot.frame_id < table.first_dynamic_id and slot.repetition == 1:
+            owners.setdefault(slot.node, slot.frame_id)
+    owned = sorted(owners.values())
+    if cluster.sync_slots:
+        sync = [slot for slot in owned if slot in cluster.sync_slots]
+        return frozenset(sync), frozenset(sync).intersection(cluster.startup_slots)
+    if len(owned) < _LEAST_SYNC_NODES:
+        return frozenset(), frozenset()
+    sync = owned[: cluster.sync_nodes_most or MOST_SYNC_NODES]
+    return frozenset(sync), frozenset(sync[:_STARTUP_NODES])
 
 
 class Publications:
@@ -29,6 +56,7 @@ class Publications:
         for slot in table.assignments:
             segment = self._static if slot.frame_id < table.first_dynamic_id else dynamic
             segment[slot.node].append(slot)
+        self._sync, self._startup = key_slots(table, cluster)
         self._static_payload_bytes = cluster.static_payload_bytes
         self._period = lcm(*(slot.repetition for slot in table.assignments))
         # Cache of lookups; a table repeats within few cycles.
@@ -58,7 +86,12 @@ class Publications:
 
     def _look_up(self, node: int, cycle: int) -> tuple[tuple[Slot, ...], ...]:
         static = tuple(
-            Slot(slot.frame_id, self._static_payload_bytes)
+            Slot(
+                slot.frame_id,
+                self._static_payload_bytes,
+                sync=slot.frame_id in self._sync,
+                startup=slot.frame_id in self._startup,
+            )
             for slot in self._static.get(node, ())
             if slot.sends(cycle)
         )

@@ -1,9 +1,9 @@
 """A share in FlexRay frames: the body cut into payloads, and what a frame says of its share.
 
-The payload of each frame begins with the number of its communication cycle since the start. That
-number gives the step, as a step has a fixed number of cycles. The frame's own header repeats its
-last six bits. Then comes the frame's fragment of the body (`bus/fragments.py`). Two
-checksums guard the whole.
+The payload of each frame begins with the number of its communication cycle among those that carry
+rounds. That number gives the step, as a step has a fixed number of them. The frame's own header
+counts the cycles of the bus, also those between the steps (`bus/timebase.py`). Then comes the
+frame's fragment of the body (`bus/fragments.py`). Two checksums guard the whole.
 """
 
 import struct
@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import msgspec
+from msgspec.structs import replace
 
 from concord.bus.bus import Fragment, FrameFormat, Rejected, SharePlace
 from concord.bus.flexray.frame import (
@@ -44,15 +45,16 @@ def payload_lengths(share_bytes: int, limit_bytes: int = MAX_PAYLOAD_BYTES) -> t
 
 
 def to_frames(
-    body: bytes, cycle: int, slots: Sequence[Slot], cycle_counts: int = CYCLE_COUNTS
+    body: bytes, cycle: int, slots: Sequence[Slot], cycle_count: int | None = None
 ) -> list[bytes]:
-    """The frames that carry `body` in the first of `slots`, as many as it takes; the cluster's
-    cycle counter wraps at `cycle_counts`.
+    """The frames that carry `body` in the first of `slots`, as many as it takes. `cycle_count` is
+    the bus's cycle counter; without it the bus has no cycles but those that carry rounds.
 
     Raises:
         ValueError: the body is longer than the slots are.
     """
     prefix = _CYCLE.pack(cycle)
+    count = cycle % CYCLE_COUNTS if cycle_count is None else cycle_count
     fragments = split(body, slots[0].payload_bytes - PREFIX_BYTES)
     if len(fragments) > len(slots):
         raise ValueError(f"a share of {len(body)} bytes does not fit into {len(slots)} frames")
@@ -60,8 +62,10 @@ def to_frames(
         encode_frame(
             Frame(
                 slot.frame_id,
-                cycle % cycle_counts,
+                count,
                 (prefix + fragment).ljust(slot.payload_bytes if slot.fixed else 0, b"\0"),
+                sync=slot.sync,
+                startup=slot.startup,
             )
         )
         for slot, fragment in zip(slots, fragments, strict=False)
@@ -92,18 +96,18 @@ def _shape(slot: Slot, share_bytes: int, cycle_count: int) -> _Shape | None:
     """None where the share takes several frames."""
     if len(payload_sizes(share_bytes, slot.payload_bytes - PREFIX_BYTES)) > 1:
         return None
-    (frame,) = to_frames(bytes(share_bytes), cycle_count, [slot])
+    (frame,) = to_frames(bytes(share_bytes), 0, [slot], cycle_count)
     start = HEADER_BYTES + PREFIX_BYTES
     numbering = frame[start : start + NUMBERING_BYTES]
     return _Shape(frame[:HEADER_BYTES], numbering, len(frame))
 
 
 def whole_body(
-    frame: bytes, slot: Slot, share_bytes: int, cycle: int, cycle_counts: int = CYCLE_COUNTS
+    frame: bytes, slot: Slot, share_bytes: int, cycle: int, cycle_count: int
 ) -> bytes | None:
     """The body in a frame that is bit by bit what `to_frames` makes of one of that length in this
     slot and cycle; None for every other frame, which `read_frame` looks at more closely."""
-    shape = _shape(slot, share_bytes, cycle % cycle_counts)
+    shape = _shape(slot, share_bytes, cycle_count)
     if shape is None or len(frame) != shape.frame_bytes:
         return None
     start = shape.header + _CYCLE.pack(cycle) + shape.numbering
@@ -112,8 +116,8 @@ def whole_body(
     return frame[len(start) : len(start) + share_bytes]
 
 
-def read_frame(data: bytes, cycle_counts: int | None = None) -> Fragment:
-    """Return the fragment in a frame; with `cycle_counts` its header must count the cycle by that.
+def read_frame(data: bytes) -> Fragment:
+    """Return the fragment in a frame, with the count of its header.
 
     Raises:
         Rejected: with the reason of the check that failed.
@@ -127,20 +131,19 @@ def read_frame(data: bytes, cycle_counts: int | None = None) -> Fragment:
     if len(frame.payload) < PREFIX_BYTES:
         raise Rejected("too-short")
     cycle = _CYCLE.unpack_from(frame.payload)[0]
-    if cycle_counts is not None and cycle % cycle_counts != frame.cycle_count:
-        raise Rejected("cycle-count")
-    return Fragment(frame.frame_id, cycle, frame.payload[PREFIX_BYTES:])
+    return Fragment(frame.frame_id, cycle, frame.payload[PREFIX_BYTES:], frame.cycle_count)
 
 
-def renumbered(frame: bytes, cycle: int, cycle_counts: int = CYCLE_COUNTS) -> bytes:
-    """The frame with the number of another cycle, in payload and header, and its checksums right.
+def renumbered(frame: bytes, cycle: int, cycle_count: int) -> bytes:
+    """The frame with the number of another cycle in its payload and the count of it in its header,
+    and its checksums right.
 
     Raises:
         FrameError: it is no frame.
     """
     told = decode_frame(frame)
     payload = _CYCLE.pack(cycle) + told.payload[PREFIX_BYTES:]
-    return encode_frame(Frame(told.frame_id, cycle % cycle_counts, payload))
+    return encode_frame(replace(told, cycle_count=cycle_count, payload=payload))
 
 
 def in_slot(frame: bytes, frame_id: int) -> bytes:
@@ -161,7 +164,15 @@ def emptied(frame: bytes) -> bytes:
     """
     told = decode_frame(frame)
     payload = bytes(len(told.payload))
-    return encode_frame(Frame(told.frame_id, told.cycle_count, payload, null=True))
+    return encode_frame(replace(told, payload=payload, null=True))
+
+
+def null_frame(slot: Slot, cycle_count: int) -> bytes:
+    """The frame in a static slot whose owner has nothing to send."""
+    payload = bytes(slot.payload_bytes)
+    return encode_frame(
+        Frame(slot.frame_id, cycle_count, payload, null=True, sync=slot.sync, startup=slot.startup)
+    )
 
 
 def on_channel(frame: bytes, channel: str) -> bytes:
@@ -181,7 +192,7 @@ def miscounted(frame: bytes, cycles: int) -> bytes:
     """
     told = decode_frame(frame)
     count = (told.cycle_count + cycles) % CYCLE_COUNTS
-    return encode_frame(Frame(told.frame_id, count, told.payload))
+    return encode_frame(replace(told, cycle_count=count))
 
 
 def numbered(data: bytes) -> SharePlace:

@@ -1,6 +1,8 @@
 """A bus of slots with frame IDs: shares in FlexRay frames, and slots awarded by an arbiter."""
 
+import copy
 from collections.abc import Callable, Sequence
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +22,7 @@ from concord.bus.flexray.share_frames import (
     whole_body,
 )
 from concord.bus.schedule import Schedule
+from concord.bus.timebase import EVERY_CYCLE, Pace, Timebase
 from concord.bus.urgency_classes import UrgencyClasses
 
 Slots = Callable[[int, int], tuple[tuple[Slot, ...], ...]]
@@ -32,6 +35,8 @@ class SlottedBus:
     slots."""
 
     frame_format = SHARE_FRAMES
+    timebase: Timebase = EVERY_CYCLE
+    cycle_us: float = 0.0
 
     def __init__(
         self,
@@ -47,11 +52,21 @@ class SlottedBus:
         self._arbiter = arbiter
         self._cycle_counts = cycle_counts
 
+    def paced(self, pace: Pace) -> Self:
+        """Return the bus in a run of this pace: which of its cycles carry rounds."""
+        other = copy.copy(self)
+        other.timebase = Timebase(self.cycle_us, self.schedule.period, pace)
+        return other
+
+    def cycle_count(self, cycle: int) -> int:
+        """Return the cycle counter of the bus in the cycle that nodes call `cycle`."""
+        return self.timebase.bus_cycle(cycle) % self._cycle_counts
+
     def encode(self, node: int, cycle: int, body: bytes, urgency_class: int = 0) -> list[bytes]:
         """Return the frames in which a node sends a share in a cycle."""
         slots = self.slots(node, cycle)
         of_class = slots[min(urgency_class, len(slots) - 1)]
-        return to_frames(body, cycle, of_class, self._cycle_counts)
+        return to_frames(body, cycle, of_class, self.cycle_count(cycle))
 
     def payloads(self, node: int, cycle: int, body_bytes: int) -> tuple[int, ...]:
         """Return the payload length of each frame that `encode` makes of a body of that length."""
@@ -64,16 +79,18 @@ class SlottedBus:
         if len(slots) > 1:
             sent_in = frame_id_of(frame)
             slot = next((one[0] for one in slots if one[0].frame_id == sent_in), slot)
-        return whole_body(frame, slot, body_bytes, cycle, self._cycle_counts)
+        return whole_body(frame, slot, body_bytes, cycle, self.cycle_count(cycle))
 
     def receive(self, frame: bytes) -> Fragment:
         """Return what a frame carries; raise `Rejected` for one that is not sound."""
-        return read_frame(frame, self._cycle_counts)
+        return read_frame(frame)
 
     def place(self, sender: int, fragment: Fragment) -> SharePlace:
         """Return where a fragment belongs in its share; raise `Rejected` if nowhere."""
-        frames = numbered(fragment.data).frames
         schedule, cycle = self.schedule, fragment.cycle
+        if fragment.count not in (None, self.cycle_count(cycle)):
+            raise Rejected("cycle-count")
+        frames = numbered(fragment.data).frames
         if sender not in schedule.static_senders(cycle) and sender not in schedule.contenders(
             cycle
         ):
@@ -99,7 +116,7 @@ class SlottedBus:
 
     def renumbered(self, frame: bytes, cycle: int) -> bytes:
         """Return a sound frame with the number of another cycle."""
-        return renumbered(frame, cycle, self._cycle_counts)
+        return renumbered(frame, cycle, self.cycle_count(cycle))
 
     @property
     def has_ideal_arbiter(self) -> bool:

@@ -91,7 +91,7 @@ def bus_load(cluster: Cluster, transmissions: Iterable[Transmission], channel: s
 
 
 def fusion_delay_us(cluster: Cluster, rounds: int, last_cycle: Iterable[Transmission]) -> float:
-    """From a measurement at the beginning of the first cycle to the end of the last share."""
+    """From the beginning of a step's first cycle to the end of its last share."""
     end_us = max((frame.end_us for frame in last_cycle), default=0.0)
     return (rounds - 1) * cluster.cycle_us + end_us
 

@@ -4,11 +4,11 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from concord.bus.captured import Captured
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.cluster_parameters import CHANNEL_IDLE_BITS, TRAILING_BITS
 from concord.bus.flexray.share_frames import frame_id_of
 from concord.bus.recordings.bitstream import byte_bits
-from concord.bus.recordings.pcap import Captured
 from concord.bus.recordings.waveform import Waveform, WaveformError, from_samples
 
 

@@ -91,7 +91,8 @@ class Assembler:
                 continue
             self._events.append(event)
             if change.what == "settings":
-                self._stage = restaged(self._stage, dict(self._network.settings))
+                since = self._network.anchor[:2]
+                self._stage = restaged(self._stage, dict(self._network.settings), *since)
                 self._bus = BusView(self._stage.bus)
 
     def _drawn(self, number: int, truth: np.ndarray, told: StepContent) -> StepFrame:

@@ -23,7 +23,8 @@ class BusView:
         ]
         frames = self._bus.transmissions(cycle, row, classes)
         silent = tuple(node for node in schedule.static_senders(cycle) if not row[node])
-        return BusCycle(cycle, tuple(sorted(frames, key=_when)), silent, sum(row))
+        number = self._bus.timebase.bus_cycle(cycle)
+        return BusCycle(cycle, number, tuple(sorted(frames, key=_when)), silent, sum(row))
 
 
 def _when(frame: Transmission) -> tuple[float, int]:

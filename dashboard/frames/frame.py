@@ -21,10 +21,12 @@ class LogEntry(NamedTuple):
 class BusCycle(NamedTuple):
     """One communication cycle: its frames in order of time, and who owned a slot and was silent.
 
-    On a bus without time, times are places in the order of slots and `span_us` is their number.
+    `cycle` counts the cycles that carry rounds, `bus_cycle` all cycles of the bus. On a bus without
+    time, times are places in the order of slots and `span_us` is their number.
     """
 
     cycle: int
+    bus_cycle: int
     frames: tuple[Transmission, ...]
     silent: tuple[int, ...]
     payload_bytes: int

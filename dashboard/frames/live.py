@@ -76,9 +76,10 @@ class LiveNetwork:
         except msgspec.ValidationError as error:
             self._client.close()
             raise ValueError(f"--connect: no network of this version answers ({error})") from None
-        settings = dict(situation.standing.settings)
-        stage = set_stage(situation.setup)
-        self._stage = restaged(stage, settings) if settings else stage
+        standing, stage = situation.standing, set_stage(situation.setup)
+        since = standing.first_step, standing.first_cycle
+        settings = dict(standing.settings)
+        self._stage = restaged(stage, settings, *since) if settings else stage
         self._state = _Pause(situation.completed, situation.paused)
         self._begun_and_done = 0
         self._assembler = Assembler(self._stage, network_of(situation))

@@ -133,11 +133,15 @@ def set_stage(setup: Setup) -> Stage:
     )
 
 
-def restaged(stage: Stage, settings: dict[str, Any]) -> Stage:
-    """Return the stage of a network whose settings have changed; all else stays."""
+def restaged(
+    stage: Stage, settings: dict[str, Any], first_step: int = 0, first_cycle: int = 0
+) -> Stage:
+    """Return the stage of a network whose settings have changed from a step on, which begins with
+    this cycle; all else stays."""
     scenario, _ = stage.setup.scenario.with_known(**settings)
     setup = msgspec.structs.replace(stage.setup, scenario=scenario)
-    return replace(stage, setup=setup, bus=build_bus(setup), set_valued=is_set_valued(scenario))
+    bus = build_bus(setup, first_step, first_cycle)
+    return replace(stage, setup=setup, bus=bus, set_valued=is_set_valued(scenario))
 
 
 def _names(setup: Setup, picture: PlantDrawing) -> tuple[str, ...]:

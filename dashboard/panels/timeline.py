@@ -51,7 +51,7 @@ class TimelineView:
             self._bar(theme, cycle, now_us, selected, lost),
             self._raster(theme, past),
             "</svg>",
-            legend(theme, self._bus, cycle),
+            legend(theme, self._bus, cycle, frame.cycles),
         ]
         return "".join(parts)
 
@@ -80,7 +80,7 @@ class TimelineView:
         parts = [
             f'<text x="6" y="{TOP + 15:g}" font-size="11.5" fill="{css(theme.text)}">cycle</text>'
             f'<text x="6" y="{TOP + 29:g}" font-size="11.5" fill="{css(theme.text)}" '
-            f'data-testid="bus-cycle">{cycle.cycle}</text>'
+            f'data-testid="bus-cycle">{cycle.bus_cycle}</text>'
         ]
         for part in self._segments:
             x, wide = (
@@ -150,7 +150,7 @@ class TimelineView:
             if number in (0, len(past[:RASTER_ROWS]) - 1, RASTER_ROWS // 2):
                 parts.append(
                     f'<text x="6" y="{y + ROW - 2:g}" font-size="9" fill="{css(theme.quiet)}">'
-                    f"{cycle.cycle}</text>"
+                    f"{cycle.bus_cycle}</text>"
                 )
             for segment, colour in (("static", theme.seeing), ("dynamic", theme.estimate)):
                 boxes = [

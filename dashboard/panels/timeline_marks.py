@@ -101,8 +101,8 @@ def silent_slot(
     )
 
 
-def legend(theme: Theme, bus: Bus, cycle: BusCycle) -> str:
-    """Return the colours with their meaning, and the facts of the shown cycle."""
+def legend(theme: Theme, bus: Bus, cycle: BusCycle, step: Sequence[BusCycle]) -> str:
+    """Return the colours with their meaning, and the facts of the shown cycle and of its step."""
     entries = [
         (theme.seeing, "static frame"),
         (theme.sending, "sending"),
@@ -118,9 +118,11 @@ def legend(theme: Theme, bus: Bus, cycle: BusCycle) -> str:
     facts = "a bus without time"
     if bus.has_time:
         load = 100 * bus.load(cycle.frames)
+        in_step = sum(bus.load(one.frames) for one in step)
+        over_all = 100 * in_step / bus.timebase.cycles_of(1)
         facts = (
             f"{escape(bus.name)}: cycle {bus.cycle_us / 1e3:.4g} ms, "
-            f"{len(cycle.frames)} frames, load {load:.0f} %"
+            f"{len(cycle.frames)} frames, load {load:.0f} % (over all cycles {over_all:.2g} %)"
         )
     return (
         f'<div style="display:flex;justify-content:space-between;flex-wrap:wrap;font-size:11px;'

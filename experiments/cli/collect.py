@@ -7,7 +7,7 @@ once; this makes the rest of it when there is time.
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import msgspec
 import tyro
@@ -15,7 +15,13 @@ from rich.console import Console
 
 from concord.experiments.results.alternative import labelled_beside
 from concord.experiments.results.folder import RECORDING, Description, read_description
-from concord.experiments.results.run_results import completed, write_results
+from concord.experiments.results.run_results import (
+    NO_MORE,
+    Captures,
+    check_captures,
+    completed,
+    write_results,
+)
 from concord.experiments.results.run_verdict import LEGEND
 from concord.experiments.results.summary import (
     Figures,
@@ -31,6 +37,9 @@ from concord.experiments.user_errors import user_errors
 from concord.runtime.drivers import RunPace
 from concord.runtime.recording import read_recording
 from concord.runtime.recording_repair import finish_recording
+
+CaptureCycles = Literal["used", "all"]
+"""Cycles of the bus in a capture."""
 
 
 class FiguresForm(NamedTuple):
@@ -50,12 +59,18 @@ class CollectOptions:
     """Print one JSON object instead of a table."""
     verbose: bool = False
     """Also print the figures of bus, records and timing."""
+    capture: CaptureCycles = "used"
+    """Cycles in bus.pcap: used (those with rounds), or all, with null frames between the steps."""
+    capture_nodes: tuple[int, ...] = ()
+    """Nodes that get a capture of what they received, bus_node_<N>.pcap."""
 
 
 def collect(options: Annotated[CollectOptions, tyro.conf.arg(name="")]) -> None:
     """Finish the recording of a run that was interrupted; make its arrays, capture and figures."""
     with user_errors():
         description = read_description(options.folder)
+        captures = Captures(options.capture == "all", options.capture_nodes)
+        check_captures(description.setup, captures)
         finish_recording(options.folder / RECORDING)
         trace = completed(options.folder, description)
     finish(
@@ -64,14 +79,20 @@ def collect(options: Annotated[CollectOptions, tyro.conf.arg(name="")]) -> None:
         trace,
         RunPace(None, None),
         FiguresForm(options.json, options.verbose),
+        captures,
     )
 
 
 def finish(
-    folder: Path, description: Description, trace: Trace, pace: RunPace, shown: FiguresForm
+    folder: Path,
+    description: Description,
+    trace: Trace,
+    pace: RunPace,
+    shown: FiguresForm,
+    captures: Captures = NO_MORE,
 ) -> None:
-    """Write run.nc and bus.pcap, print the figures."""
-    write_results(folder, description, trace)
+    """Write run.nc and the captures, print the figures."""
+    write_results(folder, description, trace, captures)
     found = summarise(description.setup, trace)
     figures = msgspec.structs.replace(
         found,

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from concord.experiments.cli.collect import FiguresForm, finish
+from concord.experiments.cli.collect import CaptureCycles, FiguresForm, finish
 from concord.experiments.cli.scenario_flags import ScenarioFlags, resolved
 from concord.experiments.few_samples import few_runs, few_steps
 from concord.experiments.memory import check_address_space, check_memory
@@ -24,7 +24,7 @@ from concord.experiments.results.folder import (
     new_name,
     write_description,
 )
-from concord.experiments.results.run_results import completed
+from concord.experiments.results.run_results import Captures, check_captures, completed
 from concord.experiments.user_errors import user_errors
 from concord.nodes.tempo import Tempo
 from concord.runtime.disk import NotWritten
@@ -67,6 +67,10 @@ class RunOptions:
     """Print one JSON object instead of a table."""
     verbose: bool = False
     """Also print the figures of bus, records and timing."""
+    capture: CaptureCycles = "used"
+    """Cycles in bus.pcap: used (those with rounds), or all, with null frames between the steps."""
+    capture_nodes: tuple[int, ...] = ()
+    """Nodes that get a capture of what they received, bus_node_<N>.pcap."""
 
 
 def run(
@@ -79,6 +83,8 @@ def run(
         found = resolved(scenario)
         check_memory(found, output.runs, messages=output.driver != BATCHED)
         setup = prepare(found)
+        captures = Captures(output.capture == "all", output.capture_nodes)
+        check_captures(setup, captures)
         if output.port is not None:
             ports_from(output.port, names(setup.neighbours))
         name = new_name(setup.scenario.name)
@@ -124,7 +130,8 @@ def run(
         page.close()
     with user_errors():
         trace = completed(folder, description)
-    finish(folder, description, trace, pace, FiguresForm(output.json, output.verbose))
+    shown = FiguresForm(output.json, output.verbose)
+    finish(folder, description, trace, pace, shown, captures)
 
 
 def _tempo(options: RunOptions, setup: Setup) -> Tempo | None:
@@ -154,6 +161,12 @@ def _check(options: RunOptions) -> None:
         )
     if options.dashboard:
         check_place(LOOPBACK, options.http_port)
+    if options.driver == BATCHED and (options.capture != "used" or options.capture_nodes):
+        option = "--capture-nodes" if options.capture_nodes else f"--capture {options.capture}"
+        raise ValueError(
+            f"{option} with --driver {BATCHED}: it passes no frames; use --driver in-process, or "
+            "leave it out"
+        )
     if options.cycle_stretch is not None and options.driver != REALTIME:
         raise ValueError(
             f"--cycle-stretch {options.cycle_stretch:g} with --driver {options.driver}: nothing is "

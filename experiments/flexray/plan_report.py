@@ -175,10 +175,10 @@ def _report(alternative: Alternative) -> PlanReport:
         other_load=bus.other_load,
         time=time,
         fits_time=fits_time,
-        remarks=list(deviations(table.assignments, cluster)),
+        remarks=[*_turns(setup, bus), *deviations(table.assignments, cluster)],
         slots=slot_rows(table),
         published=float(rehearsal.published.mean()),
-        figures=bus_figures(bus, rehearsal.sent, rehearsal.asked, rehearsal.ages.ravel()),
+        figures=bus_figures(bus, rehearsal.sent, rehearsal.asked, rehearsal.ages),
     )
 
 
@@ -193,6 +193,20 @@ def _time(setup: Setup, bus: Bus) -> tuple[str, bool]:
         f"{rounds} cycles of {bus.cycle_us / 1e3:.4g} ms are "
         f"{rounds * bus.cycle_us / 1e3:.4g} ms of the {step_ms:g} ms of a step"
     ), True
+
+
+def _turns(setup: Setup, bus: FlexRayBus) -> list[str]:
+    """Say where turns cannot go by the cycles of the bus."""
+    timebase = bus.timebase
+    if timebase.keeps_turns or timebase.pace is None:
+        return []
+    period, rounds = timebase.period, timebase.pace.rounds
+    needed = (rounds + period - 1) * bus.cycle_us / (setup.time_step_s * 1e6)
+    return [
+        f"turns repeat after {period} cycles, and a step has no time for {rounds} rounds and a "
+        f"wait of {period - 1}, so turns go by rounds and the hosts must reassign the slots; or "
+        f"use --stretch {needed:.4g}"
+    ]
 
 
 def _fitted_cycle_us(setup: Setup) -> float | None:

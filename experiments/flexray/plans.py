@@ -71,7 +71,7 @@ def show(
     """Draw one communication cycle of a scenario as a timeline.
 
     Args:
-        cycle: Which cycle, counted from the beginning of the run.
+        cycle: Which of the cycles that carry rounds, counted from the beginning of the run.
         json: Print one JSON object.
     """
     with user_errors():
@@ -91,14 +91,18 @@ def show(
         result = {
             "cluster": bus.cluster,
             "cycle": cycle,
-            "cycle_count": cycle % bus.cluster.number_of_cycles,
+            "bus_cycle": bus.timebase.bus_cycle(cycle),
+            "cycle_count": bus.cycle_count(cycle),
+            "begins_us": bus.timebase.begins_us(cycle),
             "load": bus.load(frames),
             "segments": [part._asdict() for part in bus.segments()],
             "frames": [frame._asdict() for frame in frames],
         }
         sys.stdout.write(msgspec.json.encode(result).decode() + "\n")
         return
-    sys.stdout.write(timeline(bus.cluster, cycle, frames))
+    step, number = divmod(cycle, rounds)
+    sys.stdout.write(f"round {number} of step {step}: ")
+    sys.stdout.write(timeline(bus.cluster, bus.timebase.bus_cycle(cycle), frames))
 
 
 def _print_answer(answer: PlanAnswer) -> None:

@@ -66,6 +66,7 @@ class ManyFigures(msgspec.Struct, frozen=True):
     shares_missed: float
     bytes_per_step: Interval
     bus_load: Interval
+    bus_load_all: Interval
     noticed: dict[str, float]
     nodes: list[ManyNode]
     seconds: float
@@ -122,6 +123,7 @@ def summarise(histories: Histories, cost: RunCost) -> ManyFigures:
         shares_missed=float(_frames(histories, "missed").sum()),
         bytes_per_step=positive_mean_t(carried["bytes_per_step"]),
         bus_load=positive_mean_t(carried["bus_load"]),
+        bus_load_all=positive_mean_t(carried["bus_load_all"]),
         noticed={
             name: float(count.sum(axis=1).mean())
             for name, count in sorted(histories.counters.items())
@@ -217,7 +219,12 @@ def lines(figures: ManyFigures) -> list[str]:
     """Return the lines below the table: figures that have no column."""
     ratios = figures.to_centralised, figures.worst_node_to_centralised
     busy = figures.bus_load.value
-    load = "" if np.isnan(busy) else f", bus load {100 * busy:.3g} %"
+    over_all = figures.bus_load_all.value
+    load = (
+        ""
+        if np.isnan(busy)
+        else f", bus load {100 * busy:.3g} % (over all cycles {100 * over_all:.2g} %)"
+    )
     framed = (
         ""
         if np.isnan(ratios[0].value)

@@ -50,11 +50,13 @@ FIGURES = {
     "published": Figure(_RUN, "1", "share of the nodes that publish in a communication cycle"),
     "bytes_per_step": Figure(_RUN, "B", "bytes of all frames of a step, frame overhead included"),
     "energy_per_step": Figure(_RUN, "mJ", "first-order radio model, senders and hearers"),
-    "bus_load": Figure(_RUN, "1", "share of a cycle in which the channel carries frames"),
+    "bus_load": Figure(_RUN, "1", "share of a cycle with a round in which there are frames"),
+    "bus_load_all": Figure(_RUN, "1", "the same over all cycles of the bus"),
     "bus_time_us": Figure(_RUN, "us", "time of a step in which the channel carries frames"),
     "delay_us": Figure(_RUN, "us", "from the measurement to the end of the last share of a step"),
     "share_age": Figure(_RUN, "cycles", "mean age of the neighbours' shares behind an estimate"),
     "share_age_max": Figure(_RUN, "cycles", "the oldest of them"),
+    "share_age_all": Figure(_RUN, "cycles", "the mean age in all cycles of the bus"),
     "never_heard": Figure(_RUN, "1", "share of the neighbours of whom nothing is held"),
     "rmse_state": Figure((*_RUN, "state"), "state", "root mean square error of each state"),
     "rmse_node": Figure(_NODE, "score", "root mean square error of each node"),
@@ -161,15 +163,14 @@ def traffic_of(setup: Setup, histories: Histories) -> dict[str, np.ndarray]:
     sent = (payload + form.overhead_bytes * frames).sum(axis=2)
     plant = definition_of(setup.scenario).plant(setup.scenario)
     energy_nj = energy_per_bit_nj(setup.neighbours, plant.positions(0))
-    heard = kept(histories)[1].reshape(len(payload), -1)
-    load, bus_time_us, delay_us = _bus(setup, payload, histories.classes)
+    ages = kept(histories)[1]
+    heard = ages.reshape(len(payload), -1)
+    on_bus = _bus(setup, payload, histories.classes, ages)
     return {
         "published": (payload > 0).sum(axis=(1, 2, 3)) / (_cycles(setup) * payload.shape[-1]),
         "bytes_per_step": sent.sum(axis=2).mean(axis=1),
         "energy_per_step": (8 * sent * energy_nj).sum(axis=2).mean(axis=1) * 1e-6,
-        "bus_load": load,
-        "bus_time_us": bus_time_us,
-        "delay_us": delay_us,
+        **on_bus,
         "share_age": mean_of_known(np.where(heard < 0, np.nan, heard), (1,)),
         "share_age_max": largest_of_known(np.where(heard < 0, np.nan, heard)),
         "never_heard": (heard < 0).mean(axis=1) if heard.shape[1] else np.zeros(len(payload)),
@@ -187,14 +188,14 @@ def _cycles(setup: Setup) -> int:
 
 
 def _bus(
-    setup: Setup, payload: np.ndarray, classes: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean load (R,), mean time of frames per step (R,) and mean delay (R,); NaN on a bus without
-    time, or of several settings."""
+    setup: Setup, payload: np.ndarray, classes: np.ndarray, ages: np.ndarray
+) -> dict[str, np.ndarray]:
+    """Figures of a bus with time (R,); NaN on a bus without, or of several settings."""
     bus = build_bus(setup)
     runs, steps, rounds, nodes = payload.shape
     if not bus.has_time or any(change.anew for change in changes_of(setup)):
-        return np.full(runs, np.nan), np.full(runs, np.nan), np.full(runs, np.nan)
+        names = ("bus_load", "bus_load_all", "bus_time_us", "delay_us", "share_age_all")
+        return dict.fromkeys(names, np.full(runs, np.nan))
     cycles = np.arange(steps * rounds) % bus.schedule.period
     sent = (one.reshape(-1, nodes) for one in (payload, classes))
     rows = np.column_stack((np.tile(cycles, runs), *sent))
@@ -206,9 +207,17 @@ def _bus(
         load[number] = bus.load(frames)
         delay_us[number] = bus.fusion_delay_us(rounds, frames)
     shape = (runs, steps, rounds)
-    last = delay_us[which].reshape(shape)[:, :, -1]
+    wait_us = np.array([bus.timebase.wait_us(step) for step in range(steps)])
+    last = delay_us[which].reshape(shape)[:, :, -1] + wait_us
     mean_load = load[which].reshape(shape).mean(axis=(1, 2))
-    return mean_load, mean_load * bus.cycle_us * rounds, last.mean(axis=1)
+    passed = bus.timebase.ages_over_all(ages.reshape(runs, steps, -1)).reshape(runs, -1)
+    return {
+        "bus_load": mean_load,
+        "bus_load_all": mean_load * steps * rounds / bus.timebase.cycles_of(steps),
+        "bus_time_us": mean_load * bus.cycle_us * rounds,
+        "delay_us": last.mean(axis=1),
+        "share_age_all": mean_of_known(np.where(passed < 0, np.nan, passed), (1,)),
+    }
 
 
 def _part(cov: np.ndarray, states: list[int]) -> np.ndarray:

@@ -5,7 +5,7 @@ same report.
 """
 
 from collections.abc import Sequence
-from math import isnan
+from math import isnan, nan
 from typing import NamedTuple
 
 import msgspec
@@ -20,11 +20,16 @@ from concord.scenarios.setup import Setup
 class BusFigures(msgspec.Struct, frozen=True):
     """Bus figures of a run.
 
+    The bus goes on between the steps, in cycles that carry no round. Figures are of the cycles that
+    carry rounds; those whose name ends in `_all` are of all cycles of the run.
+
     Attributes:
+        cycles, cycles_all: how many.
         load_mean, load_max: share of a cycle in which the busier channel carries frames.
         wire_bytes_per_step, wire_us_per_step: of all frames with their headers, checksums and
             padding, and how long they keep the bus busy.
-        delay_us_mean, delay_us_max: from a measurement to the last share of its step.
+        delay_us_mean, delay_us_max: from a measurement to the last share of its step; `wait_us_max`
+            of it is the longest wait for the step's first cycle.
         worst_access_us: bound from the request of a share at any moment to its last bit, whatever
             the other nodes send; None for a bus that states none.
         contenders: nodes that asked for the dynamic segment; `starved` of them never got it.
@@ -33,22 +38,28 @@ class BusFigures(msgspec.Struct, frozen=True):
         empty_minislots_mean, empty_minislots_max: minislots of a cycle in which no node sent, up to
             the last frame: the price of frame IDs that are not used.
         longest_wait_cycles: most contended cycles in a row in which `longest_wait_node` asked in
-            vain; None where nobody ever did.
+            vain; None where nobody ever did. `longest_wait_all`: the longest such time of any node.
         share_ages: how many of the neighbours' shares behind the estimates were 0, 1, 2, ... cycles
             old after the last round of a step; `never_heard` were not there yet.
+        share_age_median_all, share_age_max_all: of the same ages; NaN and -1 where there are none.
     """
 
     cluster: str
     cycle_us: float
+    cycles: int
+    cycles_all: int
     frames: int
     frames_per_cycle_mean: float
     frames_per_cycle_max: int
+    frames_per_cycle_all: float
     load_mean: float
     load_max: float
+    load_all: float
     wire_bytes_per_step: float
     wire_us_per_step: float
     delay_us_mean: float
     delay_us_max: float
+    wait_us_max: float
     worst_access_us: float | None
     contenders: int
     ideal_arbiter: bool
@@ -57,8 +68,11 @@ class BusFigures(msgspec.Struct, frozen=True):
     empty_minislots_mean: float
     empty_minislots_max: int
     longest_wait_cycles: int
+    longest_wait_all: int
     longest_wait_node: int | None
     share_ages: list[int]
+    share_age_median_all: float
+    share_age_max_all: int
     never_heard: int
 
 
@@ -73,12 +87,14 @@ class SentShares(NamedTuple):
 class BusTimes(NamedTuple):
     """Times on the bus.
 
-    `load` (steps, rounds) is that of the busier channel. `delay_us` (steps,) counts from the
-    measurement to the last share. `share_start_us` and `share_end_us` (steps, rounds, N) are the
-    times of a share's first and last bit. They count from the start of the cycle; NaN means that no
-    share was sent.
+    `bus_cycle` (steps, rounds) numbers the cycles that carry rounds among all of the bus, from the
+    beginning of the run. `load` (steps, rounds) is that of the busier channel. `delay_us` (steps,)
+    counts from the measurement to the last share. `share_start_us` and `share_end_us` (steps,
+    rounds, N) are the times of a share's first and last bit. They count from the start of the
+    cycle; NaN means that no share was sent.
     """
 
+    bus_cycle: np.ndarray
     load: np.ndarray
     delay_us: np.ndarray
     share_start_us: np.ndarray
@@ -93,11 +109,11 @@ def figures_of(setup: Setup, trace: Trace) -> BusFigures | None:
     tables = (*bus.schedule.static_table, *bus.schedule.contender_table)
     publishers = {node for row in tables for node in row}
     heard = [
-        trace.ages[:, node, [j for j in neighbours if j in publishers]].ravel()
+        trace.ages[:, node, [j for j in neighbours if j in publishers]]
         for node, neighbours in enumerate(setup.neighbours)
     ]
     sent = SentShares(trace.payload_bytes, trace.classes)
-    return bus_figures(bus, sent, trace.asked, np.concatenate(heard))
+    return bus_figures(bus, sent, trace.asked, np.concatenate(heard, axis=1))
 
 
 def times_of(setup: Setup, trace: Trace) -> BusTimes | None:
@@ -117,30 +133,38 @@ def bus_figures(bus: Bus, shares: SentShares, asked: np.ndarray, ages: np.ndarra
     """Return the figures of a bus with time.
 
     `shares` (steps, rounds, N) were sent, `asked` tells who asked for the dynamic segment; `ages`
-    (any,) are those of the shares behind the estimates, -1 where there was none.
+    (steps, any) are those of the shares behind the estimates, -1 where there was none.
     """
-    cycles = timetable(bus, shares)
-    rounds, nodes = shares.payload_bytes.shape[1:]
+    cycles, timebase = timetable(bus, shares), bus.timebase
+    steps, rounds, nodes = shares.payload_bytes.shape
+    cycles_all = timebase.cycles_of(steps)
+    ages_all = timebase.ages_over_all(ages)[ages >= 0]
     frames = [len(cycle) for cycle in cycles]
     load = [bus.load(cycle) for cycle in cycles]
-    delay_us = [bus.fusion_delay_us(rounds, last) for last in cycles[rounds - 1 :: rounds]]
+    delay_us = _delays_us(bus, cycles, rounds)
     sent_frames = [frame for cycle in cycles for frame in cycle]
     wire_bytes_per_step, wire_us_per_step = _on_the_wire(bus, sent_frames, len(cycles) / rounds)
     asked, sent = asked.reshape(-1, nodes), shares.payload_bytes.reshape(-1, nodes) > 0
-    waits, empty = longest_waits(asked, sent), [empty_minislots(cycle) for cycle in cycles]
+    waits, waits_all = longest_waits(asked, sent, _numbers(bus, len(cycles)))
+    empty = [empty_minislots(cycle) for cycle in cycles]
     starved = np.flatnonzero(asked.any(axis=0) & ~(asked & sent).any(axis=0))
     return BusFigures(
         cluster=bus.name,
         cycle_us=bus.cycle_us,
+        cycles=len(cycles),
+        cycles_all=round(cycles_all),
         frames=sum(frames),
         frames_per_cycle_mean=float(np.mean(frames)),
         frames_per_cycle_max=max(frames),
+        frames_per_cycle_all=sum(frames) / cycles_all,
         load_mean=float(np.mean(load)),
         load_max=max(load),
+        load_all=sum(load) / cycles_all,
         wire_bytes_per_step=wire_bytes_per_step,
         wire_us_per_step=wire_us_per_step,
         delay_us_mean=float(np.mean(delay_us)),
         delay_us_max=max(delay_us),
+        wait_us_max=max(timebase.wait_us(step) for step in range(steps)),
         worst_access_us=None if isnan(bus.worst_access_us) else bus.worst_access_us,
         contenders=int(asked.any(axis=0).sum()),
         ideal_arbiter=bus.has_ideal_arbiter,
@@ -149,10 +173,26 @@ def bus_figures(bus: Bus, shares: SentShares, asked: np.ndarray, ages: np.ndarra
         empty_minislots_mean=float(np.mean(empty)),
         empty_minislots_max=max(empty),
         longest_wait_cycles=int(waits.max()),
+        longest_wait_all=int(waits_all.max()),
         longest_wait_node=int(waits.argmax()) if waits.any() else None,
         share_ages=np.bincount(ages[ages >= 0]).tolist(),
+        share_age_median_all=float(np.median(ages_all)) if len(ages_all) else nan,
+        share_age_max_all=int(ages_all.max(initial=-1)),
         never_heard=int((ages < 0).sum()),
     )
+
+
+def _numbers(bus: Bus, cycles: int) -> np.ndarray:
+    """The numbers on the bus (cycles,) of the first cycles that carry rounds."""
+    return np.array([bus.timebase.bus_cycle(cycle) for cycle in range(cycles)], dtype=np.int64)
+
+
+def _delays_us(bus: Bus, cycles: Sequence[Sequence[Transmission]], rounds: int) -> list[float]:
+    """The time of each step from its measurement to its last share."""
+    return [
+        bus.timebase.wait_us(step) + bus.fusion_delay_us(rounds, last)
+        for step, last in enumerate(cycles[rounds - 1 :: rounds])
+    ]
 
 
 def wire_per_step(bus: Bus, sent: SentShares) -> tuple[float, float]:
@@ -179,24 +219,35 @@ def bus_times(bus: Bus, sent: SentShares) -> BusTimes:
             start_us[number, frame.node] = np.fmin(start_us[number, frame.node], frame.start_us)
             end_us[number, frame.node] = np.fmax(end_us[number, frame.node], frame.end_us)
     return BusTimes(
+        _numbers(bus, len(cycles)).reshape(-1, rounds),
         np.array([bus.load(cycle) for cycle in cycles]).reshape(-1, rounds),
-        np.array([bus.fusion_delay_us(rounds, last) for last in cycles[rounds - 1 :: rounds]]),
+        np.array(_delays_us(bus, cycles, rounds)),
         start_us.reshape(sent.payload_bytes.shape),
         end_us.reshape(sent.payload_bytes.shape),
     )
 
 
-def longest_waits(asked: np.ndarray, sent: np.ndarray) -> np.ndarray:
-    """Per node (N,): most cycles in a row in which it asked and did not send.
+def longest_waits(
+    asked: np.ndarray, sent: np.ndarray, numbers: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Per node (N,): most cycles in a row in which it asked and did not send, and the most cycles
+    of the bus from the first to the last of such a row.
 
-    `asked`, `sent` are (cycles, N). Cycles in which nobody asks have no dynamic segment, and do not
-    count.
+    `asked`, `sent` are (cycles, N), `numbers` (cycles,) those of the cycles on the bus. Cycles in
+    which nobody asks have no dynamic segment, and do not count in a row.
     """
-    wait = longest = np.zeros(asked.shape[1], dtype=int)
-    for wanted, got in zip(asked[asked.any(axis=1)], sent[asked.any(axis=1)], strict=True):
-        wait = np.where(wanted & ~got, wait + 1, 0)
+    contested = asked.any(axis=1)
+    wait = longest = longest_all = np.zeros(asked.shape[1], dtype=np.int64)
+    since = wait
+    for number, wanted, got in zip(
+        numbers[contested].tolist(), asked[contested], sent[contested], strict=True
+    ):
+        in_vain = wanted & ~got
+        since = np.where(wait > 0, since, number)
+        wait = np.where(in_vain, wait + 1, 0)
         longest = np.maximum(longest, wait)
-    return longest
+        longest_all = np.maximum(longest_all, np.where(in_vain, number - since + 1, 0))
+    return longest, longest_all
 
 
 def empty_minislots(cycle: Sequence[Transmission]) -> int:
@@ -216,6 +267,10 @@ def lines(figures: BusFigures) -> list[str]:
         f"{figures.cycle_us / 1e3:.4g} ms (most {figures.frames_per_cycle_max}), load "
         f"{100 * figures.load_mean:.1f} % (most {100 * figures.load_max:.1f} %), measurement to "
         f"estimate {figures.delay_us_mean / 1e3:.4g} ms (most {figures.delay_us_max / 1e3:.4g} ms)",
+        f"rounds use {figures.cycles} of the {figures.cycles_all} cycles that pass on the bus: "
+        f"over all of them {figures.frames_per_cycle_all:.3g} frames in a cycle, load "
+        f"{100 * figures.load_all:.3g} %; a step waits up to {figures.wait_us_max / 1e3:.4g} ms "
+        "for its first cycle",
         f"on the wire {figures.wire_bytes_per_step:.0f} bytes and {figures.wire_us_per_step:.0f} "
         "us per step",
     ]
@@ -229,7 +284,9 @@ def lines(figures: BusFigures) -> list[str]:
         unheard = f", {100 * figures.never_heard / known:.1f} % never heard"
         text.append(
             f"shares in estimates: {100 * figures.share_ages[0] / known:.0f} % fresh, median age "
-            f"{np.median(ages):g} cycles, oldest {ages[-1]}{unheard if figures.never_heard else ''}"
+            f"{np.median(ages):g} cycles, oldest {ages[-1]} (of all cycles "
+            f"{figures.share_age_median_all:g} and {figures.share_age_max_all})"
+            f"{unheard if figures.never_heard else ''}"
         )
     if figures.contenders:
         empty = (
@@ -249,7 +306,10 @@ def starvation(figures: BusFigures) -> str:
     if figures.longest_wait_node is None:
         return "nobody asked in vain"
     cycles = figures.longest_wait_cycles
-    wait = f"longest wait {cycles} cycle{'s' * (cycles > 1)} (node {figures.longest_wait_node})"
+    wait = (
+        f"longest wait {cycles} cycle{'s' * (cycles > 1)} (node {figures.longest_wait_node}), "
+        f"{figures.longest_wait_all} of all cycles"
+    )
     if not figures.starved:
         return f"{wait}, nobody starved"
     return f"{wait}, starved (never sent): nodes {', '.join(map(str, figures.starved))}"

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 BATCHED = "batched"
 """The driver whose folder holds many runs and no recording."""
 RECORDING, ARRAYS, DESCRIPTION, CAPTURE = "run.mcap", "run.nc", "run.json", "bus.pcap"
+NODE_CAPTURE = "bus_node_{}.pcap"
 _VERSIONED = ("numpy", "scipy", "networkx", "eclipse-zenoh", "msgspec")
 
 
@@ -231,6 +232,11 @@ def _bus_variables(setup: Setup, trace: Trace) -> dict[str, Any]:
     in_cycle = {"units": "us", "origin": "beginning of the communication cycle"}
     return {
         "asked": (per_share, trace.asked.astype(np.int8)),
+        "bus_cycle": (
+            ("step", "round"),
+            times.bus_cycle,
+            {"units": "1", "origin": "beginning of the run"},
+        ),
         "bus_load": (("step", "round"), times.load, {"units": "1"}),
         "delay_us": (("step",), times.delay_us, {"units": "us"}),
         "share_start_us": (per_share, times.share_start_us, in_cycle),

@@ -1,14 +1,54 @@
 """Results of a run from what it recorded: the trace, and the arrays and the capture made of it."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 from concord.bus.recordings.pcap import FLEXRAY_LINK, write_pcap
-from concord.experiments.results.bus_capture import capture
-from concord.experiments.results.folder import CAPTURE, RECORDING, Description, write_arrays
+from concord.experiments.results.bus_capture import capture, check_all_cycles, traffic_of
+from concord.experiments.results.folder import (
+    CAPTURE,
+    NODE_CAPTURE,
+    RECORDING,
+    Description,
+    write_arrays,
+)
+from concord.experiments.results.node_capture import node_capture
 from concord.experiments.results.trace import Trace, read_trace
 from concord.runtime.disk import writing
 from concord.runtime.recording import read_recording
+from concord.scenarios.build import build_bus
 from concord.scenarios.bus_plan import frame_format
+from concord.scenarios.scenario import require
+from concord.scenarios.setup import Setup
+
+
+class Captures(NamedTuple):
+    """Captures that a run leaves: whether bus.pcap has the cycles between the steps, and nodes that
+    get one of their own."""
+
+    all_cycles: bool = False
+    nodes: tuple[int, ...] = ()
+
+
+NO_MORE = Captures()
+
+
+def check_captures(setup: Setup, captures: Captures) -> None:
+    """Refuse captures that a run cannot have.
+
+    Raises:
+        ValueError: naming the option, its value and the cure.
+    """
+    if captures.all_cycles:
+        check_all_cycles(setup)
+    if captures.nodes and not build_bus(setup).has_time:
+        raise ValueError(
+            f"--capture-nodes {captures.nodes[0]}: a bus without time has no capture; use --bus "
+            "flexray, or leave it out"
+        )
+    last = setup.scenario.nodes - 1
+    for node in captures.nodes:
+        require(0 <= node <= last, "capture-nodes", node, f"a node of the network, 0 to {last}")
 
 
 def completed(folder: Path, description: Description) -> Trace:
@@ -26,11 +66,22 @@ def completed(folder: Path, description: Description) -> Trace:
     return trace
 
 
-def write_results(folder: Path, description: Description, trace: Trace) -> None:
-    """Write run.nc, and bus.pcap where the bus has frames."""
+def write_results(
+    folder: Path, description: Description, trace: Trace, captures: Captures = NO_MORE
+) -> None:
+    """Write run.nc, and where the bus has time bus.pcap and a capture for each node of these."""
     write_arrays(folder, description, trace)
-    frames = capture(description.setup, trace, read_recording(folder / RECORDING))
-    if frames is not None:
-        with writing(folder / CAPTURE):
-            link = frame_format(description.setup.scenario).link or FLEXRAY_LINK
-            write_pcap(folder / CAPTURE, frames, link)
+    setup, recording = description.setup, folder / RECORDING
+    frames = capture(setup, trace, read_recording(recording), captures.all_cycles)
+    if frames is None:
+        return
+    link = frame_format(setup.scenario).link or FLEXRAY_LINK
+    with writing(folder / CAPTURE):
+        write_pcap(folder / CAPTURE, frames, link)
+    traffic = traffic_of(setup, trace, read_recording(recording)) if captures.nodes else None
+    if traffic is None:
+        return
+    for node in captures.nodes:
+        path = folder / NODE_CAPTURE.format(node)
+        with writing(path):
+            write_pcap(path, node_capture(setup, traffic, node), link)

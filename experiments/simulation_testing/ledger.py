@@ -10,8 +10,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from concord.bus.bus import Rejected
 from concord.experiments.simulation_testing.broken import Broken
-from concord.experiments.simulation_testing.node_ledger import Key, NodeLedger, Sent
+from concord.experiments.simulation_testing.node_ledger import NodeLedger, Sent
 from concord.experiments.simulation_testing.outcomes import Fate, fate_of, must_be_silent
 from concord.experiments.simulation_testing.run_record import RunRecord
 from concord.nodes.changes import Welcome
@@ -104,13 +105,14 @@ class OracleLedger:
         """One frame that has arrived."""
         sent = self.record.genuine.get(frame)
         if sent is None:
-            ledger.counts["rejected"] += 1
+            _book_forgery(config, ledger, sender, frame)
             return
         key = (sender, sent.cycle, sent.frame_id)
         if sent.cycle < ledger.cycle:
             ledger.counts["late"] += 1
         elif sent.sender != sender:
-            self._book_spoof(ledger, sender, sent, key)
+            # A valid frame that another node sent in its own slot.
+            ledger.book_untold(sender, sent.cycle, key)
         elif key in ledger.seen:
             ledger.counts["repeated"] += 1
         else:
@@ -119,15 +121,6 @@ class OracleLedger:
                 ledger.early.append((sender, sent, key))
             else:
                 self._file(config, ledger, sender, sent)
-
-    def _book_spoof(self, ledger: NodeLedger, sender: int, sent: Sent, key: Key) -> None:
-        """Enter a valid frame that another node sent in its own slot."""
-        if sent.cycle < ledger.end_cycle or ledger.phase is not Phase.MEASUREMENT:
-            ledger.counts["rejected"] += 1
-        elif any(key == other for *_, other in ledger.early):
-            ledger.counts["repeated"] += 1
-        else:
-            ledger.early.append((sender, None, key))
 
     def _file(self, config: NodeConfig, ledger: NodeLedger, sender: int, sent: Sent | None) -> None:
         """Enter a frame of the open step."""
@@ -224,6 +217,20 @@ class OracleLedger:
         """A node's estimator has refused so many shares that it had heard."""
         self.struck["indefinite"] += shares
         self._node_ledgers[node].refused_shares += shares
+
+
+def _book_forgery(config: NodeConfig, ledger: NodeLedger, sender: int, frame: bytes) -> None:
+    """Enter a frame that no sender sent: broken, or with the cycle counter of another cycle."""
+    try:
+        fragment = config.bus.frame_format.read(frame)
+    except Rejected:
+        ledger.counts["rejected"] += 1
+        return
+    key = (sender, fragment.cycle, fragment.frame_id, fragment.count or 0)
+    if fragment.cycle < ledger.cycle:
+        ledger.counts["late"] += 1
+    else:
+        ledger.book_untold(sender, fragment.cycle, key)
 
 
 def _check_peer_timeout(

@@ -6,7 +6,8 @@ from typing import NamedTuple
 from concord.experiments.simulation_testing.outcomes import Fate
 from concord.nodes.node_state import Phase
 
-Key = tuple[int, int, int]
+Key = tuple[int, ...]
+"""Sender, cycle and frame ID, and the cycle counter of a frame that has a wrong one."""
 
 
 class Sent(NamedTuple):
@@ -40,6 +41,15 @@ class NodeLedger:
         self._parts: dict[tuple[int, int], int] = {}
         self._overtaken: set[tuple[int, int]] = set()
         self._later: list[tuple[int, str]] = []
+
+    def book_untold(self, sender: int, cycle: int, key: Key) -> None:
+        """Enter a frame that is wrong in a way that no node knows before the step begins."""
+        if cycle < self.end_cycle or self.phase is not Phase.MEASUREMENT:
+            self.counts["rejected"] += 1
+        elif any(key == other for *_, other in self.early):
+            self.counts["repeated"] += 1
+        else:
+            self.early.append((sender, None, key))
 
     def arrive(self, sender: int, sent: Sent, is_usable: bool) -> None:
         """Enter a frame that has come in its slot, usable or not."""

@@ -33,7 +33,7 @@ def is_missing(state: NodeState, event: NodeEvent, frame_format: FrameFormat) ->
                 and cycle >= state.cycle
                 and (cycle, sender) not in inbox.shares
                 and number not in inbox.parts.get((cycle, sender), ())
-                and (sender, cycle, number) not in inbox.early
+                and (sender, cycle, number, fragment.count) not in inbox.early
             )
     return False
 

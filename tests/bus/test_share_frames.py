@@ -4,17 +4,22 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from concord.bus.arbitration import ARBITERS
 from concord.bus.flexray.frame import Frame
 from concord.bus.flexray.frame import decode as decode_frame
 from concord.bus.flexray.frame import encode as encode_frame
 from concord.bus.flexray.publication import Slot
 from concord.bus.flexray.share_frames import (
+    SHARE_FRAMES,
     cycle_of,
     payload_lengths,
     read_body,
     read_frame,
     to_frames,
 )
+from concord.bus.flexray.slotted_bus import SlottedBus
+from concord.bus.schedule import full_publish
+from concord.bus.urgency_classes import ONE_CLASS
 from concord.nodes.estimator import Rejected
 
 CYCLES = st.integers(0, 2**32 - 1)
@@ -114,8 +119,18 @@ def test_the_header_repeats_the_last_six_bits_of_the_cycle():
 
 @pytest.mark.parametrize("counts", [8, 64])
 def test_the_counter_in_the_header_wraps_where_the_cluster_does(counts: int):
-    (frame,) = to_frames(b"x", 3 * counts + 5, slots_for(b"x"), counts)
+    number = 3 * counts + 5
+    bus = SlottedBus(
+        full_publish(2),
+        lambda node, _: ((Slot(node + 1, 40),),),
+        ARBITERS["wtod"],
+        counts,
+        ONE_CLASS,
+    )
+    (frame,) = bus.encode(1, number, b"x")
     assert decode_frame(frame).cycle_count == 5
-    assert read_frame(frame, counts).cycle == 3 * counts + 5
+    fragment = bus.receive(frame)
+    assert (fragment.cycle, fragment.count) == (number, 5)
+    assert bus.place(1, fragment).number == 0
     with pytest.raises(Rejected, match="cycle-count"):
-        read_frame(frame, 2 * counts)
+        bus.place(1, bus.receive(SHARE_FRAMES.miscounted(frame, 1)))

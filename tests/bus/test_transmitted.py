@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from concord.bus.captured import Captured
 from concord.bus.flexray.cluster import Cluster
 from concord.bus.flexray.dynamic_segment import Request, walk
 from concord.bus.flexray.frame import Frame, encode
 from concord.bus.flexray.presets import AUDI, FLEXRAY_ADAPTER
 from concord.bus.recordings.decoder import decode_waveform, reencodes
-from concord.bus.recordings.pcap import Captured
 from concord.bus.recordings.transmitted import transmitted
 from concord.bus.recordings.waveform import WaveformError
 

@@ -339,7 +339,7 @@ def test_the_past_of_a_live_network_can_be_looked_at(page: Page):
     last = page.dashboard.history.last_step
     steps_on(page, 5)
     assert page.text("step") == str(early)
-    cycle = page.dashboard.history.at(early).cycles[0].cycle
+    cycle = page.dashboard.history.at(early).cycles[0].bus_cycle
     assert (
         cycle <= int(page.text("bus-cycle")) < cycle + len(page.dashboard.history.at(early).cycles)
     )

@@ -55,7 +55,7 @@ def _begin(page: Page) -> None:
     dashboard.inputs.alter(lambda view: setattr(view, "hovered", None))
     dashboard.inputs.select(None)
     page.until(lambda: page.text("step") == "30" and not page.part("/network/selected")["shown"])
-    last = dashboard.history.at(30).cycles[-1].cycle
+    last = dashboard.history.at(30).cycles[-1].bus_cycle
     page.until(lambda: page.text("bus-cycle") == str(last))
 
 
@@ -137,7 +137,7 @@ def test_speed_is_that_of_the_plant_times_what_the_slider_says(page: Page):
 def test_the_slider_goes_to_a_step_and_everything_follows(page: Page):
     page.enter("Step", 12)
     page.until(lambda: page.text("step") == "12")
-    cycle = page.dashboard.history.at(12).cycles[-1].cycle
+    cycle = page.dashboard.history.at(12).cycles[-1].bus_cycle
     page.until(lambda: int(page.text("bus-cycle")) in range(cycle - 2, cycle + 1))
     page.press("Go to the end")
     page.until(lambda: page.text("step") == "39")

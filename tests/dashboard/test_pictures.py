@@ -155,3 +155,16 @@ def test_the_cursor_meets_every_frame_of_every_cycle():
 
 def test_linear_light_is_the_inverse_of_the_screen():
     assert linear((255, 0, 128)).tolist() == [255, 0, 55]
+
+
+def test_the_cycle_is_numbered_by_the_time_of_the_bus():
+    """The counter of the bus goes on between the steps."""
+    bus, cycle = STAGE.bus, FRAME.cycles[-1]
+    first_us = 1e6 * STAGE.setup.time_step_s * FRAME.step
+    begins_us = cycle.bus_cycle * bus.cycle_us - (len(FRAME.cycles) - 1) * bus.cycle_us
+    assert 0 <= begins_us - first_us < bus.schedule.period * bus.cycle_us
+    html = timeline()
+    assert f'data-testid="bus-cycle">{cycle.bus_cycle}<' in html
+    in_step = sum(bus.load(one.frames) for one in FRAME.cycles) * bus.cycle_us
+    over_all = 100 * in_step / (1e6 * STAGE.setup.time_step_s)
+    assert f"(over all cycles {over_all:.2g} %)" in html

@@ -11,16 +11,20 @@ import xarray
 
 from concord.bus.captured import Captured
 from concord.bus.flexray.files.cluster_files import cluster_to_toml
+from concord.bus.flexray.flexray_bus import FlexRayBus
 from concord.bus.flexray.frame import decode as decode_frame
 from concord.bus.flexray.presets import AUDI, DEMO
 from concord.bus.flexray.share_frames import read_frame
 from concord.bus.recordings.pcap import packet
-from concord.experiments.results.bus_capture import capture
+from concord.experiments.results.bus_capture import capture, traffic_of
 from concord.experiments.results.bus_report import figures_of
+from concord.experiments.results.node_capture import node_capture
 from concord.experiments.results.trace import read_trace
 from concord.runtime.recording import read_recording
+from concord.scenarios.build import build_bus
+from concord.scenarios.setup import Setup
 from tests.experiments.bus_runs import run
-from tests.experiments.flexray_support import concord, dissect, needs_tshark
+from tests.experiments.flexray_support import concord, dissect, needs_tshark, refused
 
 # --- what a run leaves -------------------------------------------------------------------------
 
@@ -49,6 +53,13 @@ def tracking(tmp_path: Path, capsys) -> Path:
     return folder
 
 
+def on_the_bus(cycle: int) -> int:
+    """Number on the bus of the cycle that nodes count, with turns of four: a step of 1 s begins in
+    cycle 200, 400, ... and waits until its turn is due."""
+    step, number = divmod(cycle, 3)
+    return next(b for b in range(200 * step, 200 * step + 4) if b % 4 == 3 * step % 4) + number
+
+
 def recorded_shares(folder: Path) -> list[bytes]:
     messages = read_recording(folder / "run.mcap")
     return [data for topic, data in messages if topic.startswith("share/")]
@@ -63,9 +74,10 @@ def test_the_capture_has_every_recorded_frame_in_the_order_of_the_bus(tracking: 
     times_ns = np.array([time_ns for time_ns, _ in found])
     assert (np.diff(times_ns) > 0).all()
     for (fragment, _), time_ns in zip(frames, times_ns, strict=True):
-        step, number = divmod(fragment.cycle, 3)
-        in_cycle_us = time_ns / 1e3 - step * 1e6 - number * AUDI.cycle_us
+        in_cycle_us = time_ns / 1e3 - on_the_bus(fragment.cycle) * AUDI.cycle_us
         assert 0 < in_cycle_us < AUDI.cycle_us
+        # The counter in the header is the time on the bus.
+        assert fragment.count == time_ns // round(1e3 * AUDI.cycle_us) % 64
         if fragment.frame_id <= AUDI.static_slots:
             slot_us = AUDI.slot_start_us(fragment.frame_id) + AUDI.action_point_us
             assert in_cycle_us == pytest.approx(slot_us, abs=0.01)
@@ -81,7 +93,9 @@ def test_wireshark_opens_the_capture_of_a_run(tracking: Path):
         (fragment.cycle, fragment.frame_id)
         for fragment in map(read_frame, recorded_shares(tracking))
     )
-    assert [(int(row[1]), int(row[0])) for row in rows] == [(c % 64, i) for c, i in sent]
+    assert [(int(row[1]), int(row[0])) for row in rows] == [
+        (on_the_bus(c) % 64, i) for c, i in sent
+    ]
     assert all(int(row[2], 16) == 0 and row[3:] == ["", ""] for row in rows)
 
 
@@ -98,7 +112,10 @@ def test_the_arrays_tell_the_times_of_the_bus(tracking: Path):
     for nodes, length_us in ((slice(0, 10), seven_us), (slice(10, 20), AUDI.frame_us(168))):
         found = span[..., nodes].values
         np.testing.assert_allclose(found[np.isfinite(found)], length_us)
-    np.testing.assert_allclose(data["delay_us"], 2 * AUDI.cycle_us + end[:, 2].max("node"))
+    cycles = np.array([on_the_bus(cycle) for cycle in range(12)]).reshape(4, 3)
+    np.testing.assert_array_equal(data["bus_cycle"], cycles)
+    waited_us = AUDI.cycle_us * cycles[:, 2] - 1e6 * data["time"]
+    np.testing.assert_allclose(data["delay_us"], waited_us + end[:, 2].max("node"))
     assert not np.logical_and(data["asked"] == 1, data["published"].node < 10).any()
 
 
@@ -156,6 +173,28 @@ def test_a_run_without_bus_time_leaves_no_capture(tmp_path: Path, capsys):
     assert "bus_load" not in xarray.load_dataset(folder / "run.nc")
 
 
+def test_the_counter_goes_on_with_time_where_the_settings_change():
+    """Steps of 100 ms on cycles of 5 ms: turns of five with one share of five, then no turns."""
+    changes = ("4 set rounds=2", "4 set occupancy=1")
+    changed = run(
+        cluster="audi", schedule="round-robin", occupancy=0.2, steps=8, rounds=3, changes=changes
+    )
+    shares = [data for topic, data in changed.messages if topic.startswith("share/")]
+    counts: dict[int, set[int | None]] = {}
+    for data in shares:
+        fragment = read_frame(data)
+        counts.setdefault(fragment.cycle, set()).add(fragment.count)
+    expected = {}
+    for step in range(8):
+        first, rounds = (3 * step, 3) if step < 4 else (12 + 2 * (step - 4), 2)
+        turn = (b for b in range(20 * step, 20 * step + 5) if b % 5 == first % 5 or step >= 4)
+        begins = next(turn)
+        expected |= {first + number: {(begins + number) % 64} for number in range(rounds)}
+    assert counts == expected
+    rejected = [name for one in changed.trace.counters for name in one if "reject" in name]
+    assert not rejected
+
+
 # --- faults on the wire --------------------------------------------------------------------------
 
 
@@ -204,3 +243,122 @@ def test_a_channel_that_fails_is_empty_and_the_other_is_not():
     wrong = [one for one in on_b if flags(one)]
     assert {flags(one) for one in wrong} == {0x10}
     assert 5 * len(wrong) == len([one for one in on_b if one.time_us >= 2 * step_us])
+
+
+# --- key slots, null frames and captures of nodes ------------------------------------------------
+
+
+def test_key_slots_carry_sync_frames_and_three_of_them_start_the_cluster():
+    full = run(nodes=17, cluster="audi", steps=2, number="float32")
+    captured = capture(full.setup, full.trace, full.messages)
+    assert captured is not None
+    # A share takes two slots; node i owns slots 2 i + 1 and 2 i + 2 in every cycle.
+    seen = {
+        (frame.frame_id, frame.sync, frame.startup)
+        for frame in (decode_frame(one.data) for one in captured)
+    }
+    shares = len({decode_frame(one.data).frame_id for one in captured}) // 17
+    for frame_id, sync, startup in seen:
+        node, part = divmod(frame_id - 1, shares)
+        assert (sync, startup) == (part == 0 and node < 15, part == 0 and node < 3)
+    assert len(seen) == 17 * shares
+
+
+@pytest.mark.parametrize("schedule", ["round-robin", "dynamic"])
+def test_slots_that_nodes_share_are_no_key_slots(schedule: str):
+    turns = run(cluster="audi", schedule=schedule, occupancy=0.4)
+    captured = capture(turns.setup, turns.trace, turns.messages)
+    assert captured
+    assert not any(decode_frame(one.data).sync for one in captured)
+
+
+def test_unused_slots_of_a_turn_carry_null_frames():
+    """Shares of records differ in length; the owner of two slots may need one."""
+    short = run(rule="labelled", schedule="full", cluster="audi", payload_bytes=100, steps=6)
+    captured = capture(short.setup, short.trace, short.messages)
+    bus = short.plan
+    assert captured is not None and isinstance(bus, FlexRayBus)
+    frames = [decode_frame(one.data) for one in captured]
+    owned = len(bus.table.static_slots(0))
+    shares = sum(topic.startswith("share/") for topic, _ in short.messages)
+    null = [frame for frame in frames if frame.null]
+    assert len(frames) == 6 * 3 * owned
+    assert len(null) == len(frames) - shares > 0
+    assert not any(any(frame.payload) for frame in null)
+    assert all(frame.sync for frame in frames if frame.frame_id % (owned // 5) == 1)
+
+
+def test_a_capture_of_all_cycles_shows_a_bus_that_runs():
+    few = run(cluster="demo", steps=3)
+    used = capture(few.setup, few.trace, few.messages)
+    every = capture(few.setup, few.trace, few.messages, all_cycles=True)
+    assert used is not None and every is not None
+    # Steps of 100 ms have ten cycles of 10 ms; five nodes own a slot in each.
+    assert (len(used), len(every)) == (3 * 3 * 5, 30 * 5)
+    assert set(used) <= set(every)
+    for one in every:
+        frame, number = decode_frame(one.data), int(one.time_us // 10_000)
+        assert frame.cycle_count == number
+        assert frame.null == (number % 10 >= 3)
+
+
+def test_a_node_that_is_out_leaves_gaps_between_the_steps_too():
+    killed = run(cluster="demo", steps=4, changes=("2 kill 3",))
+    every = capture(killed.setup, killed.trace, killed.messages, all_cycles=True)
+    assert every is not None
+    of_killed = [one for one in every if decode_frame(one.data).frame_id == 4]
+    assert len(of_killed) == 20 and max(one.time_us for one in of_killed) < 200_000
+
+
+def test_a_capture_of_all_cycles_has_a_limit(capsys):
+    said = concord(
+        capsys, "run", "--scenario", "target-tracking", "--nodes", 20, "--steps", 100_000,
+        "--capture", "all",
+    )  # fmt: skip
+    assert "--capture all" in refused(said) and "--steps" in said.err
+
+
+def test_the_capture_of_a_node_counts_what_that_node_counted():
+    changes = ("2 corrupt 0.3", "2 loss 0.2", "3 crc 1 0.5", "4 babble 4 0.2", "6 calm")
+    struck = run(steps=8, cluster="fitted-ab", changes=changes)
+    wire = capture(struck.setup, struck.trace, struck.messages)
+    traffic = traffic_of(struck.setup, struck.trace, struck.messages)
+    assert wire is not None and traffic is not None
+    lost = 0
+    for node, counted in enumerate(struck.trace.counters):
+        captured = node_capture(struck.setup, traffic, node)
+        on_a = [one for one in captured if one.channel == "A"]
+        assert len(captured) == 2 * len(on_a)
+        own = [one for one in on_a if decode_sender(one, struck.setup) == node]
+        heard = [one for one in on_a if one not in own]
+        collided = [one for one in heard if flags(one) & 0x02]
+        wrong = [one for one in heard if flags(one) and not flags(one) & 0x02]
+        assert len(own) == counted["sent"]
+        assert len(collided) == counted.get("rejected collision", 0)
+        # A wrong bit is in the header, in its length, or behind it.
+        checks = ("header-crc", "frame-crc", "length")
+        assert len(wrong) == sum(counted.get(f"rejected {name}", 0) for name in checks) > 0
+        lost += counted.get("lost", 0)
+        two_neighbours = 2 * counted["sent"]
+        assert len(heard) == two_neighbours - counted.get("lost", 0)
+    assert lost > 0
+
+
+def decode_sender(one: Captured, setup: Setup) -> int:
+    """The owner of the slot at this time; shares of five nodes take one static slot each."""
+    bus = build_bus(setup)
+    in_cycle_us = one.time_us % bus.cycle_us
+    slots = [bus.own_slot_us(node, 0) for node in range(setup.scenario.nodes)]
+    return next(i for i, (first, last) in enumerate(slots) if first <= in_cycle_us < last)
+
+
+def test_captures_of_nodes_are_files_of_the_run(tmp_path: Path, capsys):
+    folder = tmp_path / "run"
+    common = ("--scenario", "oscillator", "--nodes", 5, "--steps", 4, "--cluster", "demo")
+    concord(capsys, "run", *common, "--loss", 0.3, "--capture-nodes", 1, 3, "--out", folder)
+    sizes = [len(packets(folder / f"bus_node_{node}.pcap")) for node in (1, 3)]
+    assert len(packets(folder / "bus.pcap")) == 60 > max(sizes)
+    concord(capsys, "collect", folder, "--capture", "all")
+    assert len(packets(folder / "bus.pcap")) == 40 * 5
+    said = concord(capsys, "collect", folder, "--capture-nodes", 5)
+    assert "capture-nodes" in refused(said) and "0 to 4" in said.err

@@ -13,6 +13,7 @@ from concord.bus.flexray.flexray_bus import FlexRayBus
 from concord.bus.flexray.share_frames import read_frame
 from concord.bus.flexray.slot_table import allocate
 from concord.bus.schedule import Schedule
+from concord.bus.timebase import Pace
 from concord.bus.urgency_classes import ONE_CLASS
 from concord.experiments.flexray.rehearsal import rehearse
 from concord.experiments.results.bus_report import (
@@ -85,7 +86,10 @@ def sizes(rows: list[tuple[int, ...]]) -> np.ndarray:
 
 def test_a_small_bus_by_hand():
     figures = bus_figures(
-        small_plan(), in_one_class(sizes(SENDERS)), marked(ASKERS), np.array([0, 0, 1, 3, -1])
+        small_plan(),
+        in_one_class(sizes(SENDERS)),
+        marked(ASKERS),
+        np.array([[0, 0, 1], [3, 0, -1]]),
     )
     assert (figures.cluster, figures.cycle_us) == ("small", 400.0)
     assert figures.frames == 8
@@ -102,7 +106,30 @@ def test_a_small_bus_by_hand():
     assert figures.delay_us_max == pytest.approx(last_us[1])
     assert (figures.contenders, figures.starved) == (2, [])
     assert (figures.longest_wait_cycles, figures.longest_wait_node) == (3, 3)
-    assert (figures.share_ages, figures.never_heard) == ([2, 1, 0, 1], 1)
+    assert (figures.share_ages, figures.never_heard) == ([3, 1, 0, 1], 1)
+
+
+def test_a_bus_that_goes_on_between_the_steps_by_hand():
+    """Steps of 2600 us on cycles of 400 us; turns repeat after two cycles, and so do two rounds."""
+    bus = small_plan().paced(Pace(2600.0, 2))
+    ages = np.array([[0, 1, -1], [0, 2, 3]])
+    figures = bus_figures(bus, in_one_class(sizes(SENDERS)), marked(ASKERS), ages)
+    # Step 1 is measured in cycle 6, has its turn from cycle 8 on, and ends with cycle 9.
+    assert [bus.timebase.bus_cycle(cycle) for cycle in range(4)] == [0, 1, 8, 9]
+    assert (figures.cycles, figures.cycles_all) == (4, 13)
+    assert figures.load_mean == pytest.approx(2 * FRAME_US / 400)
+    assert figures.load_all == pytest.approx(8 * FRAME_US / 5200)
+    assert figures.frames_per_cycle_all == pytest.approx(8 / 13)
+    assert figures.wait_us_max == pytest.approx(8 * 400 - 2600)
+    last_us = (400 + 125 + FRAME_US, 600 + 400 + 135 + FRAME_US)
+    assert figures.delay_us_mean == pytest.approx(sum(last_us) / 2)
+    assert figures.delay_us_max == pytest.approx(last_us[1])
+    # Of the ages 0, 1; 0, 2, 3: cycles 1, 0; 9, 1 and 0.
+    assert (figures.share_age_median_all, figures.share_age_max_all) == (1.0, 9)
+    assert (figures.longest_wait_cycles, figures.longest_wait_all) == (3, 9)
+    times = bus_times(bus, in_one_class(sizes(SENDERS)))
+    np.testing.assert_array_equal(times.bus_cycle, [[0, 1], [8, 9]])
+    np.testing.assert_allclose(times.delay_us, last_us)
 
 
 def test_times_of_a_small_bus_by_hand():
@@ -136,7 +163,7 @@ def test_shares_take_as_much_of_the_bus_as_they_have_bytes():
 def test_who_never_wins_starves_and_is_named():
     sent = marked([(0, 2), (1, 2), (0, 2), (1, 2)])
     asked = marked([(2, 3)] * 4)
-    figures = bus_figures(small_plan(), in_one_class(20 * sent), asked, np.array([], dtype=int))
+    figures = bus_figures(small_plan(), in_one_class(20 * sent), asked, np.zeros((2, 0), dtype=int))
     assert figures.starved == [3]
     assert (figures.longest_wait_cycles, figures.longest_wait_node) == (4, 3)
     text = "\n".join(lines(figures))
@@ -145,7 +172,7 @@ def test_who_never_wins_starves_and_is_named():
 
 def test_silence_on_the_bus_is_no_load():
     nobody = marked([()] * 4)
-    figures = bus_figures(small_plan(), in_one_class(0 * nobody), nobody, np.array([-1]))
+    figures = bus_figures(small_plan(), in_one_class(0 * nobody), nobody, np.full((2, 1), -1))
     assert (figures.frames, figures.load_max, figures.contenders) == (0, 0.0, 0)
     assert figures.longest_wait_node is None
     assert figures.delay_us_max == pytest.approx(400.0)
@@ -155,7 +182,10 @@ def test_waits_are_counted_over_contended_cycles_in_a_row():
     asked = np.array([[1, 1], [0, 0], [1, 0], [1, 1], [1, 1]], dtype=bool)
     sent = np.array([[0, 1], [0, 0], [0, 0], [1, 0], [0, 1]], dtype=bool)
     # Node 0 waits in cycles 0 and 2 (nobody asks in 1), then in 4; node 1 once, in cycle 3.
-    assert longest_waits(asked, sent).tolist() == [2, 1]
+    waits, over_all = longest_waits(asked, sent, np.array([0, 1, 200, 201, 400]))
+    assert waits.tolist() == [2, 1]
+    # Between cycles 0 and 2 of the rounds, 199 cycles of the bus carry no round.
+    assert over_all.tolist() == [201, 1]
 
 
 # --- any run -----------------------------------------------------------------------------------

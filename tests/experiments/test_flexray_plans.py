@@ -309,7 +309,10 @@ SHOWN = (
 def test_a_cycle_is_drawn_frame_by_frame(capsys):
     drawn = concord(capsys, *SHOWN, "--cycle", 65).out
     frames = concord(capsys, *SHOWN, "--cycle", 65, "--json").json()
-    assert "cycle 65 (count 1)" in drawn and frames["cycle_count"] == 1
+    # Round 2 of step 21: from cycle 4200 on the turn of cycle 63 is due in 4203.
+    assert "round 2 of step 21: cycle 4205 (count 45)" in drawn
+    assert (frames["bus_cycle"], frames["cycle_count"]) == (4205, 4205 % 64)
+    assert frames["begins_us"] == 4205 * 5000
     assert all(f" ID {frame['frame_id']} " in drawn for frame in frames["frames"])
     assert drawn.count(" ID ") == len(frames["frames"]) > 0
     for name in ("static", "dynamic", "network idle time"):

@@ -60,8 +60,8 @@ BUGS = (
     ),
     Bug(
         "the cycle counter is not checked",
-        "concord.bus.flexray.share_frames", "read_frame",
-        (("if cycle_counts is not None and", "if False and"),),
+        "concord.bus.flexray.slotted_bus", "SlottedBus.place",
+        (("if fragment.count not in (None, self.cycle_count(cycle)):", "if False:"),),
     ),
     Bug(
         "the owner of a slot is not checked",
@@ -86,7 +86,7 @@ BUGS = (
         "concord.bus.flexray.share_frames", "read_frame",
         (("if frame.null:", "if False:"),
          # Its payload is zero: cycle 0, which the header contradicts mostly.
-         ("if cycle_counts is not None and", "if not frame.null and cycle_counts is not None and")),
+         ("frame.cycle_count)", "None if frame.null else frame.cycle_count)")),
     ),
     Bug(
         "a cut holds in one direction only",
