@@ -1,6 +1,5 @@
 """A bus whose frames carry identifiers of their senders, with a fixed time for each cycle."""
 
-import copy
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import cached_property
@@ -14,7 +13,7 @@ from concord.bus.arbitration import Arbiter, ArbiterState, Numbers, award
 from concord.bus.bus import Awards, Fragment, Rejected, SegmentTime, SharePlace, Transmission
 from concord.bus.identified_frames import Framing, identifier_of, numbered
 from concord.bus.schedule import Schedule
-from concord.bus.timebase import EVERY_CYCLE, Pace, Timebase
+from concord.bus.timebase import EVERY_CYCLE, Pace, Timebase, at_pace
 
 
 class BidClasses(Protocol):
@@ -169,9 +168,7 @@ class IdentifiedBus(ABC):
 
     def paced(self, pace: Pace) -> Self:
         """Return the bus in a run of this pace: which of its cycles carry rounds."""
-        other = copy.copy(self)
-        other.timebase = Timebase(self.cycle_us, self.schedule.period, pace)
-        return other
+        return at_pace(self, pace)
 
     @property
     def cycle_us(self) -> float:

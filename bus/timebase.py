@@ -12,11 +12,15 @@ cycles for that. A step without time for the longest wait begins at once, and ho
 slots so that turns go by rounds.
 """
 
+import copy
 from math import ceil, floor, inf
+from typing import Protocol, TypeVar
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
+
+from concord.bus.schedule import Schedule
 
 # Times are products of decimals: a cycle that is late by less than this part of itself is in time.
 _ROUNDING_CYCLES = 1e-6
@@ -119,3 +123,25 @@ class Timebase(msgspec.Struct, frozen=True):
 
 EVERY_CYCLE = Timebase()
 """Of a bus whose cycles all carry rounds."""
+
+
+class Cyclic(Protocol):
+    """A bus that repeats its cycle and has a time base."""
+
+    timebase: Timebase
+    schedule: Schedule
+
+    @property
+    def cycle_us(self) -> float:
+        """Return the length of a cycle; 0 on a bus without time."""
+        ...
+
+
+AnyCyclic = TypeVar("AnyCyclic", bound=Cyclic)
+
+
+def at_pace(bus: AnyCyclic, pace: Pace) -> AnyCyclic:
+    """Return the bus in a run of this pace."""
+    other = copy.copy(bus)
+    other.timebase = Timebase(bus.cycle_us, bus.schedule.period, pace)
+    return other

@@ -1,6 +1,5 @@
 """A bus of slots with frame IDs: shares in FlexRay frames, and slots awarded by an arbiter."""
 
-import copy
 from collections.abc import Callable, Sequence
 from typing import Self
 
@@ -22,7 +21,7 @@ from concord.bus.flexray.share_frames import (
     whole_body,
 )
 from concord.bus.schedule import Schedule
-from concord.bus.timebase import EVERY_CYCLE, Pace, Timebase
+from concord.bus.timebase import EVERY_CYCLE, Pace, Timebase, at_pace
 from concord.bus.urgency_classes import UrgencyClasses
 
 Slots = Callable[[int, int], tuple[tuple[Slot, ...], ...]]
@@ -54,9 +53,7 @@ class SlottedBus:
 
     def paced(self, pace: Pace) -> Self:
         """Return the bus in a run of this pace: which of its cycles carry rounds."""
-        other = copy.copy(self)
-        other.timebase = Timebase(self.cycle_us, self.schedule.period, pace)
-        return other
+        return at_pace(self, pace)
 
     def cycle_count(self, cycle: int) -> int:
         """Return the cycle counter of the bus in the cycle that nodes call `cycle`."""
