@@ -167,8 +167,8 @@ class IdentifiedBus(ABC):
     # --- time -------------------------------------------------------------------------------------
 
     def paced(self, pace: Pace) -> Self:
-        """Return the bus in a run of this pace: which of its cycles carry rounds."""
-        return at_pace(self, pace)
+        """Return the bus in a run of this pace: frames name senders, so no step waits for a turn."""
+        return at_pace(self, pace, period=1)
 
     @property
     def cycle_us(self) -> float:

@@ -20,8 +20,6 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from concord.bus.schedule import Schedule
-
 # Times are products of decimals: a cycle that is late by less than this part of itself is in time.
 _ROUNDING_CYCLES = 1e-6
 
@@ -129,7 +127,6 @@ class Cyclic(Protocol):
     """A bus that repeats its cycle and has a time base."""
 
     timebase: Timebase
-    schedule: Schedule
 
     @property
     def cycle_us(self) -> float:
@@ -140,8 +137,8 @@ class Cyclic(Protocol):
 AnyCyclic = TypeVar("AnyCyclic", bound=Cyclic)
 
 
-def at_pace(bus: AnyCyclic, pace: Pace) -> AnyCyclic:
-    """Return the bus in a run of this pace."""
+def at_pace(bus: AnyCyclic, pace: Pace, period: int) -> AnyCyclic:
+    """Return the bus in a run of this pace; its slots repeat after `period` cycles."""
     other = copy.copy(bus)
-    other.timebase = Timebase(bus.cycle_us, bus.schedule.period, pace)
+    other.timebase = Timebase(bus.cycle_us, period, pace)
     return other

@@ -53,7 +53,7 @@ class SlottedBus:
 
     def paced(self, pace: Pace) -> Self:
         """Return the bus in a run of this pace: which of its cycles carry rounds."""
-        return at_pace(self, pace)
+        return at_pace(self, pace, self.schedule.period)
 
     def cycle_count(self, cycle: int) -> int:
         """Return the cycle counter of the bus in the cycle that nodes call `cycle`."""
