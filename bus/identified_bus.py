@@ -167,7 +167,7 @@ class IdentifiedBus(ABC):
     # --- time -------------------------------------------------------------------------------------
 
     def paced(self, pace: Pace) -> Self:
-        """Return the bus in a run of this pace: frames name senders, so no step waits for a turn."""
+        """Return the bus in a run: frames name their senders, so no step waits for a turn."""
         return at_pace(self, pace, period=1)
 
     @property
