@@ -7,7 +7,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from concord.bus.flexray.frame import MAX_PAYLOAD_BYTES, decode, encode
-from concord.bus.flexray.share_frames import PREFIX_BYTES, in_slot, renumbered
+from concord.bus.flexray.share_frames import CYCLE_COUNTS, PREFIX_BYTES, in_slot, renumbered
 from concord.nodes.bounds import MAX_FRAME_BYTES, MAX_MESSAGE_BYTES
 
 # No schedule here has slots of these numbers, no run cycles as late as these.
@@ -39,12 +39,15 @@ def _flipped(whole: bytes, rng: np.random.Generator) -> bytes:
 
 
 def _wrong_slot(whole: bytes, rng: np.random.Generator) -> bytes:
-    moved = renumbered(whole, int(rng.integers(_LAST_CYCLE)))
-    return in_slot(moved, _NO_SLOT + int(rng.integers(500)))
+    cycle = int(rng.integers(_LAST_CYCLE))
+    return in_slot(
+        renumbered(whole, cycle, cycle % CYCLE_COUNTS), _NO_SLOT + int(rng.integers(500))
+    )
 
 
 def _wrong_cycle(whole: bytes, rng: np.random.Generator) -> bytes:
-    return renumbered(whole, _FAR_CYCLE + int(rng.integers(1000)))
+    cycle = _FAR_CYCLE + int(rng.integers(1000))
+    return renumbered(whole, cycle, cycle % CYCLE_COUNTS)
 
 
 def _replayed(whole: bytes, rng: np.random.Generator) -> bytes:
