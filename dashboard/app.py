@@ -62,9 +62,9 @@ class Dashboard:
         return self._window.server
 
     @property
-    def port(self) -> int:
-        """Return the port of the page."""
-        return self.server.get_port()
+    def url(self) -> str:
+        """Return the address of the page, with the token that lets a browser in."""
+        return self._window.url
 
     def _shown(self) -> Shown:
         with self.view.lock:

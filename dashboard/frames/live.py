@@ -57,7 +57,7 @@ class _Pause(msgspec.Struct):
 
 class LiveNetwork:
     """A source of frames and a taker of commands; `endpoints` are all those of the network, `keys`
-    a file of `concord keys` for one that is guarded.
+    a file of `concord keys` for one that is guarded. It refuses commands if it is `read_only`.
 
     Raises:
         ValueError: no network of this version answers.
@@ -65,7 +65,14 @@ class LiveNetwork:
 
     live = True
 
-    def __init__(self, endpoints: Sequence[str], run: str | None, keys: str | None = None) -> None:
+    def __init__(
+        self,
+        endpoints: Sequence[str],
+        run: str | None,
+        keys: str | None = None,
+        read_only: bool = False,
+    ) -> None:
+        self.takes_commands = not read_only
         self._client = Client(endpoints, run, keys)
         self._heard: deque[tuple[str, bytes]] = deque(maxlen=_QUEUE)
         # First: what is said while the network answers must not be missed.
@@ -145,6 +152,8 @@ class LiveNetwork:
 
     def ask(self, command: Mapping[str, Any]) -> CommandAnswer:
         """Command the network; waits for its answer."""
+        if not self.takes_commands:
+            return CommandAnswer(False, f"{command['do']}: this page is read-only")
         self._begun_and_done += 1
         try:
             answer = self._client.command(msgspec.convert(command, Command))

@@ -34,6 +34,11 @@ class Source(Protocol):
         ...
 
     @property
+    def takes_commands(self) -> bool:
+        """Return whether the page may command the network."""
+        ...
+
+    @property
     def stage(self) -> Stage:
         """Return the stage as it is now: settings can change while a network runs."""
         ...
@@ -58,7 +63,7 @@ class Source(Protocol):
 class RecordedSource:
     """A recording: read little by little, so that the page is there at once."""
 
-    live = False
+    live = takes_commands = False
 
     def __init__(self, stage: Stage, recording: Path) -> None:
         self.stage = stage

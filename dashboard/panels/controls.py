@@ -16,7 +16,7 @@ from concord.dashboard.view import View
 
 
 class Controls:
-    """The widgets of the left panel; `network` and `node` are None for a recording."""
+    """The widgets of the left panel; `network` and `node` are None on a page without commands."""
 
     def __init__(
         self, gui: viser.GuiApi, inputs: Inputs, source: Source, view: View, tell: Tell
@@ -24,14 +24,14 @@ class Controls:
         self._inputs, self._live = inputs, source.live
         self._commands = Commands(source, tell)
         self.status: Any = gui.add_html("")
-        self._run_folder(gui)
+        self._run_folder(gui, source)
         self.network = self.node = None
-        if source.live:
+        if source.takes_commands:
             self.network = NetworkControls(gui, inputs, self._commands, source.stage)
             self.node = NodeControls(gui, inputs, self._commands, source.stage)
         self.view = ViewControls(gui, inputs, source.stage, view)
 
-    def _run_folder(self, gui: viser.GuiApi) -> None:
+    def _run_folder(self, gui: viser.GuiApi, source: Source) -> None:
         with gui.add_folder("Run"):
             self.pause: Any = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
             self.one: Any = gui.add_button(
@@ -48,6 +48,9 @@ class Controls:
                 color=QUIET_BUTTON,
                 icon=viser.Icon.BROADCAST,
             )
+        # On a page that is read-only the pace of the network is not for its users to choose.
+        for widget in (self.pause, self.one, self.speed):
+            widget.visible = source.takes_commands or not source.live
         self.pause.on_click(at_once(lambda event: self.toggle(event.client)))
         self.one.on_click(at_once(lambda event: self.step_once(event.client)))
         self.speed.on_update(at_once(self._set_speed))

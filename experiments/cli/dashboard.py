@@ -35,6 +35,8 @@ class AttachOptions:
     """For tls/ endpoints: monitor.json of `concord keys` to look on, operator.json to command."""
     run: str | None = None
     """The name of the run; the only one that answers when left out."""
+    read_only: bool = False
+    """Show the network and take no commands: a page for spectators, with a view of its own."""
     with_launcher: bool = False
     """End when standard input closes, and let the network go on once somebody looks: for whoever
     starts network and page together."""
@@ -61,12 +63,12 @@ def dashboard(
         from concord.dashboard.frames.live import LiveNetwork
         from concord.dashboard.serve import open_network
 
-        source = LiveNetwork(connect, run, watcher_keys(network.keys, connect))
+        source = LiveNetwork(connect, run, watcher_keys(network.keys, connect), network.read_only)
     others = OtherRuns(source.stage.setup, sparing=True)
     page = open_network(
         source, network.folder, options.host, options.http_port, options.light, others
     )
-    sys.stderr.write(f"dashboard at http://{options.host}:{page.port}  (Ctrl-C leaves)\n")
+    sys.stderr.write(f"dashboard at {page.url}  (Ctrl-C leaves)\n")
     sys.stderr.flush()
     launcher_gone = threading.Event()
     if network.with_launcher:

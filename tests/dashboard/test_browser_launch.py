@@ -61,7 +61,7 @@ def test_a_network_waits_for_who_looks_and_goes_on_without(chromium, launched: t
     assert state()["paused"]
     page = chromium.new_page(viewport={"width": 1280, "height": 720})
     page.set_default_timeout(90_000)
-    page.goto(f"{url}/?fixedDpr=0.5")
+    page.goto(f"{url}&fixedDpr=0.5")
     assert holds(page, lambda: not state()["paused"])
     assert state()["steps_per_second"] == 5
     assert holds(page, lambda: page.get_by_test_id("run-state").first.text_content() == "RUNNING")
