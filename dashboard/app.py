@@ -181,7 +181,9 @@ class Dashboard:
         state = pace.state
         if not self.source.live:
             state = "RUNNING" if self.view.playing else "PAUSED"
-        self.controls.show_paused(state == "PAUSED")
+        self.controls.show_answered(state in ("RUNNING", "PAUSED"))
+        if state in ("RUNNING", "PAUSED"):
+            self.controls.show_paused(state == "PAUSED")
         failures = self.failures.sentences()
         html = status(self.stage, self.view.theme, frame, state, pace.detail, failures)
         self.page.show("status", self.controls.status, html)

@@ -25,6 +25,8 @@ from concord.runtime.whole_steps import WholeStep
 from concord.scenarios.setup import Setup
 
 _STATE_PERIOD_S = 0.5
+# The network is asked twice a second; a loaded machine may answer a few times later.
+_SILENT_S = 5.0
 _QUEUE = 1000
 
 
@@ -88,10 +90,12 @@ class LiveNetwork:
         settings = dict(standing.settings)
         self._stage = restaged(stage, settings, *since) if settings else stage
         self._state = _Pause(situation.completed, situation.paused)
+        self._completed = situation.completed
         self._begun_and_done = 0
         self._assembler = Assembler(self._stage, network_of(situation))
-        self._ended = self._closed = False
-        self._asked_s = time.monotonic()
+        self._end: str | None = None
+        self._refused = self._closed = False
+        self._asked_s = self._heard_s = time.monotonic()
 
     @property
     def stage(self) -> Stage:
@@ -100,6 +104,7 @@ class LiveNetwork:
 
     def _hear(self, topic: str, data: bytes) -> None:
         """In zenoh's thread: keep it; a queue that is full loses the oldest."""
+        self._heard_s = time.monotonic()
         self._heard.append((topic, data))
 
     def poll(self) -> list[StepFrame]:
@@ -114,11 +119,12 @@ class LiveNetwork:
             with suppress(msgspec.MsgspecError):
                 step = msgspec.msgpack.decode(data, type=WholeStep)
                 frames.append(self._assembler.frame(step))
+                self._completed = max(self._completed, step.number + 1)
         return [frame for frame in frames if frame is not None]
 
     def _ask_state(self) -> None:
         now_s = time.monotonic()
-        if self._ended or now_s - self._asked_s < _STATE_PERIOD_S:
+        if self._end is not None or now_s - self._asked_s < _STATE_PERIOD_S:
             return
         self._asked_s = float("inf")
         # The request has its own thread, so the drawing loop does not wait for the answer.
@@ -131,8 +137,10 @@ class LiveNetwork:
             # A message that was sent before a command and arrives after it is out of date.
             if self._begun_and_done == before:
                 self._state = state
+            self._heard_s, self._refused = time.monotonic(), False
         except NotThere:
-            self._ended = True
+            # Asked again: a network that was stopped, or a link that broke, may come back.
+            self._refused = True
         except Exception:
             # A page that closes need not wait for the answer.
             if not self._closed:
@@ -142,12 +150,15 @@ class LiveNetwork:
 
     def pace(self) -> SourceState:
         """Return whether the network runs, and how far it is."""
-        if self._ended:
-            return SourceState("ENDED", "nobody answers any more")
         steps = self._assembler.stage.setup.scenario.steps
-        told = f"{self._state.completed} of {steps} steps"
-        if self._state.completed >= steps:
+        told = f"{max(self._state.completed, self._completed)} of {steps} steps"
+        if self._end is not None:
+            return SourceState("ENDED", f"{told}; {self._end}")
+        if max(self._state.completed, self._completed) >= steps:
             return SourceState("ENDED", told)
+        silent_s = time.monotonic() - self._heard_s
+        if self._refused or silent_s > _SILENT_S:
+            return SourceState("SILENT", f"no answer for {silent_s:.0f} s, after {told}")
         return SourceState("PAUSED" if self._state.paused else "RUNNING", told)
 
     def ask(self, command: Mapping[str, Any]) -> CommandAnswer:
@@ -160,12 +171,16 @@ class LiveNetwork:
         except msgspec.ValidationError as error:
             return CommandAnswer(False, f"{command['do']}: {error}")
         except NotThere as gone:
-            self._ended = True
+            self._refused = True
             return CommandAnswer(False, str(gone))
         if answer.accepted and command["do"] in ("pause", "resume"):
             self._state = _Pause(self._state.completed, command["do"] == "pause")
         self._begun_and_done += 1
         return CommandAnswer(answer.accepted, answer.detail)
+
+    def end(self, words: str) -> None:
+        """Show from now on that the run is over; `words` say where its results are."""
+        self._end = words
 
     def close(self) -> None:
         """Leave; the network does not notice."""

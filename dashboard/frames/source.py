@@ -19,7 +19,10 @@ class CommandAnswer(NamedTuple):
 
 
 class SourceState(NamedTuple):
-    """Whether a network runs: RUNNING, PAUSED, ENDED, or why nothing is known."""
+    """State of a network: RUNNING, PAUSED, ENDED, or SILENT while it does not answer.
+
+    A recording is LOADING or RECORDED. `detail` is for people.
+    """
 
     state: str
     detail: str = ""

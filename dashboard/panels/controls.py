@@ -22,6 +22,7 @@ class Controls:
         self, gui: viser.GuiApi, inputs: Inputs, source: Source, view: View, tell: Tell
     ) -> None:
         self._inputs, self._live = inputs, source.live
+        self._answered = True
         self._commands = Commands(source, tell)
         self.status: Any = gui.add_html("")
         self._run_folder(gui, source)
@@ -94,6 +95,20 @@ class Controls:
         """Set the button's label."""
         self.pause.label = "Resume" if paused else "Pause"
         self.pause.icon = viser.Icon.PLAYER_PLAY if paused else viser.Icon.PLAYER_PAUSE
+
+    def show_answered(self, answered: bool) -> None:
+        """Disable the widgets that command the network while it does not answer."""
+        if not self._live or answered == self._answered:
+            return
+        self._answered = answered
+        widgets = [self.pause, self.one, self.speed]
+        for folder in (self.network, self.node):
+            widgets += folder.widgets if folder is not None else []
+        for widget in widgets:
+            self._inputs.show(widget, disabled=not answered)
+        # viser cannot disable a group of buttons.
+        for group in self.node.groups if self.node is not None else ():
+            self._inputs.show(group, visible=answered)
 
     def show_selected(self, node: int | None) -> None:
         """Let the dropdowns follow the selection."""

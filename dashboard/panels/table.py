@@ -128,7 +128,12 @@ def status(
     failures: Sequence[str] = (),
 ) -> str:
     """Return the state of the run in a few lines, and the panels that fail."""
-    colour = {"RUNNING": theme.fused, "PAUSED": theme.sending, "ENDED": theme.quiet}
+    colour = {
+        "RUNNING": theme.fused,
+        "PAUSED": theme.sending,
+        "ENDED": theme.quiet,
+        "SILENT": theme.down,
+    }
     pill = (
         f'<span data-testid="run-state" style="background:{css(colour.get(state, theme.blind))};'
         f'color:#fff;border-radius:10px;padding:2px 10px;font-weight:700;font-size:11px">{state}'
