@@ -228,9 +228,9 @@ def _page(folder: Path) -> Iterator[tuple[int, ...]]:
         start_new_session=True,
     )
     assert page.stderr is not None, "it was started with a pipe"
-    port = page.stderr.readline().decode().split()[2].rpartition(":")[2]
+    url = page.stderr.readline().decode().split()[2]
     onlooker = subprocess.Popen(
-        fresh_command("benchmarks.onlooker", port),
+        fresh_command("benchmarks.onlooker", url),
         stdout=subprocess.PIPE,
         env=fresh_variables(),
     )

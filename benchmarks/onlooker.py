@@ -1,7 +1,7 @@
 """Client of a page without a browser: it receives every message and draws nothing.
 
 A browser draws on a graphics card, or on another computer; here it would draw on the processors
-that are measured. `python -m benchmarks.onlooker PORT` looks until it is ended.
+that are measured. `python -m benchmarks.onlooker URL` looks until it is ended.
 """
 
 import sys
@@ -9,7 +9,7 @@ from importlib.metadata import version
 
 import msgspec
 from websockets.sync.client import connect
-from websockets.typing import Subprotocol
+from websockets.typing import Origin, Subprotocol
 
 _CAMERA = {
     "type": "ViewerCameraMessage", "wxyz": (1.0, 0.0, 0.0, 0.0), "position": (0.0, 0.0, 10.0),
@@ -21,8 +21,11 @@ _CAMERA = {
 def main() -> None:
     """Look until the page or the parent process ends."""
     spoken = Subprotocol(f"viser-v{version('viser')}")
-    place = f"ws://127.0.0.1:{sys.argv[1]}"
-    with connect(place, subprotocols=[spoken], max_size=None, compression=None) as page:
+    url = sys.argv[1]
+    place, origin = url.replace("http:", "ws:", 1), Origin(url.partition("/?")[0])
+    with connect(
+        place, origin=origin, subprotocols=[spoken], max_size=None, compression=None
+    ) as page:
         # A client counts from its first camera on.
         page.send(msgspec.msgpack.encode(_CAMERA))
         sys.stdout.write("looking\n")

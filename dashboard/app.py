@@ -13,6 +13,7 @@ from threading import Event as Flag
 import numpy as np
 import viser
 
+from concord.dashboard.failures import PanelFailures
 from concord.dashboard.frames.expected import Expectation
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.history import FrameHistory
@@ -53,7 +54,8 @@ class Dashboard:
         gui = self.server.gui
         self.controls = Controls(gui, self.inputs, source, self.view, self._window.tell)
         ExportButtons(gui, self._shown, folder)
-        self.page = Page(self._window, self.inputs, self.stage, self.view)
+        self.failures = PanelFailures()
+        self.page = Page(self._window, self.inputs, self.stage, self.view, self.failures)
         self._shortcuts()
 
     @property
@@ -62,9 +64,9 @@ class Dashboard:
         return self._window.server
 
     @property
-    def port(self) -> int:
-        """Return the port of the page."""
-        return self.server.get_port()
+    def url(self) -> str:
+        """Return the address of the page, with the token that lets a browser in."""
+        return self._window.url
 
     def _shown(self) -> Shown:
         with self.view.lock:
@@ -116,25 +118,35 @@ class Dashboard:
             # The flag is cleared first: a change from now on belongs to the next turn.
             self._stale |= self._changed.is_set()
             self._changed.clear()
-            self.inputs.apply(self.view)
-            if not len(self.history):
-                self._draw_status(None)
-                return
-            self._stale |= self._advance(elapsed_s)
-            if self._stale and now_s >= self._next_scene_s:
-                self._next_scene_s = now_s + 1 / _SCENE_HZ
-                self.page.draw_scene(self.view, self.history)
-                panels_due = now_s >= self._next_panel_s
-                if panels_due:
-                    self._next_panel_s = now_s + 1 / _PANEL_HZ
-                    self.controls.show_selected(self.view.selected)
-                    self._draw_status(self.history.at(self.view.step))
-                    self.page.draw_panels(self.view, self.history, self._expected)
-                self._stale = not panels_due
+            self.failures.attempt("The page", lambda: self._draw(now_s, elapsed_s))
+
+    def _draw(self, now_s: float, elapsed_s: float) -> None:
+        """Draw what is due; the view's lock is held."""
+        self.inputs.apply(self.view)
+        if not len(self.history):
+            self._draw_status(None)
+            return
+        self._stale |= self._advance(elapsed_s)
+        panels_due = now_s >= self._next_panel_s
+        if panels_due and not self._stale:
+            # Also of a network from which nothing comes: the page says for how long.
+            self._next_panel_s = now_s + 1 / _PANEL_HZ
+            self._draw_status(self.history.at(self.view.step))
+        elif self._stale and now_s >= self._next_scene_s:
+            self._next_scene_s = now_s + 1 / _SCENE_HZ
+            self._stale = not panels_due
+            self.page.draw_scene(self.view, self.history)
+            if panels_due:
+                self._next_panel_s = now_s + 1 / _PANEL_HZ
+                self.controls.show_selected(self.view.selected)
+                self.page.draw_panels(self.view, self.history, self._expected)
+                self._draw_status(self.history.at(self.view.step))
 
     def history_add(self) -> None:
         """Take the frames that have come."""
-        frames = self.source.poll()
+        poll = self.source.poll
+        # A recording that cannot be read ends its page; a network may send better steps later.
+        frames = (self.failures.attempt("A step", poll) or []) if self.source.live else poll()
         if frames and not len(self.history):
             self.view.step = frames[0].step
         before = len(self.history)
@@ -169,8 +181,11 @@ class Dashboard:
         state = pace.state
         if not self.source.live:
             state = "RUNNING" if self.view.playing else "PAUSED"
-        self.controls.show_paused(state == "PAUSED")
-        html = status(self.stage, self.view.theme, frame, state, pace.detail)
+        self.controls.show_answered(state in ("RUNNING", "PAUSED"))
+        if state in ("RUNNING", "PAUSED"):
+            self.controls.show_paused(state == "PAUSED")
+        failures = self.failures.sentences()
+        html = status(self.stage, self.view.theme, frame, state, pace.detail, failures)
         self.page.show("status", self.controls.status, html)
 
     def close(self) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 import rich
 import viser
 
+from concord.dashboard.access import PageAccess
 from concord.dashboard.inputs import at_once
 from concord.dashboard.scene.camera import FIELD_OF_VIEW_RAD, Free, aimed
 from concord.dashboard.scene.scene import Scene
@@ -21,8 +22,17 @@ class PageServer:
     def __init__(self, host: str, port: int) -> None:
         # viser prints a banner; this process prints one line of its own.
         rich.get_console().quiet = True
-        self.server = viser.ViserServer(host=host, port=port, verbose=False)
+        self.access = PageAccess(host)
+        with self.access.guarding():
+            self.server = viser.ViserServer(host=host, port=port, verbose=False)
         self.server.gui.set_panel_label("concord")
+
+    @property
+    def url(self) -> str:
+        """Return the address of the page, with its token."""
+        host = self.server.get_host()
+        place = f"[{host}]" if ":" in host else host
+        return f"http://{place}:{self.server.get_port()}/?token={self.access.token}"
 
     def set_theme(self, theme: Theme) -> None:
         """Repaint the widgets of viser."""

@@ -137,7 +137,7 @@ def _shoot(browser: Any, page: Dashboard, shot: Shot, file: Path) -> None:
         page.tick(clock_s)
     width, height = shot.size
     tab = browser.new_page(viewport={"width": width, "height": height})
-    tab.goto(f"http://127.0.0.1:{page.port}/?fixedDpr=1")
+    tab.goto(f"{page.url}&fixedDpr=1")
     tab.wait_for_function(_READY, timeout=60_000)
     for name, value in shot.view.items():
         setattr(view, name, value)

@@ -12,7 +12,8 @@ class PageOptions:
     """Where the page is, and how it looks."""
 
     host: str = LOOPBACK
-    """Address to listen at. There is no password: whoever reaches another one sees the run."""
+    """Address to listen at. A browser needs the token of the printed address; nothing is
+    encrypted."""
     http_port: int = 8080
     """Port of the page; the next free one if it is taken, any free one for 0."""
     light: bool = False

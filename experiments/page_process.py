@@ -1,17 +1,20 @@
 """The dashboard beside a run: a process of its own that ends with the launcher.
 
 The network waits for the first user of the page, for a limited time, so that the user sees the
-beginning.
+beginning. The launcher writes `RUN_IS_OVER` to the page's standard input when the run is over.
 """
 
 import subprocess
+import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 from concord.nodes.commands import Pause
 from concord.runtime.interpreter import fresh_command, fresh_variables
 from concord.runtime.network.network_file import read_network
 
+RUN_IS_OVER = b"over\n"
 _END_S = 5.0
 
 
@@ -48,6 +51,25 @@ class PageProcess:
             # Ctrl-C is for the launcher; the page ends when its standard input closes.
             start_new_session=True,
         )
+
+    def tell_end(self) -> None:
+        """Have the page say that the run is over."""
+        if self._process is None:
+            return
+        assert self._process.stdin is not None, "it was started with a pipe"
+        # The page may have ended before the run.
+        with suppress(BrokenPipeError):
+            self._process.stdin.write(RUN_IS_OVER)
+            self._process.stdin.flush()
+
+    def stay(self) -> None:
+        """Wait until the user presses Ctrl-C, or the page has ended."""
+        if self._process is None or self._process.poll() is not None:
+            return
+        sys.stdout.flush()
+        sys.stderr.write("the run is over; its page stays until Ctrl-C\n")
+        with suppress(KeyboardInterrupt):
+            self._process.wait()
 
     def close(self) -> None:
         """End the page."""

@@ -24,7 +24,9 @@ class BusView:
         frames = self._bus.transmissions(cycle, row, classes)
         silent = tuple(node for node in schedule.static_senders(cycle) if not row[node])
         number = self._bus.timebase.bus_cycle(cycle)
-        return BusCycle(cycle, number, tuple(sorted(frames, key=_when)), silent, sum(row))
+        return BusCycle(
+            self._bus, cycle, number, tuple(sorted(frames, key=_when)), silent, sum(row)
+        )
 
 
 def _when(frame: Transmission) -> tuple[float, int]:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from concord.bus.bus import Transmission
+from concord.bus.bus import Bus, Transmission
 from concord.filters.gaussian import Gaussian
 
 
@@ -21,10 +21,12 @@ class LogEntry(NamedTuple):
 class BusCycle(NamedTuple):
     """One communication cycle: its frames in order of time, and who owned a slot and was silent.
 
-    `cycle` counts the cycles that carry rounds, `bus_cycle` all cycles of the bus. On a bus without
-    time, times are places in the order of slots and `span_us` is their number.
+    `bus` has the schedule of this cycle: settings change while a network runs. `cycle` counts the
+    cycles that carry rounds, `bus_cycle` all cycles of the bus. On a bus without time, times are
+    places in the order of slots.
     """
 
+    bus: Bus
     cycle: int
     bus_cycle: int
     frames: tuple[Transmission, ...]

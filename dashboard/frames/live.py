@@ -25,6 +25,8 @@ from concord.runtime.whole_steps import WholeStep
 from concord.scenarios.setup import Setup
 
 _STATE_PERIOD_S = 0.5
+# The network is asked twice a second; a loaded machine may answer a few times later.
+_SILENT_S = 5.0
 _QUEUE = 1000
 
 
@@ -57,7 +59,7 @@ class _Pause(msgspec.Struct):
 
 class LiveNetwork:
     """A source of frames and a taker of commands; `endpoints` are all those of the network, `keys`
-    a file of `concord keys` for one that is guarded.
+    a file of `concord keys` for one that is guarded. It refuses commands if it is `read_only`.
 
     Raises:
         ValueError: no network of this version answers.
@@ -65,7 +67,14 @@ class LiveNetwork:
 
     live = True
 
-    def __init__(self, endpoints: Sequence[str], run: str | None, keys: str | None = None) -> None:
+    def __init__(
+        self,
+        endpoints: Sequence[str],
+        run: str | None,
+        keys: str | None = None,
+        read_only: bool = False,
+    ) -> None:
+        self.takes_commands = not read_only
         self._client = Client(endpoints, run, keys)
         self._heard: deque[tuple[str, bytes]] = deque(maxlen=_QUEUE)
         # First: what is said while the network answers must not be missed.
@@ -81,10 +90,12 @@ class LiveNetwork:
         settings = dict(standing.settings)
         self._stage = restaged(stage, settings, *since) if settings else stage
         self._state = _Pause(situation.completed, situation.paused)
+        self._completed = situation.completed
         self._begun_and_done = 0
         self._assembler = Assembler(self._stage, network_of(situation))
-        self._ended = self._closed = False
-        self._asked_s = time.monotonic()
+        self._end: str | None = None
+        self._refused = self._closed = False
+        self._asked_s = self._heard_s = time.monotonic()
 
     @property
     def stage(self) -> Stage:
@@ -93,6 +104,7 @@ class LiveNetwork:
 
     def _hear(self, topic: str, data: bytes) -> None:
         """In zenoh's thread: keep it; a queue that is full loses the oldest."""
+        self._heard_s = time.monotonic()
         self._heard.append((topic, data))
 
     def poll(self) -> list[StepFrame]:
@@ -107,11 +119,12 @@ class LiveNetwork:
             with suppress(msgspec.MsgspecError):
                 step = msgspec.msgpack.decode(data, type=WholeStep)
                 frames.append(self._assembler.frame(step))
+                self._completed = max(self._completed, step.number + 1)
         return [frame for frame in frames if frame is not None]
 
     def _ask_state(self) -> None:
         now_s = time.monotonic()
-        if self._ended or now_s - self._asked_s < _STATE_PERIOD_S:
+        if self._end is not None or now_s - self._asked_s < _STATE_PERIOD_S:
             return
         self._asked_s = float("inf")
         # The request has its own thread, so the drawing loop does not wait for the answer.
@@ -124,8 +137,10 @@ class LiveNetwork:
             # A message that was sent before a command and arrives after it is out of date.
             if self._begun_and_done == before:
                 self._state = state
+            self._heard_s, self._refused = time.monotonic(), False
         except NotThere:
-            self._ended = True
+            # Asked again: a network that was stopped, or a link that broke, may come back.
+            self._refused = True
         except Exception:
             # A page that closes need not wait for the answer.
             if not self._closed:
@@ -135,28 +150,37 @@ class LiveNetwork:
 
     def pace(self) -> SourceState:
         """Return whether the network runs, and how far it is."""
-        if self._ended:
-            return SourceState("ENDED", "nobody answers any more")
         steps = self._assembler.stage.setup.scenario.steps
-        told = f"{self._state.completed} of {steps} steps"
-        if self._state.completed >= steps:
+        told = f"{max(self._state.completed, self._completed)} of {steps} steps"
+        if self._end is not None:
+            return SourceState("ENDED", f"{told}; {self._end}")
+        if max(self._state.completed, self._completed) >= steps:
             return SourceState("ENDED", told)
+        silent_s = time.monotonic() - self._heard_s
+        if self._refused or silent_s > _SILENT_S:
+            return SourceState("SILENT", f"no answer for {silent_s:.0f} s, after {told}")
         return SourceState("PAUSED" if self._state.paused else "RUNNING", told)
 
     def ask(self, command: Mapping[str, Any]) -> CommandAnswer:
         """Command the network; waits for its answer."""
+        if not self.takes_commands:
+            return CommandAnswer(False, f"{command['do']}: this page is read-only")
         self._begun_and_done += 1
         try:
             answer = self._client.command(msgspec.convert(command, Command))
         except msgspec.ValidationError as error:
             return CommandAnswer(False, f"{command['do']}: {error}")
         except NotThere as gone:
-            self._ended = True
+            self._refused = True
             return CommandAnswer(False, str(gone))
         if answer.accepted and command["do"] in ("pause", "resume"):
             self._state = _Pause(self._state.completed, command["do"] == "pause")
         self._begun_and_done += 1
         return CommandAnswer(answer.accepted, answer.detail)
+
+    def end(self, words: str) -> None:
+        """Show from now on that the run is over; `words` say where its results are."""
+        self._end = words
 
     def close(self) -> None:
         """Leave; the network does not notice."""

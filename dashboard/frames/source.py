@@ -19,7 +19,10 @@ class CommandAnswer(NamedTuple):
 
 
 class SourceState(NamedTuple):
-    """Whether a network runs: RUNNING, PAUSED, ENDED, or why nothing is known."""
+    """State of a network: RUNNING, PAUSED, ENDED, or SILENT while it does not answer.
+
+    A recording is LOADING or RECORDED. `detail` is for people.
+    """
 
     state: str
     detail: str = ""
@@ -31,6 +34,11 @@ class Source(Protocol):
     @property
     def live(self) -> bool:
         """Return whether there is a network to command."""
+        ...
+
+    @property
+    def takes_commands(self) -> bool:
+        """Return whether the page may command the network."""
         ...
 
     @property
@@ -58,7 +66,7 @@ class Source(Protocol):
 class RecordedSource:
     """A recording: read little by little, so that the page is there at once."""
 
-    live = False
+    live = takes_commands = False
 
     def __init__(self, stage: Stage, recording: Path) -> None:
         self.stage = stage

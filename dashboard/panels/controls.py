@@ -16,22 +16,23 @@ from concord.dashboard.view import View
 
 
 class Controls:
-    """The widgets of the left panel; `network` and `node` are None for a recording."""
+    """The widgets of the left panel; `network` and `node` are None on a page without commands."""
 
     def __init__(
         self, gui: viser.GuiApi, inputs: Inputs, source: Source, view: View, tell: Tell
     ) -> None:
         self._inputs, self._live = inputs, source.live
+        self._answered = True
         self._commands = Commands(source, tell)
         self.status: Any = gui.add_html("")
-        self._run_folder(gui)
+        self._run_folder(gui, source)
         self.network = self.node = None
-        if source.live:
+        if source.takes_commands:
             self.network = NetworkControls(gui, inputs, self._commands, source.stage)
             self.node = NodeControls(gui, inputs, self._commands, source.stage)
         self.view = ViewControls(gui, inputs, source.stage, view)
 
-    def _run_folder(self, gui: viser.GuiApi) -> None:
+    def _run_folder(self, gui: viser.GuiApi, source: Source) -> None:
         with gui.add_folder("Run"):
             self.pause: Any = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
             self.one: Any = gui.add_button(
@@ -48,6 +49,9 @@ class Controls:
                 color=QUIET_BUTTON,
                 icon=viser.Icon.BROADCAST,
             )
+        # On a page that is read-only the pace of the network is not for its users to choose.
+        for widget in (self.pause, self.one, self.speed):
+            widget.visible = source.takes_commands or not source.live
         self.pause.on_click(at_once(lambda event: self.toggle(event.client)))
         self.one.on_click(at_once(lambda event: self.step_once(event.client)))
         self.speed.on_update(at_once(self._set_speed))
@@ -91,6 +95,20 @@ class Controls:
         """Set the button's label."""
         self.pause.label = "Resume" if paused else "Pause"
         self.pause.icon = viser.Icon.PLAYER_PLAY if paused else viser.Icon.PLAYER_PAUSE
+
+    def show_answered(self, answered: bool) -> None:
+        """Disable the widgets that command the network while it does not answer."""
+        if not self._live or answered == self._answered:
+            return
+        self._answered = answered
+        widgets = [self.pause, self.one, self.speed]
+        for folder in (self.network, self.node):
+            widgets += folder.widgets if folder is not None else []
+        for widget in widgets:
+            self._inputs.show(widget, disabled=not answered)
+        # viser cannot disable a group of buttons.
+        for group in self.node.groups if self.node is not None else ():
+            self._inputs.show(group, visible=answered)
 
     def show_selected(self, node: int | None) -> None:
         """Let the dropdowns follow the selection."""

@@ -34,6 +34,11 @@ class NetworkControls:
             self.apply: Any = gui.add_button("Apply at the next step", icon=viser.Icon.CHECK)
         self.apply.on_click(at_once(self._apply))
 
+    @property
+    def widgets(self) -> list[Any]:
+        """Return the widgets that command the network."""
+        return [self.rounds, self.rule, self.occupancy, self.arbiter, self.apply]
+
     def _apply(self, event: Any) -> None:
         scenario = self._stage.setup.scenario
         wanted = {

@@ -37,6 +37,16 @@ class NodeControls:
         self.loss.on_update(at_once(self._set_loss))
         self.inject.on_click(at_once(self._inject))
 
+    @property
+    def widgets(self) -> list[Any]:
+        """Return the widgets that command the network; `groups` has the groups of buttons."""
+        return [self.peer, self.loss, self.fault, self.inject]
+
+    @property
+    def groups(self) -> list[Any]:
+        """Return the groups of buttons that command the network."""
+        return [self.life, self.link]
+
     def _peers(self, node: int) -> tuple[str, ...]:
         edges = self._stage.edges[(self._stage.edges == node).any(axis=1)]
         peers = sorted({int(i) for edge in edges for i in edge if i != node})

@@ -1,8 +1,10 @@
 """The panels of the page and the scene: made once, drawn again with every picture."""
 
+from collections.abc import Callable
 from typing import Any
 
 from concord.dashboard.bridge import Bridge
+from concord.dashboard.failures import PanelFailures
 from concord.dashboard.frames.conditions import sender_at
 from concord.dashboard.frames.expected import Expectation
 from concord.dashboard.frames.frame import BusCycle
@@ -33,8 +35,16 @@ class Page:
     Everything is computed before `atomic()`, inside which properties are only assigned.
     """
 
-    def __init__(self, window: PageServer, inputs: Inputs, stage: Stage, view: View) -> None:
+    def __init__(
+        self,
+        window: PageServer,
+        inputs: Inputs,
+        stage: Stage,
+        view: View,
+        failures: PanelFailures,
+    ) -> None:
         self._window, self._inputs, self._stage = window, inputs, stage
+        self._attempt = failures.attempt
         self._drawn: dict[str, str] = {}
         gui, nodes = window.server.gui, stage.nodes
         panels = lay_out(window.server, stage.picture is not PlantDrawing.PLANE)
@@ -64,7 +74,6 @@ class Page:
     def set_stage(self, stage: Stage) -> None:
         """Draw a network whose settings have changed."""
         self._stage = stage
-        self._timeline = TimelineView(stage)
 
     def set_extent(self, first_step: int, last_step: int) -> None:
         """Let people choose among these steps."""
@@ -80,31 +89,43 @@ class Page:
         cycle = frame.cycles[min(int(view.cursor), len(frame.cycles) - 1)]
         sender, now_us = sender_at(frame, view.cursor)
         trail = _CAR_TRAIL if self._stage.picture is PlantDrawing.TRACK else TRAIL
-        assign = self.scene.draw(view, frame, history.until(frame.step, trail), sender)
-        past = _past_cycles(history, view.step, cycle)
-        timeline = self._timeline.draw(view.theme, frame, past, cycle, now_us, view.selected)
+        tail = history.until(frame.step, trail)
+        assign = self._attempt("Scene", lambda: self.scene.draw(view, frame, tail, sender))
+
+        def timeline() -> str:
+            past = _past_cycles(history, view.step, cycle)
+            return self._timeline.draw(view.theme, frame, past, cycle, now_us, view.selected)
+
+        bus = self._attempt("Bus", timeline)
         with self._window.server.atomic():
-            assign()
-            self.show("bus", self._bus, timeline)
+            if assign is not None:
+                self._attempt("Scene", assign)
+            if bus is not None:
+                self.show("Bus", self._bus, bus)
         self._inputs.show(self.slider, value=frame.step)
 
     def draw_panels(self, view: View, history: FrameHistory, expectation: Expectation) -> None:
         """Draw tables, charts and the log, up to the shown step."""
         stage, frame = self._stage, history.at(view.step)
-        rows = node_table(stage, view, frame)
-        picture = zoom(stage, view.theme, frame, view.pair, view.selected)
         events = [event for event in reversed(history.log) if event.step <= view.step]
-        about = selected_panel(stage, view, frame)
-        over_time = states(stage, view, history)
-        sample = sampled(stage, view, history, expectation)
+        panels: dict[str, tuple[Any, Callable[[], str]]] = {
+            "Nodes": (self._table, lambda: node_table(stage, view, frame)),
+            "Beliefs": (
+                self._zoom, lambda: zoom(stage, view.theme, frame, view.pair, view.selected),
+            ),
+            "States": (self._states, lambda: states(stage, view, history)),
+            "Log": (self._log, lambda: log(view.theme, events)),
+            "Selected": (self._selected, lambda: selected_panel(stage, view, frame)),
+        }  # fmt: skip
+        drawn = {name: self._attempt(name, make) for name, (_, make) in panels.items()}
+        sample = self._attempt("Charts", lambda: sampled(stage, view, history, expectation))
         with self._window.server.atomic():
-            self.show("table", self._table, rows)
-            self.show("zoom", self._zoom, picture)
-            self.show("states", self._states, over_time)
-            self.show("log", self._log, log(view.theme, events))
-            self.show("selected", self._selected, about)
-            self.charts.draw(sample)
-            self._state_charts.draw(sample)
+            for name, html in drawn.items():
+                if html is not None:
+                    self.show(name, panels[name][0], html)
+            if sample is not None:
+                self._attempt("Charts", lambda: self.charts.draw(sample))
+                self._attempt("One state", lambda: self._state_charts.draw(sample))
         self._repaint(view.theme)
 
     def show(self, name: str, handle: Any, html: str) -> None:

@@ -1,6 +1,6 @@
 """The table of nodes, the log and the state of the run, as HTML; all text from outside escaped."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from html import escape
 
 import numpy as np
@@ -120,10 +120,20 @@ def log(theme: Theme, events: Iterable[LogEntry]) -> str:
 
 
 def status(
-    stage: Stage, theme: Theme, frame: StepFrame | None, state: str, detail: str = ""
+    stage: Stage,
+    theme: Theme,
+    frame: StepFrame | None,
+    state: str,
+    detail: str = "",
+    failures: Sequence[str] = (),
 ) -> str:
-    """Return the state of the run in a few lines."""
-    colour = {"RUNNING": theme.fused, "PAUSED": theme.sending, "ENDED": theme.quiet}
+    """Return the state of the run in a few lines, and the panels that fail."""
+    colour = {
+        "RUNNING": theme.fused,
+        "PAUSED": theme.sending,
+        "ENDED": theme.quiet,
+        "SILENT": theme.down,
+    }
     pill = (
         f'<span data-testid="run-state" style="background:{css(colour.get(state, theme.blind))};'
         f'color:#fff;border-radius:10px;padding:2px 10px;font-weight:700;font-size:11px">{state}'
@@ -148,6 +158,11 @@ def status(
         f'{css(theme.quiet)}">{name}</span><b data-testid="{key}">{escape(value)}</b></div>'
         for name, key, value in rows
     )
+    failed = "".join(
+        f'<div data-testid="failure" style="margin-top:5px;font-size:11px;color:{css(theme.down)}">'
+        f"{escape(failure)}</div>"
+        for failure in failures
+    )
     name = escape(stage.setup.scenario.name)
     scenario = stage.setup.scenario
     graph, rule = escape(scenario.network.graph), scenario.rule.name
@@ -155,7 +170,7 @@ def status(
     return (
         f'<div style="font-size:12.5px;color:{css(theme.text)};padding:4px 12px">{pill}'
         f'<div style="margin:5px 0;color:{css(theme.quiet)};font-size:11px">{about}</div>'
-        f"{lines}</div>"
+        f"{lines}{failed}</div>"
     )
 
 

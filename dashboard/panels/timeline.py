@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from concord.bus.bus import Bus
 from concord.dashboard.frames.frame import BusCycle, StepFrame
 from concord.dashboard.frames.stage import Stage
 from concord.dashboard.panels.timeline_marks import (
@@ -22,13 +23,10 @@ RASTER_ROWS = 11
 
 
 class TimelineView:
-    """Draws the bus of one run; knows its slots and segments."""
+    """Draws the bus of one run, each cycle with the schedule that it had."""
 
     def __init__(self, stage: Stage) -> None:
         self._stage = stage
-        self._bus = stage.bus
-        self._segments = stage.bus.segments()
-        self._axis = Axis(self._segments[-1].end_us)
 
     def draw(
         self,
@@ -41,40 +39,34 @@ class TimelineView:
     ) -> str:
         """The panel: `cycle` of `frame` at time `now_us`, and `past` cycles, newest first."""
         lost = self._lost_senders(frame) if cycle is frame.cycles[-1] else set()
+        past = past[:RASTER_ROWS]
+        # One scale for all: a cycle from before a change of settings may be longer.
+        axis = Axis(max(one.bus.segments()[-1].end_us for one in (cycle, *past)))
         height = TOP + BAR + 12 + ROW * RASTER_ROWS + 4
         parts = [
             f'<svg data-testid="timeline" viewBox="0 0 {WIDTH:g} {height:g}" width="100%" '
             f'style="display:block;font-family:inherit" preserveAspectRatio="xMidYMin meet">',
             f"<style>.slot{{cursor:pointer}}.slot:hover rect{{stroke:{css(theme.text)};"
             f"stroke-width:2}}</style>",
-            self._headings(theme),
-            self._bar(theme, cycle, now_us, selected, lost),
-            self._raster(theme, past),
+            _headings(axis, theme, cycle.bus),
+            self._bar(axis, theme, cycle, now_us, selected, lost),
+            _raster(axis, theme, past),
             "</svg>",
-            legend(theme, self._bus, cycle, frame.cycles),
+            legend(theme, cycle, frame.cycles),
         ]
         return "".join(parts)
 
     def _lost_senders(self, frame: StepFrame) -> set[int]:
         return {int(sender) for sender in self._stage.heard[frame.lost, 1]}
 
-    def _headings(self, theme: Theme) -> str:
-        names = {"static": "STATIC SEGMENT", "dynamic": "DYNAMIC SEGMENT"}
-        short = {"symbol window": "SW", "network idle time": "NIT"}
-        text = []
-        for part in self._segments:
-            wide = self._axis.x(part.end_us) - self._axis.x(part.start_us)
-            label = names.get(part.name, short.get(part.name, part.name))
-            if wide < 7.2 * len(label):
-                label = label.split()[0] if wide > 7.2 * len(label.split()[0]) else ""
-            text.append(
-                f'<text x="{self._axis.x(part.start_us):.1f}" y="13" font-size="10.5" '
-                f'fill="{css(theme.quiet)}">{label}</text>'
-            )
-        return "".join(text)
-
     def _bar(
-        self, theme: Theme, cycle: BusCycle, now_us: float, selected: int | None, lost: set[int]
+        self,
+        axis: Axis,
+        theme: Theme,
+        cycle: BusCycle,
+        now_us: float,
+        selected: int | None,
+        lost: set[int],
     ) -> str:
         """Return the cycle to scale: segments, slots with their owners, minislots, the time."""
         parts = [
@@ -82,10 +74,10 @@ class TimelineView:
             f'<text x="6" y="{TOP + 29:g}" font-size="11.5" fill="{css(theme.text)}" '
             f'data-testid="bus-cycle">{cycle.bus_cycle}</text>'
         ]
-        for part in self._segments:
+        for part in cycle.bus.segments():
             x, wide = (
-                self._axis.x(part.start_us),
-                self._axis.x(part.end_us) - self._axis.x(part.start_us),
+                axis.x(part.start_us),
+                axis.x(part.end_us) - axis.x(part.start_us),
             )
             idle = part.name not in ("static", "dynamic")
             fill = mixed(theme.faint, theme.panel, 0.8 if idle else 0.35)
@@ -94,12 +86,10 @@ class TimelineView:
                 f'fill="{css(fill)}"><title>{part.name}: {part.start_us:.0f} to '
                 f"{part.end_us:.0f} us</title></rect>"
             )
-        parts.append(self._grid_of_slots(theme))
+        parts.append(_grid_of_slots(axis, theme, cycle.bus))
         names = self._stage.names
         parts += [
-            silent_slot(
-                self._axis, theme, names[node], node, self._bus.own_slot_us(node, cycle.cycle)
-            )
+            silent_slot(axis, theme, names[node], node, cycle.bus.own_slot_us(node, cycle.cycle))
             for node in cycle.silent
         ]
         for frame in cycle.frames:
@@ -108,7 +98,7 @@ class TimelineView:
                 state = "now"
             parts.append(
                 slot(
-                    self._axis,
+                    axis,
                     theme,
                     names[frame.node],
                     frame,
@@ -117,55 +107,68 @@ class TimelineView:
                     frame.node in lost,
                 )
             )
-        parts.append(names_of_trains(self._axis, theme, names, cycle))
+        parts.append(names_of_trains(axis, theme, names, cycle))
         if now_us > 0:
-            x = self._axis.x(now_us)
+            x = axis.x(now_us)
             parts.append(
                 f'<path d="M{x:.1f} {TOP - 4:g}V{TOP + BAR + 4:g}" stroke="{css(theme.text)}" '
                 'stroke-width="2" pointer-events="none"/>'
             )
         return "".join(parts)
 
-    def _grid_of_slots(self, theme: Theme) -> str:
-        """Where slots begin: ticks for static slots and for minislots."""
-        ends, minislots = self._bus.marks_us()
-        path: list[str] = []
-        if ends and self._axis.x(ends[0]) - LEFT > 3:
-            path += [f"M{self._axis.x(end):.1f} {TOP:g}v{BAR:g}" for end in ends]
-        if minislots:
-            width_us = minislots[1] - minislots[0] if len(minislots) > 1 else self._axis.span_us
-            stride = max(1, round(3.0 / max(self._axis.x(width_us) - LEFT, 1e-6)))
-            for start in minislots[::stride]:
-                path.append(f"M{self._axis.x(start):.1f} {TOP + BAR - 5:g}v5")
-        if not path:
-            return ""
-        return f'<path d="{"".join(path)}" stroke="{css(theme.panel)}" stroke-width="1"/>'
 
-    def _raster(self, theme: Theme, past: Sequence[BusCycle]) -> str:
-        """One row per past cycle and one path per row and colour."""
-        parts: list[str] = []
-        for number, cycle in enumerate(past[:RASTER_ROWS]):
-            y = TOP + BAR + 12 + number * ROW
-            share = 1.0 - 0.065 * number
-            if number in (0, len(past[:RASTER_ROWS]) - 1, RASTER_ROWS // 2):
-                parts.append(
-                    f'<text x="6" y="{y + ROW - 2:g}" font-size="9" fill="{css(theme.quiet)}">'
-                    f"{cycle.bus_cycle}</text>"
-                )
-            for segment, colour in (("static", theme.seeing), ("dynamic", theme.estimate)):
-                boxes = [
-                    self._axis.box(f.start_us, f.end_us, y)
-                    for f in cycle.frames
-                    if f.segment == segment
-                ]
-                if boxes:
-                    shade = css(mixed(colour, theme.panel, 0.75 * share))
-                    parts.append(f'<path d="{"".join(boxes)}" fill="{shade}"/>')
-            silent = [
-                self._axis.box(*self._bus.own_slot_us(node, cycle.cycle), y)
-                for node in cycle.silent
+def _headings(axis: Axis, theme: Theme, bus: Bus) -> str:
+    names = {"static": "STATIC SEGMENT", "dynamic": "DYNAMIC SEGMENT"}
+    short = {"symbol window": "SW", "network idle time": "NIT"}
+    text = []
+    for part in bus.segments():
+        wide = axis.x(part.end_us) - axis.x(part.start_us)
+        label = names.get(part.name, short.get(part.name, part.name))
+        if wide < 7.2 * len(label):
+            label = label.split()[0] if wide > 7.2 * len(label.split()[0]) else ""
+        text.append(
+            f'<text x="{axis.x(part.start_us):.1f}" y="13" font-size="10.5" '
+            f'fill="{css(theme.quiet)}">{label}</text>'
+        )
+    return "".join(text)
+
+
+def _grid_of_slots(axis: Axis, theme: Theme, bus: Bus) -> str:
+    """Where slots begin: ticks for static slots and for minislots."""
+    ends, minislots = bus.marks_us()
+    path: list[str] = []
+    if ends and axis.x(ends[0]) - LEFT > 3:
+        path += [f"M{axis.x(end):.1f} {TOP:g}v{BAR:g}" for end in ends]
+    if minislots:
+        width_us = minislots[1] - minislots[0] if len(minislots) > 1 else axis.span_us
+        stride = max(1, round(3.0 / max(axis.x(width_us) - LEFT, 1e-6)))
+        for start in minislots[::stride]:
+            path.append(f"M{axis.x(start):.1f} {TOP + BAR - 5:g}v5")
+    if not path:
+        return ""
+    return f'<path d="{"".join(path)}" stroke="{css(theme.panel)}" stroke-width="1"/>'
+
+
+def _raster(axis: Axis, theme: Theme, past: Sequence[BusCycle]) -> str:
+    """One row per past cycle and one path per row and colour."""
+    parts: list[str] = []
+    for number, cycle in enumerate(past):
+        y = TOP + BAR + 12 + number * ROW
+        share = 1.0 - 0.065 * number
+        if number in (0, len(past) - 1, RASTER_ROWS // 2):
+            parts.append(
+                f'<text x="6" y="{y + ROW - 2:g}" font-size="9" fill="{css(theme.quiet)}">'
+                f"{cycle.bus_cycle}</text>"
+            )
+        for segment, colour in (("static", theme.seeing), ("dynamic", theme.estimate)):
+            boxes = [
+                axis.box(f.start_us, f.end_us, y) for f in cycle.frames if f.segment == segment
             ]
-            if silent:
-                shade = css(mixed(theme.down, theme.panel, share))
-                parts.append(f'<path d="{"".join(silent)}" fill="{shade}"/>')
-        return "".join(parts)
+            if boxes:
+                shade = css(mixed(colour, theme.panel, 0.75 * share))
+                parts.append(f'<path d="{"".join(boxes)}" fill="{shade}"/>')
+        silent = [axis.box(*cycle.bus.own_slot_us(node, cycle.cycle), y) for node in cycle.silent]
+        if silent:
+            shade = css(mixed(theme.down, theme.panel, share))
+            parts.append(f'<path d="{"".join(silent)}" fill="{shade}"/>')
+    return "".join(parts)

@@ -5,7 +5,7 @@ from html import escape
 from itertools import groupby
 from typing import NamedTuple
 
-from concord.bus.bus import Bus, Transmission
+from concord.bus.bus import Transmission
 from concord.dashboard.frames.frame import BusCycle
 from concord.dashboard.theme import Theme, css, mixed
 
@@ -101,7 +101,7 @@ def silent_slot(
     )
 
 
-def legend(theme: Theme, bus: Bus, cycle: BusCycle, step: Sequence[BusCycle]) -> str:
+def legend(theme: Theme, cycle: BusCycle, step: Sequence[BusCycle]) -> str:
     """Return the colours with their meaning, and the facts of the shown cycle and of its step."""
     entries = [
         (theme.seeing, "static frame"),
@@ -115,7 +115,7 @@ def legend(theme: Theme, bus: Bus, cycle: BusCycle, step: Sequence[BusCycle]) ->
         f"</span>{text}</span>"
         for colour, text in entries
     )
-    facts = "a bus without time"
+    bus, facts = cycle.bus, "a bus without time"
     if bus.has_time:
         load = 100 * bus.load(cycle.frames)
         in_step = sum(bus.load(one.frames) for one in step)

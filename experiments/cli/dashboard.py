@@ -10,6 +10,7 @@ import tyro
 
 from concord.experiments.monte_carlo.other_runs import OtherRuns
 from concord.experiments.page_options import PageOptions, check_place
+from concord.experiments.page_process import RUN_IS_OVER
 from concord.experiments.priority import give_way
 from concord.experiments.user_errors import user_errors
 from concord.runtime.network.links import watcher_keys
@@ -17,6 +18,7 @@ from concord.runtime.network.network_file import read_network
 
 if TYPE_CHECKING:
     from concord.dashboard.app import Dashboard
+    from concord.dashboard.frames.live import LiveNetwork
 
 _LONGEST_WAIT_S = 60.0
 _NICENESS = 10
@@ -35,9 +37,11 @@ class AttachOptions:
     """For tls/ endpoints: monitor.json of `concord keys` to look on, operator.json to command."""
     run: str | None = None
     """The name of the run; the only one that answers when left out."""
+    read_only: bool = False
+    """Show the network and take no commands: a page for spectators, with a view of its own."""
     with_launcher: bool = False
-    """End when standard input closes, and let the network go on once somebody looks: for whoever
-    starts network and page together."""
+    """End when standard input closes, show the end of the run when standard input tells of it, and
+    let the network go on once a browser looks: for the launcher of network and page."""
 
 
 def dashboard(
@@ -61,16 +65,19 @@ def dashboard(
         from concord.dashboard.frames.live import LiveNetwork
         from concord.dashboard.serve import open_network
 
-        source = LiveNetwork(connect, run, watcher_keys(network.keys, connect))
+        source = LiveNetwork(connect, run, watcher_keys(network.keys, connect), network.read_only)
     others = OtherRuns(source.stage.setup, sparing=True)
     page = open_network(
         source, network.folder, options.host, options.http_port, options.light, others
     )
-    sys.stderr.write(f"dashboard at http://{options.host}:{page.port}  (Ctrl-C leaves)\n")
+    sys.stderr.write(f"dashboard at {page.url}  (Ctrl-C leaves)\n")
     sys.stderr.flush()
     launcher_gone = threading.Event()
     if network.with_launcher:
-        threading.Thread(target=_await_end, args=(launcher_gone,), daemon=True).start()
+        follow = threading.Thread(
+            target=_follow_launcher, args=(source, network.folder, launcher_gone), daemon=True
+        )
+        follow.start()
         threading.Thread(target=_begin, args=(page,), daemon=True).start()
     try:
         page.run(launcher_gone.is_set)
@@ -89,6 +96,9 @@ def _begin(page: "Dashboard") -> None:
     page.source.ask({"do": "resume"})
 
 
-def _await_end(gone: threading.Event) -> None:
-    sys.stdin.buffer.read()
+def _follow_launcher(source: "LiveNetwork", folder: Path | None, gone: threading.Event) -> None:
+    """Read what the launcher says: that the run is over, then, by closing, that it is gone."""
+    for line in sys.stdin.buffer:
+        if line == RUN_IS_OVER:
+            source.end("the run is over" if folder is None else f"results in {folder}")
     gone.set()

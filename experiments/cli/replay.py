@@ -34,7 +34,7 @@ def replay(
         page = open_recording(
             description.setup, file, options.host, options.http_port, options.light, others
         )
-    sys.stderr.write(f"http://{options.host}:{page.port}  (Ctrl-C ends)\n")
+    sys.stderr.write(f"{page.url}  (Ctrl-C ends)\n")
     try:
         with user_errors():
             page.run(lambda: False)

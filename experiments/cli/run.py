@@ -1,6 +1,7 @@
 """`concord run`: one scenario, one driver, one folder of results, one table of figures."""
 
 import sys
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -60,7 +61,8 @@ class RunOptions:
     """First of consecutive loopback ports for --driver processes or realtime; free ones when left
     out."""
     dashboard: bool = False
-    """Show a run over processes in the browser; it waits for whoever opens the page, a minute."""
+    """Show a run over processes in the browser. It waits a minute for a browser, and the page stays
+    after the run until Ctrl-C."""
     http_port: int = 8080
     """Port of the dashboard; the next free one if it is taken, any free one for 0."""
     json: bool = False
@@ -106,8 +108,20 @@ def run(
         many = output.covariances, output.json
         run_many(setup, output.runs, folder, description, *many)
         return
-    pace = RunPace(None, None)
-    page = PageProcess(folder, output.http_port)
+    with closing(PageProcess(folder, output.http_port)) as page:
+        pace = _watched(setup, output, name, folder, page)
+        with user_errors():
+            trace = completed(folder, description)
+        shown = FiguresForm(output.json, output.verbose)
+        finish(folder, description, trace, pace, shown, captures)
+        page.stay()
+
+
+def _watched(
+    setup: Setup, output: RunOptions, name: str, folder: Path, page: PageProcess
+) -> RunPace:
+    """Run a setup, with its page beside it if that is asked for; return its pace."""
+    pace, tempo = RunPace(None, None), _tempo(output, setup)
     try:
         with progress(f"{setup.scenario.name}", setup.scenario.steps) as on_step, user_errors():
             driver = (
@@ -116,6 +130,7 @@ def run(
             if output.dashboard:
                 on_step = page.beside(on_step)
             pace = driver(setup, name, folder / RECORDING, output.port, on_step)
+            page.tell_end()
             if output.dashboard:
                 # A network that waits for people has no pace of its own.
                 pace = pace._replace(steps_per_second=None)
@@ -126,12 +141,7 @@ def run(
         # After an interrupt, the user need not wait for arrays and figures.
         sys.stderr.write(f"interrupted; `concord collect {folder}` shows what was done\n")
         raise
-    finally:
-        page.close()
-    with user_errors():
-        trace = completed(folder, description)
-    shown = FiguresForm(output.json, output.verbose)
-    finish(folder, description, trace, pace, shown, captures)
+    return pace
 
 
 def _tempo(options: RunOptions, setup: Setup) -> Tempo | None:

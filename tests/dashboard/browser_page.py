@@ -69,7 +69,7 @@ class Page:
         self.page.set_default_timeout(90_000)
         self.page.on("console", self._listen)
         self.page.on("pageerror", lambda error: self.console.append(f"error: {error}"))
-        self.page.goto(f"http://127.0.0.1:{dashboard.port}/?fixedDpr=0.5")
+        self.page.goto(f"{dashboard.url}&fixedDpr=0.5")
         self.page.wait_for_function(_READY)
         self.until(lambda: self.page.get_by_test_id("nodes").count() == 1)
 

@@ -16,7 +16,7 @@ from tests.processes import PROC, Family, family, holds_within, lives
 
 pytestmark = pytest.mark.zenoh
 ROOT = Path(__file__).resolve().parents[2]
-NETWORK = ["--scenario", "target-tracking", "--nodes", "4", "--steps", "3000", "--seed", "3"]
+NETWORK = ["--scenario", "target-tracking", "--nodes", "4", "--seed", "3"]
 
 
 @pytest.fixture
@@ -27,6 +27,8 @@ def launched(chromium, tmp_path: Path) -> Iterator[tuple[Family, Path]]:
             sys.executable,
             "launch_local.py",
             *NETWORK,
+            "--steps",
+            "3000",
             "--out",
             str(folder),
             "--dashboard",
@@ -61,7 +63,7 @@ def test_a_network_waits_for_who_looks_and_goes_on_without(chromium, launched: t
     assert state()["paused"]
     page = chromium.new_page(viewport={"width": 1280, "height": 720})
     page.set_default_timeout(90_000)
-    page.goto(f"{url}/?fixedDpr=0.5")
+    page.goto(f"{url}&fixedDpr=0.5")
     assert holds(page, lambda: not state()["paused"])
     assert state()["steps_per_second"] == 5
     assert holds(page, lambda: page.get_by_test_id("run-state").first.text_content() == "RUNNING")
@@ -87,6 +89,36 @@ def test_a_network_waits_for_who_looks_and_goes_on_without(chromium, launched: t
     client.close()
     command.send(signal.SIGTERM)
     assert command.gone_within(10)
+
+
+def test_the_page_stays_when_the_run_is_over(chromium, tmp_path: Path):
+    folder = tmp_path / "run"
+    words = (*NETWORK, "--steps", "24", "--out", str(folder), "--dashboard", "--http-port", "0")
+    with family((sys.executable, "launch_local.py", *words), ROOT) as command:
+        url = command.await_line("dashboard at ").split()[2]
+        page = chromium.new_page(viewport={"width": 1280, "height": 720})
+        page.set_default_timeout(90_000)
+        page.goto(f"{url}&fixedDpr=0.5")
+        command.await_line("the run is over; its page stays until Ctrl-C")
+        assert (folder / "run.nc").is_file()
+        state = page.get_by_test_id("run-state").first
+        assert holds(page, lambda: state.text_content() == "ENDED")
+        assert f"24 of 24 steps; results in {folder}" in page.locator("body").inner_text()
+        step = page.get_by_test_id("step").first
+        assert holds(page, lambda: step.text_content() == "23")
+        pause = page.get_by_role("button", name="Pause", exact=True)
+        assert holds(page, pause.is_disabled)
+        # Its steps can be looked at, and its nodes selected.
+        press_on(page, row_of(2))
+        row = page.locator(row_of(2))
+        assert holds(page, lambda: "background" in (row.get_attribute("style") or ""))
+        page.wait_for_timeout(2000)
+        assert lives(command.process.pid)
+        assert state.text_content() == "ENDED"
+        page.close()
+        command.send(signal.SIGINT)
+        assert command.gone_within(10)
+        assert command.process.wait() == 0
 
 
 def holds(page, condition: Callable[[], bool]) -> bool:

@@ -9,6 +9,7 @@ import pytest
 
 from concord.dashboard.frames.frame import StepFrame
 from concord.dashboard.frames.live import LiveNetwork
+from concord.dashboard.serve import open_network
 from concord.nodes.commands import in_words
 from concord.runtime.network.control_client import Client, NotThere
 from concord.runtime.network.network_file import read_network
@@ -133,6 +134,28 @@ def test_of_a_fast_network_a_page_sees_some_steps_all_events_and_the_last(
     for frame in frames:
         assert (frame.traffic.sent == frame.traffic.sent[0]).all()
         assert frame.traffic.sent[0] == (frame.step + 1) * len(frame.cycles)
+
+
+def test_a_page_for_spectators_shows_the_network_and_sends_no_command(
+    network: Path, onlooker: Client
+):
+    reach = read_network(network)
+    source = LiveNetwork(reach.connect, reach.run, read_only=True)
+    dashboard = open_network(source, network, "127.0.0.1", 0, light=False)
+    try:
+        for command in ({"do": "pause"}, {"do": "kill", "node": 1}, {"do": "speed"}):
+            answer = source.ask(command)
+            assert not answer.accepted
+            assert answer.detail == f"{command['do']}: this page is read-only"
+        assert dashboard.controls.network is None
+        assert dashboard.controls.node is None
+        assert not dashboard.controls.pause.visible
+        assert _until(source, lambda frames: len(frames) > 3)
+        state = onlooker.state()
+        assert not state["paused"]
+        assert state["members"] == [0, 1, 2]
+    finally:
+        dashboard.close()
 
 
 @pytest.mark.skipif(not PROC.is_dir(), reason="counts connections in /proc, which is not there")

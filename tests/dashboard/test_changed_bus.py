@@ -1,0 +1,170 @@
+"""A bus whose settings change while it runs, and panels that fail: the page goes on."""
+
+import logging
+import re
+from collections.abc import Iterator
+
+import pytest
+
+from concord.dashboard.app import Dashboard
+from concord.dashboard.frames.bus_cycles import BusView
+from concord.dashboard.frames.frame import BusCycle, StepFrame
+from concord.dashboard.frames.source import SourceState
+from concord.dashboard.frames.stage import restaged
+from concord.dashboard.panels.timeline import TimelineView
+from concord.dashboard.panels.timeline_marks import BAR, LEFT, RIGHT, ROW, TOP, WIDTH
+from concord.dashboard.serve import open_network
+from concord.dashboard.theme import DARK
+from tests.dashboard.runs import frames_of, run_of
+
+STAGE, MESSAGES = run_of("target-tracking", nodes=8, steps=12)
+AFTER = restaged(STAGE, {"occupancy": 0.5, "schedule": "hybrid"})
+SILENT = 6
+
+
+def cycles() -> tuple[BusCycle, BusCycle]:
+    """Return a cycle in which a node was silent, and one after a change to shorter cycles."""
+    size = {node: 100 for node in range(STAGE.nodes) if node != SILENT}
+    before = BusView(STAGE.bus).cycle(4, size, {})
+    owners = AFTER.bus.schedule.static_senders(5)
+    return before, BusView(AFTER.bus).cycle(5, dict.fromkeys(owners, 100), {})
+
+
+def test_the_node_owned_a_slot_before_the_change_and_owns_none_after():
+    before, after = cycles()
+    assert before.silent == (SILENT,)
+    assert SILENT not in AFTER.bus.schedule.static_senders(before.cycle)
+    assert AFTER.bus.cycle_us < STAGE.bus.cycle_us
+    assert (before.bus, after.bus) == (STAGE.bus, AFTER.bus)
+
+
+def test_a_past_cycle_is_drawn_with_its_own_timetable_and_to_the_same_scale():
+    before, after = cycles()
+    frame = frames_of(STAGE, MESSAGES)[-1]._replace(cycles=(after,))
+    html = TimelineView(AFTER).draw(DARK, frame, [before], after, 0.0, None)
+    start_us, end_us = STAGE.bus.own_slot_us(SILENT, before.cycle)
+    scale = (WIDTH - LEFT - RIGHT) / STAGE.bus.cycle_us
+    y = TOP + BAR + 12
+    expected = (LEFT + scale * start_us, scale * (end_us - start_us) - 0.7)
+    paths = [path for path in re.findall(r'<path d="([^"]*)" fill=', html) if f" {y:g}h" in path]
+    boxes = [
+        (float(x), float(wide))
+        for path in paths
+        for x, wide in re.findall(rf"M([\d.]+) {y:g}h([\d.]+)v{ROW - 2:g}", path)
+    ]
+    assert any(box == pytest.approx(expected, abs=0.1) for box in boxes)
+    # Frames of both cycles lie in the panel, at the same pixels per microsecond.
+    assert max(x + wide for x, wide in boxes) <= WIDTH - RIGHT + 0.1
+    own = [float(x) for x in re.findall(r'<g class="slot".*?<rect x="([\d.]+)"', html)]
+    assert own == pytest.approx([LEFT + scale * f.start_us for f in after.frames], abs=0.1)
+
+
+def test_a_run_that_is_changed_after_a_kill_keeps_the_bus_of_each_cycle():
+    stage, messages = run_of(
+        "target-tracking",
+        nodes=8,
+        steps=12,
+        changes=("4 kill 6", "8 set occupancy=0.5 schedule=hybrid"),
+    )
+    frames = frames_of(stage, messages)
+    schedules = [frame.cycles[0].bus.schedule.static_table for frame in frames]
+    assert schedules[:8] == 8 * [STAGE.bus.schedule.static_table]
+    assert schedules[8:] == 4 * [AFTER.bus.schedule.static_table]
+    assert frames[7].cycles[-1].silent == (SILENT,)
+    # The newest stage draws every past cycle, whatever its schedule was.
+    view = TimelineView(stage)
+    for frame in frames:
+        past = [
+            cycle for one in frames for cycle in one.cycles if cycle.cycle < frame.cycles[0].cycle
+        ]
+        assert view.draw(DARK, frame, past[::-1], frame.cycles[0], 0.0, None).count("<svg") == 1
+
+
+class Script:
+    """A live source that gives prepared frames, one at a poll."""
+
+    live = takes_commands = True
+
+    def __init__(self, frames: list[StepFrame]) -> None:
+        self.stage = STAGE
+        self.frames = list(frames)
+        self.state = SourceState("RUNNING")
+
+    def poll(self) -> list[StepFrame]:
+        return [self.frames.pop(0)] if self.frames else []
+
+    def pace(self) -> SourceState:
+        return self.state
+
+    def ask(self, command):
+        raise AssertionError(command)
+
+    def close(self) -> None:
+        self.frames.clear()
+
+
+@pytest.fixture
+def page() -> Iterator[Dashboard]:
+    source: object = Script(frames_of(STAGE, MESSAGES))
+    shown = open_network(source, None, "127.0.0.1", 0, light=False)  # type: ignore[arg-type]
+    yield shown
+    shown.close()
+
+
+def turns(page: Dashboard, first_s: float, count: int) -> None:
+    for number in range(count):
+        page.tick(first_s + number)
+
+
+@pytest.mark.parametrize(
+    ("panel", "where"),
+    [
+        ("Bus", "_timeline.draw"),
+        ("Scene", "scene.draw"),
+        ("Charts", "charts.draw"),
+        ("One state", "_state_charts.draw"),
+    ],
+)
+def test_one_panel_that_fails_is_named_and_the_others_go_on(
+    page: Dashboard,
+    panel: str,
+    where: str,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+):
+    turns(page, 1.0, 2)
+    owner = getattr(page.page, where.partition(".")[0])
+
+    def fails(*_: object, **__: object) -> None:
+        raise ValueError("min() <arg> is empty")
+
+    monkeypatch.setattr(owner, "draw", fails)
+    with caplog.at_level(logging.ERROR):
+        turns(page, 10.0, 5)
+    status = page.controls.status.content
+    assert f"{panel} cannot be drawn: ValueError: min() &lt;arg&gt; is empty" in status
+    assert status.count("cannot be drawn") == 1
+    # Drawn five times, told once.
+    assert [record.getMessage() for record in caplog.records] == [
+        f"{panel} cannot be drawn; the other panels go on"
+    ]
+    assert f'data-testid="step">{page.history.last_step}<' in status
+    assert page.history.last_step == 6
+    drawn = re.search(r'data-testid="bus-cycle">(\d+)<', page.page._bus.content)
+    assert drawn
+    newest = {cycle.bus_cycle for cycle in page.history.at(6).cycles}
+    assert (int(drawn[1]) in newest) == (panel != "Bus")
+    monkeypatch.undo()
+    turns(page, 20.0, 2)
+    assert "cannot be drawn" not in page.controls.status.content
+
+
+def test_a_change_of_the_view_that_fails_does_not_end_the_page(page: Dashboard):
+    turns(page, 1.0, 2)
+    page.inputs.alter(lambda view: view.speed / 0.0 if view.speed else None)
+    turns(page, 10.0, 1)
+    assert page.failures.sentences() == [
+        "The page cannot be drawn: ZeroDivisionError: float division by zero"
+    ]
+    turns(page, 11.0, 2)
+    assert page.failures.sentences() == []
