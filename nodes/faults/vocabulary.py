@@ -91,7 +91,7 @@ FAULTS: dict[str, FaultWord] = {
         "nodes", "node", (_CYCLES,), "slow 3 2", "slow 3 0", "all that a node says comes late"
     ),
     "drift": FaultWord(
-        "nodes", "node", (Number("PPM", -10_000, 10_000),), "drift 3 200", "drift 3 0",
+        "nodes", "node", (Number("PPM", -10_000, 10_000),), "drift 3 9000", "drift 3 0",
         "a node's oscillator leaves its rate; clock correction follows up to a limit", "a cluster",
     ),
     "outlier": FaultWord(
