@@ -122,7 +122,7 @@ def legend(theme: Theme, cycle: BusCycle, step: Sequence[BusCycle]) -> str:
         over_all = 100 * in_step / bus.timebase.cycles_of(1)
         facts = (
             f"{escape(bus.name)}: cycle {bus.cycle_us / 1e3:.4g} ms, "
-            f"{len(cycle.frames)} frames, load {load:.0f} % (over all cycles {over_all:.2g} %)"
+            f"{len(cycle.frames)} frames, load {load:.0f} % ({over_all:.2g} % of all)"
         )
     return (
         f'<div style="display:flex;justify-content:space-between;flex-wrap:wrap;font-size:11px;'

@@ -167,4 +167,4 @@ def test_the_cycle_is_numbered_by_the_time_of_the_bus():
     assert f'data-testid="bus-cycle">{cycle.bus_cycle}<' in html
     in_step = sum(bus.load(one.frames) for one in FRAME.cycles) * bus.cycle_us
     over_all = 100 * in_step / (1e6 * STAGE.setup.time_step_s)
-    assert f"(over all cycles {over_all:.2g} %)" in html
+    assert f"({over_all:.2g} % of all)" in html
