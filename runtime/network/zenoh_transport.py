@@ -52,6 +52,10 @@ def _config(links: ZenohEndpoints) -> zenoh.Config:
         "scouting/gossip/enabled": False,
         "scouting/delay": 0,
         "transport/shared_memory/enabled": False,
+        # Connections that say nothing keep members out only when there are so many of them, and
+        # for so long.
+        "transport/unicast/accept_pending": 1000,
+        "transport/unicast/accept_timeout": 5000,
         "transport/link/rx/max_message_size": _MOST_BYTES,
         "transport/link/tx/lease": _LEASE_MS,
         "transport/link/tx/keep_alive": 4,

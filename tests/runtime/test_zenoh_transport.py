@@ -92,6 +92,30 @@ os._exit(0)
     assert said_by(text, tmp_path) == ["True", "True"]
 
 
+def test_idle_connections_keep_no_member_out(tmp_path: Path):
+    """By default zenoh lets nobody in beside 100 that say nothing, until it drops them."""
+    text = """
+import socket
+from concord.runtime.network.zenoh_transport import Transport, start_router
+with socket.socket() as probe:
+    probe.bind(("127.0.0.1", 0))
+    port = probe.getsockname()[1]
+endpoint = f"tcp/127.0.0.1:{port}"
+router = start_router(endpoint)
+idle = [socket.create_connection(("127.0.0.1", port)) for _ in range(300)]
+Transport("x", ZenohEndpoints("client", (), (endpoint,), 60.0), [], 8)
+def is_open(connection):
+    connection.setblocking(False)
+    try:
+        return bool(connection.recv(1))
+    except BlockingIOError:
+        return True
+say("open", is_open(idle[0]))
+os._exit(0)
+"""
+    assert said_by(text, tmp_path) == ["open True"]
+
+
 def test_the_world_refuses_a_node_with_another_configuration(tmp_path: Path):
     text = """
 import signal
