@@ -1,6 +1,7 @@
 """Clocks of a network in which the oscillators of some nodes drift (fault word `drift`)."""
 
 from functools import lru_cache
+from math import ceil
 
 import numpy as np
 
@@ -28,7 +29,32 @@ def clock_errors(
     The clocks agree until the first drift. Each rate then moves to its PPM as fast as clock
     correction follows (`slew_ppm`).
     """
-    return _drifting(cluster, nodes, drifts).at(cycle)
+    moved, number = without_rest(drifts, cycle, slew_ppm(_settings(cluster, nodes)))
+    return _drifting(cluster, nodes, moved).at(number)
+
+
+def without_rest(
+    drifts: tuple[ClockDrift, ...], cycle: int, slew: float
+) -> tuple[tuple[ClockDrift, ...], int]:
+    """Leave out cycles in which the corrections have settled and no new drift begins.
+
+    Returns the drifts and the cycle, numbered without them; even and odd cycles stay so. A cycle
+    that is left out has one of the last ones before it for it.
+    """
+    moved: list[ClockDrift] = []
+    removed, settled, place = 0, None, cycle
+    for drift in sorted(drifts, key=lambda one: (one.first_cycle, one.node)):
+        begin = drift.first_cycle
+        if settled is not None and begin > settled:
+            if settled <= cycle < begin:
+                place = settled - _KEPT + (cycle - settled) % _KEPT - removed
+            removed += (begin - settled) // 2 * 2
+        if cycle >= begin:
+            place = cycle - removed
+        moved.append(drift._replace(first_cycle=begin - removed))
+        end = begin + ceil(abs(drift.ppm) / slew) + _SETTLED
+        settled = max(end + end % 2, settled or 0)
+    return tuple(moved), place
 
 
 def slew_ppm(settings: ClockSettings) -> float:
@@ -93,6 +119,14 @@ class _DriftingNodes:
 
 
 @lru_cache(maxsize=16)
+def _settings(cluster: Cluster, nodes: int) -> ClockSettings:
+    return clock_settings(cluster, _everybody(cluster, nodes))
+
+
+def _everybody(cluster: Cluster, nodes: int) -> int:
+    return max(2, nodes, len(cluster.sync_slots))
+
+
+@lru_cache(maxsize=16)
 def _drifting(cluster: Cluster, nodes: int, drifts: tuple[ClockDrift, ...]) -> _DriftingNodes:
-    everybody = max(2, nodes, len(cluster.sync_slots))
-    return _DriftingNodes(clock_settings(cluster, everybody), everybody, drifts)
+    return _DriftingNodes(_settings(cluster, nodes), _everybody(cluster, nodes), drifts)

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from concord.bus.clocks import ClockDrift
 from concord.bus.flexray.clocks import drifting
-from concord.bus.flexray.clocks.drifting import clock_errors, slew_ppm
+from concord.bus.flexray.clocks.drifting import clock_errors, slew_ppm, without_rest
 from concord.bus.flexray.clocks.settings import clock_settings
 from concord.bus.flexray.levels import precision_us
 from concord.bus.flexray.presets import AUDI, DEMO, PRESETS
@@ -75,3 +75,28 @@ def test_key_slots_of_nodes_beyond_the_network_are_other_controllers():
     drifts = (ClockDrift(0, 9000.0, 0),)
     alone = [clock_errors(DEMO, 1, drifts, cycle) for cycle in (0, 900)]
     assert [one.sends[0] for one in alone] == [True, False]
+
+
+@given(
+    st.lists(
+        st.builds(
+            ClockDrift, st.integers(0, 3), st.sampled_from([-9000.0, 80.0, 3000.0]),
+            st.integers(0, 10**6),
+        ),
+        min_size=1, max_size=4, unique_by=lambda one: one.node,
+    ),
+    st.integers(0, 10**6),
+)  # fmt: skip
+def test_cycles_in_which_nothing_changes_are_left_out(drifts: list[ClockDrift], cycle: int):
+    slew = slew_ppm(clock_settings(DEMO, 4))
+    moved, number = without_rest(tuple(drifts), cycle, slew)
+    first = min(drift.first_cycle for drift in drifts)
+    if cycle < first:
+        assert number == cycle
+    assert (number - cycle) % 2 == 0
+    # The order of drifts and of the cycle stays, and a ramp keeps its whole length.
+    for before, after in zip(sorted(drifts, key=lambda one: one.first_cycle), moved, strict=True):
+        assert (after.first_cycle - before.first_cycle) % 2 == 0
+        assert (cycle >= before.first_cycle) == (number >= after.first_cycle)
+    last = max(drift.first_cycle for drift in moved)
+    assert last - first <= len(drifts) * (9000 / slew + 403)
