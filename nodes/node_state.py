@@ -12,11 +12,11 @@ from msgspec.structs import replace
 from concord.bus.bus import Bus, Fragment
 from concord.bus.schedule import Schedule
 from concord.nodes.changes import UNCHANGED, Standing
+from concord.nodes.earlier_belief import EarlierBelief
 from concord.nodes.estimator import AnyEstimator
 from concord.nodes.faults.active import HEALTHY, Faults
 from concord.nodes.faults.losses import PERFECT, LinkState
 from concord.nodes.messages import Grant, Measured
-from concord.nodes.rules.earlier_belief import EarlierBelief
 
 
 class Phase(Enum):

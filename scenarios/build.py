@@ -12,11 +12,11 @@ from concord.bus.timebase import Pace
 from concord.filters.filter import Filter
 from concord.filters.gaussian import Gaussian
 from concord.nodes.changes import UNCHANGED, Standing
+from concord.nodes.earlier_belief import EarlierBelief
 from concord.nodes.environment_state import ControlStep, EnvironmentConfig
 from concord.nodes.estimator import AnyEstimator
 from concord.nodes.messages import from_wire
 from concord.nodes.node_state import NodeConfig
-from concord.nodes.rules.earlier_belief import EarlierBelief
 from concord.scenarios.bus_plan import plan_bus
 from concord.scenarios.catalogue import definition_of
 from concord.scenarios.definitions.control import control_node

@@ -15,13 +15,13 @@ from concord.filters.fusion.averaging import Averaged, Fused
 from concord.filters.gaussian import Gaussian, joined
 from concord.nodes.belief_codec import belief_of
 from concord.nodes.changes import Standing
+from concord.nodes.earlier_belief import EarlierBelief
 from concord.nodes.estimator import AnyEstimator, Rejected
 from concord.nodes.messages import Measured
 from concord.nodes.node_state import NodeConfig
 from concord.nodes.rules import information_rounds
 from concord.nodes.rules.at_node import AtNode
 from concord.nodes.rules.belief_consensus import BeliefConsensus
-from concord.nodes.rules.earlier_belief import EarlierBelief
 from concord.nodes.rules.fresh_consensus import FreshConsensus
 from concord.nodes.rules.information_rounds import InformationRounds
 from concord.nodes.rules.novelty_rounds import NoveltyRounds

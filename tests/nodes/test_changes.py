@@ -23,10 +23,10 @@ from concord.nodes.changes import (
     Set,
     after,
 )
+from concord.nodes.earlier_belief import EarlierBelief
 from concord.nodes.history import AbsentSteps, Epoch, history_of
 from concord.nodes.messages import CycleClosed, Estimate, Measured, ShareHeard, to_wire
 from concord.nodes.node import initial_state
-from concord.nodes.rules.earlier_belief import EarlierBelief
 from concord.scenarios.build import build_node
 from concord.scenarios.preparation import prepare
 from concord.scenarios.setup import Setup
