@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from concord.bus.arbitration import Arbiter, ArbiterState, Numbers, award
 from concord.bus.bus import Awards, Fragment, Rejected, SegmentTime, SharePlace, Transmission
-from concord.bus.identified_frames import Framing, identifier_of, numbered
+from concord.bus.identified_frames import Framing, identifier_of
+from concord.bus.numbered_fragments import numbered
 from concord.bus.schedule import Schedule
 from concord.bus.timebase import EVERY_CYCLE, Pace, Timebase, at_pace
 

@@ -6,20 +6,18 @@ comes the frame's fragment of the body (`bus/fragments.py`) and padding. The fra
 """
 
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
-from concord.bus.bus import Fragment, FrameFormat, Rejected, SharePlace
+from concord.bus.bus import Fragment, FrameFormat, Rejected
 from concord.bus.captured import Link
 from concord.bus.fragments import (
     PREFIX_BYTES,
-    FragmentError,
     Padded,
-    fragment_count,
-    join,
     payload_sizes,
     split,
 )
+from concord.bus.numbered_fragments import numbered, read_body
 
 _CYCLE = struct.Struct("<I")
 CYCLE_BYTES = _CYCLE.size
@@ -125,7 +123,7 @@ class Framing(NamedTuple):
             read=self.read,
             cycle_of=self.cycle_of,
             numbered=numbered,
-            join=_joined,
+            join=read_body,
             emptied=self.emptied,
             # No header counts cycles, so the checksum stands for what a receiver must notice.
             miscounted=lambda frame, cycles: frame[:-1] + bytes([frame[-1] ^ _LAST_BIT]),
@@ -144,23 +142,3 @@ def identifier_of(frame_id: int) -> int:
 def frame_id_of(identifier: int, number: int) -> int:
     """Return the frame ID of fragment `number` of a share."""
     return identifier * _NUMBERS + number
-
-
-def numbered(data: bytes) -> SharePlace:
-    """Return where a fragment says that it belongs in its share.
-
-    Raises:
-        Rejected: the fragment is too short to say.
-    """
-    try:
-        frames = fragment_count(data)
-    except FragmentError as error:
-        raise Rejected(f"fragment-{error.reason}") from None
-    return SharePlace(data[0], frames)
-
-
-def _joined(fragments: Sequence[bytes]) -> bytes:
-    try:
-        return join(fragments)
-    except FragmentError as error:
-        raise Rejected(f"fragment-{error.reason}") from None

@@ -13,7 +13,7 @@ from functools import lru_cache
 import msgspec
 from msgspec.structs import replace
 
-from concord.bus.bus import Fragment, FrameFormat, Rejected, SharePlace
+from concord.bus.bus import Fragment, FrameFormat, Rejected
 from concord.bus.flexray.frame import (
     HEADER_BYTES,
     MAX_FRAME_ID,
@@ -27,7 +27,8 @@ from concord.bus.flexray.frame import decode as decode_frame
 from concord.bus.flexray.frame import encode as encode_frame
 from concord.bus.flexray.publication import Slot
 from concord.bus.fragments import PREFIX_BYTES as NUMBERING_BYTES
-from concord.bus.fragments import FragmentError, fragment_count, join, payload_sizes, split
+from concord.bus.fragments import payload_sizes, split
+from concord.bus.numbered_fragments import numbered, read_body
 from concord.bus.recordings.pcap import FLEXRAY_LINK
 
 CYCLE_COUNTS = 64
@@ -193,31 +194,6 @@ def miscounted(frame: bytes, cycles: int) -> bytes:
     told = decode_frame(frame)
     count = (told.cycle_count + cycles) % CYCLE_COUNTS
     return encode_frame(replace(told, cycle_count=count))
-
-
-def numbered(data: bytes) -> SharePlace:
-    """Where a fragment says that it belongs in its share.
-
-    Raises:
-        Rejected: the fragment is too short to say.
-    """
-    try:
-        frames = fragment_count(data)
-    except FragmentError as error:
-        raise Rejected(f"fragment-{error.reason}") from None
-    return SharePlace(data[0], frames)
-
-
-def read_body(fragments: Sequence[bytes]) -> bytes:
-    """The body of a share whose fragments have all come.
-
-    Raises:
-        Rejected: they do not belong together.
-    """
-    try:
-        return join(fragments)
-    except FragmentError as error:
-        raise Rejected(f"fragment-{error.reason}") from None
 
 
 def cycle_of(frame: bytes) -> int:

@@ -14,12 +14,12 @@ from concord.bus.flexray.share_frames import (
     frame_id_of,
     frame_payloads,
     in_slot,
-    numbered,
     read_frame,
     renumbered,
     to_frames,
     whole_body,
 )
+from concord.bus.numbered_fragments import numbered
 from concord.bus.schedule import Schedule
 from concord.bus.timebase import EVERY_CYCLE, Pace, Timebase, at_pace
 from concord.bus.urgency_classes import UrgencyClasses

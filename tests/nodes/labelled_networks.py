@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from concord.bus.flexray.publication import Slot
-from concord.bus.flexray.share_frames import read_body, read_frame
+from concord.bus.flexray.share_frames import read_frame
+from concord.bus.numbered_fragments import read_body
 from concord.bus.schedule import Schedule
 from concord.filters.gaussian import Gaussian
 from concord.nodes.belief_codec import BeliefCodec
