@@ -24,11 +24,15 @@ LARGEST_RATIO = 1e10
 """Of the variance of a predicted reading to that of its noise, for the other form."""
 
 
-def cancels(cov: np.ndarray, noise_cov: np.ndarray) -> np.ndarray | None:
+def cancels(cov: np.ndarray, noise_cov: np.ndarray, measurement: np.ndarray) -> np.ndarray | None:
     """Lanes (...) in which the covariance (..., m, m) of a predicted reading is so large beside the
-    noise that `conditioning` loses digits; None for no lane."""
+    noise that `conditioning` loses digits; None for no lane. Entries of the measurement (..., m)
+    that were not taken do not count."""
     lost = cov.diagonal(0, -2, -1) > LARGEST_RATIO * noise_cov.diagonal(0, -2, -1)
     # An array is seldom searched, and counted in a seventh of the time.
+    if not np.count_nonzero(lost):
+        return None
+    lost = lost & ~np.isnan(measurement)
     return np.asarray(lost.any(axis=-1)) if np.count_nonzero(lost) else None
 
 

@@ -129,7 +129,7 @@ def update(
     check_noise(noise_cov, m, "measurement noise covariance")
     predicted, cov, cross_cov = measured(belief, measure, m, rule, residual, state_residual)
     found = condition(belief, measurement, predicted, cov + noise_cov, cross_cov, residual, gate)
-    sharp = square_root.cancels(cov, noise_cov)
+    sharp = square_root.cancels(cov, noise_cov, measurement)
     if sharp is None or state_residual is not np.subtract:
         return found
     if (rule.cov_weights >= 0).all():

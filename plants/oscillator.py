@@ -82,8 +82,8 @@ class ScalarSensor:
     noise_std: np.ndarray
     gate: float | None = None
 
-    def for_node(self, node: int) -> "ScalarSensor":
-        """Return the sensor of one of the nodes."""
+    def for_node(self, node: int | np.ndarray) -> "ScalarSensor":
+        """Return the sensor of one of the nodes, or of nodes (...) for states (..., 2)."""
         return replace(self, row=self.row[node], noise_std=self.noise_std[node])
 
     def measure(self, state: np.ndarray, step: int) -> np.ndarray:

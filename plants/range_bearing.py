@@ -28,14 +28,14 @@ class RangeBearing:
 
     def __post_init__(self) -> None:
         shape = np.shape(self.position_m)
-        if len(shape) not in (1, 2) or shape[-1] != 2 or not np.isfinite(self.position_m).all():
+        if not shape or shape[-1] != 2 or not np.isfinite(self.position_m).all():
             raise ValueError(
                 f"position_m has shape {shape}, but must be finite with shape (2,) or (nodes, 2)"
             )
         require_positive(range_std_m=self.range_std_m, bearing_std_rad=self.bearing_std_rad)
 
-    def for_node(self, node: int) -> "RangeBearing":
-        """Return the sensor of one of the nodes."""
+    def for_node(self, node: int | np.ndarray) -> "RangeBearing":
+        """Return the sensor of one of the nodes, or of nodes (...) for states (..., n)."""
         return replace(self, position_m=self.position_m[node])
 
     def measure(self, state: np.ndarray, step: int) -> np.ndarray:

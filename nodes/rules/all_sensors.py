@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -10,25 +10,40 @@ from concord.filters.gaussian import Gaussian
 from concord.nodes.rules.local_filter import Sensor, SensorGroup, StateNoise
 
 
+@runtime_checkable
+class SensorOfEach(Protocol):
+    """A sensor of many nodes that can be that of single ones."""
+
+    def for_node(self, node: np.ndarray, /) -> Sensor:
+        """Return the sensor of these nodes (...), which takes states (..., n)."""
+        ...
+
+
 class _Alike(NamedTuple):
     """Nodes with one sensor value; `size` numbers are in one reading of theirs.
 
-    `state_noise` is the sensor if its noise depends on the state.
+    `of_each` is the sensor if it can be that of single nodes. `state_noise` is the sensor if its
+    noise depends on the state.
     """
 
     sensor: Sensor
+    of_each: SensorOfEach | None
     state_noise: StateNoise | None
     nodes: np.ndarray
     size: int
 
 
 class _Entries(NamedTuple):
-    """Entries (L, K) whose sources are alike: their index, lanes, and places in the group."""
+    """Entries (L, K) whose sources are alike: their index, lanes, and places in the group.
+
+    `sensor` is that of the places, or None where only that of all nodes is known.
+    """
 
     alike: _Alike
     at: tuple[Any, ...]
     lanes: Any
     places: Any
+    sensor: Sensor | None
 
 
 @dataclass(frozen=True)
@@ -54,8 +69,9 @@ class AllSensors:
             nodes = np.arange(self.nodes)[index]
             nothing = np.full((len(nodes), self.delivered[1]), np.nan)
             size = sensor.interpret(nothing)[0].shape[-1]
+            of_each = sensor if isinstance(sensor, SensorOfEach) else None
             state_noise = sensor if isinstance(sensor, StateNoise) else None
-            found.append(_Alike(sensor, state_noise, nodes, size))
+            found.append(_Alike(sensor, of_each, state_noise, nodes, size))
         return tuple(found)
 
     @cached_property
@@ -85,7 +101,7 @@ class AllSensors:
         everywhere = slice(None), slice(None)
         lanes = np.arange(len(sources))[:, None]
         if len(self.groups) == 1 and self.groups[0].whole:
-            entries = (_Entries(self._alike[0], everywhere, lanes, sources),)
+            entries = (_entries(self._alike[0], everywhere, lanes, sources),)
             return SourceSensors(entries, sources.shape, self.size)
         groups, found = group[sources], []
         for number in sorted({*groups.ravel().tolist()} - {-1}):
@@ -94,8 +110,14 @@ class AllSensors:
                 # An index of integers is much faster than one of arrays.
                 at = int(at[0][0]), int(at[1][0])
             places = place[sources[at]]
-            found.append(_Entries(self._alike[number], at, at[0], places))
+            found.append(_entries(self._alike[number], at, at[0], places))
         return SourceSensors(tuple(found), sources.shape, self.size)
+
+
+def _entries(alike: _Alike, at: tuple[Any, ...], lanes: Any, places: Any) -> _Entries:
+    several = alike.of_each if len(alike.nodes) > 1 else None
+    sensor = None if several is None else several.for_node(places)
+    return _Entries(alike, at, lanes, places, sensor)
 
 
 @dataclass(frozen=True)
@@ -110,7 +132,10 @@ class SourceSensors:
         """Return the readings (..., L, K, m) at states (..., L, n)."""
         *before, lanes, n = states.shape
         found = np.zeros((*before, *self.shape, self.size))
-        for (sensor, _, nodes, size), at, where, places in self.entries:
+        for (sensor, *_, nodes, size), at, where, places, of_places in self.entries:
+            if of_places is not None:
+                found[..., *at, :size] = of_places.measure(states[..., where, :], step)
+                continue
             there = states[..., None, :]
             if len(nodes) > 1:
                 there = np.broadcast_to(there, (*before, lanes, len(nodes), n))
@@ -121,7 +146,7 @@ class SourceSensors:
     def residual(self, one: np.ndarray, other: np.ndarray) -> np.ndarray:
         """Return the differences of readings (..., L, K, m), angles wrapped."""
         found = one - other
-        for (sensor, *_, size), at, _, _ in self.entries:
+        for (sensor, *_, size), at, *_ in self.entries:
             entries = (..., *at, slice(size))
             found[entries] = sensor.residual(one[entries], other[entries])
         return found
@@ -132,7 +157,7 @@ class SourceSensors:
             return None
         more = np.zeros((*self.shape, self.size, self.size))
         there = Gaussian(belief.mean[:, None], belief.cov[:, None])
-        for (_, state_noise, nodes, size), at, where, places in self.entries:
+        for (*_, state_noise, nodes, size), at, where, places, _ in self.entries:
             if state_noise is not None:
                 cov = state_noise.state_noise_cov(there, step)
                 cov = np.broadcast_to(cov, (self.shape[0], len(nodes), size, size))

@@ -25,7 +25,7 @@ class Sighting:
         """Standard deviations (2,) of range at no distance, in m, and bearing, in rad."""
         return np.array([self.range_std_m, self.bearing_std_rad])
 
-    def for_node(self, node: int) -> "Sighting":
+    def for_node(self, node: int | np.ndarray) -> "Sighting":
         """Return the same for every node: the reading itself carries the observer's pose."""
         return self
 

@@ -96,3 +96,11 @@ def test_only_the_lanes_with_sharp_readings_change_their_form():
         alone = ukf.update(own, z[lane], two, R, scaled_unscented(3)).belief
         np.testing.assert_allclose(together.belief.cov[lane], alone.cov, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(together.belief.mean[lane], alone.mean, rtol=1e-9, atol=1e-12)
+
+
+def test_an_entry_that_was_not_taken_asks_for_no_other_form():
+    cov, noise_cov = np.eye(2) * np.array([[[1.0]], [[1.0]]]), np.zeros((2, 2, 2))
+    missing = np.full((2, 2), np.nan)
+    assert square_root.cancels(cov, noise_cov, missing) is None
+    taken = np.array([[np.nan, np.nan], [np.nan, 0.5]])
+    np.testing.assert_array_equal(square_root.cancels(cov, noise_cov, taken), [False, True])
