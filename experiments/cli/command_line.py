@@ -21,6 +21,7 @@ from concord.topology.names import unknown_name
 COMMANDS = {
     "run": ("run", "run"),
     "collect": ("collect", "collect"),
+    "audit": ("audit", "audit_folder"),
     "dashboard": ("dashboard", "dashboard"),
     "replay": ("replay", "replay"),
     "control": ("control", "control"),

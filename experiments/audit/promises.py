@@ -1,0 +1,277 @@
+"""Promises that the recording of every run keeps, checked against the evidence."""
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from concord.experiments.audit.evidence import Evidence, floats
+from concord.experiments.audit.member_history import MemberHistory
+
+# A node that is silent for so long has to be given up: a lease of 2 s, and the time to tell of it.
+_SILENCE_S = 10.0
+
+
+class Run(NamedTuple):
+    """The evidence of a run of N nodes and its membership.
+
+    `complete` steps have a truth, and in lockstep an estimate of every member.
+    """
+
+    evidence: Evidence
+    membership: MemberHistory
+    nodes: int
+    complete: int
+    time_step_s: float
+
+
+class Account(NamedTuple):
+    """How a promise was kept: places checked, places where it is broken, and the first of them.
+
+    `note` counts what breaks no promise.
+    """
+
+    checked: int
+    broken: int
+    first: str = ""
+    note: str = ""
+
+
+class RunPromise(NamedTuple):
+    """A promise: a sentence, and the check."""
+
+    says: str
+    check: Callable[[Run], Account]
+
+
+def _account(checked: int, broken: Iterable[str], note: str = "") -> Account:
+    cases = list(broken)
+    return Account(checked, len(cases), cases[0] if cases else "", note)
+
+
+def _steps(run: Run) -> Account:
+    truths, kept = run.evidence.truths, run.evidence.arrays.sizes["step"]
+    broken = [
+        f"step {step}: {truths[step]} truths" for step in range(run.complete) if truths[step] != 1
+    ]
+    if kept != run.complete:
+        broken.append(f"run.nc has {kept} steps, the recording {run.complete}")
+    return _account(run.complete, broken)
+
+
+def _members(run: Run) -> Iterator[tuple[int, int]]:
+    for step, node in np.ndindex(run.complete, run.nodes):
+        if run.membership.is_in(node, step):
+            yield step, node
+
+
+def _estimates(run: Run) -> Account:
+    """Whether each member has an estimate in each step; words lost with a process are counted."""
+    wanted = list(_members(run))
+    missing = [place for place in wanted if place not in run.evidence.estimates]
+    lost = [place for place in missing if _died_then(run, *place)]
+    if run.evidence.in_real_time:
+        return _silences(run, len(wanted), missing)
+    cases = (f"step {step}: none of node {node}" for step, node in sorted(set(missing) - set(lost)))
+    return _account(len(wanted), cases, f"{len(lost)} lost with their process" if lost else "")
+
+
+def _died_then(run: Run, step: int, node: int) -> bool:
+    """Whether a node gave no estimate from a step on until it was out."""
+    end = run.membership.left_at(node, step)
+    return end is not None and not any(
+        (later, node) in run.evidence.estimates for later in range(step, end)
+    )
+
+
+def _silences(run: Run, wanted: int, missing: list[tuple[int, int]]) -> Account:
+    """In real time a late estimate is lost; a node may not stay silent as a member."""
+    longest, length = {}, dict.fromkeys(range(run.nodes), 0)
+    gaps = set(missing)
+    for step, node in np.ndindex(run.complete, run.nodes):
+        length[node] = length[node] + 1 if (step, node) in gaps else 0
+        if length[node] * run.time_step_s > _SILENCE_S:
+            longest[node] = f"node {node} was silent until step {step}, {length[node]} steps"
+    return _account(wanted, longest.values(), f"{len(missing)} missing" if missing else "")
+
+
+def _strangers(run: Run) -> Account:
+    """Whether a node that is out says nothing."""
+    said, member = run.evidence, run.membership
+    estimates = (
+        f"step {step}: estimate of node {node}"
+        for step, node in sorted(said.estimates)
+        if not member.is_in(node, step)
+    )
+    frames = (
+        f"cycle {cycle}: frame of node {node}"
+        for cycle, node in sorted(said.frames)
+        if not member.is_in(node, member.step_of(cycle))
+    )
+    return _account(len(said.estimates) + len(said.frames), [*estimates, *frames])
+
+
+def _once(run: Run) -> Account:
+    said = run.evidence
+    records = {"estimate": said.estimates, "heartbeat": said.heartbeats}
+    twice = [
+        f"step {step}: {len(all_of)} times the {what} of node {node}"
+        for what, kept in records.items()
+        for (step, node), all_of in sorted(kept.items())
+        if len(all_of) > 1
+    ]
+    twice += [
+        f"cycle {cycle}: a frame of node {node} {max(frames.values())} times"
+        for (cycle, node), frames in sorted(said.frames.items())
+        if max(frames.values()) > 1
+    ]
+    return _account(len(said.estimates) + len(said.heartbeats) + len(said.frames), twice)
+
+
+def _arrays(run: Run) -> Account:
+    """Whether run.nc holds the recorded estimates, to the bit, and none beside them."""
+    mean, cov = run.evidence.arrays["mean"].values, run.evidence.arrays["cov"].values
+    upper = np.triu_indices(mean.shape[-1])
+    steps = min(run.complete, len(mean))
+    broken = []
+    for step, node in np.ndindex(steps, run.nodes):
+        said = run.evidence.estimates.get((step, node))
+        shown = mean[step, node], cov[step, node][upper]
+        if said is None:
+            same = all(np.isnan(values).all() for values in shown)
+        else:
+            same = np.array_equal(shown[0], said[0].mean, equal_nan=True) and np.array_equal(
+                shown[1], said[0].cov, equal_nan=True
+            )
+        if not same:
+            broken.append(f"step {step}, node {node}")
+    return _account(steps * run.nodes, broken)
+
+
+def _published(run: Run) -> Account:
+    published = run.evidence.arrays["published"].values
+    broken = []
+    for step in range(min(run.complete, len(published))):
+        for place, cycle in enumerate(run.membership.cycles_of(step)):
+            sent = [(cycle, node) in run.evidence.frames for node in range(run.nodes)]
+            if sent != (published[step, place] > 0).tolist():
+                broken.append(f"cycle {cycle} of step {step}")
+    return _account(run.complete, broken)
+
+
+def _ages(run: Run) -> Account:
+    """Whether each share that a node holds was sent in the cycle that its age names."""
+    ages = run.evidence.arrays["ages"].values
+    checked, broken, lost = 0, [], 0
+    for step, node, sender in np.argwhere(ages >= 0).tolist():
+        if node == sender:
+            continue
+        checked += 1
+        cycle = run.membership.cycles_of(step)[-1] - int(ages[step, node, sender])
+        if (cycle, sender) in run.evidence.frames:
+            continue
+        if cycle >= 0 and _died_then(run, run.membership.step_of(cycle), sender):
+            lost += 1
+            continue
+        broken.append(f"step {step}: node {node} holds a share of node {sender}, cycle {cycle}")
+    return _account(checked, broken, f"{lost} lost with their sender" if lost else "")
+
+
+def _counters(run: Run) -> Account:
+    """Whether totals never fall within a life of a node."""
+    broken, checked = [], 0
+    before: dict[int, dict[str, int]] = {}
+    returns = {(turn.step, turn.node) for turns in run.membership.turns.values() for turn in turns}
+    for step, node in np.ndindex(run.complete, run.nodes):
+        if (step, node) in returns:
+            before.pop(node, None)
+        for said in run.evidence.estimates.get((step, node), ())[:1]:
+            checked += 1
+            fallen = [k for k, v in before.get(node, {}).items() if said.counters.get(k, 0) < v]
+            broken += [f"step {step}: {name} of node {node} fell" for name in fallen]
+            before[node] = said.counters
+    return _account(checked, broken)
+
+
+def _told(run: Run) -> Account:
+    """Whether all members heard in a step of the changes that happened in it.
+
+    A node that joins is welcomed with its own return.
+    """
+    happened: dict[int, list[dict[str, Any]]] = {}
+    for step, change in run.evidence.events:
+        happened.setdefault(step, []).append(change)
+    broken = []
+    for (step, node), (told, *_) in sorted(run.evidence.heartbeats.items()):
+        for_node = [
+            change
+            for change in happened.get(step, [])
+            if change["what"] != "joined" or change["node"] != node
+        ]
+        if _without_pace(told) != _without_pace(for_node):
+            broken.append(f"step {step}: node {node}")
+    return _account(len(run.evidence.heartbeats), broken)
+
+
+def _without_pace(changes: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return changes of the network; how fast it goes concerns the environment alone."""
+    return [change for change in changes if change["what"] != "pace"]
+
+
+def _turns(run: Run) -> Account:
+    turns = sum(map(len, run.membership.turns.values()))
+    broken = [
+        f"step {turn.step}: node {turn.node} {'joins' if turn.is_in else 'leaves'} twice"
+        for turn in run.membership.repeated
+    ]
+    out = {t.node for all_of in run.membership.turns.values() for t in all_of if not t.is_in}
+    broken += [
+        f"`gone` to all names node {node}, and no event does"
+        for node in sorted(set(run.evidence.given_up) - out)
+    ]
+    return _account(turns, broken)
+
+
+def _joins(run: Run) -> Account:
+    """Whether who joins begins with an estimate that a node had, to the bit."""
+    checked, broken = 0, []
+    for step, change in run.evidence.events:
+        if change["what"] != "joined" or change.get("mean") is None:
+            continue
+        checked += 1
+        if source_of(run, step, change) is None:
+            broken.append(f"step {step}: belief of node {change['node']} is no node's estimate")
+    return _account(checked, broken)
+
+
+def source_of(run: Run, step: int, joined: dict[str, Any]) -> int | None:
+    """Return the node whose estimate a joining node takes; None if it is no node's."""
+    of = step - 1 if joined.get("step") is None else joined["step"]
+    mean, cov = floats(joined["mean"]), floats(joined["cov"])
+    for node in range(run.nodes):
+        for said in run.evidence.estimates.get((of, node), ()):
+            if np.array_equal(said.mean, mean, equal_nan=True) and np.array_equal(
+                said.cov, cov, equal_nan=True
+            ):
+                return node
+    return None
+
+
+def _readable(run: Run) -> Account:
+    return Account(1, run.evidence.unreadable, "messages that are none of ours")
+
+
+PROMISES = (
+    RunPromise("each recorded message can be read", _readable),
+    RunPromise("each step has one truth, and run.nc has each step", _steps),
+    RunPromise("each member has an estimate in each step", _estimates),
+    RunPromise("a node that is out says nothing", _strangers),
+    RunPromise("each message is recorded once", _once),
+    RunPromise("run.nc holds the recorded estimates, to the bit", _arrays),
+    RunPromise("run.nc shows the cycles in which nodes sent", _published),
+    RunPromise("each share that a node holds was sent", _ages),
+    RunPromise("counters never fall within a life", _counters),
+    RunPromise("all members hear of the same changes", _told),
+    RunPromise("members leave, and absent nodes join", _turns),
+    RunPromise("a node that joins begins with a node's estimate", _joins),
+)

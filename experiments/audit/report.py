@@ -1,0 +1,135 @@
+"""Result of an audit: promises, joins, and consistency around events."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.stats import chi2
+
+from concord.experiments.audit.evidence import Evidence, read_evidence
+from concord.experiments.audit.member_history import member_history_of
+from concord.experiments.audit.promises import PROMISES, Account, Run, RunPromise, source_of
+from concord.scenarios.rules import is_set_valued
+
+_STEPS_AROUND = 10
+_RARE = 0.999
+
+
+class Join(NamedTuple):
+    """A return: its step, the node, the node of whose estimate it begins (None: the prior, or none)
+    and the age of that estimate in steps."""
+
+    step: int
+    node: int
+    source: int | None
+    age_steps: int | None
+
+
+class Around(NamedTuple):
+    """Mean NEES of all nodes in the ten steps before an event, and in those from it to the next
+    event, ten at most; NaN if unknown.
+
+    `jumps`: after the event it exceeds, in a step, a bound that it kept before. The bound is the
+    99.9 % quantile of one node's NEES; a mean over nodes exceeds it more rarely.
+    """
+
+    step: int
+    event: str
+    before: float
+    after: float
+    jumps: bool
+
+
+class AuditResult(NamedTuple):
+    """Result of an audit."""
+
+    findings: tuple[tuple[RunPromise, Account], ...]
+    joins: tuple[Join, ...]
+    around: tuple[Around, ...]
+
+    @property
+    def broken(self) -> int:
+        """Number of broken promises."""
+        return sum(finding.broken > 0 for _, finding in self.findings)
+
+
+def audit(folder: Path) -> AuditResult:
+    """Audit the folder of a run.
+
+    Raises:
+        ValueError: it holds no recording or no arrays.
+    """
+    evidence = read_evidence(folder)
+    nodes = evidence.scenario.nodes
+    membership = member_history_of(evidence.scenario.rounds, evidence.events)
+    times = evidence.arrays["time"].values
+    time_step_s = float(times[1] - times[0]) if len(times) > 1 else 1.0
+    run = Run(evidence, membership, nodes, 0, time_step_s)
+    run = run._replace(complete=_complete(run))
+    return AuditResult(
+        tuple((promise, promise.check(run)) for promise in PROMISES),
+        tuple(_joins(run)),
+        tuple(_around(evidence)),
+    )
+
+
+def _complete(run: Run) -> int:
+    """Return the number of steps; the last one is left out where an end cut it."""
+    said = run.evidence
+    last = max(said.truths, default=-1)
+    estimated = max((step for step, _ in said.estimates), default=-1)
+    if said.in_real_time:
+        return min(last, estimated) + 1
+    whole = all(
+        (last, node) in said.estimates
+        for node in range(run.nodes)
+        if run.membership.is_in(node, last)
+    )
+    return last + 1 if whole else last
+
+
+def _joins(run: Run) -> list[Join]:
+    joins = []
+    for step, change in run.evidence.events:
+        if change["what"] == "joined":
+            known = change.get("mean") is not None
+            of = step - 1 if change.get("step") is None else change["step"]
+            source = source_of(run, step, change) if known else None
+            joins.append(Join(step, change["node"], source, step - 1 - of if known else None))
+    return joins
+
+
+def _around(evidence: Evidence) -> list[Around]:
+    if is_set_valued(evidence.scenario):
+        return []
+    nees = evidence.arrays["nees"]
+    bound = chi2.ppf(_RARE, len(np.atleast_1d(nees.attrs["states"])))
+    values = np.ma.masked_invalid(nees.values).mean(axis=1).filled(np.nan)
+    found = []
+    events = [one for one in evidence.events if one[1]["what"] != "pace"]
+    for step, change in events:
+        next_step = min((later for later, _ in events if later > step), default=len(values))
+        before = values[max(step - _STEPS_AROUND, 0) : step]
+        after = values[step : min(step + _STEPS_AROUND, next_step)]
+        jumps = bool((after > bound).any() and not (before > bound).any())
+        found.append(Around(step, _words(change), _mean(before), _mean(after), jumps))
+    return found
+
+
+def _mean(values: np.ndarray) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if known.size else float("nan")
+
+
+def _words(change: dict[str, Any]) -> str:
+    """Return an event in the words of `--changes`."""
+    match change:
+        case {"what": "left" | "gone" | "joined" as what, "node": node}:
+            return f"{what} {node}"
+        case {"what": "settings", "settings": settings}:
+            return "set " + " ".join(f"{name}={value}" for name, value in settings.items())
+        case {"what": "fault", "kind": kind, "nodes": nodes, "numbers": numbers}:
+            return " ".join([kind, *map(str, nodes), *(f"{number:g}" for number in numbers)])
+        case _:
+            values = [str(value) for name, value in change.items() if name != "what"]
+            return " ".join([change["what"], *values])

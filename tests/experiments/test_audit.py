@@ -1,0 +1,208 @@
+"""The audit of a run: sound runs pass, and each kind of planted damage breaks its promise."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import xarray
+
+from concord.experiments.audit.member_history import member_history_of
+from concord.experiments.audit.promises import PROMISES
+from concord.experiments.audit.report import audit
+from concord.experiments.cli.command_line import main
+from concord.experiments.results.folder import ARRAYS, RECORDING, describe, write_arrays
+from concord.experiments.results.trace import read_trace
+from concord.runtime.drivers import in_memory
+from concord.runtime.recording import McapRecorder
+from concord.scenarios.bus_plan import frame_format
+from tests.experiments.support import small
+
+Messages = list[tuple[str, bytes]]
+CHANGES = ("3 kill 2", "6 restart 2", "8 set rounds=2")
+SETUP = small(steps=12, nodes=4, graph="ring", changes=CHANGES)
+MESSAGES: Messages = list(in_memory(SETUP))
+
+
+def write(folder: Path, recorded: Messages, shown: Messages = MESSAGES) -> Path:
+    """A folder with this recording, and the arrays of another."""
+    description = describe("test", "in-process", SETUP)
+    write_arrays(folder, description, read_trace(SETUP, shown))
+    recorder = McapRecorder(
+        folder / RECORDING, SETUP.scenario.rounds, SETUP.time_step_s, frame_format(SETUP.scenario)
+    )
+    recorder.record(recorded)
+    recorder.close()
+    return folder
+
+
+def broken(folder: Path) -> set[str]:
+    return {promise.says for promise, finding in audit(folder).findings if finding.broken}
+
+
+def place(topic: str, **fields: int) -> int:
+    """The number of the first message on a topic with these fields."""
+    return next(
+        number
+        for number, (name, data) in enumerate(MESSAGES)
+        if name == topic and fields.items() <= json.loads(data).items()
+    )
+
+
+def edited(number: int, change: Callable[[dict], None]) -> Messages:
+    topic, data = MESSAGES[number]
+    message = json.loads(data)
+    change(message)
+    return [*MESSAGES[:number], (topic, json.dumps(message).encode()), *MESSAGES[number + 1 :]]
+
+
+def test_a_sound_run_keeps_all_promises(tmp_path: Path):
+    found = audit(write(tmp_path, MESSAGES))
+    assert found.broken == 0
+    assert all(finding.checked > 0 for _, finding in found.findings)
+    (join,) = found.joins
+    assert (join.step, join.node, join.age_steps) == (6, 2, 0)
+    assert join.source in (1, 3)
+    assert [one.step for one in found.around] == [3, 6, 8]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"rule": "labelled", "schedule": "dynamic", "occupancy": 0.5},
+        {"bus": "ideal", "rule": "icf", "rounds": 1},
+        {"bus": "can-fd", "schedule": "hybrid", "occupancy": 0.5},
+        {"changes": ("2 delay 0.3 2", "3 duplicate 0.3", "4 reorder 0.5", "5 loss 0.2")},
+        {"changes": ("2 replay 1 0.3 2", "3 spoof 2 1 0.3", "4 wrong-step 3 0.3 2", "9 calm")},
+        {"changes": ("2 null 1 0.5", "3 crc 2 0.5", "4 missing 0 0.5", "5 slow 3 2")},
+    ],
+)
+def test_sound_runs_with_faults_and_other_buses_keep_all_promises(tmp_path: Path, changes: dict):
+    main(["run", *_words({"nodes": 4, "steps": 12, **changes}), "--out", str(tmp_path / "run")])
+    assert broken(tmp_path / "run") == set()
+
+
+def _words(options: dict) -> list[str]:
+    words = ["--scenario", "oscillator"]
+    for name, value in options.items():
+        values = value if isinstance(value, tuple) else (value,)
+        words += [f"--{name}", *map(str, values)]
+    return words
+
+
+def _without(number: int) -> Messages:
+    return MESSAGES[:number] + MESSAGES[number + 1 :]
+
+
+def _twice(number: int) -> Messages:
+    return MESSAGES[: number + 1] + MESSAGES[number:]
+
+
+def _first_frame_of(node: int) -> int:
+    return next(n for n, (topic, _) in enumerate(MESSAGES) if topic == f"share/{node}")
+
+
+def _later_frame(node: int) -> tuple[str, bytes]:
+    """A frame that the node sent after its return."""
+    return [one for one in MESSAGES if one[0] == f"share/{node}"][-1]
+
+
+def _change_heard(message: dict) -> None:
+    message["changes"] = []
+
+
+def _other_belief(message: dict) -> None:
+    message["change"]["mean"][0] += 1e-12
+
+
+def _falling(message: dict) -> None:
+    message["counters"]["heard"] = 0
+
+
+DAMAGE: dict[str, Callable[[], Messages]] = {
+    "each recorded message can be read": lambda: [*MESSAGES, ("estimate/1", b"{")],
+    "each step has one truth, and run.nc has each step": lambda: _twice(place("truth", step=4)),
+    "each member has an estimate in each step": lambda: _without(place("estimate/1", step=4)),
+    "a node that is out says nothing": lambda: [
+        *MESSAGES,
+        ("estimate/2", MESSAGES[place("estimate/2", step=2)][1].replace(b'"step":2', b'"step":4')),
+    ],
+    "each message is recorded once": lambda: _twice(_first_frame_of(1)),
+    "run.nc holds the recorded estimates, to the bit": lambda: edited(
+        place("estimate/1", step=4), lambda message: message["mean"].__setitem__(0, 1.0)
+    ),
+    "run.nc shows the cycles in which nodes sent": lambda: _without(_first_frame_of(1)),
+    "each share that a node holds was sent": lambda: [
+        one for one in MESSAGES if one != _later_frame(1)
+    ],
+    "counters never fall within a life": lambda: edited(place("estimate/1", step=4), _falling),
+    "all members hear of the same changes": lambda: edited(
+        place("measured/1", step=3), _change_heard
+    ),
+    "members leave, and absent nodes join": lambda: _twice(place("event", step=3)),
+    "a node that joins begins with a node's estimate": lambda: edited(
+        place("event", step=6), _other_belief
+    ),
+}
+
+
+def test_each_promise_has_its_damage():
+    assert set(DAMAGE) == {promise.says for promise in PROMISES}
+
+
+@pytest.mark.parametrize("says", DAMAGE)
+def test_damage_breaks_its_promise(tmp_path: Path, says: str, capsys):
+    folder = write(tmp_path, DAMAGE[says]())
+    assert says in broken(folder)
+    with pytest.raises(SystemExit) as ended:
+        main(["audit", str(folder)])
+    assert ended.value.code == 1
+    assert f"BROKEN  {says}" in capsys.readouterr().out
+
+
+def test_estimates_that_were_lost_with_their_process_break_no_promise(tmp_path: Path):
+    recorded = _without(place("estimate/2", step=2))
+    folder = write(tmp_path, recorded, recorded)
+    assert broken(folder) == set()
+    notes = [
+        finding.note for promise, finding in audit(folder).findings if "has an" in promise.says
+    ]
+    assert notes == ["1 lost with their process"]
+
+
+def test_a_wild_jump_after_an_event_is_marked(tmp_path: Path, capsys):
+    folder = write(tmp_path, MESSAGES)
+    with xarray.open_dataset(folder / ARRAYS, engine="h5netcdf") as opened:
+        arrays = opened.load()
+    arrays["nees"][:6], arrays["nees"][6:] = 1.0, 50.0
+    arrays.to_netcdf(folder / ARRAYS, engine="h5netcdf")
+    assert [one.jumps for one in audit(folder).around] == [False, True, False]
+    with pytest.raises(SystemExit) as ended:
+        main(["audit", str(folder), "--json"])
+    assert ended.value.code == 0
+    assert json.loads(capsys.readouterr().out)["holds"] is True
+
+
+def test_cycles_are_counted_through_a_change_of_rounds():
+    told = [(4, {"what": "settings", "settings": {"rounds": 5}, "first_cycle": 12})]
+    found = member_history_of(3, told)
+    assert [found.step_of(cycle) for cycle in (0, 2, 3, 11, 12, 16, 17)] == [0, 0, 1, 3, 4, 4, 5]
+    assert found.cycles_of(3) == range(9, 12)
+    assert found.cycles_of(5) == range(17, 22)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda folder: (folder / RECORDING).unlink(), "it holds no run.mcap; name the folder"),
+        (lambda folder: (folder / ARRAYS).unlink(), "it holds no run.nc; `concord collect"),
+        (lambda folder: (folder / RECORDING).write_bytes(b"no"), "it cannot be read"),
+    ],
+)
+def test_a_folder_without_evidence_is_refused(tmp_path: Path, spoil, message: str, capsys):
+    folder = write(tmp_path, MESSAGES)
+    spoil(folder)
+    with pytest.raises(SystemExit) as ended:
+        main(["audit", str(folder)])
+    assert ended.value.code == 2
+    assert message in capsys.readouterr().err
